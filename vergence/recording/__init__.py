@@ -1,4 +1,4 @@
-"""Records of heads: the recorder of readings and truth, logs of robots, and their replay."""
+"""Records of heads: the recorder of readings and ground truth, logs of robots, and their replay."""
 
 from vergence.recording.recorder import Recorder
 

@@ -1,4 +1,4 @@
-"""JPEGs of a log, without trust in what they are."""
+"""Decoding of JPEGs from untrusted logs."""
 
 from typing import Final
 
@@ -9,14 +9,16 @@ from vergence.envs.reading import Image
 
 _START: Final = b"\xff\xd8"
 _MOST_PX: Final = 64 * 10**6
-"""Pixels of an image beyond which it is no camera's: a few KB may claim ten times as many."""
+"""Largest number of pixels of an image (chosen: above any camera's; a corrupt file of a few KB may
+claim ten times as many)."""
 _SIZES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-"""Markers of the segment that has the size, one for each way of coding."""
+"""Markers of the start-of-frame segment, which holds the size (physical: JPEG standard)."""
 _SCAN: Final = 0xDA
+"""Marker of the start-of-scan segment, after which no size follows (physical: JPEG standard)."""
 
 
 def read_jpeg(data: bytes) -> Image | None:
-    """Grey levels, (height, width); None where it is no JPEG, broken, or too large."""
+    """Decode a JPEG to grey levels, (height, width); None if it is no JPEG, broken or too large."""
     if not 0 < _pixels(data) <= _MOST_PX:
         return None
     try:
@@ -27,7 +29,7 @@ def read_jpeg(data: bytes) -> Image | None:
 
 
 def _pixels(data: bytes) -> int:
-    """Count the pixels that a JPEG claims to have; 0 for what is none."""
+    """Number of pixels that a JPEG's header claims; 0 if it is no JPEG."""
     at = len(_START)
     if not data.startswith(_START):
         return 0

@@ -1,4 +1,4 @@
-"""Reading a robot's log, whole or cut off by a crash, without trust in what it holds."""
+"""Reading of a robot's log, complete or truncated by a crash; its content is untrusted."""
 
 import os
 import re
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mcap.records import McapRecord
 
 _LONGEST_S: Final = 1e5
-"""Times of a trial below this are believed, s: a day."""
+"""Upper limit of times in a trial, s: a day; a log with later ones is refused (chosen)."""
 _WHOLE: Final = re.compile("-?[0-9]{1,19}")
 _KNOWN: Final = {topic.name: topic for topic in schema.TOPICS}
 
@@ -37,20 +37,20 @@ class LoggedTrial:
 
     number: int
     begun_s: float
-    """Time of its start, s of the robot's clock."""
+    """Time of the trial's start, s of the robot's clock."""
     reading: Reading
-    """Of (steps + 1, 1, ...), from time zero on."""
+    """Readings of shape (steps + 1, 1, ...), from time zero."""
     truth: Truth | None
-    """Of the same times; nan where none is logged, None where none is at all."""
+    """Ground truth at the times of the readings; nan if not logged then, None if never logged."""
     commands: tuple[LoggedCommand, ...]
-    """The policy's, before each reading but the first; one more where a fault came before its
-    reading."""
+    """The policy's commands, one before each reading but the first; one more if a fault prevented
+    the last reading."""
     images: tuple[list[tuple[float, bytes]], list[tuple[float, bytes]]]
-    """Times of exposure, s of the clock, and JPEGs of the left and the right eye."""
+    """Exposure times, s of the clock, and JPEGs, of the left and the right eye."""
 
     @property
     def steps(self) -> int:
-        """Control periods with a reading at their end."""
+        """Number of control periods with a reading at their end."""
         return len(self.reading.time_s) - 1
 
     def asked(self) -> FloatArray:
@@ -58,7 +58,7 @@ class LoggedTrial:
         return np.array([one.asked for one in self.commands[: self.steps]]).reshape(-1, 7)
 
     def frames(self, step: int) -> tuple[Image, Image] | None:
-        """Both eyes' newest images at a step, grey levels; None where there are none."""
+        """Newest images of both eyes at a step, grey levels; None if one is missing or broken."""
         now_s = self.begun_s + float(self.reading.time_s[step, 0])
         found = []
         for images in self.images:
@@ -87,18 +87,19 @@ class Log:
     detections: tuple[LoggedDetection, ...]
     faults: tuple[str, ...]
     cut_off: str
-    """Reason for an early end; empty for a log that was closed."""
+    """Reason for a truncated log; empty for one that was closed."""
 
 
 def read_log(path: str | os.PathLike[str]) -> Log:
-    """Read a log as far as it goes. Nothing of it is executed.
+    """Read a log up to its end or to where it is truncated. None of its content is executed.
 
     Args:
-        path: of the file.
+        path: path of the file.
 
     Raises:
-        UnreadableFileError: it cannot be read, or is no log.
-        ConfigurationError: a message in it is none of its topic's, or mcap is not installed.
+        UnreadableFileError: the file cannot be read, or is no log.
+        ConfigurationError: a message does not match its topic, a trial is inconsistent, or mcap is
+            not installed.
     """
     parts = _Parts()
     for record in records_of(path, parts.broken):
@@ -138,7 +139,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
 
 @dataclass
 class _OpenTrial:
-    """A trial as it is read."""
+    """A trial while its messages are being read."""
 
     number: int
     begun_s: float = np.nan
@@ -150,7 +151,7 @@ class _OpenTrial:
     )
 
     def whole(self) -> LoggedTrial:
-        """The trial in arrays."""
+        """Convert the trial to arrays, and refuse inconsistent ones."""
         reading = Reading._make(_columns(self.readings))
         times = reading.time_s[:, 0]
         if not ((np.diff(times) > 0.0).all() and 0.0 <= times[0] <= times[-1] < _LONGEST_S):
@@ -177,13 +178,13 @@ class _OpenTrial:
 
 
 def _columns(rows: Sequence[Reading] | Sequence[Truth]) -> Iterator[NDArray[Any]]:
-    """The fields of some rows with their axes over times and heads."""
+    """Stack the fields of some rows, with axes over times and heads."""
     for column in zip(*rows, strict=True):
         yield np.stack(column)[:, None]
 
 
 class _Parts:
-    """All that has been read so far."""
+    """Content of the log read so far."""
 
     def __init__(self) -> None:
         self.facts: dict[str, str] = {}
@@ -196,11 +197,11 @@ class _Parts:
         self._topics: dict[int, Topic] = {}
 
     def broken(self, reason: str) -> None:
-        """The file ends early."""
+        """Note that the file ends early."""
         self.cut_off = reason
 
     def take(self, record: "McapRecord") -> None:
-        """Take a record."""
+        """Add a record of the file."""
         from mcap.records import Attachment, Channel, Message, Metadata
 
         if isinstance(record, Channel) and record.topic in _KNOWN:

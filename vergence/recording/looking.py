@@ -1,4 +1,4 @@
-"""A head that can be told to look somewhere and say what it saw: simulated, drawn or real."""
+"""Interface of a head that looks at a board: simulated, rendered or real."""
 
 from typing import NamedTuple, Protocol
 
@@ -8,24 +8,24 @@ from vergence.models.parts import FloatArray
 
 
 class Sight(NamedTuple):
-    """What both eyes of a head at rest saw of a board, once."""
+    """One view of a board by both eyes of a head at rest."""
 
     time_s: float
-    """Of the exposure, s; grows from look to look."""
+    """Time of the exposure, s; grows from view to view."""
     positions: FloatArray
-    """(7,) joint angles that were read, rad."""
+    """(7,) measured joint angles, rad."""
     corners_px: tuple[FloatArray | None, FloatArray | None]
     """(n, 2) raw pixels of the board's corners by eye, nan for corners that were not found; None
-    for an eye that does not see the board."""
+    for an eye to which the board is not visible."""
     sigma_px: tuple[FloatArray | None, FloatArray | None]
-    """(n, 2) their standard deviations."""
+    """(n, 2) standard deviations of the corners by eye, px; None as for the corners."""
 
 
 class Looker(Protocol):
     """A head before a board."""
 
     head: HeadModel
-    """The model that is known of it."""
+    """The known model of the head."""
     target: PlanarTarget
     """The board."""
 

@@ -1,4 +1,4 @@
-"""Messages of a log as JSON and back, without trust in what comes."""
+"""Conversion of log messages to JSON and back; the JSON is untrusted."""
 
 import base64
 import json
@@ -13,13 +13,13 @@ from vergence.errors import ConfigurationError
 from vergence.recording.schema import Form, Topic, shape
 
 _MOST: Final = 1e15
-"""Numbers beyond this are nobody's measurements, and their products overflow."""
+"""Largest absolute value of a number (chosen: above any measurement, and products stay finite)."""
 _LATEST_S: Final = 2**33
-"""Times of day before this are believed, s since 1970: some 270 years."""
+"""Upper limit of times of day, s since 1970: some 270 years (chosen)."""
 
 
 def encode(message: dict[str, Any]) -> bytes:
-    """A message of plain values and arrays as JSON."""
+    """Encode a message of plain values and arrays as JSON."""
     return json.dumps({name: _plain(value) for name, value in message.items()}).encode()
 
 
@@ -36,22 +36,23 @@ def _plain(value: Any) -> Any:
 
 
 def stamp(time_ns: int) -> dict[str, int]:
-    """A time of day as Foxglove's schemas have it."""
+    """A time of day, ns since 1970, in the form of Foxglove's schemas."""
     return {"sec": time_ns // 10**9, "nsec": time_ns % 10**9}
 
 
 def decode(topic: Topic, data: bytes) -> dict[str, Any]:
-    """The fields of a message.
+    """Decode the fields of a message.
 
     Args:
-        topic: of the message.
+        topic: topic of the message.
         data: JSON.
 
     Returns:
-        Arrays, numbers where these have no axis, text, bytes, and ns since 1970.
+        Values by field: arrays, numbers for arrays without axes, text, bytes, or ns since 1970.
 
     Raises:
-        ConfigurationError: it is no JSON, or a field is missing or another than its form.
+        ConfigurationError: the data is no JSON object, or a field is missing or does not match its
+            form.
     """
     try:
         found = json.loads(data)
@@ -70,7 +71,7 @@ def decode(topic: Topic, data: bytes) -> dict[str, Any]:
 
 
 def _decoded(form: Form, value: Any) -> Any:
-    """A field, or None where the value is no such one."""
+    """Decode a field; None if the value does not match the form."""
     if isinstance(form, np.ndarray):
         return _array(form, value)
     if form is str:
@@ -89,7 +90,7 @@ def _array(form: NDArray[Any], value: Any) -> Any:
     items = value if isinstance(value, list) else [value]
     flat = isinstance(value, list) == bool(form.ndim)
     if flat and all(_is_of(form.dtype.kind, one) for one in items):
-        with suppress(ValueError, OverflowError):  # another count, or beyond an integer's range
+        with suppress(ValueError, OverflowError):  # wrong number of items, or integer out of range
             found = np.array(value, dtype=form.dtype)
             found = found.reshape((-1, *form.shape[1:]) if 0 in form.shape else form.shape)
             return found if form.ndim else found.item()
@@ -97,7 +98,7 @@ def _array(form: NDArray[Any], value: Any) -> Any:
 
 
 def _is_of(kind: str, value: Any) -> bool:
-    """Tell if JSON has a value that an array of a kind holds: Python takes true for 1, too."""
+    """True if a JSON value fits an array's kind; booleans are not accepted as numbers."""
     if kind == "b" or isinstance(value, bool):
         return kind == "b" and isinstance(value, bool)
     if kind == "i":
@@ -106,7 +107,7 @@ def _is_of(kind: str, value: Any) -> bool:
 
 
 def _words(form: Form) -> str:
-    """A form in words."""
+    """A form in words, for error messages."""
     if not isinstance(form, np.ndarray):
         return "a text" if form is str else "base64" if form is bytes else "a time of day"
     kind = {"b": "true or false", "i": "a whole number"}.get(
@@ -116,10 +117,10 @@ def _words(form: Form) -> str:
 
 
 def printable(text: str) -> str:
-    """A text in one line, without control characters."""
+    """Escape control characters, so that the text stays in one line."""
     return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
 
 
 def _shown(value: Any) -> str:
-    """A value in an error's message, however long and deep it is."""
+    """Abbreviate a value for an error message."""
     return f"{reprlib.repr(value):.80}"

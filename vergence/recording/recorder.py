@@ -1,4 +1,4 @@
-"""The recorder of trials: sensors and truth, control period by control period.
+"""Recorder of trials: readings and ground truth in every control period.
 
 ```python
 record = Recorder(task, steps, reading=("time_s", "positions"), truth=("pixel_error",))
@@ -20,16 +20,16 @@ _Part = TypeVar("_Part", Reading, Truth)
 
 
 class Recorder:
-    """Readings of a task's sensors and the truth behind them, control period by control period.
+    """Records the readings of a task's sensors and the ground truth in every control period.
 
-    All arrays have leading axes (rows, n): a row for the start and for each control period that was
-    recorded, steps + 1 of a trial that ended as planned, and n heads.
+    All arrays have leading axes (rows, n) for n heads: one row for the start and one for each
+    recorded control period, so a trial that ended as planned has steps + 1 rows.
 
     Args:
         task: the task to record.
-        steps: how many control periods at most.
-        reading: the fields of the readings to keep; the others have no rows.
-        truth: the fields of the truth to keep; the others have no rows.
+        steps: largest number of control periods.
+        reading: fields of the readings to keep; the others have no rows.
+        truth: fields of the ground truth to keep; the others have no rows.
     """
 
     def __init__(
@@ -51,10 +51,10 @@ class Recorder:
         self._lost = np.empty((self._length, task.num), dtype=np.bool_)
 
     def __call__(self, step: int) -> None:
-        """Keep the present; the `record` of `vergence.envs.rollout.rollout`.
+        """Record the present; the `record` callback of `vergence.envs.rollout.rollout`.
 
         Args:
-            step: its row, counted from 0; those after it are forgotten.
+            step: row to write, counted from 0; later rows are dropped.
         """
         task = self._task
         self._rows = step + 1
@@ -70,29 +70,29 @@ class Recorder:
 
     @property
     def reading(self) -> Reading:
-        """Readings of the sensors, in copies."""
+        """Recorded readings of the sensors."""
         return Reading._make(part[: self._rows] for part in self._reading)
 
     @property
     def truth(self) -> Truth | None:
-        """Truth behind them; None where the plant knew none, or no field was asked for."""
+        """Recorded ground truth; None if the plant has none, or no field was asked for."""
         if self._truth is None:
             return None
         return Truth._make(part[: self._rows] for part in self._truth)
 
     @property
     def pixel_error(self) -> FloatArray:
-        """(rows, n, 2, 2) `GazeTask.pixel_error`, px; kept where the readings' pixels are."""
+        """(rows, n, 2, 2) `GazeTask.pixel_error`, px; no rows if `pixels` is not kept."""
         return self._pixel_error[: self._rows]
 
     @property
     def lost(self) -> BoolArray:
-        """(rows, n) whether the target was lost, by the task's rule."""
+        """(rows, n) true if the target was lost, by the task's rule."""
         return self._lost[: self._rows]
 
 
 def _room(one: _Part, asked: Collection[str], length: int) -> _Part:
-    """Arrays for so many rows of the fields that are asked for."""
+    """Allocate `length` rows for the fields that are asked for, and none for others."""
     rows = {
         name: np.repeat(part[None], length if name in asked else 0, axis=0)
         for name, part in one._asdict().items()

@@ -1,4 +1,4 @@
-"""The records of an MCAP file as far as it goes, without trust in what it holds."""
+"""Reading of MCAP records up to where a file ends or is damaged; its content is untrusted."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -12,22 +12,22 @@ if TYPE_CHECKING:
 
 EXPECTED: Final = "a log of a robot in MCAP, as vergence deploy writes it"
 _LARGEST_CHUNK: Final = 64 * 2**20
-"""Bytes of a chunk beyond which a file is no log: a writer's chunks last for 50 ms."""
+"""Largest size of an unpacked chunk, bytes (chosen: far above a log's, whose chunks span 50 ms)."""
 _LARGEST_RATIO: Final = 200
-"""Bytes that a byte of a file may unpack to, beyond a first chunk: logs give 5 to 15, measured."""
+"""Largest ratio of unpacked to packed bytes, beyond a first chunk (chosen: logs have 5 to 15)."""
 
 
 def records_of(
     path: str | os.PathLike[str], broken: Callable[[str], None] = lambda reason: None
 ) -> "Iterator[McapRecord]":
-    """The records of a file in their order, those of chunks too, up to where it ends or breaks.
+    """Yield a file's records in order, with those in chunks, up to its end or to any damage.
 
     Args:
-        path: of the file.
-        broken: told why, where it ends early.
+        path: path of the file.
+        broken: called with the reason if the file ends early.
 
     Raises:
-        UnreadableFileError: it cannot be read, or is no MCAP file.
+        UnreadableFileError: the file cannot be read, or is no MCAP file.
         ConfigurationError: mcap is not installed.
     """
     try:
@@ -53,7 +53,7 @@ def records_of(
                     inside = breakup_chunk(replace(record, compression="", data=data), True)
             except StopIteration:
                 return
-            except (Exception, MemoryError) as error:  # whatever damage leads the library to
+            except (Exception, MemoryError) as error:  # damage can make the library raise anything
                 if not begun:
                     reason = "it is no MCAP file" if size else "it is empty"
                     raise UnreadableFileError(os.fspath(path), reason, EXPECTED) from error
@@ -64,10 +64,15 @@ def records_of(
 
 
 def _unpacked(chunk: "Chunk", most: int) -> bytes:
-    """The bytes of a chunk, whatever its own headers say of their number.
+    """Unpack a chunk, with a limit on its size.
+
+    Args:
+        chunk: the chunk.
+        most: largest allowed size, bytes.
 
     Raises:
-        ValueError: they are more than it says or may be, or packed in an unknown way.
+        ValueError: the size is above the limit or differs from the stated one, or the compression
+            is unknown.
     """
     size = chunk.uncompressed_size
     if size > most:

@@ -1,4 +1,4 @@
-"""A whole log out of one that a crash has cut off."""
+"""Recovery of a log that a crash has truncated."""
 
 import os
 from typing import Any, cast
@@ -7,14 +7,14 @@ from vergence.recording.records import records_of
 
 
 def recover(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
-    """Copy all that can be read of an MCAP file to a new one, with its index and its end.
+    """Copy all readable records of an MCAP file to a new, complete one, with an index and an end.
 
     Args:
-        path: the file that is cut off.
+        path: the truncated file.
         out: the new file.
 
     Raises:
-        UnreadableFileError: it is no MCAP file.
+        UnreadableFileError: the file is no MCAP file.
         OSError: the new file cannot be written.
     """
     from mcap.records import Attachment, Channel, Message, Metadata, Schema

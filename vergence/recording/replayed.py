@@ -1,4 +1,4 @@
-"""A plant that reports what a log holds: policies are asked again, and nothing moves."""
+"""A plant that replays a log: policies run again on its readings, and nothing moves."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -18,16 +18,16 @@ REPLAYED: Final = f"{__name__}:ReplayedPlant"
 
 
 class ReplayedPlant(Plant):
-    """One head as a log has seen it, a trial at each reset in their order.
+    """One head with a log's readings; each reset begins the log's next trial.
 
     Args:
-        head: the model that the controller knows.
-        num: 1.
-        trials: what happened.
+        head: the model that the controller uses.
+        num: number of heads, 1.
+        trials: the logged trials.
 
     Attributes:
-        asked: (7,) each, the velocities that the policy has asked for in the periods of the present
-            trial, rad/s.
+        asked: list of the velocities, (7,) rad/s, that the policy has commanded in the current
+            trial.
 
     Raises:
         ConfigurationError: num is not 1.
@@ -44,10 +44,10 @@ class ReplayedPlant(Plant):
         self._place, self._step = -1, 0
 
     def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
-        """Begin the next trial; the positions are the log's.
+        """Begin the next trial; the positions are the log's, the arguments are ignored.
 
         Raises:
-            HardwareError: there is none.
+            HardwareError: the log has no further trial.
         """
         if self._place + 1 >= len(self._trials):
             raise HardwareError(f"the log has no more than {len(self._trials)} trials")
@@ -56,10 +56,10 @@ class ReplayedPlant(Plant):
         return self._reading()
 
     def step(self, command: FloatArray) -> Reading:
-        """Keep the command, and report what the log has next.
+        """Keep the command, and return the log's next reading.
 
         Raises:
-            HardwareError: the trial has no more.
+            HardwareError: the trial has no further reading.
         """
         if self._step >= self._trial.steps:
             raise HardwareError(f"the trial has no more than {self._trial.steps} control periods")
@@ -79,10 +79,10 @@ class ReplayedPlant(Plant):
         return self._trial.frames(self._step)
 
     def truth(self) -> Truth | None:
-        """Logged truth about the present; None where none is logged."""
+        """Logged ground truth of the present; None if none is logged."""
         if self._trial.truth is None:
             return None
         return Truth._make(values[self._step] for values in self._trial.truth)
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: no resource is held."""

@@ -1,13 +1,13 @@
 """Topics of a log, their fields, and their JSON schemas.
 
-A log is an MCAP file of JSON messages. `null` stands for nan. An array is a list of numbers, the
-last axis running fastest, and its shape stands in the schema: Foxglove's schemas have no lists of
-lists. Arrays are of one head, those of `Reading` and `Truth` without the axis over heads.
+A log is an MCAP file of JSON messages. `null` stands for nan. An array is a flat list of numbers,
+the last axis running fastest, with its shape in the schema, as Foxglove's schemas have no lists of
+lists. Arrays are of one head; those of `Reading` and `Truth` lack the axis over heads.
 
 Times in `Reading` and `Truth` count from the trial's start, s. All other times are of the robot's
-steady clock, s; a reading's `begun_s` is the trial's start by that clock.
+steady clock, s. A reading's `begun_s` is the time of the trial's start on that clock.
 
-`SCHEMA_VERSION` grows with every change that a reader has to know of.
+`SCHEMA_VERSION` grows with every change that affects readers.
 """
 
 import json
@@ -37,7 +37,7 @@ class Asked(Enum):
     POLICY = "policy"
     """The policy, in a trial."""
     ROBOT = "robot"
-    """The robot's own code: on the way to a start, in place of a late policy, to rest."""
+    """The robot's own code: to move to a start, to replace a late policy, or to come to rest."""
 
 
 class LoggedCommand(NamedTuple):
@@ -46,15 +46,14 @@ class LoggedCommand(NamedTuple):
     clock_s: float
     """Time of sending, s of the clock."""
     asked: FloatArray
-    """(7,) velocities that were asked for, of the neck's joints and the actuators of the eyes,
-    rad/s."""
+    """(7,) requested velocities of the neck's joints and the eyes' actuators, rad/s."""
     sent: FloatArray
-    """(7,) velocities that were sent, rad/s."""
+    """(7,) velocities sent after the supervisor's limits, rad/s."""
     verdict: str
-    """Supervisor's decision, a value of `vergence.hardware.safety.supervisor.Verdict`; `go` limits
-    to the bounds."""
+    """Supervisor's decision, a value of `vergence.hardware.safety.supervisor.Verdict`; `go` sends
+    the requested velocities, limited to the bounds."""
     by: str
-    """A value of `Asked`."""
+    """Origin of the command, a value of `Asked`."""
 
 
 class LoggedJoints(NamedTuple):
@@ -69,7 +68,7 @@ class LoggedJoints(NamedTuple):
 
 
 class LoggedDetection(NamedTuple):
-    """A target in one image of one eye, or its absence."""
+    """Result of the search for the target in one image of one eye."""
 
     eye: str
     """`left` or `right`."""
@@ -82,16 +81,16 @@ class LoggedDetection(NamedTuple):
     point_px: FloatArray
     """(2,) raw pixel of the target; nan where it was not found."""
     sigma_px: FloatArray
-    """(2,) its standard deviations."""
+    """(2,) standard deviations of the target's pixel, px."""
     corners_px: FloatArray
-    """(n, 2) raw pixels of the target's corners; none where it was not found."""
+    """(n, 2) raw pixels of the target's corners; n = 0 if it was not found."""
     corners_sigma_px: FloatArray
-    """(n, 2) their standard deviations."""
+    """(n, 2) standard deviations of the corners, px."""
 
 
 Form = NDArray[Any] | type[str] | type[bytes] | type[dict[str, int]]
-"""Type of a field: an array of the field's shape and type, in which a length of 0 stands for any;
-text; bytes in base64; or a time of day, as seconds and nanoseconds."""
+"""Type of a field: an array with the field's shape and dtype, in which a length of 0 means any
+length; text; bytes in base64; or a time of day, as seconds and nanoseconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,37 +134,39 @@ def shape(form: NDArray[Any]) -> str:
 
 
 def _of_head(empty: Reading | Truth) -> dict[str, Form]:
-    """The fields of one head."""
+    """Forms of the fields of a reading or truth of one head."""
     return {name: np.array(value[0]) for name, value in empty._asdict().items()}
 
 
+# Forms by shape: scalar float, scalar integer, seven joints, one pixel, any number of pixels
+# (numerical).
 _NUMBER: Final[Form] = np.zeros(())
 _WHOLE: Final[Form] = np.zeros((), dtype=np.int64)
 _SEVEN: Final[Form] = np.zeros(7)
 _PIXEL: Final[Form] = np.zeros(2)
 _PIXELS: Final[Form] = np.zeros((0, 2))
 TRIAL: Final = Topic(name="/trial", schema_name="vergence.Trial", fields={"number": _WHOLE})
-"""A trial begins: the next reading is that of its time zero."""
+"""Start of a trial; the next reading is at its time zero."""
 READING: Final = Topic(
     name="/reading",
     schema_name="vergence.Reading",
     fields={"begun_s": _NUMBER, **_of_head(Reading.empty(1))},
 )
-"""Once a control period, see `vergence.envs.reading.Reading`."""
+"""One per control period, see `vergence.envs.reading.Reading`."""
 COMMAND: Final = Topic(
     name="/command",
     schema_name="vergence.Command",
     fields={"clock_s": _NUMBER, "asked": _SEVEN, "sent": _SEVEN, "verdict": str, "by": str},
 )
-"""Each command; a policy's comes before the reading at its period's end, see `LoggedCommand`."""
+"""Each command; a policy's precedes the reading at its period's end, see `LoggedCommand`."""
 JOINTS: Final = Topic(
     name="/joints",
     schema_name="vergence.Joints",
     fields={"clock_s": _NUMBER, "positions": _SEVEN, "velocities": _SEVEN},
 )
-"""Each measurement of the joints, in trials and on the way to them, see `LoggedJoints`."""
+"""Each measurement of the joints, in trials and while moving to their start, see `LoggedJoints`."""
 TRUTH: Final = Topic(name="/truth", schema_name="vergence.Truth", fields=_of_head(Truth.unknown(1)))
-"""After a reading, where the truth is known, see `vergence.envs.reading.Truth`."""
+"""Ground truth after a reading, if it is known, see `vergence.envs.reading.Truth`."""
 DETECTION: Final = Topic(
     name="/detection",
     schema_name="vergence.Detection",
@@ -180,9 +181,9 @@ DETECTION: Final = Topic(
         "corners_sigma_px": _PIXELS,
     },
 )
-"""Once an image of an eye, see `LoggedDetection`."""
+"""One per image of an eye, see `LoggedDetection`."""
 FAULT: Final = Topic(name="/fault", schema_name="vergence.Fault", fields={"text": str})
-"""The reason for which the head has been stopped."""
+"""Reason for a stop of the head."""
 NOTES: Final = Topic(
     name="/log",
     schema_name="foxglove.Log",
@@ -195,7 +196,7 @@ NOTES: Final = Topic(
         "line": _WHOLE,
     },
 )
-"""Lines of the package's loggers."""
+"""Messages of the package's loggers."""
 IMAGES: Final = tuple(
     Topic(
         name=f"/image/{eye}",
@@ -204,5 +205,5 @@ IMAGES: Final = tuple(
     )
     for eye in EYE_NAMES
 )
-"""JPEGs of both eyes, where they were asked for; their time is that of the exposure."""
+"""JPEGs of both eyes, if asked for, at the times of their exposures."""
 TOPICS: Final = (TRIAL, READING, COMMAND, JOINTS, TRUTH, DETECTION, FAULT, NOTES, *IMAGES)

@@ -1,7 +1,7 @@
-"""Writing a robot's log while it runs: the loop hands over, a thread writes.
+"""Writing of a robot's log while it runs: the control loop queues messages, a thread writes them.
 
-The thread writes what has come every 50 ms and hands it to the system, so that a kill loses no more
-than that, and a slow disk never keeps the loop.
+The thread writes the queue every 50 ms and flushes it to the operating system. A kill therefore
+loses at most 50 ms, and a slow disk never delays the loop.
 """
 
 import logging
@@ -30,38 +30,39 @@ from vergence.recording.schema import LoggedCommand, LoggedDetection, LoggedJoin
 
 _LOGGER: Final = logging.getLogger("vergence")
 _FLUSH_S: Final = 0.05
-"""Time between two writes: a kill loses that much at most."""
+"""Time between two writes, s; a kill loses at most this (chosen: little loss, few flushes)."""
 _MOST_WAITING: Final = 5000
-"""Messages that wait to be written, some ten seconds of them."""
+"""Largest number of queued messages, about ten seconds; beyond it the log ends (chosen)."""
 _JPEG_QUALITY: Final = 90
+"""JPEG quality of logged images, 0 to 100 (chosen: detail against size of the log)."""
 _LEVELS: Final = ((50, 5), (40, 4), (30, 3), (20, 2), (10, 1))
-"""Python's levels of logging and Foxglove's."""
+"""Pairs of Python's logging level and Foxglove's (physical: defined by both)."""
 
 
 class LogWriter(Listener):
     """A robot's log, written from its opening to `close`; use it in a `with` statement.
 
-    It keeps what the loggers below `vergence` let pass, from INFO on.
+    It also keeps messages of the package's loggers from level INFO.
 
     Args:
-        path: of the new file.
-        head: the model that the controller knows.
+        path: path of the new file.
+        head: the model that the controller uses.
         config: text of the file that describes the robot.
-        facts: what else the log is of, by name.
-        images: whether a robot keeps all of its eyes' images here.
-        clock: the robot's steady clock, s.
-        wall_ns: the time of day, ns since 1970.
+        facts: further facts about the log, by name.
+        images: true to log all images of the eyes.
+        clock: function that returns the robot's steady clock, s.
+        wall_ns: function that returns the time of day, ns since 1970.
 
     Attributes:
-        path: of the file.
+        path: path of the file.
         images: see the arguments.
-        begun_s: when the present trial began, s of the clock.
-        commanded: whether any command has been kept.
-        reason: that of a stop since the present trial began; empty while there is none.
-        fault: reason for an early end, such as a full disk; empty while there is none.
+        begun_s: time of the current trial's start, s of the clock.
+        commanded: true if any command has been kept.
+        reason: reason for a stop since the start of the current trial; empty if there is none.
+        fault: reason for an early end of the log, such as a full disk; empty if there is none.
 
     Raises:
-        ConfigurationError: there is such a file, it cannot be written, or mcap is not installed.
+        ConfigurationError: the file exists, it cannot be written, or mcap is not installed.
     """
 
     def __init__(
@@ -114,7 +115,7 @@ class LogWriter(Listener):
     def _begin_file(
         self, head: HeadModel, config: str, facts: Mapping[str, str], now_ns: int
     ) -> None:
-        """Write what a log is of, and its schemas."""
+        """Write the facts, the attachments and the schemas."""
         self._mcap.start(library="vergence")
         self._mcap.add_metadata(
             schema.FACTS,
@@ -145,7 +146,7 @@ class LogWriter(Listener):
         self.close()
 
     def begin(self) -> None:
-        """A trial begins: the next reading is that of its time zero."""
+        """Mark the start of a trial; the next reading is at its time zero."""
         self._trials += 1
         self.reason = ""
         self._put(schema.TRIAL, self._clock(), {"number": self._trials})
@@ -154,52 +155,52 @@ class LogWriter(Listener):
         """Keep a reading of one head.
 
         Args:
-            reading: what the sensors report.
-            begun_s: when the trial began, s of the clock.
+            reading: the sensors' reading.
+            begun_s: time of the trial's start, s of the clock.
         """
         fields = {name: value[0].copy() for name, value in reading._asdict().items()}
         self.begun_s = begun_s
         self._put(schema.READING, self._clock(), {"begun_s": begun_s, **fields})
 
     def command(self, command: LoggedCommand) -> None:
-        """Keep a command; what was sent must not change any more."""
+        """Keep a command; its `sent` array must not change afterwards."""
         self.commanded = True
         asked = command.asked.copy()
         self._put(schema.COMMAND, command.clock_s, command._replace(asked=asked)._asdict())
 
     def joints(self, clock_s: float, positions: FloatArray, velocities: FloatArray) -> None:
-        """Keep a measurement of the joints, see `LoggedJoints`; it must not change any more."""
+        """Keep a measurement of the joints, see `LoggedJoints`; it must not change afterwards."""
         found = LoggedJoints(clock_s, positions, velocities)
         self._put(schema.JOINTS, clock_s, found._asdict())
 
     def truth(self, truth: Truth) -> None:
-        """Keep what is true about one head."""
+        """Keep the ground truth of one head."""
         fields = {name: value[0].copy() for name, value in truth._asdict().items()}
         self._put(schema.TRUTH, self._clock(), fields)
 
     def detection(self, found: LoggedDetection) -> None:
-        """Keep what an eye saw in an image; its arrays must not change any more."""
+        """Keep the detection in an image of an eye; its arrays must not change afterwards."""
         self._put(schema.DETECTION, found.ready_s, found._asdict())
 
     def image(self, eye: int, image: Image, exposed_s: float) -> None:
-        """Keep an image of an eye, as a JPEG; it must not change any more.
+        """Keep an image of an eye, as a JPEG; it must not change afterwards.
 
         Args:
-            eye: 0 for left.
+            eye: 0 for left, 1 for right.
             image: (height, width) grey levels.
-            exposed_s: when it was exposed, s of the clock.
+            exposed_s: time of the exposure, s of the clock.
         """
         topic = schema.IMAGES[eye]
         self._put(topic, exposed_s, {"frame_id": topic.name, "data": image, "format": "jpeg"})
 
     def stopped(self, reason: str) -> None:
-        """Keep the reason for which the head has been stopped, once."""
+        """Keep the reason for a stop of the head; repeats are ignored."""
         if reason != self.reason:
             self.reason = reason
             self._put(schema.FAULT, self._clock(), {"text": reason})
 
     def note(self, record: logging.LogRecord) -> None:
-        """Keep what a logger says."""
+        """Keep a message of a logger."""
         level = next((ours for theirs, ours in _LEVELS if record.levelno >= theirs), 0)
         self._put(
             schema.NOTES,
@@ -214,15 +215,15 @@ class LogWriter(Listener):
         )
 
     def sync(self) -> None:
-        """Hand all that was kept so far to the system before returning; a loop never waits for it.
+        """Flush all kept messages to the operating system before returning; not for use in a loop.
 
-        A kill loses nothing of it then; see `fault` for what could not be written.
+        A kill then loses none of them. An error is reported in `fault`.
         """
         if not self._closing.is_set():
             self._attempt(self._write)
 
     def close(self) -> None:
-        """Write what is left and the end, and warn if it ends early; later calls do nothing."""
+        """Write remaining messages and the end; warn if it ends early. Later calls do nothing."""
         if self._closing.is_set():
             return
         _LOGGER.removeHandler(self._handler)
@@ -245,17 +246,17 @@ class LogWriter(Listener):
             self._attempt(self._write)
         for last in (self._write, self._mcap.finish, self._file.close):
             self._attempt(last)
-        with suppress(OSError):  # what has failed says so already
+        with suppress(OSError):  # the failure is reported already
             self._file.close()
 
     def _attempt(self, write: Callable[[], object]) -> None:
-        """Write, unless something has gone wrong before."""
+        """Write, unless an earlier write has failed."""
         with self._writing:
             if self.fault:
                 return
             try:
                 write()
-            except Exception as error:  # whatever it is, the robot goes on
+            except Exception as error:  # no error of the log may stop the robot
                 reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
                 self.fault = f"log: {self.path} ends early: {reason}"
 
@@ -280,7 +281,7 @@ def _unwritable(path: str | os.PathLike[str], error: OSError) -> ConfigurationEr
 
 
 class _Handler(logging.Handler):
-    """Hands what loggers say to a log."""
+    """Passes messages of loggers to a log."""
 
     def __init__(self, log: LogWriter) -> None:
         super().__init__(logging.INFO)

@@ -1,4 +1,4 @@
-"""Which experiments run, and how; also the options of `vergence reproduce`."""
+"""Configuration of a run of the experiments; also the options of `vergence reproduce`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class ReproduceConfig:
-    """What to run, and how."""
+    """Experiments to run, their settings and the run folder."""
 
     experiments: Annotated[
         tuple[str, ...],
@@ -22,17 +22,17 @@ class ReproduceConfig:
     seed: int = 0
     """Seed of all experiments."""
     quick: bool = False
-    """Fewer points, heads and repetitions: a look in two minutes."""
+    """Fewer points, heads and repetitions; takes about two minutes."""
     config: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
-    """TOML file with a table per experiment that changes its configuration."""
+    """TOML file with a table per experiment of changes to its configuration."""
     set: Annotated[
         tuple[str, ...], tyro.conf.arg(help_behavior_hint="", metavar="EXPERIMENT.FIELD=VALUE")
     ] = ()
-    """Changes of configurations, over those of --config."""
+    """Changes to configurations; they override those of --config."""
     include: Annotated[tuple[Path, ...], tyro.conf.arg(help_behavior_hint="")] = ()
     """Run folders of vergence evaluate to show in the report, after the experiments."""
 
     @property
     def folder(self) -> Path:
-        """The run folder; what is finished there for the same config and seed is kept."""
+        """The run folder; experiments finished there with the same config and seed are kept."""
         return self.out or Path("runs") / ("reproduce-quick" if self.quick else "reproduce")

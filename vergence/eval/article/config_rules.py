@@ -1,4 +1,4 @@
-"""What the values of an experiment's config may be, by the names of its fields."""
+"""Rules for the values of an experiment's config, by the names of its fields."""
 
 import shlex
 from collections.abc import Mapping
@@ -8,41 +8,43 @@ from vergence.errors import ConfigurationError
 from vergence.models.files.head_file import load_head
 
 _SIGNED: Final = ("point_mm", "origin_mm", "end_mm", "place_mm", "aside_deg")
-"""Ends of the names of coordinates and angles, which may be below zero."""
+"""Name endings of coordinates and angles, which may be negative."""
 _NOT_SIGNED: Final = ("mount_place_mm",)
 _MAY_BE_ZERO: Final = ("settle_s", "worse_margin", "mount_rotation_deg", "mount_place_mm")
-"""Sizes that may be zero, besides those whose default has a zero; others are above it."""
+"""Fields that may be zero, besides those whose default has a zero; all others must be positive."""
 _MOST_COUNT: Final = 10_000_000
+"""Largest integer that a field may have (chosen: far above any useful count)."""
 _ORDERED: Final = (
     ("least_gain", "greatest_gain"),
     ("least_threshold_px", "greatest_threshold_px"),
 )
-"""Fields of which the first is at most the second."""
+"""Pairs of fields; the first must not exceed the second."""
 _RISING: Final = ("onset_gains",)
-"""Fields whose first value is below their second."""
+"""Fields with two values, the first below the second."""
 ARTICLE_HEADS: Final = ("simulated", "physical")
-"""The article's own heads, whose figures the experiments reproduce."""
+"""Names of the article's own heads; the experiments reproduce their figures."""
 _STEPS: Final[tuple[tuple[str, str | None, str], ...]] = (
     ("gain_step", "least_gain", "greatest_gain"),
     ("plane_step", "least_gain", "greatest_gain"),
     ("threshold_step_px", "least_threshold_px", "greatest_threshold_px"),
     ("lag_step_s", None, "greatest_lag_s"),
 )
-"""Steps of a grid, where it begins (None at zero) and where it ends."""
+"""For each grid: the fields of its step, its first value (None for zero) and its last value."""
 _MOST_STEPS: Final = 100_000
+"""Largest number of steps of a grid (chosen: bounds memory, far above any useful grid)."""
 
 
 def check_value(key: str, name: str, value: Any, default: Any) -> None:
-    """Refuse a number, or a head, that no field of this name can have.
+    """Refuse a number or a head that a field of this name must not have.
 
     Args:
-        key: what a message calls the field.
+        key: the field's name in error messages.
         name: the field's name.
         value: a new value of the default's type.
         default: the field's default.
 
     Raises:
-        ConfigurationError: the value cannot be.
+        ConfigurationError: the value is not allowed.
     """
     if name == "head":
         _check_head(key, value)
@@ -63,7 +65,7 @@ def check_value(key: str, name: str, value: Any, default: Any) -> None:
 
 
 def _check_head(key: str, name: str) -> None:
-    """Refuse a head that is not one of the article's, by its name or by a file."""
+    """Refuse a head, given by name or file, that is not one of the article's."""
     head = load_head(name)
     if head.digest not in {load_head(own).digest for own in ARTICLE_HEADS}:
         raise ConfigurationError(
@@ -73,14 +75,14 @@ def _check_head(key: str, name: str) -> None:
 
 
 def check_bounds(where: str, values: Mapping[str, Any]) -> None:
-    """Refuse reversed bounds, and steps that do not lead from one to the other.
+    """Refuse reversed bounds, and grids with too many steps.
 
     Args:
-        where: what a message calls the config.
+        where: the config's name in error messages.
         values: all of its fields.
 
     Raises:
-        ConfigurationError: bounds are reversed, or a grid has no or too many points.
+        ConfigurationError: bounds are reversed, or a grid has too many steps.
     """
     for low, high in _ORDERED:
         if low in values and not values[low] <= values[high]:

@@ -1,19 +1,22 @@
-"""When a result of the article counts as reproduced.
+"""The criterion by which a result of the article counts as reproduced.
 
-The two factors were fixed before any verdict was computed with them, by people who knew earlier
-tables of ours beside the article's. No verdict is a reason to change them.
+The two factors were fixed before any verdict was computed with them. The people who fixed them had
+seen earlier tables of our results beside the article's. No verdict is a reason to change them.
 """
 
 from math import isfinite, sqrt
 from typing import Final
 
 REPRODUCED_FACTOR: Final = 1.25
-"""Ours and the article's figures may be apart by this factor in either direction.
+"""Largest factor, in either direction, between our figure and the article's that counts as
+reproduced.
 
-A quarter either way: a round number, as the article says nothing of how well its figures repeat.
+A quarter either way (chosen: a round number, as the article does not report the repeatability of
+its figures).
 """
 SAME_ORDER_FACTOR: Final = sqrt(10.0)
-"""Half a decade either way: figures that are no farther apart round to one order of magnitude."""
+"""Largest factor between figures of the same order: half a decade, so that they round to one order
+of magnitude (chosen)."""
 
 REPRODUCED: Final = "reproduced"
 SAME_ORDER: Final = "same order"
@@ -30,7 +33,7 @@ VERDICTS: Final[dict[str, str]] = {
     "no evidence.",
     NONE: "We have no figure, such as the time of a trial that never settles.",
 }
-"""What each verdict on a result of the article means, the best first."""
+"""Meaning of each verdict on a result of the article, the best first."""
 OTHER_VERDICTS: Final[dict[str, str]] = {
     "not reported": "The article has no such figure.",
     "inside, outside": "Whether a figure lies in the range it is compared with: the article's "
@@ -40,7 +43,7 @@ OTHER_VERDICTS: Final[dict[str, str]] = {
     "ITPC worse, ITPC better, alike": "The method's depth error beside that of gaze.",
     "head nearer, pair nearer": "Which of the two rigs is nearer to the truth.",
 }
-"""What the other words in a column of verdicts mean."""
+"""Meaning of the other words in a column of verdicts."""
 
 
 def compare(
@@ -48,18 +51,18 @@ def compare(
 ) -> str:
     """Judge a result by the factor between its figures and the article's.
 
-    Each end of a range that the article reports is compared with the same end of ours, and the
-    worst decides: overlap does not count. Where the article has one number, `article_low ==
+    Each end of a range that the article reports is compared with the same end of ours. The worse
+    end decides; an overlap does not count. If the article has one number, `article_low ==
     article_high`, both ends of ours are compared with it.
 
     Args:
         ours_low: our least figure; nan for none.
-        ours_high: our greatest.
-        article_low: the article's least figure; None where it reports a greatest one alone.
-        article_high: its greatest; None where it reports a least one alone.
+        ours_high: our greatest figure; nan for none.
+        article_low: the article's least figure; None if it reports only a greatest one.
+        article_high: its greatest figure; None if it reports only a least one.
 
     Returns:
-        `reproduced`, `same order` or `differs`; `none` where we have no figure.
+        `reproduced`, `same order` or `differs`; `none` if we have no figure.
     """
     if not (isfinite(ours_low) and isfinite(ours_high)):
         return NONE
@@ -72,14 +75,14 @@ def compare(
 def farthest(
     ours_low: float, ours_high: float, article_low: float | None, article_high: float | None
 ) -> tuple[float, float]:
-    """Our figure and the article's at the end where they are farthest apart, see `compare`."""
+    """Our figure and the article's at the end of the range where they differ most."""
     ends = ((ours_low, article_low), (ours_high, article_high))
     pairs = [(ours, article) for ours, article in ends if article is not None]
     return max(pairs, key=lambda pair: factor(*pair))
 
 
 def factor(ours: float, article: float) -> float:
-    """How far two figures are apart, from 1 up; inf if they differ in sign or one is zero."""
+    """Ratio of two figures, inverted if below 1; inf if they differ in sign or only one is zero."""
     if ours == article:
         return 1.0
     if ours * article <= 0.0:

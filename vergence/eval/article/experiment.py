@@ -1,4 +1,4 @@
-"""What an experiment is: a function of a config and a seed that returns a tidy table."""
+"""Definition of an experiment: a function of a config and a seed that returns a tidy table."""
 
 import dataclasses
 import zlib
@@ -28,10 +28,10 @@ EXPERIMENTS: Final[dict[str, str]] = {
     "gain-sweep": "vergence.eval.article.gain_sweep.experiment:EXPERIMENT",
     "time-response": "vergence.eval.article.time_response.experiment:EXPERIMENT",
     "uncertainty": "vergence.eval.article.uncertainty.experiment:EXPERIMENT",
-    # calibration imports eval
+    # lies in calibration, a higher layer, which imports eval
     "head-eye": "vergence.calibration.head.article.experiment:EXPERIMENT",
 }
-"""The article's experiments by name, `module:attribute`, in its order."""
+"""Entry points, `module:attribute`, of the experiments by name, in the article's order."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,10 +46,10 @@ class SummaryRow:
     article_low: float | None
     article_high: float | None
     ours_low: float | None
-    """None where there is no number, such as the time of a trial that never settles."""
+    """None if there is no number, such as the time of a trial that never settles."""
     ours_high: float | None
     verdict: str
-    """One of `vergence.eval.article.criterion`, with those that are not on the article."""
+    """A word of `VERDICTS` or `OTHER_VERDICTS` of `vergence.eval.article.criterion`."""
 
     @classmethod
     def of(
@@ -63,18 +63,18 @@ class SummaryRow:
         verdict: str | None = None,
         unit: str = "mm",
     ) -> "SummaryRow":
-        """A row from ranges.
+        """Make a row from ranges.
 
         Args:
-            experiment: see the fields, as are the following three.
-            quantity: what is compared.
-            method: whose.
-            axis: along which.
-            article: the article's least and greatest figure, one of them None where it reports
-                only the other; or its one figure; None for none.
-            ours: our least and greatest figure, or our one; nan for none.
+            experiment: name of the experiment.
+            quantity: the compared quantity.
+            method: the triangulation method, or the control law.
+            axis: axis of the quantity.
+            article: the article's least and greatest figure, one of them None if it reports only
+                the other; or a single figure; None for none.
+            ours: our least and greatest figure, or a single one; nan for none.
             verdict: see the field; None to compare the ranges, see `compare`.
-            unit: of both.
+            unit: unit of both figures.
         """
         article_low, article_high = article if isinstance(article, tuple) else (article, article)
         low, high = ours if isinstance(ours, tuple) else (ours, ours)
@@ -98,21 +98,21 @@ class SummaryRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """One experiment of the article, as a command runs it and a report shows it."""
+    """One experiment of the article: how a command runs it and a report shows it."""
 
     name: str
     title: str
     article: str
-    """Where the article has it: section, tables, figures."""
+    """Place in the article: section, tables, figures."""
     text: str
-    """The template of its section in the report, `section.jinja` in its folder: what was done and
-    what came out, see `vergence.eval.reporting.text`."""
+    """The template of its section in the report, `section.jinja` in its folder: procedure and
+    results, see `vergence.eval.reporting.text`."""
     config: type[Any]
     """A frozen dataclass with a default for every field."""
     quick: Mapping[str, Any]
     """The fields that `--quick` changes."""
     run: Callable[[Any, int, Mapper], pd.DataFrame]
-    """(config, seed, mapper) to a tidy table: a row an observation, a column a variable."""
+    """(config, seed, mapper) to a tidy table: a row per observation, a column per variable."""
     summarise: Callable[[pd.DataFrame, Any], list[SummaryRow]]
     """(table, config) to the article's figures beside ours, with verdicts."""
     numbers: Callable[[pd.DataFrame, Any], Numbers]
@@ -122,7 +122,7 @@ class Experiment:
 
 
 def load_experiment(name: str) -> Experiment:
-    """An experiment by name.
+    """Load an experiment by name.
 
     Raises:
         UnknownNameError: there is no such experiment.
@@ -135,25 +135,26 @@ def load_experiment(name: str) -> Experiment:
 
 
 def resolve_config(experiment: Experiment, overrides: Mapping[str, Any], quick: bool) -> Any:
-    """The config with `--quick`'s changes, and then the user's.
+    """Apply the changes of `--quick`, if asked for, and then the user's to an experiment's config.
 
     Args:
-        experiment: whose config.
-        overrides: values by field.
-        quick: whether to begin with the quick variant.
+        experiment: the experiment.
+        overrides: the user's values by field.
+        quick: true to apply the changes of `--quick` first.
 
     Returns:
         The config.
 
     Raises:
-        ConfigurationError: a field is unknown or a value has another type than its default.
+        ConfigurationError: a field is unknown, or a value is not allowed or not of its default's
+            type.
     """
     config = dataclasses.replace(experiment.config(), **(experiment.quick if quick else {}))
     return _changed(experiment.name, overrides, config)
 
 
 def _changed(where: str, values: Any, default: Any) -> Any:
-    """A configuration, or a part of one that is a dataclass itself, with some values changed."""
+    """Change some values of a configuration, or of a dataclass nested in one."""
     if not isinstance(values, Mapping):
         raise ConfigurationError(f"{where}: expected values by field, got {values!r}")
     known = {field.name: getattr(default, field.name) for field in dataclasses.fields(default)}
@@ -172,7 +173,7 @@ def _changed(where: str, values: Any, default: Any) -> Any:
 
 
 def _like(key: str, value: Any, default: Any) -> Any:
-    """The value as the type of the default."""
+    """Convert a value to the type of its default, or refuse it."""
     if dataclasses.is_dataclass(default):
         return _changed(key, value, default)
     if isinstance(default, tuple):
@@ -187,12 +188,12 @@ def _like(key: str, value: Any, default: Any) -> Any:
 
 
 def job_rng(seed: int, experiment: str, *keys: int) -> np.random.Generator:
-    """The generator of one job, independent of all others' whoever runs it.
+    """Random generator of one job, independent of those of all other jobs and of where it runs.
 
     Args:
         seed: the run's seed.
         experiment: the experiment's name.
-        keys: whole numbers from 0 on that tell the job from the experiment's others.
+        keys: non-negative integers that identify the job within the experiment.
     """
     entropy = [seed, zlib.crc32(experiment.encode()), *keys]
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(entropy)))

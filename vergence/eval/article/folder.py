@@ -1,4 +1,4 @@
-"""The folder of a run of experiments: what is finished there, and the report on it."""
+"""The run folder of the experiments: finished results and the report on them."""
 
 import dataclasses
 import hashlib
@@ -22,15 +22,15 @@ from vergence.eval.reporting.text import render_text
 from vergence.files import PARTIAL, remove_partial, whole_files, write_whole
 
 INCLUDED: Final = "evaluations"
-"""The part that holds the sections of other runs."""
+"""Name of the subfolder with the sections of other runs."""
 _PARTS: Final = ("tables", "figures", "experiments")
 _FILES: Final = ("report.html", "summary.json", "numbers.json", "config.toml")
 _FORMAT: Final = 3
-"""Of what is kept of a finished experiment."""
+"""Version of the format of a finished experiment's marker file (numerical)."""
 
 
 def open_folder(folder: Path) -> Path:
-    """Make the folder of a run, or take up that of an earlier one.
+    """Make a run folder, or reuse the one of an earlier run.
 
     Raises:
         ConfigurationError: it holds something else, or cannot be written.
@@ -57,17 +57,17 @@ def open_folder(folder: Path) -> Path:
 
 
 def remove_remains(folder: Path) -> None:
-    """Remove what killed processes have left half-written.
+    """Remove partial files that killed processes have left.
 
     Args:
-        folder: the run folder; nobody else may be writing to it.
+        folder: the run folder; no other process may be writing to it.
     """
     for place in (folder, *(folder / part for part in (*_PARTS, INCLUDED))):
         remove_partial(place)
 
 
 def _identity(experiment: Experiment, config: Any, seed: int) -> dict[str, Any]:
-    """What a result depends on: the same identity, the same table."""
+    """All that a result depends on: equal identities give equal tables."""
     return {
         "name": experiment.name,
         "config": plain(dataclasses.asdict(config)),
@@ -78,7 +78,7 @@ def _identity(experiment: Experiment, config: Any, seed: int) -> dict[str, Any]:
 
 
 def _sources_digest() -> str:
-    """A digest of the package's sources and data: an edited package runs anew."""
+    """Digest of the package's sources and data; after an edit all experiments run again."""
     sha = hashlib.sha256()
     package = Path(__file__).resolve().parents[2]
     for path in sorted(package.rglob("*")):
@@ -89,16 +89,16 @@ def _sources_digest() -> str:
 
 
 def reason_to_run(folder: Path, experiment: Experiment, config: Any, seed: int) -> str | None:
-    """Why an experiment is to be run.
+    """Reason to run an experiment, if there is one.
 
     Args:
         folder: the run folder, see `open_folder`.
-        experiment: which.
+        experiment: the experiment.
         config: its configuration.
         seed: its seed.
 
     Returns:
-        None where it is finished there; else the reason, empty where it has not run there.
+        None if it is finished there; otherwise the reason, empty if it has not run there.
     """
     try:
         earlier = _finished(folder, experiment.name)
@@ -123,15 +123,15 @@ def run_experiment(
     mapper: Mapper,
     quick: bool = False,
 ) -> None:
-    """Run an experiment and write its table and figures; what was there stays until then.
+    """Run an experiment and write its table and figures; earlier ones stay until then.
 
     Args:
         folder: the run folder, see `open_folder`.
-        experiment: what to run.
+        experiment: the experiment.
         config: its configuration.
         seed: its seed.
         mapper: runs its jobs.
-        quick: whether the configuration is that of `--quick`, for the report to say so.
+        quick: true if the configuration is that of `--quick`; the report then says so.
 
     Raises:
         ConfigurationError: its files cannot be written.
@@ -162,9 +162,9 @@ def run_experiment(
                 for path in sorted(written.iterdir())
             }
             marker.unlink(missing_ok=True)
-            # what an earlier call made of the earlier table
+            # a parquet file belongs to the earlier table
             (folder / "tables" / f"{experiment.name}.parquet").unlink(missing_ok=True)
-        # the marker is written last: with it the experiment is finished
+        # the marker is written last and marks the experiment as finished
         write_whole(marker, _json({**content, "digest": _digest(_json(content).encode())}))
 
 
@@ -180,14 +180,14 @@ def _writing(folder: Path, what: str) -> Iterator[None]:
 
 
 class _NotFinishedError(Exception):
-    """What is kept of an experiment is not what was written; says why."""
+    """The stored files of an experiment differ from those written; the message gives the reason."""
 
 
 def _finished(folder: Path, name: str) -> dict[str, Any] | None:
-    """What is kept of a finished experiment; None if there is nothing, or of another version.
+    """Read the marker of a finished experiment; None if there is none, or in another format.
 
     Raises:
-        _NotFinishedError: it is damaged, or a file of it is missing or another.
+        _NotFinishedError: it is damaged, or one of its files is missing or has changed.
     """
     marker = _marker(folder, name)
     part = marker.relative_to(folder).as_posix()
@@ -226,7 +226,7 @@ def _digest(data: bytes) -> str:
 
 
 def _changed(experiment: Experiment, config: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a configuration that are not those of a full run."""
+    """The fields of a configuration that differ from those of a full run."""
     full = plain(dataclasses.asdict(experiment.config()))
     return {name: value for name, value in config.items() if value != full.get(name)}
 
@@ -238,14 +238,15 @@ def _json(content: Any) -> str:
 def finish(
     folder: Path, omit: Callable[[str, str], None] = lambda name, why: None
 ) -> list[Section]:
-    """Write the summary, the numbers, the config and the report of everything finished in a folder.
+    """Write summary, numbers, config and report of all finished experiments of a folder.
 
     Args:
         folder: the run folder.
-        omit: told the names of experiments that are left out, as their files are damaged, and why.
+        omit: called with the name of each experiment left out as its files are damaged, and the
+            reason.
 
     Returns:
-        The report's sections, in the article's order; those of included runs come last.
+        The report's sections, in the article's order, then those of included runs.
 
     Raises:
         ConfigurationError: the files cannot be written, or an included run is damaged.

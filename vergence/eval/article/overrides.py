@@ -1,4 +1,4 @@
-"""Values over the defaults of the experiments' configurations, as a user writes them."""
+"""User values that override the defaults of the experiments' configurations."""
 
 import tomllib
 from collections.abc import Sequence
@@ -9,15 +9,15 @@ from vergence.errors import ConfigurationError, did_you_mean
 from vergence.eval.article.experiment import EXPERIMENTS
 
 Overrides = dict[str, dict[str, Any]]
-"""Values by experiment and field; those of a field that is a dataclass by its fields."""
+"""Values by experiment and field; nested by field for a field that is a dataclass."""
 
 
 def read_overrides(path: Path | None, settings: Sequence[str]) -> Overrides:
-    """Overrides of configs from a TOML file and from `EXPERIMENT.FIELD=VALUE` words.
+    """Read overrides from a TOML file and from `EXPERIMENT.FIELD=VALUE` words.
 
     Args:
         path: a TOML file with a table per experiment, or None.
-        settings: words that go over it; a value is written as in TOML, text also without quotes.
+        settings: words that override the file; values are written as in TOML, text also unquoted.
 
     Returns:
         Values by experiment and field.

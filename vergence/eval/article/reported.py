@@ -1,4 +1,4 @@
-"""What the article states: its target points and its reported results.
+"""Target points and results that the article states.
 
 Fan et al., Eye Gaze Based 3D Triangulation for Robotic Bionic Eyes, Sensors 2020, 20(18), 5271.
 """
@@ -22,17 +22,17 @@ class Reported:
     experiment: str
     quantity: str
     method: str
-    """`gaze`, `itpc`, `both`, or the law of a gaze shift."""
+    """`gaze`, `itpc`, `both`, or the control law of a gaze shift."""
     axis: str
     unit: str
     low: float
     high: float | None
-    """None where the article gives a least value only."""
+    """None if the article gives only a least value."""
     note: str
 
     @property
     def span(self) -> tuple[float, float]:
-        """Least and greatest; the same where the article gives one number."""
+        """Least and greatest value; equal if the article gives one number."""
         return self.low, self.low if self.high is None else self.high
 
 
@@ -60,10 +60,10 @@ def reported_results() -> tuple[Reported, ...]:
 
 
 def reported_result(experiment: str, quantity: str, method: str, axis: str) -> Reported:
-    """One result that the article reports, by the columns of its table.
+    """Look up one result that the article reports.
 
     Raises:
-        ConfigurationError: it does not report that.
+        ConfigurationError: the article reports no such result.
     """
     wanted = (experiment, quantity, method, axis)
     for row in reported_results():

@@ -1,4 +1,4 @@
-"""Runs the article's experiments into one folder, resumably, and reports on them."""
+"""Run the article's experiments into one folder, resumably, and report on them."""
 
 import time
 from typing import Protocol
@@ -27,32 +27,32 @@ from vergence.locks import locked
 
 
 class Listener(Protocol):
-    """Told how a run goes on."""
+    """Callbacks for the progress of a run."""
 
     def begin(self, name: str) -> Progress:
-        """An experiment begins.
+        """Called at the start of an experiment.
 
         Args:
-            name: which.
+            name: the experiment.
 
         Returns:
-            What to call with its progress.
+            The callback for its progress.
         """
 
     def warn(self, name: str, why: str) -> None:
-        """An experiment runs although there is something of it, or is not in the report.
+        """Called for an experiment that runs again, or is left out of the report.
 
         Args:
-            name: which.
-            why: what to say.
+            name: the experiment.
+            why: the warning with its reason.
         """
 
     def end(self, name: str, seconds: float | None) -> None:
-        """An experiment has ended.
+        """Called at the end of an experiment.
 
         Args:
-            name: which.
-            seconds: how long it took; None where its results were there already.
+            name: the experiment.
+            seconds: its duration, s; None if its results were there already.
         """
 
 
@@ -71,21 +71,21 @@ class _Silent:
 def reproduce(
     config: ReproduceConfig, listener: Listener | None = None, mapper: Mapper | None = None
 ) -> list[Section]:
-    """Run experiments, or take up what is finished, and write tables, figures and report.
+    """Run the experiments that are not finished yet, and write tables, figures and report.
 
-    Each experiment's files appear when it is finished; an interrupted run loses the one under
-    way and a second call continues after it.
+    Each experiment's files appear once it is finished. An interrupted run loses only the experiment
+    under way; the next call resumes with that one.
 
     Args:
-        config: what to run.
-        listener: told how it goes on.
+        config: the experiments and their settings.
+        listener: callbacks for the progress.
         mapper: runs the jobs; this process by default.
 
     Returns:
-        The report's sections, in the article's order; those of earlier calls included.
+        The report's sections, in the article's order, with those of earlier calls.
 
     Raises:
-        ConfigurationError: an option cannot be, the folder holds something else or cannot be
+        ConfigurationError: an option is not allowed, the folder holds something else or cannot be
             written, or another process is writing to it.
     """
     listener, mapper = listener or _Silent(), mapper or SerialMapper()
@@ -103,7 +103,7 @@ def reproduce(
             remove_remains(folder)
         for run in config.include:
             include_section(run, folder / INCLUDED)
-        included_sections(folder / INCLUDED)  # a damaged one is refused before the work
+        included_sections(folder / INCLUDED)  # refuse a damaged one before the work
         for name in sorted(experiments, key=list(EXPERIMENTS).index):
             experiment, own = experiments[name], resolved[name]
             mapper.progress = listener.begin(name)

@@ -1,1 +1,1 @@
-"""A policy on a robot: gazes that are logged, and what a log tells afterwards."""
+"""Policies on a robot: logged gazes, comparisons of controllers, and replays of logs."""

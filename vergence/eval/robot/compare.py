@@ -1,8 +1,8 @@
-"""Controllers compared on a robot: the same targets for all of them, on one connection.
+"""Comparison of controllers on a robot: equal targets for all, one connection per scenario.
 
-The trials of all controllers take turns, so that a robot that warms up or drifts does so for all
-alike. They are logged, and judged from their logs, see `vergence.eval.robot.judge`: so what a kill,
-a fault or Ctrl-C has left is as good as what went to its end.
+The trials of all controllers are interleaved, so that warming up and drift of the robot affect all
+of them equally. Trials are logged, and judged from their logs, see `vergence.eval.robot.judge`.
+Completed trials therefore stay usable after a kill, a fault or Ctrl-C.
 """
 
 import sys
@@ -41,15 +41,15 @@ class RobotRun:
     stage: Stage
     """Places the targets."""
     sessions: Sessions
-    """The record."""
+    """The record of logs and completed trials."""
     episodes: int
     """Trials of each controller in each scenario."""
     seed: int
-    """Which of the test seeds."""
+    """Number of the test seed."""
 
     @property
     def scenarios(self) -> list[Scenario]:
-        """What runs on the robot."""
+        """Scenarios that run on the robot."""
         return [scenario for scenario, plant in self.lineup.pairs if plant == ROBOT]
 
     def run(
@@ -62,20 +62,19 @@ class RobotRun:
         """Run the trials that are missing.
 
         Args:
-            progress: told the trials done and their number.
-            check: told of the robot before anything moves; it may refuse it.
-            keep_going: whether a controller of somebody's own that raises is left out, in place of
-                raising its error.
+            progress: called with the number of trials done and their total.
+            check: called with the robot before anything moves; it may raise to refuse it.
+            keep_going: true to leave out user code that raises, instead of raising its error.
 
         Returns:
-            What went wrong in these.
+            Failures of the controllers that were left out.
 
         Raises:
-            HardwareError: the robot was stopped; what went to its end is kept.
-            VergenceError: a trial cannot begin, or the record not be written.
+            HardwareError: the robot was stopped; completed trials are kept.
+            VergenceError: a trial cannot begin, or the record cannot be written.
         """
         for scenario in self.scenarios:
-            self.stage.target(scenario)  # refuses one that nobody here can show
+            self.stage.target(scenario)  # refuses a target that the stage cannot present
         recorded = self.recorded()
         failed: list[Failure] = []
         ready = {scenario.name: self._ready(scenario, recorded) for scenario in self.scenarios}
@@ -99,7 +98,7 @@ class RobotRun:
     def _ready(
         self, scenario: Scenario, recorded: dict[Key, Recorded]
     ) -> dict[str, RobotController]:
-        """The controllers by their labels, as they have run before if they have."""
+        """Make the controllers, by label; refuse one that differs from its earlier trials."""
         found = {}
         for contestant, fitted in self.lineup.able[scenario.name]:
             made = RobotController(contestant, self.hardware.head, fitted.options)
@@ -119,11 +118,11 @@ class RobotRun:
         return found
 
     def recorded(self) -> dict[Key, Recorded]:
-        """The trials that went to their end."""
+        """Read the completed trials of this run."""
         head = self.hardware.head
         steps = {one.name: periods(one, head, simulated=False)[1] for one in self.scenarios}
         found = self.sessions.whole(lambda scenario: steps.get(scenario, sys.maxsize))
-        if not self.stage.emulated:  # what an emulated head knows of such targets is not asked for
+        if not self.stage.emulated:  # do not use an emulated head's ground truth here
             found = {
                 key: replace(one, trial=replace(one.trial, truth=None))
                 for key, one in found.items()
@@ -133,11 +132,11 @@ class RobotRun:
     def outcomes(
         self, recorded: Mapping[Key, Recorded], failed: list[Failure], *, keep_going: bool
     ) -> list[Outcome]:
-        """Judge the trials of all but those that failed.
+        """Judge the trials of all controllers that have not failed.
 
         Args:
             recorded: see `recorded`.
-            failed: see `run`; takes those that fail when they are asked again.
+            failed: see `run`; failures while a controller runs again on its logs are appended.
             keep_going: see `run`.
         """
         without = {(one.scenario, one.controller) for one in failed}
@@ -161,7 +160,7 @@ class RobotRun:
         return found
 
     def note(self, recorded: Mapping[Key, Recorded]) -> str:
-        """What a reader has to know of these trials, see `recorded`."""
+        """Note for the report: the robot, its bound, missed control periods, stopped trials."""
         hardware = self.hardware
         logged = [one.trial for one in recorded.values()]
         missed = sum(missed_periods(hardware.head, one) for one in logged)
@@ -199,13 +198,13 @@ class _Connection:
         self._failed, self._keep_going = failed, keep_going
 
     def run(self, done: set[Key], one_more: Callable[[Key], None]) -> None:
-        """Run what is not done."""
+        """Run the missing trials."""
         run, name = self._run, self._scenario.name
         todo = []
         for trial in range(run.episodes):
             keys = [Key(name, label, trial) for label in self._ready]
             missing = [key for key in keys if key not in done]
-            # all of them have to look at the same place
+            # if a target cannot be placed again, all controllers repeat the trial
             todo += keys if missing and not run.stage.repeatable else missing
         if not todo:
             return
@@ -249,10 +248,10 @@ class _Connection:
                 stopped = task.plant.fault
                 if not stopped.startswith(SWINGING):
                     raise
-                went = True  # to swing is a result
+                went = True  # oscillation counts as a result
             if task.plant.fault:
                 task.plant.release()
-                placed = -1  # eyes that are opened anew look for what they looked for at first
+                placed = -1  # reopened eyes look for their first target again
             if not went:
                 continue
             if log.fault:
@@ -272,7 +271,7 @@ class _Connection:
             one_more(key)
 
     def _blamed(self, label: str, act: Callable[[RobotController], None]) -> bool:
-        """Let a controller act; whether it did, or is left out from now on."""
+        """Let a controller act; returns false if it failed and is left out from now on."""
         made = self._ready[label]
         try:
             with made.blamed():

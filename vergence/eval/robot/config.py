@@ -1,4 +1,4 @@
-"""A deployment of a policy on a robot, and a replay; also the options of their commands."""
+"""Configurations of a deployment on a robot and of a replay; also the options of their commands."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class DeployConfig:
-    """A policy on a robot."""
+    """A deployment of a policy on a robot."""
 
     controller: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CONTROLLER_OR_BUNDLE")]
     """Controller: a name (see `vergence info`), a .vgp bundle, an .onnx file, module:class or
@@ -17,31 +17,31 @@ class DeployConfig:
     hardware: Annotated[Path, tyro.conf.arg(name="config", metavar="PATH")]
     """TOML file that describes the robot (see docs/robot.md)."""
     gazes: int = 1
-    """Gazes, each from rest. An emulated head has its target placed anew for each; a robot looks at
-    what its detector sees."""
+    """Number of gazes, each from rest. An emulated head gets a new target position for each; a
+    robot looks at the target that its detector finds."""
     duration_s: Annotated[float, tyro.conf.arg(name="duration")] = 3.0
-    """Length of each gaze, in seconds."""
+    """Duration of each gaze, in seconds."""
     options: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
-    """TOML file of options, in a table [controller]; over tuned ones."""
+    """TOML file of options, in a table [controller]; they override tuned ones."""
     seed: int = 0
-    """Seed of where an emulated head has its targets placed."""
+    """Seed of the target positions before an emulated head."""
     dry_run: bool = False
-    """Ask servos, cameras and the policy, print what it would do, and move nothing."""
+    """Query servos, cameras and the policy, print the commands, and move nothing."""
     images: bool = False
     """Keep the eyes' images in the log, as JPEGs."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayConfig:
-    """A log that is looked at again."""
+    """A replay of a log."""
 
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     """Log of `vergence deploy`, whole or cut off."""
     controller: Annotated[
         str | None, tyro.conf.arg(help_behavior_hint="", metavar="CONTROLLER_OR_BUNDLE")
     ] = None
-    """Controller to ask again on the log's readings, as `vergence deploy` takes it. By its name the
-    log's own runs with the log's options; all others run with their own."""
+    """Controller to run again on the log's readings, given as for `vergence deploy`. The log's own,
+    if given by its name, runs with the log's options; all others run with their own."""
     options: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
     """TOML file of options for it, in a table [controller]."""
     gaze: Annotated[int | None, tyro.conf.arg(help_behavior_hint="", metavar="INT")] = None

@@ -1,4 +1,4 @@
-"""The controller that a word names, as it runs on a robot: tuned options, and watched."""
+"""The controller that a word names, made for a robot with its tuned options."""
 
 import hashlib
 import inspect
@@ -17,22 +17,22 @@ from vergence.eval.comparison.own_code import blamed
 from vergence.models.head import HeadModel
 
 LOOP: Final = "desk"
-"""The scenario whose tuned options run on a robot: two turrets and two webcams."""
+"""Scenario whose tuned options are used on a robot: two turrets and two webcams."""
 
 
 class RobotController:
     """A controller made for a robot.
 
     Args:
-        found: the controller.
-        head: the model that it knows.
+        found: the entry of the comparison that names the controller.
+        head: the model that the controller uses.
         options: its options.
 
     Attributes:
-        word: what it is called.
+        word: its name.
         policy: the controller.
         options: its options.
-        sha256: of its file, if it is somebody's own or a policy file; else empty.
+        sha256: SHA-256 of its file, if it is user code or a policy file; else empty.
 
     Raises:
         VergenceError: it cannot be made.
@@ -62,12 +62,13 @@ class RobotController:
 
         Args:
             word: a name, a policy file's path, or an entry point.
-            head: the model that it knows.
-            given: TOML file of options to put over tuned ones; None for none.
+            head: the model that the controller uses.
+            given: TOML file of options that override tuned ones; None for none.
             options: options in place of the tuned ones, for controllers of the registry.
 
         Raises:
-            VergenceError: there is none, it cannot be made, or the file is none of options.
+            VergenceError: there is no such controller, it cannot be made, or the file does not
+                hold its options.
         """
         over = GivenOptions() if given is None else GivenOptions.read(given)
         found = contestants((word,), given=over)[0]
@@ -82,5 +83,5 @@ class RobotController:
         return json.dumps(self.options, default=str)
 
     def blamed(self) -> AbstractContextManager[None]:
-        """Blame a controller of somebody's own for all that is refused meanwhile."""
+        """Context that attributes errors, except the robot's, to a controller of user code."""
         return blamed(self.policy)

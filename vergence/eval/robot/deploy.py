@@ -1,4 +1,4 @@
-"""Gazes of a policy on a robot, each from rest, all in one log."""
+"""Deployment of a policy on a robot: gazes from rest, all in one log."""
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -24,25 +24,26 @@ from vergence.recording import Recorder
 from vergence.recording.writer import LogWriter
 
 _MOST_GAZES: Final = 10_000
+"""Largest number of gazes of a deployment (chosen: bounds the log, far above a useful number)."""
 
 
 class Present(NamedTuple):
-    """State of a running gaze."""
+    """State of a running gaze, for display."""
 
     head: HeadModel
-    """The model that the controller knows."""
+    """The model that the controller uses."""
     number: int
     """Number of the gaze, counted from 1."""
     step: int
-    """Control periods since its beginning."""
+    """Control periods since the beginning of the gaze."""
     reading: Reading
-    """Of one head."""
+    """The sensors' reading of one head."""
     pixel_error: FloatArray
-    """(2, 2) measured, px; nan where not seen."""
+    """(2, 2) measured pixel error by eye, px; nan if not visible."""
     asked: FloatArray
     """(7,) velocities that the policy asked for, rad/s."""
     late: int
-    """Periods that were late so far."""
+    """Number of late control periods so far."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,10 +54,10 @@ class Deployment:
     gazes: Gazes
     log: Path
     error: VergenceError | KeyboardInterrupt | None
-    """Reason for an end before its time."""
+    """Reason for an early end; None if all gazes were run."""
 
     def summary(self) -> dict[str, Any]:
-        """The result as plain values, None for what has no answer."""
+        """The result as plain values; None for undefined metrics."""
         faults = self.error.lines if isinstance(self.error, VergenceError) else ()
         return {
             "controller": self.controller,
@@ -75,17 +76,17 @@ def deploy(
 ) -> Deployment:
     """Run gazes on a robot.
 
-    What goes wrong in a gaze, such as a fault that stops the head or a policy that raises, ends the
-    deployment and is told in its result; so does Ctrl-C.
+    An error in a gaze, such as a fault that stops the head or a policy that raises, ends the
+    deployment and is reported in its result; so does Ctrl-C.
 
     Args:
-        config: what to do.
+        config: the deployment.
         log: the new file to log to.
-        check: told of the robot once all else is ready; it may refuse it.
-        show: told of each control period; it must not keep the loop.
+        check: called with the robot once all else is ready; it may raise to refuse it.
+        show: called in each control period; it must not delay the loop.
 
     Raises:
-        VergenceError: it ended before any command went out; there is no log then.
+        VergenceError: the deployment ended before any command was sent; the log is removed then.
         ChecksFailedError: the robot must not move yet.
     """
     hardware = load_hardware(config.hardware)
@@ -117,13 +118,13 @@ def _gaze(
     writer: LogWriter,
     show: Callable[[Present], None],
 ) -> None:
-    # a robot looks at the world: all that it takes of a target is that trials begin at rest
+    # a real robot finds its target itself; the task's only makes trials begin at rest
     target: Mapping[str, Any] = REST
     if hardware.places_targets:
         target = {"kind": "random", "start": "rest"}
     options = {"config": hardware, "log": writer, "moves": not config.dry_run}
     task = GazeTask(1, head=hardware.head, plant="hardware", target=target, plant_options=options)
-    # the last error is known when its image has come
+    # the last pixel error is known only once its image has arrived
     steps = (gazes.steps or 0) + hardware.head.timing.latency_frames
 
     def gaze(number: int) -> None:
@@ -191,7 +192,7 @@ def _open_log(
 
 
 def _steps(config: DeployConfig, head: HeadModel) -> int:
-    """Control periods of a whole gaze."""
+    """Control periods of a whole gaze; refuses options out of range."""
     rate_hz = head.timing.control_rate_hz
     if not 1 <= config.gazes <= _MOST_GAZES:
         raise ConfigurationError(f"gazes: expected 1 to {_MOST_GAZES}, got {config.gazes}")

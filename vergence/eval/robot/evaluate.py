@@ -1,4 +1,4 @@
-"""An evaluation with a robot among its plants, in a run folder that it goes on with."""
+"""Evaluation with a robot among its plants; it can resume in an earlier run folder."""
 
 import dataclasses
 import tomllib
@@ -21,13 +21,13 @@ from vergence.models.joints import EYE_NAMES
 
 
 def begun(run: Path) -> EvaluateConfig:
-    """The configuration of an evaluation on a robot that has begun.
+    """Read the configuration of an evaluation on a robot that was begun earlier.
 
     Args:
         run: its run folder.
 
     Raises:
-        ConfigurationError: it is none.
+        ConfigurationError: the folder holds no such evaluation.
     """
     asked = Sessions(run).asked
     for name in ("episodes", "seed"):
@@ -59,24 +59,24 @@ def evaluate_on_robot(
     check: Callable[[HardwareConfig], None] = lambda hardware: None,
     keep_going: bool = False,
 ) -> Evaluation:
-    """Compare controllers on a robot, and on simulated plants beside it.
+    """Compare controllers on a robot, and on simulated plants if asked for.
 
     Args:
-        config: what to compare; one of the plants is `hardware`.
-        run: the run folder, which is made if it is new, and takes logs and a journal of the trials.
+        config: the comparison; one of its plants is `hardware`.
+        run: the run folder, made if it is new; logs and the journal of trials go there.
         mapper: runs simulated trials; this process by default.
-        progress: told the robot's trials done and their number.
-        resume: whether the folder has some trials already.
-        check: told of the robot once all else is ready; it may refuse it.
+        progress: called with the number of the robot's trials done and their total.
+        resume: true to continue the trials that the folder has.
+        check: called with the robot once all else is ready; it may raise to refuse it.
         keep_going: see `vergence.eval.comparison.evaluate.evaluate`.
 
     Returns:
         The evaluation.
 
     Raises:
-        HardwareError: the robot was stopped; the trials that went to their end are in the folder.
+        HardwareError: the robot was stopped; completed trials are in the folder.
         ChecksFailedError: the robot must not move yet.
-        VergenceError: a name is unknown, or an option has a value that cannot be.
+        VergenceError: a name is unknown, or the value of an option is not allowed.
     """
     mapper = mapper or SerialMapper()
     lineup = line_up(config, None, mapper)
@@ -105,7 +105,7 @@ def evaluate_on_robot(
 
 
 def _robot(hardware: HardwareConfig) -> dict[str, Any]:
-    """What stays as it is in all trials of an evaluation: all but what is plugged in where."""
+    """Configuration that must not change during an evaluation: all but ports and image sources."""
     found: dict[str, Any] = tomllib.loads(hardware.text)
     found |= {"head": hardware.head.digest}
     found.pop("emulator", None)
@@ -116,7 +116,7 @@ def _robot(hardware: HardwareConfig) -> dict[str, Any]:
 
 
 def _asked(config: EvaluateConfig) -> dict[str, Any]:
-    """A configuration by names, its paths from the root."""
+    """A configuration as values by field, with absolute paths."""
     values = config.resolved()
     for name in ("hardware", "options"):
         if values[name] is not None:

@@ -1,4 +1,4 @@
-"""Metrics of gazes on a robot, one row a gaze: they may have ended early, each by itself."""
+"""Metrics of gazes on a robot, one row per gaze; each gaze may have ended early."""
 
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -13,9 +13,9 @@ from vergence.plain import plain
 from vergence.recording import Recorder
 
 BAND_PX: Final = 2.0
-"""The band of settling that leads, px: a pixel is about what encoders and commands resolve."""
+"""Main settling band, px (chosen: one pixel is about the resolution of encoders and commands)."""
 MOST_PERIODS: Final = 100_000
-"""Control periods of a gaze beyond which it is judged no further: a log may claim any."""
+"""Largest number of judged control periods of a gaze (chosen: bounds memory for untrusted logs)."""
 
 
 @dataclass(kw_only=True)
@@ -23,21 +23,21 @@ class Gazes:
     """Gazes of one policy."""
 
     steps: int | None
-    """Control periods of a whole gaze, without those at its end that wait for images; None where
-    each is whole as it is."""
+    """Control periods of a whole gaze, without those at its end that wait for the last images; None
+    if every gaze counts as whole."""
     dry_run: bool = False
-    """True if nothing has moved, so that there is nothing to judge."""
+    """True if nothing has moved; then no metric is defined."""
     stopped: bool = False
-    """True if a fault has ended the last one, which then counts as one that has not settled; one
-    that was ended otherwise, such as by Ctrl-C or a kill, does not count."""
+    """True if a fault has ended the last gaze; it then counts as not settled. A gaze that ended
+    early for another reason, such as Ctrl-C or a kill, does not count."""
     trials: list[Trials] = field(default_factory=list)
     late: int = 0
-    """Control periods that were missed."""
+    """Number of missed control periods."""
     periods: int = 0
-    """All control periods."""
+    """Number of all control periods."""
 
     def add(self, task: GazeTask, record: Recorder) -> None:
-        """Take a gaze, as far as it went; one that has not begun is none."""
+        """Add a gaze, complete or not; one that has not begun is ignored."""
         made = len(record.reading.time_s) - 1
         if made < 0:
             return
@@ -51,7 +51,7 @@ class Gazes:
         )
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row a gaze, None for what has no answer."""
+        """A row per gaze; None for undefined metrics."""
         return [
             {
                 "gaze": place + 1,
@@ -67,7 +67,7 @@ class Gazes:
         ]
 
     def summary(self) -> dict[str, Any]:
-        """All of them as plain values, None for what has no answer."""
+        """Statistics over all gazes as plain values; None for undefined metrics."""
         judged = [trial for trial in self.trials if self._whole(trial)]
         count = len(judged) + (self.stopped and len(judged) < len(self.trials))
         settled = [s for s in (self._settle_s(one, BAND_PX) for one in judged) if s is not None]
@@ -81,11 +81,11 @@ class Gazes:
         }
 
     def _whole(self, trial: Trials) -> bool:
-        """True if a gaze went to its end."""
+        """True if a gaze was completed."""
         return self.steps is None or len(trial.time_s) > self.steps
 
     def _answer(self, trial: Trials, value: float) -> float | None:
-        """A metric of a gaze, None where there is none to judge."""
+        """A metric of a gaze; None if it is not judged."""
         judged = self._whole(trial) and not self.dry_run
         found: float | None = plain(value) if judged else None
         return found
@@ -94,7 +94,7 @@ class Gazes:
         return self._answer(trial, trial.settle_s(band_px)[0])
 
     def _speed(self, trial: Trials) -> float | None:
-        """Peak to peak of the joints' speed while fixating, rad/s."""
+        """Peak-to-peak joint speed while fixating, rad/s."""
         return self._answer(trial, trial.fixation_peak_to_peak_rad_s[0])
 
     def _error_mm(self, trial: Trials) -> float | None:

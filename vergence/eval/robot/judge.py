@@ -1,4 +1,4 @@
-"""Trials on a robot, judged from their logs, in which each controller is asked again."""
+"""Trials on a robot, judged from their logs by running each controller again on the readings."""
 
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -30,21 +30,21 @@ from vergence.recording.replayed import REPLAYED
 from vergence.triangulation import triangulate_views
 
 _HELD_S: Final = 0.5
-"""Time at a trial's end in which a target's place is measured, s."""
+"""Time at a trial's end over which the target's position is measured, s (chosen)."""
 _FORWARD: Final = np.array([0.0, 0.0, 1.0])
-"""(3,) a point that any head can look at, for trials whose targets nobody knows, m."""
+"""(3,) placeholder that any head can look at, for trials with unknown targets, in N, m (chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotJob(EvaluationJob):
-    """The outcome of one controller in one scenario, of trials that a robot's logs hold."""
+    """Job for the outcome of one controller in one scenario, from trials in a robot's logs."""
 
     hardware: HardwareConfig
     recorded: tuple[Recorded, ...]
-    """In the order of the trials."""
+    """The recorded trials, in order of their numbers."""
 
     def _trials(self, controller: Controller, scenario: Scenario, *, observed: int = 0) -> Trials:
-        """Judge the logged trials, in which the controller is asked again."""
+        """Judge the logged trials; the controller runs again on their readings."""
         head, found, points = self.hardware.head, [], []
         _, steps = periods(scenario, head, simulated=False)
         for place, one in enumerate(self.recorded):
@@ -73,13 +73,13 @@ class RobotJob(EvaluationJob):
 
 
 def missed_periods(head: HeadModel, trial: LoggedTrial) -> int:
-    """Control periods of a trial that were skipped, as the one before came late."""
+    """Number of control periods of a trial that were skipped as the previous one was late."""
     passed = round(float(trial.reading.time_s[-1, 0]) * head.timing.control_rate_hz)
     return passed - trial.steps
 
 
 def _to_the_end(trial: LoggedTrial, steps: int, period_s: float) -> LoggedTrial:
-    """A trial that was stopped, as if the head had rested from then on, with no new images."""
+    """Extend a stopped trial to full length, with the head at rest and no new images."""
     missing = steps - trial.steps
 
     def longer(values: NDArray[Any]) -> NDArray[Any]:
@@ -96,7 +96,7 @@ def _to_the_end(trial: LoggedTrial, steps: int, period_s: float) -> LoggedTrial:
 
 
 def _measured(head: HeadModel, trial: LoggedTrial) -> FloatArray:
-    """(3,) where the eyes have seen the target in the end, m; nan where they have not."""
+    """(3,) target position triangulated at the trial's end, in N, m; nan if it was not visible."""
     reading = trial.reading
     held = reading.time_s[:, 0] > reading.time_s[-1, 0] - _HELD_S
     rows = held & reading.visible[:, 0].all(axis=-1)
@@ -107,18 +107,18 @@ def _measured(head: HeadModel, trial: LoggedTrial) -> FloatArray:
 
 
 def bounds(hardware: HardwareConfig, trials: Trials, points: FloatArray) -> dict[float, FloatArray]:
-    """The time-optimal bounds of trials on a robot, by what is known of its loop.
+    """Time-optimal bounds of trials on a robot, from its known or measured loop.
 
-    The first image that showed the target is that of the trial itself; the motion from there is
-    that of the model's joints, with the loop as measured, see `vergence.hardware.loop`.
+    The time of the first image that shows the target is the trial's own. The motion from there is
+    simulated with the model's joints and the measured loop, see `vergence.hardware.loop`.
 
     Args:
         hardware: the robot.
-        trials: n of them.
-        points: (n, 3) where their targets stand, in N, m.
+        trials: n trials.
+        points: (n, 3) positions of their targets, in N, m.
 
     Returns:
-        (n,) s by band, px; nan where nobody knows where the target is.
+        (n,) bounds in s by settling band in px; nan for an unknown target position.
     """
     known: BoolArray = np.asarray(np.isfinite(points).all(axis=-1))
     seen = trials.visible.any(axis=-1)

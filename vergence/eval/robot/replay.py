@@ -1,4 +1,4 @@
-"""A log looked at again: metrics, pictures, and a policy that is asked on its readings."""
+"""Replay of a log: metrics, pictures, and the commands of a policy run on its readings."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -25,22 +25,23 @@ from vergence.recording.log import Log, LoggedTrial, read_log
 from vergence.recording.replayed import REPLAYED, ReplayedPlant
 
 _GIVEN: Final = ("name", "head", "layout")
-"""Arguments of a controller beside its options."""
+"""Arguments of a controller that are not options."""
 _MOST_DIGITS: Final = 7
+"""Largest number of digits of the log's `steps` (numerical: bounds memory, far beyond any gaze)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AskedAgain:
-    """Commands that a policy asks for on a log's readings, beside those of the log's policy."""
+    """Commands of a policy run on a log's readings, beside those of the log's own policy."""
 
     controller: str
     logged: list[FloatArray]
-    """(steps, 7) a gaze, rad/s."""
+    """(steps, 7) per gaze: commands in the log, rad/s."""
     asked: list[FloatArray]
-    """(steps, 7) a gaze, of the policy that was asked again, rad/s."""
+    """(steps, 7) per gaze: commands of the policy that was run again, rad/s."""
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row a gaze: its commands, those that are identical to the bit, and differences."""
+        """A row per gaze: number of commands, number of bitwise identical ones, and differences."""
         found = []
         for place, (logged, asked) in enumerate(zip(self.logged, self.asked, strict=True)):
             apart = np.nan_to_num(np.abs(asked - logged))
@@ -56,7 +57,7 @@ class AskedAgain:
         return found
 
     def summary(self) -> dict[str, Any]:
-        """All of them."""
+        """Totals over all gazes."""
         rows = self.rows()
         greatest = (row["greatest_difference_rad_s"] for row in rows)
         return {
@@ -69,19 +70,19 @@ class AskedAgain:
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """Content of a log, judged."""
+    """Content of a log with its metrics."""
 
     log: Log
     gazes: Gazes
     results: list[GazeResult]
-    """One a gaze."""
+    """One per gaze."""
     again: AskedAgain | None
-    """Answers of a policy that was asked again, if one was."""
+    """Commands of the policy that was run again; None if there was none."""
     notes: tuple[str, ...]
-    """Lines for a person."""
+    """Remarks for the user."""
 
     def trajectory(self) -> pd.DataFrame:
-        """A row per control period of all gazes, which the first column counts from 1."""
+        """A row per control period of all gazes; the first column is the gaze, counted from 1."""
         parts = [pd.DataFrame({"gaze": []}, dtype=np.int64)]
         for place, result in enumerate(self.results):
             parts.append(result.trajectory.copy())
@@ -89,7 +90,7 @@ class Replay:
         return pd.concat(parts, ignore_index=True)
 
     def summary(self) -> dict[str, Any]:
-        """The result as plain values, None for what has no answer."""
+        """The result as plain values; None for undefined metrics."""
         return {
             "log": str(self.log.path),
             "cut_off": self.log.cut_off or None,
@@ -104,17 +105,17 @@ class Replay:
 def replay(
     config: ReplayConfig, progress: Callable[[float], None] = lambda fraction: None
 ) -> Replay:
-    """Look at a log again.
+    """Replay a log.
 
-    A controller of the registry runs with the log's options if it is the log's controller. Code of
-    somebody's own never does, as a log may come from anybody.
+    A controller of the registry runs with the log's options if it is the log's own controller. User
+    code never runs with the log's options, as logs are untrusted.
 
     Args:
-        config: the log, and the controller to ask again.
+        config: the log, and the controller to run again.
         progress: called with the fraction done.
 
     Raises:
-        VergenceError: it cannot be read; the policy cannot be made, or raises.
+        VergenceError: the log cannot be read, the policy cannot be made, or it raises.
     """
     log = read_log(config.log)
     if config.gaze is not None and not 1 <= config.gaze <= len(log.trials):
@@ -135,7 +136,7 @@ def replay(
 
 
 def _notes(log: Log, config: ReplayConfig, again: RobotController) -> Iterator[str]:
-    """Tell where a controller may differ from the log's."""
+    """Yield notes on differences between the controller and the log's."""
     ran, options = log.facts.get("controller_sha256", ""), log.facts.get("options", "{}")
     if config.controller in CONTROLLERS or not ran:
         return
@@ -146,7 +147,7 @@ def _notes(log: Log, config: ReplayConfig, again: RobotController) -> Iterator[s
 
 
 class _Silent:
-    """A policy that asks for nothing."""
+    """A policy that commands zero velocities."""
 
     def __init__(self, count: int) -> None:
         self._action = np.zeros((1, count), np.float32)
@@ -163,7 +164,7 @@ class _Silent:
 
 
 def _whole(digits: str) -> float:
-    """A whole number of JSON, or inf where it is beyond what arithmetic holds."""
+    """Convert an integer of JSON; to a float, possibly inf, if it has 20 digits or more."""
     return int(digits) if len(digits) < 20 else float(digits)
 
 
@@ -187,7 +188,7 @@ def _run(
     progress: Callable[[float], None],
 ) -> Replay:
     policy = _Silent(log.head.actuation.count) if again is None else again.policy
-    # the start of the trials is the log's
+    # the replayed plant starts each trial as the log has it
     task = GazeTask(
         1, head=log.head, plant=REPLAYED, target=REST, plant_options={"trials": log.trials}
     )
@@ -214,7 +215,7 @@ def _run(
         results.append(gaze_result(config, task, record, Ending.of(task)))
         asked.append(np.array(plant.asked).reshape(-1, 7))
 
-    # as a robot's first gaze does: a policy may count its calls
+    # prepare as before a robot's first gaze, since a policy may count its calls
     task.prepare(policy)
     for trial in log.trials:
         gaze(trial)
@@ -227,7 +228,7 @@ def _run(
 
 
 def _planned(log: Log) -> int | None:
-    """Control periods of a whole gaze; None where the log does not say."""
+    """Control periods of a whole gaze; None if the log does not state them."""
     text = log.facts.get("steps")
     if text is None:
         return None
@@ -237,7 +238,7 @@ def _planned(log: Log) -> int | None:
 
 
 def _gaze_config(log: Log, record: Recorder) -> GazeConfig:
-    """Configuration of a gaze of a log, for its picture."""
+    """Configuration of a logged gaze, for its picture."""
     target = np.full(3, np.nan) if record.truth is None else record.truth.target[-1, 0]
     x, y, z = np.round(MM * target, 3).tolist()
     return GazeConfig(

@@ -14,12 +14,12 @@ from vergence.recording.recovery import recover
 
 
 def write_replay(folder: Path, replay: Replay, gaze: int | None = None) -> None:
-    """Write tables and the picture of one gaze; of a log that is cut off, a whole one too.
+    """Write tables and the picture of one gaze; for a truncated log, also a repaired copy.
 
     Args:
         folder: the run folder.
-        replay: what the log tells.
-        gaze: to draw, counted from 1; None for the last one.
+        replay: the replayed log.
+        gaze: number of the gaze to draw, counted from 1; None for the last one.
     """
     log = replay.log
     write_json(folder / "result.json", replay.summary())
@@ -36,7 +36,7 @@ def write_replay(folder: Path, replay: Replay, gaze: int | None = None) -> None:
 
 
 def _commands(again: AskedAgain, head: HeadModel) -> pd.DataFrame:
-    """A row per control period: what both policies asked for, rad/s."""
+    """A row per control period: commands of the log's policy and of the one run again, rad/s."""
     parts = []
     for place, (logged, asked) in enumerate(zip(again.logged, again.asked, strict=True)):
         columns: dict[str, object] = {"gaze": place + 1, "period": range(1, len(logged) + 1)}

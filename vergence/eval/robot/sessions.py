@@ -1,8 +1,9 @@
-"""The record of an evaluation on a robot: logs, and a journal of the trials that are whole.
+"""The record of an evaluation on a robot: logs, and a journal of the completed trials.
 
-A folder `recording` in the run folder has `asked.json`, what is compared; a log for each time that
-the robot was connected; and `journal.jsonl`, a line for each trial that went to its end, written
-when it had. What a kill, a fault or Ctrl-C ends is missing in the journal, and is run again.
+The folder `recording` in the run folder holds `asked.json`, the configuration of the comparison;
+one log per connection to the robot; and `journal.jsonl`, with a line for each completed trial,
+written on its completion. A trial that a kill, a fault or Ctrl-C interrupts has no line in the
+journal and is run again.
 """
 
 import json
@@ -21,13 +22,13 @@ from vergence.models.parts import FloatArray
 from vergence.recording.log import LoggedTrial, read_log
 
 FOLDER: Final = "recording"
-"""Name of the folder in a run folder."""
+"""Name of the record's folder in a run folder."""
 _ASKED: Final = "asked.json"
 _JOURNAL: Final = "journal.jsonl"
 
 
 class Key(NamedTuple):
-    """What a trial is found by."""
+    """Identity of a trial in an evaluation."""
 
     scenario: str
     controller: str
@@ -36,29 +37,29 @@ class Key(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """A line of the journal."""
+    """A line of the journal: one completed trial."""
 
     scenario: str
     controller: str
     trial: int
     log: str
-    """Name of the log in the folder."""
+    """File name of the log in the record's folder."""
     number: int
-    """Of the trial in the log, counted from 1."""
+    """Number of the trial in the log, counted from 1."""
     point_m: tuple[float, float, float] | None
-    """Where the target stood, in N; None where nobody knows, or the log has the truth."""
+    """Target position, in N; None if unknown, or if the log has the ground truth."""
     controller_sha256: str
-    """Of a controller's file; empty for one of the registry."""
+    """SHA-256 of the controller's file; empty for a controller of the registry."""
     options: str
-    """The controller's, as JSON."""
+    """The controller's options, as JSON."""
     stopped: str = ""
-    """Why the robot was stopped, where the controller let it swing; empty for a whole trial."""
+    """Reason for the stop if the controller made the head oscillate; empty for a full trial."""
 
     def check(self) -> None:
-        """Refuse values that no journal has.
+        """Refuse values of wrong types.
 
         Raises:
-            TypeError: one is none of its kind.
+            TypeError: a value has a wrong type, or the point has not three numbers.
         """
         point = [] if self.point_m is None else self.point_m
         for kind, values in (
@@ -75,20 +76,20 @@ class Entry:
 
     @property
     def key(self) -> Key:
-        """What it is found by."""
+        """Identity of the trial."""
         return Key(self.scenario, self.controller, self.trial)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """A trial that went to its end."""
+    """A completed trial: its journal entry and its log."""
 
     entry: Entry
     trial: LoggedTrial
 
     @property
     def point(self) -> FloatArray:
-        """(3,) where the target stood, m; nan where the journal does not say."""
+        """(3,) target position, in N, m; nan if the journal has none."""
         found = self.entry.point_m
         return np.full(3, np.nan) if found is None else np.array(found)
 
@@ -98,15 +99,15 @@ class Sessions:
 
     Args:
         run: the run folder; the record is made in it with the first log.
-        asked: what is compared, as plain values; None to take what stands there.
+        asked: configuration of the comparison, as plain values; None to read it from the record.
 
     Attributes:
-        folder: the record's.
-        asked: what is compared.
-        unreadable: logs that cannot be read, by name, and why.
+        folder: the record's folder.
+        asked: configuration of the comparison.
+        unreadable: reasons why logs cannot be read, by name.
 
     Raises:
-        ConfigurationError: it has none and nothing is asked, or cannot be read.
+        ConfigurationError: `asked` is None and the record's configuration is missing or unreadable.
     """
 
     def __init__(self, run: Path, asked: Mapping[str, Any] | None = None) -> None:
@@ -126,7 +127,7 @@ class Sessions:
             ) from error
 
     def new_log(self) -> Path:
-        """The path of the next log, which is not there yet.
+        """Path for the next log, which does not exist yet; makes the record if it is new.
 
         Raises:
             ConfigurationError: the record cannot be written.
@@ -147,14 +148,14 @@ class Sessions:
         return self.folder / name
 
     def add(self, entry: Entry) -> None:
-        """Tell that a trial went to its end.
+        """Append a completed trial to the journal, and sync it to disk.
 
         Raises:
             ConfigurationError: the journal cannot be written.
         """
         line = json.dumps(asdict(entry)).encode() + b"\n"
         try:
-            # what a kill has cut off ends with this line's beginning
+            # start a new line if a kill has cut off the last one
             with (self.folder / _JOURNAL).open("ab+") as file:
                 if file.tell():
                     file.seek(-1, os.SEEK_END)
@@ -169,14 +170,14 @@ class Sessions:
             ) from error
 
     def count(self) -> int:
-        """How many trials went to their end."""
+        """Number of completed trials."""
         return len({entry.key for entry in self._entries()})
 
     def whole(self, steps: Callable[[str], int]) -> dict[Key, Recorded]:
-        """The trials that went to their end, by what they are found by.
+        """Read the completed trials, by their identity.
 
         Args:
-            steps: control periods of a whole trial of a scenario.
+            steps: function from a scenario's name to the control periods of a whole trial.
 
         Trials of a log that cannot be read are missing, see `unreadable`.
         """
@@ -192,7 +193,7 @@ class Sessions:
         found = {}
         for entry in self._entries():
             logged = [one for one in trials(entry.log) if one.number == entry.number]
-            # a kill may have come between the journal and the log
+            # after a kill the journal may have a trial that the log lacks
             if logged and logged[0].steps >= (1 if entry.stopped else steps(entry.scenario)):
                 found[entry.key] = Recorded(entry=entry, trial=logged[0])
         return found

@@ -1,8 +1,8 @@
-"""What places targets before a robot, and knows where they are.
+"""Stages: sources of the targets before a robot, and of their positions.
 
-An emulated head has targets placed anywhere. A real one looks at tags that stand at measured
-places, `[[places]]` of its configuration, and is told another one for each trial; or at a target
-that a person moves; or at one that stands still, from rest each time.
+For an emulated head, targets are placed anywhere. A real head looks at tags at measured places,
+`[[places]]` of its configuration, another one in each trial; or at a target that a person moves; or
+at one that stands still, from rest each time.
 """
 
 import sys
@@ -22,30 +22,30 @@ from vergence.hardware.plant import HardwarePlant
 from vergence.models.parts import FloatArray
 
 STAGES: Final = ("emulator", "places", "hand", "still")
-"""Names of the stages, in the order in which the first that fits is chosen."""
+"""Names of the stages; by default the first available one is used."""
 _JUMPS: Final = ("double-step", "occluded")
-"""Kinds of targets that are not there all the time from their appearance on."""
+"""Kinds of targets that disappear or jump after they have appeared."""
 REST: Final = {"kind": "static", "point": (0.0, 0.0, 1.0)}
-"""All that a robot takes of a target: trials begin at rest."""
+"""The task's target for a robot; it only makes trials begin at rest."""
 
 
 class Stage(ABC):
-    """Places the target of each trial."""
+    """Provides the target of each trial."""
 
     name: str
     """One of `STAGES`."""
     what: str
-    """What it is, for a report."""
+    """Description for a report."""
     emulated: bool = False
-    """Whether errors are the true ones, which an emulated head knows."""
+    """True if errors are the true ones, as an emulated head knows them."""
     repeatable: bool = True
-    """Whether the target of a trial can be placed there again, for controllers that are missing."""
+    """True if the target of a trial can be placed there again, to run missing controllers."""
 
     def target(self, scenario: Assignment) -> Mapping[str, Any]:
-        """The target that the task draws its trials of.
+        """Target from which the task draws its trials.
 
         Raises:
-            ConfigurationError: nobody here can move a target so.
+            ConfigurationError: the stage cannot move a target like that.
         """
         kind = str(scenario.target.get("kind"))
         if scenario.moving or kind in _JUMPS:
@@ -56,27 +56,27 @@ class Stage(ABC):
         return REST
 
     def check(self) -> None:
-        """Refuse to begin, before anything moves.
+        """Check, before anything moves, that targets can be placed.
 
         Raises:
-            ConfigurationError: nobody is there to place targets.
+            ConfigurationError: no person is there to place them.
         """
 
     @abstractmethod
     def place(self, plant: Plant, trial: int) -> FloatArray:
-        """Place the target of a trial, which is about to begin.
+        """Place the target of the next trial.
 
         Args:
             plant: the robot.
             trial: the trial's number.
 
         Returns:
-            (3,) where the target is, in N, m; nan where nobody knows.
+            (3,) target position, in N, m; nan if unknown.
         """
 
 
 class EmulatorStage(Stage):
-    """The world of an emulated head, in which the task's own targets appear."""
+    """Stage of an emulated head, in whose world the task's own targets appear."""
 
     name = "emulator"
     what = "an emulated head, whose targets and errors are the true ones"
@@ -98,11 +98,11 @@ class EmulatorStage(Stage):
 
 
 class PlacesStage(Stage):
-    """Tags at measured places, each trial another one.
+    """Tags at measured places, another one in each trial.
 
     Args:
         places: the tags.
-        seed: of their order.
+        seed: seed of their order.
     """
 
     name = "places"
@@ -127,7 +127,7 @@ class HandStage(Stage):
     """A target that a person moves.
 
     Args:
-        ask: shows a line and waits until it is answered.
+        ask: shows a line and waits for an answer.
     """
 
     name = "hand"
@@ -150,7 +150,7 @@ class HandStage(Stage):
 
 
 class StillStage(Stage):
-    """A target that stays where it is."""
+    """A target that stands still."""
 
     name = "still"
     what = (
@@ -163,16 +163,16 @@ class StillStage(Stage):
 
 
 def make_stage(name: str | None, hardware: HardwareConfig, seed: int = 0) -> Stage:
-    """The stage before a robot.
+    """Make the stage before a robot.
 
     Args:
-        name: one of `STAGES`; None for the first that fits.
+        name: one of `STAGES`; None for the first available one, except `still`.
         hardware: the robot.
-        seed: of the order of places.
+        seed: seed of the order of places.
 
     Raises:
-        ConfigurationError: there is none of that name, what it needs is missing, or the eyes cannot
-            look at a place.
+        ConfigurationError: the name is unknown, the stage's requirement is missing, or the eyes
+            cannot look at a place.
     """
     fits = {
         "emulator": (hardware.places_targets, "an emulated head without --board"),
@@ -181,7 +181,7 @@ def make_stage(name: str | None, hardware: HardwareConfig, seed: int = 0) -> Sta
         "still": (True, ""),
     }
     if name is None:
-        # a robot alone would go on looking at one and the same place
+        # `still` is no default: the robot would look at one and the same place in all trials
         name = next((one for one in STAGES[:-1] if fits[one][0]), None)
         if name is None:
             raise ConfigurationError(
@@ -206,7 +206,7 @@ def _watched() -> bool:
 
 
 def _refuse_out_of_reach(hardware: HardwareConfig) -> None:
-    """Refuse places that the eyes cannot look at, as those in metres or behind the head."""
+    """Refuse places that the eyes cannot look at, such as ones in metres or behind the head."""
     head = hardware.head
     for k, place in enumerate(hardware.places):
         what = f"places[{k}].point_mm in {hardware.path}"

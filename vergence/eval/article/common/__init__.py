@@ -1,1 +1,1 @@
-"""What several experiments of the article run: closed loops, fixed views, the simulated cases."""
+"""Parts shared by several experiments: closed loops, fixed views, cases of the simulated rig."""

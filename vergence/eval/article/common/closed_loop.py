@@ -1,4 +1,4 @@
-"""Closed-loop gaze: hold a target, and record what the sensors and both methods said.
+"""Closed-loop gaze: hold a target, and record the sensors and the fixes of both methods.
 
 ```python
 record = hold_gaze(ClosedLoop(head=head, target={"kind": "static", "point": (0, -0.1, 1)},
@@ -32,79 +32,79 @@ _READING: Final = ("time_s", "exposure_s", "pixels", "positions", "positions_at_
 
 @dataclass(frozen=True, kw_only=True)
 class ClosedLoop:
-    """A head, or several side by side, under the article's law; picklable."""
+    """A head, or several side by side, under the article's control law; picklable."""
 
     head: HeadModel
-    """The model that the controller and the triangulation know."""
+    """The model that the controller and the triangulation use."""
     target: Mapping[str, Any] | Target
-    """What is looked at, see `vergence.envs.targets.registry.make_target`."""
+    """The target, see `vergence.envs.targets.registry.make_target`."""
     samples: int
-    """How many samples to record once settled."""
+    """Number of samples to record after settling."""
     true_head: HeadModel | None = None
-    """What really moves: one head, or a population of shape (num,); None for the model itself."""
+    """The head that moves: one, or a population of shape (num,); None for the model itself."""
     num: int | None = None
-    """How many heads side by side, each with its own noise; None for one and no axis for it."""
+    """Number of heads side by side, each with its own noise; None for one, without that axis."""
     every: int = 1
     """Control periods from sample to sample."""
     settle_s: float = 1.5
-    """Time before the first sample; that sample's image was exposed a latency earlier."""
+    """Settling time before the first sample, s; the image of that sample is one latency older."""
     references_px: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
-    """Where in the image to hold the target, (u, v) from the principal point of both eyes, px;
-    each for an equal share of the samples in turn, the first while settling. Several are a
-    dithered fixation."""
+    """Image positions at which to hold the target, (u, v) from the principal point of both eyes,
+    px: each in turn for an equal fraction of the samples, the first also while settling. Several
+    references make a dithered fixation."""
     plant: str = "rendered"
-    """What moves and sees, see `vergence.envs.plant.PLANTS`."""
+    """The simulated plant, see `vergence.envs.plant.PLANTS`."""
     plant_options: Mapping[str, Any] = field(default_factory=dict)
-    """The plant's own options, but `true_head`."""
+    """The plant's own options, except `true_head`."""
     gain: float = 4.0
     """The law's gain, 1/s."""
     seed: int = 0
     """Seed of all noise."""
     trial: int = 0
-    """The first head's trial of that seed; the others have the next ones."""
+    """Trial number of the first head under that seed; the other heads take the next numbers."""
 
 
 class GazeRecord(NamedTuple):
-    """What a closed loop gave: a row a sample, of all heads if there were several.
+    """Record of a closed loop, one row per sample, of one head or of several.
 
-    Shapes below are those of one head, (samples, ...); several have (samples, num, ...). Angles,
-    pixels and points of `..._at_exposure` belong to the instant of the newest image, which is a
-    latency before the present.
+    Shapes below are for one head, (samples, ...); several heads have (samples, num, ...). Fields
+    named `..._at_exposure` belong to the exposure of the newest image, one latency before the
+    present.
     """
 
     time_s: FloatArray
-    """(samples,) the present."""
+    """(samples,) the present, s."""
     exposure_s: FloatArray
-    """When the newest image was exposed, by the nominal latency."""
+    """(samples,) exposure time of the newest image by the nominal latency, s."""
     pixels: FloatArray
-    """(samples, 2, 2) raw detections in the newest image, px; nan where not seen."""
+    """(samples, 2, 2) raw detections in the newest image, px; nan if not visible."""
     pixel_error: FloatArray
-    """(samples, 2, 2) undistorted detections less the model's principal points, px."""
+    """(samples, 2, 2) undistorted detections minus the model's principal points, px."""
     true_pixels_at_exposure: FloatArray
-    """(samples, 2, 2) where the target really was in that image, raw px."""
+    """(samples, 2, 2) true position of the target in that image, raw px."""
     positions: FloatArray
     """(samples, 7) joint feedback at present, rad."""
     positions_at_exposure: FloatArray
     """(samples, 7) joint feedback at exposure, rad."""
     true_positions: FloatArray
-    """(samples, 7) joint angles at present without the encoders' steps, rad."""
+    """(samples, 7) joint angles at present without encoder quantisation, rad."""
     target: FloatArray
-    """(samples, 3) where the target is at present, in N, m."""
+    """(samples, 3) target position at present, in N, m."""
     target_at_exposure: FloatArray
-    """(samples, 3) where it was when the newest image was exposed, m."""
+    """(samples, 3) target position at the exposure of the newest image, in N, m."""
     gaze: Fix
-    """By gaze, from the present joint angles."""
+    """Fixes by gaze, from the present joint angles."""
     itpc: Fix
-    """From the pixels and the joint angles of the newest image's exposure."""
+    """Fixes by ITPC, from pixels and joint angles at the exposure of the newest image."""
 
     @property
     def gaze_error_mm(self) -> FloatArray:
-        """(samples, 3) the gaze fix less where the target is at present, mm."""
+        """(samples, 3) gaze fix minus the target position at present, mm."""
         return MM * (self.gaze.point - self.target)
 
     @property
     def itpc_error_mm(self) -> FloatArray:
-        """(samples, 3) the fix from pixels less where the target was at exposure, mm."""
+        """(samples, 3) ITPC fix minus the target position at exposure, mm."""
         return MM * (self.itpc.point - self.target_at_exposure)
 
 
@@ -112,14 +112,14 @@ def hold_gaze(loop: ClosedLoop) -> GazeRecord:
     """Bring the gaze to a target, let it settle, and record.
 
     Args:
-        loop: what to run.
+        loop: the head, the target, the plant and the law.
 
     Returns:
         The samples.
 
     Raises:
-        ConfigurationError: a number that cannot be.
-        VergenceError: the plant or the target cannot be.
+        ConfigurationError: a number is not allowed.
+        VergenceError: the plant or the target cannot be made.
     """
     _check(loop)
     head, num = loop.head, 1 if loop.num is None else loop.num
@@ -137,7 +137,7 @@ def hold_gaze(loop: ClosedLoop) -> GazeRecord:
 
     law = VariedLaw(head, as_gains("gain", loop.gain), reference)
     task = GazeTask(num, head=head, plant=loop.plant, target=loop.target, plant_options=options)
-    simulation_of(task.plant)  # or there is no truth
+    simulation_of(task.plant)  # refuses a plant without ground truth
     record = Recorder(task, steps, reading=_READING, truth=("positions", "target"))
     rollout(task, law, steps, record, seed=loop.seed, first_trial=loop.trial)
     return _samples(loop, record, settling + loop.every * np.arange(loop.samples))
@@ -150,7 +150,7 @@ def _samples(loop: ClosedLoop, record: Recorder, present: IntArray) -> GazeRecor
     exposure_s, positions = reading.exposure_s[present], reading.positions[present]
     pixels, at_exposure = reading.pixels[present], reading.positions_at_exposure[present]
     true_head = head if loop.true_head is None else loop.true_head
-    # images from before time zero, and none yet, count as those of time zero
+    # a missing image, or one from before time zero, counts as exposed at time zero
     exposed = np.nan_to_num(exposure_s * head.timing.control_rate_hz)
     steps = np.maximum(np.rint(exposed), 0).astype(np.int64)
     places = np.arange(steps.shape[1])
@@ -179,7 +179,7 @@ def _without_axis(record: GazeRecord) -> GazeRecord:
 
 
 def _first(value: Any) -> Any:
-    """The first head's part of an array, or of a fix's."""
+    """The first head's part of an array, or of each array of a fix."""
     return Fix._make(part[:, 0] for part in value) if isinstance(value, Fix) else value[:, 0]
 
 
@@ -197,10 +197,10 @@ def _check(loop: ClosedLoop) -> None:
 
 
 def dither_references(side: int) -> tuple[tuple[float, float], ...]:
-    """A grid of side x side references that covers one pixel evenly around the principal point.
+    """Grid of side x side references that covers one pixel evenly around the principal point.
 
-    The detector's bias is a function of where in its pixel the target lies, and averages out
-    over the grid but for the harmonics of `side` periods a pixel.
+    The detector's bias depends on the sub-pixel position of the target. Over the grid it averages
+    out, except for its harmonics with a multiple of `side` periods per pixel.
     """
     offsets = (np.arange(side) - 0.5 * (side - 1)) / side
     return tuple((float(u), float(v)) for v in offsets for u in offsets)
@@ -210,7 +210,7 @@ def detection_sigma(pixels: FloatArray) -> FloatArray:
     """Sample standard deviations of n detections (Eqs. 25 and 26).
 
     Args:
-        pixels: (n, ..., 2, 2) px; nan where not seen.
+        pixels: (n, ..., 2, 2) px; nan if not visible.
 
     Returns:
         (..., 2, 2) by eye and coordinate, px.
@@ -219,15 +219,15 @@ def detection_sigma(pixels: FloatArray) -> FloatArray:
 
 
 def gaze_uncertainty(head: HeadModel, q: FloatArray, sigma_px: FloatArray) -> FloatArray:
-    """The uncertainty of a gaze fix as the article propagates it (Eqs. 27 to 33).
+    """Standard deviation of a gaze fix as the article propagates it (Eqs. 27 to 33).
 
-    Tilt and pan are taken as arctan of the pixel by the focal length, so at the principal point
-    a pixel of noise is 1/f radians of either.
+    Tilt and pan are taken as the arctangent of pixel over focal length f in px, so at the principal
+    point one pixel of noise is 1/f radians of either.
 
     Args:
         head: the model.
         q: (..., 7) mean joint angles, rad.
-        sigma_px: (..., 2, 2) of the detections by eye and coordinate (u, v), px.
+        sigma_px: (..., 2, 2) standard deviation of detections by eye and coordinate (u, v), px.
 
     Returns:
         (..., 3) along x, y, z, mm.
@@ -241,13 +241,13 @@ def gaze_uncertainty(head: HeadModel, q: FloatArray, sigma_px: FloatArray) -> Fl
 def itpc_uncertainty(
     head: HeadModel, q: FloatArray, pixels: FloatArray, sigma_px: FloatArray
 ) -> FloatArray:
-    """The uncertainty of a fix from two pixels (Eqs. 34 to 36).
+    """Standard deviation of a fix from two pixels (Eqs. 34 to 36).
 
     Args:
         head: the model.
         q: (..., 7) joint angles, rad.
         pixels: (..., 2, 2) mean raw detections, px.
-        sigma_px: (..., 2, 2) of the detections by eye and coordinate, px.
+        sigma_px: (..., 2, 2) standard deviation of detections by eye and coordinate, px.
 
     Returns:
         (..., 3) along x, y, z, mm.
@@ -258,16 +258,16 @@ def itpc_uncertainty(
 def gaze_corrected(
     head: HeadModel, q: FloatArray, pixel_error: FloatArray, depth_m: FloatArray
 ) -> Fix:
-    """Gaze from angles corrected by what was left of the pixel error, to first order.
+    """Triangulate by gaze from angles corrected to first order for the remaining pixel error.
 
     Args:
         head: the model.
         q: (..., 7) joint angles at exposure, rad.
-        pixel_error: (..., 2, 2) undistorted pixel less principal point, px.
+        pixel_error: (..., 2, 2) undistorted pixel minus principal point, px.
         depth_m: (..., 2) the target's depth in each eye, m.
 
     Returns:
-        The fix of the angles that would have put the target on both axes.
+        The fix from the angles that would have put the target on both optical axes.
     """
     principal = np.broadcast_to(head.cameras.principal, pixel_error.shape)
     jacobian = head.image_jacobian(q, principal, depth_m)

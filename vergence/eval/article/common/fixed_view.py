@@ -1,4 +1,4 @@
-"""Images of a board at a fixed pose, drawn again and again, and what the detector makes of them."""
+"""Repeated noisy images of a board at fixed poses, and the detections in them."""
 
 from collections.abc import Iterable
 
@@ -15,12 +15,12 @@ from vergence.vision.tracking import Tracker
 
 
 def poses_in_eyes(head: HeadModel, q: ArrayLike, point: ArrayLike) -> FloatArray:
-    """Where each eye sees a board that faces forward.
+    """Poses in both cameras of a board that faces forward.
 
     Args:
         head: the head.
         q: (7,) joint angles, rad.
-        point: (3,) the board's measured point, in N, m.
+        point: (3,) the board's reference point, in N, m.
 
     Returns:
         (2, 4, 4) T_Cl_T and T_Cr_T, m.
@@ -29,17 +29,17 @@ def poses_in_eyes(head: HeadModel, q: ArrayLike, point: ArrayLike) -> FloatArray
 
 
 def shifted(head: HeadModel, eye: int, T_C_T: FloatArray, offset_px: ArrayLike) -> FloatArray:
-    """The pose moved along the image plane, so that its point moves by some pixels."""
+    """Translate a pose parallel to the image plane, so that its point moves by `offset_px`."""
     pose = T_C_T.copy()
     pose[:2, 3] += pose[2, 3] * np.asarray(offset_px) / head.cameras.focal[eye]
     return pose
 
 
 class FixedView:
-    """One eye, one checkerboard: draws and detects.
+    """One eye before one checkerboard: draws images and detects in them.
 
     Args:
-        head: whose eye, images and noise.
+        head: the head; it sets the camera, the images and their noise.
         eye: 0 for left, 1 for right.
         board: the target's name.
     """
@@ -52,18 +52,18 @@ class FixedView:
         self._detector = make_detector(target, camera)
 
     def true_pixel(self, T_C_T: FloatArray) -> FloatArray:
-        """(2,) where the point of a board at a pose is in the image, px."""
+        """(2,) true raw pixel of the point of a board at a pose, px."""
         return np.asarray(self._drawing.camera.project(T_C_T[None, :3, 3])[0])
 
     def detect(self, poses: Iterable[FloatArray], rng: np.random.Generator) -> FloatArray:
-        """Detect the point once for each pose, with new noise each time.
+        """Detect the point once per pose, each time with new image noise.
 
         Args:
-            poses: T_C_T of the board, each near the one before.
+            poses: T_C_T of the board, each near the previous one.
             rng: source of the noise.
 
         Returns:
-            (n, 2) px; nan where the board was not read.
+            (n, 2) px; nan where the board was not detected.
         """
         tracker, pixels = Tracker(self._detector), []
         for pose in poses:

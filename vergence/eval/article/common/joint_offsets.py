@@ -1,4 +1,4 @@
-"""The article's head with other joint offsets than its table of Denavit-Hartenberg rows says."""
+"""Changed joint offsets in the Denavit-Hartenberg table of the article's head."""
 
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -7,17 +7,17 @@ from vergence.models.parts import FloatArray
 
 
 def with_joint_offsets(head: HeadModel, more: FloatArray) -> HeadModel:
-    """A head, or a population, whose joints stand otherwise than their encoders say.
+    """Add joint offsets to a head or a population: its joints then differ from their encoders.
 
     Args:
-        head: one of the article's form.
-        more: (..., 9) what is added to the offsets of its rows, rad.
+        head: a head with Denavit-Hartenberg rows, as the article's.
+        more: (..., 9) additions to the offsets of its rows, rad.
 
     Returns:
-        The head with the other offsets.
+        The head with the changed offsets.
 
     Raises:
-        ConfigurationError: the head is of another form.
+        ConfigurationError: the head is not given by Denavit-Hartenberg rows.
     """
     if not isinstance(head.links, DenavitHartenberg):
         raise ConfigurationError(

@@ -1,8 +1,9 @@
 r"""The loop's noise bandwidth: how much of the detector's noise reaches the eyes.
 
-Per eye and image axis, in pixels, with the law's Jacobian exact: the image exposed `d` periods ago
-showed the target at `x(k - d) + n(k - d)` from the principal point, the command is
-`u(k) = -g (x(k - d) + n(k - d))`, and over the period T the joint follows its command as a lag tau,
+The model holds per eye and image axis, in pixels, if the law's Jacobian is exact. The image exposed
+`d` periods ago showed the target at `x(k - d) + n(k - d)` from the principal point, with detection
+noise n. The command is `u(k) = -g (x(k - d) + n(k - d))`. Over the period T the joint's velocity v
+follows its command with the time constant tau,
 
     v(k+1) = a v(k) + (1 - a) u(k),                              a = exp(-T / tau)
     x(k+1) = x(k) + tau (1 - a) v(k) + (T - tau (1 - a)) u(k).
@@ -23,20 +24,20 @@ from vergence.models.parts import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
-    """A sampled gaze loop, as far as small signals see it."""
+    """A sampled gaze loop, linearised for small signals."""
 
     gain: float
     """The law's gain, 1/s."""
     period_s: float
-    """The control period; a frame is taken in each."""
+    """The control period, s; one frame is taken in each."""
     delay: int
-    """Periods from exposure to reading."""
+    """Control periods from exposure to reading."""
     lag_s: float
-    """Time constant of the joints' velocity; 0 for none."""
+    """Time constant of the joints' velocity, s; 0 for none."""
 
     @staticmethod
     def of(head: HeadModel, gain: float) -> "Loop":
-        """A head's loop; its frames come at the control rate."""
+        """The loop of a head; its frames come at the control rate."""
         timing = head.timing
         return Loop(
             gain=gain,
@@ -46,13 +47,13 @@ class Loop:
         )
 
     def at_rate(self, rate_hz: float) -> "Loop":
-        """The same loop at another rate, its delay in seconds rounded to whole periods."""
+        """This loop at another rate, its delay in seconds rounded to whole periods."""
         delay = round(self.delay * self.period_s * rate_hz)
         return Loop(gain=self.gain, period_s=1.0 / rate_hz, delay=delay, lag_s=self.lag_s)
 
 
 def _matrices(loop: Loop) -> tuple[FloatArray, FloatArray]:
-    """State (x now, v, x a period ago, ..., x `delay` ago) and how noise enters it."""
+    """Transition matrix of the state (x(k), v(k), x(k-1), ..., x(k-d)), and noise input vector."""
     size = 2 + loop.delay
     left = exp(-loop.period_s / loop.lag_s) if loop.lag_s > 0.0 else 0.0
     glide = loop.lag_s * (1.0 - left)
@@ -68,7 +69,7 @@ def _matrices(loop: Loop) -> tuple[FloatArray, FloatArray]:
 
 
 def noise_gain(loop: Loop) -> float:
-    """Standard deviation of the axis over that of white detection noise, both in pixels.
+    """Ratio of the optical axis' standard deviation to that of white detection noise, both in px.
 
     Args:
         loop: the loop.
@@ -83,11 +84,11 @@ def noise_gain(loop: Loop) -> float:
 
 
 def impulse_response(loop: Loop, steps: int) -> FloatArray:
-    """The axis after a single detection was off by a pixel.
+    """Response of the optical axis to a single detection that is off by one pixel.
 
     Args:
         loop: the loop.
-        steps: how many periods to follow.
+        steps: number of control periods.
 
     Returns:
         (steps,) px.
@@ -101,5 +102,5 @@ def impulse_response(loop: Loop, steps: int) -> FloatArray:
 
 
 def noise_bandwidth_hz(loop: Loop) -> float:
-    """The equivalent noise bandwidth: that of an ideal low-pass with the same output variance."""
+    """Equivalent noise bandwidth: bandwidth of an ideal low-pass with equal output variance, Hz."""
     return 0.5 * noise_gain(loop) ** 2 / loop.period_s

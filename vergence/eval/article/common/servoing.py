@@ -1,4 +1,4 @@
-"""The article's law as experiments vary it: trials side by side, each with its own gains."""
+"""The article's control law with gains that differ between trials run side by side."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -18,13 +18,14 @@ from vergence.recording import Recorder
 
 
 class VariedLaw:
-    """The article's law with gains for each trial and a reference for each control period.
+    """The article's control law with gains per trial and a reference per control period.
 
     Args:
-        head: the model that the law knows.
-        gain: (..., 2, 2) by eye and image axis, 1/s; trials lead.
-        reference: where to hold the target at a control period, counted from 0: what broadcasts
-            to (..., 2, 2), px from the principal points; None for the principal points.
+        head: the model that the law uses.
+        gain: (..., 2, 2) by trial, eye and image axis, 1/s.
+        reference: function from the control period, counted from 0, to the image position at which
+            to hold the target: an array that broadcasts to (..., 2, 2), px from the principal
+            points. None for the principal points.
     """
 
     def __init__(
@@ -43,7 +44,7 @@ class VariedLaw:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], int]:
-        """See `vergence.envs.rollout.Policy`; the state counts the control periods."""
+        """See `vergence.envs.rollout.Policy`; the state is the number of the control period."""
         step = 0 if state is None else int(state)
         seen = self._layout.decode(observation)
         error = seen.pixel_error
@@ -67,27 +68,27 @@ def servo(
     plant: str = "kinematic",
     plant_options: Mapping[str, Any] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Let the article's law turn heads to a target, see `vergence.controllers.ibvs`.
+    """Turn heads to a target under the article's control law, see `vergence.controllers.ibvs`.
 
     Args:
-        head: the model that the law knows.
-        target: what all of them look at.
+        head: the model that the law uses.
+        target: the target of all trials.
         gains: (n, 2) the gains k1 and k2 of each trial, 1/s.
-        duration_s: how long the trials last.
+        duration_s: duration of the trials, s.
         seed: seed of all noise.
-        first_trial: number of the first trial; the others follow it.
-        plant: what moves the heads.
+        first_trial: number of the first trial; the others take the next numbers.
+        plant: the simulated plant.
         plant_options: the plant's own options, numbers or (n,) arrays.
 
     Returns:
         (steps,) seconds since time zero, and (steps, n, 2, 2) true pixel errors, px.
     """
     gain = np.asarray(gains, dtype=np.float64)
-    # by eye and image axis: both eyes have the same gains
+    # both eyes have the same gains
     law = VariedLaw(head, np.repeat(gain[:, None, :], 2, axis=1))
     task = GazeTask(len(gain), head=head, plant=plant, target=target, plant_options=plant_options)
     steps = round(duration_s * head.timing.control_rate_hz)
-    simulation_of(task.plant)  # or there is no truth
+    simulation_of(task.plant)  # refuses a plant without ground truth
     record = Recorder(task, steps, reading=(), truth=("pixel_error",))
     rollout(task, law, steps, record, seed=seed, first_trial=first_trial)
     assert record.truth is not None

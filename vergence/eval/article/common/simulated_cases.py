@@ -1,6 +1,6 @@
-"""The simulated rig under different errors of its model: what the controller knows, what is true.
+"""The simulated rig under different model errors: the controller's model and the true head.
 
-Another case, such as a calibrated model, is one more entry of `CASES`.
+To add a case, such as a calibrated model, add an entry to `CASES`.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ _DRAW: Final = "simulated-rig"
 
 
 class Rig(NamedTuple):
-    """A head as the controller knows it, and as it is."""
+    """The controller's model of a head, and the true head."""
 
     known: HeadModel
     true: HeadModel
@@ -32,7 +32,7 @@ DRAWN_ERRORS: Final = ModelErrors(
     focal_relative=5e-4,
     principal_px=0.3,
 )
-"""How large the errors are that are drawn for the simulated rig."""
+"""Standard deviations of the model errors drawn for the simulated rig."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,30 +40,30 @@ class Case:
     """One set of model errors."""
 
     title: str
-    """A few words for figures."""
+    """Short title for figures."""
     make: Callable[[HeadModel, ModelErrors, int], Rig]
-    """(the preset, the errors' sizes, the run's seed) to the rig."""
+    """Function from (the preset, the errors' standard deviations, the run's seed) to the rig."""
 
 
 def drawn_population(preset: HeadModel, errors: ModelErrors, seed: int, count: int) -> HeadModel:
-    """True heads with model errors as drawn, to see how far one draw speaks for others.
+    """Draw true heads with model errors, to see how representative a single draw is.
 
     Args:
         preset: the model.
-        errors: how large the errors are.
+        errors: standard deviations of the model errors.
         seed: the run's seed.
-        count: how many heads.
+        count: number of heads.
 
     Returns:
-        A population of shape (count,); the head of the case `drawn` is another draw.
+        A population of shape (count,), independent of the head of the case `drawn`.
     """
     return preset.perturbed(job_rng(seed, _DRAW, 1), errors, count)
 
 
 def true_principal(preset: HeadModel) -> HeadModel:
-    """The head whose principal points are the images' true centres.
+    """The preset with its principal points at the true image centres.
 
-    With pixel centres at integers that is ((W - 1) / 2, (H - 1) / 2); Table 2 says
+    With pixel centres at integers these are ((W - 1) / 2, (H - 1) / 2); Table 2 says
     ((W + 1) / 2, (H + 1) / 2).
     """
     return preset.replace(cameras={"principal": (preset.cameras.size - 1) / 2.0})
@@ -86,15 +86,15 @@ CASES: Final[dict[str, Case]] = {
     "principal": Case(title="principal point 1 px off", make=_principal),
     "drawn": Case(title="drawn model errors", make=_drawn),
 }
-"""The cases by name, in the order they are shown."""
+"""The cases by name, in the order of the figures."""
 
 
 def make_rig(case: str, errors: ModelErrors, seed: int) -> Rig:
-    """The simulated preset under a case's model errors.
+    """Make the simulated rig under a case's model errors.
 
     Args:
         case: one of `CASES`.
-        errors: how large drawn errors are.
+        errors: standard deviations of the drawn model errors.
         seed: the run's seed.
     """
     return CASES[case].make(load_head("simulated"), errors, seed)

@@ -1,1 +1,1 @@
-"""Our head against a fixed pair of cameras: Table 7, Figure 14."""
+"""Comparison of our head with a fixed pair of cameras: Table 7, Figure 14."""

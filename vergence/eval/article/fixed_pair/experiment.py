@@ -1,4 +1,4 @@
-"""The head against a fixed pair of cameras: Tables 6 and 7, Figure 14."""
+"""Comparison of the head with a fixed pair of cameras: Tables 6 and 7, Figure 14."""
 
 from typing import Final
 

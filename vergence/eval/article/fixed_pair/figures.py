@@ -60,7 +60,7 @@ def _truth(table: pd.DataFrame) -> Figure:
 
 
 def _by_axis(draw_panel: Callable[[Axes, str], None], title: str) -> Figure:
-    """A panel an axis, over the points of Table 7."""
+    """A figure with a panel per axis, over the points of Table 7."""
     figure = new_figure(9.6, 4.2)
     for axis, panel in zip(AXES, figure.subplots(1, 3), strict=True):
         draw_panel(panel, axis)

@@ -1,4 +1,4 @@
-"""What the comparison with a fixed pair found: summary rows, and the text's numbers."""
+"""Results of the comparison with a fixed pair: summary rows, and the numbers of the text."""
 
 from collections.abc import Iterator
 from typing import Final, NamedTuple
@@ -21,7 +21,7 @@ from vergence.models.parts import FloatArray
 
 NAME: Final = "versus ZED Mini"
 _BASELINE_M: Final = 0.092
-"""Of the head's eyes."""
+"""Baseline of the head's eyes, m (physical: the article's head)."""
 
 
 def reported() -> list[Reported]:
@@ -37,51 +37,52 @@ def errors(table: pd.DataFrame, method: str, axis: str) -> FloatArray:
 
 
 def differences(table: pd.DataFrame, method: str, axis: str, pair: str) -> FloatArray:
-    """(draws, points) absolute differences of head and pair, mm; both methods side by side."""
+    """(draws, points) absolute differences of head and pair, mm; `both` joins both methods."""
     methods = METHODS if method == "both" else (method,)
     other = errors(table, pair, axis)
     return np.concatenate([np.abs(errors(table, m, axis) - other) for m in methods], axis=1)
 
 
 def placements(table: pd.DataFrame, r: Reported, pair: str) -> tuple[Placement, Placement]:
-    """The article's least and greatest difference among ours."""
+    """Placements of the article's least and greatest difference among ours."""
     apart = differences(table, r.method, r.axis, pair)
     least, greatest = r.span
     return place(least, apart.min(axis=1)), place(greatest, apart.max(axis=1))
 
 
 class Misalignment(NamedTuple):
-    """What pose of the pair in N would explain a range of differences along x or y."""
+    """Error of the pair's pose in N that would explain a range of differences along x or y."""
 
     low_mm: float
     high_mm: float
     turn_deg: float
-    """A rotation alone that comes nearest: yaw for x, pitch for y."""
+    """Best fit by a rotation alone: yaw for x, pitch for y."""
     turn_low_mm: float
     turn_high_mm: float
-    """The range that it gives."""
+    """Range of differences under that rotation."""
     with_shift_deg: float
-    """The rotation of a rotation and shift that give the range exactly."""
+    """Rotation that, with `shift_mm`, gives the range exactly."""
     shift_mm: float
 
     @property
     def misfit_mm(self) -> float:
-        """Greatest difference between the article's range and that of a rotation alone."""
+        """Largest difference between an end of the article's range and of the rotation's."""
         return max(abs(self.turn_low_mm - self.low_mm), abs(self.turn_high_mm - self.high_mm))
 
 
 def explain(r: Reported, place_z_mm: float) -> Misalignment:
-    """The misalignment behind a range, if heads and pair had no other errors.
+    """Misalignment that explains a range if heads and pair have no other errors.
 
     A rotation by a small angle t shifts a point at distance z by t z, so differences grow with
-    depth; nearest and farthest point are taken to be the least and the greatest.
+    depth. The least difference is taken to belong to the nearest point, the greatest to the
+    farthest.
 
     Args:
         r: a row of the article along x or y.
         place_z_mm: z of the pair in N.
 
     Returns:
-        What explains it.
+        The misalignment.
     """
     low, high = r.span
     depth = 1000.0 * static_points("zed_mini")[:, 2] - place_z_mm
@@ -95,16 +96,16 @@ def explain(r: Reported, place_z_mm: float) -> Misalignment:
 
 
 def explanations(config: FixedPairConfig) -> dict[str, Misalignment]:
-    """The misalignments behind the article's ranges along x and y, by axis."""
+    """Misalignments that explain the article's ranges along x and y, by axis."""
     return {r.axis: explain(r, config.pair_place_mm[2]) for r in reported() if r.axis in ("x", "y")}
 
 
 def summarise(table: pd.DataFrame, config: FixedPairConfig) -> list[SummaryRow]:
     """Rows of the summary: medians over the draws of the least and the greatest difference.
 
-    Verdicts beyond those of `compare`: `head nearer` or `pair nearer`
-    to the truth, and `agrees` or `differs` where a turn of the pair alone gives the article's
-    range within a tenth of its upper end, or does not.
+    Verdicts beyond those of `compare`: `head nearer` or `pair nearer` to the ground truth; `agrees`
+    if a rotation of the pair alone gives the article's range within a tenth of its upper end, else
+    `differs`.
     """
     return [
         *_difference_rows(table),
@@ -150,7 +151,7 @@ def _means(table: pd.DataFrame, method: str, axis: str) -> FloatArray:
 
 
 def _depth_ratio(table: pd.DataFrame) -> float:
-    """The median head's mean depth error over the median pair's."""
+    """Ratio of the median head's mean depth error to the median pair's."""
     gaze, pair = (float(np.median(_means(table, m, "z"))) for m in ("gaze", "pair"))
     return gaze / pair
 
@@ -165,7 +166,7 @@ def numbers(table: pd.DataFrame, config: FixedPairConfig) -> Numbers:
     }
     most_m = max(r.span[1] for r in reported() if r.axis == "z") / 1000.0
     far_m = float(static_points("zed_mini")[:, 2].max())
-    # each camera has its share of the rotation between the two
+    # the rotation between the cameras is the difference of two independent rotations
     rotation = np.sqrt(2.0) * config.calibration.head_eye_rad
     values = {
         f"{method}_{axis}_mm": float(np.median(_means(table, method, axis)))

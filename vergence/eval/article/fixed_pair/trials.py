@@ -1,4 +1,4 @@
-"""Table 7's points before our heads and before fixed pairs of the ZED Mini's kind."""
+"""Trials of our heads and of fixed pairs like the ZED Mini on Table 7's points."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -26,56 +26,56 @@ from vergence.triangulation import triangulate_views
 from vergence.vision.optics import EyeCamera
 
 FACTORY_ERRORS: Final = ModelErrors(
-    # 0.02 degrees of rotation between the two cameras, of which each has its share
+    # 0.02 degrees of rotation between the two cameras, split between them
     head_eye_rad=float(np.deg2rad(0.02) / np.sqrt(2.0)),
     head_eye_m=0.00005,
     focal_relative=0.001,
     # about the reprojection error of a good calibration
     principal_px=0.2,
 )
-"""What factory calibration leaves of a fixed pair's errors."""
+"""Residual errors of a fixed pair after factory calibration."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FixedPairConfig(TwinConfig):
-    """What the comparison with a fixed pair is."""
+    """Configuration of the comparison with a fixed pair."""
 
     samples: int = 120
     """Fixes recorded at each point."""
     settle_s: float = 2.0
-    """Time before the first of them, s."""
+    """Settling time before the first fix, s."""
     pair_rig: str = "simulated"
-    """Whose grey levels, blur and image noise the pair's cameras have: a preset or TOML file."""
+    """Rig that gives the pair's images grey levels, blur and noise: a preset or TOML file."""
     pair_size_px: tuple[int, int] = (1280, 720)
-    """Width and height of its images."""
+    """Width and height of the pair's images, px."""
     pair_focal_px: float = 676.21
-    """Table 6."""
+    """Focal length of the pair's cameras, px (Table 6)."""
     pair_principal_px: tuple[float, float] = (645.09, 368.27)
-    """Table 6."""
+    """Principal point of the pair's cameras, px (Table 6)."""
     pair_baseline_mm: float = 63.0
-    """Distance of its cameras, mm."""
+    """Baseline of the pair, mm."""
     pair_place_mm: tuple[float, float, float] = (0.0, -90.0, 14.0)
-    """The middle of the pair in N: above the eyes, mm."""
+    """Centre of the pair, above the eyes, in N, mm."""
     calibration: ModelErrors = FACTORY_ERRORS
-    """What factory calibration leaves; a camera's pose in the pair is its head-eye transform."""
+    """Errors left by factory calibration; head-eye errors apply to the pair's camera poses."""
     mount_rotation_deg: float = 2.0
-    """How far the pair's orientation in N may be unknown, about each axis, degrees."""
+    """Standard deviation of the pair's unknown orientation in N, about each axis, degrees."""
     mount_place_mm: float = 20.0
-    """How far its place in N may be, along each axis, mm."""
+    """Standard deviation of the pair's unknown position in N, along each axis, mm."""
 
 
 def run(config: FixedPairConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     """Measure Table 7's points with the population and with as many drawn pairs.
 
     Args:
-        config: what to run.
+        config: the configuration.
         seed: seed of heads, pairs and noise.
         mapper: runs the jobs.
 
     Returns:
-        `case` is `twin` (one row), `detector` (a row a point) or `fix`: a row a draw, point and
-        method, `gaze` and `itpc` of the drawn head, `pair` of the drawn pair and `misaligned` of
-        the same pair with an unknown pose in N.
+        A table with the column `case`: `twin` (one row), `detector` (one row per point) or `fix`
+        (one row per draw, point and method). The methods are `gaze` and `itpc` of the drawn head,
+        `pair` of the drawn pair, and `misaligned` of that pair with an unknown pose in N.
     """
     drawn = draw_population(config, seed, mapper)
     points = static_points("zed_mini")
@@ -103,7 +103,7 @@ def run(config: FixedPairConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
 
 
 def pair_head(config: FixedPairConfig) -> HeadModel:
-    """The fixed pair as a head whose joints are never moved: parallel cameras, axes along z_N."""
+    """The fixed pair as a head whose joints never move: parallel cameras, axes along z_N."""
     rig = load_head(config.pair_rig)
     focal = np.full((2, 2), config.pair_focal_px)
     cameras = Cameras(
@@ -116,7 +116,7 @@ def pair_head(config: FixedPairConfig) -> HeadModel:
     half = 0.5 * config.pair_baseline_mm
     wanted[:, :3, 3] = np.array(config.pair_place_mm) / MM
     wanted[:, 0, 3] += np.array([-half, half]) / MM
-    # T_N_C = T_N_6 T_6_C, so this T_6_C puts the cameras where they are wanted at rest
+    # T_N_C = T_N_6 T_6_C, so this T_6_C gives the cameras the wanted poses at rest
     head_eye = rig.head_eye @ np.linalg.inv(rig.camera_poses(rig.rest())) @ wanted
     return dataclasses.replace(rig, name="pair", cameras=cameras, head_eye=head_eye)
 
@@ -152,7 +152,7 @@ def _by_pairs(
     config: FixedPairConfig,
     seed: int,
 ) -> pd.DataFrame:
-    """As many drawn pairs as heads; each point from the mean of as many images as of the head."""
+    """Draw as many pairs as heads; each fix is from the mean of as many images as the head's."""
     rng = job_rng(seed, "fixed pair")
     count = config.heads
     true = pair.perturbed(rng, config.calibration, count)
@@ -166,7 +166,7 @@ def _by_pairs(
         scatter = noise.sigma_px[i] / np.sqrt(config.samples)
         pixels = pixels + scatter * rng.standard_normal(pixels.shape)
         found = triangulate_views(pair, pair.rest(), pixels).point
-        # small rotations: the pair's own point turned about the pair
+        # small rotations: rotate the pair's fix about its centre
         moved = found + np.cross(turn, found - place) + shift
         truth = np.broadcast_to(point, found.shape)
         frames.append(_rows("pair", i + 1, truth, MM * (found - point)))

@@ -1,1 +1,1 @@
-"""Settle time and overshoot over the gain: Figure 15."""
+"""Settling time and overshoot over the gain: Figure 15."""

@@ -1,4 +1,4 @@
-"""The gain sweep (Fig. 15): settle time and overshoot of a step, and the loop delay behind them."""
+"""The gain sweep (Fig. 15): settling time and overshoot of a step, and the implied loop delay."""
 
 from typing import Final
 

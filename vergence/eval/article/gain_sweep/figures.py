@@ -27,9 +27,10 @@ _STEP_STYLE: Final[dict[str, dict[str, Any]]] = {
     "-y": {"color": BLACK, "linestyle": "--"},
     "+x": {"color": ORANGE, "linestyle": ":"},
 }
-"""The two directions of the article's axis, and one along x, where k1 counts."""
+"""Line styles: both directions of the article's axis, and one along x, on which k1 acts."""
 
 _TICKS_S: Final = (0.5, 2.0, 5.0)
+"""Labelled minor ticks of settling time, s (chosen: readability)."""
 
 
 def draw(table: pd.DataFrame, config: GainSweepConfig) -> dict[str, Figure]:

@@ -1,4 +1,4 @@
-"""What the gain sweep's table says: where overshoot begins, and which loops that fits."""
+"""Results of the gain sweep: the gain at which overshoot begins, and the loops that explain it."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -17,24 +17,24 @@ from vergence.models.parts import FloatArray
 
 NAME: Final = "gain sweep"
 ARTICLE_GAIN: Final = 4.0
-"""The gain above which the article's system overshot, 1/s."""
+"""Gain above which the article's system overshot, 1/s (physical: reported by the article)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopFamily:
-    """The loops whose overshoot begins at one gain."""
+    """Loops, by image delay and lag, whose overshoot begins at one gain."""
 
     gain: float
-    """That gain, 1/s."""
+    """Gain at which overshoot begins, 1/s."""
     delays_frames: FloatArray
     """(n,) image delays, control periods."""
     lags_s: FloatArray
-    """(n,) the lag that goes with each, s; nan where the delay alone is too long."""
+    """(n,) lag of the loop with each delay, s; nan if the delay alone is too long."""
     longest_delay_frames: float
-    """The image delay of the family's member without a lag; nan if beyond those tried."""
+    """Image delay of the loop without a lag, control periods; nan if beyond those tried."""
 
     def delay_with(self, lag_s: float) -> float:
-        """The image delay that goes with a lag, control periods; nan if beyond those tried."""
+        """Image delay of the loop with a lag, control periods; nan if beyond those tried."""
         return crossing(self.delays_frames, -self._filled(), -lag_s)
 
     def _filled(self) -> FloatArray:
@@ -42,13 +42,13 @@ class LoopFamily:
 
 
 def sweep(table: pd.DataFrame, step: str, plant: str = "kinematic") -> pd.DataFrame:
-    """The trials with k1 = k2 of one step, by rising gain."""
+    """Trials of one step with k1 = k2, sorted by gain."""
     rows = table.query("case == 'sweep' and step == @step and plant == @plant")
     return rows.sort_values("k1_per_s")
 
 
 def onsets(table: pd.DataFrame, config: GainSweepConfig) -> dict[str, float]:
-    """The gain at which overshoot begins, by step, 1/s; nan if it does not in the sweep."""
+    """Gain at which overshoot begins, by step, 1/s; nan if it does not begin in the sweep."""
     found = {}
     for step in STEPS:
         rows = sweep(table, step)
@@ -62,12 +62,12 @@ def at_gain(rows: pd.DataFrame, gain: float) -> "pd.Series[Any]":
 
 
 def fastest(rows: pd.DataFrame) -> "pd.Series[Any]":
-    """The trial that settles first to 1 px."""
+    """The trial with the shortest settling time to 1 px."""
     return rows.iloc[int(np.nanargmin(rows["settle_1px_s"].to_numpy()))]
 
 
 def families(table: pd.DataFrame, config: GainSweepConfig) -> list[LoopFamily]:
-    """The loops whose overshoot begins at each of the config's onset gains."""
+    """Loops whose overshoot begins at each of the config's onset gains."""
     loops = table[table["case"] == "loop"]
     found = []
     for gain in config.onset_gains:
@@ -91,32 +91,32 @@ def families(table: pd.DataFrame, config: GainSweepConfig) -> list[LoopFamily]:
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """What the figures, the summary and the text share."""
+    """Results used by the figures, the summary and the text."""
 
     onset: dict[str, float]
     """Gain at which overshoot begins, by step, 1/s."""
     families: list[LoopFamily]
     period_s: float
-    """The head's control period."""
+    """The head's control period, s."""
     latency_frames: int
-    """The head's own image delay."""
+    """The head's own image delay, control periods."""
     lag_s: float
-    """The head's own lag."""
+    """The head's own lag, s."""
     dynamics_settle_s: float
-    """Greatest difference of settle times to 1 px between the kinematic and mujoco plants."""
+    """Largest difference of settling times to 1 px between the kinematic and mujoco plants, s."""
     dynamics_overshoot: float
-    """The same of the overshoot, as a fraction of the step."""
+    """Largest difference of overshoots between these plants, as a fraction of the step."""
     direction_settle_s: float
-    """Greatest difference of settle times to 1 px between the steps along +y and -y."""
+    """Largest difference of settling times to 1 px between the steps along +y and -y, s."""
 
     @property
     def delays_frames(self) -> list[float]:
-        """Image delays of the families that go with the head's own lag, control periods."""
+        """Image delay of each family for the head's own lag, control periods."""
         return [family.delay_with(self.lag_s) for family in self.families]
 
 
 def find(table: pd.DataFrame, config: GainSweepConfig) -> Findings:
-    """Read the table."""
+    """Derive the results from the table."""
     timing = load_head(config.head).timing
     settle, beyond = [0.0], [0.0]
     for step in STEPS:
@@ -138,7 +138,7 @@ def find(table: pd.DataFrame, config: GainSweepConfig) -> Findings:
 
 
 def _greatest(values: ArrayLike) -> float:
-    """The greatest number; nan if there is none."""
+    """Largest finite value; nan if there is none."""
     known = np.asarray(values)
     known = known[np.isfinite(known)]
     return float(known.max()) if known.size else float("nan")
@@ -189,11 +189,11 @@ def numbers(table: pd.DataFrame, config: GainSweepConfig) -> Numbers:
 
 
 def summarise(table: pd.DataFrame, config: GainSweepConfig) -> list[SummaryRow]:
-    """Ours beside the article's one figure, and figures of our own.
+    """Rows of the summary: our figures beside the article's only one, and further figures of ours.
 
-    Verdicts beyond those of `compare`: `inside` or `outside`, whether our rig lies between the
-    loops that were identified, and `target met` or `target missed`, whether a greater gain never
-    settles later.
+    Verdicts beyond those of `compare`: `inside` if our rig's delay lies between those of the
+    identified loops, else `outside`; `target met` if the settling time never rises with the gain up
+    to the article's, else `target missed`.
     """
     found = find(table, config)
     rows = []

@@ -1,10 +1,10 @@
-r"""The delay and lag of a loop from the gain at which overshoot begins.
+r"""Delay and lag of a loop, from the gain at which overshoot begins.
 
-The linear loop of a pure delay D, a velocity lag T and the gain k,
+The linear loop with a pure delay D, a velocity lag of time constant T and the gain k,
 
     s + k exp(-s D) / (1 + s T) = 0,
 
-does not overshoot at all as long as its two slowest roots are real. They meet at s = -x with
+does not overshoot as long as its two slowest roots are real. They meet at s = -x with
 
     D T x^2 - (2 T + D) x + 1 = 0,    k = x (1 - x T) exp(-x D),
 
@@ -21,38 +21,38 @@ from vergence.models.parts import FloatArray
 
 
 def critical_gain(delay_s: float, lag_s: float) -> float:
-    """The greatest gain without any overshoot, 1/s.
+    """Greatest gain without overshoot, 1/s.
 
     Args:
-        delay_s: the pure delay of the whole loop, s; above 0 unless the lag is.
-        lag_s: the lag of the joints' velocity, s.
+        delay_s: pure delay of the whole loop, s; must be above 0 if the lag is 0.
+        lag_s: lag of the joints' velocity, s.
     """
     middle = 2.0 * lag_s + delay_s
-    # the smaller root of the quadratic, in a form that holds where either of the two is 0
+    # smaller root of the quadratic, in a form that also holds if delay or lag is 0
     x = 2.0 / (middle + sqrt(middle**2 - 4.0 * delay_s * lag_s))
     return x * (1.0 - x * lag_s) * exp(-x * delay_s)
 
 
 def critical_lag(delay_s: float, gain: float) -> float:
-    """The lag with which a delay has a given critical gain, s; nan if the delay alone is more."""
+    """Lag that with this delay gives a critical gain, s; nan if the delay alone is too long."""
     if delay_s > 0.0 and critical_gain(delay_s, 0.0) < gain:
         return float("nan")
-    longest = 1.0 / (4.0 * gain)  # what the lag would be without a delay
+    longest = 1.0 / (4.0 * gain)  # the lag without a delay
     if delay_s == 0.0:
         return longest
     return float(brentq(lambda lag: critical_gain(delay_s, lag) - gain, 0.0, longest, xtol=1e-9))
 
 
 def crossing(at: ArrayLike, values: ArrayLike, level: float) -> float:
-    """Where values first rise above a level, between their samples by a straight line.
+    """Argument at which sampled values first rise above a level, by linear interpolation.
 
     Args:
-        at: (n,) rising places.
-        values: (n,) what was measured there.
+        at: (n,) rising arguments.
+        values: (n,) samples there.
         level: the level.
 
     Returns:
-        The place; nan if all values are above it, or none is.
+        The argument; nan if the first value is above the level already, or none is.
     """
     x: FloatArray = np.asarray(at, dtype=np.float64)
     y: FloatArray = np.asarray(values, dtype=np.float64)

@@ -21,54 +21,54 @@ STEPS: Final = {"+y": (0.0, 1.0), "-y": (0.0, -1.0), "+x": (1.0, 0.0), "-x": (-1
 PLANE_STEPS: Final = {"+y": (0.0, 1.0), "+x+y": (1.0, 1.0)}
 """Steps on which k1 and k2 are varied independently."""
 _TRIALS: Final = 10_000
-"""Trials reserved for each job, so that each has its own noise."""
+"""Trial numbers reserved per job, so that jobs share no noise (numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GainSweepConfig:
-    """What the gain sweep is."""
+    """Configuration of the gain sweep."""
 
     head: str = "simulated"
-    """One of the article's: simulated or physical."""
+    """Head, one of the article's: simulated or physical."""
     point_mm: tuple[float, float, float] = (0.0, -100.0, 1000.0)
-    """Where the target stands before the step, in N, mm."""
+    """Position of the target before the step, in N, mm."""
     step_mm: float = 100.0
-    """How far it jumps along an axis, mm."""
+    """Length of the target's jump along an axis, mm."""
     least_gain: float = 0.5
-    """Where the sweep of k1 = k2 begins, 1/s."""
+    """Smallest gain of the sweep with k1 = k2, 1/s."""
     greatest_gain: float = 6.0
-    """Where it ends, 1/s."""
+    """Largest gain of the sweep, 1/s."""
     gain_step: float = 0.05
-    """From gain to gain, 1/s."""
+    """Increment of the gain, 1/s."""
     plane_step: float = 0.25
-    """The same for the plane of k1 and k2, 1/s."""
+    """Increment of the gains for the plane of k1 and k2, 1/s."""
     mujoco_gains: tuple[float, ...] = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
-    """Gains at which the dynamics are simulated too, 1/s."""
+    """Gains at which the sweep also runs on the mujoco plant, 1/s."""
     duration_s: float = 12.0
-    """How long a trial lasts: the slowest gain needs 10 s to 0.5 px."""
+    """Duration of a trial, s; the smallest gain needs 10 s to settle to 0.5 px."""
     onset_fraction: float = 0.005
-    """Overshoot, as a fraction of the step, at which it counts as begun."""
+    """Overshoot, as a fraction of the step, from which it counts as begun."""
     onset_gains: tuple[float, float] = (4.0, 4.2)
-    """Between these gains the article's overshoot is taken to begin, 1/s."""
+    """Gains between which the article's overshoot is assumed to begin, 1/s."""
     delays_frames: tuple[int, ...] = tuple(range(14))
-    """Image delays among which the loop is identified."""
+    """Image delays tried to identify the loop, control periods."""
     lag_step_s: float = 0.002
-    """From lag to lag of that identification, s."""
+    """Increment of the lags tried to identify the loop, s."""
     greatest_lag_s: float = 0.1
-    """Its longest lag, s."""
+    """Longest lag tried to identify the loop, s."""
 
 
 def run(config: GainSweepConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     """Run all trials.
 
     Args:
-        config: what to run.
-        seed: seed of the detections' noise.
+        config: the configuration.
+        seed: seed of the detection noise.
         mapper: runs the jobs.
 
     Returns:
-        A row a trial. `case` is `sweep` (k1 = k2), `plane` (k1 and k2 apart) or `loop` (without
-        noise, at other delays and lags); `overshoot` is a fraction of the step.
+        A row per trial. `case` is `sweep` (k1 = k2), `plane` (k1 and k2 independent) or `loop`
+        (without noise, at other delays and lags); `overshoot` is a fraction of the step.
     """
     gains = _grid(config.least_gain, config.greatest_gain, config.gain_step)
     plane = _grid(config.least_gain, config.greatest_gain, config.plane_step)
@@ -99,7 +99,7 @@ def _steps(
     step: str,
     gains: Sequence[tuple[float, float]],
 ) -> pd.DataFrame:
-    """Trials of one step on the preset's own loop."""
+    """Run trials of one step with the preset's own delay and lag."""
     head = load_head(config.head)
     options = {"nthread": 1} if plant == "mujoco" else {}
     time, error = servo(
@@ -117,7 +117,7 @@ def _steps(
 
 
 def _loops(config: GainSweepConfig, delay_frames: int) -> pd.DataFrame:
-    """Trials on loops of one image delay and many lags, at the gains of the onset."""
+    """Run trials with one image delay and many lags, at the config's onset gains."""
     lags = _grid(0.0, config.greatest_lag_s, config.lag_step_s)
     cases = [(gain, lag) for gain in config.onset_gains for lag in lags]
     gains = [(gain, gain) for gain, _ in cases]

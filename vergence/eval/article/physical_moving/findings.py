@@ -1,4 +1,4 @@
-"""What the moving experiment on the physical twin found: summary rows, and the text's numbers."""
+"""Results of the moving target on the physical twin: summary rows, and the numbers of the text."""
 
 from typing import Final
 
@@ -22,7 +22,9 @@ from vergence.models.parts import FloatArray
 NAME: Final = "physical moving"
 _MIDDLE: Final = ", middle 80 % of the heads"
 _GAIN: Final = 4.0
+"""Gain of the control law, 1/s (physical: a setting of the article's system)."""
 _FARTHEST_STATIC_M: Final = 2.5
+"""Depth of the farthest static point, m (physical: the article's Table 5)."""
 
 
 def reported(method: str, axis: str) -> Reported:
@@ -31,7 +33,7 @@ def reported(method: str, axis: str) -> Reported:
 
 
 def of_heads(table: pd.DataFrame, group: str, method: str, column: str) -> FloatArray:
-    """(heads,) a figure of each head."""
+    """(heads,) one column of the table, by head."""
     rows = table[
         (table["case"] == "head") & (table["group"] == group) & (table["method"] == method)
     ]
@@ -39,13 +41,13 @@ def of_heads(table: pd.DataFrame, group: str, method: str, column: str) -> Float
 
 
 def placement(table: pd.DataFrame, method: str, axis: str, group: str = "population") -> Placement:
-    """The article's mean absolute error among the heads'."""
+    """Placement of the article's mean absolute error among the heads'."""
     ours = of_heads(table, group, method, f"mean_abs_{axis}_mm")
     return place(reported(method, axis).low, ours)
 
 
 def summarise(table: pd.DataFrame, config: PhysicalMovingConfig) -> list[SummaryRow]:
-    """Rows of the summary: 10th to 90th percentile of the heads, and the head with images."""
+    """Rows of the summary: median and middle 80 % of the heads, and the head with images."""
     del config
     rows = []
     for axis in AXES:
@@ -75,7 +77,7 @@ def _row(quantity: str, method: str, axis: str, placed: Placement) -> SummaryRow
 
 
 def _apart(table: pd.DataFrame, axis: str) -> Placement:
-    """The article's difference between the methods among the heads'."""
+    """Placement of the article's difference between the methods among the heads'."""
     gaze, itpc = (of_heads(table, "population", m, f"mean_abs_{axis}_mm") for m in METHODS)
     article = round(reported("gaze", axis).low - reported("itpc", axis).low, 2)
     return place(article, gaze - itpc)
@@ -89,7 +91,7 @@ def numbers(table: pd.DataFrame, config: PhysicalMovingConfig) -> Numbers:
     values = {
         "scale_ratio": float(twin["scale"]),
         "inside_count": count_inside([placement(table, m, a) for m in METHODS for a in AXES]),
-        # what of the error in x follows from that in depth, along the line of sight
+        # the error in x that follows from the depth error along the line of sight
         "along_sight_mm": abs(x_mm / z_mm) * reported("gaze", "z").low,
         "article_tilt_deg": float(np.rad2deg(tilt)),
         "article_tilt_far_mm": 1000.0 * tilt * _FARTHEST_STATIC_M,

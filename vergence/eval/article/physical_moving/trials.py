@@ -1,4 +1,4 @@
-"""A target on a line before the physical twin: many heads, and one of them with images."""
+"""Trials of a target on a line before the physical twin: a population, and one head with images."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -19,62 +19,63 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _IMAGED_TRIAL: Final = 1_000_000
+"""Trial number of the head with images, beyond those of the population (numerical)."""
 _CHUNK: Final = 25
-"""Heads of a job: the same whoever runs it."""
+"""Heads per job, fixed so that results do not depend on the number of workers (numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicalMovingConfig(TwinConfig):
-    """What the moving experiment on the physical twin is."""
+    """Configuration of the moving target on the physical twin."""
 
     origin_mm: tuple[float, float, float] = (-278.60, -23.13, 957.84)
-    """Where the recorded part of the line begins, in N, mm."""
+    """Start of the recorded part of the line, in N, mm."""
     end_mm: tuple[float, float, float] = (-390.02, -30.39, 1111.91)
-    """Where it ends, mm."""
+    """End of the line, in N, mm."""
     speed_m_s: float = 0.01
-    """How fast the target moves, m/s."""
+    """Speed of the target, m/s."""
     settle_s: float = 2.0
-    """For how long it moves along the same line before the record begins, s."""
+    """Time for which the target moves along the same line before the record begins, s."""
     every: int = 1
-    """Control periods from fix to fix of the record."""
+    """Control periods between fixes of the record."""
     table_every: int = 20
-    """Fixes from row to row of the trajectories in the table."""
+    """Fixes between rows of the trajectories in the table."""
 
     @property
     def velocity_mm_s(self) -> FloatArray:
-        """(3,) of the target in N, mm/s."""
+        """(3,) velocity of the target, in N, mm/s."""
         way = np.array(self.end_mm) - np.array(self.origin_mm)
         return np.asarray(way * (MM * self.speed_m_s / np.linalg.norm(way)))
 
     @property
     def middle_mm(self) -> FloatArray:
-        """(3,) the middle of the recorded part of the line, in N, mm."""
+        """(3,) midpoint of the recorded part of the line, in N, mm."""
         return np.asarray(0.5 * (np.array(self.origin_mm) + np.array(self.end_mm)))
 
 
 class _Errors(NamedTuple):
-    """What a record of a moving target is kept for."""
+    """Errors of the fixes on a moving target."""
 
     time_s: FloatArray
-    """(samples,) since the record began."""
+    """(samples,) time since the record began, s."""
     target: FloatArray
-    """(samples, 3) the target at present, mm."""
+    """(samples, 3) target position at present, in N, mm."""
     errors: dict[str, FloatArray]
-    """(samples, heads, 3) by method, mm."""
+    """(samples, heads, 3) errors by method, mm."""
 
 
 def run(config: PhysicalMovingConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
-    """Follow the line with the population, also with half its common tilt, and with images.
+    """Follow the line with the population, with half its common tilt, and with one head on images.
 
     Args:
-        config: what to run.
+        config: the configuration.
         seed: seed of the heads and of all noise.
         mapper: runs the jobs.
 
     Returns:
-        `case` is `twin` (one row), `head` (a row a head and method: mean absolute errors over the
-        line), `time` (a row an instant and method: the head with images), `band` (a row an
-        instant, method and axis: percentiles of the population).
+        A table with the column `case`: `twin` (one row), `head` (a row per head and method: mean
+        absolute errors over the line), `time` (a row per instant and method: the head with images),
+        `band` (a row per instant, method and axis: percentiles of the population).
     """
     drawn = draw_population(config, seed, mapper)
     loop = _loop(drawn, config, seed)
@@ -108,7 +109,7 @@ def run(config: PhysicalMovingConfig, seed: int, mapper: Mapper) -> pd.DataFrame
 
 
 def _loop(drawn: Population, config: PhysicalMovingConfig, seed: int) -> ClosedLoop:
-    """The line, begun early enough for the eyes to follow it when the record begins."""
+    """Closed loop on the line, begun early so that the eyes follow when the record begins."""
     origin, end = np.array(config.origin_mm) / MM, np.array(config.end_mm) / MM
     length = float(np.linalg.norm(end - origin))
     early = origin - (end - origin) / length * config.speed_m_s * config.settle_s
@@ -130,7 +131,7 @@ def _loop(drawn: Population, config: PhysicalMovingConfig, seed: int) -> ClosedL
 
 
 def _follow(loop: ClosedLoop, heads: HeadModel, trial: int) -> _Errors:
-    """Some heads along the line."""
+    """Run some heads along the line."""
     record = hold_gaze(
         dataclasses.replace(loop, true_head=heads, num=heads.batch_shape[0], trial=trial)
     )
@@ -142,7 +143,7 @@ def _follow(loop: ClosedLoop, heads: HeadModel, trial: int) -> _Errors:
 
 
 def _joined(parts: list[_Errors]) -> _Errors:
-    """Several jobs' heads side by side."""
+    """Join the heads of several jobs."""
     errors = {m: np.concatenate([part.errors[m] for part in parts], axis=1) for m in METHODS}
     return parts[0]._replace(errors=errors)
 

@@ -1,8 +1,8 @@
-"""Which error source does what to depth: alone by depth, and off the axis, where ITPC differs.
+"""Error budget of depth: each error source alone, at settled fixations and for ITPC off the axis.
 
-At a settled fixation gaze and ITPC are the same computation. They differ where the target is seen
-beside the principal points, so ITPC is evaluated there: the eyes look past the target, by up to
-300 px in eight directions, the same for both eyes, wherever image and joints allow it.
+At a settled fixation gaze and ITPC are the same computation. They differ if the target is imaged
+away from the principal points, so ITPC is evaluated there: the eyes look past the target by up to
+300 px in eight directions, equal for both eyes, as far as image and joint limits allow.
 """
 
 from typing import Final, NamedTuple
@@ -31,23 +31,27 @@ SOURCE_LABELS: Final = {
     "common_tilt": "common tilt",
     ENCODERS: "encoders",
 }
-"""The sources of error by their name in tables, and what people call them."""
+"""Titles of the error sources by their names in tables."""
 BUDGET_SOURCES: Final = tuple(SOURCE_LABELS)
-"""Sources that have a budget of their own; the detector's errors join them."""
+"""Sources evaluated one at a time here; the detector's errors are added by `detector_rows`."""
 _DIRECTIONS: Final = 8
+"""Number of directions in which the eyes look past the target (numerical)."""
 _REACH_M: Final = 0.03
+"""Half side, in x and z, of the grid around a point that samples encoder quantisation, m (chosen:
+spans several encoder steps, small beside the depth)."""
 _PLACES: Final = 13
+"""Points per side of that grid (numerical)."""
 
 
 class BudgetCase(NamedTuple):
-    """Heads and points whose depth errors are split by their sources."""
+    """Heads and points of an error budget."""
 
     nominal: HeadModel
-    """The head that controls and triangulates."""
+    """The head used for control and triangulation."""
     errors: ModelErrors
-    """Of the true heads, all sources together."""
+    """Standard deviations of the true heads' model errors, all sources."""
     heads: int
-    """How many true heads."""
+    """Number of true heads."""
     points: FloatArray
     """(points, 3) in N, m."""
     seed: int
@@ -55,11 +59,11 @@ class BudgetCase(NamedTuple):
 
 
 class _Drawn(NamedTuple):
-    """What one source of error does: heads that differ, or places that the encoders round."""
+    """Draws of one error source: differing heads, or points around each point for the encoders."""
 
     heads: HeadModel
     points: FloatArray
-    """(1 or n, points, 3) in N, m: n places around each point stand for n draws of rounding."""
+    """(1 or n, points, 3) in N, m: n positions around each point are n draws of quantisation."""
     encoders: bool
 
 
@@ -77,14 +81,14 @@ def _draw(case: BudgetCase, source: str) -> _Drawn:
 
 
 def budget_rows(case: BudgetCase, source: str) -> pd.DataFrame:
-    """What one source alone does to settled fixations.
+    """Depth errors of settled fixations with one error source alone, or all.
 
     Args:
         case: the heads and points.
         source: one of `BUDGET_SOURCES`, or `all`.
 
     Returns:
-        A row a point: rms over the heads of the depth error, percent of depth.
+        A row per point: rms over the draws of the depth error, percent of depth.
     """
     nominal, points, drawn = case.nominal, case.points, _draw(case, source)
     depth = _depth(nominal, drawn, off_axis_pixels(nominal, (0.0,)))[..., 0, 0]
@@ -94,16 +98,16 @@ def budget_rows(case: BudgetCase, source: str) -> pd.DataFrame:
 def detector_rows(
     nominal: HeadModel, points: FloatArray, error_px: FloatArray, source: str
 ) -> pd.DataFrame:
-    """What an error of the detector alone does to settled fixations, to first order.
+    """Depth errors of settled fixations from detector errors alone, to first order.
 
     Args:
         nominal: the head.
         points: (points, 3) in N, m.
         error_px: (points, 2, 2) rms error of the detected pixels, px.
-        source: what the error is called.
+        source: name of the error source in the table.
 
     Returns:
-        Rows as of `budget_rows`.
+        Rows like those of `budget_rows`.
     """
     q = nominal.fixate(points, nominal.rest()[:3])
     return _budget(
@@ -124,7 +128,7 @@ def _budget(source: str, points: FloatArray, depth_error_m: FloatArray) -> pd.Da
 
 
 def off_axis_pixels(nominal: HeadModel, offsets_px: tuple[float, ...]) -> FloatArray:
-    """(offsets, directions, 2, 2) raw pixels beside the principal points of both eyes."""
+    """(offsets, directions, 2, 2) raw pixels at offsets from the principal points of both eyes."""
     angle = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     offset = np.asarray(offsets_px)[:, None, None] * direction
@@ -137,18 +141,21 @@ def off_axis_rows(
     offsets_px: tuple[float, ...],
     excess_percent: float,
 ) -> pd.DataFrame:
-    """ITPC beside the axis against gaze on it, with one source of error or all.
+    """Compare ITPC off the optical axis with gaze on it, with one error source or all.
 
     Args:
         case: the heads and points.
         source: one of `BUDGET_SOURCES`, or `all`.
-        offsets_px: distances of the target from both principal points.
-        excess_percent: by how much ITPC's largest depth error exceeded gaze's in the article.
+        offsets_px: distances of the target from both principal points, px.
+        excess_percent: excess of ITPC's largest depth error over that of gaze in the article,
+            percentage points of depth.
 
     Returns:
-        A row an offset. Both rms are over the same heads, points and directions; `added` is the
-        rms of their difference; `worse` the share of fixations in which ITPC's error is the
-        larger; the largest depth errors are medians over heads and directions.
+        A row per offset. Both rms are over the same heads, points and directions. `added` is the
+        rms of their difference, `worse` the fraction of fixations in which ITPC's error is larger,
+        `possible` the fraction within image and joint limits, and `excess` the fraction of heads
+        and directions in which ITPC's largest error exceeds that of gaze by `excess_percent` or
+        more. The largest depth error is the median over heads and directions.
     """
     nominal, points, drawn = case.nominal, case.points, _draw(case, source)
     relative = 100.0 / points[:, 2, None, None]
@@ -194,15 +201,15 @@ def _rms(values: FloatArray) -> float:
 
 
 def crossover_px(rows: pd.DataFrame, margin: float) -> float:
-    """From which offset on ITPC's rms depth error exceeds that of gaze by a margin.
+    """Offset beyond which ITPC's rms depth error exceeds that of gaze by a margin.
 
     Args:
-        rows: those of one source of `off_axis_rows`.
-        margin: the margin, as a fraction of gaze's.
+        rows: the rows of one source of `off_axis_rows`.
+        margin: the margin, as a fraction of gaze's error.
 
     Returns:
-        The offset, interpolated between those evaluated, px; 0 where gaze has no error and ITPC
-        has one; inf where it does not come to that.
+        The offset, interpolated between those evaluated, px; 0 if gaze has no error; inf if the
+        margin is not exceeded at the largest offset.
     """
     rows = rows.sort_values("offset_px")
     offset = rows["offset_px"].to_numpy()

@@ -44,15 +44,16 @@ SHORT: Final = {
     "principal_px": "principal point",
     "common_tilt": "common tilt",
 }
-"""Names that fit a legend on a phone."""
+"""Short names of error sources, for legends on small screens."""
 _MARKS: Final = (
     (BLUE, "o", "-"), (ORANGE, "s", "--"), (GREEN, "^", "-"), (PURPLE, "D", "--"),
     (BLACK, "v", "-"), (GREY, "P", ":"), (BLUE, "x", ":"), (ORANGE, "*", "-"),
     (GREEN, "<", ":"), (PURPLE, ">", "-"), (GREY, "h", "--"), (BLACK, "+", "--"),
 )  # fmt: skip
 _NEGLIGIBLE_PERCENT: Final = 0.002
+"""Depth error below which a source is not drawn, percent of depth (chosen: readability)."""
 DASHES: Final = {"gaze": "--", "itpc": ":"}
-"""How the article's values of both methods are told apart."""
+"""Line styles of the article's values by method."""
 
 
 def draw(table: pd.DataFrame, config: PhysicalStaticConfig) -> dict[str, Figure]:

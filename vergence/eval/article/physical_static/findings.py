@@ -1,4 +1,4 @@
-"""What the static experiment on the physical twin found: summary rows, and the text's numbers."""
+"""Results of static targets on the physical twin: summary rows, and the numbers of the text."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -38,9 +38,9 @@ NAME: Final = "physical static"
 ARTICLE_SMALLEST_PERCENT: Final = {"gaze": 0.23, "itpc": 0.38}
 """The article's smallest depth errors, percent of depth."""
 STILL_MM: Final = 1e-3
-"""Scatter below which an encoder never stepped."""
+"""Scatter of fixes below which no encoder reading changed, mm (numerical)."""
 _DIGITS: Final = 6
-"""Of errors in percent: what is smaller is rounding."""
+"""Decimals kept of errors in percent, to drop rounding errors (numerical)."""
 
 
 def reported(quantity: str) -> list[Reported]:
@@ -49,19 +49,18 @@ def reported(quantity: str) -> list[Reported]:
 
 
 def placements(table: pd.DataFrame, row: Reported) -> tuple[Placement, Placement]:
-    """The article's least and greatest error of a method and axis among the heads' own."""
+    """Placements of the article's least and greatest error in `row` among the heads'."""
     errors = absolute(fixations(table), row.method, row.axis)
     least, greatest = row.span
     return place(least, errors.min(axis=1)), place(greatest, errors.max(axis=1))
 
 
 def summarise(table: pd.DataFrame, config: PhysicalStaticConfig) -> list[SummaryRow]:
-    """The article's rows, of the median heads, then those of the population and of each source.
+    """Rows of the summary: the article's beside the median heads', then population and sources.
 
-    Verdicts beyond those of `compare`: `by construction` for what the scale was chosen to give,
-    `inside` or `outside` the middle 80 % of the heads, and for ITPC off the axis `ITPC worse` or
-    `ITPC better` where its error differs from that of gaze by more than the margin, `alike` where
-    it does not.
+    Verdicts beyond those of `compare`: `by construction` for the figure that set the error scale;
+    `inside` or `outside` the middle 80 % of the heads; and for ITPC off the axis `ITPC worse` or
+    `ITPC better` if its error differs from that of gaze by more than the margin, else `alike`.
     """
     return [
         *_reported_rows(table),
@@ -76,7 +75,7 @@ def summarise(table: pd.DataFrame, config: PhysicalStaticConfig) -> list[Summary
 def _reported_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
     for r in reported("absolute error"):
         low, high = placements(table, r)
-        # the scale of all spreads was chosen for the largest depth error by gaze
+        # the error scale was set by the largest depth error by gaze
         chosen = BY_CONSTRUCTION if (r.method, r.axis) == ("gaze", "z") else None
         yield SummaryRow.of(NAME, r.quantity, r.method, r.axis, r.span,
                             (low.median, high.median), chosen)  # fmt: skip
@@ -149,7 +148,7 @@ def _off_axis_verdict(rows: pd.DataFrame, margin: float) -> str:
 
 
 def _budget_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
-    """What each source alone costs, over Table 5's points."""
+    """Depth errors from each source alone, over Table 5's points."""
     for source, rows in table[table["case"] == "budget"].groupby("source", sort=False):
         yield SummaryRow.of(NAME, f"rms depth error of a fixation, {_label(str(source))}", "both",
                             "z", None, _range(rows["rms_depth_error_percent"].round(_DIGITS)),
@@ -175,13 +174,13 @@ def _off_axis(table: pd.DataFrame, source: str) -> pd.DataFrame:
 
 
 def _apart(table: pd.DataFrame) -> FloatArray:
-    """(heads * points,) how far gaze and ITPC are apart in depth at settled fixations, mm."""
+    """(heads * points,) absolute depth difference of gaze and ITPC at settled fixations, mm."""
     rows = fixations(table).pivot(index=["head", "point"], columns="method", values="error_z_mm")
     return np.asarray((rows["gaze"] - rows["itpc"]).abs().to_numpy(), dtype=np.float64)
 
 
 def _article_apart_mm() -> float:
-    """How far the article's largest depth errors of the two methods are apart, mm."""
+    """Difference of the article's largest depth errors, ITPC minus gaze, mm."""
     gaze, itpc = (reported_result(NAME, "absolute error", m, "z").span[1] for m in METHODS)
     return itpc - gaze
 
@@ -210,7 +209,7 @@ def numbers(table: pd.DataFrame, config: PhysicalStaticConfig) -> Numbers:
 
 
 def _off_axis_numbers(table: pd.DataFrame, config: PhysicalStaticConfig) -> Numbers:
-    """ITPC off the axis at the outermost offset, and at the first beside the axis."""
+    """Numbers on ITPC off the axis, at the largest and at the smallest non-zero offset."""
     whole, encoders = _off_axis(table, ALL), _off_axis(table, ENCODERS)
     beside = whole["offset_px"].to_numpy() > 0.0
     last, first = whole.iloc[-1], whole[beside].iloc[0]
@@ -231,7 +230,7 @@ def _off_axis_numbers(table: pd.DataFrame, config: PhysicalStaticConfig) -> Numb
 
 
 def _budget_numbers(table: pd.DataFrame) -> Numbers:
-    """What each source alone costs at the nearest and at the farthest point."""
+    """Depth errors from each source alone at the nearest and at the farthest point."""
     rows = table[table["case"] == "budget"]
     wide = rows.pivot(index="truth_z_mm", columns="source", values="rms_depth_error_percent")
     return {"near_m": wide.index[0] / 1000.0, "far_m": wide.index[-1] / 1000.0} | {
@@ -242,7 +241,7 @@ def _budget_numbers(table: pd.DataFrame) -> Numbers:
 
 
 def _imaged_numbers(table: pd.DataFrame) -> Numbers:
-    """The head with images: its errors, its detector's noise, and what that propagates to."""
+    """Numbers on the head with images: errors, detection noise and propagated uncertainty."""
     imaged, population = fixations(table, "imaged"), fixations(table)
     far = imaged.sort_values("uncertainty_z_mm").iloc[-1]
     article = reported_result(NAME, "uncertainty", "both", "z").span[1]

@@ -1,4 +1,4 @@
-"""Resting targets before the physical twin: a population of heads, and one of them with images."""
+"""Trials of targets at rest before the physical twin: a population, and one head with images."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -41,18 +41,18 @@ ARTICLE_LARGEST_PERCENT: Final = {"gaze": 4.97, "itpc": 6.98}
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicalStaticConfig(TwinConfig):
-    """What the static experiment on the physical twin is."""
+    """Configuration of static targets on the physical twin."""
 
     imaged_every: int = 1
-    """The head with images looks at every so many of Table 5's points, the population at all."""
+    """Step through Table 5's points for the head with images; the population uses all points."""
     samples: int = 1200
-    """Fixes recorded at each point: the article's n."""
+    """Fixes recorded at each point; the article's n."""
     settle_s: float = 2.0
-    """Time before the first of them, s."""
+    """Settling time before the first fix, s."""
     offsets_px: tuple[float, ...] = (0.0, 25.0, 50.0, 100.0, 150.0, 200.0, 250.0, 300.0)
-    """How far off the axis ITPC is evaluated, from the axis outwards, px."""
+    """Distances from the principal points at which ITPC is evaluated, rising, px."""
     worse_margin: float = 0.05
-    """From which excess over the error of gaze on ITPC's counts as worse, as a fraction."""
+    """Excess of ITPC's error over that of gaze from which it counts as worse, as a fraction."""
 
     def __post_init__(self) -> None:
         if max(self.offsets_px) <= 0.0:
@@ -62,17 +62,18 @@ class PhysicalStaticConfig(TwinConfig):
 
 
 def run(config: PhysicalStaticConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
-    """Run the population, the head with images, the budget and ITPC off the axis.
+    """Run the population, the head with images, the error budget and ITPC off the axis.
 
     Args:
-        config: what to run.
+        config: the configuration.
         seed: seed of the heads and of all noise.
         mapper: runs the jobs.
 
     Returns:
-        `case` is `twin` (one row: the scalar, the head that sees images, one encoder step),
-        `detector` (a row a point), `fixation` (a row a head, point and method), `budget` (a row a
-        source and point), `off axis` (a row a source and offset).
+        A table with the column `case`: `twin` (one row: error scale, index of the head with images,
+        effect of one encoder step), `detector` (a row per point), `fixation` (a row per head, point
+        and method), `budget` (a row per source and point), `off axis` (a row per source and
+        offset).
     """
     drawn = draw_population(config, seed, mapper)
     nominal, points = drawn.nominal, drawn.points
@@ -102,7 +103,7 @@ def run(config: PhysicalStaticConfig, seed: int, mapper: Mapper) -> pd.DataFrame
 
 
 def _encoder_step(drawn: Population) -> dict[str, float]:
-    """What one step of one pan encoder does to the farthest point."""
+    """Depth error of the farthest point from one step of the left pan encoder."""
     nominal, far = drawn.nominal, drawn.points[np.argmax(drawn.points[:, 2])]
     q = nominal.fixate(far, nominal.rest()[:3])
     step = np.zeros(7)
@@ -115,7 +116,7 @@ def _encoder_step(drawn: Population) -> dict[str, float]:
 
 
 def _population(loop: ClosedLoop, number: int) -> pd.DataFrame:
-    """All heads at one point, without images."""
+    """Run all heads at one point, without images."""
     record = hold_gaze(loop)
     which = np.arange(loop.num or 1)
     frames: list[pd.DataFrame] = [
@@ -125,7 +126,7 @@ def _population(loop: ClosedLoop, number: int) -> pd.DataFrame:
 
 
 def _imaged(loop: ClosedLoop, which: int, number: int) -> pd.DataFrame:
-    """One of the heads at one point, on drawn images, with the article's uncertainties."""
+    """Run one head at one point on rendered images, with the article's propagated uncertainties."""
     nominal = loop.head
     assert loop.true_head is not None  # a population's loop
     head: HeadModel = loop.true_head[which]
@@ -154,7 +155,7 @@ def _imaged(loop: ClosedLoop, which: int, number: int) -> pd.DataFrame:
 def _rows(
     group: str, method: str, record: GazeRecord, heads: IntArray, number: int
 ) -> pd.DataFrame:
-    """A row a head: the mean fix's error and the fixes' scatter."""
+    """One row per head: error of the mean fix and scatter of the fixes."""
     error = record.gaze_error_mm if method == "gaze" else record.itpc_error_mm
     by_axis = np.moveaxis(error, -1, 0)
     pixel_error = np.linalg.norm(np.nanmean(record.pixel_error, axis=0), axis=-1)

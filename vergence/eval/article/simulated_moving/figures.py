@@ -34,7 +34,7 @@ from vergence.eval.reporting.style import (
 from vergence.models.files.head_file import load_head
 
 _DRAWN_EVERY: Final = 6
-"""Every how many-th sample is drawn."""
+"""Step through the samples that are drawn (chosen: readability)."""
 
 
 def draw(table: pd.DataFrame, config: SimulatedMovingConfig) -> dict[str, Figure]:

@@ -1,4 +1,4 @@
-"""What the moving target on the simulated rig comes to, beside the article's figures."""
+"""Results of the moving target on the simulated rig, beside the article's figures."""
 
 from dataclasses import dataclass
 from math import hypot, pi
@@ -20,15 +20,15 @@ from vergence.eval.reporting.text import Numbers
 from vergence.models.files.head_file import load_head
 
 EXPERIMENT: Final = "simulated moving"
-"""The name in the article's reported results."""
+"""Name of this experiment in the table of the article's results."""
 ARTICLE_CASE: Final = "principal"
-"""The case that stands for the article's rig: Table 2's camera matrix on a centred image."""
+"""Case that represents the article's rig: Table 2's camera matrix on a centred image."""
 RATES_HZ: Final = (120.0, 60.0, 30.0, 20.0, 15.0)
-"""Frame rates at which the loop's noise is predicted."""
+"""Frame rates at which the loop's noise gain is predicted, Hz (chosen)."""
 
 
 def reported(quantity: str, method: str, axis: str) -> float:
-    """What the article reports, mm."""
+    """A value that the article reports, mm."""
     return reported_result(EXPERIMENT, quantity, method, axis).low
 
 
@@ -58,7 +58,7 @@ class Errors:
 
     @property
     def plane_mm(self) -> float:
-        """Root mean square distance from the target in the circle's plane."""
+        """Root mean square distance from the target in the circle's plane, mm."""
         square = (self.deviation[axis] ** 2 + self.mean[axis] ** 2 for axis in "xy")
         return float(sum(square) ** 0.5)
 
@@ -76,28 +76,28 @@ def errors_by_case(table: pd.DataFrame) -> Cases:
 
 
 def deviation_ratio(errors: Cases, case: str, noise: str = IMAGES) -> float:
-    """Standard deviation in z of gaze over that of ITPC."""
+    """Ratio of the standard deviations in z, gaze over ITPC."""
     gaze, itpc = errors[case, "gaze", noise], errors[case, "itpc", noise]
     return gaze.deviation["z"] / itpc.deviation["z"]
 
 
 def article_ratio() -> float:
-    """The same of the article's."""
+    """Ratio of the article's standard deviations in z, gaze over ITPC."""
     gaze, itpc = (reported("standard deviation", method, "z") for method in ("gaze", "itpc"))
     return gaze / itpc
 
 
 def predicted_ratios(gain: float) -> dict[float, float]:
-    """Scatter of gaze over that of ITPC from the loop's noise bandwidth, by frame rate."""
+    """Ratio of scatter, gaze over ITPC, predicted from the loop's noise gain, by frame rate."""
     loop = Loop.of(load_head("simulated"), gain)
     return {rate: noise_gain(loop.at_rate(rate)) for rate in RATES_HZ}
 
 
 def expected_gaze_mm(errors: Cases, case: str, share: float) -> float:
-    """The standard deviation in z that gaze should have beside the article's ITPC, mm.
+    """Standard deviation in z expected of gaze, given the article's ITPC, mm.
 
-    Gaze has the systematic part of a case, and of ITPC's scatter the share that the loop lets
-    through.
+    Gaze has the systematic part of a case, plus the fraction `share` of ITPC's scatter that the
+    loop lets through.
     """
     systematic = errors[case, "gaze", NONE].deviation["z"]
     itpc = reported("standard deviation", "itpc", "z")
@@ -139,10 +139,10 @@ def numbers(table: pd.DataFrame, config: SimulatedMovingConfig) -> Numbers:
 
 
 def summarise(table: pd.DataFrame, config: SimulatedMovingConfig) -> list[SummaryRow]:
-    """The article's rows under its own camera matrix, then those of the other cases.
+    """Rows of the summary: the article's under its own camera matrix, then those of other cases.
 
-    Verdicts beyond those of `compare`: `target met` or `target missed`, whether the axes trail by
-    the target's speed over the gain.
+    Verdicts beyond those of `compare`: `target met` if the optical axes trail the target by its
+    speed over the gain, else `target missed`.
     """
     errors = errors_by_case(table)
     rows = []
@@ -186,7 +186,7 @@ def summarise(table: pd.DataFrame, config: SimulatedMovingConfig) -> list[Summar
 
 
 def _trail(found: Numbers) -> SummaryRow:
-    """Whether the axes trail by the target's speed over the gain."""
+    """Summary row on the distance by which the optical axes trail: expected is speed over gain."""
     wanted, trail = found["speed_over_gain_mm"], found["trail_mm"]
     verdict = "target met" if abs(trail - wanted) < 0.1 * wanted else "target missed"
     quantity = f"way behind the target, exact model, no noise, target {wanted:.3g} mm within 10 %"

@@ -1,4 +1,4 @@
-"""The moving target on the simulated rig: what is run, and its table."""
+"""Trials of the moving target on the simulated rig, and their table."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -18,23 +18,23 @@ NAME: Final = "simulated-moving"
 IMAGES: Final = "images"
 WHITE: Final = "white"
 NONE: Final = "none"
-"""What the detector is: the real one on drawn images, one with white noise, one without any."""
+"""Kinds of detector: the real one on rendered images, one with white noise, one without noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedMovingConfig:
-    """How the moving target is looked at."""
+    """Configuration of the moving target on the simulated rig."""
 
     samples: int = 3780
     """Samples along the circle; the article's n."""
     every: int = 2
-    """Control periods from sample to sample; 2 of 1/120 s make 63 s of the 3780."""
+    """Control periods between samples; with 2 of 1/120 s the 3780 samples last 63 s."""
     period_s: float = 62.83185307179586
-    """Time of a turn: "t / 10000" with t in milliseconds."""
+    """Period of the circle, s: "t / 10000" in the article, with t in milliseconds."""
     radius_mm: float = 100.0
-    """The circle's radius."""
+    """Radius of the circle, mm."""
     settle_s: float = 2.0
-    """Time from the target's start to the first sample."""
+    """Settling time from the target's start to the first sample, s."""
     gain: float = 4.0
     """The law's gain, 1/s."""
 
@@ -45,7 +45,7 @@ def run(config: SimulatedMovingConfig, seed: int, mapper: Mapper) -> pd.DataFram
     jobs += [partial(_follow, config, seed, case, NONE, 0.0) for case in CASES]
     tables: list[pd.DataFrame] = mapper(jobs)
     exact = tables[list(CASES).index("exact")]
-    # the same noise without the images: white, and without the detector's bias
+    # noise of the same standard deviation, but white and without the detector's bias
     sigma = float(exact.loc[exact["method"] == "itpc", "detection_sigma_px"].iloc[0])
     tables += mapper([partial(_follow, config, seed, "exact", WHITE, sigma)])
     return pd.concat(tables, ignore_index=True)
@@ -54,7 +54,7 @@ def run(config: SimulatedMovingConfig, seed: int, mapper: Mapper) -> pd.DataFram
 def _follow(
     config: SimulatedMovingConfig, seed: int, case: str, noise: str, sigma_px: float
 ) -> pd.DataFrame:
-    """Follow the target: a row for each sample and method."""
+    """Follow the target; returns a row for each sample and method."""
     rig = make_rig(case, DRAWN_ERRORS, seed)
     images = noise == IMAGES
     record = hold_gaze(
@@ -76,7 +76,7 @@ def _follow(
     for method, error, time_s in (
         ("gaze", record.gaze_error_mm, record.time_s),
         ("itpc", record.itpc_error_mm, record.exposure_s),
-        # what a reader gets who takes the newest image for the present
+        # the fix if the newest image is mistaken for the present
         ("itpc, undated", MM * (record.itpc.point - record.target), record.time_s),
     ):
         target = record.target_at_exposure if method == "itpc" else record.target

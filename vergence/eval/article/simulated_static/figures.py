@@ -48,9 +48,9 @@ _UNCERTAINTIES: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("itpc", "standard_deviation_mm",
      {"label": "ITPC, scatter of the closed loop", "linestyle": ":"}),
 )  # fmt: skip
-"""What Figure 7 shows: method, column, and how it is drawn."""
+"""Curves of Figure 7: method, column and line style."""
 _LEAST_MM: Final = 1e-4
-"""Errors below are drawn there: a logarithm has no zero."""
+"""Smallest error drawn on the logarithmic axis, mm; smaller ones are raised to it (numerical)."""
 
 
 def draw(table: pd.DataFrame, config: SimulatedStaticConfig) -> dict[str, Figure]:

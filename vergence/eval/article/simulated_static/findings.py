@@ -1,4 +1,4 @@
-"""What the static targets on the simulated rig come to, beside the article's figures."""
+"""Results of the static targets on the simulated rig, beside the article's figures."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -21,23 +21,25 @@ from vergence.models.files.head_file import load_head
 from vergence.models.parts import FloatArray
 
 EXPERIMENT: Final = "simulated static"
-"""The name in the article's reported results."""
+"""Name of this experiment in the table of the article's results."""
 ARTICLE_CASE: Final = "principal"
-"""The case that stands for the article's rig: Table 2's camera matrix on a centred image."""
+"""Case that represents the article's rig: Table 2's camera matrix on a centred image."""
 ARTICLE_Z_PERCENT: Final = 0.5
-"""Greatest absolute error in z that the article reports, per cent of depth."""
+"""Greatest absolute error in z, percent of depth (physical: reported by the article)."""
 ARTICLE_DETECTION_PX: Final = (0.006, 0.057)
-"""The article's sample standard deviations of its detections."""
+"""Least and greatest sample standard deviation of the detections, px (physical: reported by the
+article)."""
+# Our targets for errors of the mean fix with the exact model; half of them for dithered fixations
+# (chosen). Greatest and median error in z, percent of depth; greatest error in x or y, mm.
 Z_WORST_PERCENT: Final = 0.4
 Z_MEDIAN_PERCENT: Final = 0.1
 XY_WORST_MM: Final = 0.3
-"""What we want of the exact model after averaging; of a dithered fixation, half of it."""
 STANDARD_ERRORS: Final = 5.0
-"""How many standard errors of a mean we leave to chance."""
+"""Largest error of a mean, in standard errors, attributed to chance (chosen)."""
 
 
 def reported(quantity: str, axis: str, method: str = "both") -> Reported:
-    """What the article reports of this experiment."""
+    """A result that the article reports of this experiment."""
     return reported_result(EXPERIMENT, quantity, method, axis)
 
 
@@ -54,12 +56,13 @@ class Errors:
     """Absolute errors of the mean fixes of some rows, over points and methods."""
 
     low_mm: dict[str, float]
-    """By axis."""
+    """Least absolute error by axis, mm."""
     high_mm: dict[str, float]
+    """Greatest absolute error by axis, mm."""
     z_percent: tuple[float, float, float]
-    """Error in z over depth, %: least, median, greatest."""
+    """Absolute error in z, percent of depth: least, median, greatest."""
     standard_errors: float
-    """The greatest error of a mean of ITPC over what its single fixes' scatter says."""
+    """Greatest error of an ITPC mean, in standard errors from the scatter of its single fixes."""
 
     @staticmethod
     def of(rows: pd.DataFrame) -> "Errors":
@@ -79,13 +82,13 @@ class Errors:
 
 
 def errors_by_case(table: pd.DataFrame) -> dict[str, Errors]:
-    """The errors of each case that the table has, still fixations."""
+    """Errors of the still fixations of each case in the table."""
     still = {case: select(table, case) for case in CASES}
     return {case: Errors.of(rows) for case, rows in still.items() if len(rows)}
 
 
 def dithered_errors(table: pd.DataFrame) -> Errors:
-    """The errors of the exact model's dithered fixations."""
+    """Errors of the exact model's dithered fixations."""
     return Errors.of(select(table, "exact", "dithered"))
 
 
@@ -126,13 +129,13 @@ def numbers(table: pd.DataFrame, config: SimulatedStaticConfig) -> Numbers:
 
 
 def detection_noise_px(table: pd.DataFrame) -> tuple[float, float]:
-    """Least and greatest sample standard deviation of the detections, exact model."""
+    """Least and greatest sample standard deviation of the detections with the exact model, px."""
     sigma = select(table, "exact").filter(like="detection_sigma_").to_numpy()
     return float(sigma.min()), float(sigma.max())
 
 
 def _methods_apart(table: pd.DataFrame) -> dict[str, float]:
-    """How the two methods' means and scatter differ on settled targets, in all cases."""
+    """Numbers on the differences of both methods' means and scatter on settled targets."""
     rendered = pd.concat([select(table, case) for case in CASES])
     keys = ["case", "point", "axis"]
     wide = rendered.pivot_table(index=keys, columns="method", values="error_mm")
@@ -151,10 +154,10 @@ def _methods_apart(table: pd.DataFrame) -> dict[str, float]:
 
 
 def _drawn_heads(table: pd.DataFrame) -> dict[str, float]:
-    """How the drawn heads' errors compare with the article's in x and z together.
+    """Numbers comparing the drawn heads' errors with the article's in x and z together.
 
-    Like the article's is a head whose greatest error in x is the article's within a factor of two,
-    and whose greatest error in z, over depth, is not above the article's.
+    A head counts as like the article's if its greatest error in x is within a factor of two of the
+    article's and its greatest error in z, over depth, is not above the article's.
     """
     heads = select(table, "drawn", images="none")
     absolute = heads.assign(error_mm=heads["error_mm"].abs())
@@ -175,9 +178,9 @@ def _drawn_heads(table: pd.DataFrame) -> dict[str, float]:
 
 
 def implied_noise_px() -> dict[str, tuple[float, float]]:
-    """The detection noise that each extreme of Fig. 7 implies, px by axis.
+    """Detection noise implied by each extreme of Fig. 7, px by axis.
 
-    The least uncertainty belongs to the nearest point and the greatest to the farthest.
+    The least uncertainty is that at the nearest point, the greatest that at the farthest.
     """
     unit = unit_uncertainty_mm()
     implied = {}
@@ -188,16 +191,16 @@ def implied_noise_px() -> dict[str, tuple[float, float]]:
 
 
 def unit_uncertainty_mm() -> FloatArray:
-    """(21, 3) the uncertainty at Table 3's points for one pixel of detection noise, mm/px."""
+    """(21, 3) uncertainty at Table 3's points per pixel of detection noise, mm/px."""
     head, points = load_head("simulated"), static_points("simulated")
     return gaze_uncertainty(head, head.fixate(points), np.ones((len(points), 2, 2)))
 
 
 def summarise(table: pd.DataFrame, config: SimulatedStaticConfig) -> list[SummaryRow]:
-    """The article's rows under its own camera matrix, then those of the other cases and targets.
+    """Rows of the summary: the article's under its own camera matrix, other cases, our targets.
 
-    Verdicts beyond those of `compare`: `target met` or `target missed` for what we want of the
-    exact model, and `inside` or `outside` the article's own range of detection noise.
+    Verdicts beyond those of `compare`: `target met` or `target missed` for our targets of the exact
+    model, and `inside` or `outside` the article's own range of detection noise.
     """
     rows = [_reported(row, select(table, ARTICLE_CASE)) for row in reported_results()
             if row.experiment == EXPERIMENT]  # fmt: skip
@@ -234,7 +237,7 @@ def _row(
 
 
 def _reported(row: Reported, case: pd.DataFrame) -> SummaryRow:
-    """Ours beside one figure of the article's."""
+    """Summary row of our range beside one of the article's."""
     own = case[case["axis"] == row.axis]
     if row.method != "both":
         own = own[own["method"] == row.method]
@@ -260,7 +263,7 @@ def _depth_share(title: str, errors: Errors) -> SummaryRow:
 
 
 def _targets(title: str, errors: Errors, factor: float) -> list[SummaryRow]:
-    """Our own targets for a case."""
+    """Summary rows on our own targets for a case."""
     _, median, worst = errors.z_percent
     return [
         _target(f"{what}, {title}", "both", axis, value, factor * limit, unit)
@@ -281,7 +284,7 @@ def _target(
 
 
 def _explanations(found: Numbers) -> list[SummaryRow]:
-    """Whether errors are more than chance, and whether drawn errors look like the article's."""
+    """Summary rows on errors beyond chance, and on drawn errors like the article's."""
     unit, all_axes = "standard errors", "x, y, z"
     ratio, theirs = found["heads_z_over_x"], found["article_z_over_x"]
     return [

@@ -1,4 +1,4 @@
-"""The static targets of Table 3 on the simulated rig: what is run, and its table."""
+"""Trials of Table 3's static targets on the simulated rig, and their table."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -37,35 +37,35 @@ from vergence.triangulation import Fix
 
 NAME: Final = "simulated-static"
 BOARD: Final = {"board": "checkerboard", "facing": "forward"}
-"""The article's target: the upper right corner of a checkerboard that stands square to z."""
+"""The article's target: the upper right corner of a checkerboard perpendicular to z."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedStaticConfig:
-    """How the static targets are looked at."""
+    """Configuration of static targets on the simulated rig."""
 
     samples: int = 1150
     """Detections at each point after settling; the article's n."""
     point_step: int = 1
-    """Every how many-th of the 21 points is used, from the first."""
+    """Step through the 21 points, from the first."""
     settle_s: float = 2.0
-    """Time from the target's appearance, eyes at rest, to the first sample."""
+    """Settling time from the target's appearance, eyes at rest, to the first sample, s."""
     gain: float = 4.0
     """The law's gain, 1/s."""
     dither_side: int = 4
-    """A dithered fixation holds the target at a grid of this many references a side, a pixel
-    wide, around the principal point."""
+    """Number of references per side of a dithered fixation's grid; the grid is one pixel wide,
+    around the principal point."""
     heads: int = 100
-    """How many heads are drawn to see how far the one drawn model speaks for others."""
+    """Number of heads drawn, to see how representative the single drawn model is."""
     errors: ModelErrors = DRAWN_ERRORS
-    """How large the drawn errors are."""
+    """Standard deviations of the drawn model errors."""
 
 
 def run(config: SimulatedStaticConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     """See `vergence.eval.article.experiment.Experiment`."""
     points = range(0, len(static_points("simulated")), config.point_step)
     runs = [(case, "still") for case in CASES]
-    # a dithered fixation is against the detector's bias, which the exact model shows alone
+    # dithering reduces the detector's bias, the only systematic error of the exact model
     runs.append(("exact", "dithered"))
     jobs: list[Job] = [
         partial(_look, config, seed, case, fixation, point)
@@ -83,7 +83,7 @@ def _target(point: int) -> dict[str, Any]:
 def _look(
     config: SimulatedStaticConfig, seed: int, case: str, fixation: str, point: int
 ) -> list[dict[str, Any]]:
-    """Hold one point with rendered images: a row for each method and axis."""
+    """Hold one point with rendered images; returns a row for each method and axis."""
     rig = make_rig(case, config.errors, seed)
     dithered = fixation == "dithered"
     keys = (list(CASES).index(case), int(dithered), point)
@@ -106,14 +106,14 @@ def _look(
 
 
 def _detections(record: GazeRecord, dithered: bool) -> dict[str, float]:
-    """Noise and bias of the detector in the images that were seen."""
+    """Noise and bias of the detections, and the fraction of images with detections."""
     noise = record.pixels - record.true_pixels_at_exposure
     sigma = detection_sigma(record.pixels)
     columns = {"seen": float(np.isfinite(record.pixels).all(axis=(1, 2)).mean())}
     for eye, name in enumerate(EYE_NAMES):
         for axis, letter in enumerate("uv"):
             tail = f"{name}_{letter}_px"
-            # a dithered fixation moves the target in the image on purpose: not a sigma of noise
+            # dithering moves the target in the image on purpose: its sigma is not noise
             columns[f"detection_sigma_{tail}"] = np.nan if dithered else float(sigma[eye, axis])
             columns[f"detection_bias_{tail}"] = float(np.nanmean(noise[:, eye, axis]))
     return columns
@@ -149,14 +149,14 @@ def _rows(
 
 
 def _depths(head: HeadModel, q: FloatArray, fix: Fix) -> FloatArray:
-    """(n, 2) depth of fixes in each eye, m."""
+    """(n, 2) depths of fixes in each eye's camera frame, m."""
     poses = head.camera_poses(q)
     offset = fix.point[:, None, :] - poses[..., :3, 3]
     return np.asarray((poses[..., :3, 2] * offset).sum(axis=-1))
 
 
 def _population(config: SimulatedStaticConfig, seed: int, point: int) -> list[dict[str, Any]]:
-    """The gaze errors of many drawn heads at one point, without images and noise."""
+    """Gaze errors of many drawn heads at one point, without images and noise."""
     preset = load_head("simulated")
     record = hold_gaze(
         ClosedLoop(

@@ -1,1 +1,1 @@
-"""How long a gaze shift takes on the physical rig: section 5.3.2."""
+"""Settling time of a gaze shift on the physical rig: section 5.3.2."""

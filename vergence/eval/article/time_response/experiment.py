@@ -1,4 +1,4 @@
-"""The physical time response: how long a gaze shift from the article's own pixels takes."""
+"""The physical time response: settling time of a gaze shift from the article's initial pixels."""
 
 from typing import Final
 

@@ -100,7 +100,7 @@ def _draw_map(table: pd.DataFrame, config: TimeResponseConfig, found: Findings) 
 
 
 def _mark(axes: Axes, found: Findings, lag_s: float) -> None:
-    """The pairs that the article's time is said to fit, and our rig."""
+    """Mark the pairs of delay and threshold that should give the article's time, and our rig."""
     for pair in found.pairs:
         if pair.lag_s == lag_s and np.isfinite(pair.settle_s):
             axes.plot(

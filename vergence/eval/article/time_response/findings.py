@@ -1,4 +1,4 @@
-"""What the time response's table says: when our rig settles, and which loops need 650 ms."""
+"""Results of the time response: settling times of our rig, and the loops that need 650 ms."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -13,45 +13,45 @@ from vergence.models.files.head_file import load_head
 
 NAME: Final = "time response"
 PAIRS: Final = ((0, False, 3.0), (4, True, 1.3))
-"""Pairs of image delay and threshold (px) that should give the article's time, the second with
-the head's own lag, the first without."""
+"""Loops that should give the article's time: image delay (control periods), true for the head's own
+lag and false for none, settling threshold (px)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NamedPair:
-    """A loop and threshold that should give the article's time."""
+    """A loop and a settling threshold that should give the article's time."""
 
     delay_frames: int
     lag_s: float
     threshold_px: float
     settle_s: float
-    """When the map's loop settles; nan where the map lacks it."""
+    """Settling time of this loop in the map, s; nan if the map lacks it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """What the figures, the summary and the text share."""
+    """Results used by the figures, the summary and the text."""
 
     delay_frames: int
-    """The head's own image delay."""
+    """The head's own image delay, control periods."""
     lag_s: float
-    """The head's own lag."""
+    """The head's own lag, s."""
     settle_s: dict[float, tuple[float, float]]
-    """Least and greatest settle time of the noisy trials by threshold in px; nan if some trial
-    does not settle."""
+    """Least and greatest settling time of the noisy trials, s, by threshold in px; nan if some
+    trial does not settle."""
     trials: int
     pairs: list[NamedPair]
     offsets_deg: dict[str, float]
-    """Offset of each joint of the eyes."""
+    """Offset of each eye joint, degrees."""
     nominal_miss_px: tuple[float, float]
-    """Least and greatest distance by coordinate of the nominal initial pixels from the
-    article's."""
+    """Least and greatest absolute difference, by coordinate, of the nominal initial pixels from
+    the article's, px."""
     step_px: tuple[float, float]
-    """The initial error of the left and the right eye."""
+    """Initial pixel error of the left and the right eye, px."""
 
 
 def find(table: pd.DataFrame) -> Findings:
-    """Read the table."""
+    """Derive the results from the table."""
     rig = table[table["case"] == "rig"]
     delay, lag = int(rig["delay_frames"].iloc[0]), float(rig["lag_s"].iloc[0])
     settle = {}
@@ -78,7 +78,7 @@ def find(table: pd.DataFrame) -> Findings:
 
 
 def mapped(table: pd.DataFrame, lag_s: float) -> pd.DataFrame:
-    """The map of one lag: settle time in s, a row a threshold, a column a delay."""
+    """Map of one lag: settling time in s, a row per threshold, a column per delay."""
     rows = table[(table["case"] == "map") & (table["lag_s"] == lag_s)]
     return rows.pivot_table(
         index="threshold_px", columns="delay_frames", values="settle_s", dropna=False
@@ -86,7 +86,7 @@ def mapped(table: pd.DataFrame, lag_s: float) -> pd.DataFrame:
 
 
 def held_by(table: pd.DataFrame, lag_s: float) -> pd.DataFrame:
-    """The least thresholds that hold from the article's time on, by delay."""
+    """Least threshold within which the error stays from the article's time on, by delay."""
     rows = table[(table["case"] == "by") & (table["lag_s"] == lag_s)]
     return rows.sort_values("delay_frames")
 
@@ -103,7 +103,7 @@ def _pair(table: pd.DataFrame, delay: int, lag_s: float, threshold_px: float) ->
 
 
 def summarise(table: pd.DataFrame, config: TimeResponseConfig) -> list[SummaryRow]:
-    """Ours beside the article's 650 ms, and what that time means."""
+    """Rows of the summary: our settling times beside the article's 650 ms, and joint offsets."""
     del config
     found = find(table)
     article = 1000.0 * ARTICLE_S

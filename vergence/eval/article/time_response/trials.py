@@ -1,4 +1,4 @@
-"""The trials of the physical time response: from the article's own initial pixels."""
+"""Trials of the physical time response, from the article's initial pixels."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -20,53 +20,53 @@ from vergence.models.joints import EYE_NAMES, EYES, JOINTS, LINKS
 from vergence.models.parts import FloatArray
 
 ARTICLE_S: Final = 0.65
-"""The time that the article reports."""
+"""Settling time of a gaze shift, s (physical: reported by the article)."""
 _EYE_FRAMES: Final = [3, 4, 6, 7]
-"""Links whose joints are the eyes', in joint order."""
+"""Rows of `LINKS` with the eyes' joints, in joint order (numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TimeResponseConfig:
-    """What the time response is."""
+    """Configuration of the time response."""
 
     head: str = "physical"
-    """One of the article's: simulated or physical."""
+    """Head, one of the article's: simulated or physical."""
     point_mm: tuple[float, float, float] = (0.0, -145.0, 1500.0)
-    """Where the target stands, in N, mm."""
+    """Target position, in N, mm."""
     left_px: tuple[float, float] = (385.98, 196.60)
-    """Where the left eye sees it at first."""
+    """Initial pixel of the target in the left eye, px."""
     right_px: tuple[float, float] = (361.09, 191.82)
-    """Where the right eye does."""
+    """Initial pixel of the target in the right eye, px."""
     gain: float = 4.0
-    """k1 = k2, 1/s."""
+    """Gain k1 = k2, 1/s."""
     delays_frames: tuple[int, ...] = tuple(range(13))
-    """The map's image delays, control periods."""
+    """Image delays of the map, control periods."""
     least_threshold_px: float = 0.25
-    """The map's least threshold."""
+    """Smallest settling threshold of the map, px."""
     greatest_threshold_px: float = 5.0
-    """Its greatest."""
+    """Largest settling threshold of the map, px."""
     threshold_step_px: float = 0.05
-    """From threshold to threshold."""
+    """Increment of the threshold, px."""
     trials: int = 200
-    """Trials of the preset's own loop, with its noise."""
+    """Number of trials with the preset's own delay, lag and noise."""
     duration_s: float = 3.0
-    """How long a trial lasts."""
+    """Duration of a trial, s."""
 
 
 def run(config: TimeResponseConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     """Run all trials.
 
     Args:
-        config: what to run.
-        seed: seed of the detections' noise.
+        config: the configuration.
+        seed: seed of the detection noise.
         mapper: runs the jobs.
 
     Returns:
-        A table whose rows are told apart by `case`: `offset` (a joint's offset that the initial
-        pixels need), `initial` (a pixel as the article and the nominal head have it), `map` (the
-        settle time for a delay, lag and threshold, without noise), `by` (the least threshold that
-        holds from the article's time on), `rig` (a noisy trial of the preset's own loop) and
-        `trace` (the error of one such trial over time).
+        A table with the column `case`: `offset` (a joint offset that explains the initial pixels),
+        `initial` (a pixel coordinate by the article and by the nominal head), `map` (settling time
+        for a delay, lag and threshold, without noise), `by` (least threshold within which the error
+        stays from the article's time on), `rig` (a noisy trial of the preset's own loop) and
+        `trace` (error of one such trial over time).
     """
     head = load_head(config.head)
     offsets = joint_offsets(head, config)
@@ -83,12 +83,12 @@ def run(config: TimeResponseConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
 
 
 def joint_offsets(head: HeadModel, config: TimeResponseConfig) -> tuple[float, ...]:
-    """The eyes' joint offsets with which the target appears at the article's initial pixels.
+    """Eye joint offsets with which the target appears at the article's initial pixels.
 
-    Four pixel coordinates give four offsets, so this is one explanation of them, not the only one.
+    Four pixel coordinates determine four offsets. Other model errors could explain the pixels too.
 
     Args:
-        head: the nominal head, which takes its joints to be at rest.
+        head: the nominal head, whose joints are assumed to be at rest.
         config: the target and the pixels.
 
     Returns:
@@ -121,7 +121,7 @@ def _with_offsets(head: HeadModel, offsets: tuple[float, ...]) -> HeadModel:
 
 
 def _start(head: HeadModel, config: TimeResponseConfig, offsets: tuple[float, ...]) -> pd.DataFrame:
-    """The offsets, and the initial pixels beside those of the nominal head."""
+    """Table rows with the offsets, and with the initial pixels beside those of the nominal head."""
     joints = pd.DataFrame(
         {"case": "offset", "joint": JOINTS[EYES], "offset_deg": np.rad2deg(offsets)}
     )
@@ -164,7 +164,7 @@ def _servo(
 def _map_delay(
     config: TimeResponseConfig, offsets: tuple[float, ...], delay_frames: int, lag_s: float
 ) -> pd.DataFrame:
-    """Settle times for one loop, and the least threshold that holds from the article's time on."""
+    """Settling times of one loop, and its least threshold that holds from the article's time on."""
     preset = load_head(config.head)
     latency_s = delay_frames / preset.timing.control_rate_hz
     head = preset.replace(timing={"latency_s": latency_s, "lag_s": lag_s})
@@ -176,14 +176,14 @@ def _map_delay(
     loop = {"delay_frames": delay_frames, "lag_s": lag_s}
     mapped = pd.DataFrame({"case": "map", **loop, "threshold_px": thresholds, "settle_s": settled})
     norm = np.linalg.norm(error[:, 0], axis=-1).max(axis=-1)
-    # a hair's breadth: the article's time is a whole number of periods only to rounding
+    # tolerance, as the article's time is a whole number of periods only up to rounding
     held = norm[time >= ARTICLE_S - 1e-9].max()
     by = pd.DataFrame([{"case": "by", **loop, "threshold_px": float(held), "settle_s": ARTICLE_S}])
     return pd.concat([mapped, by], ignore_index=True)
 
 
 def _rig(config: TimeResponseConfig, offsets: tuple[float, ...], seed: int) -> pd.DataFrame:
-    """Noisy trials of the preset's own loop, and the course of the first."""
+    """Run noisy trials of the preset's own loop, and keep the error of the first over time."""
     head = load_head(config.head)
     timing = head.timing
     noise_px = head.sensor.detection_noise_px

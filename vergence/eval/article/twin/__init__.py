@@ -1,1 +1,1 @@
-"""The physical twin: a population of true heads that stands for the article's one head."""
+"""The physical twin: a population of simulated true heads in place of the article's single head."""

@@ -1,4 +1,4 @@
-"""What a detector gets wrong on drawn images of a resting tag: scatter and bias."""
+"""Scatter and bias of a detector on rendered images of a tag at rest."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from vergence.vision import AprilTag, EyeCamera, TargetDrawing, Tracker, make_de
 
 
 class DetectorNoise(NamedTuple):
-    """Errors of detections at one place or several, over poses of the tag within a pixel."""
+    """Detection errors at one place or several, over poses of the tag within a pixel."""
 
     sigma_px: FloatArray
     """(..., 2, 2) by camera and coordinate: sample standard deviation at a pose, rms over poses."""
@@ -24,7 +24,7 @@ class DetectorNoise(NamedTuple):
 
     @classmethod
     def stacked(cls, places: "Sequence[DetectorNoise]") -> "DetectorNoise":
-        """The noise at several places."""
+        """Stack the errors at several places."""
         return cls(*(np.stack(part) for part in zip(*places, strict=True)))
 
     def over_cameras(self) -> tuple[FloatArray, FloatArray]:
@@ -33,7 +33,7 @@ class DetectorNoise(NamedTuple):
         return sigma, bias
 
     def frame(self, points: FloatArray) -> pd.DataFrame:
-        """Rows of an experiment's table, one a place.
+        """Rows of an experiment's table, one per place.
 
         Args:
             points: (places, 3) in N, m.
@@ -80,10 +80,10 @@ def noise_of_pair(
 
     Args:
         cameras: both cameras.
-        rendering: their grey levels.
+        rendering: grey levels, blur and noise of their images.
         T_C_T: (poses, 2, 4, 4) the tag in each camera, metres.
-        frames: images of a pose.
-        rng: of the images' noise.
+        frames: number of images per pose.
+        rng: source of the image noise.
 
     Returns:
         Scatter and bias.
@@ -100,14 +100,14 @@ def noise_of_pair(
 def noise_of_head(
     head: HeadModel, point: FloatArray, poses: int, frames: int, rng: np.random.Generator
 ) -> DetectorNoise:
-    """Measure an ideal head's detections of a tag that it fixates to within half a pixel.
+    """Measure detections of a tag that an exact head fixates to within half a pixel.
 
     Args:
         head: the head.
         point: (3,) the tag's centre in N, m.
-        poses: fixations, each with the tag elsewhere within a pixel.
-        frames: images of each.
-        rng: of the fixations and of the images' noise.
+        poses: number of fixations, each with another sub-pixel position of the tag.
+        frames: number of images per fixation.
+        rng: source of the fixations and of the image noise.
 
     Returns:
         Scatter and bias.

@@ -1,4 +1,4 @@
-"""Errors of settled fixations: where the nominal model puts what a true head looks at."""
+"""Errors of settled fixations: fix by the nominal model minus the point that a true head sees."""
 
 import dataclasses
 from functools import cache
@@ -14,26 +14,26 @@ from vergence.models.parts import FloatArray
 from vergence.triangulation import triangulate_views
 
 ARTICLE_GAIN: Final = 4.0
-"""The law's gain, 1/s."""
+"""Gain of the article's control law, 1/s (physical: a setting of the article's system)."""
 
 
 def looking(
     nominal: HeadModel, heads: HeadModel, points: ArrayLike, pixels: ArrayLike
 ) -> FloatArray:
-    """The true joint angles at which true heads see points at given pixels.
+    """True joint angles at which true heads see points at given pixels.
 
-    A loop that holds the target at the nominal principal points settles exactly there: the
-    detected pixel, undistorted by the nominal lens, is the nominal principal point only if the
-    raw pixel is.
+    With the nominal principal points as pixels these are the angles at which the closed loop
+    settles: the undistorted detection is at the nominal principal point only if the raw pixel is.
 
     Args:
-        nominal: the head that the pixels' limits and the neck's rest come from.
+        nominal: the nominal head; it gives the joint limits and the neck's rest angles.
         heads: the true heads, of batch shape (..., 1) or ().
         points: (..., 3) in N, m.
         pixels: (..., 2, 2) raw pixels.
 
     Returns:
-        (..., 7) joint angles, rad; nan where a target would leave the image or a joint its range.
+        (..., 7) joint angles, rad; nan if a pixel lies outside the image or a joint outside its
+        limits.
     """
     pixels = np.asarray(pixels, dtype=np.float64)
     cameras = heads.cameras
@@ -45,7 +45,8 @@ def looking(
     turned = np.zeros((*z.shape[:-1], 4, 4))
     turned[..., :3, :3] = np.stack([x, np.cross(z, x), z], axis=-1)
     turned[..., 3, 3] = 1.0
-    # a head whose optical axis is the wanted pixel's ray fixates with the angles in question
+    # turn the camera so that its optical axis is the wanted pixel's ray: it then fixates with
+    # the wanted joint angles
     axis = dataclasses.replace(heads, head_eye=heads.head_eye @ turned)
     q = axis.fixate(points, nominal.rest()[:3], warn=False)
     inside = ((pixels >= -0.5) & (pixels <= cameras.size - 0.5)).all(axis=(-2, -1))
@@ -53,13 +54,13 @@ def looking(
 
 
 def encoded(nominal: HeadModel, q: FloatArray, noise_px: ArrayLike | None = None) -> FloatArray:
-    """Joint angles as a settled loop's encoders read them in the mean.
+    """Mean encoder readings of the joint angles in a settled loop.
 
-    Detection noise makes a held eye tremble. That is little against a step of the encoder, but an
-    eye near the edge between two steps is read as both in turn.
+    Detection noise makes the eyes jitter by far less than an encoder step. But near the boundary
+    between two steps the encoder reads both in turn, and its mean lies between them.
 
     Args:
-        nominal: the head whose encoders and loop they are.
+        nominal: the head; its encoders and its loop are used.
         q: (..., 7) true angles, rad.
         noise_px: (...) standard deviation of the detections, px; None for the preset's.
 
@@ -80,7 +81,7 @@ def encoded(nominal: HeadModel, q: FloatArray, noise_px: ArrayLike | None = None
 
 @cache
 def _noise_gain(nominal: HeadModel) -> float:
-    """Trembling of the axis under the article's law over the noise of a detection."""
+    """Jitter of the optical axis under the article's law, as a ratio to the detection noise."""
     return noise_gain(Loop.of(nominal, ARTICLE_GAIN))
 
 
@@ -94,18 +95,18 @@ def fix_errors(
 ) -> FloatArray:
     """Mean errors of the nominal head's fixes on resting targets.
 
-    At the principal points gaze and ITPC are the same computation; elsewhere this is ITPC.
+    At the principal points gaze and ITPC are the same computation; elsewhere the fixes are ITPC's.
 
     Args:
         nominal: the head that triangulates.
         heads: the true heads, of batch shape (..., 1) or ().
         points: (..., 3) in N, m.
         pixels: (..., 2, 2) raw pixels at which the target is seen; None for the principal points.
-        encoders: whether the joints are read through their encoders.
+        encoders: true to read the joints through their encoders, with quantisation.
         noise_px: (...) standard deviation of the detections, px; None for the preset's.
 
     Returns:
-        (..., 3) fix less truth, m; nan where the eyes cannot look so.
+        (..., 3) fix minus truth, m; nan where `looking` gives nan.
     """
     seen = nominal.cameras.principal if pixels is None else np.asarray(pixels)
     q = looking(nominal, heads, points, seen)

@@ -1,4 +1,4 @@
-"""A population of true heads that stands for the article's one head, of which little is known."""
+"""A population of true heads in place of the article's single head, whose errors are not known."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -16,63 +16,63 @@ from vergence.models.parts import FloatArray
 from vergence.models.perturbation import ModelErrors
 
 _LOWERS: Final = {"left_tilt": 1.0, "right_tilt": -1.0}
-"""A positive left tilt looks down, a positive right tilt up."""
+"""Sign of the tilt that lowers an eye: positive left tilt looks down, positive right tilt up."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TwinConfig:
-    """The physical twin: how the true heads differ from the nominal one, and what they see with."""
+    """The physical twin: errors of the true heads against the nominal one, and their detector."""
 
     head: str = "physical"
-    """One of the article's, simulated or physical: the nominal head, which controls."""
+    """The nominal head, used for control: one of the article's, simulated or physical."""
     heads: int = 100
-    """How many true heads are drawn."""
+    """Number of true heads drawn."""
     errors: ModelErrors = TWIN_SPREADS
-    """Standard deviations of the true heads from the nominal one, before scaling."""
+    """Standard deviations of the true heads' model errors, before scaling."""
     largest_error_percent: float = 4.97
-    """Largest depth error by gaze of the article's head over the static points, percent of
-    depth: the population's median, by the one scalar that multiplies all errors."""
+    """Largest depth error by gaze of the article's head over the static points, percent of depth.
+    The scale is set so that the population's median is equal to it."""
     scale: float = 0.0
-    """That scalar; 0 to find it."""
+    """Factor on all standard deviations; 0 to find it from `largest_error_percent`."""
     noise_poses: int = 4
-    """Fixations of each static point on which the detector's noise is measured on images."""
+    """Fixations of each static point at which the detector's errors are measured on images."""
     noise_frames: int = 40
-    """Images of each."""
+    """Images per fixation."""
 
 
 def draw_heads(nominal: HeadModel, errors: ModelErrors, count: int, seed: int) -> HeadModel:
-    """The population of true heads; the same draws whatever the size of the errors.
+    """Draw the population of true heads; the random numbers do not depend on the errors' size.
 
     Args:
         nominal: the head that they deviate from.
-        errors: by how much.
-        count: how many.
+        errors: standard deviations of the model errors.
+        count: number of heads.
         seed: the run's seed.
 
     Returns:
         A head of batch shape (count,).
 
     Raises:
-        ConfigurationError: there are none.
+        ConfigurationError: count is below 1.
     """
     if count < 1:
         raise ConfigurationError(f"heads: expected at least 1, got {count}")
     rng = job_rng(seed, "physical twin")
-    # the common tilts are drawn first, so the rest of the head is the same with and without them
+    # common tilts are drawn first, so that all other errors are the same with and without them
     tilt = errors.common_tilt_rad * rng.standard_normal(count)
     heads = nominal.perturbed(rng, dataclasses.replace(errors, common_tilt_rad=0.0), count)
     return with_common_tilt(heads, tilt)
 
 
 def with_common_tilt(heads: HeadModel, tilt_rad: FloatArray) -> HeadModel:
-    """Heads whose eyes both look lower than their encoders say.
+    """Lower both eyes of each head by an angle that the encoders do not measure.
 
     Args:
-        heads: of batch shape (n,).
-        tilt_rad: (n,) by how much, rad.
+        heads: heads of batch shape (n,).
+        tilt_rad: (n,) the angles, rad.
 
     Returns:
-        The heads with other offsets of both tilts.
+        The heads with changed offsets of both tilts.
     """
     lowers = np.array([_LOWERS.get(joint, 0.0) for _frame, _parent, joint in LINKS])
     return with_joint_offsets(heads, lowers * np.asarray(tilt_rad)[:, None])

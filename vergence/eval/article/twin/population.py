@@ -1,4 +1,4 @@
-"""The population that all experiments on the physical twin share: scalar, heads, noise."""
+"""The population shared by all experiments on the physical twin: error scale, heads, noise."""
 
 from functools import partial
 from typing import Final, NamedTuple
@@ -19,41 +19,41 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 ARTICLE_LARGEST_Y_MM: Final = 12.28
-"""The article's largest y error by gaze of static targets."""
+"""Largest y error by gaze on static targets, mm (physical: reported by the article)."""
 _TRIALS: Final = 100_000
-"""Trials reserved for each point, so that each head at each point has its own noise."""
+"""Trial numbers reserved per point, so that heads share no noise between points (numerical)."""
 
 
 class Population(NamedTuple):
-    """A drawn population and what it sees with."""
+    """A drawn population and its detector."""
 
     nominal: HeadModel
-    """What controls and triangulates."""
+    """The head used for control and triangulation."""
     heads: HeadModel
-    """What really moves, of batch shape (heads,)."""
+    """The true heads, of batch shape (heads,)."""
     scale: float
-    """What multiplies all spreads."""
+    """Factor on all standard deviations of the model errors."""
     imaged: int
-    """The head most like the article's, which runs on images."""
+    """Index of the head most like the article's; it runs on rendered images."""
     points: FloatArray
-    """(21, 3) Table 5's points, m."""
+    """(21, 3) Table 5's points, in N, m."""
     detector: DetectorNoise
-    """(21, 2, 2) what its detector gets wrong there."""
+    """(21, 2, 2) scatter and bias of the detections at these points."""
 
     def noise_at(self, depth_m: float) -> float:
-        """The standard deviation of detections at a depth, px."""
+        """Standard deviation of detections at a depth, interpolated, px."""
         return float(np.interp(depth_m, self.points[:, 2], self.detector.over_cameras()[0]))
 
     def resting(
         self, number: int, point: FloatArray, *, samples: int, settle_s: float, seed: int
     ) -> ClosedLoop:
-        """All heads side by side before a target at rest, without images.
+        """Closed loop of all heads side by side before a target at rest, without images.
 
         Args:
-            number: of the point among its table's, from 1 on; each has its own noise.
+            number: number of the point in its table, from 1; each has its own noise.
             point: (3,) in N, m.
-            samples: fixes to record.
-            settle_s: time before the first of them, s.
+            samples: number of fixes to record.
+            settle_s: settling time before the first fix, s.
             seed: seed of all noise.
         """
         return ClosedLoop(
@@ -70,16 +70,16 @@ class Population(NamedTuple):
         )
 
     def frame(self) -> pd.DataFrame:
-        """The scalar and the head that sees images: a row for the experiments' tables."""
+        """Error scale and index of the head with images: a row of the experiments' tables."""
         return pd.DataFrame({"case": ["twin"], "scale": [self.scale], "head": [self.imaged]})
 
 
 def draw_population(config: TwinConfig, seed: int, mapper: Mapper) -> Population:
-    """Measure the detector on images, find the scalar and draw the heads.
+    """Measure the detector on images, find the error scale and draw the heads.
 
     Args:
-        config: what to draw.
-        seed: the run's seed; the same gives the same population in every experiment.
+        config: the population.
+        seed: the run's seed; it gives the same population in every experiment.
         mapper: runs the measurements.
 
     Returns:
@@ -108,7 +108,7 @@ def _measure(
 
 
 def _most_like_the_article(errors: FloatArray, points: FloatArray, percent: float) -> int:
-    """The head whose largest errors in depth and in y come nearest to the article's, as ratios."""
+    """Index of the head with largest depth and y errors nearest to the article's, as ratios."""
     depth = np.log(largest_relative(errors, points) / percent)
     height = np.log(MM * np.abs(errors[..., 1]).max(axis=1) / ARTICLE_LARGEST_Y_MM)
     return int(np.argmin(np.hypot(depth, height)))

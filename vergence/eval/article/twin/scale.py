@@ -1,4 +1,4 @@
-"""How large the true heads' errors are: the scalar that gives the article's largest depth error."""
+"""Scale of the true heads' errors that gives the article's largest depth error."""
 
 from typing import Final
 
@@ -13,31 +13,33 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _GREATEST_SCALE: Final = 64.0
+"""Upper end of the bracket beyond which the search gives up (numerical)."""
 _SCALES: Final = 81
+"""Grid points of the final search around the bisection's result (numerical)."""
 
 
 def largest_relative(errors: FloatArray, points: FloatArray) -> FloatArray:
-    """(heads,) largest |dz| / z over the points, percent, of (heads, points, 3) errors."""
+    """(heads,) largest |dz| / z over the points, percent, from (heads, points, 3) errors."""
     return np.asarray(100.0 * np.nanmax(np.abs(errors[..., 2]) / points[:, 2], axis=-1))
 
 
 def find_scale(
     nominal: HeadModel, config: TwinConfig, seed: int, noise_px: ArrayLike | None = None
 ) -> float:
-    """The scalar at which the median head's largest depth error is the article's.
+    """Find the error scale at which the median head's largest depth error is the article's.
 
     Args:
         nominal: the nominal head.
-        config: the spreads and the article's figure.
+        config: the standard deviations and the article's figure.
         seed: the run's seed.
         noise_px: (21,) standard deviation of the detections at Table 5's points, px; None for
             the preset's.
 
     Returns:
-        The scalar, or that of the config if it has one.
+        The scale, or the config's if it is not 0.
 
     Raises:
-        ConfigurationError: the encoders alone give more, or no spread gives as much.
+        ConfigurationError: the encoders alone give a larger error, or no scale reaches the error.
     """
     if config.scale > 0.0:
         return config.scale
@@ -67,7 +69,7 @@ def find_scale(
             low = middle
         else:
             high = middle
-    # the encoders' steps make the median jump: the scalar that comes nearest, of many
+    # encoder quantisation makes the median jump: take the best scale of a fine grid
     scales = np.linspace(0.8 * low, 1.2 * high, _SCALES)
     misses = [abs(median(float(scale)) - config.largest_error_percent) for scale in scales]
     return float(scales[int(np.argmin(misses))])

@@ -1,4 +1,4 @@
-"""Statistics of each head of a population, and where the article's single head falls among them."""
+"""Statistics of each head of a population, and the rank of the article's single head among them."""
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -13,36 +13,37 @@ METHODS: Final = ("gaze", "itpc")
 METHOD_LABELS: Final = {"gaze": "gaze", "itpc": "ITPC"}
 AXES: Final = ("x", "y", "z")
 LOW, HIGH = 10.0, 90.0
-"""Percentiles between which the article's head counts as one of the population."""
+"""Percentiles between which the article's head counts as one of the population (chosen: the middle
+80 %)."""
 
 
 class Placement(NamedTuple):
-    """A figure of the article among those of a population."""
+    """A figure of the article compared with a population's figures."""
 
     article: float
     low: float
     """The population's 10th percentile."""
     median: float
     high: float
-    """Its 90th."""
+    """The population's 90th percentile."""
     percentile: float
-    """Per cent of the population below the article."""
+    """Percentage of the population below the article's figure."""
 
     @property
     def inside(self) -> bool:
-        """Whether the article lies between the 10th and 90th percentile."""
+        """True if the article's figure lies between the 10th and 90th percentile."""
         return self.low <= self.article <= self.high
 
 
 def place(article: float, population: ArrayLike) -> Placement:
-    """Where a figure of the article falls in a population.
+    """Compare a figure of the article with a population's.
 
     Args:
-        article: the figure.
-        population: (heads,) ours.
+        article: the article's figure.
+        population: (heads,) our figures.
 
     Returns:
-        Its place.
+        The percentiles of the population and the article's rank in it.
     """
     values = np.asarray(population, dtype=np.float64)
     low, median, high = np.percentile(values, [LOW, 50.0, HIGH])
@@ -56,12 +57,12 @@ def verdict(placement: Placement) -> str:
 
 
 def count_inside(placements: Sequence[Placement]) -> int:
-    """How many of the article's figures lie between the 10th and 90th percentile of ours."""
+    """Count the article's figures that lie between the 10th and 90th percentile of ours."""
     return sum(placement.inside for placement in placements)
 
 
 def axis_columns(**values: Sequence[FloatArray] | FloatArray) -> dict[str, FloatArray]:
-    """Columns of a table such as `error_x_mm`, from three arrays by name, one an axis."""
+    """Columns of a table such as `error_x_mm`, from three arrays per name, one for each axis."""
     return {
         f"{name}_{axis}_mm": value[k]
         for k, axis in enumerate(AXES)

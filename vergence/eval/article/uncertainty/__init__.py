@@ -1,1 +1,1 @@
-"""Uncertainties: propagated, by Monte Carlo, of the closed loop, and the least: section 4."""
+"""Uncertainty: propagated, by Monte Carlo, in the closed loop, and its lower bound: section 4."""

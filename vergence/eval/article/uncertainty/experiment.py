@@ -1,4 +1,4 @@
-"""Uncertainty: propagated, by Monte Carlo, of the closed loop, and its least."""
+"""Uncertainty: propagated, by Monte Carlo, in the closed loop, and its lower bound."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""What the uncertainties come to: summary rows, and the text's numbers."""
+"""Results of the uncertainties: summary rows, and the numbers of the text."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,19 +19,20 @@ METHOD_NAMES: Final = {
     "itpc": "ITPC, Eqs. 34 to 36",
 }
 BIASED: Final = 2.0
-"""Times what white noise would leave, from which on averaging is said to end at a bias."""
+"""Ratio of the error of a mean to that of white noise, above which averaging is limited by a bias
+(chosen)."""
 BETTER: Final = 0.67
-"""Times the error of a still fixation, below which a dithered one is said to be better."""
+"""Ratio of a dithered to a still fixation's error below which dithering is better (chosen)."""
 
 
 def part(table: pd.DataFrame, name: str, quantity: str | None = None) -> pd.DataFrame:
-    """The rows of one part of the experiment, of one quantity or of all."""
+    """Rows of one part of the experiment, of one quantity or of all."""
     rows = table[table["part"] == name]
     return rows if quantity is None else rows[rows["quantity"] == quantity]
 
 
 def ratios(table: pd.DataFrame) -> pd.DataFrame:
-    """Propagated uncertainty over Monte Carlo's: a row a pose, depth and method, by axis."""
+    """Ratio of propagated to Monte Carlo uncertainty: a row per pose, depth and method, by axis."""
     rows = part(table, "propagation")
     wide = rows[rows["unit"] == "mm"].pivot_table(
         index=["pose", "depth_mm", "method", "axis"], columns="quantity", values="value"
@@ -40,7 +41,7 @@ def ratios(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def averaged(table: pd.DataFrame) -> pd.DataFrame:
-    """Root mean square errors of means, px: a row a depth and kind of fixation, by frames."""
+    """Root mean square errors of means, px: a row per depth and kind of fixation, by frames."""
     rows = part(table, "averaging", "error")
     square = rows.assign(value=rows["value"] ** 2)
     mean = square.groupby(["depth_mm", "fixation", "frames"])["value"].mean()
@@ -48,7 +49,7 @@ def averaged(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def bounds(table: pd.DataFrame) -> pd.DataFrame:
-    """Cramer-Rao bounds of one frame, px: a row a depth, columns `board` and `window`."""
+    """Cramer-Rao bounds of one frame, px: a row per depth, columns `board` and `window`."""
     rows = part(table, "bound")
     square = rows.assign(value=rows["value"] ** 2)
     mean = square.groupby(["depth_mm", "quantity"])["value"].mean()
@@ -56,11 +57,12 @@ def bounds(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def noise_gains(table: pd.DataFrame, config: UncertaintyConfig) -> pd.DataFrame:
-    """Measured and predicted noise gain: a row a source and gain.
+    """Measured and predicted noise gain: a row per source and gain.
 
     The column `chance` is three standard errors of their ratio: a record of T seconds has 2 B T
     independent values, with B the noise bandwidth, for each axis of each eye of each head.
-    `excess_px` is what the axes scatter by beyond the prediction, in squares.
+    `excess_px` is the scatter of the optical axes beyond the prediction, as a root of the
+    difference of squares.
     """
     rows = part(table, "loop").pivot_table(
         index=["source", "gain_per_s"], columns="quantity", values="value"
@@ -86,31 +88,32 @@ def noise_gains(table: pd.DataFrame, config: UncertaintyConfig) -> pd.DataFrame:
 
 
 def bias_within_reach(table: pd.DataFrame) -> float:
-    """How much the detector's bias varies over the places that the axes reach, rms, px."""
+    """Variation of the detector's bias over the sub-pixel range of the jittering axes, rms, px."""
     values = part(table, "loop", "bias within reach")["value"]
     return float((values**2).mean() ** 0.5)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Averaging:
-    """What averaging gains, over all depths, px."""
+    """Errors before and after averaging, root mean square over all depths, px."""
 
     frames: int
     single_px: float
-    """Root mean square error of one frame, still."""
+    """Error of one frame, still fixation."""
     still_px: float
+    """Error of the mean of all frames, still fixation."""
     dithered_px: float
-    """The same of the mean of all frames."""
+    """Error of the mean of all frames, dithered fixation."""
     white_px: float
-    """What it would be if a frame's scatter were all there is."""
+    """Error of the mean of all frames if single frames had only white scatter and no bias."""
     board_px: float
-    """The bound for as many frames, from the whole board."""
+    """Cramer-Rao bound for as many frames, from the whole board."""
     window_px: float
-    """The bound for as many frames, from the detector's window."""
+    """Cramer-Rao bound for as many frames, from the detector's window."""
 
 
 def averaging(table: pd.DataFrame) -> Averaging:
-    """What averaging gains."""
+    """Errors before and after averaging."""
     errors, bound = averaged(table), bounds(table)
     frames = int(errors.columns.max())
 
@@ -131,16 +134,17 @@ def averaging(table: pd.DataFrame) -> Averaging:
 
 
 def tolerance(config: UncertaintyConfig) -> float:
-    """How far a ratio of sample standard deviations may be from 1 by chance: three errors."""
+    """Deviation from 1 allowed by chance of a ratio of sample standard deviations: three errors."""
     return 3.0 / float(np.sqrt(config.draws))
 
 
 def summarise(table: pd.DataFrame, config: UncertaintyConfig) -> list[SummaryRow]:
-    """Figures of our own; the article has none to compare with.
+    """Rows of the summary, with our figures only; the article has none to compare with.
 
-    The verdict is `agrees` or `differs` where two ways to one figure are compared: propagation
-    and Monte Carlo, loops and their noise bandwidth, within three standard errors; a mean of
-    frames and white noise, within a factor `BIASED`. Of dithering it is `better` or `alike`.
+    The verdict is `agrees` or `differs` if two ways to obtain a figure are compared: propagation
+    and Monte Carlo, or measured loops and their noise bandwidth, within three standard errors; a
+    mean of frames and white noise, within the factor `BIASED`. For dithering it is `better` or
+    `alike`.
     """
     return [
         *_propagation_rows(table, config),

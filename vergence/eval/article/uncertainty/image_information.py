@@ -1,13 +1,13 @@
-r"""The Cramer-Rao bound of a point's pixel, from the image that the renderer draws.
+r"""The Cramer-Rao bound of a point's pixel, from the renderer's image.
 
-A frame is the noise-free image I(p) plus white noise of variance s^2 (the cameras' and the
-rounding's, 1/12), so the Fisher information of parameters p is
+A frame is the noise-free image I(p) plus white noise of variance s^2 (the camera's plus 1/12 from
+rounding). The Fisher information of the parameters p is then
 
     F = sum over pixels (dI/dp) (dI/dp)^T / s^2,
 
-by finite differences of noise-free drawings. The parameters are the point's pixel (u, v) and,
-as nuisances, the rest of the board's pose: its depth along the ray and its rotation. No
-unbiased estimator that uses the whole image of n frames has a variance of u below
+with derivatives by finite differences of noise-free images. The parameters are the point's pixel
+(u, v) and, as nuisance parameters, the rest of the board's pose: its depth along the ray and its
+rotation. No unbiased estimator that uses the whole images of n frames has a variance of u below
 [F^-1]_uu / n.
 """
 
@@ -25,31 +25,31 @@ from vergence.vision.drawing import TargetDrawing
 from vergence.vision.optics import EyeCamera
 
 STEP_PX: Final = 0.25
-"""Shift of edges for the finite differences: small beside the blur, large beside the rounding."""
+"""Shift of edges for finite differences, px: below the blur, above the rounding (numerical)."""
 WINDOW_PX: Final = 5
-"""Half side of the detector's window around a corner."""
+"""Half side of the detector's window around a corner, px (numerical)."""
 
 
 class Bound(NamedTuple):
     """Standard deviations that no unbiased estimator from one frame can beat, px."""
 
     board: FloatArray
-    """(2,) u, v: from the whole board, its pose unknown."""
+    """(2,) u, v: from the whole board with unknown pose."""
     window: FloatArray
-    """(2,) u, v: from the detector's window around the corner, all else known."""
+    """(2,) u, v: from the detector's window around the corner, with all else known."""
 
 
 def cramer_rao(head: HeadModel, eye: int, T_C_T: FloatArray) -> Bound:
     """The bounds for one eye's view of the checkerboard.
 
     Args:
-        head: the head, its images and their noise.
+        head: the head; it sets the camera, the images and their noise.
         eye: 0 for left, 1 for right.
         T_C_T: (4, 4) the board's pose, m.
     """
     camera, board = EyeCamera.of(head, eye), make_planar_target("checkerboard")
     rendering = head.rendering
-    # full contrast, so that rounding costs the differences less
+    # full contrast reduces the rounding error of the finite differences
     contrast = (rendering.white_grey - rendering.black_grey) / 255.0
     plain = dataclasses.replace(
         rendering,
@@ -81,7 +81,7 @@ def cramer_rao(head: HeadModel, eye: int, T_C_T: FloatArray) -> Bound:
 
 
 def _steps(head: HeadModel, eye: int, T_C_T: FloatArray) -> FloatArray:
-    """Steps of u, v (px), log depth, and rotation (rad) that move the board's far edge alike."""
+    """Steps of u, v (px), log depth and rotation (rad) that shift the board's far edge equally."""
     board = make_planar_target("checkerboard")
     focal = float(head.cameras.focal[eye].mean())
     extent = max(board.cells.shape) * board.cell_m / float(T_C_T[2, 3]) * focal
@@ -90,7 +90,7 @@ def _steps(head: HeadModel, eye: int, T_C_T: FloatArray) -> FloatArray:
 
 
 def _moved(head: HeadModel, eye: int, T_C_T: FloatArray, parameter: int, step: float) -> FloatArray:
-    """The pose with one of its parameters changed, the point's pixel only by the first two."""
+    """Change one parameter of the pose; only the first two move the point's pixel."""
     if parameter < 2:
         return shifted(head, eye, T_C_T, step * np.eye(2)[parameter])
     pose = T_C_T.copy()

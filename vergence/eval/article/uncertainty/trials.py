@@ -1,4 +1,4 @@
-"""Propagated uncertainties against the real detector's scatter: what is run, and its table."""
+"""Trials of propagated uncertainties against the real detector's scatter, and their table."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -33,41 +33,42 @@ AHEAD: Final = "ahead"
 ASIDE: Final = "aside"
 _PROPAGATION, _LOOP, _LOOP_IMAGES, _AVERAGING, _REACH = range(5)
 _REACH_PX: Final = 0.004
-"""How far the axes wander at a gain of 4, twice their standard deviation."""
+"""Half range of the optical axes' jitter in the image, px (chosen: about twice their standard
+deviation at a gain of 4)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class UncertaintyConfig:
-    """How much is drawn for the uncertainties."""
+    """Configuration of the uncertainties."""
 
     draws: int = 1150
     """Images of each eye at a fixed pose."""
     point_step: int = 1
-    """Every how many-th of Table 3's 21 points is used, from the first."""
+    """Step through Table 3's 21 points, from the first."""
     aside_deg: float = 25.0
-    """How far to the side every fifth of these points is looked at once more."""
+    """Angle to the side at which every fifth of these points is used once more, degrees."""
     gains: tuple[float, ...] = (0.5, 1.0, 2.0, 3.0, 4.0)
     """Gains of the closed loops with white noise, 1/s."""
     heads: int = 100
-    """Loops side by side at each of those gains."""
+    """Number of heads side by side at each of those gains."""
     loop_samples: int = 1200
-    """Control periods that each loop is recorded for."""
+    """Control periods recorded of each of these loops."""
     image_gains: tuple[float, ...] = (1.0, 2.0, 4.0)
     """Gains of the closed loops with images, 1/s."""
     image_samples: int = 3000
-    """Control periods that each loop with images is recorded for."""
+    """Control periods recorded of each loop with images."""
     image_depth_m: float = 2.0
-    """How far away the board of these loops is."""
+    """Depth of the board for the loops with images, m."""
     reach_draws: int = 400
-    """Images at each of nine places that the axes of such a loop reach, for the bias there."""
+    """Images at each of nine sub-pixel offsets within the axes' jitter, for the bias there."""
     averaging_depths_m: tuple[float, ...] = (1.0, 1.5, 2.5)
-    """Where averaging is measured."""
+    """Depths at which averaging is measured, m."""
     frames: int = 1024
-    """Greatest number of frames that are averaged."""
+    """Largest number of averaged frames."""
     replicates: int = 10
-    """Averages of that many frames, each at another place within a pixel."""
+    """Number of averages at each depth, each at another sub-pixel position."""
     dither_side: int = 4
-    """References a side of a dithered fixation, see `closed_loop.dither_references`."""
+    """References per side of a dithered fixation, see `closed_loop.dither_references`."""
 
 
 def run(config: UncertaintyConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
@@ -93,7 +94,7 @@ def _row(part: str, quantity: str, unit: str, value: float, **keys: Any) -> dict
 def _propagation(
     config: UncertaintyConfig, seed: int, index: int, pose: str
 ) -> list[dict[str, Any]]:
-    """(a) One pose: uncertainties propagated, and by Monte Carlo with the real detector."""
+    """(a) Uncertainties at one pose: propagated, and by Monte Carlo with the real detector."""
     head = load_head("simulated")
     point = static_points("simulated")[index]
     if pose == ASIDE:
@@ -140,7 +141,7 @@ def _propagation(
 
 
 def _loop(config: UncertaintyConfig, seed: int, number: int) -> list[dict[str, Any]]:
-    """(b) Loops with white noise, without images: the scatter of the axes over the noise's."""
+    """(b) Noise gain (axis scatter over detection noise) of loops with white noise, no images."""
     gain = config.gains[number]
     record = hold_gaze(
         ClosedLoop(
@@ -154,13 +155,13 @@ def _loop(config: UncertaintyConfig, seed: int, number: int) -> list[dict[str, A
             seed=int(job_rng(seed, NAME, _LOOP, number).integers(2**63)),
         )
     )
-    # without bias the axes scatter about the target itself
+    # without bias the optical axes scatter around the target itself
     axis_px = record.true_pixels_at_exposure - load_head("simulated").cameras.principal
     return _scatter("white noise", gain, np.sqrt((axis_px**2).mean()), _noise(record))
 
 
 def _loop_images(config: UncertaintyConfig, seed: int, number: int) -> list[dict[str, Any]]:
-    """(b) The same with images, of one head, about the mean."""
+    """(b) Noise gain of one head's loop with images; scatter about the mean."""
     gain = config.image_gains[number]
     record = hold_gaze(
         ClosedLoop(
@@ -182,7 +183,7 @@ def _loop_images(config: UncertaintyConfig, seed: int, number: int) -> list[dict
 
 
 def _bias_within_reach(config: UncertaintyConfig, seed: int, axis: int) -> list[dict[str, Any]]:
-    """(b) How the bias in drawn images changes over the thousandths of a pixel the axes wander."""
+    """(b) Variation of the bias in rendered images over the range of the axes' jitter."""
     head = load_head("simulated")
     point = np.array([0.0, -0.1, config.image_depth_m])
     board = poses_in_eyes(head, head.fixate(point), point)[0]
@@ -194,7 +195,7 @@ def _bias_within_reach(config: UncertaintyConfig, seed: int, axis: int) -> list[
         error = view.detect([pose] * config.reach_draws, rng)[:, axis] - view.true_pixel(pose)[axis]
         means.append(np.nanmean(error))
         squares.append(np.nanvar(error, ddof=1) / config.reach_draws)
-    # less what the means scatter by themselves
+    # subtract the variance of the means due to noise
     bias = np.sqrt(max(np.var(means, ddof=1) - np.mean(squares), 0.0))
     return [_row("loop", "bias within reach", "px", bias, source="images", axis="uv"[axis])]
 
@@ -216,7 +217,7 @@ def _scatter(source: str, gain: float, axis_px: float, noise_px: float) -> list[
 def _averaging(
     config: UncertaintyConfig, seed: int, index: int, replicate: int
 ) -> list[dict[str, Any]]:
-    """(c) Means of n frames of one eye, still and dithered, and the bound of one frame."""
+    """(c) Errors of means of n frames of one eye, still and dithered; the bound of one frame."""
     head = load_head("simulated")
     depth = config.averaging_depths_m[index]
     point = np.array([0.0, -0.1, depth])
@@ -249,7 +250,7 @@ def _averaging(
 
 
 def _means(error: FloatArray) -> Iterator[tuple[int, FloatArray]]:
-    """The mean of the first n errors for n = 1, 4, 16 and so on, and of all."""
+    """Means of the first n errors for n = 1, 4, 16 and so on, and of all."""
     frames = 1
     while frames < len(error):
         yield frames, np.nanmean(error[:frames], axis=0)
