@@ -52,7 +52,7 @@ class Actuators(FrozenArrays):
     velocity: FloatArray
     """Greatest commanded speed, rad/s."""
     acceleration: FloatArray
-    """Greatest acceleration, rad/s^2; inf where there is no limit."""
+    """Greatest acceleration, rad/s^2; inf for no limit."""
     lag_s: FloatArray = field(default_factory=_unsaid)
     """Time constants, s; nan (or empty) for the value in the head's `timing`."""
     encoder_resolution_rad: FloatArray = field(default_factory=_unsaid)
@@ -103,7 +103,7 @@ class Actuation(FrozenArrays):
     velocity: FloatArray
     """(7,) greatest commanded speeds, rad/s; 0 for one that does not exist."""
     acceleration: FloatArray
-    """(7,) greatest accelerations, rad/s^2; inf where there is no limit."""
+    """(7,) greatest accelerations, rad/s^2; inf for no limit."""
     lag_ratio: FloatArray
     """(7,) lags as ratios to the lag in the head's `timing`."""
     angle_step: FloatArray

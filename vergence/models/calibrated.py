@@ -13,10 +13,9 @@ class CalibrationRecord:
     views: int
     """Number of pairs of photographs used."""
     rms_px: float
-    """Root mean square length of the reprojection errors of these pairs, px."""
+    """Root mean square of the reprojection errors of these pairs, as lengths in pixels."""
     rms_heldout_px: float
-    """Root mean square length of the reprojection errors of held-out pairs (cross-validation),
-    px."""
+    """Root mean square of the reprojection errors of held-out pairs (cross-validation), px."""
     corners_sha256: str
     """SHA-256 of the measured corners."""
     versions: str

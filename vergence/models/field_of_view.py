@@ -1,4 +1,4 @@
-"""Coverage of an image by its lens model: does every pixel have a ray?"""
+"""Check that every pixel of an image has a ray under its lens model."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -152,7 +152,7 @@ class DenavitHartenberg(FrozenArrays):
         return poses
 
     def twists(self, about: "DenavitHartenberg") -> FloatArray:
-        """See `Links.twists`; a twist is the factor's generator seen from the constant's end."""
+        """See `Links.twists`: each factor of a constant commutes with its own generator."""
         found: dict[tuple[str, int], tuple[int, FloatArray]] = {}
         for eye, tilt in enumerate((3, 6)):
             for k, factors in enumerate(_FACTORS):

@@ -115,7 +115,7 @@ class JointLimits(FrozenArrays):
     velocity: FloatArray
     """Greatest commanded speed, in rad/s."""
     acceleration: FloatArray
-    """Greatest acceleration, in rad/s^2; inf where there is no limit."""
+    """Greatest acceleration, in rad/s^2; inf for no limit."""
 
     def contains(self, q: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
         """True if all joints are at least `margin` rad inside their limits.

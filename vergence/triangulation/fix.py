@@ -20,7 +20,7 @@ class Fix(NamedTuple):
     """A triangulated point, in frame N."""
 
     point: FloatArray
-    """(..., 3) metres; nan where not valid."""
+    """(..., 3) position, metres; nan if not valid."""
     gap: FloatArray
     """(...) length of the common perpendicular of the two rays, metres: a consistency check."""
     covariance: FloatArray
@@ -66,9 +66,9 @@ class Noise:
     def of(head: HeadModel) -> "Noise":
         """Noise of a head's own sensors: detector, encoder quantisation, and backlash.
 
-        The error of a quantisation of r is uniform over r, so its standard deviation is r /
-        sqrt(12). With a backlash of b, the load may lie b / 2 to either side of the encoder's
-        angle, so b / 2 is added in quadrature.
+        A quantisation of r has a uniform error with the standard deviation r / sqrt(12). With a
+        backlash of b, the load may lie b / 2 to either side of the encoder's angle, so b / 2 is
+        added in quadrature.
         """
         own = head.actuation
         return _noise_of(

@@ -9,7 +9,7 @@ from vergence.models.pose import Pose, out_of
 from vergence.triangulation.rays import Ray, nearest
 
 DEFAULT_DEPTH_M: Final = 1.0
-"""Depth if triangulation fails, m (chosen: within reach of the head)."""
+"""Depth if triangulation fails, m (chosen: the geometric mean of `DEPTH_RANGE_M`)."""
 DEPTH_RANGE_M: Final = (0.1, 10.0)
 """Least and greatest triangulated depth, m (chosen: the depth scales only the small translational
 part of the image Jacobian)."""

@@ -59,8 +59,8 @@ def triangulate_fixations(
         mean gap of the fixations.
 
     Raises:
-        ConfigurationError: the head is a population, or in no fixation the point is visible to
-            both eyes.
+        ConfigurationError: the head is a population, or the point is not visible to both eyes in
+            any fixation.
     """
     if head.batch_shape:
         raise ConfigurationError(

@@ -1,4 +1,4 @@
-"""Mass and inertia of the links: assumed values of a balanced head, as none are published.
+"""Mass and inertia of the links: assumed values of a balanced head, as no source states any.
 
 A head made to turn fast is balanced. The counterweight of an eye (its second servo) puts the eye's
 centre of mass on the axis of its first joint. The counterweight of the skull puts the common centre
