@@ -1,4 +1,4 @@
-"""What the head is: kinematics, cameras, limits, presets, and the MuJoCo model made from them."""
+"""Head models: kinematics, cameras, limits, presets, and the MuJoCo model made from them."""
 
 from vergence.models.actuation import Actuation, Actuators
 from vergence.models.cameras import Cameras

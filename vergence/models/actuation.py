@@ -1,12 +1,13 @@
-"""What a builder can command: actuators, and how they move the four joints of the eyes.
+"""Actuators of a head, and how they move the four joints of the eyes.
 
-A joint angle is a linear function of the actuators' angles, `joints = matrix actuators + offset`:
-the unit matrix where each eye joint has its own motor, one column for a tilt that both eyes share,
-two for a version and a vergence. What is commanded is counted by actuator, what is measured by
-joint. Limits, lag, encoder steps and backlash belong to the actuator.
+A joint angle is a linear function of the actuators' angles, `joints = matrix actuators + offset`.
+The matrix is the identity if each eye joint has its own motor; a tilt that both eyes share is one
+column of it, a version and a vergence are two. Commands are indexed by actuator, measurements by
+joint. Limits, lag, encoder quantisation and backlash belong to the actuator.
 
-Kernels always see four actuators; a head with fewer fills up with some that move nothing, so that
-arrays of a head's seven, the neck's joints and then these, have one shape for all heads.
+Kernels always take four actuators of the eyes. A head with fewer is padded with actuators that
+move nothing, so arrays of the neck's three joints and then these four have the shape (7,) for
+every head.
 """
 
 from collections.abc import Sequence
@@ -22,9 +23,9 @@ from vergence.models.parts import FloatArray, FrozenArrays, JointLimits, LoopTim
 from vergence.operands import as_operand
 
 SLOTS: Final = 4
-"""Actuators as kernels see them."""
+"""Number of eye actuators in the arrays of kernels (numerical)."""
 _OWN: Final = ("lag_s", "encoder_resolution_rad", "velocity_resolution_rad_s")
-"""What an actuator has from its head unless it says otherwise, which is nan."""
+"""Fields of an actuator that default to the head's own value; nan stands for the default."""
 
 
 def _unsaid() -> FloatArray:
@@ -33,13 +34,13 @@ def _unsaid() -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Actuators(FrozenArrays):
-    """What moves the eyes' joints where these do not each have a motor of their own.
+    """Actuators of eyes with coupled joints: not every joint has a motor of its own.
 
-    Fields but the first three have the shape (m,), m from 0 to 4.
+    All fields except `matrix` and `offset` have the shape (m,), m from 0 to 4.
     """
 
     names: tuple[str, ...]
-    """(m,)"""
+    """(m,) names of the actuators."""
     matrix: FloatArray
     """(4, m) joint angles per actuator angle, in joint order."""
     offset: FloatArray
@@ -51,16 +52,18 @@ class Actuators(FrozenArrays):
     velocity: FloatArray
     """Greatest commanded speed, rad/s."""
     acceleration: FloatArray
-    """Greatest acceleration, rad/s^2; inf where there is no limit."""
+    """Greatest acceleration, rad/s^2; inf for no limit."""
     lag_s: FloatArray = field(default_factory=_unsaid)
-    """Time constants, s; nan (or empty) for that of the head's timing."""
+    """Time constants, s; nan (or empty) for the value in the head's `timing`."""
     encoder_resolution_rad: FloatArray = field(default_factory=_unsaid)
-    """Steps of the angle feedback; nan (or empty) for that of the head's sensors."""
+    """Quantisation of the angle feedback, rad; nan (or empty) for the value in the head's
+    `sensor`."""
     velocity_resolution_rad_s: FloatArray = field(default_factory=_unsaid)
-    """Steps of the velocity feedback; nan (or empty) for that of the head's sensors."""
+    """Quantisation of the velocity feedback, rad/s; nan (or empty) for the value in the head's
+    `sensor`."""
     backlash_rad: FloatArray = field(default_factory=_unsaid)
-    """Play between the motor and what it moves, whole width, rad; 0 (or empty) for that of the
-    head's sensors."""
+    """Backlash between the motor and its load, whole width, rad; 0 (or empty) for the value in the
+    head's `sensor`."""
 
     def __post_init__(self) -> None:
         count = len(self.names)
@@ -80,13 +83,13 @@ class Actuators(FrozenArrays):
 class Actuation(FrozenArrays):
     """A head's actuators as kernels, plants and controllers take them.
 
-    Fields of shape (7,) are of the neck's three joints and four actuators of the eyes.
+    Fields of shape (7,) hold the neck's three joints, then four actuators of the eyes.
     """
 
     names: tuple[str, ...]
-    """(m,) the actuators of the eyes."""
+    """(m,) names of the eyes' actuators."""
     direct: bool
-    """Whether each of the four eye joints has its own motor, in joint order."""
+    """True if each of the four eye joints has its own motor, in joint order."""
     to_joints: FloatArray
     """(4, 4) the eyes' joint angles per actuator angle; columns beyond m are zero."""
     offset: FloatArray
@@ -100,23 +103,23 @@ class Actuation(FrozenArrays):
     velocity: FloatArray
     """(7,) greatest commanded speeds, rad/s; 0 for one that does not exist."""
     acceleration: FloatArray
-    """(7,) greatest accelerations, rad/s^2; inf where there is no limit."""
+    """(7,) greatest accelerations, rad/s^2; inf for no limit."""
     lag_ratio: FloatArray
-    """(7,) lags by that of the head's timing."""
+    """(7,) lags as ratios to the lag in the head's `timing`."""
     angle_step: FloatArray
-    """(7,) resolution of the angle feedback, rad; 0 for exact."""
+    """(7,) quantisation of the angle feedback, rad; 0 for exact."""
     speed_step: FloatArray
-    """(7,) resolution of the velocity feedback, rad/s; 0 for exact."""
+    """(7,) quantisation of the velocity feedback, rad/s; 0 for exact."""
     backlash: FloatArray
-    """(7,) play between motor and joint, rad; that of the neck is none."""
+    """(7,) backlash between motor and joint, whole width, rad; 0 for the neck."""
 
     @property
     def count(self) -> int:
-        """How many actuators move the eyes."""
+        """Number of actuators of the eyes."""
         return len(self.names)
 
     def joints_of(self, actuators: ArrayLike) -> FloatArray:
-        """Joint angles of the whole head from angles of the neck and the actuators.
+        """Convert angles of the neck and the eyes' actuators to joint angles of the whole head.
 
         Args:
             actuators: (..., 7) rad.
@@ -130,17 +133,18 @@ class Actuation(FrozenArrays):
         return out
 
     def rates_of(self, actuators: ArrayLike) -> FloatArray:
-        """Joint velocities of the whole head, as `joints_of` but without the offset."""
+        """Convert velocities of the neck and the eyes' actuators to joint velocities."""
         out = as_operand("actuators", actuators, 7).copy()
         if not self.direct:
             out[..., EYES] = out[..., EYES] @ self.to_joints.T
         return out
 
     def actuators_of(self, joints: ArrayLike) -> FloatArray:
-        """Angles of the neck and the actuators from joint angles, the inverse of `joints_of`.
+        """Convert joint angles to angles of the neck and the eyes' actuators; inverts `joints_of`.
 
         Args:
-            joints: (..., 7) rad; of those that no actuators give, the nearest ones count.
+            joints: (..., 7) rad; if no actuator angles give them, the least-squares solution is
+                taken.
 
         Returns:
             (..., 7) rad.
@@ -158,14 +162,15 @@ def actuation_of(
     sensor: SensorModel,
     actuators: Actuators | None,
 ) -> Actuation:
-    """What can be commanded of a head.
+    """Assemble the actuation of a head.
 
     Args:
-        joints: (7,) names; empty for a joint that is missing, equal for one that is shared.
-        limits: of the joints.
-        timing: of the head, for lags that actuators do not give.
-        sensor: of the head, for resolutions that they do not give.
-        actuators: of the eyes; None where each of their joints has its own.
+        joints: (7,) names; empty for a missing joint, the same name twice for a shared joint.
+        limits: limits of the joints.
+        timing: timing of the head; supplies the lag of actuators that state none.
+        sensor: sensors of the head; supply the quantisation and backlash of actuators that state
+            none.
+        actuators: actuators of the eyes; None if each named eye joint has its own motor.
     """
     own = [(name, i) for i, name in enumerate(joints[EYES]) if name]
     names = tuple(dict.fromkeys(name for name, _ in own))
@@ -219,5 +224,5 @@ def actuation_of(
 
 
 def _seven(neck: FloatArray, eyes: FloatArray, fill: float = 0.0) -> FloatArray:
-    """Numbers of the neck's three joints and of four actuators."""
+    """Join values of the neck's joints and of the eyes' actuators, padded to shape (7,)."""
     return np.concatenate([neck, eyes, np.full(SLOTS - len(eyes), fill)])

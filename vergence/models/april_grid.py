@@ -1,7 +1,7 @@
 """AprilGrids: the calibration boards of Kalibr, AprilTags in rows with small squares between.
 
-Kalibr's names for what is here `columns`, `rows`, `tag_m` and `spacing` are `tagCols`, `tagRows`,
-`tagSize` and `tagSpacing`.
+Kalibr calls the fields `columns`, `rows`, `tag_m` and `spacing` `tagCols`, `tagRows`, `tagSize` and
+`tagSpacing`.
 """
 
 from dataclasses import dataclass
@@ -16,22 +16,25 @@ from vergence.models.tag_families import TagFamilyCode, tag_family
 
 GRID_FAMILY: Final = "36h11"
 GRID_BORDER: Final = 2
-"""Bits across the black border of each tag; the AprilTag library's own tags have one."""
+"""Width of each tag's black border, bits; the AprilTag library's own tags have 1 (physical:
+Kalibr's boards)."""
 _BITS: Final = 6
-"""Along a side of the family's code."""
+"""Bits along a side of the family's code (physical: the AprilTag family 36h11)."""
 _MOST_CELLS_PER_BIT: Final = 16
-"""Kalibr's PDF has no cells; what is drawn comes within 1 / 320 of a tag of it, mostly exactly."""
+"""Most cells along a bit. Kalibr's vector drawing has no cells; cells reproduce it to 1 / 320 of a
+tag, mostly exactly (chosen: accuracy against image size)."""
 _SAME: Final = 1e-6
+"""Rounding error of a gap that counts as a whole number of cells, in bits (numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AprilGrid:
-    """A grid of AprilTags 36h11 as Kalibr prints it, its tags with a border of two bits.
+    """A grid of AprilTags 36h11 as Kalibr prints it, each tag with a border of two bits.
 
-    Tag 0 is the lower left one; numbers go on to the right, then row by row upwards. A black
-    square as wide as the gap between two tags touches each corner of a tag, at the rim as well, so
-    that black and white alternate around it. The measured point, origin of T, is the middle of the
-    grid.
+    Tag 0 is the lower left one; ids increase to the right, then row by row upwards. A black
+    square as wide as the gap between two tags touches each corner of each tag, also at the edge of
+    the board, so black and white alternate around a tag. The measured point, the origin of T, is
+    the centre of the grid.
 
     Raises:
         ConfigurationError: a count that is not positive, more tags than the family has, an edge
@@ -43,9 +46,9 @@ class AprilGrid:
     rows: int = 6
     """Tags along y."""
     tag_m: float = 0.088
-    """Edge of the black square of a tag."""
+    """Edge of the black square of a tag, m."""
     spacing: float = 0.3
-    """Gap between two tags, by the edge of one."""
+    """Gap between two tags, as a fraction of a tag's edge."""
 
     size_known: ClassVar[bool] = True
 
@@ -82,7 +85,7 @@ class AprilGrid:
 
     @property
     def cell_m(self) -> float:
-        """Edge of one of the cells that `cells` draws it with, in metres."""
+        """Edge of one cell of `cells`, in metres."""
         return self.bit_m / self._cells_per_bit[0]
 
     @property
@@ -93,7 +96,10 @@ class AprilGrid:
 
     @cached_property
     def _cells_per_bit(self) -> tuple[int, int]:
-        """Cells along a bit, and along a gap: as few as make the gap whole, or nearly so."""
+        """Cells along a bit and along a gap: the fewest that make the gap a whole number of cells.
+
+        If no number up to the limit does, the one with the least error.
+        """
         bits = _BITS + 2 * GRID_BORDER
         gaps = [self.spacing * bits * cells for cells in range(1, _MOST_CELLS_PER_BIT + 1)]
         off = [abs(max(round(gap), 1) - gap) / cells for cells, gap in enumerate(gaps, 1)]
@@ -108,7 +114,7 @@ class AprilGrid:
 
     @cached_property
     def cells(self) -> NDArray[np.uint8]:
-        """The board, one byte a cell, 0 black, 255 white, in white as wide as a gap."""
+        """The board with a white margin as wide as a gap; one byte a cell, 0 black, 255 white."""
         fine, gap = self._cells_per_bit
         size = fine * (_BITS + 2 * GRID_BORDER)
         pitch = size + gap
@@ -125,15 +131,15 @@ class AprilGrid:
 
     @cached_property
     def places(self) -> NDArray[np.intp]:
-        """Row from above and column of each tag by its number, shape (rows * columns, 2)."""
+        """Row (from the top) and column of each tag by its id, shape (rows * columns, 2)."""
         row, column = np.divmod(np.arange(self.rows * self.columns), self.columns)
         return np.stack([self.rows - 1 - row, column], axis=-1)
 
     @cached_property
     def corners_m(self) -> NDArray[np.float64]:
-        """Corners of the tags in T, shape (4 rows columns, 2), tag by tag in their numbers' order.
+        """Corners of the tags in T, metres, shape (4 rows columns, 2), in the order of tag ids.
 
-        Of each from the upper left one, clockwise as the board is seen upright.
+        Each tag's corners start at the upper left and go clockwise on the upright board.
         """
         middle = 0.5 * np.array([self.columns - 1, self.rows - 1])
         tags = (1.0 + self.spacing) * (self.places[:, ::-1] - middle)

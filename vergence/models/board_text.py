@@ -1,4 +1,4 @@
-"""Targets as people write them: `tag:36h11:5:120`, `checkerboard:9x6:24.23`."""
+"""Parser of targets in their text form: `tag:36h11:5:120`, `checkerboard:9x6:24.23`."""
 
 import math
 import re
@@ -10,7 +10,8 @@ from vergence.models.april_grid import AprilGrid
 from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
 
 _LONGEST: Final = 100
-"""Characters of a text beyond which it names no target."""
+"""Longest text that is parsed, characters (chosen: far above any target, short enough for a
+message)."""
 _FORMS: Final = {
     "tag": "tag:FAMILY[:ID[:EDGE]], such as tag:36h11:5:120 (black edge in mm) or tag:36h11",
     "checkerboard": "checkerboard:COLUMNSxROWS[:SQUARE], such as checkerboard:9x6:24.23 "
@@ -23,20 +24,20 @@ _FORMS: Final = {
 
 
 def parse_target(text: str) -> Target:
-    """The target that a text names.
+    """Parse the text form of a target.
 
     Args:
         text: `tag:FAMILY[:ID[:EDGE]]`, `checkerboard:COLUMNSxROWS[:SQUARE]`,
             `charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy]` or
-            `aprilgrid:COLUMNSxROWS:TAG:SPACING`; lengths in mm, a checkerboard's counts are of
-            inner corners, a ChArUco board's of squares, an AprilGrid's of tags, whose spacing is
-            the gap between two by the edge of one.
+            `aprilgrid:COLUMNSxROWS:TAG:SPACING`; lengths in mm. COLUMNS and ROWS count the inner
+            corners of a checkerboard, the squares of a ChArUco board, and the tags of an
+            AprilGrid. SPACING is the gap between two tags as a fraction of a tag's edge.
 
     Returns:
-        The target; where no size is given it has the default one, and says so in `size_known`.
+        The target. Without a size in the text it has the default size and `size_known` is False.
 
     Raises:
-        ConfigurationError: the text is none of these, or its values cannot be.
+        ConfigurationError: the text has none of these forms, or a value is invalid.
     """
     text = str(text).strip()
     kind, *parts = text.split(":")
@@ -55,7 +56,7 @@ def parse_target(text: str) -> Target:
 
 
 class _FormError(Exception):
-    """A part of the text is not of its form."""
+    """Raised if a part of the text does not have the expected form."""
 
 
 def _tag(parts: list[str]) -> Target:
@@ -123,7 +124,7 @@ def _count(text: str) -> int:
 
 
 def _length(text: str) -> float:
-    """Millimetres in metres."""
+    """Parse a length in millimetres; returns metres."""
     return _positive(text) / 1000.0
 
 

@@ -1,8 +1,8 @@
-"""Planar targets: what is printed on the board that the head looks at.
+"""Planar targets: the pattern printed on the board that the head looks at.
 
 A target is a grid of square cells, black or white. Its frame T has its origin at the measured
 point, x right and y down as the viewer of the board sees it, and z into the board, away from
-the viewer. A board that faces a camera upright has the identity as rotation of ``T_C_T``.
+the viewer. For an upright board that faces a camera squarely, ``T_C_T`` has no rotation.
 """
 
 from dataclasses import dataclass, field
@@ -18,38 +18,40 @@ from vergence.models.april_grid import AprilGrid
 from vergence.models.tag_families import UNPRINTED, TagFamilyCode, tag_family
 
 _LEAST_CORNERS: Final = 3
-"""Inner corners along a side, below which OpenCV looks for no board."""
+"""Fewest inner corners along a side for which OpenCV detects a board (physical: OpenCV)."""
 _MOST_CELLS: Final = 200
-"""Squares along a side of a board: more than any photograph resolves."""
+"""Most squares along a side of a board (chosen: more than any photograph resolves)."""
 _MOST_CHARUCO_CELLS: Final = 96
-"""Cells along a square of a ChArUco board: its markers are drawn to about one of them."""
+"""Most cells along a square of a ChArUco board; its markers are drawn to about one cell (chosen:
+accuracy against image size)."""
 _SAME_CELLS: Final = 1e-6
+"""Rounding error of a marker that counts as a whole number of cells, cells (numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AprilTag:
     """An AprilTag, upright as the AprilTag library draws it.
 
-    The measured point, origin of T, is the centre of the square that the library detects: the
-    black one of the families 36h11, 36h10, 25h9 and 16h5, which have a white quiet zone of one cell
-    around it; the white one in a black ring of the others.
+    The measured point, the origin of T, is the centre of the square that the library detects. In
+    the families 36h11, 36h10, 25h9 and 16h5 it is black, with a white quiet zone of one cell around
+    it; in the others it is white, inside a black ring.
 
     Raises:
         UnknownNameError: there is no such family.
-        ConfigurationError: the identity is not of the family, or the edge is not positive.
+        ConfigurationError: the family has no such id, or the edge is not positive.
     """
 
     id: int = 0
-    """Number of the tag in the family, from 0 on."""
+    """Number of the tag in its family, from 0."""
     edge_m: float = 0.12
-    """Edge of that square."""
+    """Edge of the detected square, m."""
     family: str = "36h11"
-    """Of the AprilTag library, see `vergence.models.tag_families`."""
+    """Name of the family in the AprilTag library, see `vergence.models.tag_families`."""
     size_known: bool = field(default=True, compare=False)
-    """Whether the edge was stated; where it was not, only directions and ratios mean something."""
+    """True if the edge was stated; if not, only directions and ratios of lengths are valid."""
 
     def __post_init__(self) -> None:
-        """Check the family, the identity and the size."""
+        """Check the family, the id and the size."""
         object.__setattr__(self, "family", tag_family(self.family).name)
         self.code.cells(self.id)
         _check_length("AprilTag edge_m", self.edge_m)
@@ -87,7 +89,7 @@ class AprilTag:
 
 @dataclass(frozen=True, kw_only=True)
 class TagFamily:
-    """All tags of one family, whatever their numbers: what may be looked for in an image.
+    """All tags of one family, whatever their ids, as a target of detection.
 
     Raises:
         UnknownNameError: there is no such family.
@@ -95,11 +97,11 @@ class TagFamily:
     """
 
     family: str = "36h11"
-    """Of the AprilTag library."""
+    """Name of the family in the AprilTag library."""
     edge_m: float = 0.12
-    """Edge of the square of each, see `AprilTag`."""
+    """Edge of each tag's detected square, m, see `AprilTag`."""
     size_known: bool = field(default=True, compare=False)
-    """Whether the edge was stated."""
+    """True if the edge was stated."""
 
     def __post_init__(self) -> None:
         """Check the family and the size."""
@@ -118,15 +120,16 @@ class TagFamily:
 
 @dataclass(frozen=True, kw_only=True)
 class Checkerboard:
-    """A checkerboard, drawn with a white rim of one square or without.
+    """A checkerboard, with or without a white rim of one square.
 
-    The upper left square is black. Where one count of inner corners is even and the other odd, the
-    board differs from itself turned by 180 degrees, and the measured point, origin of T, is its
-    upper right inner corner. Any other board is symmetric: which of its corners is the upper
-    right one cannot be seen, and the measured point is its middle.
+    The upper left square is black. If one count of inner corners is even and the other odd, a turn
+    by 180 degrees changes the pattern, and the measured point, the origin of T, is the upper right
+    inner corner. Any other board is symmetric: an image cannot tell its upper right corner from its
+    lower left one, and the measured point is the centre of the board.
 
     Raises:
-        ConfigurationError: fewer than 3 corners along a side, or a square that is not positive.
+        ConfigurationError: fewer than 3 or more than 200 inner corners along a side, or a square
+            that is not positive.
     """
 
     columns: int = 5
@@ -134,11 +137,11 @@ class Checkerboard:
     rows: int = 4
     """Inner corners along y."""
     square_m: float = 0.04
-    """Edge of one square."""
+    """Edge of one square, m."""
     rim: bool = True
-    """Whether a white rim of one square is printed around it. Detectors need none."""
+    """True if a white rim of one square surrounds the board. Detectors need none."""
     size_known: bool = field(default=True, compare=False)
-    """Whether the square's edge was stated."""
+    """True if the square's edge was stated."""
 
     def __post_init__(self) -> None:
         """Check the counts and the size."""
@@ -160,12 +163,12 @@ class Checkerboard:
 
     @property
     def symmetric(self) -> bool:
-        """Whether it looks the same turned by 180 degrees."""
+        """True if a turn by 180 degrees leaves the pattern unchanged."""
         return (self.columns + self.rows) % 2 == 0
 
     @property
     def cell_m(self) -> float:
-        """Edge of one cell, which is a square, in metres."""
+        """Edge of one cell, here a square of the board, in metres."""
         return self.square_m
 
     @property
@@ -180,7 +183,7 @@ class Checkerboard:
     def cells(self) -> NDArray[np.uint8]:
         """The board, one byte a cell, 0 black, 255 white.
 
-        Shape (rows + 3, columns + 3), without a rim (rows + 1, columns + 1).
+        Shape (rows + 3, columns + 3) with a rim, (rows + 1, columns + 1) without.
         """
         y, x = np.mgrid[: self.rows + 1, : self.columns + 1]
         squares = np.where((x + y) % 2 == 0, 0, 255)
@@ -188,7 +191,7 @@ class Checkerboard:
 
     @cached_property
     def corners_m(self) -> NDArray[np.float64]:
-        """Inner corners in T, shape (rows * columns, 2), row by row from the upper left."""
+        """Inner corners in T, metres, shape (rows * columns, 2), row by row from the upper left."""
         y, x = np.mgrid[1 : self.rows + 1, 1 : self.columns + 1].astype(float) + int(self.rim)
         places = np.stack([x.ravel(), y.ravel()], axis=-1)
         return self.square_m * (places - self.origin_cells)
@@ -198,13 +201,15 @@ class Checkerboard:
 class CharucoBoard:
     """A checkerboard with ArUco markers in its white squares, as OpenCV lays it out.
 
-    The measured point, origin of T, is its middle. Since OpenCV 4.6 the upper left square is
-    black; before, it was white where the number of rows is even, and many boards on walls are such.
+    The measured point, the origin of T, is the centre of the board. Since OpenCV 4.6 the upper left
+    square is black. Before, it was white if the number of rows is even; many boards in use are of
+    that kind.
 
     Raises:
         UnknownNameError: there is no such dictionary.
-        ConfigurationError: fewer than 3 squares along a side, more markers than the dictionary has,
-            lengths that are not positive, or a marker that is not smaller than its square.
+        ConfigurationError: fewer than 3 or more than 200 squares along a side, more markers than
+            the dictionary has, lengths that are not positive, or a marker that is not smaller than
+            its square.
     """
 
     columns: int = 7
@@ -212,13 +217,13 @@ class CharucoBoard:
     rows: int = 5
     """Squares along y."""
     square_m: float = 0.04
-    """Edge of one square."""
+    """Edge of one square, m."""
     marker_m: float = 0.03
-    """Edge of one marker."""
+    """Edge of one marker, m."""
     dictionary: str = "DICT_4X4_50"
-    """OpenCV's name of the markers' dictionary."""
+    """OpenCV's name of the dictionary of markers."""
     legacy: bool = False
-    """Whether it is laid out as OpenCV did before 4.6."""
+    """True for the layout of OpenCV before 4.6."""
 
     size_known: ClassVar[bool] = True
 
@@ -255,7 +260,7 @@ class CharucoBoard:
         return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
 
     def opencv_board(self) -> cv2.aruco.CharucoBoard:
-        """The board as OpenCV has it, lengths in metres."""
+        """Make the same board as an OpenCV object, lengths in metres."""
         size = (self.columns, self.rows)
         board = cv2.aruco.CharucoBoard(size, self.square_m, self.marker_m, self._markers)
         board.setLegacyPattern(self.legacy)
@@ -263,12 +268,12 @@ class CharucoBoard:
 
     @property
     def cell_m(self) -> float:
-        """Edge of one of the cells that `cells` draws it with, in metres."""
+        """Edge of one cell of `cells`, in metres."""
         return self.square_m / self._cells_per_square
 
     @property
     def _cells_per_square(self) -> int:
-        """As many as make the markers' bits and their margins whole cells, or nearly so."""
+        """Fewest cells that make the markers' bits and margins whole cells; at most the limit."""
         bits = self._markers.markerSize + 2
         share = self.marker_m / self.square_m
         for cells in range(bits + 1, _MOST_CHARUCO_CELLS):
@@ -293,9 +298,9 @@ class CharucoBoard:
 
     @cached_property
     def corners_m(self) -> NDArray[np.float64]:
-        """Inner corners of the squares in T, shape ((rows - 1) (columns - 1), 2), by OpenCV's ids.
+        """Inner corners in T, metres, shape ((rows - 1) (columns - 1), 2).
 
-        Row by row from the upper left.
+        They are in the order of OpenCV's ids: row by row from the upper left.
         """
         y, x = np.mgrid[1 : self.rows, 1 : self.columns].astype(float)
         places = np.stack([x.ravel(), y.ravel()], axis=-1)
@@ -303,7 +308,7 @@ class CharucoBoard:
 
 
 def _dictionary_name(name: str) -> str:
-    """OpenCV's name of a dictionary, given with or without `DICT_` and in any case."""
+    """Complete a dictionary's name, given with or without `DICT_` and in any letter case."""
     known = [each for each in dir(cv2.aruco) if each.startswith("DICT_")]
     found = {each.lower(): each for each in known}.get("dict_" + name.lower().removeprefix("dict_"))
     if found is None:
@@ -313,7 +318,7 @@ def _dictionary_name(name: str) -> str:
 
 PlanarTarget = AprilTag | Checkerboard | CharucoBoard | AprilGrid
 Target = PlanarTarget | TagFamily
-"""What may be looked for in an image."""
+"""Anything that can be detected in an image."""
 
 
 def make_planar_target(name: str) -> PlanarTarget:
@@ -346,7 +351,8 @@ def board_pose(
 
     Args:
         point: (3,) in N, m.
-        facing: `head`, square to the line from N's origin; `forward`, parallel to N's xy plane.
+        facing: `head` for a board perpendicular to the line from N's origin, `forward` for one
+            parallel to N's xy plane.
 
     Returns:
         (4, 4) T_N_T: x right and y down as seen from the head, z into the board.
@@ -366,13 +372,13 @@ def board_pose(
 def texture(
     target: PlanarTarget, texels: int, *, surround: int = 255, rim: int = 0, blur: float = 0.0
 ) -> NDArray[np.uint8]:
-    """The board as an image.
+    """Render the board as an image.
 
     Args:
         target: the board.
         texels: pixels of the image along a cell.
         surround: grey level around the board.
-        rim: pixels of surround on each side.
+        rim: width of the surround on each side, pixels.
         blur: standard deviation of a Gaussian blur, in pixels of the image; 0 for none.
 
     Returns:

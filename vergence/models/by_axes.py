@@ -1,4 +1,4 @@
-"""A head's joints by their axes, whatever describes them."""
+"""Conversion of a head to `JointAxes`, whatever describes its joints."""
 
 from dataclasses import replace
 from typing import Final
@@ -11,14 +11,14 @@ from vergence.models.joints import NECK
 from vergence.models.links import product
 
 _NO_MORE: Final = ("links", "eyes")
-"""Beginnings of the keys of assumptions on numbers that a file by axes does not have."""
+"""Prefixes of assumption keys whose numbers a file of a head by `JointAxes` does not have."""
 
 
 def as_axes(head: HeadModel) -> HeadModel:
-    """The same head with its joints' axes one by one, each of which may then be anywhere.
+    """Describe the same head by one free axis per joint instead of Denavit-Hartenberg numbers.
 
-    D-H numbers cannot turn a joint about the y axis, nor shift it along, if it is parallel to the
-    joint before, as the article's tilts are to its neck's pitch.
+    D-H numbers cannot rotate a joint about the y axis, nor shift it along y, if the joint is
+    parallel to the one before it, as the article's tilts are to its neck's pitch.
 
     Args:
         head: one head, not a population.

@@ -1,4 +1,4 @@
-"""How a head's cameras were calibrated: what a head file keeps of it."""
+"""Record of a camera calibration, as a head file stores it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,15 +11,15 @@ class CalibrationRecord:
     target: str
     """The board, see `vergence.vision.parse_target`."""
     views: int
-    """Pairs of photographs that went in."""
+    """Number of pairs of photographs used."""
     rms_px: float
-    """Root mean square of what they leave, as lengths in pixels."""
+    """Root mean square of the reprojection errors of these pairs, as lengths in pixels."""
     rms_heldout_px: float
-    """The same of pairs that the cameras did not know (cross-validation)."""
+    """Root mean square of the reprojection errors of held-out pairs (cross-validation), px."""
     corners_sha256: str
-    """Hash of the corners that were measured."""
+    """SHA-256 of the measured corners."""
     versions: str
-    """Of the programs that measured and solved."""
+    """Versions of the programs that measured and solved."""
     sigma: Mapping[str, float]
     """Standard deviations by the names of `HeadModel.parameters`, in their units; those of
     `right.head_eye` are of the right camera's pose in the left camera's frame."""

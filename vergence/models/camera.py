@@ -2,7 +2,7 @@
 
     u = u_0 + f_u x_d,   v = v_0 + f_v y_d
 
-with pixel centres at integers and the lens's (x_d, y_d) of the point's (X / Z, Y / Z).
+with pixel centres at integers; (x_d, y_d) are the point's (X / Z, Y / Z) distorted by the lens.
 """
 
 from math import nan
@@ -19,7 +19,7 @@ from vergence.models.parts import FloatArray
 
 @device
 def ray_to_pixel(camera: CameraRow, x: float, y: float) -> tuple[float, float]:
-    """The pixel at which a camera sees a ray (X / Z, Y / Z), nan beyond the lens model."""
+    """The pixel of a ray (X / Z, Y / Z), nan beyond the lens model's valid region."""
     if is_distorted(camera):
         bent = distort(camera, x, y)
         if not keeps_order(camera, x, y, bent):
@@ -30,7 +30,7 @@ def ray_to_pixel(camera: CameraRow, x: float, y: float) -> tuple[float, float]:
 
 @device
 def pinhole_pixel(camera: CameraRow, x: float, y: float) -> tuple[float, float]:
-    """The pixel of normalised coordinates, whatever they are of."""
+    """The pixel of normalised coordinates, ideal or distorted."""
     return camera.centre_u + camera.focal_u * x, camera.centre_v + camera.focal_v * y
 
 
@@ -44,7 +44,7 @@ def pinhole_ray(camera: CameraRow, u: float, v: float) -> tuple[float, float]:
 def point_to_pixel(
     p: PackedHead, eye: int, x: float, y: float, z: float, distorted: bool
 ) -> tuple[float, float]:
-    """The pixel of a point of the camera frame, nan behind it or beyond the lens model."""
+    """The pixel of a point in the camera frame; nan behind the camera or beyond the lens model."""
     if not z > 0.0:
         return nan, nan
     camera = camera_of(p, eye)
@@ -55,7 +55,7 @@ def point_to_pixel(
 
 @device
 def undistort_pixel(p: PackedHead, eye: int, u: float, v: float) -> tuple[float, float]:
-    """The ideal pinhole's pixel of a raw one; nan where the lens model has no inverse."""
+    """The ideal pinhole pixel of a raw pixel; nan if the lens model has no inverse there."""
     camera = camera_of(p, eye)
     if not is_distorted(camera):
         return u, v
@@ -66,7 +66,7 @@ def undistort_pixel(p: PackedHead, eye: int, u: float, v: float) -> tuple[float,
 
 @device
 def pixel_error(p: PackedHead, eye: int, u: float, v: float) -> tuple[float, float]:
-    """How far a raw pixel lies from the principal point once undistorted, px."""
+    """Offset of an undistorted raw pixel from the principal point, px."""
     camera = camera_of(p, eye)
     u, v = undistort_pixel(p, eye, u, v)
     return u - camera.centre_u, v - camera.centre_v
@@ -74,9 +74,9 @@ def pixel_error(p: PackedHead, eye: int, u: float, v: float) -> tuple[float, flo
 
 @device
 def inside_image(p: PackedHead, eye: int, u: float, v: float) -> bool:
-    """Whether a raw pixel lies in the image, whose pixels' centres are at integers."""
+    """True if a raw pixel lies in the image; pixel centres are at integers."""
     camera = camera_of(p, eye)
-    # not `and`: a processor cannot foresee where each target of a batch is
+    # `&`, not `and`: branches on a batch's targets would be mispredicted
     return (u >= -0.5) & (u <= camera.width - 0.5) & (v >= -0.5) & (v <= camera.height - 0.5)
 
 
@@ -92,7 +92,7 @@ def project(
     pair: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Pixels of a point of N in both eyes."""
+    """Pixels in both eyes of a point given in N."""
     for eye in range(2):
         tilt, pan = q[3 + 2 * eye], q[4 + 2 * eye]
         x, y, z = point_in_eye(p, eye, tilt, pan, points[0], points[1], points[2])
@@ -101,7 +101,7 @@ def project(
 
 @kernel(["(f8[:,:],f8[:],f8[:,:])"], f"(2,2),({PACKED})->(2,2)")
 def undistort(pixels: FloatArray, p: PackedHead, out: FloatArray) -> None:
-    """Ideal pinhole pixels of raw pixels, both eyes."""
+    """Ideal pinhole pixels of raw pixels, for both eyes."""
     for eye in range(2):
         out[eye, 0], out[eye, 1] = undistort_pixel(p, eye, pixels[eye, 0], pixels[eye, 1])
 
@@ -114,7 +114,7 @@ def rays_to_pixels(ray: FloatArray, row: FloatArray, out: FloatArray) -> None:
 
 @kernel(["(f8[:],f8[:],f8[:])"], f"(2),({CAMERA})->(2)")
 def pixels_to_rays(pixel: FloatArray, row: FloatArray, out: FloatArray) -> None:
-    """Rays (X / Z, Y / Z) of pixels (u, v) of one camera, nan where the lens has no inverse."""
+    """Rays (X / Z, Y / Z) of pixels (u, v) in one camera, nan if the lens has no inverse there."""
     camera = camera_at(row, 0)
     x, y = pinhole_ray(camera, pixel[0], pixel[1])
     if is_distorted(camera):

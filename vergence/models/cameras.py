@@ -14,7 +14,7 @@ from vergence.models.response import Response, parse_response
 
 BROWN_CONRADY: Final = "brown-conrady"
 PINHOLE: Final = "pinhole"
-"""What a lens of the first model without distortion is called in files and for people."""
+"""Name, in files and messages, of a Brown-Conrady lens without distortion."""
 LENSES: Final[dict[str, tuple[str, ...]]] = {
     BROWN_CONRADY: ("k1", "k2", "p1", "p2", "k3"),
     "rational": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
@@ -25,26 +25,26 @@ LENSES: Final[dict[str, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cameras:
-    """The two cameras: image, pinhole, lens and response of each.
+    """The two cameras: image size, pinhole, lens and response of each.
 
     Raises:
-        ConfigurationError: an image size, a lens, its coefficients or a response cannot be.
+        ConfigurationError: an image size, a lens, its coefficients or a response is invalid.
     """
 
     size: NDArray[np.int64]
-    """(2, 2): (width, height) of the image per eye, in pixels; one pair stands for both eyes."""
+    """(2, 2): (width, height) of the image per eye, in pixels; one pair applies to both eyes."""
     focal: FloatArray
     """(..., 2, 2): (f_u, f_v) per eye, in pixels."""
     principal: FloatArray
     """(..., 2, 2): (u_0, v_0) per eye, in pixels, pixel centres at integers."""
     distortion: FloatArray
-    """(..., 2, n): the coefficients of each eye's lens in OpenCV's order, see `LENSES`; n is 5 for
-    two Brown-Conrady lenses, else 8, of which a lens with fewer has the first."""
+    """(..., 2, n): the coefficients of each eye's lens in OpenCV's order, see `LENSES`. n is 5 for
+    two Brown-Conrady lenses, else 8; a lens with fewer coefficients is padded with zeros."""
     lens: tuple[str, str] = (BROWN_CONRADY, BROWN_CONRADY)
-    """The lens model of each eye, of `LENSES`; one name stands for both eyes."""
+    """The lens model of each eye, a key of `LENSES`; one name applies to both eyes."""
     response: tuple[Response | None, Response | None] = (None, None)
-    """The light of each eye's grey levels, see `parse_response`; None where it is not known. What
-    is no tuple of two stands for both eyes."""
+    """Response of each eye's camera, from grey level to light, see `parse_response`; None if
+    unknown. A value that is not a tuple of two applies to both eyes."""
 
     def __post_init__(self) -> None:
         lens = _pair_of_lenses(self.lens)
@@ -61,12 +61,12 @@ class Cameras:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Those of pinhole and lens, for two Brown-Conrady lenses 18."""
+        """Parameters of pinhole and lens of both eyes; 18 for two Brown-Conrady lenses."""
         return _camera_parameters(self.lens)
 
 
 def coefficient_slots(lens: tuple[str, str]) -> int:
-    """How many columns `Cameras.distortion` has."""
+    """Number of columns of `Cameras.distortion`."""
     return 5 if lens == (BROWN_CONRADY, BROWN_CONRADY) else 8
 
 
@@ -106,7 +106,7 @@ def _response_or_none(given: Any) -> Response | None:
 
 def _pair_of_sizes(size: ArrayLike) -> NDArray[np.int64]:
     if isinstance(size, np.ndarray) and size.dtype == np.int64 and not size.flags.writeable:
-        return size  # another head's
+        return size  # already checked, from another head
     array = np.asarray(size)
     numbers = array.dtype.kind in "iuf" and array.shape in ((2,), (2, 2))
     if not numbers or not ((array >= 1) & (array == np.floor(array)) & (array < 1e9)).all():
@@ -120,7 +120,7 @@ def _pair_of_sizes(size: ArrayLike) -> NDArray[np.int64]:
 
 
 def _coefficients(distortion: ArrayLike, lens: tuple[str, str]) -> FloatArray:
-    """As many columns as the lenses need, filled up with zeros."""
+    """Check the coefficients, and pad or trim them to the columns that the lenses need."""
     values = np.asarray(distortion, dtype=np.float64)
     slots, count = coefficient_slots(lens), values.shape[-1] if values.ndim else 0
     if values.ndim < 2 or values.shape[-2] != 2 or not 4 <= count <= 8:

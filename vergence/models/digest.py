@@ -1,21 +1,21 @@
-"""What identifies a head: SHA-256 over its numbers, in a form that outlasts changes of the code.
+"""Digest of a head: SHA-256 over its numbers, in a form that is stable across code changes.
 
-Bundles of networks and tuned options name the head they are for by its digest, so the same head
-must keep it. The form, version 1: part by part of `HeadModel` without its name, and in each part
-field by field in alphabetical order, the ASCII text `part.field(shape)` and then the numbers as
-little-endian float64. Fields have the names they had first, so a field that is renamed is
-translated here; a field that came later has a default, and is left out where it has that value.
-Whatever else would change the digest of a head needs a next version, and both at once. Names, of
-heads, joints and actuators, are not part of it; other words stand as Python writes their tuple.
+Bundles of networks and tuned options name their head by its digest, so a head must keep its digest.
+The form, version 1: for each part of `HeadModel`, and for each field of the part in alphabetical
+order, the ASCII text `part.field(shape)`, then the numbers as little-endian float64. Fields keep
+their first names here, so a renamed field is translated. A field added later has a default, and is
+left out if it has the default value. Any other change of the digest needs a new version of the
+form, and support for both versions at once. Names (of heads, joints and actuators), assumptions
+and the calibration record are left out. Other strings are hashed as Python prints their tuple.
 
-Poses of a head by its axes follow from origins, axes and angles of its file by sines and roots,
-whose last bits differ from machine to machine: they are rounded to 1e-12 (m, or elements of a
-rotation), below what any two heads differ by.
+The poses of a `JointAxes` head are computed from the origins, axes and angles of its file by sines
+and square roots, whose last bits differ between machines. They are rounded to 1e-12 (m, or elements
+of a rotation), less than any two heads differ by.
 
-Translated: `timing.latency_s` is `timing.latency_frames`, control periods, where it is a whole
-number of them. Two Brown-Conrady cameras with images of one size have `cameras.width` and
-`cameras.height`; others have `cameras.size`, and `cameras.lens` by the numbers of `_LENSES`.
-Responses of cameras stand as Python writes their tuple.
+Translations: `timing.latency_s` becomes `timing.latency_frames`, in control periods, if it is a
+whole number of them. Two Brown-Conrady cameras with equal image sizes have `cameras.width` and
+`cameras.height`; other pairs have `cameras.size`, and `cameras.lens` as the numbers in `_LENSES`.
+Responses of cameras are hashed as Python prints their tuple.
 """
 
 import dataclasses
@@ -30,16 +30,19 @@ from vergence.models.joint_axes import JointAxes
 from vergence.models.parts import LoopTiming, is_names
 
 FORM_VERSION: Final = 1
+"""Version of the form described above (numerical)."""
 _LENSES: Final = {BROWN_CONRADY: 1, "rational": 2, "fisheye": 3}
 _WHOLE: Final = 1e-9
+"""Tolerance for a whole number of control periods (numerical)."""
 _POSES: Final = ("links", "head_eye")
 _DECIMALS: Final = 12
+"""Decimals that rounding keeps of a `JointAxes` head's poses (numerical)."""
 _WORDS: Final = ("name", "names", "assumptions", "calibration")
-"""What is for people to read."""
+"""Fields for human readers, left out of the digest."""
 
 
 def digest_of(head: Any) -> str:
-    """The digest of a head.
+    """Compute the digest of a head.
 
     Args:
         head: a dataclass whose fields are the head's name and its parts, each a dataclass of
@@ -66,12 +69,12 @@ def digest_of(head: Any) -> str:
 
 
 def _is_later(field: "dataclasses.Field[Any]", value: Any) -> bool:
-    """Whether a field came after version 1 and has the value that a head had before it."""
+    """True if a field was added after version 1 and has its default value."""
     return field.default is not dataclasses.MISSING and np.array_equal(value, field.default)
 
 
 def _numbers(part: Any) -> Iterator[tuple[str, Any]]:
-    """Names and numbers of a part, as version 1 has them."""
+    """Names and numbers of a part in the form of version 1."""
     if not dataclasses.is_dataclass(part):
         yield "", part
         return

@@ -1,4 +1,4 @@
-"""What an eye's image covers: whether every pixel of it has a ray."""
+"""Check that every pixel of an image has a ray under its lens model."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +9,10 @@ from vergence.models.packed import pack_cameras
 
 
 def folds_inside(cameras: Cameras) -> NDArray[np.bool_]:
-    """Whether a lens model leaves a part of its own image without rays.
+    """True for each camera whose lens model leaves a part of its image without rays.
 
-    It does where it folds the image back on itself inside, or, as a fisheye, has more than a
-    right angle from the optical axis there. `undistort` is nan in that part.
+    This happens if the model folds the image back on itself inside the image, or if a fisheye
+    reaches more than 90 degrees from the optical axis there. `undistort` is nan in that part.
 
     Args:
         cameras: the two cameras, batched or not.
@@ -21,8 +21,8 @@ def folds_inside(cameras: Cameras) -> NDArray[np.bool_]:
         (..., 2) by eye.
     """
     rows = pack_cameras(cameras)
-    # rays end along a closed line around the principal point: where it crosses the image, it
-    # crosses the edge
+    # the rays end at a closed curve around the principal point: if any pixel lies beyond it, a
+    # pixel of the image's edge does
     sides = [np.isnan(_rays_at_edge(rows[..., eye, :], cameras.size[eye])) for eye in range(2)]
     return np.stack([side.any(axis=(-2, -1)) for side in sides], axis=-1)
 

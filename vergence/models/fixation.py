@@ -1,8 +1,8 @@
-r"""The eye angles that put a point on both optical axes, or as near to them as actuators can.
+r"""Eye angles that put a point on both optical axes, or as near to them as the actuators allow.
 
-An eye with two motors of its own is turned by Newton's method. Where actuators tie joints, of one
-eye or of both, the angles are those with the least sum of squared pixel errors, by damped
-Gauss-Newton steps over the actuators.
+For an eye with two motors of its own, Newton's method finds the angles. For coupled joints, of one
+eye or of both, damped Gauss-Newton steps over the actuators minimise the sum of squared pixel
+errors.
 """
 
 from math import atan2, hypot, isfinite, nan, sqrt
@@ -19,21 +19,27 @@ from vergence.models.pose import Vector, into, point_rate
 from vergence.models.projection import share_of_actuators
 
 _STEPS: Final = 60
+"""Iteration limit of Newton's method, and half that of Gauss-Newton (numerical)."""
 _MAX_STEP_RAD: Final = 0.5
+"""Longest step of one iteration, rad (numerical)."""
 _TOLERANCE_RAD: Final = 1e-15
+"""Convergence tolerance of a Newton step, rad (numerical)."""
 _NEAR_RAD: Final = 1e-4
+"""Gauss-Newton step below which the errors change from bearings to pixels, rad (numerical)."""
 _LEAST_STEP_RAD: Final = 1e-13
+"""Convergence tolerance of a Gauss-Newton step, rad (numerical)."""
 _SETTLED_RAD: Final = 1e-7
+"""Last Gauss-Newton step that is accepted at the iteration limit, rad (numerical)."""
 
 
 @device
 def fixate_step(
     p: PackedHead, eye: int, q1: float, q2: float, x: float, y: float, z: float
 ) -> tuple[float, float]:
-    """How far Newton's method turns an eye's two joints towards a point, nan for no answer.
+    """One Newton step of an eye's two joints towards a point, rad; nan if there is none.
 
-    The bearing (atan2(x, z), atan2(y, |x, z|)) stays smooth for a point behind the camera,
-    where the pixel does not, so a limited step finds its way from any side.
+    The step acts on the bearing (atan2(x, z), atan2(y, |x, z|)). Unlike the pixel, the bearing
+    stays smooth for a point behind the camera, so limited steps converge from any direction.
     """
     frames = eye_frames(p, eye, q1, q2)
     cx, cy, cz = into(frames.camera, x, y, z)
@@ -56,10 +62,10 @@ def fixate_step(
 
 @device
 def fixate_eye(p: PackedHead, eye: int, x: float, y: float, z: float) -> tuple[float, float]:
-    """Newton's method on the point's bearing from the optical axis, from the eye at rest.
+    """Solve for the joint angles of one eye by Newton's method on the bearing, starting at rest.
 
     Returns:
-        The angles of the eye's two joints, rad; nan for an eye that cannot.
+        The angles of the eye's two joints, rad; nan if no angles fixate the point.
     """
     tilt, pan = 0.0, 0.0
     for _ in range(_STEPS):
@@ -73,7 +79,7 @@ def fixate_eye(p: PackedHead, eye: int, x: float, y: float, z: float) -> tuple[f
         if step < _TOLERANCE_RAD:
             break
     cx, cy, cz = into(eye_frames(p, eye, tilt, pan).camera, x, y, z)
-    # a tolerance two orders above rounding: farther off, there is no such angle
+    # a tolerance two orders above rounding: a larger error means that there is no solution
     if cz > 0.0 and abs(cx) + abs(cy) < 1e-12 * (1.0 + cz):
         return tilt, pan
     return nan, nan
@@ -89,20 +95,21 @@ def _aim_error(
     error: FloatArray,
     rate: FloatArray,
 ) -> bool:
-    """What an image lacks of a point at its principal point, by bearings or by pixels.
+    """Error of a point's image from the principal point, and its Jacobian by the eye's joints.
 
     Args:
         p: a packed head.
-        eye: which eye.
+        eye: 0 for left, 1 for right.
         joints: (4,) the eyes' joint angles, rad.
         point: in N, m.
-        bearings: whether to take bearings from the optical axis times focal lengths in place of
-            pixels: they find their way from any side, and pixels say what is least.
-        error: (2, 2) result by eye and image axis, px: less of it is nearer.
+        bearings: True for bearings from the optical axis times the focal lengths, which converge
+            from any direction; False for pixels, whose squared error is to be minimised.
+        error: (2, 2) result by eye and image axis, px: principal point less image.
         rate: (2, 2, 2) result by eye, image axis and joint of that eye, px/rad.
 
     Returns:
-        False for a point in the camera's origin or straight above it, and by pixels behind it.
+        False for a point at the camera's origin or straight above or below it; for pixels, also
+        for a point behind the camera.
     """
     frames = eye_frames(p, eye, joints[2 * eye], joints[2 * eye + 1])
     cx, cy, cz = into(frames.camera, point[0], point[1], point[2])
@@ -126,17 +133,17 @@ def _aim_error(
 
 @subroutine
 def fixate_tied(p: PackedHead, x: float, y: float, z: float, joints: FloatArray) -> bool:
-    """The eyes' joint angles with the least sum of squared pixel errors that actuators can give.
+    """Find the eyes' joint angles that minimise the sum of squared pixel errors, coupled joints.
 
     Args:
         p: a packed head.
-        x: of the point in N, m.
-        y: of it.
-        z: of it.
-        joints: (4,) result, rad; nan where there are none.
+        x: x of the point in N, m.
+        y: y of the point in N, m.
+        z: z of the point in N, m.
+        joints: (4,) result, rad; nan if there is no solution.
 
     Returns:
-        Whether there are such angles.
+        True if there is a solution.
     """
     own, step = np.zeros(SLOTS), np.zeros(SLOTS)
     error, rate = np.zeros((2, 2)), np.zeros((2, 2, 2))
@@ -164,7 +171,7 @@ def fixate_tied(p: PackedHead, x: float, y: float, z: float, joints: FloatArray)
                 break
             bearings = False
     if not found and not bearings and size < _SETTLED_RAD:
-        found = True  # Gauss-Newton creeps where much is left of the error
+        found = True  # Gauss-Newton converges slowly if a large error remains
     for joint in range(SLOTS):
         joints[joint] = joint_at(p, joint, own) if found else nan
     return found
@@ -174,7 +181,7 @@ def fixate_tied(p: PackedHead, x: float, y: float, z: float, joints: FloatArray)
 def fixate(
     points: FloatArray, neck: FloatArray, shape: FloatArray, p: PackedHead, out: FloatArray
 ) -> None:
-    """Joint angles that fixate a point of N; nan for an eye that cannot."""
+    """Joint angles that fixate a point of N; nan for an eye without a solution."""
     for j in range(3):
         out[j] = neck[j]
     for eye in range(2):
@@ -186,7 +193,7 @@ def fixate(
 def fixate_best(
     points: FloatArray, neck: FloatArray, shape: FloatArray, p: PackedHead, out: FloatArray
 ) -> None:
-    """As `fixate`, where actuators tie the joints: what comes nearest; nan where nothing does."""
+    """`fixate` for coupled joints: the least-squares solution; nan if there is none."""
     for j in range(3):
         out[j] = neck[j]
     fixate_tied(p, points[0], points[1], points[2], out[3:])

@@ -1,8 +1,8 @@
-"""Where a lens model folds the image back on itself: the numbers of a lens for kernels.
+"""Radius at which a lens model folds the image back on itself; packing of a lens for kernels.
 
 As a ray turns away from the optical axis, its image moves outwards until the radial part of the
-model (see `lens`) stops rising; beyond that a pixel would belong to several rays. For the rational
-model that may also be where its denominator vanishes.
+model (see `lens`) stops rising. Beyond this fold a pixel would belong to several rays. The rational
+model may also fold at a zero of its denominator.
 """
 
 from typing import Final
@@ -14,32 +14,36 @@ from vergence.models.lens import FISHEYE, PINHOLE, POLYNOMIAL, RATIONAL
 from vergence.models.parts import FloatArray
 
 LENS_NUMBERS: Final = 11
-"""How many numbers `lens_numbers` gives."""
+"""Length of the array that `lens_numbers` returns (numerical)."""
 _BEFORE_A_POLE: Final = 1.0 - 1e-9
-"""Where a denominator vanishes there is no value to compare with, but just before it."""
+"""Factor on the squared radius of a pole: the model has no value at the pole, only before it
+(numerical)."""
 _BEFORE_A_RIGHT_ANGLE: Final = 0.5 * np.pi - 1e-9
+"""Largest angle of a fisheye's fold from the optical axis, rad; its tangent is finite
+(numerical)."""
 _LEAST_RECIPROCAL: Final = 1e-12
-"""Of a root: those beyond are of rays a millionth of a right angle from one, or of rounding."""
+"""Smallest reciprocal of a squared radius that counts as a root; smaller ones are rounding or
+belong to rays within about 1e-6 of a right angle from the axis (numerical)."""
 
 
 def lens_numbers(lens: str, distortion: FloatArray) -> FloatArray:
-    """A lens as kernels take it.
+    """Pack a lens for kernels.
 
     Args:
-        lens: the model, see `vergence.models.parts.LENSES`.
-        distortion: (..., n) its coefficients in OpenCV's order; those beyond its own are zero.
+        lens: the model, see `vergence.models.cameras.LENSES`.
+        distortion: (..., n) its coefficients in OpenCV's order, padded with zeros.
 
     Returns:
         (..., 11) k1, k2, p1, p2, k3, k4, k5, k6, the model's number, and two squared ideal radii:
-        that at which it folds back, inf where it never does, and one within which its derivative
-        is surely positive definite.
+        the radius of the fold, inf if there is none, and a radius within which the model's
+        derivative is guaranteed to be positive definite.
     """
     numbers = np.zeros((*distortion.shape[:-1], LENS_NUMBERS))
     if lens == "fisheye":
         numbers[..., 0:2], numbers[..., 4:6] = distortion[..., 0:2], distortion[..., 2:4]
         numbers[..., 8] = FISHEYE
         angle = np.sqrt(_first_root(_odd_derivative(distortion[..., :4])))
-        # a pinhole's ray is at less than a right angle from the axis
+        # a ray (X / Z, Y / Z) is less than a right angle from the axis
         numbers[..., 9] = np.tan(np.minimum(angle, _BEFORE_A_RIGHT_ANGLE)) ** 2
         numbers[..., 10] = numbers[..., 9]
         return numbers
@@ -57,7 +61,10 @@ def lens_numbers(lens: str, distortion: FloatArray) -> FloatArray:
 
 
 def _safe_radius_squared(lens: str, numbers: FloatArray) -> FloatArray:
-    """The fold's without tangential terms, which alone can turn an image over before it."""
+    """Squared radius within which the derivative is positive definite.
+
+    It is the fold's without tangential terms: only these can turn the image over before the fold.
+    """
     fold = numbers[..., 9]
     tangential = np.hypot(numbers[..., 2], numbers[..., 3])
     if not tangential.any():
@@ -69,21 +76,21 @@ def _safe_radius_squared(lens: str, numbers: FloatArray) -> FloatArray:
         down = np.maximum(-numbers[..., [0, 1, 4]], 0.0) * [3.0, 5.0, 7.0]
         terms = np.concatenate([down, 6.0 * tangential[..., None]], axis=-1)
         radii = np.full(terms.shape, np.inf)
-        with np.errstate(over="ignore"):  # of the tiniest terms: there is no limit then
+        with np.errstate(over="ignore"):  # tiny terms overflow to inf: no limit
             np.divide(0.25, terms, out=radii, where=terms > 0.0)
             safe = (radii ** [1.0, 1.0 / 2.0, 1.0 / 3.0, 2.0]).min(axis=-1)
     return np.where(tangential > 0.0, np.minimum(safe, fold), fold)
 
 
 def _odd_derivative(k: FloatArray) -> FloatArray:
-    """Of r (1 + k1 r^2 + k2 r^4 + ...) by r, in powers of r^2 with the highest first."""
+    """Derivative of r (1 + k1 r^2 + k2 r^4 + ...) by r, in powers of r^2, highest power first."""
     powers = [np.ones_like(k[..., 0])]
     powers += [(2.0 * i + 3.0) * k[..., i] for i in range(k.shape[-1])]
     return np.stack(powers[::-1], axis=-1)
 
 
 def _rational_fold(above: FloatArray, below: FloatArray) -> FloatArray:
-    """The squared radius at which r N / D stops rising, or D vanishes; N and D by k1 to k6."""
+    """Squared radius at which r N / D stops rising or D vanishes; k1 to k3 in N, k4 to k6 in D."""
     one = np.ones_like(above[..., :1])
     N, D = (np.concatenate([k[..., ::-1], one], axis=-1) for k in (above, below))
     powers = np.arange(3.0, -1.0, -1.0)
@@ -93,7 +100,7 @@ def _rational_fold(above: FloatArray, below: FloatArray) -> FloatArray:
 
 
 def _product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The product of two polynomials of the third degree."""
+    """Product of two polynomials of third degree."""
     out = np.zeros((*a.shape[:-1], 7))
     for i in range(4):
         out[..., i : i + 4] += a[..., i : i + 1] * b
@@ -101,7 +108,7 @@ def _product(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _first_root(powers: FloatArray) -> FloatArray:
-    """The least positive root of polynomials, inf where there is none.
+    """Least positive root of polynomials, inf if there is none.
 
     Args:
         powers: (..., n) coefficients, the highest power first; the last is 1.
@@ -111,9 +118,9 @@ def _first_root(powers: FloatArray) -> FloatArray:
     degree = powers.shape[-1] - 1 - int(np.argmax(used))
     if degree == 0:
         return out
-    # Of the reciprocals of its roots, the polynomial has the same coefficients in reverse order,
-    # and the 1 first: their companion matrix needs no division, which a small highest coefficient
-    # would make inexact.
+    # The reciprocals of the roots are the roots of the polynomial with its coefficients reversed,
+    # which begins with the 1. Its companion matrix needs no division, which a small highest
+    # coefficient would make inexact.
     companion = np.zeros((*powers.shape[:-1], degree, degree))
     companion[..., range(1, degree), range(degree - 1)] = 1.0
     companion[..., 0, :] = -powers[..., -2 : -2 - degree : -1]

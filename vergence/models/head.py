@@ -1,4 +1,4 @@
-"""HeadModel: what a head is, the one source of truth of everything that moves or looks."""
+"""HeadModel: the single source of truth on a head's geometry, cameras, limits and timing."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -32,20 +32,21 @@ from vergence.models.perturbation import ModelErrors, perturb_geometry
 from vergence.operands import as_operand
 
 _TIED_RAD: Final = 1e-9
-"""What rounding may leave between the angles of tied joints."""
+"""Tolerance for the angles of coupled joints and for their limits, rad (numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeadModel:
     """A binocular head: links, eyes, cameras, limits, timing, sensors and actuators.
 
-    Frames (spec): `N` is fixed to what the neck's last joint carries, x right, y down, z forward,
-    and holds every point the package computes; `C_l` and `C_r` are the cameras, x along u, y along
-    v, z along the optical axis. `T_N_Cl` maps coordinates in `C_l` to coordinates in `N`.
+    Frames (spec): `N` is fixed to the body that the neck's last joint carries, x right, y down, z
+    forward; every point that the package computes is in `N`. `C_l` and `C_r` are the cameras, x
+    along u, y along v, z along the optical axis. `T_N_Cl` maps coordinates in `C_l` to coordinates
+    in `N`.
 
-    Joint angles are always seven: three of the neck, and two of either eye, see
-    `vergence.models.joints`. A joint that a head does not have has no name in `joints`, limits of
-    zero, and an angle that counts for nothing. What can be commanded is `actuation`.
+    Arrays of joint angles always have seven entries: three for the neck and two for each eye, see
+    `vergence.models.joints`. A joint that the head does not have has an empty name in `joints` and
+    limits of zero, and its angle is ignored. `actuation` holds the actuators that take commands.
 
     The geometry (`links`, `head_eye`, `cameras`) may carry a batch shape; every method then
     broadcasts it with the arguments' leading shapes by NumPy's rules.
@@ -53,20 +54,20 @@ class HeadModel:
 
     name: str
     links: Links
-    """Where the joints' axes are: `DenavitHartenberg` or `JointAxes`."""
+    """Joint axes: `DenavitHartenberg` or `JointAxes`."""
     head_eye: FloatArray
-    """(..., 2, 4, 4): the cameras in the eyes' last links, T_6_Cl and T_9_Cr."""
+    """(..., 2, 4, 4): the cameras' poses in the eyes' last links, T_6_Cl and T_9_Cr."""
     cameras: Cameras
     limits: JointLimits
     timing: LoopTiming
     sensor: SensorModel
     rendering: Rendering
     actuators: Actuators | None = None
-    """What moves the eyes' joints; None where each of them has its own motor."""
+    """Actuators of the eyes' joints; None if each joint has its own motor."""
     assumptions: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    """What nobody has measured, by the key of the head's file, and why it has that value."""
+    """Assumed (not measured) values: keys of the head's file, and the reason for each value."""
     calibration: CalibrationRecord | None = None
-    """How the cameras were calibrated; None where the file does not say."""
+    """Record of the cameras' calibration; None if the file has none."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "head_eye", frozen_array(self.head_eye))
@@ -74,29 +75,29 @@ class HeadModel:
 
     @cached_property
     def packed(self) -> FloatArray:
-        """(..., PACKED): the geometry folded into a row of numbers for compiled kernels."""
+        """(..., PACKED): the geometry as one packed array per head, for compiled kernels."""
         return kinematics.pack_head(self.links, self.head_eye, self.cameras, self.actuation)
 
     @cached_property
     def actuation(self) -> Actuation:
-        """What can be commanded: the actuators of the eyes, and the neck's joints."""
+        """Actuators that take commands: the neck's joints and the actuators of the eyes."""
         return actuation_of(self.joints, self.limits, self.timing, self.sensor, self.actuators)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
         """(7,) names in joint order; empty for a joint that the head does not have.
 
-        A joint that both eyes share stands in two places.
+        The name of a joint that both eyes share occurs twice.
         """
         return self.links.joints
 
     @cached_property
     def _missing(self) -> NDArray[np.intp]:
-        """The joints that the head does not have."""
+        """Indices of the joints that the head does not have."""
         return np.flatnonzero([not name for name in self.joints])
 
     def _held(self, q: ArrayLike) -> ArrayLike:
-        """Joint angles with those that count for nothing at zero."""
+        """Joint angles with zeros for the joints that the head does not have."""
         if not len(self._missing):
             return q
         held = as_operand("q", q, 7).copy()
@@ -110,11 +111,11 @@ class HeadModel:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 over every number of the head, in hexadecimal; the name is not part of it."""
+        """SHA-256 over the head's numbers, in hexadecimal, see `vergence.models.digest`."""
         return digest_of(self)
 
     def __eq__(self, other: object) -> bool:
-        """Whether two heads have the same name and the same numbers."""
+        """True if two heads have the same name and the same digest."""
         if not isinstance(other, HeadModel):
             return NotImplemented
         return self.name == other.name and self.digest == other.digest
@@ -130,20 +131,20 @@ class HeadModel:
         vars(self).update(state | {"assumptions": MappingProxyType(state["assumptions"])})
 
     def __getitem__(self, index: Any) -> "HeadModel":
-        """One head, or several, of a population."""
+        """Select one head, or several, of a population."""
         return self._with(population.pick(self.geometry, self.batch_shape, index))
 
     @staticmethod
     def stack(heads: Sequence["HeadModel"]) -> "HeadModel":
-        """A population of heads of the same shape; all but the geometry is the first one's.
+        """Stack heads to a population; everything except the geometry is taken from the first.
 
         Raises:
-            ConfigurationError: their lenses or their joints differ in kind.
+            ConfigurationError: the heads have different lens models or different joints.
         """
         return heads[0]._with(population.stack([head.geometry for head in heads]))
 
     def _with(self, geometry: Geometry) -> "HeadModel":
-        # another geometry is not what was calibrated
+        # the calibration record does not apply to another geometry
         return dataclasses.replace(self, **geometry._asdict(), calibration=None)
 
     def replace(self, **parts: Any) -> "HeadModel":
@@ -157,14 +158,14 @@ class HeadModel:
             The new head.
 
         Raises:
-            ConfigurationError: a field is unknown, or a number cannot be.
+            ConfigurationError: a field is unknown, or a value is invalid.
         """
         if {"links", "head_eye", "cameras"} & set(parts):
-            parts = {"calibration": None} | parts  # another geometry is not what was calibrated
+            parts = {"calibration": None} | parts  # the record does not apply to another geometry
         return replaced(self, "head", parts)
 
     def base_pose(self, q: ArrayLike) -> FloatArray:
-        """Where the neck has carried frame N.
+        """Pose of frame N in the base frame 0.
 
         Args:
             q: (..., 7) joint angles, rad.
@@ -175,7 +176,7 @@ class HeadModel:
         return np.asarray(kinematics.base_pose(self._held(q), self.packed, kinematics.QUAD))
 
     def camera_poses(self, q: ArrayLike) -> FloatArray:
-        """Where the cameras are (Eqs. 14 to 17).
+        """Poses of both cameras in N (Eqs. 14 to 17).
 
         Args:
             q: (..., 7) joint angles, rad.
@@ -187,9 +188,9 @@ class HeadModel:
         return np.asarray(kinematics.camera_poses(q, self.packed, kinematics.PAIR, kinematics.QUAD))
 
     def link_poses(self, q: ArrayLike) -> FloatArray:
-        """Where the last links of both eyes are, which carry the cameras.
+        """Poses in N of the last links of both eyes, which carry the cameras.
 
-        They are what the joints place alone: `camera_poses(q) = link_poses(q) @ head_eye`.
+        They do not include the head-eye transforms: `camera_poses(q) = link_poses(q) @ head_eye`.
 
         Args:
             q: (..., 7) joint angles, rad.
@@ -200,29 +201,29 @@ class HeadModel:
         return np.asarray(kinematics.link_poses(self._held(q), self.packed, self.head_eye))
 
     def project(self, q: ArrayLike, points: ArrayLike, distorted: bool = True) -> FloatArray:
-        """Where points appear in both images.
+        """Project points into both images.
 
         Args:
             q: (..., 7) joint angles, rad.
             points: (..., 3) in N, metres.
-            distorted: raw pixels if True, those of the ideal pinhole if False.
+            distorted: True for raw pixels, False for pixels of the ideal pinhole.
 
         Returns:
-            (..., 2, 2) pixels, not clipped to the image; nan behind a camera and beyond
-            the radius at which the lens model folds back on itself.
+            (..., 2, 2) pixels by eye, not clipped to the image; nan behind a camera and beyond the
+            radius at which the lens model folds back on itself.
         """
         return np.asarray(
             camera.project(self._held(q), points, np.bool_(distorted), self.packed, kinematics.PAIR)
         )
 
     def undistort(self, pixels: ArrayLike) -> FloatArray:
-        """Raw pixels to those of the ideal pinhole with the same focal length and centre.
+        """Convert raw pixels to pixels of the ideal pinhole with the same focal length and centre.
 
         Args:
             pixels: (..., 2, 2) raw pixels.
 
         Returns:
-            (..., 2, 2) ideal pixels; nan where the lens model has no inverse.
+            (..., 2, 2) ideal pixels; nan if the lens model has no inverse there.
         """
         return np.asarray(camera.undistort(pixels, self.packed))
 
@@ -235,29 +236,28 @@ class HeadModel:
             depth: (..., 2) the target's z in each camera frame, metres.
 
         Returns:
-            (..., 2, 2, 7) px/rad by eye, image axis, joint; an eye does not see the
-            other's joints.
+            (..., 2, 2, 7) px/rad by eye, image axis and joint; zero for the joints of the other
+            eye.
         """
         out = np.asarray(jacobian.image_jacobian(self._held(q), pixels, depth, self.packed))
         out[..., self._missing] = 0.0
         return out
 
     def fixate(self, points: ArrayLike, neck: ArrayLike = 0.0, *, warn: bool = True) -> FloatArray:
-        """The joint angles that put points on both optical axes.
+        """Compute the joint angles that put points on both optical axes.
 
-        Where actuators tie the joints so that no angles do that exactly, as for a common tilt of
-        eyes that are not quite level, those with the least sum of squared pixel errors;
-        `least_error` tells what is left. Limits are not applied; `reaches` tells whether
-        the angles can be reached.
+        With coupled joints there may be no exact solution, as for a common tilt of eyes that are
+        not quite level. The angles then minimise the sum of squared pixel errors, and `least_error`
+        returns the residual. Limits are not applied; `reaches` checks them.
 
         Args:
             points: (..., 3) in N, metres.
-            neck: (..., 3) or a scalar, the neck's angles, rad, which N moves with.
-            warn: whether a `VergenceWarning` says of one point, never of several, that it looks
-                like millimetres or that the eyes cannot turn so far.
+            neck: (..., 3) or a scalar, the neck's angles, rad; N moves with the neck.
+            warn: True to issue a `VergenceWarning` for a single point, never for several, that
+                seems to be in millimetres or that is beyond the limits of the eyes.
 
         Returns:
-            (..., 7) joint angles, rad; nan for an eye that no angles make look there.
+            (..., 7) joint angles, rad; nan for an eye without a solution.
 
         Raises:
             ConfigurationError: the eyes do not move.
@@ -268,10 +268,10 @@ class HeadModel:
             )
         neck = as_operand("fixate: neck", neck)
         neck = np.broadcast_to(neck, (3,)) if neck.ndim == 0 else neck
-        with np.errstate(invalid="ignore"):  # a point at infinity has no angles, which is no fault
+        with np.errstate(invalid="ignore"):  # a point at infinity has no solution: not an error
             kernel = fixation.fixate if self.actuation.direct else fixation.fixate_best
             q = np.asarray(kernel(points, neck, np.zeros(7), self.packed))
-        if warn and q.ndim == 1:  # many points are a program's, which judges the angles itself
+        if warn and q.ndim == 1:  # a program that asks for many points checks the angles itself
             warn_of_point(self._bounds, points, q)
         return q
 
@@ -287,7 +287,7 @@ class HeadModel:
         errors: ModelErrors,
         size: int | tuple[int, ...] | None = None,
     ) -> "HeadModel":
-        """Draw heads that differ from this one by random errors of their geometry.
+        """Draw heads whose geometry differs from this one by random errors.
 
         Args:
             rng: the source of randomness.
@@ -295,11 +295,11 @@ class HeadModel:
             size: the population's shape; None for one head.
 
         Returns:
-            A head whose geometry has the batch shape `size`; its limits, timing and sensors
-            are this one's.
+            A head whose geometry has the batch shape `size`; limits, timing and sensors are those
+            of this head.
 
         Raises:
-            ConfigurationError: this is a population already.
+            ConfigurationError: this head is a population already.
         """
         if self.batch_shape:
             raise ConfigurationError(
@@ -309,14 +309,14 @@ class HeadModel:
         return self._with(perturb_geometry(self.geometry, rng, errors, shape))
 
     def least_error(self, points: ArrayLike) -> FloatArray:
-        """What is left of the pixel errors at best, see `fixate`.
+        """Residual pixel errors of `fixate`.
 
         Args:
             points: (..., 3) in N, metres.
 
         Returns:
-            (..., 2, 2) ideal pixel less principal point by eye and image axis, px; zero for a head
-            that fixates exactly, nan where `fixate` has no answer.
+            (..., 2, 2) ideal pixel less principal point by eye and image axis, px; zero for one
+            head whose eye joints all have their own motors, nan if `fixate` has no solution.
         """
         points = as_operand("least_error: points", points, 3)
         if self.actuation.direct and not self.batch_shape:
@@ -325,14 +325,14 @@ class HeadModel:
         return np.asarray(pixels - self.cameras.principal)
 
     def reaches(self, q: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Whether the joints, and the actuators that move them, can stand so.
+        """True if joint angles are within all limits and possible for coupled joints.
 
         Args:
             q: (..., 7) joint angles, rad.
-            margin: the distance that actuators keep to their limits, rad.
+            margin: the distance that actuators keep from their limits, rad.
 
         Returns:
-            (...) booleans; False where an angle is nan, or ties between joints do not allow it.
+            (...) booleans; False if an angle is nan or if coupled joints cannot take these angles.
         """
         q = as_operand("reaches: q", self._held(q), 7)
         actuation = self.actuation
@@ -347,15 +347,15 @@ class HeadModel:
 
     @property
     def geometry(self) -> Geometry:
-        """What a real head has otherwise than its model says."""
+        """Parts in which a real head differs from its model: links, head-eye, cameras."""
         return Geometry(self.links, self.head_eye, self.cameras)
 
     def parameters(self, about: "HeadModel | None" = None) -> Parameters:
-        """The geometry as a vector of named numbers: axes, head-eye transforms, cameras.
+        """Flatten the geometry to a vector of named numbers: axes, head-eye transforms, cameras.
 
         Args:
-            about: the head from which head-eye rotations are counted, as rotation vectors; None
-                for this head itself, whose rotation vectors are then zero.
+            about: the reference head for rotation vectors; None for this head itself, whose
+                rotation vectors are then zero.
 
         Returns:
             Names such as `left.tilt.alpha`, units, and values (..., n).
@@ -363,26 +363,26 @@ class HeadModel:
         return parameters_of(self.geometry, None if about is None else about.geometry)
 
     def with_parameters(self, values: ArrayLike) -> "HeadModel":
-        """This head with another geometry: `about.with_parameters(head.parameters(about).values)`.
+        """Rebuild a head from its vector: `about.with_parameters(head.parameters(about).values)`.
 
         Args:
-            values: (..., n) in the order of `parameters`, head-eye rotations counted from this
-                head's.
+            values: (..., n) in the order of `parameters`; rotation vectors are relative to this
+                head.
 
         Returns:
             A head with the batch shape of the values. The neck, limits, timing and sensors are
-            this one's.
+            those of this head.
 
         Raises:
-            ConfigurationError: the vector has another length.
+            ConfigurationError: the vector has the wrong length.
         """
         return self._with(geometry_with(self.geometry, values))
 
     def rest(self) -> FloatArray:
-        """(7,) all actuators at zero, or at the limit nearest to it; joint angles, rad."""
+        """(7,) joint angles with all actuators at zero, or at the limit nearest to zero, rad."""
         actuation = self.actuation
         return actuation.joints_of(np.clip(np.zeros(7), actuation.lower, actuation.upper))
 
     def camera_in_last_link(self, eye: int) -> FloatArray:
-        """(4, 4) an eye's camera in the frame of the last body of its chain, metres."""
+        """(4, 4) pose of an eye's camera in the frame of the last body of its chain, metres."""
         return np.asarray(self.links.camera_mount(eye) @ self.head_eye[eye])

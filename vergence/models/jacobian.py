@@ -5,9 +5,9 @@ Per eye, `J = J_image J_joint` (spec, section 3.1) with the interaction matrix
     J_image = diag(f_u, f_v) [ -1/Z   0    x/Z   x y    -(1+x^2)   y ]
                              [  0    -1/Z  y/Z  1+y^2   -x y      -x ]
 
-and `J_joint` the camera's twist per joint rate, `(R (z_i x (o_C - o_i)); R z_i)`. The product
-of a column of `J_joint` with `J_image` is the derivative of the projection of
-`dP_C/dq_i = -R (z_i x (P - o_i))`, which is how the kernel computes it.
+and `J_joint` the camera's twist per joint rate, `(R (z_i x (o_C - o_i)); R z_i)`. The kernel
+computes each column of the product as the derivative of the projection for a point that moves by
+`dP_C/dq_i = -R (z_i x (P - o_i))`.
 """
 
 from vergence._jit import device, kernel
@@ -23,7 +23,7 @@ from vergence.models.pose import Vector, compose, inverse, out_of, point_rate, r
 def pixel_rate(
     camera: CameraRow, x: float, y: float, depth: float, rate: Vector
 ) -> tuple[float, float]:
-    """Velocity of an ideal pixel at normalised (x, y) for a velocity of its point, camera frame."""
+    """Velocity of the ideal pixel at normalised (x, y) from the point's velocity in the camera."""
     return (
         camera.focal_u * (rate[0] - x * rate[2]) / depth,
         camera.focal_v * (rate[1] - y * rate[2]) / depth,
@@ -39,9 +39,9 @@ def eye_jacobian(
     Args:
         p: a packed head.
         eye: 0 for left, 1 for right.
-        frames: of that eye.
-        u: ideal pixel, horizontal.
-        v: ideal pixel, vertical.
+        frames: the frames of that eye.
+        u: horizontal coordinate of the ideal pixel.
+        v: vertical coordinate of the ideal pixel.
         depth: the point's z in the camera frame, m.
 
     Returns:

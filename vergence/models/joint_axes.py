@@ -1,4 +1,4 @@
-"""Any head's joints by their axes: each by its pose in the frame of the one before."""
+"""Joint axes of any head: each joint is described by its pose in the frame of the one before."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -12,30 +12,32 @@ from vergence.models.links import Body, inverse_pose, pose_twists, product
 from vergence.models.parts import FloatArray, FrozenArrays, Parameter
 
 PARTS: Final = ("neck", "both", "left", "right")
-"""What a joint carries: all of the head, both eyes, or one."""
+"""Names of a joint's load: the whole head (neck), both eyes, or one eye."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointAxes(FrozenArrays):
-    """Any head's joints: of each its pose in the frame of the one before, its axis being z.
+    """Joints of any head: the pose of each in the frame of the one before; its axis is z.
 
-    A chain is the neck's joints, then those of both eyes, then those of one, each in the order
-    of the arrays. A frame turns with its joint. The frame of the head-eye transform is that of
-    the eye's last joint; of an eye that does not move, the one that N is fixed to.
+    The chain of an eye is the neck's joints, then the joints that both eyes share, then those of
+    the eye alone, each group in the order of the arrays. A frame turns with its joint. The
+    head-eye transform is relative to the frame of the eye's last joint, or, for an eye that does
+    not move, to the frame that N is fixed to.
     """
 
     names: tuple[str, ...]
-    """(J,) of the joints."""
+    """(J,) names of the joints."""
     parts: tuple[str, ...]
-    """(J,) what each carries, of `PARTS`."""
+    """(J,) load of each joint, one of `PARTS`."""
     pose: FloatArray
-    """(..., J, 4, 4) at a joint angle of zero, metres."""
+    """(..., J, 4, 4) poses at joint angles of zero, metres."""
     frame: FloatArray
-    """(..., 4, 4) frame N in that of the neck's last joint, or in the base's, metres."""
+    """(..., 4, 4) pose of frame N in the frame of the neck's last joint, or in the base's,
+    metres."""
 
     @property
     def places(self) -> tuple[tuple[int, ...], ...]:
-        """(J,) the places of each joint in an array of all seven."""
+        """(J,) indices of each joint in an array of all seven; two for a joint of both eyes."""
         used = {"neck": 0, "left": 3, "right": 5}
         out = []
         for part in self.parts:
@@ -56,16 +58,16 @@ class JointAxes(FrozenArrays):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Six of each joint of the eyes: the pose of its frame, as a rotation and a position.
+        """Six for each joint of the eyes: rotation vector and position of its frame.
 
-        Their names have the part and the joint's number in it, such as `both.1.rz`.
+        A name consists of the part, the joint's number in the chain and the axis, as `both.1.rz`.
         """
         out, seen = [], dict.fromkeys(PARTS, 0)
         for joint, part in enumerate(self.parts):
             seen[part] += 1
             if part == "neck":
                 continue
-            # what both eyes share comes first in either chain
+            # joints that both eyes share come first in the chain of an eye
             number = seen[part] + (seen["both"] if part != "both" else 0)
             for field, unit, names in _POSE_FIELDS:
                 out += [

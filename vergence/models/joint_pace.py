@@ -1,12 +1,12 @@
-r"""How joints follow commands that hold for one given time, prepared once and used for many.
+r"""Joint response to commands held for one fixed time, with coefficients prepared once.
 
-A joint follows its velocity command u by a lag l, which may take time to build up:
+A joint follows its velocity command u with a lag l, whose acceleration may take time to build up:
 
     m l^2 dw/dt + l w + v = u,   dv/dt = w,   dq/dt = v,   |w| <= a
 
-Without the build-up m this is `vergence.models.joint_response.follow_joint`; with it, the lag of
-second order of `follow_swinging_joint` there, whose time constant is `sqrt(m) l` and whose damping
-ratio `1 / (2 sqrt(m))`: from m = 1/4 on it overshoots.
+For a build-up m of zero this is `vergence.models.joint_response.follow_joint`. Otherwise it is the
+second-order lag of `follow_swinging_joint` there, with the time constant `sqrt(m) l` and the
+damping ratio `1 / (2 sqrt(m))`: it overshoots for m above 1/4.
 """
 
 from math import cos, exp, inf, sin, sqrt
@@ -16,40 +16,46 @@ from vergence._jit import device
 from vergence.models.joint_response import follow_joint, share_left
 
 _LEAST: Final = 0.02
-"""A build-up below which there is none. Numerical."""
+"""Build-up m below which the response is taken as first-order (numerical)."""
 _PART: Final = 0.5
-"""The longest part of a time by the time constant, where a limit may hold in it. Numerical."""
+"""Longest part of the hold time, in time constants, if the acceleration is limited (numerical)."""
 _MOST_PARTS: Final = 3
+"""Most parts of the hold time (numerical)."""
 _CRITICAL: Final = 1e-5
-"""How close to critical damping it counts as this, by the decay. Numerical."""
+"""Least half difference of the two decay rates, as a fraction of their mean: avoids a division by
+zero at critical damping (numerical)."""
 
 
 class Pace(NamedTuple):
-    """How a joint follows a command that holds for a time."""
+    """Coefficients of the response to a command held for a fixed time, split into equal parts.
+
+    Over a part, the state (gap, w), with the gap v - u, changes linearly to
+    `(kept gap + pushed w, drawn gap + builds w)`.
+    """
 
     lag: float
-    """l, s."""
+    """Lag l, s."""
     square: float
-    """m l^2, s^2; 0 for none."""
+    """m l^2, s^2; 0 for a first-order lag."""
     a: float
     """Greatest acceleration, rad/s^2, inf for none."""
     time: float
-    """The time, s, or a whole part of it."""
+    """Duration of one part, s."""
     parts: int
-    """How many such parts."""
+    """Number of parts of the hold time."""
     kept: float
-    """What a part leaves of the difference between speed and command."""
+    """Factor from the gap to the gap after a part."""
     pushed: float
-    """What the acceleration adds to that, s."""
+    """Factor from the acceleration to the gap after a part, s."""
     builds: float
-    """What a part leaves of the acceleration."""
+    """Factor from the acceleration to the acceleration after a part."""
     drawn: float
-    """What the difference adds to that, 1/s^2."""
+    """Factor from the gap to the acceleration after a part, 1/s."""
 
 
 @device
 def _shares(lag: float, square: float, t: float) -> tuple[float, float, float, float]:
-    """`kept`, `pushed`, `builds` and `drawn` of a time."""
+    """`kept`, `pushed`, `builds` and `drawn` for the time t."""
     decay = 0.5 * lag / square
     gap = decay * decay - 1.0 / square
     if gap < 0.0:
@@ -64,13 +70,13 @@ def _shares(lag: float, square: float, t: float) -> tuple[float, float, float, f
 
 @device
 def pace_of(lag: float, build_up: float, a: float, time: float) -> Pace:
-    """Prepare a pace.
+    """Prepare the coefficients.
 
     Args:
         lag: l, s, above 0.
-        build_up: m.
+        build_up: build-up m.
         a: greatest acceleration, rad/s^2, inf for none.
-        time: how long commands hold, s.
+        time: hold time of a command, s.
     """
     if build_up < _LEAST or time <= 0.0:
         return Pace(lag, 0.0, a, time, 1, share_left(time, lag), 0.0, 0.0, 0.0)
@@ -85,31 +91,31 @@ def pace_of(lag: float, build_up: float, a: float, time: float) -> Pace:
 def _free(
     q: float, v: float, w: float, u: float, pace: Pace, t: float
 ) -> tuple[float, float, float]:
-    """A joint after any time without a limit."""
+    """State after the time t, without a limit on the acceleration."""
     kept, pushed, builds, drawn = _shares(pace.lag, pace.square, t)
     gap = v - u
     after, then = gap * kept + w * pushed, w * builds + gap * drawn
-    # the equation of motion, integrated
+    # integral of the equation of motion
     q += u * t - pace.square * (then - w) - pace.lag * (after - gap)
     return q, u + after, then
 
 
 @device
 def follow_pace(q: float, v: float, w: float, u: float, pace: Pace) -> tuple[float, float, float]:
-    """A joint after its pace's time, without position limits.
+    """Move a joint by the hold time of a pace, without position limits.
 
-    It is exact where the acceleration keeps within its limit; else within half a percent of the
-    way, if the time is at most 1.5 time constants.
+    The result is exact if the acceleration stays within its limit. Otherwise the error is within
+    half a percent of the distance moved, if the hold time is at most 1.5 time constants.
 
     Args:
         q: angle, rad.
         v: velocity, rad/s.
-        w: acceleration, rad/s^2; without a build-up it does not count.
+        w: acceleration, rad/s^2; ignored by a first-order lag.
         u: velocity command, rad/s.
-        pace: how it follows.
+        pace: coefficients from `pace_of`.
 
     Returns:
-        Angle, velocity and acceleration.
+        Angle, velocity and acceleration; rad, rad/s and rad/s^2.
     """
     a = pace.a
     if pace.square == 0.0:
@@ -118,7 +124,7 @@ def follow_pace(q: float, v: float, w: float, u: float, pace: Pace) -> tuple[flo
     for _ in range(pace.parts):
         t = pace.time
         w = min(max(w, -a), a)
-        # at the limit, until the rest of the equation takes w back
+        # at the limit until the equation demands a smaller |w|
         held = 0.0
         if abs(w) == a:
             held = min(max((u - v - pace.lag * w) / w, 0.0), t)
@@ -133,7 +139,7 @@ def follow_pace(q: float, v: float, w: float, u: float, pace: Pace) -> tuple[flo
             q += u * t - pace.square * (then - w) - pace.lag * (after - gap)
             v, w = u + after, then
         else:
-            # until the limit is met: along the slope, and one step of the secant
+            # time until the limit: linear extrapolation, then one secant step
             limit = a if then > 0.0 else -a
             slope = -(gap + pace.lag * w) / pace.square
             meets = min(max((limit - w) / slope, 0.0), t) if slope != 0.0 else 0.0

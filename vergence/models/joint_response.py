@@ -1,25 +1,25 @@
-r"""How joints follow velocity commands: by a lag with an acceleration limit.
+r"""Response of joints to velocity commands: a lag with an acceleration limit.
 
     dv/dt = clip((u - v) / tau, -a, a),   dq/dt = v
 
-with the command u held for a period. While |u - v| exceeds a tau the joint accelerates at the
-limit; then the difference decays exponentially. Both phases have closed forms, so a period is
-one step whatever its length. A joint at its position limit stops there.
+with the command u held for a period. While |u - v| exceeds a tau, the joint accelerates at the
+limit; then the difference decays exponentially. Both phases have closed forms, so a period of any
+length is one step. A joint at its position limit stops there.
 
-A motor whose torque falls with its speed accelerates at most by `a (1 - fade |v|)` where it speeds
-up, and by a where it brakes:
+A motor whose torque falls with its speed accelerates by at most `a (1 - fade |v|)` while it speeds
+up, and by at most a while it brakes:
 
     dv/dt = clip((u - v) / tau, -a_-(v), a_+(v)),   a_+(v) = a (1 - fade max(v, 0))
 
-whose saturated phase has a closed form too: 1 / fade - v decays with the rate a fade.
+This saturated phase has a closed form too: 1 / fade - v decays with the rate a fade.
 
-A servo whose own loop swings follows by a lag of second order, its acceleration w a state:
+A servo whose own loop oscillates has a second-order lag; its acceleration w is a state:
 
     tau^2 dw/dt + 2 zeta tau w + v = u,   dv/dt = w,   |w| <= a
 
-with the damping ratio zeta of its overshoot o after a step, `-ln(o) / sqrt(pi^2 + ln(o)^2)`. At
-its limit w stays until the rest of the equation takes it back. With time constants as long, this
-begins later than the first-order lag and ends sooner.
+An overshoot o of the step response gives the damping ratio `zeta = -ln(o) / sqrt(pi^2 + ln(o)^2)`.
+At its limit, w stays constant until the equation demands a smaller |w|. With an equal time
+constant, this response starts later than the first-order lag and settles sooner.
 """
 
 from math import cos, exp, expm1, inf, log, pi, sin, sqrt
@@ -28,12 +28,13 @@ from typing import Final
 from vergence._jit import device, subroutine
 
 _SECANTS: Final = 5
-"""Steps of the secant to where an acceleration meets its limit: all digits. Numerical."""
+"""Secant steps to the time at which the acceleration meets its limit; exact to rounding
+(numerical)."""
 
 
 @device
 def share_left(time: float, tau: float) -> float:
-    """What a time leaves of a difference between command and velocity."""
+    """Fraction of the difference between command and velocity that remains after a time."""
     return exp(-time / tau) if tau > 0.0 else 0.0
 
 
@@ -41,23 +42,23 @@ def share_left(time: float, tau: float) -> float:
 def follow_joint(
     q: float, v: float, u: float, tau: float, a: float, period: float, decay: float
 ) -> tuple[float, float]:
-    """One joint a period later, without position limits; for use inside kernels.
+    """Move one joint by a period, without position limits; for use inside kernels.
 
     Args:
         q: angle, rad.
         v: velocity, rad/s.
         u: velocity command, rad/s.
-        tau: time constant, s; 0 for none.
-        a: greatest acceleration, rad/s^2, inf for none.
+        tau: time constant, s; 0 for no lag.
+        a: greatest acceleration, rad/s^2; inf for no limit.
         period: the period, s.
-        decay: `share_left(period, tau)`, which callers compute once for many joints.
+        decay: `share_left(period, tau)`; callers compute it once for many joints.
 
     Returns:
         Angle and velocity, rad and rad/s.
     """
     gap = u - v
     side = 1.0 if gap >= 0.0 else -1.0
-    # how long the joint accelerates at its limit; without a limit, not at all
+    # duration of the acceleration at its limit; 0 without a limit
     ramp = 0.0
     if a < inf:
         ramp = min(max((side * gap - a * tau) / a, 0.0), period)
@@ -77,7 +78,7 @@ def follow_joint(
 
 @device
 def time_to_turn(v: float, u: float, tau: float, a: float) -> float:
-    """When a joint turns round whose velocity and command have opposite signs, s."""
+    """Time until a joint reverses, s, if its velocity and command have opposite signs."""
     elapsed = 0.0
     if abs(u - v) > a * tau:
         if abs(u) >= a * tau:
@@ -93,15 +94,15 @@ def time_to_turn(v: float, u: float, tau: float, a: float) -> float:
 def follow_fading_joint(
     q: float, v: float, u: float, tau: float, a: float, fade: float, period: float
 ) -> tuple[float, float]:
-    """As `follow_joint`, of a motor whose torque falls with its speed.
+    """`follow_joint` for a motor whose torque falls with its speed.
 
     Args:
         q: angle, rad.
         v: velocity, rad/s.
         u: velocity command, rad/s.
-        tau: time constant, s; 0 for none.
+        tau: time constant, s; 0 for no lag.
         a: greatest acceleration at rest, rad/s^2.
-        fade: what is lost of it per rad/s; fade times any speed is below 1.
+        fade: fraction of a lost per rad/s of speed; fade times any speed is below 1.
         period: the period, s.
 
     Returns:
@@ -118,8 +119,8 @@ def follow_fading_joint(
     side = 1.0 if u >= 0.0 else -1.0
     v, u = side * v, side * u
     way = 0.0
-    # saturated until the gap is what the lag alone would take in; where that falls faster with
-    # speed than the gap does, it is so from the start
+    # saturated until the lag alone demands no more than the limit; if the limit falls faster with
+    # speed than that demand, saturated for good
     slope = 1.0 - a * tau * fade
     end = (u - a * tau) / slope if slope > 0.0 else v
     if end > v:
@@ -136,7 +137,7 @@ def follow_fading_joint(
 
 @device
 def damping_ratio(overshoot: float) -> float:
-    """That of a lag of second order which overshoots a step by a share from above 0 to below 1."""
+    """Damping ratio of a second-order lag with a given overshoot, a fraction in (0, 1)."""
     decrement = -log(overshoot)
     return decrement / sqrt(pi * pi + decrement * decrement)
 
@@ -145,13 +146,13 @@ def damping_ratio(overshoot: float) -> float:
 def _swing(
     q: float, v: float, w: float, u: float, tau: float, zeta: float, time: float
 ) -> tuple[float, float, float]:
-    """Angle, velocity and acceleration after a time by the lag of second order alone."""
+    """Angle, velocity and acceleration after a time, by the second-order lag without a limit."""
     decay, turn = zeta / tau, sqrt(1.0 - zeta * zeta) / tau
     left, gap = exp(-decay * time), v - u
     along, across = left * cos(turn * time), left * sin(turn * time) / turn
     after = gap * along + (w + decay * gap) * across
     then = w * along - (decay * w + gap / (tau * tau)) * across
-    # the equation of motion, integrated
+    # integral of the equation of motion
     way = u * time - tau * tau * (then - w) - 2.0 * zeta * tau * (after - gap)
     return q + way, u + after, then
 
@@ -168,10 +169,11 @@ def follow_swinging_joint(
     fade: float,
     period: float,
 ) -> tuple[float, float, float]:
-    """A joint with a lag of second order a short time later, without position limits.
+    """Move a joint with a second-order lag by a short time, without position limits.
 
-    It is exact but where the limit is only touched and where it falls with speed, which it does not
-    within the time: an eighth of tau makes a quarter of a percent of the way.
+    The result is exact, with two exceptions: the acceleration exceeds its limit only between the
+    start and the end of the time, or the limit falls with speed, as it is held constant. A time of
+    an eighth of tau gives an error of a quarter of a percent of the distance moved.
 
     Args:
         q: angle, rad.
@@ -180,12 +182,12 @@ def follow_swinging_joint(
         u: velocity command, rad/s.
         tau: time constant, s, above 0.
         zeta: damping ratio, from above 0 to below 1.
-        a: greatest acceleration at rest, rad/s^2, inf for none.
-        fade: what is lost of it per rad/s where the joint speeds up.
+        a: greatest acceleration at rest, rad/s^2; inf for no limit.
+        fade: fraction of a lost per rad/s of speed while the joint speeds up.
         period: the time, s, short against tau.
 
     Returns:
-        Angle, velocity and acceleration.
+        Angle, velocity and acceleration; rad, rad/s and rad/s^2.
     """
     if a == inf:
         return _swing(q, v, w, u, tau, zeta, period)
@@ -198,7 +200,7 @@ def follow_swinging_joint(
     if within and -down <= free_w <= up:
         return free_q, free_v, free_w
     if within:
-        # until the limit is met, by the secant
+        # time until the limit, by the secant method
         limit = up if free_w > up else -down
         before, off_before, time, off = 0.0, w - limit, period, free_w - limit
         for _ in range(_SECANTS):
@@ -209,7 +211,7 @@ def follow_swinging_joint(
             off = _swing(q, v, w, u, tau, zeta, time)[2] - limit
         q, v, w = _swing(q, v, w, u, tau, zeta, time)
         w, period = limit, period - time
-    # at the limit, until the rest of the equation takes w back faster than the limit falls
+    # at the limit until the equation lowers w faster than the limit falls
     falls = a * fade * w if w * middle > 0.0 else 0.0
     most = u + tau * (tau * falls - 2.0 * zeta * w)
     held = min(max((most - v) / w, 0.0), period) if w != 0.0 else 0.0

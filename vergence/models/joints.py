@@ -14,10 +14,10 @@ JOINTS: Final = (
 """Joint order of every array of joint angles, velocities and limits."""
 
 NECK: Final = slice(0, 3)
-"""The neck's joints within an array of all joints."""
+"""The neck's joints in an array of all joints (numerical)."""
 
 EYES: Final = slice(3, 7)
-"""The eyes' joints within an array of all joints: tilt and pan of left, then of right."""
+"""The eyes' joints in an array of all joints: left tilt and pan, then right (numerical)."""
 
 EYE_NAMES: Final = ("left", "right")
 """Eye order of every array of cameras, pixels and image Jacobians."""

@@ -1,13 +1,12 @@
-r"""Forward kinematics of the head, folded for speed, one kernel for one head and for many.
+r"""Forward kinematics of the head, one kernel for one head and for many.
 
-Between two joints a chain is a constant, so the chain of an eye folds into
+Between two joints the transform is constant, so the chain of an eye is the product
 
     T_N_C = M_0 RotZ(q1) M_1 RotZ(q2) M_2
 
-and that of the neck into `T_0_N = B_0 RotZ(q1) B_1 RotZ(q2) B_2 RotZ(q3) B_3`. The
-constants and the cameras of a head lie in one row of numbers, its `packed` array, so that a
-head (or a population of heads, one row each) is an ordinary operand of a compiled kernel
-that broadcasts by NumPy's rules.
+and the chain of the neck is `T_0_N = B_0 RotZ(q1) B_1 RotZ(q2) B_2 RotZ(q3) B_3`. The constants and
+the cameras of a head form one row of numbers, its packed array. A head (or a population of heads,
+one row each) is thus an ordinary operand of a compiled kernel that broadcasts by NumPy's rules.
 """
 
 from math import cos, sin
@@ -24,25 +23,27 @@ from vergence.models.parts import FloatArray
 from vergence.models.pose import Pose, Vector, compose, into, inverse, pose_of, rotate_z, store_pose
 
 PAIR: Final = np.zeros(2)
-"""Names the dimension "two eyes" (or "u and v") for kernels that have it only in a result."""
+"""Operand of the dimension "two eyes" (or "u and v"), for kernels with this dimension only in a
+result (numerical)."""
 QUAD: Final = np.zeros(4)
-"""Names the dimension of a homogeneous vector for kernels that have it only in a result."""
+"""Operand of the dimension of a homogeneous vector, for kernels with it only in a result
+(numerical)."""
 
 
 def pack_head(
     links: Links, head_eye: FloatArray, cameras: Cameras, actuation: Actuation
 ) -> FloatArray:
-    """Fold a head's constants into one row of numbers per head.
+    """Pack a head's constants into one row of numbers per head.
 
     Args:
-        links: where the axes are, batched or not.
-        head_eye: (..., 2, 4, 4) camera frames in the eyes' last links.
+        links: the joint axes, batched or not.
+        head_eye: (..., 2, 4, 4) poses of the cameras in the eyes' last links.
         cameras: the two cameras, batched or not.
-        actuation: what can be commanded.
+        actuation: the head's actuators.
 
     Returns:
-        (..., PACKED) read-only array, see `vergence.models.packed`; its leading shape is what
-        the parts broadcast to.
+        (..., PACKED) read-only array, see `vergence.models.packed`; its leading shape is the
+        broadcast shape of the parts.
     """
     poses = links.folded()
     for eye in range(2):
@@ -58,7 +59,7 @@ def pack_head(
 
 
 class EyeFrames(NamedTuple):
-    """The frames of one eye in N: its joints' axes are the z axes of the first two."""
+    """The frames of one eye in N; the z axes of `first` and `second` are its joints' axes."""
 
     first: Pose
     second: Pose
@@ -83,7 +84,7 @@ def _unrotate_z(x: float, y: float, angle: float) -> tuple[float, float]:
 def point_in_eye(
     p: PackedHead, eye: int, q1: float, q2: float, x: float, y: float, z: float
 ) -> Vector:
-    """A point of N in one eye's camera frame: the chain of `eye_frames` undone link by link."""
+    """Transform a point from N to one eye's camera frame, link by link."""
     x, y, z = into(eye_link(p, eye, 0), x, y, z)
     x, y = _unrotate_z(x, y, q1)
     x, y, z = into(eye_link(p, eye, 1), x, y, z)
@@ -117,7 +118,7 @@ def camera_poses(
 
 @kernel(["(f8[:],f8[:],f8[:,:,:],f8[:,:,:])"], f"(7),({PACKED}),(2,4,4)->(2,4,4)")
 def link_poses(q: FloatArray, p: PackedHead, head_eye: FloatArray, out: FloatArray) -> None:
-    """The eyes' last links in N, of a packed head and its head-eye transforms."""
+    """Poses in N of the eyes' last links, of a packed head and its head-eye transforms."""
     for eye in range(2):
         camera = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye]).camera
         store_pose(out[eye], compose(camera, inverse(pose_of(head_eye[eye]))))

@@ -1,4 +1,4 @@
-"""The lens: how it bends the image of a pinhole, and back. Lens models are added here.
+"""Lens models: distortion of a pinhole's image, and its inverse. New models are added here.
 
 A ray has the ideal coordinates x = X / Z, y = Y / Z of a pinhole, r^2 = x^2 + y^2. The models are
 OpenCV's. `brown-conrady` (Brown and Conrady, 5 coefficients) and `rational` (8) are
@@ -6,18 +6,18 @@ OpenCV's. `brown-conrady` (Brown and Conrady, 5 coefficients) and `rational` (8)
     x_d = x c + 2 p1 x y + p2 (r^2 + 2 x^2)      c = 1 + k1 r^2 + k2 r^4 + k3 r^6
     y_d = y c + p1 (r^2 + 2 y^2) + 2 p2 x y
 
-where c of the rational one is divided by 1 + k4 r^2 + k5 r^4 + k6 r^6. `fisheye` (Kannala and
-Brandt, 4) bends by the angle t = atan(r) from the optical axis:
+where `rational` divides c by 1 + k4 r^2 + k5 r^4 + k6 r^6. `fisheye` (Kannala and Brandt, 4)
+distorts by the angle t = atan(r) from the optical axis:
 
     (x_d, y_d) = (x, y) t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8) / r
 
-The derivative of each model is symmetric. A model means something as far as a ray that turns
-outwards also moves outwards in the image: up to its fold (see `fold`), and where the derivative is
-positive definite. Beyond it and where no ray leads, there is nan.
+The Jacobian of each model is symmetric. A model is valid as long as a ray that turns outwards also
+moves outwards in the image: up to its fold (see `fold`), and while the Jacobian is positive
+definite. Beyond that, and for pixels without a ray, results are nan.
 
-Another model needs its coefficients in `CameraRow`, its names in `parts.LENSES`, its fold in
-`fold`, and its case here and, with derivatives by the coefficients, in
-`vergence.calibration.projection`: no other module computes with coefficients.
+A new model needs its coefficients in `CameraRow`, its names in `cameras.LENSES`, its fold in
+`fold`, a case here and, with derivatives by the coefficients, one in
+`vergence.calibration.projection`. No other module computes with coefficients.
 """
 
 from math import atan, inf, isfinite, nan, sqrt, tan
@@ -26,22 +26,29 @@ from typing import Final, NamedTuple
 from vergence._jit import device, subroutine
 
 PINHOLE: Final = 0.0
-"""What `CameraRow.lens` says of a lens that bends nothing."""
+"""`CameraRow.lens` of a lens without distortion (numerical)."""
 POLYNOMIAL: Final = 1.0
-"""Of `brown-conrady`."""
+"""`CameraRow.lens` of `brown-conrady` (numerical)."""
 RATIONAL: Final = 2.0
+"""`CameraRow.lens` of `rational` (numerical)."""
 FISHEYE: Final = 3.0
+"""`CameraRow.lens` of `fisheye` (numerical)."""
 _NEWTON_STEPS: Final = 25
+"""Iteration limit of Newton's method (numerical)."""
 _NEWTON_TOLERANCE: Final = 1e-15
+"""Relative convergence tolerance of a Newton step (numerical)."""
 _RESIDUAL: Final = 1e-13
-"""Of an inverse: how far from the distorted coordinates it may be seen again."""
+"""Largest residual of an inverse: distance of its image from the distorted coordinates, relative
+(numerical)."""
 
 
 _SEARCH_STEPS: Final = 200
+"""Iteration limit of the damped search (numerical)."""
 _LEAST_SHARE: Final = 1e-6
-"""Of a step, below which there is no way on."""
+"""Smallest fraction of a Newton step that the damped search tries (numerical)."""
 _FARTHEST: Final = 1e20
-"""No image reaches as far, and powers of more would overflow."""
+"""Largest distorted coordinate that is inverted: far beyond any image; powers of more overflow
+(numerical)."""
 
 
 class CameraRow(NamedTuple):
@@ -64,9 +71,10 @@ class CameraRow(NamedTuple):
     lens: float
     """`PINHOLE`, `POLYNOMIAL`, `RATIONAL` or `FISHEYE`."""
     fold_radius_squared: float
-    """Of the ideal radius at which the lens folds the image back on itself; inf if never."""
+    """Squared ideal radius of the fold, at which the image turns back on itself; inf if there is
+    none."""
     safe_radius_squared: float
-    """Of one before the fold within which the derivative is surely positive definite."""
+    """Squared ideal radius within which the Jacobian is guaranteed to be positive definite."""
 
 
 class Bent(NamedTuple):
@@ -76,19 +84,19 @@ class Bent(NamedTuple):
     y: float
     dxx: float
     dxy: float
-    """Of x by y, which equals that of y by x."""
+    """Derivative of x by y, which equals that of y by x."""
     dyy: float
 
 
 @device
 def is_distorted(camera: CameraRow) -> bool:
-    """Whether the lens departs from the pinhole."""
+    """True if the lens differs from a pinhole."""
     return camera.lens != PINHOLE
 
 
 @device
 def distort(camera: CameraRow, x: float, y: float) -> Bent:
-    """What the lens makes of a ray's ideal normalised coordinates."""
+    """Distort a ray's ideal normalised coordinates."""
     if camera.lens > POLYNOMIAL:
         return _distort_otherwise(camera, x, y)
     return _distort_by_polynomial(camera, x, y)
@@ -96,7 +104,7 @@ def distort(camera: CameraRow, x: float, y: float) -> Bent:
 
 @device
 def keeps_order(camera: CameraRow, x: float, y: float, bent: Bent) -> bool:
-    """Whether the model has an inverse at a ray: it is before the fold, and all its way there."""
+    """True if the model is invertible at a ray: before the fold, Jacobian positive definite."""
     r2 = x * x + y * y
     return r2 < camera.safe_radius_squared or (
         r2 < camera.fold_radius_squared
@@ -107,12 +115,12 @@ def keeps_order(camera: CameraRow, x: float, y: float, bent: Bent) -> bool:
 
 @device
 def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float]:
-    """The ideal coordinates of distorted ones; nan where the lens model has no ray."""
-    if not isfinite(xd + yd):  # an eye that sees nothing: comparisons with nan would warn
+    """Invert the distortion: the ideal coordinates; nan if the lens model has no ray there."""
+    if not isfinite(xd + yd):  # no target visible: comparisons with nan would warn
         return nan, nan
     if camera.lens != POLYNOMIAL:
         return _search(camera, xd, yd, xd, yd)
-    # lenses of moderate angles need no more than Newton's method from the distorted coordinates
+    # for moderate angles, Newton's method from the distorted coordinates suffices
     x, y = xd, yd
     converged = False
     for _ in range(_NEWTON_STEPS):
@@ -144,7 +152,7 @@ def _distort_by_polynomial(camera: CameraRow, x: float, y: float) -> Bent:
 
 @device
 def _bend(camera: CameraRow, x: float, y: float, r2: float, radial: float, slope: float) -> Bent:
-    """Radial and tangential terms together; slope is the derivative of radial by r^2."""
+    """Combine the radial and tangential terms; slope is the derivative of radial by r^2."""
     p1, p2 = camera.p1, camera.p2
     return Bent(
         x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
@@ -157,9 +165,10 @@ def _bend(camera: CameraRow, x: float, y: float, r2: float, radial: float, slope
 
 @subroutine
 def _distort_by_any(camera: CameraRow, x: float, y: float) -> Bent:
-    """`distort` of any model but the fisheye's, and of that one by angles in place of x and y.
+    """`distort` of all models except the fisheye, and of the fisheye for angles instead of x and y.
 
-    These are (x, y) t / r, where it is a polynomial too; and a polynomial is a quotient by 1.
+    The angles are (x, y) t / r; in them the fisheye is a polynomial too. A polynomial is computed
+    as a quotient with the denominator 1.
     """
     k1, k2, k3 = camera.k1, camera.k2, camera.k3
     k4, below_k1 = (camera.k4, 0.0) if camera.lens == FISHEYE else (0.0, camera.k4)
@@ -180,7 +189,7 @@ def _distort_otherwise(camera: CameraRow, x: float, y: float) -> Bent:
     r = sqrt(r2)
     ratio = atan(r) / r
     bent = _distort_by_any(camera, ratio * x, ratio * y)
-    # the angles' derivative is the ratio across the radius, and 1 / (1 + r^2) along it
+    # derivative of the angles: the ratio across the radius, 1 / (1 + r^2) along it
     more = (1.0 / (1.0 + r2) - ratio) / r2
     axx, axy, ayy = ratio + x * x * more, x * y * more, ratio + y * y * more
     return Bent(
@@ -194,12 +203,12 @@ def _distort_otherwise(camera: CameraRow, x: float, y: float) -> Bent:
 
 @subroutine
 def _search(camera: CameraRow, xd: float, yd: float, x: float, y: float) -> tuple[float, float]:
-    """The ray of distorted coordinates from a guess, which it is already if nothing is better.
+    """The ray of distorted coordinates by a damped Newton search; (x, y) is the initial guess.
 
-    From the optical axis, Newton's method takes steps that are halved until they bring the image
-    nearer and stay where the model has an inverse; the guess is the first. There the lens is the
-    gradient of a convex function, so no other ray looks nearer than the one that is searched. A
-    fisheye's are angles.
+    The search starts at the optical axis, and its first step goes to the guess. Each step is halved
+    until it lowers the residual and stays where the model is invertible. In that region the
+    distortion is the gradient of a convex function, so the residual has no other local minimum
+    than the solution. For a fisheye, x and y are angles.
     """
     size = abs(xd) + abs(yd)
     if size > _FARTHEST:

@@ -1,10 +1,9 @@
-"""Where the axes of a head's joints are: the descriptions from which all kinematics is folded.
+"""Descriptions of a head's joint axes, from which all kinematics is computed.
 
-A description says how the joints and what they carry hang together at the zero posture. There
-are two: `DenavitHartenberg`, the article's nine links, and `JointAxes`
-(`vergence.models.joint_axes`), any head's joints by the pose of each in the one before, as in a
-URDF. Whoever folds, perturbs, calibrates, draws or exports a head asks either for the same things,
-see `Links`.
+A description states how the joints and their bodies are connected at the zero posture. There are
+two: `DenavitHartenberg`, the article's nine links, and `JointAxes` (`vergence.models.joint_axes`),
+which holds the pose of each joint in the frame of the one before, as a URDF does. Both implement
+the protocol `Links`; kinematics, perturbation, calibration, drawing and export use only that.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,24 +18,25 @@ from vergence.models.parts import FloatArray, FrozenArrays, Parameter
 T_3_N: Final = np.array(
     [[0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-"""From frame 3 to N: x3 is z_N, y3 is -y_N, z3 is x_N (its own inverse)."""
+"""From frame 3 to N: x3 is z_N, y3 is -y_N, z3 is x_N (its own inverse; physical: the definition of
+N)."""
 
 
 class Body(NamedTuple):
-    """What one joint carries. Its frame's z axis is the joint's axis."""
+    """Body that one joint carries. The z axis of its frame is the joint's axis."""
 
     name: str
     """The joint's name."""
     joints: tuple[int, ...]
-    """The joint's places in an array of all seven; two for a joint that both eyes share."""
+    """Indices of the joint in an array of all seven; two for a joint that both eyes share."""
     parent: int
-    """The body that carries it, by its place in `Links.bodies`; -1 for the base."""
+    """Index in `Links.bodies` of the body that carries this one; -1 for the base."""
     pose: FloatArray
-    """(4, 4) its frame in the parent's at a joint angle of zero, metres."""
+    """(4, 4) pose of its frame in the parent's at a joint angle of zero, metres."""
 
 
 class Links(Protocol):
-    """What describes the axes: a frozen dataclass whose arrays may carry a batch shape."""
+    """Protocol of a description of joint axes: a frozen dataclass of arrays, batched or not."""
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -44,46 +44,46 @@ class Links(Protocol):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The numbers that a calibration may change; those of the neck, which moves N, are not."""
+        """Numbers that a calibration may change; the neck's are excluded, as the neck moves N."""
 
     def arrays(self) -> Mapping[str, tuple[FloatArray, int]]:
-        """The fields of numbers, and how many dimensions each has for one head."""
+        """The numeric fields by name, each with its number of dimensions for one head."""
 
     def fields(self, about: Any) -> dict[str, FloatArray]:
-        """What holds the parameters, (..., k) each; rotations are counted from those of `about`."""
+        """Arrays that hold the parameters, (..., k) each; rotations are relative to `about`."""
 
     def with_fields(self, fields: Mapping[str, FloatArray]) -> Any:
-        """These links with other parameters, the inverse of `fields`."""
+        """A copy of these links with other parameters: the inverse of `fields`."""
 
     def folded(self) -> list[FloatArray]:
-        """Ten constants (..., 4, 4): B_0 to B_3 of the neck, M_0 to M_2 of the left eye, the right.
+        """Ten constants (..., 4, 4): B_0 to B_3 of the neck, M_0 to M_2 of the left, right eye.
 
-        M_2 lacks the head-eye transform, which is the last factor.
+        M_2 does not include the head-eye transform, which is its last factor.
         """
 
     def twists(self, about: Any) -> FloatArray:
-        """How the eyes' constants of `folded` change with the parameters, exactly.
+        """Exact derivatives of the eyes' constants of `folded` by the parameters, for one head.
 
         Args:
-            about: the links from which rotations are counted, see `fields`.
+            about: the links that rotations are relative to, see `fields`.
 
         Returns:
-            (n, 6, 6) by parameter and by constant M_0 to M_2 of the left eye, then of the right:
-            the body twist (rotation, then translation) `M^-1 dM`; of one head.
+            (n, 6, 6) by parameter, by constant (M_0 to M_2 of the left eye, then of the right) and
+            by component of the body twist `M^-1 dM` (rotation, then translation).
         """
 
     def bodies(self) -> tuple[Body, ...]:
-        """What the joints carry, parents first; of one head, not of a population."""
+        """The bodies that the joints carry, parents first; for one head, not for a population."""
 
     def base_frame(self) -> FloatArray:
-        """(4, 4) frame N in the body that carries it, the neck's last one or the base."""
+        """(4, 4) pose of frame N in the body that carries it: the neck's last body or the base."""
 
     def camera_mount(self, eye: int) -> FloatArray:
-        """(4, 4) the frame of the head-eye transform in the last body of an eye's chain."""
+        """(4, 4) pose of the head-eye transform's frame in the last body of an eye's chain."""
 
 
 def chain_end(bodies: tuple[Body, ...], eye: int | None) -> int:
-    """The body that an eye's camera is fixed to, or N for None; -1 for the base."""
+    """Index of the body that carries an eye's camera, or N if `eye` is None; -1 for the base."""
     carried = set(range(NECK.stop))
     if eye is not None:
         carried |= {3 + 2 * eye, 4 + 2 * eye}
@@ -114,7 +114,7 @@ class DenavitHartenberg(FrozenArrays):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The 22 of the six links after N; the last of each eye has no joint, so no offset."""
+        """The 22 numbers of the six links after N; the last link of an eye has no joint offset."""
         return _LINK_PARAMETERS
 
     def arrays(self) -> Mapping[str, tuple[FloatArray, int]]:
@@ -122,7 +122,7 @@ class DenavitHartenberg(FrozenArrays):
         return {name: (value, 1) for name, value in vars(self).items()}
 
     def fields(self, about: "DenavitHartenberg") -> dict[str, FloatArray]:
-        """See `Links.fields`; there are no rotations among them."""
+        """See `Links.fields`; none of them is a rotation vector, so `about` is not used."""
         return dict(vars(self))
 
     def with_fields(self, fields: Mapping[str, FloatArray]) -> "DenavitHartenberg":
@@ -130,7 +130,7 @@ class DenavitHartenberg(FrozenArrays):
         return replace(self, **{name: fields[name] for name in vars(self)})
 
     def transforms(self, frame: int) -> tuple[FloatArray, FloatArray]:
-        """The two constant halves of one link, before and after its rotation about z.
+        """The two constant factors of one link, before and after its rotation about z.
 
         Args:
             frame: the link's frame, 1 to 9.
@@ -169,7 +169,7 @@ class DenavitHartenberg(FrozenArrays):
         return out
 
     def bodies(self) -> tuple[Body, ...]:
-        """See `Links.bodies`; the frames are those of the links that move."""
+        """See `Links.bodies`; one body for each link with a joint."""
         places: dict[int, int] = {0: -1}
         bodies: list[Body] = []
         for frame, parent, name in LINKS:
@@ -184,7 +184,7 @@ class DenavitHartenberg(FrozenArrays):
         return T_3_N
 
     def camera_mount(self, eye: int) -> FloatArray:
-        """See `Links.camera_mount`: frame 6 or 9 in 5 or 8."""
+        """See `Links.camera_mount`; the pose of frame 6 in 5 (left) or 9 in 8 (right)."""
         return np.asarray(np.matmul(*self.transforms(6 + 3 * eye)))
 
 
@@ -201,8 +201,8 @@ _FACTORS: Final = (
     (("d", 0), ("alpha", 1), ("a", 1), ("offset", 1)),
     (("d", 1), ("alpha", 2), ("a", 2), ("offset", 2), ("d", 2)),
 )
-"""The numbers that the constants M_0 to M_2 are made of, in their order: field, and link counted
-from an eye's first."""
+"""Factors of the constants M_0 to M_2 in their order: field, and link counted from an eye's
+first."""
 
 
 def _generator(axis: int, turns: bool) -> FloatArray:
@@ -232,7 +232,7 @@ def _factor(field: str, value: float) -> FloatArray:
 
 
 def twist_of(matrix: FloatArray) -> FloatArray:
-    """(..., 6) rotation and translation of a twist in matrix form (..., 4, 4)."""
+    """(..., 6) vector (rotation, then translation) of a twist in matrix form (..., 4, 4)."""
     return np.stack(
         [matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0],
          matrix[..., 0, 3], matrix[..., 1, 3], matrix[..., 2, 3]],
@@ -241,19 +241,19 @@ def twist_of(matrix: FloatArray) -> FloatArray:
 
 
 def pose_twists(about: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Body twists of the pose `[R exp([r]), p]` by r and p.
+    """Derivatives of the pose `[R exp([r]), p]` by r and p, as body twists.
 
     Args:
         about: (4, 4) pose with the rotation R.
         rotation: (3,) the rotation vector r.
 
     Returns:
-        (6, 6) a twist (rotation, then translation) by each of r and p.
+        (6, 6) one twist (rotation, then translation) per row, for r, then for p.
     """
     angle = float(np.linalg.norm(rotation))
     x, y, z = rotation
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    # the right Jacobian of SO(3), by its series where the angle is small
+    # right Jacobian of SO(3), by its series for a small angle
     small = angle < 1e-4
     one = 0.5 - angle**2 / 24.0 if small else (1.0 - np.cos(angle)) / angle**2
     two = 1.0 / 6.0 - angle**2 / 120.0 if small else (angle - np.sin(angle)) / angle**3
@@ -266,16 +266,16 @@ def pose_twists(about: FloatArray, rotation: FloatArray) -> FloatArray:
 
 
 def picked(links: Any, pick: Callable[[FloatArray, int], FloatArray]) -> Any:
-    """Links whose arrays are those of others, taken by a function of array and own dimensions."""
+    """Copy links; each array becomes `pick(array, its number of dimensions for one head)`."""
     arrays = {name: pick(value, own) for name, (value, own) in links.arrays().items()}
     return replace(links, **arrays)
 
 
 def product(*poses: FloatArray) -> FloatArray:
-    """(..., 4, 4) the product of poses, to the last bit the same on every machine.
+    """(..., 4, 4) the product of poses, bit for bit equal on every machine.
 
-    A library of linear algebra sums in an order of its own for each kind of processor; a head must
-    be the same head on all of them, see `vergence.models.digest`.
+    Linear algebra libraries sum in an order that depends on the processor; the digest of a head
+    must not, see `vergence.models.digest`.
     """
     made, *others = poses
     for other in others:
@@ -285,7 +285,7 @@ def product(*poses: FloatArray) -> FloatArray:
 
 
 def inverse_pose(pose: FloatArray) -> FloatArray:
-    """(..., 4, 4) T_B_A of T_A_B."""
+    """(..., 4, 4) inverse of a pose: T_B_A from T_A_B."""
     out = np.zeros_like(pose)
     out[..., :3, :3] = np.swapaxes(pose[..., :3, :3], -1, -2)
     out[..., :3, 3] = -np.einsum("...ij,...j->...i", out[..., :3, :3], pose[..., :3, 3])

@@ -1,4 +1,4 @@
-"""Points that a person hardly means: those in millimetres, and those beyond the eyes' limits."""
+"""Warnings on implausible points: points in millimetres, or beyond the limits of the eyes."""
 
 import warnings
 from math import hypot
@@ -14,26 +14,30 @@ from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray, JointLimits
 
 _UNSEEN_PX: Final = 0.5
-"""A disparity below this rounds to none: both images show a point as if it were at infinity."""
+"""Disparity below which a point looks as if at infinity, px: it rounds to 0 (chosen: half a
+pixel)."""
 _MM: Final = 1000.0
+"""Millimetres per metre (physical: the unit)."""
 _ROUNDING_RAD: Final = 1e-9
+"""Tolerance for angles at their limits, rad (numerical)."""
 
 
 class Bounds(NamedTuple):
-    """Limits of the points that `HeadModel.fixate` is asked for, and of its answers.
+    """Limits of the points passed to `HeadModel.fixate`, and of the joint angles it returns.
 
-    They are Python's numbers, as comparing eight of these takes less time than one NumPy call.
+    They are Python floats: comparing eight of these takes less time than one NumPy call.
     """
 
     far_m: float
-    """From this distance on, no disparity tells a point from one at infinity."""
+    """Distance from which the disparity does not distinguish a point from one at infinity, m."""
     actuation: Actuation
     limits: JointLimits
     joints: tuple[str, ...]
     """(7,) names."""
     lower: list[float]
-    """(8,) of the joints of the eyes and of their actuators, rad."""
+    """(8,) least angles of the eyes' four joints, then of their four actuators, rad."""
     upper: list[float]
+    """(8,) greatest angles, in the same order, rad."""
 
     @classmethod
     def of(
@@ -44,7 +48,7 @@ class Bounds(NamedTuple):
         baseline_m: float,
         focal_px: float,
     ) -> "Bounds":
-        """The bounds of one head, whose cameras are `baseline_m` apart at rest."""
+        """Bounds of one head, from its limits, its baseline at rest and its focal length."""
         return cls(
             baseline_m * focal_px / _UNSEEN_PX,
             actuation,
@@ -56,14 +60,15 @@ class Bounds(NamedTuple):
 
 
 def warn_of_point(bounds: Bounds, point: ArrayLike, q: FloatArray) -> None:
-    """Warn the caller's caller of a point that looks like millimetres or is beyond the limits.
+    """Warn the caller's caller if a point seems to be in millimetres or is beyond the limits.
 
-    Points that are farther still are silent, as in millimetres too they would be far: stars.
+    A point of at least 1000 x `bounds.far_m`, such as a star, is not taken for millimetres: it
+    would be far away in that unit too.
 
     Args:
-        bounds: the head's.
+        bounds: bounds of the head.
         point: (3,) in N, m.
-        q: (7,) joint angles that fixate it, rad; nan warns of itself.
+        q: (7,) joint angles that fixate it, rad; nan gives no warning.
     """
     x, y, z = np.asarray(point, dtype=np.float64).tolist()
     distance = hypot(x, y, z)
@@ -88,16 +93,16 @@ def warn_of_point(bounds: Bounds, point: ArrayLike, q: FloatArray) -> None:
 def beyond_limits(
     joints: tuple[str, ...], limits: JointLimits, actuation: Actuation, q: FloatArray
 ) -> str:
-    """Which of the eyes' actuators or joints would be beyond its limits, in words.
+    """Describe the first of the eyes' actuators or joints that would be beyond its limits.
 
     Args:
-        joints: (7,) their names.
-        limits: of the joints.
-        actuation: the head's.
+        joints: (7,) names of the joints.
+        limits: limits of the joints.
+        actuation: the head's actuators.
         q: (7,) joint angles, rad.
 
     Returns:
-        Such as `left_pan would be at 60.0 degrees, outside -54.0 to 54.0`; empty for none.
+        A phrase such as `left_pan would be at 60.0 degrees, outside -54.0 to 54.0`; empty for none.
     """
     for names, angles, ends in (
         (actuation.names, actuation.actuators_of(q), actuation),

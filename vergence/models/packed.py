@@ -1,9 +1,9 @@
-"""A head as one row of numbers, as compiled kernels take it: where what lies, by name.
+"""Packed array of a head for compiled kernels: its layout, and access to its parts by name.
 
-A row holds ten poses, which are the constants between the joints (see `kinematics`), two
-cameras, and how actuators move the eyes' joints. Operands of kernels stay flat rows of floats;
-inside, `camera_of`, `neck_link` and `eye_link` give what is packed as tuples with named fields,
-which cost nothing.
+A row holds ten poses, which are the constants between the joints (see `kinematics`), two cameras,
+and the linear map between the eyes' actuators and joints. Operands of kernels stay flat rows of
+floats. Inside a kernel, `camera_of`, `neck_link` and `eye_link` return the parts as tuples with
+named fields, at no cost in time.
 """
 
 from collections.abc import Sequence
@@ -24,32 +24,33 @@ from vergence.models.pose import Pose, pose_at
 PackedHead = FloatArray
 """(PACKED,) one head."""
 
+# Lengths of the parts, and indices of their first elements, in the row of a head (numerical).
 _POSE: Final = 12
 _NECK: Final = 0
 _EYES: Final = 4 * _POSE
 _EYE: Final = 3 * _POSE
 _CAMERAS: Final = _EYES + 2 * _EYE
 CAMERA: Final = 17
-"""Length of a packed camera."""
+"""Length of a packed camera (numerical)."""
 _DIRECT: Final = _CAMERAS + 2 * CAMERA
 _TO_JOINTS: Final = _DIRECT + 1
 _OFFSET: Final = _TO_JOINTS + SLOTS * SLOTS
 _TO_ACTUATORS: Final = _OFFSET + SLOTS
 PACKED: Final = _TO_ACTUATORS + SLOTS * SLOTS
-"""Length of a packed head."""
+"""Length of a packed head (numerical)."""
 
 
 def pack(
     poses: Sequence[FloatArray], cameras: Cameras, actuation: Actuation, batch: tuple[int, ...]
 ) -> FloatArray:
-    """A row of numbers per head.
+    """Pack heads into one row of numbers each.
 
     Args:
         poses: (..., 4, 4) each: the four constants of the neck, the three of the left eye, and
             the three of the right eye, in the order of `neck_link` and `eye_link`.
         cameras: the two cameras, batched or not.
-        actuation: what can be commanded.
-        batch: the leading shape, which all parts broadcast to.
+        actuation: the head's actuators.
+        batch: the leading shape; all parts broadcast to it.
 
     Returns:
         (*batch, PACKED) read-only array.
@@ -69,13 +70,13 @@ def pack(
 
 
 def pack_cameras(cameras: Cameras) -> FloatArray:
-    """The two cameras as rows, as `camera_at` reads them.
+    """Pack the two cameras into rows for `camera_at`.
 
     Args:
         cameras: the two cameras, batched or not.
 
     Returns:
-        (..., 2, 17), the leading shape being what their parts broadcast to.
+        (..., 2, 17); the leading shape is the broadcast shape of the cameras' parts.
     """
     size, focal, principal, lens = cameras.size, cameras.focal, cameras.principal, cameras.lens
     if lens[0] == lens[1]:
@@ -90,17 +91,17 @@ def pack_cameras(cameras: Cameras) -> FloatArray:
 def pack_camera(
     size: ArrayLike, focal: FloatArray, principal: FloatArray, lens: str, distortion: FloatArray
 ) -> FloatArray:
-    """Cameras with one lens model as rows, as `camera_at` reads them.
+    """Pack cameras of one lens model into rows for `camera_at`.
 
     Args:
         size: (..., 2) image width and height, px.
-        focal: (..., 2) px.
-        principal: (..., 2) px.
-        lens: the model, see `vergence.models.parts.LENSES`.
-        distortion: (..., n) its coefficients.
+        focal: (..., 2) focal lengths, px.
+        principal: (..., 2) principal points, px.
+        lens: the model, see `vergence.models.cameras.LENSES`.
+        distortion: (..., n) coefficients of the lens.
 
     Returns:
-        (..., 17), the leading shape being what the others broadcast to.
+        (..., 17); the leading shape is the broadcast shape of all arguments except the size.
     """
     batch = np.broadcast_shapes(focal.shape[:-1], principal.shape[:-1], distortion.shape[:-1])
     rows = np.empty((*batch, CAMERA))
@@ -115,7 +116,7 @@ _camera_run = run_of(CAMERA)
 
 @device
 def camera_at(row: FloatArray, i: int) -> CameraRow:
-    """The camera whose numbers begin at index i of a row."""
+    """Read the camera that begins at index i of a row."""
     return CameraRow(*_camera_run(row, i))
 
 
@@ -127,33 +128,33 @@ def camera_of(p: PackedHead, eye: int) -> CameraRow:
 
 @device
 def neck_link(p: PackedHead, link: int) -> Pose:
-    """One of the neck's four constants, from before its first joint to after its third."""
+    """One of the neck's four constants B_0 (before its first joint) to B_3 (after its third)."""
     return pose_at(p, _NECK + link * _POSE)
 
 
 @device
 def eye_link(p: PackedHead, eye: int, link: int) -> Pose:
-    """One of an eye's three constants: before its first joint, before its second, after it."""
+    """One of an eye's three constants M_0 (before its first joint) to M_2 (after its second)."""
     return pose_at(p, _EYES + eye * _EYE + link * _POSE)
 
 
 @device
 def is_direct(p: PackedHead) -> bool:
-    """Whether each of the four eye joints has its own motor, in joint order."""
+    """True if each of the four eye joints has its own motor, in joint order."""
     direct: bool = p[_DIRECT] > 0.5
     return direct
 
 
 @device
 def joint_per_actuator(p: PackedHead, joint: int, actuator: int) -> float:
-    """How far an eye joint (0 to 3) turns per radian of an actuator of the eyes (0 to 3)."""
+    """Angle of an eye joint (0 to 3) per angle of an actuator of the eyes (0 to 3)."""
     factor: float = p[_TO_JOINTS + SLOTS * joint + actuator]
     return factor
 
 
 @device
 def joint_at(p: PackedHead, joint: int, actuators: FloatArray) -> float:
-    """The angle of an eye joint, rad, at the angles (4,) of the actuators."""
+    """Angle of an eye joint, rad, from the actuators' angles (4,)."""
     i = _TO_JOINTS + SLOTS * joint
     angle: float = p[_OFFSET + joint]
     for k in range(SLOTS):
@@ -163,7 +164,7 @@ def joint_at(p: PackedHead, joint: int, actuators: FloatArray) -> float:
 
 @device
 def joint_rate(p: PackedHead, joint: int, actuators: FloatArray) -> float:
-    """The velocity of an eye joint, rad/s, at the velocities (4,) of the actuators."""
+    """Velocity of an eye joint, rad/s, from the actuators' velocities (4,)."""
     i = _TO_JOINTS + SLOTS * joint
     rate = 0.0
     for k in range(SLOTS):
@@ -173,7 +174,7 @@ def joint_rate(p: PackedHead, joint: int, actuators: FloatArray) -> float:
 
 @device
 def actuator_at(p: PackedHead, actuator: int, joints: FloatArray) -> float:
-    """The angle of an actuator of the eyes, rad, at the angles (4,) of the eyes' joints."""
+    """Angle of an actuator of the eyes, rad, from the eye joints' angles (4,)."""
     i = _TO_ACTUATORS + SLOTS * actuator
     angle = 0.0
     for j in range(SLOTS):
@@ -183,7 +184,7 @@ def actuator_at(p: PackedHead, actuator: int, joints: FloatArray) -> float:
 
 @device
 def actuator_rate(p: PackedHead, actuator: int, joints: FloatArray) -> float:
-    """The velocity of an actuator, rad/s, at the velocities (4,) of the eyes' joints."""
+    """Velocity of an actuator of the eyes, rad/s, from the eye joints' velocities (4,)."""
     i = _TO_ACTUATORS + SLOTS * actuator
     rate = 0.0
     for j in range(SLOTS):

@@ -1,12 +1,13 @@
-"""The numbers that a real head has otherwise than its model says: a named vector, there and back.
+"""Geometry parameters of a head as a vector with names and units, and back.
 
-Which numbers describe the axes is for the description to say: it names them, with units and the
-place where each lies (`vergence.models.links.Links`); whoever perturbs or calibrates a head sees
-the vector alone. To it belong the head-eye transforms, as a rotation vector and a position
-each, and the cameras. The neck's links move N itself and are left out.
+The parameters are the numbers in which a real head differs from its model. The description of the
+axes (`vergence.models.links.Links`) states its own parameters: names, units and the element of a
+field that holds each. The vector also contains the head-eye transforms, as a rotation vector and a
+position each, and the cameras. The neck's links are left out, as they move N itself. Perturbation
+and calibration work on this vector alone.
 
-Rotations have no vector of three numbers that is smooth everywhere, so those of the head-eye
-transforms are counted from a given head: `R = R_given exp([r])`, which is zero for the head itself.
+No three numbers parametrise rotations smoothly everywhere. The rotation vector r of a head-eye
+transform is therefore relative to a given head: `R = R_given exp([r])`; r is zero for that head.
 """
 
 import dataclasses
@@ -38,11 +39,11 @@ _CAMERA_FIELDS: Final = ("focal", "principal", "distortion")
 
 
 class Geometry(NamedTuple):
-    """The parts of a head that are never quite what its model says."""
+    """The parts in which a real head differs from its model."""
 
     links: Links
     head_eye: FloatArray
-    """(..., 2, 4, 4): the cameras' frames in the eyes' last links."""
+    """(..., 2, 4, 4): poses of the cameras in the eyes' last links."""
     cameras: Cameras
 
 
@@ -52,19 +53,19 @@ class Parameters(NamedTuple):
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: FloatArray
-    """(..., n): one vector a head."""
+    """(..., n): one vector per head."""
 
 
 def parameters_of(geometry: Geometry, about: Geometry | None = None) -> Parameters:
-    """The vector of a head's geometry.
+    """Flatten a geometry to a vector.
 
     Args:
-        geometry: of one head or a population.
-        about: the head from which head-eye rotations are counted; None for this one itself,
-            whose rotation vectors are then zero.
+        geometry: geometry of one head or a population.
+        about: the reference geometry for rotation vectors; None for `geometry` itself, whose
+            rotation vectors are then zero.
 
     Returns:
-        Names, units and values; `geometry_with(about, values)` turns them back.
+        Names, units and values; `geometry_with(about, values)` is the inverse.
     """
     parameters = _parameters(geometry)
     fields = _fields(geometry, geometry if about is None else about)
@@ -80,18 +81,18 @@ def parameters_of(geometry: Geometry, about: Geometry | None = None) -> Paramete
 
 
 def geometry_with(about: Geometry, values: ArrayLike) -> Geometry:
-    """The geometry of a vector, the inverse of `parameters_of`.
+    """Rebuild a geometry from a vector: the inverse of `parameters_of`.
 
     Args:
-        about: one head, from which head-eye rotations are counted; what the vector does not
-            hold, such as the neck, is this one's.
+        about: geometry of one head, the reference for rotation vectors; parts that the vector does
+            not hold, such as the neck, are copied from it.
         values: (..., n) in the order of `parameters_of`.
 
     Returns:
         A geometry with the batch shape of the values.
 
     Raises:
-        ConfigurationError: the vector has another length.
+        ConfigurationError: the vector has the wrong length.
     """
     parameters = _parameters(about)
     vector = as_operand("values", values, len(parameters))
@@ -120,7 +121,7 @@ def _parameters(geometry: Geometry) -> tuple[Parameter, ...]:
 
 @lru_cache(maxsize=8)
 def _places(parameters: tuple[Parameter, ...]) -> dict[str, tuple[list[int], list[int]]]:
-    """By field: the columns that parameters take, and these parameters' places in the vector."""
+    """By field: the columns that hold parameters, and the parameters' indices in the vector."""
     groups: dict[str, tuple[list[int], list[int]]] = {}
     for place, parameter in enumerate(parameters):
         columns, places = groups.setdefault(parameter.field, ([], []))
@@ -130,7 +131,7 @@ def _places(parameters: tuple[Parameter, ...]) -> dict[str, tuple[list[int], lis
 
 
 def _fields(geometry: Geometry, about: Geometry) -> dict[str, FloatArray]:
-    """Every field that holds parameters, by name, its own dimensions taken as one."""
+    """Every field that holds parameters, by name, with its own dimensions flattened."""
     links, head_eye, cameras = geometry
     rotation = np.zeros((2, 3))
     if about is not geometry:

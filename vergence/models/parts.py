@@ -1,4 +1,4 @@
-"""What a head model is made of: limits, timing, sensors, images."""
+"""Parts of a head model: limits, timing, sensors, rendering."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -24,20 +24,20 @@ def frozen_array(values: ArrayLike) -> FloatArray:
 
 
 def is_names(value: object) -> bool:
-    """Whether a field holds names: a tuple of text."""
+    """True for a tuple of strings, which a field of names holds."""
     return isinstance(value, tuple) and all(isinstance(one, str) for one in value)
 
 
 def replaced(part: T, name: str, fields: Mapping[str, Any]) -> T:
-    """A copy of a head, or of a part of one, with some fields changed.
+    """Copy a head, or a part of one, with some fields changed.
 
     Args:
-        part: what is copied.
-        name: what a message calls it.
-        fields: new values; a mapping for a field changes fields of that part in turn.
+        part: the dataclass to copy.
+        name: its name in error messages.
+        fields: new values; a mapping as the value of a part changes fields of that part.
 
     Raises:
-        ConfigurationError: a field is unknown, or a number is not one.
+        ConfigurationError: a field is unknown, or a value has the wrong type.
     """
     known: Any = part
     refuse_unknown(name, fields, [field.name for field in dataclasses.fields(known)])
@@ -52,7 +52,7 @@ def replaced(part: T, name: str, fields: Mapping[str, Any]) -> T:
 
 
 def _checked(name: str, value: Any, now: Any) -> Any:
-    """A new value in place of one of the same kind."""
+    """Check that a new value has the type of the current one."""
     if isinstance(now, int | float | np.ndarray):
         try:
             numbers = np.asarray(value, dtype=np.float64)
@@ -62,14 +62,14 @@ def _checked(name: str, value: Any, now: Any) -> Any:
             what = "a number" if np.ndim(now) == 0 else "an array of numbers"
             raise ConfigurationError(f"{name}: expected {what}, got {value!r:.80}")
     elif name in ("cameras.lens", "cameras.response", "head.calibration"):
-        pass  # one may stand for both eyes, which the cameras check; None for no record
+        pass  # the cameras check these, one value may apply to both eyes; None for no record
     elif not isinstance(value, type(now)):
         raise ConfigurationError(f"{name}: expected a {type(now).__name__}, got {value!r:.80}")
     return value
 
 
 class FrozenArrays:
-    """Turns every field of a frozen dataclass that holds numbers in sequence into an array."""
+    """Converts every sequence of numbers in a frozen dataclass to a read-only array."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -78,7 +78,7 @@ class FrozenArrays:
 
 
 class _NotNegative:
-    """Refuses numbers of a frozen dataclass that are nan or below zero."""
+    """Rejects numbers of a frozen dataclass that are nan or negative."""
 
     _above_zero: ClassVar[tuple[str, ...]] = ()
 
@@ -92,21 +92,21 @@ class _NotNegative:
 
 
 class Parameter(NamedTuple):
-    """One of a part's numbers that a real head has otherwise than its model says."""
+    """One number of a part in which a real head may differ from its model."""
 
     name: str
-    """Such as `left.tilt.alpha`."""
+    """Name, such as `left.tilt.alpha`."""
     unit: str
-    """`m`, `rad`, `px`, or `1` for a ratio or a coefficient."""
+    """Unit: `m`, `rad`, `px`, or `1` for a ratio or a coefficient."""
     field: str
-    """The part's field that holds it."""
+    """Field of the part that holds the number."""
     column: int
-    """Its place in that field, the field's own dimensions taken as one."""
+    """Index of the number in that field, with the field's own dimensions flattened."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointLimits(FrozenArrays):
-    """What the joints can do; each field has the shape (7,)."""
+    """Limits of the joints; each field has the shape (7,)."""
 
     lower: FloatArray
     """Least angle, in radians."""
@@ -115,17 +115,17 @@ class JointLimits(FrozenArrays):
     velocity: FloatArray
     """Greatest commanded speed, in rad/s."""
     acceleration: FloatArray
-    """Greatest acceleration, in rad/s^2; inf where there is no limit."""
+    """Greatest acceleration, in rad/s^2; inf for no limit."""
 
     def contains(self, q: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Whether all joints are at least `margin` rad inside their limits.
+        """True if all joints are at least `margin` rad inside their limits.
 
         Args:
             q: (..., 7) joint angles, rad.
             margin: the distance to keep, rad.
 
         Returns:
-            (...) booleans; False where an angle is nan.
+            (...) booleans; False if an angle is nan.
         """
         q = as_operand("q", q, 7)
         inside = (q >= self.lower + margin) & (q <= self.upper - margin)
@@ -134,26 +134,27 @@ class JointLimits(FrozenArrays):
 
 @dataclass(frozen=True, kw_only=True)
 class LoopTiming(_NotNegative):
-    """When images are taken and read, and how the joints follow their commands."""
+    """Rates, latencies and lag of the control loop, its cameras and its joints."""
 
     _above_zero = ("control_rate_hz", "frame_rate_hz")
 
     control_rate_hz: float
-    """Commands per second; each is held for one period."""
+    """Control rate, Hz; each command is held for one period."""
     frame_rate_hz: float
-    """Frames per second, by the camera's own clock."""
+    """Frame rate by the camera's own clock, Hz."""
     latency_s: float
-    """Seconds between the middle of an exposure and the image being readable."""
+    """Latency from the middle of an exposure until the image is readable, s."""
     exposure_s: float
-    """Length of an exposure; it is centred on the frame's time."""
+    """Exposure time, s; the exposure is centred on the frame's time."""
     lag_s: float
-    """Time constant with which a joint's velocity follows its command; 0 for none."""
+    """Time constant of a joint's velocity after its command, s; 0 for no lag."""
     command_latency_s: float = 0.0
-    """Seconds between a command and the joints' response to it."""
+    """Dead time from a command to the joints' response, s."""
     feedback_latency_s: float = 0.0
-    """Seconds between a measurement of the joints and its being readable."""
+    """Latency from a measurement of the joints until it is readable, s."""
     exposure_stamps: bool = False
-    """Whether the cameras tell when a frame was exposed; else it is dated by its receipt."""
+    """True if the cameras stamp frames with the time of exposure; else frames are dated on
+    receipt."""
 
     @property
     def period_s(self) -> float:
@@ -167,32 +168,33 @@ class LoopTiming(_NotNegative):
 
     @property
     def latency_frames(self) -> int:
-        """The latency in control periods, rounded to whole ones."""
+        """The latency of images in control periods, rounded to an integer."""
         return round(self.latency_s * self.control_rate_hz)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensorModel(_NotNegative):
-    """What stands between the true state and a reading, and between a command and the motors."""
+    """Noise, quantisation, dropped frames and backlash of readings and commands."""
 
     detection_noise_px: float
-    """Standard deviation of the detected target's pixel, each coordinate."""
+    """Standard deviation of each coordinate of the detected target, px."""
     encoder_resolution_rad: float
-    """Step of the joint angle feedback; 0 for exact."""
+    """Quantisation of the joint angle feedback, rad; 0 for exact."""
     velocity_resolution_rad_s: float
-    """Step of the joint velocity feedback; 0 for exact."""
+    """Quantisation of the joint velocity feedback, rad/s; 0 for exact."""
     dropped_frame_probability: float
-    """Probability that a frame never arrives."""
+    """Probability that a frame is dropped."""
     max_smear_px: float
-    """Motion of the target in the image during an exposure beyond which it is not seen."""
+    """Largest motion of the target in the image during an exposure before it is not visible, px."""
     command_resolution_rad_s: float = 0.0
-    """Step of the velocity commands; 0 for exact. A command of one step or less moves nothing."""
+    """Quantisation of the velocity commands, rad/s; 0 for exact. A command of at most one step
+    moves nothing."""
     backlash_rad: float = 0.0
-    """Play between an actuator's motor and what it moves, whole width, where the actuator does not
-    say otherwise."""
+    """Default backlash between an actuator's motor and its load, whole width, rad; an actuator may
+    override it."""
     encoder_side: Literal["motor", "output"] = "motor"
-    """On which side of the play the encoders sit: `motor`, where the play shows in the images
-    alone, or `output`."""
+    """Side of the backlash on which the encoders sit: `motor`, from which only the images show the
+    backlash, or `output`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -204,21 +206,21 @@ class SensorModel(_NotNegative):
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """The grey-level model of one rig's images.
+    """Grey-level model of one rig's images.
 
-    An image is the supersampled target, blurred by the lens, brought to the rig's
-    contrast, with white grey-level noise added, rounded to 8 bits.
+    An image is the supersampled target, blurred by the lens, scaled to the rig's contrast, with
+    white noise added, rounded to 8 bits.
     """
 
     blur_px: float
-    """Standard deviation of the lens's Gaussian blur, in pixels."""
+    """Standard deviation of the lens's Gaussian blur, px."""
     noise_grey: float
-    """Standard deviation of the white noise of one pixel, in grey levels of 255."""
+    """Standard deviation of a pixel's white noise, in grey levels of 255."""
     supersampling: int
-    """Samples per pixel along each axis before blur."""
+    """Samples per pixel along each axis, before the blur."""
     black_grey: float
     """Grey level of the target's black, 0 to 255."""
     white_grey: float
     """Grey level of the target's white, 0 to 255."""
     background_grey: float
-    """Grey level of what surrounds the target, 0 to 255."""
+    """Grey level of the background around the target, 0 to 255."""

@@ -1,4 +1,4 @@
-"""Heads that differ from their model: the errors that a controller does not know."""
+"""Random model errors: heads that differ from the model that a controller has."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,41 +15,43 @@ from vergence.models.parameters import Geometry, geometry_with, parameters_of
 from vergence.models.parts import FloatArray
 
 _MISTAKEN: Final = {
-    # a third of such heads look aside by more than 29 degrees: by half the view of a common camera
+    # a third of such heads are off by more than 29 degrees: half the field of view of a common
+    # camera
     "_rad": (0.5, "radians", "degrees"),
-    # as much as lies between the eyes themselves
+    # about the baseline between the eyes
     "_m": (0.1, "metres", "millimetres"),
 }
-"""By the unit in a name: from which standard deviation on no head is meant, and what may be."""
+"""By the unit in a name: the standard deviation from which the value is rejected, its unit, and the
+unit that was probably meant."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelErrors:
-    """Standard deviations of a head's deviations from its model, all independent and normal.
+    """Standard deviations of a head's errors against its model, all independent and normal.
 
-    The sources are those the article names: link length, coaxiality, joint offsets,
-    head-eye, intrinsics. The neck's links move N itself and are left as they are.
+    The error sources are those of the article: link length, coaxiality, joint offsets, head-eye
+    transforms, intrinsics. The neck's links move N itself and are not changed.
     """
 
     link_m: float = 0.0
-    """Of the eyes' link lengths and offsets (a and d of frames 4 to 9), in metres."""
+    """Standard deviation of the eyes' link lengths and offsets (a and d of frames 4 to 9), m."""
     coaxiality_rad: float = 0.0
-    """Of the eyes' link twists (alpha of frames 4 to 9), in radians."""
+    """Standard deviation of the eyes' link twists (alpha of frames 4 to 9), rad."""
     joint_offset_rad: float = 0.0
-    """Of the eyes' joint offsets, in radians."""
+    """Standard deviation of the eyes' joint offsets, rad."""
     head_eye_rad: float = 0.0
-    """Of the camera's rotation in its eye, about each axis, in radians."""
+    """Standard deviation of the camera's rotation in its eye, about each axis, rad."""
     head_eye_m: float = 0.0
-    """Of the camera's position in its eye, along each axis, in metres."""
+    """Standard deviation of the camera's position in its eye, along each axis, m."""
     focal_relative: float = 0.0
-    """Of the focal lengths, as a fraction; one draw for both axes of a camera."""
+    """Relative standard deviation of the focal lengths; one draw for both axes of a camera."""
     principal_px: float = 0.0
-    """Of the principal points, each coordinate, in pixels."""
+    """Standard deviation of each coordinate of the principal points, px."""
     distortion: float = 0.0
-    """Of the first two radial coefficients k1 and k2."""
+    """Standard deviation of the first two radial coefficients k1 and k2."""
     common_tilt_rad: float = 0.0
-    """Of what both eyes look lower than their encoders say, in radians: no calibration between
-    the two cameras sees it."""
+    """Standard deviation of a downward tilt that both eyes share and the encoders do not measure,
+    rad; no calibration between the two cameras can observe it."""
 
     def __post_init__(self) -> None:
         for key, value in vars(self).items():
@@ -66,19 +68,19 @@ class ModelErrors:
                     )
 
     def scaled(self, factor: float) -> "ModelErrors":
-        """All deviations multiplied by one factor."""
+        """Multiply all standard deviations by one factor."""
         return ModelErrors(**{key: factor * value for key, value in vars(self).items()})
 
 
 def as_model_errors(errors: Mapping[str, float] | ModelErrors, name: str) -> ModelErrors:
-    """Model errors from their fields.
+    """Make model errors from a mapping.
 
     Args:
         errors: standard deviations by the fields of `ModelErrors`.
-        name: what a message calls them.
+        name: name of the errors in messages.
 
     Raises:
-        ConfigurationError: a field is unknown or has a value that cannot be.
+        ConfigurationError: a field is unknown, or a value is invalid.
     """
     if isinstance(errors, ModelErrors):
         return errors
@@ -91,7 +93,7 @@ def as_model_errors(errors: Mapping[str, float] | ModelErrors, name: str) -> Mod
 
 
 def _links(field: str) -> list[str]:
-    """One number for each of the nine links; the neck's have no effect."""
+    """Parameter names of one field for the nine links; empty for the neck's, which stay."""
     return ["", "", ""] + [
         f"{eye}.{link}.{field}" for eye in EYE_NAMES for link in ("tilt", "pan", "camera_link")
     ]
@@ -113,7 +115,8 @@ _DRAWS: Final = (
     ("distortion", _eyes("camera.k1", "camera.k2", "", "", "")),
     ("common_tilt_rad", [""]),
 )
-"""Which error moves what, one standard normal number each, in the order of drawing."""
+"""The standard normal numbers of a head, in the order of drawing: the error of each, and the
+parameter it moves (empty for none)."""
 
 _MOVED: Final = {
     name: (error, place)
@@ -121,12 +124,12 @@ _MOVED: Final = {
         (error, name) for error, names in _DRAWS for name in names
     )
 }
-"""By what a number moves: its error, and which of the numbers it is."""
+"""By parameter: its error, and the index of its standard normal number."""
 
 _ONE_FOCAL: Final = {
     f"{eye}.camera.{name}": f"{eye}.camera.f" for eye in EYE_NAMES for name in ("f_u", "f_v")
 }
-"""One number moves both focal lengths of a camera."""
+"""Focal lengths by parameter: one number moves both of a camera."""
 
 _SAME: Final = {
     f"{eye}.{own}": f"{eye}.{link}"
@@ -138,16 +141,18 @@ _SAME: Final = {
         ("1.rz", "tilt.offset"), ("2.rz", "pan.offset"),
     )
 }  # fmt: skip
-"""Where axes are described one by one, the numbers of the article's links serve them: its neck's
-unused ones, and those of the eyes. A joint that both eyes share has those of the left one."""
+"""By parameter of `JointAxes`: the parameter of the article's links whose number it uses. Rotations
+`1.ry` use the neck's otherwise unused numbers. A joint that both eyes share uses the left eye's."""
 
 _LOWERED: Final = {"left.tilt.offset": 1.0, "right.tilt.offset": -1.0}
-"""A positive left tilt of the article's head looks down, a positive right tilt up."""
+"""Factors on the common tilt for the article's head: a positive left tilt looks down, a positive
+right tilt up."""
 _LEAST_TILT: Final = 0.5
-"""How much of a joint's axis points along x_N, at least, for it to tilt its eye."""
+"""Least component of a joint's axis along x_N for the joint to count as a tilt (chosen: within 60
+degrees of x_N)."""
 
 DEVIATES: Final = sum(len(names) for _error, names in _DRAWS)
-"""How many standard normal numbers make a head."""
+"""Number of standard normal numbers per head."""
 
 
 def perturb_geometry(
@@ -158,14 +163,14 @@ def perturb_geometry(
     Args:
         nominal: the geometry of one head.
         rng: the source of randomness.
-        errors: how large the errors are.
+        errors: standard deviations of the errors.
         shape: the population's shape, () for one head.
 
     Returns:
         A geometry with the batch shape `shape`.
     """
     draws = [
-        # this error came last: heads drawn without it are the same as before there was it
+        # this error was added last: heads drawn without it stay as they were before
         np.zeros((*shape, len(names)))
         if error == "common_tilt_rad" and errors.common_tilt_rad == 0.0
         else rng.standard_normal((*shape, len(names)))
@@ -175,12 +180,12 @@ def perturb_geometry(
 
 
 def perturb_by(nominal: Geometry, errors: ModelErrors, deviates: FloatArray) -> Geometry:
-    """Geometries that differ from the nominal one by given errors.
+    """Perturb the nominal geometry by given standard normal numbers.
 
     Args:
         nominal: the geometry of one head.
-        errors: how large the errors are.
-        deviates: (..., DEVIATES) standard normal numbers, a vector a head.
+        errors: standard deviations of the errors.
+        deviates: (..., DEVIATES) standard normal numbers, one vector per head.
 
     Returns:
         A geometry with the batch shape of the deviates.
@@ -189,7 +194,7 @@ def perturb_by(nominal: Geometry, errors: ModelErrors, deviates: FloatArray) -> 
     sources, places, relative = _sources(names)
     sigma = np.array([getattr(errors, source, 0.0) for source in sources])
     deviations = sigma * deviates[..., places]
-    # not by `standard_deviations`: heads drawn before there was it stay the same to the last bit
+    # not by `standard_deviations`, so that heads drawn by earlier versions stay equal bit for bit
     values = np.where(relative, values * (1.0 + deviations), values + deviations)
     if errors.common_tilt_rad > 0.0:
         lowered = _LOWERED if isinstance(nominal.links, DenavitHartenberg) else _lowered(nominal)
@@ -199,14 +204,14 @@ def perturb_by(nominal: Geometry, errors: ModelErrors, deviates: FloatArray) -> 
 
 
 def standard_deviations(nominal: Geometry, errors: ModelErrors) -> FloatArray:
-    """How far each number of a geometry deviates, but for the common tilt.
+    """Standard deviation of each parameter of a geometry, without the common tilt.
 
     Args:
         nominal: the geometry of one head.
-        errors: how large the errors are.
+        errors: standard deviations of the errors.
 
     Returns:
-        (n,) in the order of `parameters_of`; 0 for numbers that no error moves.
+        (n,) in the order of `parameters_of`; 0 for parameters that no error moves.
     """
     names, _units, values = parameters_of(nominal)
     sources, _places, relative = _sources(names)
@@ -218,7 +223,7 @@ def standard_deviations(nominal: Geometry, errors: ModelErrors) -> FloatArray:
 def _sources(
     names: tuple[str, ...],
 ) -> tuple[tuple[str, ...], list[int], NDArray[np.bool_]]:
-    """By parameter: its error, its number, and whether the error is relative."""
+    """By parameter: its error, the index of its number, and True if the error is relative."""
     moved = []
     for name in names:
         own = name.replace("both.", "left.", 1)
@@ -230,7 +235,7 @@ def _sources(
 
 
 def _lowered(nominal: Geometry) -> dict[str, float]:
-    """By parameter: how far it turns when both eyes look lower than their encoders say by 1."""
+    """By parameter: its change, rad, per radian of a common downward tilt of both eyes."""
     links = nominal.links
     bodies = links.bodies()
     in_n: list[FloatArray] = []
@@ -239,7 +244,7 @@ def _lowered(nominal: Geometry) -> dict[str, float]:
     for i, body in enumerate(bodies):
         before = np.eye(4) if body.parent < 0 else in_n[body.parent]
         in_n.append(before @ body.pose)
-        if i == carrier:  # what follows is in N
+        if i == carrier:  # poses from here on are relative to this body
             in_n[i] = np.eye(4)
     out = {}
     for eye, name in enumerate(EYE_NAMES):

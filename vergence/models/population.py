@@ -1,4 +1,4 @@
-"""Populations of heads: geometries side by side in one, and taken out again."""
+"""Populations of heads: stacking geometries, and selecting from a stack."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -15,12 +15,12 @@ _CAMERA_FIELDS: Final = ("focal", "principal", "distortion")
 
 
 def pick(geometry: Geometry, batch: tuple[int, ...], index: Any) -> Geometry:
-    """One geometry, or several, of a population.
+    """Select one geometry, or several, of a population.
 
     Args:
-        geometry: of the population.
-        batch: the population's shape.
-        index: as NumPy takes it for an array of that shape.
+        geometry: geometry of the population.
+        batch: shape of the population.
+        index: NumPy index for an array of that shape.
     """
 
     def taken(values: FloatArray, own: int) -> FloatArray:
@@ -36,10 +36,10 @@ def pick(geometry: Geometry, batch: tuple[int, ...], index: Any) -> Geometry:
 
 
 def stack(geometries: Sequence[Geometry]) -> Geometry:
-    """A population of geometries of the same shape.
+    """Stack geometries of equal shape to a population.
 
     Raises:
-        ConfigurationError: their lenses, or what describes their joints, differ in kind.
+        ConfigurationError: the geometries have different lens models or different joints.
     """
     first = geometries[0]
     lenses = [geometry.cameras.lens for geometry in geometries]

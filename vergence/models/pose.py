@@ -12,7 +12,7 @@ Vector = tuple[float, float, float]
 
 
 class Pose(NamedTuple):
-    """T_A_B, the frame B in A: its axes are columns, and (x, y, z) is its origin, metres."""
+    """T_A_B, the pose of frame B in A: B's axes are the columns, (x, y, z) is its origin, m."""
 
     xx: float
     xy: float
@@ -33,7 +33,7 @@ _pose_run = run_of(len(Pose._fields))
 
 @device
 def pose_at(row: FloatArray, i: int) -> Pose:
-    """The pose whose twelve numbers begin at index i of a row."""
+    """Read the pose whose twelve numbers begin at index i of a row."""
     return Pose(*_pose_run(row, i))
 
 
@@ -56,7 +56,7 @@ def store_pose(out: FloatArray, m: Pose) -> None:
 
 @device
 def rotate_z(m: Pose, angle: float) -> Pose:
-    """The pose m followed by a rotation about its z axis."""
+    """The pose m followed by a rotation about its own z axis."""
     c, s = cos(angle), sin(angle)
     return Pose(
         m.xx * c + m.xy * s, m.xy * c - m.xx * s, m.xz, m.x,
@@ -67,7 +67,7 @@ def rotate_z(m: Pose, angle: float) -> Pose:
 
 @device
 def compose(m: Pose, k: Pose) -> Pose:
-    """The product of two poses: T_A_B and T_B_C make T_A_C."""
+    """The product of two poses: T_A_C from T_A_B and T_B_C."""
     return Pose(
         m.xx * k.xx + m.xy * k.yx + m.xz * k.zx,
         m.xx * k.xy + m.xy * k.yy + m.xz * k.zy,
@@ -86,7 +86,7 @@ def compose(m: Pose, k: Pose) -> Pose:
 
 @device
 def inverse(m: Pose) -> Pose:
-    """T_B_A of T_A_B."""
+    """The inverse of a pose: T_B_A from T_A_B."""
     return Pose(
         m.xx, m.yx, m.zx, -(m.xx * m.x + m.yx * m.y + m.zx * m.z),
         m.xy, m.yy, m.zy, -(m.xy * m.x + m.yy * m.y + m.zy * m.z),
@@ -96,7 +96,7 @@ def inverse(m: Pose) -> Pose:
 
 @device
 def turn(m: Pose, x: float, y: float, z: float) -> Vector:
-    """A direction of the pose's own frame in the outer frame."""
+    """Rotate a direction from the pose's own frame to the outer frame."""
     return (
         m.xx * x + m.xy * y + m.xz * z,
         m.yx * x + m.yy * y + m.yz * z,
@@ -106,7 +106,7 @@ def turn(m: Pose, x: float, y: float, z: float) -> Vector:
 
 @device
 def turn_back(m: Pose, x: float, y: float, z: float) -> Vector:
-    """A direction of the outer frame in the pose's own frame."""
+    """Rotate a direction from the outer frame to the pose's own frame."""
     return (
         m.xx * x + m.yx * y + m.zx * z,
         m.xy * x + m.yy * y + m.zy * z,
@@ -116,13 +116,13 @@ def turn_back(m: Pose, x: float, y: float, z: float) -> Vector:
 
 @device
 def into(m: Pose, x: float, y: float, z: float) -> Vector:
-    """A point of the outer frame in the pose's own frame."""
+    """Transform a point from the outer frame to the pose's own frame."""
     return turn_back(m, x - m.x, y - m.y, z - m.z)
 
 
 @device
 def out_of(m: Pose, x: float, y: float, z: float) -> Vector:
-    """A point of the pose's own frame in the outer frame."""
+    """Transform a point from the pose's own frame to the outer frame."""
     return (
         m.xx * x + m.xy * y + m.xz * z + m.x,
         m.yx * x + m.yy * y + m.yz * z + m.y,
@@ -132,7 +132,7 @@ def out_of(m: Pose, x: float, y: float, z: float) -> Vector:
 
 @device
 def point_rate(axis: Pose, camera: Pose, x: float, y: float, z: float) -> Vector:
-    """How a resting point moves in a camera's frame per radian about another frame's z axis.
+    """Motion of a fixed point in the camera's frame, per radian about another frame's z axis.
 
     `-R_C_N (z_i x (P - o_i))`: the camera turns about the axis, the point stays.
     """

@@ -1,13 +1,13 @@
-r"""Least squares over what a head's actuators can do, weighted by pixels.
+r"""Least-squares motion of a head's actuators for wanted image motions, weighted by pixels.
 
-What the eyes' joints should do is known by eye: an image Jacobian J_e (2, 2) of its two joints, and
-a motion w_e of the image. Where actuators tie joints together, the two eyes' wishes may
-contradict each other; the actuators' share s is then
+For each eye e, the image Jacobian J_e (2, 2) of its two joints and a wanted motion w_e of the image
+are given. With coupled joints the wanted motions of the two eyes may contradict each other. The
+motion s of the actuators is
 
     s = argmin sum over eyes |J_e (A s)_e - w_e|^2
 
-with A the joints' angles per actuator angle. What no wish concerns stays where it is: a small
-multiple of |s|^2 decides.
+with A the joints' angles per actuator angle. A small multiple of |s|^2 is added as damping, so that
+actuators without effect on any wanted motion do not move.
 """
 
 from math import sqrt
@@ -21,6 +21,7 @@ from vergence.models.packed import PackedHead, joint_per_actuator
 from vergence.models.parts import FloatArray
 
 _SMALL: Final = 1e-11
+"""Damping of the normal equations, as a fraction of their trace (numerical)."""
 
 
 @subroutine
@@ -32,14 +33,14 @@ def share_of_actuators(
     right: bool,
     out: FloatArray,
 ) -> None:
-    """What the actuators have to do for wanted motions of both images.
+    """Solve for the actuators' motions that best give the wanted motions of both images.
 
     Args:
         p: a packed head.
         jacobian: (2, 2, 2) by eye, image axis and joint of that eye, px/rad.
         wanted: (2, 2) by eye and image axis, px or px/s.
-        left: whether the left eye has a wish.
-        right: whether the right one has.
+        left: True if the left eye's wanted motion counts.
+        right: True if the right eye's wanted motion counts.
         out: (4,) result, rad or rad/s.
     """
     rows = np.zeros((4, SLOTS))
@@ -67,7 +68,7 @@ def share_of_actuators(
         return
     for k in range(SLOTS):
         normal[k, k] += _SMALL * trace
-    # Cholesky's factor in place, then forth and back
+    # Cholesky factor in place, then forward and back substitution
     for k in range(SLOTS):
         for i in range(k):
             total = normal[k, i]
@@ -92,7 +93,7 @@ def share_of_actuators(
 def image_rate(
     p: PackedHead, jacobian: FloatArray, eye: int, axis: int, actuators: FloatArray
 ) -> float:
-    """What actuators' motions (4,) do to one eye's image along one axis."""
+    """Motion of one eye's image along one axis from the actuators' motions (4,)."""
     rate = 0.0
     for k in range(SLOTS):
         first, second = joint_per_actuator(p, 2 * eye, k), joint_per_actuator(p, 2 * eye + 1, k)

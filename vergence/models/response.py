@@ -1,4 +1,4 @@
-"""A camera's response: the light that each of its grey levels stands for."""
+"""Camera response: the light that corresponds to each grey level."""
 
 from functools import lru_cache
 from math import isfinite
@@ -11,33 +11,36 @@ from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
 
 Response = str | float | tuple[float, ...]
-"""``"linear"``, ``"srgb"``, a gamma, or a table, see `parse_response`."""
+"""Response: ``"linear"``, ``"srgb"``, a gamma, or a table, see `parse_response`."""
 LINEAR: Final = "linear"
 SRGB: Final = "srgb"
 EXPECTED: Final = (
     "'linear', 'srgb', a gamma from 0.2 to 5 such as 2.2 (light is the level's share to that "
     "power), or a table of the light at levels in equal steps, rising from 0 to 1"
 )
-"""A response, as messages say what one is."""
+"""Description of a valid response, for messages."""
 _GAMMAS: Final = (0.2, 5.0)
-"""Powers of cameras and displays lie between 1 and 2.6; numerical bounds, far beyond."""
+"""Least and greatest gamma; those of cameras and displays lie between 1 and 2.6 (chosen: far
+beyond)."""
 _LEVELS: Final = 256
+"""Grey levels of 8 bits (numerical)."""
 _MOST_ENTRIES: Final = 65536
+"""Most entries of a table, one for each level of 16 bits (numerical)."""
 
 
 def parse_response(value: Any, name: str = "response") -> Response:
-    """A response that a file, an option or a caller names.
+    """Parse a response from a file, an option or a caller.
 
     Args:
-        value: ``"linear"``: levels in proportion to light. ``"srgb"``: as IEC 61966-2-1 says,
-            which JPEG files, webcams and displays follow. A number g: light is the level's share
-            of the greatest to the power of g. A table: at least two numbers, the light at levels
-            in equal steps from 0 to the greatest, rising from 0 to 1. A text may hold the number,
-            or those of the table with commas between them.
-        name: what a message calls it.
+        value: ``"linear"``: levels are proportional to light. ``"srgb"``: the curve of
+            IEC 61966-2-1, which JPEG files, webcams and displays follow. A number g: light is the
+            level, as a fraction of the greatest, to the power of g. A table: at least two numbers,
+            the light at equally spaced levels from 0 to the greatest, rising from 0 to 1. A number
+            or a table may also be given as a string, with commas between a table's numbers.
+        name: name of the value in messages.
 
     Raises:
-        ConfigurationError: it is none of these.
+        ConfigurationError: the value is none of these.
     """
     if isinstance(value, str):
         if value.lower() in (LINEAR, SRGB):
@@ -65,22 +68,22 @@ def parse_response(value: Any, name: str = "response") -> Response:
 
 
 def default_response(*, colour: bool) -> Response:
-    """The response of an image whose camera's nobody has stated.
+    """Default response of an image from a camera without a stated response.
 
-    Cameras that give colours, and the files that people keep of them, follow sRGB nearly all;
-    images in grey mostly come from industrial cameras, and from drawing them, without encoding.
+    Nearly all colour cameras, and the files saved from them, follow sRGB. Most grey images come
+    from industrial cameras or from rendering, without a gamma encoding.
 
     Args:
-        colour: whether the image has colours: an array with three or four channels.
+        colour: True for an image in colour: an array with three or four channels.
     """
     return SRGB if colour else LINEAR
 
 
 def light_of(share: ArrayLike, response: Response) -> FloatArray:
-    """The light that grey levels stand for.
+    """Convert grey levels to light.
 
     Args:
-        share: levels, as shares of the greatest, 0 to 1.
+        share: levels as fractions of the greatest, 0 to 1.
         response: see `parse_response`.
 
     Returns:
@@ -98,7 +101,7 @@ def light_of(share: ArrayLike, response: Response) -> FloatArray:
 
 @lru_cache(maxsize=32)
 def light_of_levels(response: Response) -> FloatArray:
-    """The light that each grey level of 8 bits stands for.
+    """Light of each grey level of 8 bits.
 
     Args:
         response: see `parse_response`.

@@ -1,7 +1,7 @@
-"""The families of AprilTags: what is printed for a number, as the AprilTag library has it.
+"""AprilTag families: the printed pattern of each id, read from the AprilTag library.
 
-The library's own code words and the places of their bits are read, so a tag is drawn upright as
-the library draws it; OpenCV's dictionaries hold the same tags upside down.
+The code words and the positions of their bits come from the library itself, so a tag is drawn
+upright as the library draws it; OpenCV's dictionaries hold the same tags upside down.
 """
 
 import ctypes
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vergence.errors import ConfigurationError, UnknownNameError
 
 UNPRINTED: Final = 128
-"""The value of a cell that belongs to no bit and no border: anything may be printed there."""
+"""Value of a cell outside all bits and borders, where anything may be printed (numerical)."""
 
 CORRECTED_BITS: Final = {
     "36h11": 2,
@@ -29,28 +29,29 @@ CORRECTED_BITS: Final = {
     "Standard41h12": 1,
     "Standard52h13": 1,
 }
-"""The families, and how many wrong bits of a tag are forgiven.
+"""By family: the number of wrong bits of a tag that are corrected.
 
-Random bits read as a tag with a probability that grows steeply with their number: with two of
-36h11's it is 2e-5 for a square, with one of 16h5's it would be 0.03. The tables of corrected codes
-of the families of 40,000 tags and more would take gigabytes with two."""
+The probability that random bits of a square decode as a tag grows steeply with this number: it is
+2e-5 for 36h11 with two bits, and would be 0.03 for 16h5 with one. For families of 40,000 tags and
+more, the table of corrected codes would take gigabytes with two bits."""
 
 
 @dataclass(frozen=True, eq=False)
 class TagFamilyCode:
-    """One family: its code words and how their bits are laid out.
+    """One family: its code words and the layout of their bits.
 
     Attributes:
-        name: without the library's prefix `tag`, such as 36h11.
-        words: code words, shape (n,); the highest of `bits` bits comes first.
+        name: name without the library's prefix `tag`, such as 36h11.
+        words: code words, shape (n,); the most significant of `bits` bits belongs to the first
+            place.
         places: (x, y) of each bit, in cells from the upper left corner of the square that the
             library detects, shape (bits, 2).
-        border: cells along that square.
-        total: cells along all that is printed, a quiet zone of one cell included where there is
-            one.
-        dark_inside: whether the square is dark and what is around it white, as in the families
-            with a plain black border; those named Standard, Custom and Circle have a white square
-            in a black ring, with bits outside of it.
+        border: cells along a side of that square.
+        total: cells along a side of the printed pattern, including a quiet zone of one cell if
+            the family has one.
+        dark_inside: True if the square is dark on a white surround, as in the families with a
+            plain black border; the families named Standard, Custom and Circle have a white square
+            in a black ring, with bits outside the ring.
     """
 
     name: str
@@ -62,7 +63,7 @@ class TagFamilyCode:
 
     @cached_property
     def _blank(self) -> NDArray[np.uint8]:
-        """The tag without bits: both rings of the border, the rest unprinted."""
+        """The tag without bits: both rings of the border; all other cells are `UNPRINTED`."""
         cells = np.full((self.total, self.total), UNPRINTED, np.uint8)
         start = (self.total - self.border) // 2
         inner, outer = (0, 255) if self.dark_inside else (255, 0)
@@ -73,13 +74,13 @@ class TagFamilyCode:
         return cells
 
     def cells(self, identity: int) -> NDArray[np.uint8]:
-        """What is printed for a number.
+        """Draw the tag of an id.
 
         Args:
-            identity: of the tag, 0 to `len(words)` - 1.
+            identity: id of the tag, 0 to `len(words)` - 1.
 
         Returns:
-            0 black, 255 white, `UNPRINTED` where a family has no cell, shape (total, total).
+            Cells, shape (total, total): 0 black, 255 white, `UNPRINTED` outside bits and borders.
 
         Raises:
             ConfigurationError: the family has no such tag.
@@ -100,10 +101,10 @@ class TagFamilyCode:
 
 @cache
 def tag_family(name: str) -> TagFamilyCode:
-    """The family of a name.
+    """Load the family of a name.
 
     Args:
-        name: such as 36h11, tag36h11 or Standard41h12, in any case.
+        name: a name such as 36h11, tag36h11 or Standard41h12, in any letter case.
 
     Raises:
         UnknownNameError: the AprilTag library has no such family.
@@ -134,15 +135,15 @@ def tag_family(name: str) -> TagFamilyCode:
 
 @cache
 def library_of() -> ctypes.CDLL:
-    """The AprilTag library that the binding brings along."""
-    # a detector without families costs nothing and says what its functions return
+    """Load the AprilTag library that the Python binding contains."""
+    # a detector without families costs nothing and declares the return types of the functions
     library = pyapriltags.Detector(families="").libc
     assert library is not None
     return library
 
 
 def library_family(library: ctypes.CDLL, name: str) -> Any:
-    """A pointer to the library's own description of a family, to be destroyed by its owner."""
+    """Create the library's description of a family; the caller must destroy it."""
     create = getattr(library, f"tag{name}_create")
     plain = library.tag36h11_create  # the binding does not declare 36h10
     create.restype = plain.restype

@@ -1,4 +1,4 @@
-"""From joint angles and pixels to a 3-D point with its covariance."""
+"""Triangulation of a 3-D point and its covariance from joint angles and pixels."""
 
 from vergence.triangulation.fix import Fix, Noise, triangulate_gaze, triangulate_views
 from vergence.triangulation.several import triangulate_fixations

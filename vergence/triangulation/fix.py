@@ -1,4 +1,4 @@
-"""Triangulation by gaze (the article's) and by two views (ITPC-style, reconstructed)."""
+"""Triangulation by gaze (the article's method) and by two views (ITPC-style, reconstructed)."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,31 +20,33 @@ class Fix(NamedTuple):
     """A triangulated point, in frame N."""
 
     point: FloatArray
-    """(..., 3) metres; nan where not valid."""
+    """(..., 3) position, metres; nan if not valid."""
     gap: FloatArray
-    """(...) length of the common perpendicular of the two rays, metres: a free health signal."""
+    """(...) length of the common perpendicular of the two rays, metres: a consistency check."""
     covariance: FloatArray
-    """(..., 3, 3) m^2, first order in the noise."""
+    """(..., 3, 3) covariance of the point, m^2, to first order in the noise."""
     valid: NDArray[np.bool_]
-    """(...) False for near-parallel rays, a point behind an eye, or an eye that sees nothing."""
+    """(...) False for near-parallel rays, a point behind an eye, or a target not visible to an
+    eye."""
 
     @property
     def sigma(self) -> FloatArray:
-        """(..., 3) metres: the square roots of the covariance's diagonal."""
+        """(..., 3) standard deviations, metres: the square roots of the covariance's diagonal."""
         return np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Noise:
-    """Standard deviations of what a fix is computed from, all independent."""
+    """Standard deviations of the inputs of a fix; the errors are independent."""
 
     pixel_px: float | FloatArray = 0.0
-    """Of each pixel coordinate: a scalar, or (..., 2, 2) by eye and coordinate."""
+    """Standard deviation of pixel coordinates, px: a scalar, or (..., 2, 2) by eye and
+    coordinate."""
     joint_rad: float | FloatArray = 0.0
-    """Of each actuator's angle: a scalar, or (..., 7) for the neck's joints and four actuators of
-    the eyes, of which those that a head lacks count for nothing. Where each of the four eye joints
-    has a motor of its own, these are the joints in their order; joints that are tied together share
-    one error."""
+    """Standard deviation of actuator angles, rad: a scalar, or (..., 7) for the neck's joints and
+    four actuators of the eyes; entries of actuators that the head does not have are ignored. If
+    each of the four eye joints has its own motor, the actuators are the joints in their order.
+    Coupled joints share one error."""
 
     def __post_init__(self) -> None:
         for name, core in (("pixel_px", (2, 2)), ("joint_rad", (7,))):
@@ -62,10 +64,11 @@ class Noise:
 
     @staticmethod
     def of(head: HeadModel) -> "Noise":
-        """The noise of a head's own sensors: its detector's, its encoders' steps, and its play.
+        """Noise of a head's own sensors: detector, encoder quantisation, and backlash.
 
-        A step of r spreads evenly over r, so its standard deviation is r / sqrt(12). A play of b
-        lets what is driven lean to either side of where the encoder says, by b / 2.
+        A quantisation of r has a uniform error with the standard deviation r / sqrt(12). With a
+        backlash of b, the load may lie b / 2 to either side of the encoder's angle, so b / 2 is
+        added in quadrature.
         """
         own = head.actuation
         return _noise_of(
@@ -75,20 +78,21 @@ class Noise:
 
 @lru_cache(maxsize=64)
 def _noise_of(pixel_px: float, steps_rad: bytes, plays_rad: bytes) -> Noise:
-    # without play to the last bit what the steps say
+    # without backlash, bit for bit the standard deviation of the quantisation
     sd = np.frombuffer(steps_rad) / np.sqrt(12.0)
     half = 0.5 * np.frombuffer(plays_rad)
     return Noise(pixel_px=pixel_px, joint_rad=np.where(half > 0.0, np.hypot(sd, half), sd))
 
 
 def triangulate_gaze(head: HeadModel, q: ArrayLike, noise: Noise | None = None) -> Fix:
-    """Where the two optical axes cross: the point that both eyes look at (Eqs. 18 to 24).
+    """Triangulate the point at which the two optical axes cross (Eqs. 18 to 24).
 
-    Pixel noise reaches the point through the loop: it makes the eyes look beside the target,
-    by the joint angles that move the image by as much. To first order the axis then passes
-    the target as a ray through the noisy pixel of a still eye would, so the covariance is that
-    of `triangulate_views` at the principal points. Equations 27 to 33, which take a pixel of
-    noise as `1 / f` radians of tilt and of pan alike, are `Noise(joint_rad=pixel_px / f)`.
+    Pixel noise reaches the point through the control loop: the eyes look past the target by the
+    joint angles that move the image by the pixel error. To first order, the optical axis then
+    misses the target like a ray through the noisy pixel of an eye at rest. The covariance therefore
+    equals the result of `triangulate_views` at the principal points. Equations 27 to 33, which
+    convert a pixel of noise to `1 / f` radians of both tilt and pan, correspond to
+    `Noise(joint_rad=pixel_px / f)`.
 
     Args:
         head: the head, or a population.
@@ -100,7 +104,7 @@ def triangulate_gaze(head: HeadModel, q: ArrayLike, noise: Noise | None = None) 
         The fix.
 
     Raises:
-        ConfigurationError: the head's eyes do not move, and so do not look at anything together.
+        ConfigurationError: the head's eyes do not move, so they cannot fixate.
     """
     if not head.actuation.count:
         raise ConfigurationError(
@@ -113,20 +117,22 @@ def triangulate_gaze(head: HeadModel, q: ArrayLike, noise: Noise | None = None) 
 def triangulate_views(
     head: HeadModel, q: ArrayLike, pixels: ArrayLike, noise: Noise | None = None
 ) -> Fix:
-    """Where the rays through two image points cross, with extrinsics from the joints.
+    """Triangulate the point at which the rays through two image points cross.
 
-    This is the comparison method, ITPC-style and reconstructed: image points undistorted,
-    the stereo extrinsics on line from forward kinematics and head-eye transforms, the point
-    by the midpoint of the common perpendicular. Pixels and joints must be of the same instant.
+    This is the comparison method, ITPC-style and reconstructed. Image points are undistorted, the
+    stereo extrinsics are computed from the joint angles by forward kinematics and head-eye
+    transforms, and the point is the midpoint of the rays' common perpendicular. Pixels and joint
+    angles must belong to the same instant.
 
     Args:
         head: the head, or a population.
         q: (..., 7) joint angles at the exposure, rad.
-        pixels: (..., 2, 2) raw pixels of the target; nan for an eye that does not see it.
-        noise: standard deviations of pixels and joints; None for `Noise.of(head)`.
+        pixels: (..., 2, 2) raw pixels of the target; nan for an eye in which it is not visible.
+        noise: standard deviations of pixels and of the actuators' angles; None for
+            `Noise.of(head)`.
 
     Returns:
-        The fix; its covariance propagates Eqs. 34 to 36 in full, and the joints' noise.
+        The fix; its covariance is the full propagation of Eqs. 34 to 36 and of the joints' noise.
     """
     noise = Noise.of(head) if noise is None else noise
     results: Any = triangulate(q, pixels, noise.pixel_px, noise.joint_rad, head.packed, _SHAPE)

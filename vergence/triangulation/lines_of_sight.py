@@ -1,4 +1,4 @@
-"""The rays along which two eyes see a target in an image, and how far away it is on them."""
+"""Rays from both eyes to a target in an image, and the target's depth along them."""
 
 from typing import Final, NamedTuple
 
@@ -9,13 +9,14 @@ from vergence.models.pose import Pose, out_of
 from vergence.triangulation.rays import Ray, nearest
 
 DEFAULT_DEPTH_M: Final = 1.0
-"""Depth where triangulation has no answer."""
+"""Depth if triangulation fails, m (chosen: the geometric mean of `DEPTH_RANGE_M`)."""
 DEPTH_RANGE_M: Final = (0.1, 10.0)
-"""What a triangulated depth is limited to: it scales the small part of J that is translation."""
+"""Least and greatest triangulated depth, m (chosen: the depth scales only the small translational
+part of the image Jacobian)."""
 
 
 class Depths(NamedTuple):
-    """How far away a target is on both rays, metres, and whether that is triangulated."""
+    """Depths of a target along both rays, metres; `found` is True if they are triangulated."""
 
     left: float
     right: float
@@ -24,17 +25,17 @@ class Depths(NamedTuple):
 
 @device
 def ray_of_error(p: PackedHead, eye: int, camera: Pose, error_u: float, error_v: float) -> Ray:
-    """The ray of an image's pixel error, in N.
+    """Compute the ray in N of an image's pixel error.
 
     Args:
         p: a packed head.
         eye: 0 for left, 1 for right.
-        camera: the frame of that eye's camera at the exposure.
-        error_u: undistorted pixel less principal point, px; nan unseen.
-        error_v: the same along v.
+        camera: pose of that eye's camera in N at the exposure.
+        error_u: undistorted pixel less principal point along u, px; nan if not visible.
+        error_v: undistorted pixel less principal point along v, px; nan if not visible.
 
     Returns:
-        The ray. Its direction has unit z in the camera, so that distance along it is depth.
+        The ray. Its direction has unit z in the camera, so the distance along it is the depth.
     """
     lens = camera_of(p, eye)
     tip = out_of(camera, error_u / lens.focal_u, error_v / lens.focal_v, 1.0)
@@ -44,16 +45,16 @@ def ray_of_error(p: PackedHead, eye: int, camera: Pose, error_u: float, error_v:
 
 @device
 def rays_of_image(p: PackedHead, left: Pose, right: Pose, error: FloatArray) -> tuple[Ray, Ray]:
-    """The rays of an image's pixel errors, in N.
+    """Compute the rays in N of both images' pixel errors.
 
     Args:
         p: a packed head.
-        left: frame of the left camera at the exposure.
-        right: of the right.
-        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan unseen.
+        left: pose of the left camera in N at the exposure.
+        right: pose of the right camera in N at the exposure.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
 
     Returns:
-        The left ray and the right one, see `ray_of_error`.
+        The left and the right ray, see `ray_of_error`.
     """
     return (
         ray_of_error(p, 0, left, error[0, 0], error[0, 1]),
@@ -63,7 +64,7 @@ def rays_of_image(p: PackedHead, left: Pose, right: Pose, error: FloatArray) -> 
 
 @device
 def depths_on_rays(left: Ray, right: Ray) -> Depths:
-    """Depths along both rays by triangulation, within the range, or the default."""
+    """Triangulate the depths along both rays, clipped to `DEPTH_RANGE_M`; else the default."""
     s, t, found = nearest(left, right)
     if not found:
         return Depths(DEFAULT_DEPTH_M, DEFAULT_DEPTH_M, False)

@@ -1,15 +1,15 @@
-r"""The point nearest to two rays of sight, and how it moves with pixels and joints.
+r"""Point nearest to two lines of sight, and its derivatives by pixels and joints.
 
-The rays `o_l + s d_l` and `o_r + t d_r` in N come closest where the common perpendicular meets
-them (Eqs. 18 to 23):
+The rays `o_l + s d_l` and `o_r + t d_r` in N are closest at the ends of their common perpendicular
+(Eqs. 18 to 23):
 
     [ d_l.d_l  -d_l.d_r ] [s]   [ -d_l.w ]
     [-d_l.d_r   d_r.d_r ] [t] = [  d_r.w ],   w = o_l - o_r
 
-and the fix is the midpoint of the perpendicular (Eq. 24). Derivatives follow from those of the
-2x2 system: a joint about the axis (z_i, o_i) moves a ray by `do = z_i x (o - o_i)` and
-`dd = z_i x d`; a pixel turns its direction alone. Joints that one actuator moves share
-its error: their effects on the point are added before they are squared.
+and the fix is the midpoint of the perpendicular (Eq. 24). The derivatives of the point follow from
+the derivatives of this 2x2 system: a joint about the axis (z_i, o_i) changes a ray by
+`do = z_i x (o - o_i)` and `dd = z_i x d`; a pixel changes only its direction. Coupled joints share
+their actuator's error: their effects on the point are added before they are squared.
 """
 
 from math import inf, isfinite, nan, sqrt
@@ -27,7 +27,8 @@ from vergence.models.parts import FloatArray
 from vergence.models.pose import Pose, Vector, turn
 
 MIN_ANGLE_RAD: Final = 1e-4
-"""Rays closer to parallel than this have no fix: 92 mm apart, they cross beyond 900 m."""
+"""Least angle between two rays for a fix, rad; with a baseline of 92 mm they cross at 900 m
+(chosen: range against noise)."""
 
 
 class Ray(NamedTuple):
@@ -38,7 +39,7 @@ class Ray(NamedTuple):
 
 
 class Crossing(NamedTuple):
-    """Two rays and the distances s and t along them to their common perpendicular."""
+    """Two rays, and the distances s and t along them to their common perpendicular."""
 
     left: Ray
     right: Ray
@@ -63,7 +64,7 @@ def _cross(a: Vector, b: Vector) -> Vector:
 
 @device
 def _midpoint_rate(crossing: Crossing, eye: int, do: Vector, dd: Vector) -> Vector:
-    """Velocity of the midpoint when one eye's ray moves by do and turns by dd."""
+    """Derivative of the midpoint for changes do and dd of one eye's ray origin and direction."""
     (ol, dl), (orr, dr), s, t = crossing
     w = _minus(ol, orr)
     a, b, c = _dot(dl, dl), _dot(dl, dr), _dot(dr, dr)
@@ -90,7 +91,7 @@ def _midpoint_rate(crossing: Crossing, eye: int, do: Vector, dd: Vector) -> Vect
 
 @device
 def ray_of_pixel(p: PackedHead, eye: int, camera: Pose, u: float, v: float) -> Ray:
-    """The ray of a raw pixel in N, its direction with unit z in the camera; nan where undefined."""
+    """Compute the ray in N of a raw pixel, with unit z in the camera; nan if the lens has none."""
     u, v = undistort_pixel(p, eye, u, v)
     x, y = pinhole_ray(camera_of(p, eye), u, v)
     return Ray((camera.x, camera.y, camera.z), turn(camera, x, y, 1.0))
@@ -98,7 +99,7 @@ def ray_of_pixel(p: PackedHead, eye: int, camera: Pose, u: float, v: float) -> R
 
 @device
 def nearest(left: Ray, right: Ray) -> tuple[float, float, bool]:
-    """Distances along two rays to their common perpendicular, and whether there is a fix."""
+    """Distances along two rays to their common perpendicular, and True if there is a fix."""
     (ol, dl), (orr, dr) = left, right
     w = _minus(ol, orr)
     a, b, c = _dot(dl, dl), _dot(dl, dr), _dot(dr, dr)
@@ -128,7 +129,7 @@ def _add_pixel_noise(
     crossing: Crossing,
 ) -> None:
     camera = camera_of(p, eye)
-    # normalised direction per raw pixel: the inverse of the distortion's derivative
+    # normalised direction per raw pixel: the inverse of the distortion's Jacobian
     jxx, jxy, jyy = 1.0, 0.0, 1.0
     if is_distorted(camera):
         u, v = undistort_pixel(p, eye, pixel[0], pixel[1])
@@ -145,7 +146,7 @@ def _add_pixel_noise(
 
 @device
 def _joint_rate(eye: int, axis: Pose, crossing: Crossing) -> Vector:
-    """Velocity of the midpoint when an eye turns about the z axis of a frame."""
+    """Derivative of the midpoint by an eye's rotation about the z axis of a frame, m/rad."""
     origin, direction = crossing.left if eye == 0 else crossing.right
     z = (axis.xz, axis.yz, axis.zz)
     arm = (origin[0] - axis.x, origin[1] - axis.y, origin[2] - axis.z)
@@ -171,7 +172,7 @@ def _add_joint_noise(
         for j in range(4):
             _add_outer(covariance, rates[j], sigma[3 + j])
         return
-    # an actuator's error turns all joints that it moves at once
+    # an actuator's error turns all of its joints together
     for k in range(4):
         x = y = z = 0.0
         for j in range(4):
@@ -196,7 +197,7 @@ def triangulate(
     covariance: FloatArray,
     valid: NDArray[bool_],
 ) -> None:
-    """Fix, gap, covariance and validity from raw pixels and joint angles."""
+    """Compute point, gap, covariance and validity of a fix from raw pixels and joint angles."""
     left_eye, right_eye = eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6])
     left = ray_of_pixel(p, 0, left_eye.camera, pixels[0, 0], pixels[0, 1])
     right = ray_of_pixel(p, 1, right_eye.camera, pixels[1, 0], pixels[1, 1])

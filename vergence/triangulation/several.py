@@ -1,14 +1,14 @@
-r"""A point at rest, from several fixations whose angles differ: below the encoders' steps.
+r"""A point at rest from several fixations at different angles: finer than encoder quantisation.
 
-A reading says that an angle is within half a step h of it, no more and no less. The pixels of a
-fixation tell each true angle by the point that is sought, `e(P) = e_0 + J (P - P_0)` from the
-reading, with a deviation s; so that the likelihood of P is the product over fixations k and
-actuators j of
+An encoder reading constrains an angle to an interval of half width h around it, and no further.
+For a point P, the pixels of a fixation determine the angle's error against the reading,
+`e(P) = e_0 + J (P - P_0)`, with a standard deviation s. The likelihood of P is therefore the
+product over fixations k and actuators j of
 
     Phi((h_j - e_kj(P)) / s_kj) - Phi((-h_j - e_kj(P)) / s_kj) .
 
-Where the eyes look a little elsewhere each time, the point lies where all these intervals overlap:
-of n fixations the error falls as 1/n, where a mean's falls as 1/sqrt(n).
+If the eyes look in a slightly different direction each time, the point lies in the overlap of all
+these intervals. With n fixations its error falls as 1/n; the error of a mean falls as 1/sqrt(n).
 """
 
 from typing import Final
@@ -25,36 +25,42 @@ from vergence.operands import as_operand
 from vergence.triangulation.fix import Fix, Noise, triangulate_views
 
 _STEP_RAD: Final = 1e-6
+"""Step of central differences by angles, rad (numerical)."""
 _STEP_M: Final = 1e-6
-"""Steps of central differences: far above rounding, far below a head's own size."""
+"""Step of central differences by the point, m: far above rounding, far below a head's size
+(numerical)."""
 _WIDER: Final = (8.0, 4.0, 2.0, 1.0, 1.0)
-"""Times their deviations at which the intervals' ends are taken, one after the other: a first fix
-may lie outside of many intervals."""
+"""Factors on s in successive solutions: a first fix may lie outside many intervals, so their ends
+start soft (numerical)."""
 _NEWTON_STEPS: Final = 20
+"""Iteration limit of Newton's method (numerical)."""
 _SMALL_M: Final = 1e-9
+"""Convergence tolerance of a Newton step, m (numerical)."""
 _LEAST_SHARE: Final = 1e-3
-"""Of an interval: the least deviation of its ends, where pixels are exact."""
+"""Least s as a fraction of the half width h, for exact pixels (numerical)."""
 
 
 def triangulate_fixations(
     head: HeadModel, q: ArrayLike, pixels: ArrayLike, noise: Noise | None = None
 ) -> Fix:
-    """Where a point at rest is that several fixations saw (see this module).
+    """Triangulate a point at rest from several fixations (see this module).
 
-    The neck is at rest as well: the point is in N.
+    The neck must be at rest too, as the point is in N.
 
     Args:
         head: one head.
-        q: (k, 7) joint angles as they were read, rad.
-        pixels: (k, 2, 2) raw pixels of the point at the same instants.
-        noise: standard deviations of pixels; those of angles are the head's steps and play. None
-            for the head's detection noise.
+        q: (k, 7) joint angles as read by the encoders, rad.
+        pixels: (k, 2, 2) raw pixels of the point at the same instants; nan if not visible.
+        noise: standard deviations of pixels; None for the head's detection noise. Its angles are
+            not used: the intervals follow from the head's encoder quantisation and backlash.
 
     Returns:
-        The fix. Its covariance is that of the intervals, and its gap the mean one of the fixations.
+        The fix. Its covariance is the inverse of the information in the likelihood; its gap is the
+        mean gap of the fixations.
 
     Raises:
-        ConfigurationError: this is a population, or no fixation saw the point with both eyes.
+        ConfigurationError: the head is a population, or the point is not visible to both eyes in
+            any fixation.
     """
     if head.batch_shape:
         raise ConfigurationError(
@@ -82,7 +88,7 @@ def triangulate_fixations(
         B, r = by_point * scale[:, None], left * scale
         inner = np.linalg.inv(A.transpose(0, 2, 1) @ A) if used.any() else np.zeros((len(q), 0, 0))
         back = inner @ A.transpose(0, 2, 1)
-        # errors of the readings by the point, and what no errors explain
+        # errors of the readings as functions of the point, and residuals that they do not explain
         error, slope = (back @ r[..., None])[..., 0], -back @ B
         rest, rest_slope = r - (A @ error[..., None])[..., 0], -B - A @ slope
         deviation = np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
@@ -110,7 +116,7 @@ def triangulate_fixations(
 def _linearised(
     head: HeadModel, q: FloatArray, pixels: FloatArray, point: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(k, 4, 4) pixels by the actuators, (k, 4, 3) by the point, (k, 4) what is left, px."""
+    """Pixel derivatives by actuators (k, 4, 4) and by the point (k, 4, 3); residuals (k, 4), px."""
     actuators = head.actuation.actuators_of(q)
 
     def seen(step: FloatArray, moved: FloatArray) -> FloatArray:
@@ -132,14 +138,14 @@ def _linearised(
 def _log_interval(
     error: FloatArray, half: FloatArray, ends: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """First and second derivative by e of log(Phi((h - e) / s) - Phi((-h - e) / s)).
+    """First and second derivatives by e of log(Phi((h - e) / s) - Phi((-h - e) / s)).
 
     Args:
-        error: (k, j) e.
-        half: (j,) h.
-        ends: (k, j) s.
+        error: (k, j) errors of the readings e, rad.
+        half: (j,) half widths of the intervals h, rad.
+        ends: (k, j) standard deviations s, rad.
     """
-    # it is even in e, and the difference is exact in the lower tail
+    # the function is even in e, and the difference is exact in the lower tail
     sign, e = np.sign(error), np.abs(error)
     upper, lower = (half - e) / ends, (-half - e) / ends
     log_upper, log_lower = log_ndtr(upper), log_ndtr(lower)

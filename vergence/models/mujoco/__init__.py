@@ -1,1 +1,1 @@
-"""The head for MuJoCo and other simulators: the compiled model, what is seen in it, its exports."""
+"""The head in MuJoCo and other simulators: compiled model, appearance, scene, exports."""

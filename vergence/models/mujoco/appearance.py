@@ -1,4 +1,4 @@
-"""What the head looks like: rods from joint to joint, a skull or a bar, eyeballs, a stand."""
+"""Appearance of the head: rods from joint to joint, a skull or a bar, eyeballs, a stand."""
 
 from typing import Any, Final
 
@@ -23,29 +23,36 @@ from vergence.models.parts import FloatArray
 
 _GEOM: Final = mujoco.mjtGeom
 SKULL_CENTRE_M: Final = (-0.055, 0.030, 0.001)
+"""Centre of the article's skull, an ellipsoid behind the eyes, in frame 3, m (chosen: looks
+only)."""
 SKULL_AXES_M: Final = (0.062, 0.082, 0.074)
-"""Ellipsoid behind the eyes, in frame 3."""
+"""Semi-axes of that ellipsoid in frame 3, m (chosen: looks only)."""
 _SKULL_BEHIND_M: Final = (0.0, -0.030, -0.080)
-"""Its centre in N's axes, from midway between the eyes; for all but the article's head."""
+"""Centre of any other head's skull, from the midpoint between the cameras, in N's axes, m (chosen:
+looks only)."""
 _SKULL_AXES_IN_N_M: Final = (0.074, 0.082, 0.062)
+"""Semi-axes of any other head's skull, along N's axes, m (chosen: looks only)."""
 _WIDEST_SKULL_M: Final = 0.16
-"""Between the eyes; those of a wider head are on a bar."""
+"""Largest baseline for a skull, m; the eyes of a wider head are on a bar (chosen: looks only)."""
 IRIS_RADIUS_M: Final = 0.009
+"""Radius of the iris in an eyeball of full size, m (chosen: looks only)."""
 _CENTRED_M: Final = 0.004
-"""A camera no farther from its last joint's origin turns about itself, inside the eyeball."""
+"""Distance of a camera from its last joint's origin below which the eyeball is centred on the
+joint, m (chosen: looks only)."""
 _FOOT_M: Final = 0.25
-"""Length of the stand below the lowest joint."""
+"""Length of the stand below the lowest joint, m (chosen: looks only)."""
 _NOSE_M: Final = 0.05
-"""A motor no farther from between the eyes would be in their way, and is not drawn."""
+"""Least distance of the neck's first motor from the midpoint between the cameras for it to be
+drawn, m (chosen: a nearer one would hide the eyes)."""
 
 
 def add_appearance(spec: mujoco.MjSpec, bodies: Bodies, head: HeadModel) -> None:
-    """Give the links the look of a head with two eyes; nothing here touches or weighs.
+    """Add the visible shapes of a head with two eyes; they have no mass and no contacts.
 
     Args:
         spec: the specification to extend.
-        bodies: the body of each link, -1 being the world.
-        head: the head, whose link lengths the shapes follow.
+        bodies: the body of each link; -1 for the world.
+        head: the head; its link lengths determine the shapes.
     """
     add_materials(spec)
     posture, links = posture_of(head), head.links.bodies()
@@ -75,19 +82,19 @@ def add_appearance(spec: mujoco.MjSpec, bodies: Bodies, head: HeadModel) -> None
 
 
 def _on_bar(posture: Posture) -> bool:
-    """Whether the eyes are on a bar instead of in a skull."""
+    """True if the eyes are on a bar instead of in a skull."""
     return not posture.is_article and posture.baseline_m > _WIDEST_SKULL_M
 
 
 def _add_stand(world: Any, posture: Posture) -> None:
-    """From the floor to the first joint of the neck, or to the bar of the eyes."""
+    """Add a stand from the floor to the first joint of the neck, or to the bar of the eyes."""
     top, up = posture.stand, posture.upright[:3, 2]
     height = up @ (top - posture.upright[:3, 3]) - (posture.lowest_m - _FOOT_M)
     add_segment(world, METAL, top - height * up, top, 0.022 * posture.scale)
 
 
 def _add_face(body: Any, skull: int, posture: Posture) -> None:
-    """A skull behind the eyes, or a bar that carries them, in the link that carries N."""
+    """Add a skull behind the eyes, or a bar that carries them, to the body that carries N."""
     frame = posture.links[skull] if skull >= 0 else np.eye(4)
     into = inverse_pose(frame)
     middle = posture.cameras[:, :3, 3].mean(axis=0)
@@ -115,7 +122,7 @@ def _add_face(body: Any, skull: int, posture: Posture) -> None:
 
 
 def _add_eye(body: Any, camera: FloatArray, posture: Posture, moves: bool) -> None:
-    """An eyeball about the camera, with an iris before it."""
+    """Add an eyeball around the camera, with an iris in front."""
     radius, forward = posture.eye_radius_m, camera[:3, 2]
     small = radius / EYE_RADIUS_M
     centre = camera[:3, 3]
@@ -124,7 +131,7 @@ def _add_eye(body: Any, camera: FloatArray, posture: Posture, moves: bool) -> No
     elif moves:
         _add_rod(body, centre, 0.006 * posture.scale)
     add_shape(body, _GEOM.mjGEOM_SPHERE, SHELL, size=[radius, 0.0, 0.0], pos=centre)
-    # they begin behind the optical centre: OpenGL draws no face from its back
+    # they start behind the optical centre: OpenGL does not draw faces seen from behind
     start, front = -0.005 * small * forward, (radius + 0.001 * small) * forward
     iris = IRIS_RADIUS_M * small
     ends = [start, front, 1.05 * front]
@@ -135,6 +142,6 @@ def _add_eye(body: Any, camera: FloatArray, posture: Posture, moves: bool) -> No
 
 
 def _add_rod(body: Any, end: FloatArray, radius: float, start: Any = (0.0, 0.0, 0.0)) -> None:
-    """A rod to the origin of what follows, where there is a way to it."""
+    """Add a rod between two points that are more than 1 mm apart."""
     if np.linalg.norm(end - np.asarray(start)) > 1e-3:
         add_segment(body, METAL, start, end, radius, _GEOM.mjGEOM_CAPSULE)

@@ -1,4 +1,4 @@
-"""The links of a head as bodies of a MuJoCo specification, with their joints and the cameras."""
+"""Links of a head as bodies of a MuJoCo specification, with their joints and the cameras."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -14,26 +14,28 @@ from vergence.models.mujoco.inertia import link_inertia
 from vergence.models.parts import FloatArray
 
 _FROM_OPTICAL: Final = np.diag([1.0, -1.0, -1.0, 1.0])
-"""MuJoCo's cameras look along -z with y up: C turned by 180 degrees about x."""
+"""Pose of MuJoCo's camera frame, which looks along -z with y up, in C: a turn by 180 degrees about
+x (physical: MuJoCo's convention)."""
 _PIXEL_M: Final = 3e-6
-"""Edge of a sensor's pixel: scales MuJoCo's focal lengths, cancels in the image."""
+"""Edge of a sensor's pixel, m; it scales MuJoCo's focal lengths and cancels in the image (chosen:
+typical of small cameras)."""
 
 Bodies = Mapping[int, Any]
-"""The bodies of a specification by their place in `Links.bodies`; -1 for the world."""
+"""Bodies of a specification by their index in `Links.bodies`; -1 for the world."""
 
 
 def add_bodies(
     spec: mujoco.MjSpec, head: HeadModel, held: Mapping[str, float], armature: FloatArray
 ) -> Bodies:
-    """Add a body for each joint, with its mass, and the site `N`.
+    """Add a body with its mass for each joint, and the site `N`.
 
-    Joints come out in the order of their first places in an array of all seven.
+    The joints are in the order of their first indices in an array of all seven.
 
     Args:
         spec: the specification to extend; its time step is set.
         head: one head.
-        held: joints that are rigid, with their angles, rad.
-        armature: (7,) the inertia of the joints' rotors, kg m^2.
+        held: rigid joints by name, with their angles, rad.
+        armature: (7,) inertia of the joints' rotors, kg m^2.
 
     Returns:
         The bodies.
@@ -60,7 +62,7 @@ def add_bodies(
 
 
 def body_name(joint: str) -> str:
-    """The name of what a joint carries."""
+    """Name of the body that a joint carries."""
     return f"{joint}_link"
 
 
@@ -79,8 +81,8 @@ def _add_joint(
 
 
 def stiff(timestep_s: float) -> list[float]:
-    """`solref` of a limit or a tie as stiff as the solver allows."""
-    return [2.0 * timestep_s, 1.0]  # the least time constant is two steps
+    """`solref` of a limit or an equality constraint, as stiff as the solver allows."""
+    return [2.0 * timestep_s, 1.0]  # the least time constant is two time steps
 
 
 def add_cameras(spec: mujoco.MjSpec, head: HeadModel, bodies: Bodies) -> None:
@@ -102,14 +104,14 @@ def add_cameras(spec: mujoco.MjSpec, head: HeadModel, bodies: Bodies) -> None:
 def mujoco_principal(head: HeadModel) -> FloatArray:
     """(2, 2) `principalpixel` of both cameras, in pixels.
 
-    MuJoCo counts from the image's centre, right and down being negative, and OpenCV's (0, 0)
-    is the centre of the upper left pixel: `W / 2 - (u_0 + 1/2)`.
+    MuJoCo counts from the image's centre, with right and down negative. OpenCV's (0, 0) is the
+    centre of the upper left pixel, hence `W / 2 - (u_0 + 1/2)`.
     """
     return np.asarray(head.cameras.size / 2.0 - (head.cameras.principal + 0.5))
 
 
 def placement(pose: FloatArray) -> dict[str, FloatArray]:
-    """Where something is in its parent, as MuJoCo's attributes, from a pose (4, 4)."""
+    """Convert a pose (4, 4) in the parent to MuJoCo's attributes `pos` and `quat`."""
     quat = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True, scalar_first=True)
     return {"pos": pose[:3, 3], "quat": quat}
 

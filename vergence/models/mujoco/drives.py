@@ -1,7 +1,7 @@
-"""How actuators move the joints of the eyes in a simulator that knows only joints and tendons.
+"""Actuators of the eyes for a simulator that has only joints and tendons.
 
-An actuator turns a joint of its own, or it turns several, such as a version. Where fewer actuators
-than joints move the eyes, some joints follow others: these are ties.
+An actuator turns one joint of its own, or several, as a version does. If the eyes have fewer
+actuators than joints, some joints follow others; a `Tie` describes such a coupled joint.
 """
 
 from collections.abc import Sequence
@@ -16,39 +16,40 @@ from vergence.models.joints import EYES, NECK
 from vergence.models.parts import FloatArray
 
 _DIGITS: Final = 12
-"""Decimals of a factor that rounding in its derivation leaves."""
+"""Decimals to which factors are rounded (numerical)."""
 
 
 class Drive(NamedTuple):
-    """What one actuator turns: its angle is the sum of joints times factors, less an offset."""
+    """An actuator and its joints: its angle is a weighted sum of joint angles, less an offset."""
 
     name: str
-    """The actuator's."""
+    """Name of the actuator."""
     slot: int
-    """Its place in an array of the neck's joints and the four actuators of the eyes."""
+    """Index in an array of the neck's joints and the four actuators of the eyes."""
     joints: tuple[tuple[str, float], ...]
-    """The joints with their factors; a single one with the factor 1 is its own."""
+    """Joints with their factors in the sum; a single joint with the factor 1 is the actuator's
+    own."""
     lower: float
-    """Least of that sum, rad."""
+    """Least value of that sum, rad."""
     upper: float
-    """Greatest of that sum, rad."""
+    """Greatest value of that sum, rad."""
     own_joint: str
-    """The joint that it turns alone, as far as that joint's limits go, or its rotor, see
-    `has_rotors`; empty for none."""
+    """Joint that only this actuator turns, over the joint's whole range, or the actuator's rotor,
+    see `has_rotors`; empty for neither."""
 
 
 class Tie(NamedTuple):
-    """A joint whose angle is an offset and the angles of others times factors."""
+    """A coupled joint: its angle is an offset plus a weighted sum of other joint angles."""
 
     joint: str
     follows: tuple[tuple[str, float], ...]
-    """The others with their factors."""
+    """Names of the other joints, with their factors."""
     offset: float
-    """rad."""
+    """Offset, rad."""
 
 
 def joint_places(head: HeadModel) -> dict[str, int]:
-    """A head's joints in MuJoCo's order, each with its first place in an array of all seven."""
+    """Joints of a head in MuJoCo's order, each with its first index in an array of all seven."""
     places: dict[str, int] = {}
     for place, name in enumerate(head.joints):
         if name:
@@ -57,9 +58,9 @@ def joint_places(head: HeadModel) -> dict[str, int]:
 
 
 def drives_of(head: HeadModel) -> tuple[Drive, ...]:
-    """What moves the joints: the neck's motors and the actuators of the eyes.
+    """List the drives of a head: the neck's motors, then the actuators of the eyes.
 
-    An actuator that has the name of a joint of the neck is called `eyes_` and its name.
+    An actuator of the eyes with the name of a neck joint gets the prefix `eyes_`.
     """
     own, limits = head.actuation, head.limits
     out = []
@@ -93,7 +94,7 @@ def drives_of(head: HeadModel) -> tuple[Drive, ...]:
 
 
 def ties_of(head: HeadModel) -> tuple[Tie, ...]:
-    """The joints of the eyes that follow others; none where each can be moved by itself."""
+    """List the coupled joints of the eyes; empty if every joint can move by itself."""
     names, matrix, offset = _map(head)
     leading: list[int] = []
     for joint in range(len(names)):
@@ -110,7 +111,7 @@ def ties_of(head: HeadModel) -> tuple[Tie, ...]:
 
 
 def coupled(head: HeadModel) -> list[str]:
-    """The eyes' joints whose angle is not that of one actuator, each as an equation."""
+    """Equations, as text, of the eyes' joints that more than one actuator moves."""
     own = head.actuation
     names, matrix, offset = _map(head)
     out = []
@@ -123,22 +124,22 @@ def coupled(head: HeadModel) -> list[str]:
 
 
 def has_rotors(head: HeadModel) -> bool:
-    """Whether a simulator needs the actuators' rotors as bodies of their own.
+    """True if a simulator needs the actuators' rotors as bodies of their own.
 
-    It does where actuators would disturb one another however their rotors are divided among the
-    joints, such as a pan of both eyes and a vergence of one of them.
+    This is so if no division of the rotors' inertia among the joints keeps the actuators from
+    disturbing one another, as for a pan of both eyes and a vergence of one of them.
     """
     names, _matrix, _offset = _map(head)
     return divided_rotors(head, np.ones(len(names))) is None
 
 
 def rotor_name(drive: str) -> str:
-    """The name of a rotor, and of its joint, from that of its drive."""
+    """Name of a drive's rotor and of the rotor's joint."""
     return f"{drive}_rotor"
 
 
 def rotor_ties(head: HeadModel, drives: Sequence[Drive]) -> tuple[Tie, ...]:
-    """The eyes' joints as they follow the rotors of a head that has some."""
+    """Couplings of the eyes' joints to the rotors, for a head with rotors as bodies."""
     names, matrix, offset = _map(head)
     rotors = [drive.own_joint for drive in drives if drive.slot >= NECK.stop]
     return tuple(
@@ -148,17 +149,17 @@ def rotor_ties(head: HeadModel, drives: Sequence[Drive]) -> tuple[Tie, ...]:
 
 
 def divided_rotors(head: HeadModel, least: FloatArray) -> FloatArray | None:
-    """Rotors' inertia by joint that leaves actuators undisturbed by one another.
+    """Solve for rotor inertias by joint that decouple the actuators.
 
-    Actuator k feels `S^T diag(r) S` of the rotors r, S being the joints by actuator; off the
-    diagonal that is zero where the joints' rotors share the work rightly.
+    Rotor inertias r at the joints give the inertia matrix `S^T diag(r) S` at the actuators, with S
+    the joint angles per actuator angle. The actuators are decoupled if it is diagonal.
 
     Args:
         head: the head.
-        least: (J,) what each distinct joint of the eyes must have at least, kg m^2.
+        least: (J,) least inertia of each distinct joint of the eyes, kg m^2.
 
     Returns:
-        (J,) the smallest ones, kg m^2; None where none do.
+        (J,) inertias with the least sum, kg m^2; None if there are none.
     """
     _names, matrix, _offset = _map(head)
     count = matrix.shape[1]
@@ -176,7 +177,7 @@ def divided_rotors(head: HeadModel, least: FloatArray) -> FloatArray | None:
 
 
 def _map(head: HeadModel) -> tuple[list[str], FloatArray, FloatArray]:
-    """The eyes' joints, each once: names, (J, m) angles by actuator, (J,) rad at zero."""
+    """Distinct joints of the eyes: names, angles per actuator angle (J, m), offsets (J,), rad."""
     places = {name: at - EYES.start for name, at in joint_places(head).items() if at >= EYES.start}
     rows = list(places.values())
     own = head.actuation

@@ -1,4 +1,4 @@
-"""The head for other programs: MJCF and URDF files made from the head model."""
+"""Export of the head model to MJCF and URDF files."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -13,7 +13,7 @@ from vergence.models.mujoco.model import build_spec, head_spec
 from vergence.models.mujoco.urdf import to_urdf
 
 FORMATS = ("mjcf", "urdf")
-"""What `export_files` can write."""
+"""Formats of `export_files`."""
 
 _SCENE = "scene"
 
@@ -22,7 +22,7 @@ def to_mjcf(head: HeadModel, **options: Any) -> str:
     """Write one head and its surroundings as a single MJCF text.
 
     MuJoCo writes numbers with six significant digits; the compiled model of `compile_model`
-    is exact. Textures are files beside the XML, which `export_files` gives.
+    is exact. The XML refers to texture files; `export_files` returns them.
 
     Args:
         head: one head, not a population.
@@ -38,13 +38,13 @@ def to_mjcf(head: HeadModel, **options: Any) -> str:
 
 
 def export_files(head: HeadModel, format: str) -> dict[str, bytes]:
-    """The files of a head in one format, to be written into a folder.
+    """Make the files of a head in one format, to be written into a folder.
 
     Args:
         head: one head, not a population.
         format: `mjcf` for `NAME.xml` (the head alone), `scene.xml` (which includes it and adds
             light, floor, a target and the fixed pair) and the target's texture, or `urdf` for
-            `NAME.urdf`, where NAME is the head's, see `file_stem`.
+            `NAME.urdf`. NAME is the name of the head, see `file_stem`.
 
     Returns:
         File names, relative to the folder, with their contents.
@@ -68,7 +68,7 @@ def export_files(head: HeadModel, format: str) -> dict[str, bytes]:
     mujoco_scene.add_fixed_pair(scene, around)
     root = ET.fromstring(_xml(scene))
     root.insert(0, ET.Element("include", file=f"{stem}.xml"))
-    # the head's file sets these for both
+    # the head's file sets these elements for both files
     for element in [*root.findall("compiler"), *root.findall("option")]:
         root.remove(element)
     ET.indent(root)
@@ -80,7 +80,7 @@ def export_files(head: HeadModel, format: str) -> dict[str, bytes]:
 
 
 def file_stem(head: HeadModel) -> str:
-    """A head's name as files carry it: letters, digits, `.`, `_` and `-`, and never `scene`."""
+    """A head's name for files: letters, digits, `.`, `_` and `-`, and never `scene`."""
     stem = re.sub(r"[^A-Za-z0-9._-]+", "-", head.name).strip(".-") or "head"
     return f"{stem}-head" if stem.lower() == _SCENE else stem
 

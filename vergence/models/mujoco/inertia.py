@@ -1,9 +1,10 @@
-"""Mass and inertia of the links: assumed, as nobody gives any, of a balanced head.
+"""Mass and inertia of the links: assumed values of a balanced head, as no source states any.
 
-A head made to turn fast is balanced: the counterweight of an eye (its second servo) puts the common
-centre of mass on the axis of the eye's first joint, and the skull's puts that of the skull and both
-eyes where the axis of the neck's last but one joint is nearest to that of its last. A moving joint
-then disturbs the others little. What a link weighs follows from its part in the head.
+A head made to turn fast is balanced. The counterweight of an eye (its second servo) puts the eye's
+centre of mass on the axis of its first joint. The counterweight of the skull puts the common centre
+of mass of the skull and both eyes on the axis of the neck's last joint, at the point nearest to the
+axis of the joint before. A moving joint then disturbs the others little. The mass of a link depends
+on its part in the head.
 """
 
 from typing import Final, NamedTuple
@@ -17,14 +18,15 @@ from vergence.models.parts import FloatArray
 
 
 class LinkInertia(NamedTuple):
-    """What a link resists with, in its own frame."""
+    """Mass and inertia of a link in its own frame."""
 
     mass: float
-    """kg."""
+    """Mass, kg."""
     centre: FloatArray
-    """(3,) centre of mass, m."""
+    """(3,) position of the centre of mass, m."""
     moments: FloatArray
-    """(3,) moments about the centre along the frame's axes, kg m^2; there are no products."""
+    """(3,) moments of inertia about the centre of mass along the frame's axes, kg m^2; the
+    products of inertia are zero."""
     edges: FloatArray
     """(3,) edges of the solid box with these moments, m."""
 
@@ -33,28 +35,28 @@ class _Block(NamedTuple):
     """A solid box."""
 
     mass: float
-    """kg."""
+    """Mass, kg."""
     edges: tuple[float, float, float]
-    """m, along the axes of the link's frame."""
+    """Edges along the axes of the link's frame, m."""
 
 
 _NECK_BASE: Final = _Block(0.30, (0.05, 0.09, 0.05))
-"""The neck's first link: two servos and a bracket."""
+"""The neck's first link: two servos and a bracket (chosen: assumed)."""
 _NECK_MIDDLE: Final = _Block(0.20, (0.05, 0.05, 0.05))
-"""A servo."""
+"""A link between the neck's first and last: a servo (chosen: assumed)."""
 _SKULL: Final = _Block(0.30, (0.10, 0.10, 0.05))
-"""The neck's last link: the skull with its servos."""
+"""The neck's last link: the skull with its servos (chosen: assumed)."""
 _EYE_FRAME: Final = _Block(0.060, (0.025, 0.025, 0.025))
-"""A link that carries an eye: a frame with a servo."""
+"""A link that carries an eye: a frame with a servo (chosen: assumed)."""
 _EYE: Final = _Block(0.030, (0.03, 0.03, 0.03))
-"""The last link of an eye: its camera."""
+"""The last link of an eye: its camera (chosen: assumed)."""
 
 
 def link_inertia(head: HeadModel, joint: str) -> LinkInertia:
     """Mass, centre of mass and moments of inertia of the link that a joint turns.
 
     Args:
-        head: one head, whose links the centres follow.
+        head: one head; its links determine the centres of mass.
         joint: the name of one of its joints.
 
     Returns:
@@ -95,17 +97,17 @@ def _centre(bodies: tuple[Body, ...], place: int) -> FloatArray:
 
 
 def _mass_from(bodies: tuple[Body, ...], place: int) -> float:
-    """What a link and all that it carries weigh, kg."""
+    """Mass of a link and of all links that it carries, kg."""
     carried = [i for i, other in enumerate(bodies) if other.parent == place]
     own = _block(bodies, place).mass
     return own + sum(_mass_from(bodies, child) for child in carried)
 
 
 def _balance(bodies: tuple[Body, ...], skull: int) -> FloatArray:
-    """Where the skull with the eyes has its centre of mass, on its own axis, in its frame.
+    """Common centre of mass of the skull and the eyes, on the skull's axis, in the skull's frame.
 
-    It is the point nearest to the axis of the neck's joint before; of a neck of one joint, the
-    point nearest to the middle of what the skull carries.
+    It is the point of the axis nearest to the axis of the neck's joint before. For a neck of one
+    joint, it is at the mean height of the bodies that the skull carries.
     """
     if bodies[skull].parent == -1:
         heights = [body.pose[2, 3] for body in bodies if body.parent == skull]

@@ -1,8 +1,8 @@
-"""What the servos turn: links, and their own rotors seen through their gears.
+"""Load inertia of the servos: the links, and the servos' own rotors reflected through the gears.
 
-Rotors make nearly all of a servo's load, so that constant gains serve in every posture and joints
-disturb one another little. The servos are those of `NECK_ARMATURE` and `EYE_ARMATURE`, or larger
-ones where the links are heavier or longer than such servos are made for.
+The rotors are nearly all of a servo's load, so constant gains suit every posture and joints disturb
+one another little. The rotors have `NECK_ARMATURE` and `EYE_ARMATURE`, or more if the links are
+heavier or longer than such servos are made for.
 """
 
 from typing import Final, NamedTuple
@@ -17,33 +17,34 @@ from vergence.models.mujoco.drives import divided_rotors, has_rotors, joint_plac
 from vergence.models.parts import FloatArray
 
 NECK_ARMATURE: Final = 0.1
-"""kg m^2, the neck servos' rotors seen through their gears: MuJoCo Menagerie's value for the
-joints of the SO-ARM100."""
+"""Reflected rotor inertia of the neck servos, kg m^2 (physical: MuJoCo Menagerie's value for the
+joints of the SO-ARM100)."""
 
 EYE_ARMATURE: Final = 0.045
-"""kg m^2, the eye servos' rotors seen through their gears: MuJoCo Menagerie's value for the
-ROBOTIS OP3 and its Dynamixel XM430. Eyes driven by smaller servos have less, but then joints that
-accelerate as fast as these would disturb one another by more than the encoders' resolution."""
+"""Reflected rotor inertia of the eye servos, kg m^2 (physical: MuJoCo Menagerie's value for the
+ROBOTIS OP3 and its Dynamixel XM430). Smaller servos have less, but then joints that accelerate as
+fast as these would disturb one another by more than the encoders' quantisation."""
 
 _LEAST_RATIO: Final = 19.0
-"""Of a rotor to the links it turns: 95 % of the load."""
+"""Least ratio of a rotor's inertia to that of its links: 95 % of the load is rotor (chosen:
+constant gains against realistic rotors)."""
 
 
 class Loads(NamedTuple):
-    """What is turned, with the head at rest, in kg m^2; zero for what does not exist."""
+    """Load inertias with the head at rest, kg m^2; zero for missing joints and actuators."""
 
     armature: FloatArray
-    """(7,) the rotor at each joint."""
+    """(7,) rotor inertia at each joint."""
     joints: FloatArray
-    """(7,) by each joint, rotor and links."""
+    """(7,) total load of each joint: rotors and links."""
     actuators: FloatArray
-    """(7,) by each joint of the neck and each actuator of the eyes."""
+    """(7,) total load of each joint of the neck and each actuator of the eyes."""
     rotors: FloatArray
-    """(7,) the rotors that are bodies of their own, see `has_rotors`."""
+    """(7,) inertia of the rotors that are bodies of their own, see `has_rotors`."""
 
 
 def loads_of(head: HeadModel) -> Loads:
-    """What the joints and the actuators of one head turn."""
+    """Compute the load inertias of the joints and actuators of one head."""
     places = list(joint_places(head).values())
     links = _links_inertia(head)
     own = np.diag(links)
@@ -70,7 +71,7 @@ def loads_of(head: HeadModel) -> Loads:
 
 
 def _turned(head: HeadModel, places: list[int]) -> FloatArray:
-    """(J, 7) how far each joint turns per radian of the neck's joints and the actuators."""
+    """(J, 7) angle of each joint per angle of the neck's joints and the eyes' actuators."""
     out = np.zeros((len(places), len(JOINTS)))
     for i, place in enumerate(places):
         if place < NECK.stop:
@@ -81,7 +82,7 @@ def _turned(head: HeadModel, places: list[int]) -> FloatArray:
 
 
 def _links_inertia(head: HeadModel) -> FloatArray:
-    """(J, J) the mass matrix of the links alone, in the order of `joint_places`."""
+    """(J, J) mass matrix of the links alone, in the order of `joint_places`."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     add_bodies(spec, head, {}, np.zeros(len(JOINTS)))

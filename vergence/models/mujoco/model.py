@@ -1,7 +1,7 @@
-"""The head as a MuJoCo model: the tree of links as bodies, a servo an actuator, two cameras.
+"""The head as a MuJoCo model: a body per link, a servo per actuator, two cameras.
 
-World is frame 0. The body of a joint carries a frame whose z is the joint's axis (the article's
-D-H frames), the site `N` is frame N, and the cameras `left` and `right` look along z of `C_l` and
+The world is frame 0. The z axis of a body's frame is the axis of its joint (the article's D-H
+frames), the site `N` is frame N, and the cameras `left` and `right` look along z of `C_l` and
 `C_r`.
 """
 
@@ -29,7 +29,8 @@ from vergence.models.mujoco.loads import loads_of
 from vergence.models.mujoco.servos import add_rotors, add_servos, add_ties
 
 SUBSTEPS: Final = 4
-"""Steps of the simulation per control period by default: 1/480 s at 120 Hz."""
+"""Default number of simulation steps per control period: 1/480 s at 120 Hz (chosen: accuracy
+against speed)."""
 
 
 def build_spec(
@@ -44,37 +45,38 @@ def build_spec(
     gravity: bool = False,
     timestep_s: float | None = None,
 ) -> mujoco.MjSpec:
-    """The head in its surroundings as an editable MuJoCo specification.
+    """Build the head in its surroundings as an editable MuJoCo specification.
 
     Args:
         head: one head, not a population.
-        neck: `welded` holds the neck rigidly and leaves the joints of the eyes.
+        neck: `servo` for a neck that moves, `welded` for a rigid neck.
         neck_position: (3,) or a scalar, the angles of a welded neck, rad.
         target: name of the mocap body that carries the board; None for no target. The body's
             frame is T: origin at the measured point, x right and y down as seen from in
             front, z into the board.
-        board: what the target shows; None for the default board of that name.
-        fixed_pair: whether the body `fixed_pair` with the cameras `fixed_left` and
-            `fixed_right` looks over the head.
-        visuals: whether there are shapes, a stand, a floor and lights, for pictures; a model
-            without them steps faster and moves the same.
-        gravity: whether gravity, contacts, springs and constraints act, for those who add
-            bodies of their own. The head is compensated for its weight and collides with
-            nothing, so that it moves the same without, and faster. Joints that follow others
-            do so either way.
-        timestep_s: step of the simulation; None for a quarter of the control period.
+        board: the board on the target; None for the default board of that name.
+        fixed_pair: True to add the body `fixed_pair` with the cameras `fixed_left` and
+            `fixed_right`, which looks over the head.
+        visuals: True to add shapes, a stand, a floor and lights, for rendering. Without them the
+            motion is the same and the simulation is faster.
+        gravity: True to enable gravity, contacts, springs and constraints, for models with
+            additional bodies. The head's weight is compensated and it has no contacts, so without
+            them its motion is the same and the simulation is faster. Coupled joints stay coupled
+            either way.
+        timestep_s: time step of the simulation, s; None for a quarter of the control period.
 
     Returns:
-        The specification. Joints have the head's names, in the order of their first places in
-        `HeadModel.joints`; actuators are those joints of the neck and the head's actuators, see
-        `drives_of`. `ctrl` is an actuator's commanded velocity in rad/s, clipped to its limits.
+        The specification. Joints have the head's names, in the order of their first indices in
+        `HeadModel.joints`. Actuators are the joints of the neck, then the actuators of the eyes,
+        see `drives_of`. `ctrl` is an actuator's commanded velocity in rad/s, clipped to its
+        limits.
 
     Raises:
-        ConfigurationError: the head is a population, or moves without a lag, or an option has a
-            value that cannot work.
+        ConfigurationError: the head is a population, or moves without a lag, or an option has an
+            invalid value.
         UnknownNameError: there is no default board of the target's name.
 
-    MuJoCo's cameras are pinholes: a lens's distortion is not part of the model.
+    MuJoCo's cameras are pinholes: the model does not include lens distortion.
     """
     spec = head_spec(
         head,
@@ -103,7 +105,7 @@ def head_spec(
     gravity: bool = False,
     timestep_s: float | None = None,
 ) -> mujoco.MjSpec:
-    """The head alone, without surroundings; see `build_spec` for the arguments and errors."""
+    """Build the head without surroundings; see `build_spec` for the arguments and errors."""
     _check(head, neck)
     spec = mujoco.MjSpec()
     spec.modelname = head.name
@@ -129,38 +131,39 @@ def head_spec(
 
 
 def compile_model(head: HeadModel, **options: Any) -> mujoco.MjModel:
-    """The head as a compiled model; see `build_spec` for the arguments and errors."""
+    """Compile the model of a head; see `build_spec` for the arguments and errors."""
     model = build_spec(head, **options).compile()
     addresses_of(model, head)
     return model
 
 
 class Addresses(NamedTuple):
-    """Where a head's joints and actuators lie in the arrays of a model of it."""
+    """Indices of a head's joints and actuators in the arrays of its MuJoCo model."""
 
     joints: NDArray[np.intp]
-    """(7,) of each joint its index in `qpos` and `qvel`, -1 for one that does not move; a joint
+    """(7,) index of each joint in `qpos` and `qvel`; -1 for a joint that does not move. A joint
     that both eyes share has its index twice."""
     places: NDArray[np.intp]
-    """(J,) of each number in `qpos` its first place in an array of all seven joints, so that
-    `qpos[: len(places)] = q[places]`; all of `qpos`, unless the head has rotors."""
+    """(J,) first index, in an array of all seven joints, of each joint in `qpos`, so that
+    `qpos[: len(places)] = q[places]`. This is all of `qpos`, unless the head has rotors."""
     rotors: NDArray[np.intp]
-    """Of the other numbers in `qpos` their places in an array as for `slots`, see `has_rotors`."""
+    """Index of each rotor in the same array as for `slots`; rotors are the rest of `qpos`, see
+    `has_rotors`."""
     slots: NDArray[np.intp]
-    """(nu,) of each number in `ctrl` its place among the neck's joints and the four actuators of
-    the eyes."""
+    """(nu,) index of each number in `ctrl` in an array of the neck's joints and the four actuators
+    of the eyes."""
 
 
 def addresses_of(model: mujoco.MjModel, head: HeadModel) -> Addresses:
-    """Where a head's joints and actuators lie in a model that `build_spec` made of it.
+    """Find a head's joints and actuators in a model from `build_spec`.
 
     Args:
-        model: the model, with the neck or with a welded one.
+        model: the model, with a moving or a welded neck.
         head: the head.
 
     Raises:
-        ConfigurationError: the model has other joints or actuators than the head, or in another
-            order.
+        ConfigurationError: the names or the order of the model's joints or actuators differ from
+            the head's.
     """
     joints = tuple(model.joint(i).name for i in range(model.njnt))
     actuators = tuple(model.actuator(i).name for i in range(model.nu))

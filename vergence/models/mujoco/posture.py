@@ -1,7 +1,7 @@
-"""A head at rest: where its links and cameras are, how wide it is, which way is up.
+"""Posture of a head at rest: its links and cameras, its size, and the upright direction.
 
-N says which way is up, its y being down. The article's frame 0 has z up, and at rest its head
-looks along -y.
+N defines the upright direction: its y axis points down. The article's frame 0 has z up, and its
+head at rest looks along -y.
 """
 
 from typing import Final, NamedTuple
@@ -14,59 +14,61 @@ from vergence.models.links import DenavitHartenberg, chain_end
 from vergence.models.parts import FloatArray
 
 ARTICLE_BASELINE_M: Final = 0.092
-"""Between the eyes of the article's head, whose shapes are the measure of all."""
+"""Baseline of the article's head, m; the shapes of other heads scale with it (physical: the
+article's head)."""
 EYE_RADIUS_M: Final = 0.018
-"""Radius of the drawn eyeball, about that of the housing of a small camera module."""
+"""Radius of the drawn eyeball, m (chosen: about the housing of a small camera module)."""
 _N_UPRIGHT: Final = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
-"""N's axes at rest in a frame with z up that is ahead along -y."""
+"""N's axes at rest in a frame with z up and -y forward (physical: the definition of N)."""
 _N_ORIGIN_M: Final = (-0.011, -0.064, 0.0)
-"""N's origin at rest in the article's frame 0."""
+"""N's origin at rest in the article's frame 0, m (physical: the article's head)."""
 
 
 class Posture(NamedTuple):
     """A head at rest."""
 
     links: FloatArray
-    """(B, 4, 4) the links' frames in frame 0, in the order of `Links.bodies`."""
+    """(B, 4, 4) poses of the links in frame 0, in the order of `Links.bodies`."""
     base: FloatArray
     """(4, 4) T_0_N."""
     cameras: FloatArray
-    """(2, 4, 4) both cameras in frame 0."""
+    """(2, 4, 4) poses of both cameras in frame 0."""
     upright: FloatArray
-    """(4, 4) in frame 0: a frame that has z up, is ahead along -y, and has N where the article's
-    frame 0 has it; for the article's head the unit matrix."""
+    """(4, 4) pose in frame 0 of the upright frame: z up, -y forward, and N at the same pose in it
+    as in the article's frame 0; the identity for the article's head."""
     roots: FloatArray
-    """(2, 3) the first joint of each eye, or its camera if it does not move, in frame 0, metres."""
+    """(2, 3) positions in frame 0 of each eye's first joint, or of its camera if it does not move,
+    m."""
     has_neck: bool
     is_article: bool
-    """Whether the head has the article's form."""
+    """True if the head has the article's form."""
 
     @property
     def baseline_m(self) -> float:
-        """The distance of the two cameras."""
+        """Distance of the two cameras, m."""
         return float(np.linalg.norm(self.cameras[1, :3, 3] - self.cameras[0, :3, 3]))
 
     @property
     def scale(self) -> float:
-        """The size of the head's parts by that of the article's."""
+        """Ratio of the size of the head's parts to the article's, from the baseline, 0.5 to 1.7."""
         if self.is_article:
             return 1.0
         return float(np.clip(self.baseline_m / ARTICLE_BASELINE_M, 0.5, 1.7))
 
     @property
     def eye_radius_m(self) -> float:
-        """The radius of an eyeball; those of a narrow head do not touch."""
+        """Radius of an eyeball, m; smaller for a narrow head, so that its eyes do not touch."""
         narrow = 1.0 if self.is_article else float(np.clip(self.baseline_m / 0.06, 0.1, 1.0))
         return EYE_RADIUS_M * narrow
 
     @property
     def bar(self) -> FloatArray:
-        """(2, 3) the ends of a bar behind both eyes' first joints, in frame 0, metres."""
+        """(2, 3) ends of a bar behind both eyes' first joints, in frame 0, metres."""
         return np.asarray(self.roots - 1.6 * self.eye_radius_m * self.base[:3, 2])
 
     @property
     def stand(self) -> FloatArray:
-        """(3,) where the head stands, in frame 0: its neck, or the middle of that bar."""
+        """(3,) top of the stand in frame 0, metres: below the neck, or at the middle of the bar."""
         if self.is_article:
             return np.array([0.0, 0.0, -0.03])
         if self.has_neck:
@@ -75,7 +77,7 @@ class Posture(NamedTuple):
 
     @property
     def lowest_m(self) -> float:
-        """The height in the upright frame of the lowest joint or camera."""
+        """Height of the lowest joint or camera in the upright frame, m."""
         if self.is_article:
             return 0.0
         points = np.concatenate([self.links[:, :3, 3], self.cameras[:, :3, 3]])
@@ -83,7 +85,7 @@ class Posture(NamedTuple):
 
 
 def posture_of(head: HeadModel) -> Posture:
-    """One head at rest."""
+    """Compute the posture of one head at rest."""
     q, links = head.rest(), head.links.bodies()
     frames: list[FloatArray] = []
     for body in links:
@@ -117,6 +119,6 @@ def posture_of(head: HeadModel) -> Posture:
 
 
 def carriers(head: HeadModel) -> tuple[int, int, int]:
-    """What N and both cameras are fixed to, by its place in `Links.bodies`; -1 for the base."""
+    """Indices in `Links.bodies` of the bodies that carry N and both cameras; -1 for the base."""
     bodies = head.links.bodies()
     return chain_end(bodies, None), chain_end(bodies, 0), chain_end(bodies, 1)

@@ -1,6 +1,6 @@
-"""What surrounds the head in the MuJoCo model: a floor and lights, target boards, a fixed pair.
+"""Surroundings of the head in the MuJoCo model: floor, lights, target boards, a fixed pair.
 
-All of it stands in the upright frame of `vergence.models.mujoco.posture`, which is frame 0 for the
+All positions are in the upright frame of `vergence.models.mujoco.posture`, which is frame 0 for the
 article's head.
 """
 
@@ -30,11 +30,14 @@ from vergence.models.parts import FloatArray
 _GEOM: Final = mujoco.mjtGeom
 
 MAST_Y_M: Final = 0.075
-"""The mast of the fixed pair, behind the skull, in the upright frame."""
+"""y of the fixed pair's mast, behind the skull, in the upright frame, m (chosen: clear of the
+skull)."""
 _TEXELS: Final = 32
-"""Pixels of a board's texture along a cell: edges stay sharp under OpenGL's interpolation."""
+"""Texture pixels along a cell of a board (chosen: sharp edges under OpenGL's interpolation against
+memory)."""
 _TOWARDS_HEAD: Final = (0.0, 0.0, 0.5**0.5, -(0.5**0.5))
-"""Quaternion of what is upright before the head at rest: x_T = -x_0, y_T = -z_0, z_T = -y_0."""
+"""Quaternion (w, x, y, z) of an upright board in front of the head at rest: x_T = -x_0, y_T = -z_0,
+z_T = -y_0 (numerical)."""
 
 
 class FixedPair(NamedTuple):
@@ -46,35 +49,35 @@ class FixedPair(NamedTuple):
     principal_px: tuple[float, float] = (645.09, 368.27)
     baseline_m: float = 0.063
     position_m: tuple[float, float, float] = (-0.0122, -0.078, 0.14)
-    """Midpoint between both optical centres, in the upright frame: above the eyes at rest."""
+    """Midpoint between both optical centres in the upright frame, above the eyes at rest."""
 
 
 FIXED_PAIR: Final = FixedPair()
 
 
 class Surroundings(NamedTuple):
-    """Where a head's surroundings are."""
+    """Position and size of a head's surroundings."""
 
     frame: FloatArray
-    """(4, 4) the upright frame in frame 0."""
+    """(4, 4) pose of the upright frame in frame 0."""
     floor_m: float = -0.26
-    """The floor's height in the upright frame."""
+    """Height of the floor in the upright frame, m."""
     foot: tuple[float, float] = (0.0, 0.0)
-    """Where the head stands on the floor, x and y in the upright frame."""
+    """Position of the stand on the floor, x and y in the upright frame, m."""
     extent_m: float = 0.6
-    """How far what is looked at reaches."""
+    """Extent of the scene for the viewer (MuJoCo's `stat.extent`), m."""
 
     @property
     def gravity(self) -> FloatArray:
-        """(3,) the acceleration that gravity gives, in frame 0, m/s^2."""
+        """(3,) acceleration of gravity in frame 0, m/s^2."""
         return 0.0 - 9.81 * self.frame[:3, 2]
 
     def at(self, point: ArrayLike) -> FloatArray:
-        """(3,) a point of the upright frame in frame 0."""
+        """Transform a point (3,) from the upright frame to frame 0."""
         return np.asarray(self.frame[:3, :3] @ np.asarray(point) + self.frame[:3, 3])
 
     def placed(self, point: ArrayLike, quat: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> dict[str, Any]:
-        """The attributes of what stands at a point of the upright frame, turned by a quaternion."""
+        """Convert a position and a quaternion in the upright frame to MuJoCo's attributes."""
         if np.array_equal(self.frame, np.eye(4)):
             return {"pos": point, "quat": quat}
         pose = np.eye(4)
@@ -84,7 +87,7 @@ class Surroundings(NamedTuple):
 
 
 def surroundings_of(head: HeadModel) -> Surroundings:
-    """Where the surroundings of a head are."""
+    """Compute the position and size of a head's surroundings."""
     posture = posture_of(head)
     if posture.is_article:
         return Surroundings(posture.upright)
@@ -104,9 +107,9 @@ def add_target(
 
     Args:
         spec: the specification to extend.
-        name: of the body.
-        board: what it shows; None for the board of that name with its default size.
-        around: where it stands.
+        name: name of the body.
+        board: the board on the target; None for the board of that name with its default size.
+        around: the surroundings of the head.
 
     Raises:
         UnknownNameError: there is no board of that name.
@@ -117,7 +120,7 @@ def add_target(
     centre = size / 2.0 - board.cell_m * np.array(board.origin_cells)
     file = f"assets/{name}.png"
     spec.assets = {**spec.assets, file: _png(texture(board, _TEXELS))}
-    # on the face of a box that looks along -z, textures stand upside down
+    # textures are upside down on the face of a box that looks along -z
     spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file, vflip=True)
     material = spec.add_material(name=name, specular=0.0, shininess=0.0, emission=0.4)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
@@ -138,7 +141,7 @@ def _png(image: NDArray[np.uint8]) -> bytes:
 
 
 def add_fixed_pair(spec: mujoco.MjSpec, around: Surroundings, pair: FixedPair = FIXED_PAIR) -> None:
-    """Add the body `fixed_pair`, its frame x right, y down, z forward, midway of its cameras."""
+    """Add the body `fixed_pair`: x right, y down, z forward, origin midway between its cameras."""
     place = around.placed(pair.position_m, _TOWARDS_HEAD)
     body = spec.worldbody.add_body(name="fixed_pair", **place)
     size = np.array([pair.width, pair.height])
@@ -191,7 +194,7 @@ def add_scenery(spec: mujoco.MjSpec, around: Surroundings) -> None:
     bottom = around.at([*around.foot, around.floor_m])
     top = around.at([*around.foot, around.floor_m + 0.012])
     add_segment(spec.worldbody, COLOURS[DARK], bottom, top, 0.09)
-    # offset samples and shadow maps cost most of a frame on a CPU, and pictures do without
+    # offscreen multisampling and shadow maps take most of a frame's time on a CPU
     spec.visual.quality.offsamples = 0
     spec.visual.quality.shadowsize = 0
     spec.visual.rgba.haze = [0.16, 0.17, 0.19, 1.0]

@@ -1,17 +1,17 @@
 r"""The servos of the MuJoCo model: velocity control with the actuators' lags and accelerations.
 
-A servo turns a commanded velocity u into the torque `clip(k_v (u - v), +-M a_max)`, M being what
-it turns, nearly all of it rotors seen through the gear. That is the preset's actuator
-`dv/dt = clip((u - v) / tau, +-a_max)` if `k_v = M / tau`. MuJoCo's semi-implicit Euler
-advances the velocity by `h k_v / M (u - v)`, so `k_v = M (1 - exp(-h / tau)) / h` makes a step of
-length h exact, and puts the switch from the acceleration limit to the lag where the exact motion
-has it, to second order; the implicit integrators clip earlier and cannot. The angle is advanced
-with the velocity at the end of the step, which leaves it half a step ahead: `q - h v / 2` is the
-angle of the exact actuator, to second order in h.
+A servo turns a commanded velocity u into the torque `clip(k_v (u - v), +-M a_max)`. M is its load
+inertia, nearly all of it rotors reflected through the gear. With `k_v = M / tau` this is the
+preset's actuator `dv/dt = clip((u - v) / tau, +-a_max)`. MuJoCo's semi-implicit Euler integrator
+advances the velocity by `h k_v / M (u - v)`. With `k_v = M (1 - exp(-h / tau)) / h` a step of
+length h is therefore exact, and the switch from the acceleration limit to the lag is where the
+exact motion has it, to second order in h. The implicit integrators clip earlier, so they cannot do
+this. The angle is advanced with the velocity at the end of the step, which puts it half a step
+ahead: `q - h v / 2` is the angle of the exact actuator, to second order in h.
 
-An actuator that turns several joints acts on a tendon, whose length is the sum of the joints times
-factors. Joints that follow others, or rotors with bodies of their own, are held to that by equality
-constraints.
+An actuator that turns several joints acts on a tendon, whose length is the weighted sum of the
+joint angles. Equality constraints hold coupled joints to the joints, or to the rotors with bodies
+of their own, that they follow.
 """
 
 from collections.abc import Sequence
@@ -28,28 +28,28 @@ from vergence.models.mujoco.drives import Drive, Tie
 from vergence.models.parts import FloatArray
 
 _RIGID: Final = [0.9999, 0.9999, 0.001, 0.5, 2.0]
-"""`solimp` of a tie: the most that MuJoCo's solver takes of a disturbance."""
+"""`solimp` of a coupling: as stiff as MuJoCo's solver allows (numerical)."""
 
-_ROTOR_MASS: Final = 1e-3
-_ROTOR_INERTIA: Final = 1e-6
-"""kg and kg m^2, of a rotor's body: MuJoCo wants some; the inertia seen through the gear counts."""
+# MuJoCo requires a mass and an inertia of a rotor's body; only its armature matters (numerical).
+_ROTOR_MASS: Final = 1e-3  # kg
+_ROTOR_INERTIA: Final = 1e-6  # kg m^2
 
 
 def servo_rate(lag_s: float, timestep_s: float) -> float:
-    """The rate in 1/s with which explicit steps follow the exact lag: `(1 - exp(-h / tau)) / h`."""
+    """Rate, 1/s, at which explicit steps reproduce the exact lag: `(1 - exp(-h / tau)) / h`."""
     return -expm1(-timestep_s / lag_s) / timestep_s if lag_s > 0.0 else 1.0 / timestep_s
 
 
 def add_servos(
     spec: mujoco.MjSpec, head: HeadModel, drives: Sequence[Drive], loads: FloatArray
 ) -> None:
-    """Add an actuator for each drive, whose control is the commanded velocity in rad/s.
+    """Add an actuator for each drive; its control is the commanded velocity, rad/s.
 
     Args:
         spec: the specification to extend; its time step is set.
-        head: whose limits and lags the servos have.
-        drives: what each turns.
-        loads: (7,) the inertia of that, kg m^2.
+        head: the head; it supplies limits and lags.
+        drives: the actuators and their joints.
+        loads: (7,) load inertias of the actuators, kg m^2.
     """
     own = head.actuation
     for drive in drives:
@@ -73,7 +73,7 @@ def add_servos(
 
 
 def _add_tendon(spec: mujoco.MjSpec, drive: Drive) -> None:
-    """A tendon as long as the actuator's angle, which the actuator's limits hold for."""
+    """Add a tendon whose length is the drive's sum of joint angles, with the drive's limits."""
     tendon = _tendon(spec, drive.name, drive.joints)
     tendon.limited = mujoco.mjtLimited.mjLIMITED_TRUE
     tendon.range = [drive.lower, drive.upper]
@@ -88,12 +88,12 @@ def _tendon(spec: mujoco.MjSpec, name: str, joints: Sequence[tuple[str, float]])
 
 
 def add_rotors(spec: mujoco.MjSpec, drives: Sequence[Drive], inertia: FloatArray) -> None:
-    """Add a body for each rotor of the eyes' actuators, which only turns.
+    """Add a body that can only rotate for each rotor of the eyes' actuators.
 
     Args:
         spec: the specification to extend; its time step is set.
-        drives: what each turns.
-        inertia: (7,) kg m^2.
+        drives: the actuators and their joints.
+        inertia: (7,) inertia of the rotors, kg m^2.
     """
     for drive in drives:
         if drive.slot >= NECK.stop:
@@ -112,11 +112,11 @@ def add_rotors(spec: mujoco.MjSpec, drives: Sequence[Drive], inertia: FloatArray
 
 
 def add_ties(spec: mujoco.MjSpec, ties: Sequence[Tie]) -> None:
-    """Hold joints to those that they follow.
+    """Add equality constraints for coupled joints.
 
     Args:
         spec: the specification to extend; its time step is set.
-        ties: the joints.
+        ties: the coupled joints.
     """
     objects = {
         mujoco.mjtEq.mjEQ_JOINT: mujoco.mjtObj.mjOBJ_JOINT,

@@ -1,4 +1,4 @@
-"""Shapes that are seen and neither touch nor weigh, and the materials of a head."""
+"""Visible shapes without mass or contacts, and the materials of a head."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -22,7 +22,7 @@ UNTOUCHABLE: Final = {"contype": 0, "conaffinity": 0, "mass": 0.0}
 
 
 def add_materials(spec: mujoco.MjSpec) -> None:
-    """Add the materials that shapes of a head name."""
+    """Add the materials of the head's shapes."""
     for name, rgba in COLOURS.items():
         spec.add_material(name=name, rgba=rgba, shininess=_SHININESS[name], specular=0.4)
 
@@ -41,9 +41,9 @@ def add_segment(
 
 
 def add_shape(body: Any, kind: mujoco.mjtGeom, look: str | Sequence[float], **where: Any) -> None:
-    """Add a shape that looks like a material of the head, or has a colour of its own.
+    """Add a shape with a material of the head, or with a colour of its own.
 
-    What surrounds the head names no material of it, so that files of the two can be separate.
+    The surroundings use colours, not the head's materials, so both can be in separate files.
     """
     colour = {"material": look} if isinstance(look, str) else {"rgba": look}
     body.add_geom(type=kind, **colour, **where, **UNTOUCHABLE)

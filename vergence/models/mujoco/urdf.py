@@ -1,4 +1,4 @@
-"""The head as URDF: the same tree, limits and inertia, and the frames N and C as links."""
+"""Export of the head as URDF: same tree, limits and inertia; the frames N and C are links."""
 
 import xml.etree.ElementTree as ET
 from math import atan2, cos, hypot, sin
@@ -20,14 +20,14 @@ from vergence.models.parts import FloatArray
 def to_urdf(head: HeadModel) -> str:
     """Write one head as URDF.
 
-    The link `base` is frame 0, `<joint>_link` carries the frame that the joint turns about its z,
-    `N` is the base frame of gaze and `left_camera`, `right_camera` are the optical frames (x right,
-    y down, z forward). Efforts are the torques of the acceleration limits, or of reaching full
-    speed within a control period where there is no limit. URDF has no place for the cameras'
-    intrinsics, nor for the inertia of the rotors, which the efforts include.
+    The link `base` is frame 0. The z axis of a link `<joint>_link` is the axis of its joint. `N` is
+    the base frame of gaze, and `left_camera` and `right_camera` are the optical frames (x right, y
+    down, z forward). Efforts are the torques at the acceleration limits; without a limit, the
+    torque that reaches full speed within a control period. URDF cannot hold the cameras'
+    intrinsics, nor the inertia of the rotors, which the efforts include.
 
-    A joint that follows one other does so by `mimic`. URDF cannot say more of actuators that turn
-    several joints, as a version and a vergence do: comments do.
+    A joint that follows one other joint has a `mimic` element. URDF cannot describe actuators that
+    turn several joints, as a version and a vergence do; comments state their equations.
 
     Args:
         head: one head, not a population.
@@ -43,7 +43,7 @@ def to_urdf(head: HeadModel) -> str:
             f"URDF: expected one head, got a population of shape {head.batch_shape}"
         )
     robot = ET.Element("robot", name=head.name)
-    # MuJoCo reads this and leaves the frames apart; other programs pass over it
+    # MuJoCo reads this and keeps the fixed frames as bodies; other programs ignore it
     compiler = ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler")
     compiler.set("fusestatic", "false")
     ET.SubElement(robot, "link", name="base")
@@ -73,8 +73,8 @@ def to_urdf(head: HeadModel) -> str:
 def roll_pitch_yaw(rotation: FloatArray) -> tuple[float, float, float]:
     """URDF's angles of a rotation, `RotZ(yaw) RotY(pitch) RotX(roll)`, also at pitch +-pi/2.
 
-    The yaw comes first and the roll is taken from what remains, so that where only their sum
-    or difference is determined the two still make the same rotation.
+    The yaw is computed first and the roll from the remaining rotation. If only their sum or
+    difference is determined, the two still give the same rotation.
     """
     r = rotation
     yaw = atan2(r[1, 0], r[0, 0]) if hypot(r[0, 0], r[1, 0]) > 1e-9 else 0.0
@@ -139,12 +139,12 @@ def _add_tie(joint: ET.Element, tie: Tie) -> None:
 
 
 def _comment(text: str) -> str:
-    """Text that a comment of XML can hold."""
+    """Make a text valid inside an XML comment."""
     return text.replace("--", "- -").removesuffix("-")
 
 
 def _text(values: ArrayLike) -> str:
-    # 15 digits are what a float64 keeps of any decimal, so that 0.0448 stays 0.0448
+    # a float64 keeps 15 digits of any decimal, so 0.0448 stays 0.0448
     exact = np.atleast_1d(values)
     rounded = np.where(np.abs(exact) < 1e-15, 0.0, exact)
     return " ".join(f"{value:.15g}" for value in rounded)
