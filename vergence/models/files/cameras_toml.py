@@ -92,7 +92,7 @@ def _parse_lens(table: Table) -> tuple[str, FloatArray]:
 
 
 def _refuse_unnamed(table: Table) -> None:
-    """Refuse coefficients without a lens name if their count is of a model beside the default."""
+    """Refuse coefficients without a lens name if their count fits a non-default model."""
     given = table.peek("distortion")
     for lens, coefficients in LENSES.items():
         if lens != BROWN_CONRADY and isinstance(given, list) and len(given) == len(coefficients):

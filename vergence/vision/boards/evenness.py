@@ -17,8 +17,8 @@ _BINOMIALS: Final = np.array(
 )
 """Coefficients of the n-th difference, row n."""
 _BENDS: Final = (3, 6)
-"""Lowest and highest degree of the polynomial that models lens distortion beside a homography
-(chosen)."""
+"""Lowest and highest degree of the polynomial that models lens distortion on top of a
+homography (chosen)."""
 _FREE: Final = 1.6
 """Least number of corners per coefficient of that polynomial (chosen: avoids overfitting)."""
 

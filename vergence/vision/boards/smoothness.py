@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from vergence.vision.boards.homographies import homography
 
 _HIGHEST: Final = 8
-"""Highest degree of the polynomial that models lens distortion beside a homography (chosen)."""
+"""Highest degree of the polynomial that models lens distortion on top of a homography (chosen)."""
 _COARSE: Final = 3
 """Highest degree in the first fit, which finds corners mistaken for others (chosen)."""
 _FREE: Final = 2.0
@@ -35,7 +35,7 @@ class Smooth(NamedTuple):
     uneven_px: float
     """Standard deviation of the inliers' residuals, of each coordinate; 0 if unknown."""
     bend_px: NDArray[np.float64]
-    """(2,) lens distortion beside the homography at the board's origin."""
+    """(2,) lens distortion at the board's origin, added to the homography."""
     bend_sigma_px: float
     """Standard deviation of each coordinate of `bend_px`."""
 
