@@ -1,4 +1,4 @@
-"""From images to pixels: drawing the target as a camera sees it, and detecting it."""
+"""Render a calibration target as a camera images it, and detect targets in images."""
 
 from vergence.models.april_grid import AprilGrid
 from vergence.models.board_text import parse_target

@@ -1,4 +1,4 @@
-"""Kernels of the two blurs of an exposure: the lens's and the motion's."""
+"""Kernels of lens blur and motion blur."""
 
 import math
 
@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 
 def gaussian_taps(blur: float) -> tuple[int, float]:
-    """Half the kernel's size and the sigma for which its taps have the wanted variance.
+    """Radius of a Gaussian kernel and the sigma that gives its taps the wanted standard deviation.
 
-    Three taps cost half of five and reach a variance of 2/3.
+    A kernel of three taps costs half as much as one of five and reaches a variance of 2/3.
     """
     share = 0.5 * blur**2
     if share < 0.01:
@@ -21,7 +21,7 @@ def gaussian_taps(blur: float) -> tuple[int, float]:
 
 
 def motion_kernel(smear: NDArray[np.float64]) -> NDArray[np.float32]:
-    """A line through the centre, of the length and direction of a displacement in samples."""
+    """Kernel of a uniform motion: a line through its centre with a displacement in samples."""
     count = max(math.ceil(4 * math.hypot(smear[0], smear[1])), 2)
     fraction = (np.arange(count) + 0.5) / count - 0.5
     half_x, half_y = (math.ceil(0.5 * abs(value)) + 1 for value in smear.tolist())

@@ -1,4 +1,4 @@
-"""Where a target at rest appears once the camera has moved."""
+"""Predict the pixels of a target at rest after a camera motion."""
 
 from math import hypot, isfinite, nan
 from typing import Final
@@ -10,16 +10,18 @@ from vergence.models.packed import camera_at
 from vergence.models.parts import FloatArray
 
 _DEPTH_M: Final = 1.0
-"""Of a target whose size is not known; it scales what a camera's translation, not its turning,
-does to the image."""
+"""Depth of a target of unknown size, m; scales the image motion by a camera's translation, not by
+its rotation (chosen: a usual working distance)."""
 _NEAREST: Final = 0.05
-"""Least depth of a predicted corner, by the target's: less is beside the camera or behind it."""
+"""Least depth of a predicted corner, as a ratio to the target's; a smaller one is beside or behind
+the camera (chosen)."""
 _NO_ROTATION: Final = 1e-3
+"""Tolerance on the products of a rotation's rows (chosen: accepts rounded poses)."""
 
 
 @compiled
 def is_pose(pose: FloatArray) -> bool:
-    """Whether the upper left of a (4, 4) matrix is a rotation, and the translation finite."""
+    """True if a (4, 4) matrix has a rotation at its upper left and a finite translation."""
     for i in range(3):
         for j in range(3):
             product = 0.0
@@ -43,18 +45,19 @@ def carry(
     corners_m: FloatArray,
     out: FloatArray,
 ) -> bool:
-    """Carry pixels of a target along with the camera.
+    """Predict the pixels of a target at rest at another camera pose.
 
     Args:
-        pixels: (n + 1, 2) the target's corners, nan where there is none, and its point, px.
-        row: the camera, see `pack_camera`.
-        before: (4, 4) T_0_C at their exposure, m.
-        now: (4, 4) T_0_C.
-        corners_m: (n, 2) the corners on the board; (0, 2) where its size is not known.
-        out: (n + 1, 2) result: where they appear now.
+        pixels: (n + 1, 2) the target's corners, nan where not detected, and its point, px.
+        row: the packed camera, see `pack_camera`.
+        before: (4, 4) T_0_C at the exposure of `pixels`, m.
+        now: (4, 4) T_0_C to predict for, m.
+        corners_m: (n, 2) the corners on the board, m; (0, 2) if its size is unknown.
+        out: (n + 1, 2) result: the predicted pixels, px.
 
     Returns:
-        Whether the point appears at all.
+        True if the point is predicted inside the lens model and no corner beside or behind the
+        camera.
     """
     camera = camera_at(row, 0)
     count = len(pixels)

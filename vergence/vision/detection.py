@@ -1,10 +1,10 @@
-"""Detecting a planar target: what a detection is, and what a detector does.
+"""Detection of planar targets: the result, and the interface of all detectors.
 
 Pixels follow OpenCV: the centre of the upper left pixel is (0, 0).
 
-A detector accepts only what it can read: after refinement the cells of the board are compared with
-what is printed there, each by the levels around it. A target that is half hidden is None, never a
-wrong point.
+A detector accepts only targets that it can read: after refinement it compares each cell of the
+board with the printed pattern, relative to the grey levels around the cell. For a half-hidden
+target it returns None, never a wrong point.
 """
 
 from abc import ABC, abstractmethod
@@ -29,11 +29,12 @@ from vergence.vision.optics import EyeCamera, FlatView, NoLens, ray_table
 
 _REGION_MARGIN_SHARE = 0.5
 _REGION_MARGIN_PX = 24
-"""Margin of the tracked region around the outermost corners: so much of the board's size, for its
-rim, and so much for an error of prediction."""
+"""Margin of the search region around the outermost corners: a fraction of the board's size, for its
+rim, plus pixels for the prediction error (chosen)."""
 _LEAST_REGION_PX = 24
+"""Smallest side of a search region, px (chosen)."""
 _NO_RAYS = np.zeros((0, 0, 2), np.float32)
-_NO_RAYS.setflags(write=False)  # as tables of rays are: kernels are compiled for one kind
+_NO_RAYS.setflags(write=False)  # read-only like tables of rays, so that kernels compile only once
 _NO_LENS = NoLens()
 _NO_CAMERA = pack_camera((1, 1), np.ones(2), np.zeros(2), BROWN_CONRADY, np.zeros(5))
 
@@ -41,15 +42,15 @@ TargetT = TypeVar("TargetT", bound=Target)
 
 
 class Detection(NamedTuple):
-    """Where a target is in an image."""
+    """A detected target in an image."""
 
     target: PlanarTarget
-    """What was found: of a family, one tag; of a ChArUco board, the layout that it has."""
+    """The target found: one tag of a family; a ChArUco board with the layout found."""
     point_px: NDArray[np.float64]
     """The measured point, (u, v), shape (2,)."""
     corners_px: NDArray[np.float64]
-    """Its corners in the order of the target's ``corners_m``, shape (n, 2); nan for those of a
-    ChArUco board or an AprilGrid that were not found."""
+    """Corners in the order of the target's ``corners_m``, shape (n, 2); nan for undetected corners
+    of a ChArUco board or an AprilGrid."""
     sigma_px: NDArray[np.float64]
     """Standard deviations of the measured point's u and v, shape (2,)."""
     corners_sigma_px: NDArray[np.float64]
@@ -57,15 +58,15 @@ class Detection(NamedTuple):
 
 
 class Detector(ABC, Generic[TargetT]):
-    """Finds a target in images of one eye.
+    """Base class of detectors, which find a target in images of one eye.
 
     Attributes:
-        target: what to look for.
-        camera: the eye, whose lens is taken into account and whose size images must have; None for
-            a pinhole and images of any size.
-        response: light by grey level, which edges are fitted in, see `parse_response`; None where
-            neither the caller nor the camera says, and each image by its kind, see
-            `default_response`.
+        target: target to find.
+        camera: the eye, for its lens model and the size that images must have; None for a pinhole
+            and images of any size.
+        response: response curve (light by grey level), since edges are fitted in light, see
+            `parse_response`; None if neither the caller nor the camera gives one. Then it depends
+            on whether an image has colours, see `default_response`.
     """
 
     def __init__(
@@ -87,39 +88,39 @@ class Detector(ABC, Generic[TargetT]):
         self._size = None if camera is None else (camera.width, camera.height)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as the arguments: what is behind cannot be pickled."""
+        """Pickle the arguments alone: the rest of the state cannot be pickled."""
         of_camera = None if self.camera is None else self.camera.response
         own = () if self.response == of_camera else (self.response,)
         return type(self), (self.target, self.camera, *own)
 
     def detect_all(self, image: ArrayLike) -> list[Detection]:
-        """Find every target of the kind asked for, however long that takes.
+        """Find all targets in an image by an exhaustive search, without regard to time.
 
         Args:
-            image: any that `as_grey` takes.
+            image: an image in any form that `as_grey` accepts.
 
         Returns:
-            The detections, tags by their numbers; a board is found once at most.
+            The detections, tags ordered by number; a board is found at most once.
 
         Raises:
-            ConfigurationError: this is no image, or not of the camera's size.
+            ConfigurationError: the image is invalid, or not of the camera's size.
         """
         return self._detect_all(self._grey(image))
 
     def detect(self, image: ArrayLike, near_px: ArrayLike | None = None) -> Detection | None:
-        """Search a whole image, by the quick ways first and by all if they find nothing.
+        """Search a whole image, first by quick methods and, if these find nothing, exhaustively.
 
         Args:
-            image: any that `as_grey` takes.
-            near_px: (2,) where it is expected; of several the nearest one is taken, without it the
-                largest.
+            image: an image in any form that `as_grey` accepts.
+            near_px: (2,) expected position; of several detections the nearest is returned, or the
+                largest if this is None.
 
         Returns:
-            The detection, or None where there is nothing that can be read.
+            The detection; None if no target can be read.
 
         Raises:
-            ConfigurationError: this is no image, or not of the camera's size; `near_px` is no
-                pixel.
+            ConfigurationError: the image is invalid, or not of the camera's size; `near_px` is
+                not a pixel.
         """
         grey = self._grey(image)
         near = None if near_px is None else as_pixel("near_px", near_px)
@@ -128,19 +129,19 @@ class Detector(ABC, Generic[TargetT]):
     def search(
         self, image: ArrayLike, near_px: ArrayLike | None = None, way: int | None = None
     ) -> Detection | None:
-        """Search a whole image by the quick ways alone, as a loop at camera rate has to.
+        """Search a whole image by the quick methods alone, for loops at camera rate.
 
         Args:
             image: see `detect`.
             near_px: see `detect`.
-            way: the number of one of them, of which there are as many as one likes: a target that
-                is lost is searched by one way an image; None for all of them in turn.
+            way: number of a single method, any integer (they repeat in turn), to search for a
+                lost target by one method per image; None for all methods.
 
         Returns:
-            As `detect`.
+            See `detect`.
 
         Raises:
-            ConfigurationError: as `detect`.
+            ConfigurationError: see `detect`; `way` is not an integer.
         """
         near = None if near_px is None else as_pixel("near_px", near_px)
         if way is not None and not isinstance(way, int | np.integer):
@@ -148,21 +149,22 @@ class Detector(ABC, Generic[TargetT]):
         return _choose(self._detect_some(self._grey(image), way), near)
 
     def track(self, image: ArrayLike, predicted: Detection) -> Detection | None:
-        """Look for the target near where it is predicted only.
+        """Search for the target only near its predicted position.
 
-        The predicted corners are refined; where that fails, a region as large as the target, with a
-        margin, is searched.
+        The predicted corners are refined; if that fails, a region of the target's size with a
+        margin is searched.
 
         Args:
-            image: any that `as_grey` takes.
-            predicted: a former detection, its point and corners where they are expected now.
+            image: an image in any form that `as_grey` accepts.
+            predicted: an earlier detection with its point and corners moved to the predicted
+                pixels.
 
         Returns:
-            The detection, or None where there is nothing that can be read.
+            The detection; None if no target can be read.
 
         Raises:
-            ConfigurationError: this is no image, or not of the camera's size; the prediction is no
-                detection of such a target.
+            ConfigurationError: the image is invalid, or not of the camera's size; the prediction
+                is not a detection of this target.
         """
         grey = self._grey(image)
         self._check(predicted)
@@ -182,13 +184,13 @@ class Detector(ABC, Generic[TargetT]):
         return _choose(self._detect_in(grey, (x0, y0, x1, y1), predicted), predicted.point_px)
 
     def response_of(self, image: ArrayLike) -> Response:
-        """The response that an image is read with: the stated one, or that of its kind."""
+        """Response used for an image: the stated one, or the default for grey or colour images."""
         if self.response is not None:
             return self.response
         return default_response(colour=has_colours(image))
 
     def _grey(self, image: ArrayLike) -> NDArray[np.uint8]:
-        """The levels of an image, and the light that they stand for kept for its fits."""
+        """Grey levels of an image; also keeps the light by level for fits in this image."""
         self._light = light_of_levels(self.response_of(image))
         return measured_levels(image, self._size)
 
@@ -206,41 +208,41 @@ class Detector(ABC, Generic[TargetT]):
             )
 
     def _flat(self, pixels: NDArray[np.float64]) -> FlatView | NoLens:
-        """The plane about some pixels that the lens does not bend."""
+        """Undistorted plane around some pixels."""
         return _NO_LENS if self._lens is None else self._lens.flat_about(pixels)
 
     @abstractmethod
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
-        """See `detect_all`, of an image in grey levels."""
+        """Implement `detect_all` for an image in grey levels."""
 
     @abstractmethod
     def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
-        """As `_detect_all`, but what is found by the quick ways, or by one of them, is enough."""
+        """Find targets by the quick methods, or by the single method of a number."""
 
     def _detect_rest(self, image: NDArray[np.uint8]) -> list[Detection]:
-        """As `_detect_all`, in an image in which the quick ways find nothing."""
+        """Find all targets after the quick methods have found none."""
         return self._detect_all(image)
 
     @abstractmethod
     def _detect_in(
         self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
     ) -> list[Detection]:
-        """Search a region x0 <= u < x1, y0 <= v < y1 for what was predicted."""
+        """Search a region x0 <= u < x1, y0 <= v < y1, (x0, y0, x1, y1), for a predicted target."""
 
     @abstractmethod
     def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
-        """Refine predicted corners; None where the target does not lie there."""
+        """Refine predicted corners; None if the target is not there."""
 
 
 def as_pixel(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    """A place in an image.
+    """Convert a value to a pixel (u, v).
 
     Args:
-        name: what the message calls it.
-        value: (2,) its u and v.
+        name: name of the value, for the message.
+        value: (2,) u and v.
 
     Raises:
-        ConfigurationError: this is none.
+        ConfigurationError: the value is not a finite pixel.
     """
     try:
         pixel = np.asarray(value, float)
@@ -252,7 +254,7 @@ def as_pixel(name: str, value: ArrayLike) -> NDArray[np.float64]:
 
 
 def _choose(found: Sequence[Detection], near_px: NDArray[np.float64] | None) -> Detection | None:
-    """The nearest of several detections, or the largest."""
+    """Detection nearest to a pixel, or the largest if there is none."""
     if len(found) < 2:
         return found[0] if found else None
     if near_px is None:

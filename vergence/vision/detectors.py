@@ -1,4 +1,4 @@
-"""The detector of each kind of target."""
+"""Detector for each kind of target."""
 
 from typing import Any
 
@@ -17,18 +17,18 @@ from vergence.vision.tags.detector import TagDetector
 def make_detector(
     target: Target, camera: EyeCamera | None = None, response: Response | None = None
 ) -> Detector[Any]:
-    """The detector of a target.
+    """Make the detector of a target.
 
     Args:
-        target: what to look for, see `parse_target`.
-        camera: the eye's intrinsics: its lens is taken into account, and images must have its size.
-            Without it images are taken for a pinhole's, which places the centre of a tag and the
-            corners of a bent one a little beside; any size will do.
-        response: light by grey level, see `parse_response`; None for the camera's, or where that
-            has none by the kind of each image, see `default_response`.
+        target: target to find, see `parse_target`.
+        camera: intrinsics of the eye: its lens is modelled, and images must have its size. None
+            for images of any size from a pinhole; lens distortion then biases the centre of a tag
+            and the corners of a bent tag a little.
+        response: light by grey level, see `parse_response`; None for the camera's response or, if
+            it has none, a default by whether an image has colours, see `default_response`.
 
     Raises:
-        ConfigurationError: this is no target, or no response.
+        ConfigurationError: the target or the response is invalid.
     """
     if isinstance(target, Checkerboard):
         return CheckerboardDetector(target, camera, response)

@@ -1,21 +1,21 @@
-"""Drawing one eye's image of a planar target.
+"""Render one eye's image of a planar target.
 
-A frame is made in the order of a real camera: the board seen through pinhole and lens
-distortion, the blur of the lens and of the target's motion, the integration over each pixel's
-square, the rig's contrast (and the camera's response, where it is stated), white noise, and
-rounding to 8 bits. Only the board's region of interest is drawn; what surrounds it is plain
-background.
+A frame is rendered in the order of a real camera: projection of the board by pinhole and lens
+distortion, lens blur and motion blur, integration over the area of each pixel, the rig's contrast
+(and the camera's response, if stated), white noise, and rounding to 8 bits. Only the board's
+region of interest is drawn; the surroundings are plain background.
 
-Sampling. A board of black and white squares has no highest frequency, so samples of it alias,
-and an aliased edge is displaced: by up to a tenth of a pixel at two samples a pixel. The board is
-therefore sampled from a texture that is blurred by about a texel beforehand, and whose texel is
-about half a sample: bilinear interpolation between larger texels would alias in turn. The blur of
-texture, texel and sampling comb has a known variance; the Gaussian that follows adds what is
-missing to the variance of the lens and of a pixel's square.
+Sampling. A board of black and white squares is not band-limited, so sampling it causes aliasing,
+which displaces edges by up to a tenth of a pixel at two samples a pixel. The board is therefore
+sampled from a texture that is blurred by about a texel beforehand and whose texel is about half a
+sample, since bilinear interpolation between larger texels would alias in turn. The blur of
+texture, texel and sampling grid has a known variance; a Gaussian filter then adds the variance
+still missing to that of the lens blur and the pixel area.
 
-That blur is round in the texture. A board seen at a steep angle is foreshortened along one
-direction, and a texel that is fine enough along it is coarse along the other: from an incidence of
-48 degrees on, more samples are taken of each pixel, as many times more as the texel is too coarse.
+The texture's blur is isotropic. A board seen at a steep angle is foreshortened along one
+direction, and a texel that is fine enough along that direction is coarse along the other. From an
+incidence of 48 degrees on, more samples are taken per pixel, in proportion to the excess size of
+the texel.
 """
 
 import math
@@ -36,41 +36,49 @@ from vergence.vision.noise import NOISE_MEAN, NOISE_UNIT, noise_window
 from vergence.vision.optics import EyeCamera, ray_table
 
 _NEAREST_M = 0.02
+"""Smallest depth of a board's corner at which it is drawn, m (chosen)."""
 _LEAST_INCIDENCE = 0.05
-"""Cosine to the board's normal, about 87 degrees, beyond which a board is not drawn."""
+"""Least cosine between line of sight and the board's normal, about 87 degrees, at which it is
+drawn (chosen)."""
 _TEXELS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
-"""Texels of a cell in each level of the pyramid."""
+"""Texels per cell in each level of the texture pyramid."""
 _LEAST_TEXEL = 0.45
-"""Smallest texel, in samples, along the most foreshortened direction."""
+"""Smallest size of a texel, in samples, along the most foreshortened direction."""
 _TEXTURE_BLUR = 1.35
-"""Standard deviation of the texture's own blur, in texels. With the size of a texel above it
-holds a lens blur of at least 0.45 pixels at two samples a pixel."""
+"""Standard deviation of the texture's own blur, in texels. At the texel size above and two samples
+a pixel it suits a lens blur of at least 0.45 pixels."""
 _LEAST_FINE_TEXEL = 0.22
-"""The same where the image is to be sharper than that: the texture then has all of its blur."""
+"""Smallest size of a texel, in samples, for sharper images; the texture then has all the blur."""
 _FINE_BLURS = (1.35, 2.6)
+"""Range of the texture's blur for these images, in texels."""
 _STEEP = 1.5
-"""Ratio of the scales along and across from which on a view is steep: 48 degrees."""
+"""Ratio of the scales across and along the foreshortened direction above which a view is steep:
+48 degrees."""
 _FINER = 1.1
+"""Factor on the number of samples of steep views, for safety."""
 _MOST_FINER = 6
+"""Largest factor on the number of samples along each axis."""
 _TEXTURE_RIM = 9
+"""Surround of the board in a texture, texels."""
 _NOISE_MARGIN_PX = 12
-"""Background around the board that carries noise as well, for what a detector sees there."""
+"""Width of the background around the board that has noise too, for detectors that look there."""
 _TABLE_MARGIN_PX = 32
+"""Margin of the ray table around the frame, and so the largest reach of a blur beyond it."""
 
 Region = tuple[int, int, int, int]
-"""Pixels x0 <= u < x1, y0 <= v < y1 as (x0, y0, x1, y1)."""
+"""Region of the pixels x0 <= u < x1, y0 <= v < y1 as (x0, y0, x1, y1)."""
 
 
 class TargetDrawing:
     """One eye's frame with the target in it.
 
     Attributes:
-        camera: the eye's intrinsics, and the response by which light becomes grey levels; in
-            proportion where it has none.
+        camera: the eye's intrinsics, and the response that maps light to grey levels; linear if
+            it has none.
         target: the board.
         rendering: the rig's grey levels.
         frame: the image, uint8, shape (height, width), redrawn in place by `draw`.
-        region: the part of the frame that holds the board and the noise around it, or None.
+        region: the part of the frame with the board and the noise around it; None if empty.
 
     Raises:
         ConfigurationError: grey levels outside 0 to 255 or not in the order black, background,
@@ -152,7 +160,7 @@ class TargetDrawing:
     def _bounds_px(
         self, board: NDArray[np.float64], pose: NDArray[np.float64]
     ) -> tuple[float, float, float, float] | None:
-        """Least u and v of the board and the greatest, or None where its front cannot be seen."""
+        """Smallest u and v of the board and the largest; None if its front is not visible."""
         outline = self._outline_fine_T if self.camera.distorts else self._outline_T
         points = outline @ board.T
         if min(points[:, 2].tolist()) < _NEAREST_M:
@@ -161,15 +169,15 @@ class TargetDrawing:
         if a * x + b * y + c * z < _LEAST_INCIDENCE * math.sqrt(x * x + y * y + z * z):
             return None
         u, v = self.camera.project(points).T.tolist()
-        if math.isnan(sum(u) + sum(v)):  # beyond the lens model: it may be anywhere in the frame
+        if math.isnan(sum(u) + sum(v)):  # beyond the lens model: may be anywhere in the frame
             return 0.0, 0.0, self.camera.width, self.camera.height
         return min(u), min(v), max(u), max(v)
 
     def _sample_spacing(self, pose: NDArray[np.float64]) -> tuple[float, float]:
-        """Samples per metre on the board at T's origin, least and greatest over directions."""
+        """Samples per metre on the board at T's origin, smallest and largest by direction."""
         (ax, ay, _, x), (bx, by, _, y), (cx, cy, _, z), _ = pose.tolist()
         (f_u, f_v), scale = self.camera.focal_px, self.rendering.supersampling
-        # the projection's derivative by the board's x and y
+        # the derivative of the projection with respect to the board's x and y
         a, b = f_u * (ax - x / z * cx) / z, f_u * (ay - x / z * cy) / z
         c, d = f_v * (bx - y / z * cx) / z, f_v * (by - y / z * cy) / z
         if self.camera.bends_boards:
@@ -181,7 +189,7 @@ class TargetDrawing:
         return 0.5 * scale * abs(sum_ - difference), 0.5 * scale * (sum_ + difference)
 
     def _choose_level(self, spacing: tuple[float, float], finer: int) -> tuple[int, float, float]:
-        """Texels of a cell, the texture's blur in texels, and the blur in samples left to do."""
+        """Texels per cell, the texture's blur in texels, and the remaining blur in samples."""
         scale = finer * self.rendering.supersampling
         wanted = (scale * self.rendering.blur_px) ** 2 + scale**2 / 12 - (scale**2 - 1) / 12
         least, greatest = (finer * value * self.target.cell_m for value in spacing)
@@ -192,7 +200,7 @@ class TargetDrawing:
         if done > wanted:
             texels = _texels(least, _LEAST_FINE_TEXEL)
             exact = math.sqrt(max(wanted * (texels / mean) ** 2 - 1 / 12, 0.0))
-            # in steps, so that a gaze needs few textures
+            # rounded, so that a gaze needs few textures
             blur = min(max(math.floor(10 * exact) / 10, _FINE_BLURS[0]), _FINE_BLURS[1])
             done = (mean / texels) ** 2 * (1 / 12 + blur**2)
         return texels, blur, math.sqrt(max(wanted - done, 0.0))
@@ -200,7 +208,7 @@ class TargetDrawing:
     def _window(
         self, bounds: tuple[float, float, float, float], reach: int
     ) -> tuple[Region, Region] | None:
-        """The board's region within the frame, and the same with what its blur gathers from."""
+        """Region of the board within the frame, and that region plus the reach of the blur."""
         width, height = self.camera.width, self.camera.height
         reach = min(reach, _TABLE_MARGIN_PX)
         u0, v0, u1, v1 = bounds
@@ -214,7 +222,7 @@ class TargetDrawing:
     def _sample(
         self, board: NDArray[np.float64], region: Region, texels: int, blur: float, finer: int
     ) -> NDArray[np.uint8]:
-        """The board's grey, 0 black to 255 white, at each sample of a region."""
+        """Grey of the board at each sample of a region, 0 black to 255 white."""
         scale = self.rendering.supersampling
         x0, y0, x1, y1 = region
         image, texture_from_board = _level(self.target, texels, blur, self._surround)
@@ -225,7 +233,7 @@ class TargetDrawing:
                 (y0 + margin) * scale : (y1 + margin) * scale,
                 (x0 + margin) * scale : (x1 + margin) * scale,
             ]
-            if finer > 1:  # within a sample rays are straight
+            if finer > 1:  # rays are linear within a sample
                 finest: Any = cv2.resize(rays, None, fx=finer, fy=finer)  # bilinear
                 rays = finest
             where = cv2.perspectiveTransform(rays, texture_from_ray)
@@ -252,7 +260,7 @@ class TargetDrawing:
     def _expose(
         self, board: NDArray[np.uint8], drawn: Region, rng: np.random.Generator | None
     ) -> None:
-        """Put the board's region into the frame: contrast, noise and rounding."""
+        """Write the board's region into the frame with contrast, noise and rounding."""
         rendering = self.rendering
         if self._encoded is not None:
             board = np.asarray(cv2.LUT(board, self._encoded), np.uint8)
@@ -287,14 +295,14 @@ class TargetDrawing:
 
 
 def _encoding(rendering: Rendering, light: NDArray[np.float64]) -> tuple[float, NDArray[np.uint8]]:
-    """Shares of light between black and white as shares of grey between them, 0 to 255.
+    """Table from fractions of light between black and white to fractions of grey, both 0 to 255.
 
     Args:
-        rendering: the grey levels.
-        light: (256,) of each of them, see `light_of_levels`.
+        rendering: the grey levels of black, background and white.
+        light: (256,) light of each grey level, see `light_of_levels`.
 
     Returns:
-        The background's share of light, and the share of grey, shape (256,), by share of light.
+        The fraction of light of the background, and the table, shape (256,).
     """
     levels, contrast = np.arange(256.0), rendering.white_grey - rendering.black_grey
     greys = (rendering.black_grey, rendering.background_grey, rendering.white_grey)
@@ -302,13 +310,13 @@ def _encoding(rendering: Rendering, light: NDArray[np.float64]) -> tuple[float, 
     seen = np.interp(black + levels / 255.0 * (white - black), light, levels)
     encoded = np.rint(255.0 * (seen - rendering.black_grey) / contrast).astype(np.uint8)
     surround = 255.0 * (background - black) / (white - black)
-    # without an edge where the drawn region ends
+    # exact for the background, so that the drawn region has no visible border
     encoded[round(surround)] = round(255.0 * (rendering.background_grey - greys[0]) / contrast)
     return surround, encoded
 
 
 def _finer(spacing: tuple[float, float]) -> int:
-    """How many times as many samples along each axis a steep view takes."""
+    """Factor on the number of samples along each axis for steep views; 1 for others."""
     least, greatest = spacing
     if greatest <= _STEEP * least:
         return 1
@@ -316,7 +324,7 @@ def _finer(spacing: tuple[float, float]) -> int:
 
 
 def _texels(samples: float, least: float) -> int:
-    """Texels of a cell of so many samples, none smaller than so many of them."""
+    """Most texels for a cell of `samples` samples with texels of at least `least` samples."""
     return _TEXELS[max(bisect_right(_TEXELS, samples / least) - 1, 0)]
 
 
@@ -324,7 +332,7 @@ def _texels(samples: float, least: float) -> int:
 def _level(
     target: PlanarTarget, texels: int, blur: float, surround: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """The blurred texture, and the transform to its pixels from the board's plane in T."""
+    """Blurred texture, and the transform from the board's plane in T to its pixels."""
     image = texture(target, texels, surround=surround, rim=_TEXTURE_RIM, blur=blur)
     scale = texels / target.cell_m
     x, y = target.origin_cells
@@ -347,7 +355,7 @@ def _check(rendering: Rendering) -> None:
 
 
 def _along_edges(outline: NDArray[np.float64], parts: int) -> NDArray[np.float64]:
-    """Points along the closed outline, for edges that a lens bends."""
+    """Points along the closed outline, for edges that lens distortion bends."""
     steps = np.arange(parts)[:, None, None] / parts
     points = outline + steps * (np.roll(outline, -1, axis=0) - outline)
     return np.asarray(points.reshape(-1, outline.shape[1]), float)

@@ -1,4 +1,4 @@
-"""Images as detectors take them: 8 bits of grey, or light, of whatever a camera or file gives."""
+"""Convert images of cameras and files to the form detectors take: 8-bit grey levels, or light."""
 
 import math
 from collections.abc import Iterator
@@ -18,21 +18,29 @@ _EXPECTED: Final = (
     "whole numbers or floats"
 )
 _DEPTHS: Final = (8, 10, 12, 14, 16)
-"""Bits of a pixel that cameras have. What is wider than 8 comes in 16, mostly unscaled."""
+"""Bits per pixel of cameras; more than 8 come in 16 bits, mostly unscaled (physical: sensors)."""
 _USUAL_PERCENT: Final = 99.9
+"""Percentile that stands for the largest value of an image (chosen: ignores hot pixels)."""
 _MOST_UNIT: Final = 2.0
-"""The greatest float of an image whose white is 1."""
+"""Largest value of a float image that is taken to have its white at 1 (chosen: allows overshoot
+of interpolation)."""
 _CALM_GREY: Final = 1.5
-"""Noise, as a standard deviation, that searches for squares stand without smoothing."""
+"""Noise up to which an image is searched without smoothing, standard deviation in grey levels
+(chosen: sharpness against search time)."""
 _LOUD_GREY: Final = 8.0
+"""Noise above which an image is smoothed more, standard deviation in grey levels (chosen)."""
 _MEDIAN_OF_SECOND: Final = 1.652
-"""Of |2 a - b - c|, for normal numbers of standard deviation 1."""
+"""Median of |2 a - b - c| of normal numbers with standard deviation 1 (numerical)."""
 _LEAST_RANGE_GREY: Final = 6.0
+"""Smallest range of grey levels, beyond noise, of an image worth searching (chosen)."""
 _LEAST_SIDE_PX: Final = 16
+"""Smallest side of an image that is searched (chosen)."""
 _COLOURS_EVERY_PX: Final = 8
-"""Spacing of the pixels by which a video's image counts as grey; noise alone colours some."""
+"""Spacing of the pixels that decide whether a video's image is grey, px (chosen: noise alone
+colours some pixels, and fewer samples cost less)."""
 _SAME_GREY: Final = 3
-"""By how much channels of a grey image differ: what video codecs round in brightness and colour."""
+"""Largest difference of the channels of a grey image, grey levels, due to the rounding in video
+codecs (chosen)."""
 
 
 @overload
@@ -46,28 +54,32 @@ def as_grey(
 def as_grey(
     image: ArrayLike, size: tuple[int, int] | None = None, *, response: Response | None = None
 ) -> NDArray[Any]:
-    """An image in grey levels of 8 bits, or in light.
+    """Convert an image to 8-bit grey levels, or to light.
 
     Args:
         image: (height, width) or (height, width, 1) grey, (height, width, 3) BGR or
-            (height, width, 4) BGRA. uint8 is taken as it is; wider whole numbers by the least of
-            8, 10, 12, 14, 16 bits that holds them, but for a thousandth that may be hot pixels;
-            floats as 0 to 1, or as 0 to 255 (or to what 16 bits hold) where they are above 2; bool
-            as black and white. NaN is black.
-        size: (width, height) that it must have, a camera's; None for any.
-        response: light by level, see `parse_response`; None for the levels as they are.
+            (height, width, 4) BGRA. uint8 stays as it is. Wider integers are scaled by the smallest
+            depth of 8, 10, 12, 14, 16 bits that holds 99.9 % of them (the rest may be hot pixels).
+            Floats have the range 0 to 1 or, if they exceed 2, that of a depth in the same way.
+            bool is black and white. NaN is black.
+        size: required (width, height), such as the camera's; None for any.
+        response: light by grey level, see `parse_response`; None for grey levels.
 
     Returns:
-        Grey levels, uint8, shape (height, width), in one piece of memory that can be written; the
-        image itself where it is such already. With a response light, float32, 0 to 255: colours
-        are weighted as light, and no depth is lost.
+        Grey levels, uint8, shape (height, width), contiguous and writable; the image itself if it
+        has this form already. With a response, light, float32, 0 to 255: colours are weighted as
+        light, and no bit depth is lost.
 
     Raises:
-        ConfigurationError: this is no image, it is empty, or of another size; this is no response.
+        ConfigurationError: the image is invalid, empty or of another size, or the response is
+            invalid.
     """
     try:
         array = np.asarray(image)
-    except (TypeError, ValueError) as error:  # a tensor elsewhere, rows of different lengths
+    except (
+        TypeError,
+        ValueError,
+    ) as error:  # a tensor on a GPU, rows of different lengths
         raise ConfigurationError(f"image: {_EXPECTED}; got {type(image).__name__}") from error
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
@@ -90,40 +102,40 @@ def as_grey(
         code = cv2.COLOR_BGRA2GRAY if array.shape[2] == 4 else cv2.COLOR_BGR2GRAY
         array = np.asarray(cv2.cvtColor(np.ascontiguousarray(array), code))
     grey: NDArray[Any] = np.ascontiguousarray(array)
-    # kernels are compiled for arrays that can be written
+    # kernels are compiled for writable arrays
     return grey if grey.flags.writeable else grey.copy()
 
 
 def has_colours(image: ArrayLike) -> bool:
-    """Whether an image that `as_grey` takes has colours, not grey levels alone."""
+    """True if an image has colour channels."""
     shape = np.shape(image)
     return len(shape) == 3 and shape[2] in (3, 4)
 
 
 def measured_levels(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
-    """The levels of 8 bits that targets are measured in: of colours, those of green.
+    """8-bit levels in which targets are measured: grey, or the green channel of a colour image.
 
-    Green has half of a Bayer mosaic's pixels, and lies where it should where a lens bends red less
-    and blue more.
+    Green has half of the pixels of a Bayer mosaic, and lies between red and blue in the chromatic
+    aberration of a lens.
 
     Args:
         image: see `as_grey`.
-        size: the same.
+        size: see `as_grey`.
 
     Raises:
-        ConfigurationError: as `as_grey`.
+        ConfigurationError: see `as_grey`.
     """
     return as_grey(np.asarray(image)[..., 1] if has_colours(image) else image, size)
 
 
 def as_taken(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A video's image with colours only where its camera has them: OpenCV decodes grey as BGR.
+    """Convert a video frame of a grey camera back to grey: OpenCV decodes grey as BGR.
 
     Args:
-        frame: (height, width) or (height, width, 3) as OpenCV gives it.
+        frame: (height, width) or (height, width, 3) as decoded by OpenCV.
 
     Returns:
-        The frame, or its grey levels where all channels have the same.
+        The frame, or its grey levels if all channels are equal up to the rounding of codecs.
     """
     if not has_colours(frame):
         return frame
@@ -136,7 +148,7 @@ def _in_a_line(image: object) -> str:
 
 
 def _light(array: NDArray[Any], response: Response) -> NDArray[np.float32]:
-    """Levels of any depth as light, 0 to 255."""
+    """Convert levels of any depth to light, 0 to 255."""
     if array.dtype == np.uint8:
         light = light_of_levels(response)[array]
     else:
@@ -145,22 +157,22 @@ def _light(array: NDArray[Any], response: Response) -> NDArray[np.float32]:
 
 
 def _eight_bits(array: NDArray[Any]) -> NDArray[np.uint8]:
-    """Any numbers as 8 bits."""
+    """Convert levels of any depth to 8 bits."""
     return np.rint(_levels(array)).astype(np.uint8)
 
 
 def _levels(array: NDArray[Any]) -> NDArray[np.float32]:
-    """Any numbers as levels from 0 to 255, with what lies between whole ones."""
+    """Convert levels of any depth to floats from 0 to 255, without rounding."""
     if array.dtype.kind == "b":
         return np.where(array, np.float32(255.0), np.float32(0.0))
-    with np.errstate(over="ignore"):  # what is beyond float32 is none of a camera's levels
+    with np.errstate(over="ignore"):  # values beyond float32 are not a camera's levels
         values = np.asarray(array, np.float32)
     floats = array.dtype.kind == "f"
     if floats:
         values = np.nan_to_num(values, nan=0.0, posinf=np.inf, neginf=0.0)
     elif float(values.min()) < 0.0:
         raise ConfigurationError(f"image: expected grey levels of at least 0, got {values.min():g}")
-    # but for a hot pixel, or what an interpolation overshoots
+    # ignores hot pixels, and overshoot of interpolation
     some = values[:: max(values.shape[0] // 400, 1), :: max(values.shape[1] // 400, 1)]
     finite = some[np.isfinite(some)]
     greatest = float(np.percentile(finite, _USUAL_PERCENT)) if finite.size else 1.0
@@ -173,21 +185,21 @@ def _levels(array: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def smoothed(image: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
-    """An image in which searches for squares do not drown: smoothed where it is noisy.
+    """Smooth a noisy image for searches for squares.
 
-    They take ten times as long on an empty wall with noise as on one without. The noise is taken
-    from the median of second differences, which few edges lift.
+    Noise makes such a search take ten times as long on an empty wall. It is estimated by the
+    median of second differences, which edges hardly affect.
 
     Args:
         image: grey levels, shape (height, width).
 
     Returns:
-        The image itself where it is calm; None where nothing stands out of the noise, and nothing
-        is to be found.
+        The smoothed image; the image itself if it has little noise; None if nothing exceeds the
+        noise, so that there is nothing to find.
     """
     if min(image.shape) < _LEAST_SIDE_PX:
         return None
-    part = image[:: max(image.shape[0] // 200, 1)].astype(np.int16)  # some rows tell of all
+    part = image[:: max(image.shape[0] // 200, 1)].astype(np.int16)  # a subset of rows suffices
     second = np.abs(2 * part[:, 1:-1] - part[:, :-2] - part[:, 2:])
     noise = float(np.median(second)) / _MEDIAN_OF_SECOND
     if noise <= _CALM_GREY:
@@ -195,7 +207,7 @@ def smoothed(image: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
         return None if plain else image
     blur_px = 1.0 if noise <= _LOUD_GREY else 2.0
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px), np.uint8)
-    # white noise is divided by 2 sqrt(pi) times the blur; its extremes are some five deviations
+    # smoothing divides white noise by 2 sqrt(pi) blur; its extremes are at about five sigma
     left = noise / (2.0 * math.sqrt(math.pi) * blur_px)
     if int(smooth.max()) - int(smooth.min()) < _LEAST_RANGE_GREY + 10.0 * left:
         return None
@@ -204,7 +216,7 @@ def smoothed(image: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
 
 @contextmanager
 def silent_opencv() -> Iterator[None]:
-    """Keep OpenCV from logging several lines on what it cannot open, where one of ours says it."""
+    """Suppress OpenCV's log messages on unreadable files; the package raises its own error."""
     before = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         yield
@@ -213,7 +225,7 @@ def silent_opencv() -> Iterator[None]:
 
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:
-    """The image in a file, in grey levels of 8 bits.
+    """Read an image file as 8-bit grey levels.
 
     Args:
         path: see `read_pixels`.
@@ -228,16 +240,17 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
 
 
 def read_pixels(path: str | Path) -> NDArray[Any]:
-    """The image in a file, with the depth and the colours that it has there.
+    """Read an image file with its own bit depth and colours.
 
     Args:
-        path: of a PNG, JPEG, TIFF or what else OpenCV reads, of any depth; turned as its EXIF says.
+        path: path of a PNG, JPEG, TIFF or other format that OpenCV reads, of any depth; rotated by
+            its EXIF orientation.
 
     Returns:
         (height, width) grey or (height, width, 3) BGR.
 
     Raises:
-        UnreadableFileError: it is not there, empty, or no image.
+        UnreadableFileError: the file is missing, empty, or no image.
     """
     expected = "an image that OpenCV reads, such as PNG or JPEG"
     try:
@@ -254,7 +267,7 @@ def read_pixels(path: str | Path) -> NDArray[Any]:
             read: Any = cv2.imdecode(
                 np.frombuffer(content, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
             )
-    except cv2.error as error:  # sizes beyond what OpenCV takes, damaged headers
+    except cv2.error as error:  # sizes beyond OpenCV's limits, damaged headers
         raise UnreadableFileError(str(path), "no image, or a damaged one", expected) from error
     if read is None or read.size == 0:
         raise UnreadableFileError(str(path), "no image, or a damaged one", expected)

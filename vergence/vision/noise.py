@@ -1,4 +1,4 @@
-"""White grey-level noise for images, at the cost of a table look-up."""
+"""White grey-level noise for images by table look-up."""
 
 from functools import lru_cache
 
@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 NOISE_MEAN = 128
+"""Stored level of noise 0."""
 NOISE_UNIT = 24.0
-"""Stored levels of one standard deviation; 127 levels hold five of them."""
+"""Stored levels per standard deviation; 127 levels cover five of them."""
 
 
 def noise_window(
@@ -15,20 +16,20 @@ def noise_window(
 ) -> NDArray[np.uint8]:
     """Independent normal numbers for the pixels of a region.
 
-    Drawing normal numbers for each frame costs as much as drawing the board. They come from a
-    bank, a table of normal numbers that is the same in every process, and the frame's generator
-    picks where the region starts in it, out of a million places and more. What a pixel gets is
-    then independent from frame to frame but for windows that start within a few pixels of each
-    other, which happens to two frames about once in 10,000 times.
+    Sampling normal numbers for each frame would cost as much as rendering the board. Instead they
+    come from a bank, a fixed table of normal numbers that is equal in every process; the frame's
+    generator picks the region's start in it among more than a million positions. The noise of a
+    pixel is then independent from frame to frame, except if two windows start within a few pixels
+    of each other, about once in 10,000 pairs of frames.
 
     Args:
-        rng: generator that picks the place; one number is drawn.
+        rng: generator that picks the start; one number is drawn.
         shape: (height, width) of the region.
-        longest: longest side of the frame, which sets the size of the bank.
+        longest: longest side of the frame, which determines the size of the bank.
 
     Returns:
-        Numbers stored as ``NOISE_MEAN + NOISE_UNIT * n``, n standard normal, a view of the given
-        shape.
+        Numbers stored as ``NOISE_MEAN + NOISE_UNIT * n``, n standard normal; a read-only view of
+        the given shape.
     """
     bank = _bank(max(2048, 1 << (longest + longest // 2 - 1).bit_length()))
     height, width = shape

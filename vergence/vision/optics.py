@@ -1,4 +1,4 @@
-"""One eye's pinhole and lens, by the kernels of the models: between rays and pixels.
+"""Pinhole and lens of one eye: conversion between rays and pixels by the models' kernels.
 
 Pixels follow OpenCV: the centre of the upper left pixel is (0, 0), a pixel covers half a pixel
 to each side of its centre, and u = u0 + f_u x / z.
@@ -27,28 +27,28 @@ class EyeCamera:
     """Intrinsics of one eye, hashable.
 
     Raises:
-        ConfigurationError: a size or focal length that is not positive, an unknown lens or
-            response, or a distortion with another number of coefficients than the lens's.
+        ConfigurationError: a size or focal length is not positive, the lens or the response is
+            unknown, or the number of distortion coefficients does not match the lens.
     """
 
     width: int
-    """Pixels along u."""
+    """Image width, in pixels."""
     height: int
-    """Pixels along v."""
+    """Image height, in pixels."""
     focal_px: tuple[float, float]
     """Focal lengths (f_u, f_v) in pixels."""
     principal_px: tuple[float, float]
     """Principal point (u0, v0) in pixels."""
     distortion: tuple[float, ...] = ()
-    """The lens's coefficients in OpenCV's order, see `vergence.models.parts.LENSES`; none for
+    """Coefficients of the lens in OpenCV's order, see `vergence.models.cameras.LENSES`; empty for
     zeros."""
     lens: str = BROWN_CONRADY
     """The lens model."""
     response: Response | None = None
-    """Light by grey level, see `parse_response`; None where it is not known."""
+    """Light by grey level, see `parse_response`; None if unknown."""
 
     def __post_init__(self) -> None:
-        """Bring sequences to tuples of float, so that the camera can be hashed."""
+        """Convert sequences to tuples of float, for hashing, and check the values."""
         if self.response is not None:
             object.__setattr__(self, "response", parse_response(self.response))
         if self.lens not in LENSES:
@@ -71,10 +71,10 @@ class EyeCamera:
 
     @classmethod
     def of(cls, head: HeadModel, eye: int) -> "EyeCamera":
-        """The camera of one eye of one head, 0 for left, 1 for right.
+        """Camera of one eye of one head, 0 for left, 1 for right.
 
         Raises:
-            ConfigurationError: this is no head, or it has no such eye.
+            ConfigurationError: the head or the eye is invalid.
         """
         if not isinstance(head, HeadModel):
             raise ConfigurationError(f"head: expected a head, see load_head; got {head!r:.80}")
@@ -95,7 +95,7 @@ class EyeCamera:
 
     @cached_property
     def row(self) -> NDArray[np.float64]:
-        """The camera as kernels take it, see `pack_camera`."""
+        """Packed camera for kernels, see `pack_camera`."""
         return pack_camera(
             (self.width, self.height),
             np.array(self.focal_px),
@@ -106,32 +106,32 @@ class EyeCamera:
 
     @cached_property
     def distorts(self) -> bool:
-        """Whether the lens departs from the pinhole."""
+        """True if the lens distorts."""
         return is_distorted(camera_at(self.row, 0))
 
     @cached_property
     def bends_boards(self) -> bool:
-        """Whether straight lines of a board appear bent and its scale is not a pinhole's.
+        """True if the lens bends a board's straight lines and changes its scale considerably.
 
-        Brown and Conrady's lens is one of moderate angles, over which a board is small: its image
-        is near enough a pinhole's where only its cells are looked for.
+        The Brown-Conrady model is for moderate angles, over which a board is small: for the search
+        for cells its image is close enough to a pinhole's.
         """
         return self.lens != BROWN_CONRADY and self.distorts
 
     @cached_property
     def matrix(self) -> NDArray[np.float64]:
-        """The camera matrix K, shape (3, 3)."""
+        """Camera matrix K, shape (3, 3)."""
         (f_u, f_v), (u_0, v_0) = self.focal_px, self.principal_px
         return np.array([[f_u, 0, u_0], [0, f_v, v_0], [0, 0, 1]])
 
     @cached_property
     def inverse_matrix(self) -> NDArray[np.float64]:
-        """The inverse of K, shape (3, 3)."""
+        """Inverse of K, shape (3, 3)."""
         (f_u, f_v), (u_0, v_0) = self.focal_px, self.principal_px
         return np.array([[1 / f_u, 0, -u_0 / f_u], [0, 1 / f_v, -v_0 / f_v], [0, 0, 1]])
 
     def flat_about(self, pixels: ArrayLike) -> "FlatView":
-        """The image as a pinhole would show it that looks at the middle of some pixels, (n, 2)."""
+        """View of a pinhole camera that looks at the mean of some pixels, (n, 2)."""
         x, y = self.rays(as_operand("pixels", pixels, "n", 2).mean(axis=0)[None])[0].tolist()
         view = view_along(self.row, x, y)
         return FlatView(self, view.plane_from_ray, view.ray_from_plane)
@@ -140,7 +140,7 @@ class EyeCamera:
         """Pixels of points in front of the camera, distorted by the lens.
 
         Args:
-            points: in the camera frame, metres, shape (n, 3), z > 0.
+            points: points in the camera frame, metres, shape (n, 3), z > 0.
 
         Returns:
             Pixels, shape (n, 2); nan beyond the radius at which the lens model folds back.
@@ -149,14 +149,14 @@ class EyeCamera:
         return np.asarray(rays_to_pixels(array[:, :2] / array[:, 2:], self.row))
 
     def stretch(self, x: float, y: float) -> NDArray[np.float64]:
-        """How the lens stretches the image around a ray.
+        """Jacobian of the lens distortion at a ray.
 
         Args:
             x: x / z of the ray.
             y: y / z of the ray.
 
         Returns:
-            The derivative of distorted normalised coordinates by ideal ones, shape (2, 2).
+            The derivative of distorted with respect to ideal normalised coordinates, shape (2, 2).
         """
         bent = distort(camera_at(self.row, 0), x, y)
         return np.array([[bent.dxx, bent.dxy], [bent.dxy, bent.dyy]])
@@ -164,42 +164,42 @@ class EyeCamera:
     def rays(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Undistorted rays (x / z, y / z) of distorted pixels, shape (n, 2) for (n, 2).
 
-        They are nan where the lens model has no inverse.
+        Rays are nan where the lens model has no inverse.
         """
         return np.asarray(pixels_to_rays(pixels, self.row))
 
 
 @dataclass(frozen=True)
 class FlatView:
-    """A plane in which straight lines are straight, and pixels near one place are as they are."""
+    """An undistorted plane that agrees with the image to first order at one point, in pixels."""
 
     camera: EyeCamera
-    """Of the image."""
+    """Camera of the image."""
     plane_from_ray: NDArray[np.float64]
-    """(3, 3) homography."""
+    """(3, 3) homography from rays (x / z, y / z) to the plane."""
     ray_from_plane: NDArray[np.float64]
-    """(3, 3) its inverse."""
+    """(3, 3) inverse of it."""
 
     def ideal(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where pixels of the image lie in the plane, shape (n, 2)."""
+        """Points of the plane for pixels of the image, shape (n, 2)."""
         rays = self.camera.rays(pixels)
         return np.asarray(cv2.perspectiveTransform(rays[None], self.plane_from_ray)[0])
 
     def seen(self, ideal: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The pixels of points of the plane, the inverse of `ideal`, shape (n, 2)."""
+        """Pixels of the image for points of the plane, the inverse of `ideal`, shape (n, 2)."""
         rays = cv2.perspectiveTransform(ideal[None], self.ray_from_plane)[0]
         return np.asarray(rays_to_pixels(np.asarray(rays, float), self.camera.row))
 
 
 class NoLens:
-    """The view of an image without a lens to take out: the image itself."""
+    """View of an image without lens distortion: the image itself."""
 
     def ideal(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The pixels, shape (n, 2)."""
+        """Return the pixels, shape (n, 2)."""
         return pixels
 
     def seen(self, ideal: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The points, shape (n, 2)."""
+        """Return the points, shape (n, 2)."""
         return ideal
 
 
@@ -209,7 +209,7 @@ def ray_table(camera: EyeCamera, supersampling: int, margin: int) -> NDArray[np.
 
     Args:
         camera: the eye.
-        supersampling: samples of a pixel along each axis.
+        supersampling: samples per pixel along each axis.
         margin: pixels added on each side of the frame.
 
     Returns:

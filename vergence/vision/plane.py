@@ -1,4 +1,4 @@
-"""A plane and its image, in kernels: the homography, the lens, and the grey between pixels."""
+"""Kernels for the image of a plane: homographies, lens, and interpolated grey levels."""
 
 from math import sqrt
 from typing import Final, NamedTuple
@@ -13,27 +13,27 @@ from vergence.models.packed import camera_at
 from vergence.models.parts import FloatArray
 
 _SMALL_STEP: Final = 1e-4
-"""Of a difference quotient, rad."""
+"""Step of a difference quotient, rad (numerical)."""
 
 
 @subroutine
 def plane_of(corners: FloatArray, G: FloatArray) -> None:
-    """The homography from the image to the plane of a square, its corners at (-1, -1) to (1, 1).
+    """Compute the homography from the image to the plane of a square of corners (-1, -1) to (1, 1).
 
     Args:
-        corners: (4, 2) in the image: of (-1, -1), (1, -1), (1, 1), (-1, 1).
+        corners: (4, 2) images of (-1, -1), (1, -1), (1, 1), (-1, 1).
         G: (3, 3) result.
     """
     ax, ay, bx, by = corners[0, 0], corners[0, 1], corners[1, 0], corners[1, 1]
     cx, cy, dx, dy = corners[2, 0], corners[2, 1], corners[3, 0], corners[3, 1]
-    # of the unit square to the four corners (Heckbert 1989)
+    # the homography from the unit square to the four corners (Heckbert 1989)
     ex, ey, fx, fy = bx - cx, by - cy, dx - cx, dy - cy
     sx, sy = ax - bx + cx - dx, ay - by + cy - dy
     det = ex * fy - ey * fx
     g, h = (sx * fy - sy * fx) / det, (ex * sy - ey * sx) / det
     m00, m01, m02 = bx - ax + g * bx, dx - ax + h * dx, ax
     m10, m11, m12 = by - ay + g * by, dy - ay + h * dy, ay
-    # its adjoint leads back, to 0..1; twice that less one to -1..1
+    # its adjugate is the inverse, to 0..1; 2 x - 1 then leads to -1..1
     i00, i01, i02 = m11 - m12 * h, m02 * h - m01, m01 * m12 - m02 * m11
     i10, i11, i12 = m12 * g - m10, m00 - m02 * g, m02 * m10 - m00 * m12
     i20, i21, i22 = m10 * h - m11 * g, m01 * g - m00 * h, m00 * m11 - m01 * m10
@@ -44,11 +44,11 @@ def plane_of(corners: FloatArray, G: FloatArray) -> None:
 
 @subroutine
 def back_of(G: FloatArray, H: FloatArray) -> None:
-    """The homography from the plane to the image, the inverse of `plane_of`.
+    """Compute the homography from the plane to the image, the inverse of `plane_of`.
 
     Args:
-        G: (3, 3) from the image to the plane.
-        H: (3, 3) result, its adjoint.
+        G: (3, 3) homography from the image to the plane.
+        H: (3, 3) result, the adjugate of G.
     """
     a, b, c = G[0, 0], G[0, 1], G[0, 2]
     d, e, f = G[1, 0], G[1, 1], G[1, 2]
@@ -59,33 +59,33 @@ def back_of(G: FloatArray, H: FloatArray) -> None:
 
 
 class View(NamedTuple):
-    """A plane that the lens does not bend, and that looks like the image about one place.
+    """An undistorted image plane that agrees with the image to first order at one point.
 
-    A tag's image is a homography of the tag in any plane across the rays. Far off the axis of a
-    wide lens the plane across the axis stretches pixels several times, one way more than the other;
-    this one is across the rays to the place, and there a pixel is a pixel.
+    A tag's projection onto any plane is a homography of the tag. Far off the axis of a wide lens,
+    the plane perpendicular to the axis stretches pixels several times, and unequally by direction.
+    This plane is perpendicular to the ray of the point; its unit there is one pixel.
     """
 
     lens: bool
-    """False where the image itself is such a plane."""
+    """False if the image itself is undistorted and serves as the plane."""
     plane_from_ray: FloatArray
-    """(3, 3) homography from rays (X / Z, Y / Z)."""
+    """(3, 3) homography from rays (X / Z, Y / Z) to the plane."""
     ray_from_plane: FloatArray
-    """(3, 3) its inverse."""
+    """(3, 3) inverse of it."""
 
 
 @subroutine
 def look_along(camera: CameraRow, x: float, y: float, view: View) -> None:
-    """Make a view of the place around a ray.
+    """Compute the view around a ray.
 
     Args:
-        camera: the eye's.
+        camera: camera of the eye.
         x: X / Z of the ray.
-        y: Y / Z.
-        view: result.
+        y: Y / Z of the ray.
+        view: result, its homographies.
     """
     u, v = ray_to_pixel(camera, x, y)
-    # the rotation that turns the ray into the axis (Rodrigues)
+    # the rotation from the ray to the optical axis (Rodrigues)
     norm = sqrt(x * x + y * y + 1.0)
     cx, cy, cz = x / norm, y / norm, 1.0 / norm
     k = 1.0 / (1.0 + cz)
@@ -93,7 +93,7 @@ def look_along(camera: CameraRow, x: float, y: float, view: View) -> None:
     A[0, 0], A[0, 1], A[0, 2] = 1.0 - k * cx * cx, -k * cx * cy, -cx
     A[1, 0], A[1, 1], A[1, 2] = -k * cx * cy, 1.0 - k * cy * cy, -cy
     A[2, 0], A[2, 1], A[2, 2] = cx, cy, cz
-    # what a small step across the ray does to the pixel
+    # Jacobian of the pixel with respect to small steps perpendicular to the ray
     h = _SMALL_STEP
     left_u, left_v = ray_to_pixel(camera, *_turned_back(A, -h, 0.0))
     right_u, right_v = ray_to_pixel(camera, *_turned_back(A, h, 0.0))
@@ -104,7 +104,7 @@ def look_along(camera: CameraRow, x: float, y: float, view: View) -> None:
     det = a * d - b * c
     for j in range(3):
         r, s, t = A[0, j], A[1, j], A[2, j]
-        # back: the transpose of the rotation, after the step's inverse
+        # inverse: the transposed rotation times the inverse Jacobian
         B[j, 0], B[j, 1] = (d * r - c * s) / det, (a * s - b * r) / det
         B[j, 2] = t - B[j, 0] * u - B[j, 1] * v
         A[0, j], A[1, j] = a * r + b * s + u * t, c * r + d * s + v * t
@@ -112,7 +112,7 @@ def look_along(camera: CameraRow, x: float, y: float, view: View) -> None:
 
 @compiled
 def view_along(row: FloatArray, x: float, y: float) -> View:
-    """A view of the place around a ray, see `look_along`; `row` as `pack_camera` makes it."""
+    """View around a ray, see `look_along`; `row` is a packed camera, see `pack_camera`."""
     view = View(True, np.empty((3, 3)), np.empty((3, 3)))
     look_along(camera_at(row, 0), x, y, view)
     return view
@@ -126,7 +126,7 @@ def _turned_back(A: FloatArray, x: float, y: float) -> tuple[float, float]:
 
 @subroutine
 def ray_at(rays: NDArray[np.float32], u: float, v: float) -> tuple[float, float]:
-    """About the ray of a pixel, near the image's edges beyond them too."""
+    """Ray of a pixel by bilinear interpolation, linearly extrapolated beyond the image's edges."""
     height, width, _ = rays.shape
     column, row = min(max(int(u), 0), width - 2), min(max(int(v), 0), height - 2)
     s, t = u - column, v - row
@@ -141,20 +141,20 @@ def ray_at(rays: NDArray[np.float32], u: float, v: float) -> tuple[float, float]
 
 @subroutine
 def through(H: FloatArray, x: float, y: float) -> tuple[float, float]:
-    """What a homography makes of a point."""
+    """Point transformed by a homography."""
     w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
     return (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w
 
 
 @subroutine
 def ideal_of(rays: NDArray[np.float32], view: View, u: float, v: float) -> tuple[float, float]:
-    """About where a pixel lies in the plane of a view.
+    """Approximate point of a view's plane for a pixel, by interpolated rays.
 
     Args:
-        rays: (height, width, 2) of the pixels, or (0, 0, 2) for an image that is such a plane.
+        rays: (height, width, 2) rays of the pixels; (0, 0, 2) for an undistorted image.
         view: the plane.
-        u: of the pixel, near the image's edges beyond them too.
-        v: the same.
+        u: u of the pixel, px; may be slightly outside of the image.
+        v: v of the pixel, px, likewise.
     """
     if not view.lens:
         return u, v
@@ -164,7 +164,7 @@ def ideal_of(rays: NDArray[np.float32], view: View, u: float, v: float) -> tuple
 
 @subroutine
 def seen_at(camera: CameraRow, view: View, u: float, v: float) -> tuple[float, float]:
-    """The pixel at which a point of a view's plane is seen, nan beyond the lens model."""
+    """Pixel of a point of a view's plane; nan beyond the lens model."""
     if not view.lens:
         return u, v
     x, y = through(view.ray_from_plane, u, v)
@@ -173,7 +173,7 @@ def seen_at(camera: CameraRow, view: View, u: float, v: float) -> tuple[float, f
 
 @subroutine
 def grey_at(image: NDArray[np.uint8], u: float, v: float) -> float:
-    """The grey level at a place, between the pixels; nan outside of the image."""
+    """Grey level at a pixel position by bilinear interpolation; nan outside of the image."""
     height, width = image.shape
     if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
         return np.nan

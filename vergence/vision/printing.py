@@ -1,4 +1,4 @@
-"""A target laid out on a sheet of paper at true scale, with a ruler to check the print.
+"""Lay out a target on a sheet of paper at true scale, with a ruler to check the print.
 
 Lengths on a sheet are millimetres from its upper left corner, x right and y down.
 """
@@ -17,35 +17,36 @@ from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget, TagFamily, Target
 
 RULER_MM: Final = 100.0
-"""Length of the ruler beside the board."""
+"""Length of the ruler beside the board (chosen: long enough to check the scale, fits on A5)."""
 STRIP_MM: Final = 17.0
-"""Width of the strip that the ruler and its two lines of text take, up to the sheet's edge."""
+"""Width of the strip for the ruler and its two lines of text, up to the sheet's edge (chosen)."""
 _EDGE_MM: Final = 5.0
-"""What office printers leave white along the edges of a sheet; some leave up to 4.3 mm."""
+"""Unprinted margin along the edges of a sheet (chosen: office printers need up to 4.3 mm)."""
 _MORE_EDGE_MM: Final = 8.0
-"""Most white that the strip is given beyond that where there is room."""
+"""Largest additional margin of the strip if there is room (chosen)."""
 _QUIET_SHARE: Final = 0.05
-"""Least white around a board, as a share of its shorter side: a quarter of a square for a ChArUco
-board of 5. One cell is the least too."""
+"""Least white margin around a board as a fraction of its shorter side, such as a quarter of a
+square for a ChArUco board of 5 squares; one cell is required as well (chosen)."""
 _QUIET_SQUARES: Final = 0.5
-"""The same around a checkerboard, in squares, which are its cells."""
+"""Least white margin around a checkerboard, in squares, its cells (chosen)."""
 _MOST_MM: Final = 5000.0
-"""Greatest sheet that PDF knows, in round numbers: 14400 points are 5080 mm."""
+"""Largest sheet of a PDF, rounded down: 14400 points are 5080 mm (physical: the PDF standard)."""
 _MM_PER_M: Final = 1000.0
+"""Millimetres per metre (physical)."""
 _SLACK_MM: Final = 1e-6
-"""Rounding of lengths that are meant to be equal."""
+"""Tolerance when lengths are compared (numerical)."""
 
 
 @dataclass(frozen=True)
 class Paper:
-    """A size of paper, the shorter edge first."""
+    """A size of paper."""
 
     short_mm: float
-    """Shorter edge."""
+    """Length of the shorter edge."""
     long_mm: float
-    """Longer edge."""
+    """Length of the longer edge."""
     name: str = ""
-    """Its name, such as a4; empty for a size without one."""
+    """Name, such as a4; empty for a size without one."""
 
     def __str__(self) -> str:
         size = f"{self.short_mm:g} x {self.long_mm:g} mm"
@@ -63,20 +64,20 @@ _SIZES_MM: Final = {
     "legal": (215.9, 355.6),
     "tabloid": (279.4, 431.8),
 }
-"""ISO 216 and ANSI sizes; those of a series in their order."""
+"""ISO 216 and ANSI sizes, each series in ascending order."""
 PAPERS: Final = {name: Paper(*size, name) for name, size in _SIZES_MM.items()}
-"""The sizes of paper that have names."""
+"""Named sizes of paper."""
 
 
 def parse_paper(text: str) -> Paper:
-    """The paper that a text names.
+    """Parse a size of paper.
 
     Args:
         text: a name of `PAPERS` in any case, or WIDTHxHEIGHT in mm.
 
     Raises:
         UnknownNameError: no paper has that name.
-        ConfigurationError: the size is none that a sheet can have.
+        ConfigurationError: the size is 0 or too large for a PDF.
     """
     match = re.fullmatch(r"(\d+(?:\.\d+)?)[xX×](\d+(?:\.\d+)?)", text.strip())
     if match is None:
@@ -93,10 +94,10 @@ def parse_paper(text: str) -> Paper:
 
 
 def printable(target: Target) -> PlanarTarget:
-    """The target, if it says all that a print needs.
+    """Return a target that is fully specified for printing.
 
     Raises:
-        ConfigurationError: it is a whole family of tags, or its size was left out.
+        ConfigurationError: the target is a whole family of tags, or lacks its size.
     """
     if isinstance(target, TagFamily):
         raise ConfigurationError(
@@ -118,40 +119,42 @@ class Sheet:
     target: PlanarTarget
     """The board."""
     paper: Paper
-    """Its paper."""
+    """The size of paper."""
     width_mm: float
-    """Width of the sheet as it lies."""
+    """Width of the sheet in its orientation."""
     height_mm: float
-    """Height of the sheet as it lies."""
+    """Height of the sheet in its orientation."""
     board_mm: tuple[float, float]
     """Upper left corner of the board's cells, (x, y)."""
     ruler_mm: tuple[float, float]
     """Zero of the ruler, (x, y)."""
     upright: bool
-    """Whether the ruler stands at the right of the board and runs up, or lies below it."""
+    """True if the ruler is right of the board and runs up; false if it is below the board."""
 
     @property
     def landscape(self) -> bool:
-        """Whether the sheet is wider than high."""
+        """True if the sheet is wider than high."""
         return self.width_mm > self.height_mm
 
     @cached_property
     def black_mm(self) -> list[NDArray[np.float64]]:
-        """Outlines of the board's black, as `black_outlines` has them, each (n, 2)."""
+        """Outlines of the board's black areas on the sheet, see `black_outlines`, each (n, 2)."""
         cell_mm = _MM_PER_M * self.target.cell_m
         return [cell_mm * loop + self.board_mm for loop in black_outlines(self.target.cells)]
 
 
 def lay_out(target: PlanarTarget, paper: Paper) -> Sheet:
-    """Place a board on paper, upright and at true scale, its ruler beside its white margin.
+    """Place a board on paper, upright and at true scale, with the ruler beside its white margin.
+
+    The ruler is below the board if it fits there, else to its right; of portrait and landscape
+    the one with more room is taken.
 
     Args:
         target: the board.
-        paper: what it is printed on, in portrait or landscape, whichever has more room; the
-            ruler lies below the board if it fits there.
+        paper: the size of paper.
 
     Raises:
-        ConfigurationError: it does not fit.
+        ConfigurationError: the board does not fit.
     """
     frame = _Frame.of(target)
     found = [place for place in _places(paper) if place.slack_mm(frame) >= -_SLACK_MM]
@@ -159,7 +162,7 @@ def lay_out(target: PlanarTarget, paper: Paper) -> Sheet:
         raise ConfigurationError(_too_large(target, frame, paper))
     place = max(found, key=lambda place: (not place.upright, place.slack_mm(frame)))
     width, height = place.width_mm, place.height_mm
-    # the direction from the board to the ruler: to the right or down
+    # lengths along the direction from the board to the ruler: to the right or down
     sheet, board = (width, frame.width_mm) if place.upright else (height, frame.height_mm)
     spare = max(0.0, sheet - board - STRIP_MM)
     ruler = sheet - STRIP_MM - min(spare / 3.0, _MORE_EDGE_MM)
@@ -187,11 +190,12 @@ class _Frame:
     width_mm: float
     height_mm: float
     rim_mm: float
-    """White on each side that the board's cells lack; below zero where they have more."""
+    """White margin to add on each side of the board's cells; negative if they have more than
+    needed."""
 
     @classmethod
     def of(cls, target: PlanarTarget, scale: float = 1.0) -> "_Frame":
-        """The frame of a board, its lengths times a scale."""
+        """Frame of a board, its lengths multiplied by a scale."""
         cell = scale * _MM_PER_M * target.cell_m
         rows, columns = target.cells.shape
         y, x = np.nonzero(target.cells == 0)
@@ -204,20 +208,20 @@ class _Frame:
 
 @dataclass(frozen=True)
 class _Place:
-    """A sheet as it lies, and where its ruler goes."""
+    """An orientation of a sheet and a position of its ruler."""
 
     width_mm: float
     height_mm: float
     upright: bool
 
     def slack_mm(self, frame: _Frame) -> float:
-        """Room that is left in the tighter direction; negative where it does not fit."""
+        """Room left in the tighter direction; negative if the board does not fit."""
         width, height = _needs_mm(frame, self.upright)
         return min(self.width_mm - width, self.height_mm - height)
 
 
 def _needs_mm(frame: _Frame, upright: bool) -> tuple[float, float]:
-    """The width and height of the smallest sheet for a frame and a ruler."""
+    """Width and height of the smallest sheet for a frame and a ruler."""
     ruler = RULER_MM + 2.0 * _EDGE_MM
     if upright:
         return frame.width_mm + STRIP_MM, max(frame.height_mm, ruler)
@@ -249,7 +253,7 @@ def _too_large(target: PlanarTarget, frame: _Frame, paper: Paper) -> str:
 
 
 def _smaller(target: PlanarTarget, paper: Paper) -> str:
-    """The greatest size of such a board on the paper, in words; nothing if none fits."""
+    """Phrase with the largest size of such a board on the paper; empty if none fits."""
     low, high = 0.0, 1.0
     for _ in range(40):
         scale = 0.5 * (low + high)
@@ -263,18 +267,19 @@ def _smaller(target: PlanarTarget, paper: Paper) -> str:
 
 
 def black_outlines(cells: NDArray[np.uint8]) -> list[NDArray[np.float64]]:
-    """The outlines of a board's black cells: drawn as one path, they have no seams.
+    """Outlines of a board's black cells; drawn as one path, they have no seams.
 
     Args:
         cells: the board, 0 black, 255 white; shape (rows, columns).
 
     Returns:
-        Closed polygons in cells from the upper left corner, each (n, 2) of (x, y) without its
-        first vertex again: with y down, clockwise around black and counterclockwise around white
-        in it, so that the rules of even-odd and of nonzero winding both fill the black.
+        Closed polygons in cells from the upper left corner, each (n, 2) of (x, y) without
+        repeating the first vertex. With y down they run clockwise around black and
+        counterclockwise around white holes, so that both the even-odd and the nonzero winding
+        rule fill the black.
     """
     black = np.pad(np.asarray(cells) == 0, 1).astype(np.int8)
-    # vertices (row, column) of the edges with black on one side, by the direction to the next one
+    # directed edges between black and white: end vertices (row, column) by start vertex
     across, along = np.diff(black, axis=0)[:, 1:-1], np.diff(black, axis=1)[1:-1]
     edges: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for sign, steps in ((1, (0, 1)), (-1, (0, -1))):
@@ -301,7 +306,7 @@ def black_outlines(cells: NDArray[np.uint8]) -> list[NDArray[np.float64]]:
 
 
 def _corners(loop: NDArray[np.int_]) -> NDArray[np.float64]:
-    """The vertices, (x, y), at which a closed polygon of (row, column) turns."""
+    """Vertices (x, y) at which a closed polygon of (row, column) changes direction."""
     step = loop - np.roll(loop, 1, axis=0)
     turns = (step != np.roll(step, -1, axis=0)).any(axis=1)
     return np.asarray(loop[turns][:, ::-1], np.float64)

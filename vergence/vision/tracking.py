@@ -1,4 +1,4 @@
-"""Following a target through one eye's images: image and prediction in, detection out."""
+"""Track a target through one eye's images: image and prediction in, detection out."""
 
 from typing import Any, Final
 
@@ -10,17 +10,17 @@ from vergence.vision.carrying import carry, is_pose
 from vergence.vision.detection import Detection, Detector, as_pixel
 
 _UNKNOWN_M: Final = np.empty((0, 2))
+"""Corners of a target of unknown size (numerical)."""
 
 
 class Tracker:
-    """Looks for a target near where it is expected, and in the whole image if it is not there.
+    """Tracks a target near its predicted position, and searches the whole image if it is not there.
 
-    Where it is expected is, in this order, where the caller says; where it was last seen, carried
-    along with the head's own motion if the camera's poses are given; and on from there as it moved
-    in the image before.
+    The caller may give the prediction. Otherwise it is the last detection, corrected for the
+    camera's own motion if poses are given, plus the target's last displacement in the image.
 
     Args:
-        detector: what finds the target in an image. With a camera, poses can be given.
+        detector: detector of the target; poses are used only if it has a camera.
     """
 
     def __init__(self, detector: Detector[Any]) -> None:
@@ -28,7 +28,7 @@ class Tracker:
         self.forget()
 
     def forget(self) -> None:
-        """Lose the track: the next image is searched as a whole."""
+        """Drop the track, so that the next image is searched as a whole."""
         self._last: Detection | None = None
         self._pose: NDArray[np.float64] | None = None
         self._motion = np.zeros(2)
@@ -45,19 +45,20 @@ class Tracker:
         """Find the target in the next image.
 
         Args:
-            image: any that `as_grey` takes.
-            predicted_px: (2,) where the measured point is expected; None for where the track says.
-            T_0_C: (4, 4) pose of the camera at the exposure in a frame that does not move, m:
-                `head.base_pose(q) @ head.camera_poses(q)` of one eye, by the joints' readings.
-            search: whether to search the whole image where the target is not tracked.
+            image: an image in any form that `as_grey` accepts.
+            predicted_px: (2,) predicted position of the measured point; None for the prediction of
+                the track.
+            T_0_C: (4, 4) pose of the camera at the exposure in a fixed frame, m:
+                `head.base_pose(q) @ head.camera_poses(q)` of one eye at the measured joint angles.
+            search: true to search the whole image if tracking fails.
 
         Returns:
             The detection, with the standard deviations that `triangulate_views` takes as
-            ``Noise(pixel_px=...)``; None where nothing can be read.
+            ``Noise(pixel_px=...)``; None if no target can be read.
 
         Raises:
-            ConfigurationError: this is no image, or not of the camera's size; a prediction that is
-                no pixel; a pose that is none.
+            ConfigurationError: the image is invalid, or not of the camera's size; the prediction
+                is not a pixel; the pose is invalid.
         """
         pose = None if T_0_C is None else _pose(T_0_C)
         predicted_px = None if predicted_px is None else as_pixel("predicted_px", predicted_px)
@@ -70,7 +71,7 @@ class Tracker:
             found = self.detector.track(image, expected)
         if found is None and search:
             near = predicted_px if carried_px is None else carried_px
-            # all ways in the image in which it was lost, then one an image: searching takes time
+            # all methods in the image that lost it, then one per image, to save time
             found = self.detector.search(image, near, self._lost - 1 if self._lost else None)
         if found is None:
             lost = self._lost + search
@@ -83,10 +84,10 @@ class Tracker:
         return found
 
     def _carried(self, last: Detection, pose: NDArray[np.float64] | None) -> NDArray[np.float64]:
-        """Where the last detection's corners and point appear now that the camera has moved.
+        """Corners and point of the last detection, corrected for the camera's own motion.
 
         Returns:
-            (n + 1, 2) px, of a target at rest; where they were if this cannot be told.
+            (n + 1, 2) pixels of a target at rest, px; uncorrected if this is not possible.
         """
         camera = self.detector.camera
         pixels = np.concatenate([last.corners_px, last.point_px[None]])

@@ -1,4 +1,4 @@
-"""Images of a camera, a video file or a stream, one after the other."""
+"""Read the images of a camera, a video file or a stream one after the other."""
 
 import os
 import re
@@ -16,11 +16,12 @@ from vergence.errors import ConfigurationError
 from vergence.vision.image import as_taken, silent_opencv
 
 MANUAL_EXPOSURE: Final = 1
-"""CAP_PROP_AUTO_EXPOSURE of a locked exposure: V4L2_EXPOSURE_MANUAL of linux/v4l2-controls.h."""
+"""Value of CAP_PROP_AUTO_EXPOSURE for a locked exposure (physical: V4L2_EXPOSURE_MANUAL of
+linux/v4l2-controls.h)."""
 EXPOSURE_STEP_S: Final = 1e-4
-"""Unit of CAP_PROP_EXPOSURE, s: that of V4L2_CID_EXPOSURE_ABSOLUTE."""
+"""Unit of CAP_PROP_EXPOSURE, s (physical: V4L2_CID_EXPOSURE_ABSOLUTE)."""
 _MISSES: Final = 10
-"""Images that a camera may fail to deliver one after the other."""
+"""Consecutive images that a camera may fail to deliver (chosen)."""
 
 
 @contextmanager
@@ -34,7 +35,7 @@ def open_video(source: str) -> Iterator[Iterator[NDArray[np.uint8]]]:
         Its images, (height, width) grey or (height, width, 3) BGR, until there are no more.
 
     Raises:
-        ConfigurationError: it is not there, or cannot be opened.
+        ConfigurationError: the source does not exist, or cannot be opened.
     """
     device = is_device(source)
     capture = open_capture(source, "live")
@@ -55,24 +56,24 @@ def open_capture(
 ) -> cv2.VideoCapture:
     """Open a camera, a video file or a stream with OpenCV.
 
-    A camera of this machine is asked for what follows, and may give something else.
+    The options below are requests to a camera of this machine, which may choose other values.
 
     Args:
         source: see `open_video`.
-        what: what has this source, as a message calls it.
-        pixel_format: four letters, such as MJPG; empty for its own.
-        size: (width, height), px; None for its own.
-        frame_rate_hz: images a second; None for its own.
-        exposure_s: exposure time to lock, s; None leaves it as it is, automatic or not.
+        what: name of the option or field that gives the source, for messages.
+        pixel_format: four letters, such as MJPG; empty for the camera's default.
+        size: (width, height), px; None for the camera's default.
+        frame_rate_hz: images a second; None for the camera's default.
+        exposure_s: exposure time to lock, s; None leaves the exposure control unchanged.
 
     Raises:
-        ConfigurationError: it is not there, or cannot be opened.
+        ConfigurationError: the source does not exist, or cannot be opened.
     """
     device = is_device(source)
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's own log is a separate one
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg has a log of its own
     with silent_opencv():
         capture = _open(source, device, what)
-        if device:  # the format first: it limits sizes and rates
+        if device:  # the format first, since it limits sizes and rates
             if pixel_format:
                 capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*pixel_format))
             if size is not None:
@@ -90,12 +91,12 @@ def open_capture(
 
 
 def is_device(source: str) -> bool:
-    """Whether a source is a camera of this machine."""
+    """True if a source is a camera of this machine."""
     return source.isdecimal() or source.startswith("/dev/")
 
 
 def devices() -> list[str]:
-    """Device files of this machine's cameras, lasting names first."""
+    """Device files of this machine's cameras, persistent names first."""
     return sorted(glob("/dev/v4l/by-id/*")) + sorted(glob("/dev/video*"))
 
 
@@ -112,7 +113,7 @@ def _open(source: str, device: bool, what: str) -> cv2.VideoCapture:
                 f"{what}: expected a camera, got {source}: no such device; there are: "
                 f"{', '.join(devices()) or 'none'}"
             )
-        # FFmpeg and GStreamer open cameras too, with queues of old images
+        # V4L2 only: FFmpeg and GStreamer open cameras too, but queue old images
         if number:
             return cv2.VideoCapture(int(number[1]), cv2.CAP_V4L2)
         return cv2.VideoCapture(path, cv2.CAP_V4L2)
@@ -123,7 +124,7 @@ def _open(source: str, device: bool, what: str) -> cv2.VideoCapture:
         )
     if "://" not in source:
         return cv2.VideoCapture(source)
-    # a stream that stalls is noticed within seconds: by default after half a minute
+    # detects a stalled stream within seconds instead of half a minute
     limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 5000, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 2000]
     return cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
 

@@ -1,1 +1,1 @@
-"""Heads as files: presets, TOML there and back, the rules that a file must keep."""
+"""Head files: presets, reading and writing TOML, the rules a file must meet, and imports."""

@@ -1,7 +1,8 @@
-"""Actuators as TOML, and back: what moves the joints of the eyes, and the limits that follow.
+"""Read and write the actuators of the eye joints as TOML, and derive the joint limits from them.
 
-`[[actuators]]` with the angle of each joint that one of them moves, per angle of its own, such as
-`joints = { left_pan = 0.5, right_pan = -0.5 }`; without them each joint has its own.
+Each `[[actuators]]` table gives the ratio of joint angle to actuator angle for every joint that it
+moves, such as `joints = { left_pan = 0.5, right_pan = -0.5 }`. Without these tables each joint has
+an actuator of its own.
 """
 
 from collections.abc import Sequence
@@ -26,7 +27,7 @@ from vergence.models.parts import FloatArray, JointLimits
 
 
 def parse_actuators(root: Table, links: JointAxes) -> Actuators | None:
-    """The actuators of a head's file; None where each joint has its own."""
+    """Read the actuators of a head file; None if each joint has its own."""
     if not root.has("actuators"):
         return None
     tables = root.tables("actuators")
@@ -88,15 +89,15 @@ def parse_actuators(root: Table, links: JointAxes) -> Actuators | None:
 def joint_limits(
     links: JointAxes, given: Sequence[FloatArray | None], actuators: Actuators | None
 ) -> JointLimits:
-    """The limits of the seven joints: those in the file, or all that the actuators reach.
+    """Limits of the seven joints: those in the file, or else the range that the actuators reach.
 
     Args:
         links: the joints.
-        given: (4,) of each, or None.
-        actuators: what moves those of the eyes.
+        given: (4,) limits of each joint in the order of `JOINT_LIMITS`, or None.
+        actuators: the actuators of the eye joints; None if each joint has its own.
 
     Raises:
-        HeadFileError: a joint has neither limits nor an actuator that has.
+        HeadFileError: a joint has neither limits nor an actuator to derive them from.
     """
     seven = np.zeros((4, len(JOINTS)))
     seven[3] = np.inf
@@ -120,7 +121,7 @@ def joint_limits(
 
 
 def actuators_to_toml(links: JointAxes, actuators: Actuators) -> dict[str, Any]:
-    """The tables of actuators, which `parse_actuators` turns back exactly."""
+    """Write the tables of actuators; `parse_actuators` reads exactly the same values back."""
     eyes = links.joints[EYES]
     tables: dict[str, Any] = {
         "actuators": [

@@ -1,4 +1,4 @@
-"""What a head's assumptions amount to: the values that their keys name, with units for people."""
+"""Assumed values of a head file: the values behind the keys of `[assumptions]`, in human units."""
 
 import tomllib
 from collections.abc import Iterable, Sequence
@@ -18,23 +18,24 @@ _UNITS: Final[tuple[tuple[str, float, str], ...]] = (
     ("_s", 1e3, "ms"),
     ("_m", 1e3, "mm"),
 )
-"""By the end of a key: how many of the unit that people read one of the file's is."""
+"""Suffix of a key, factor from its SI unit to the unit shown, and the name of the unit shown."""
 _MOST: Final = 3
-"""Values that are written out where several tables have different ones."""
+"""Most different values of several tables that are written out (chosen: keeps the text short)."""
 
 
 class Assumed(NamedTuple):
-    """An assumption."""
+    """A value that a head file assumes rather than measures."""
 
     keys: tuple[str, ...]
-    """That share the value and the reason."""
+    """Keys that share the value and the reason."""
     value: str
-    """With its unit; empty where the file has no such key."""
+    """Value with its unit; empty if the file has no such key."""
     why: str
+    """Reason for the assumption."""
 
 
 def assumed_values(head: HeadModel) -> list[Assumed]:
-    """The assumptions of a head's file with the values that they are about.
+    """List the assumptions of a head with their values.
 
     Args:
         head: one head, not a population.
@@ -47,7 +48,7 @@ def assumed_values(head: HeadModel) -> list[Assumed]:
 
 
 def _value(document: dict[str, Any], key: str) -> str:
-    """The text of what a dotted key names; several where it names a field of several tables."""
+    """Text of the value at a dotted key; several values if several tables have the field."""
     values: list[Any] = [document]
     parts = key.split(".")
     for part in parts:
@@ -64,7 +65,7 @@ def _value(document: dict[str, Any], key: str) -> str:
 
 
 def _step(value: Any, part: str) -> Iterable[Any]:
-    """What a part of a key names in a value: a field, a table by its name, a field of all."""
+    """Values at a part of a dotted key: a field, a table by its name, or a field of all tables."""
     if isinstance(value, dict):
         return [value[part]] if part in value else []
     if isinstance(value, list) and all(isinstance(table, dict) for table in value):
@@ -84,7 +85,7 @@ def _text(key: str, value: Any) -> str:
 
 
 def plain(field: str) -> str:
-    """A key without its unit."""
+    """A key without its unit suffix, underscores replaced by spaces."""
     end = next((end for end, _, _ in _UNITS if field.endswith(end)), "")
     return field.removesuffix(end).replace("_", " ")
 

@@ -1,4 +1,4 @@
-"""What calibration files call things: many spellings of one key, for one camera or for two."""
+"""Lookup of calibration values by key, for the many spellings that files use, one camera or two."""
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -10,6 +10,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.files.calibration_text import flattened, numbers
 from vergence.models.parts import FloatArray
 
+# Known spellings of each key, lower-case without punctuation, in order of lookup.
 MATRIX: Final = (
     "cameramatrix", "k", "m", "intrinsics", "intrinsic", "intrinsicmatrix", "intrinsicsmatrix",
     "cammatrix", "cammat", "cameramat", "matrix", "mtx",
@@ -35,25 +36,26 @@ TRANSLATION: Final = (
     "extrinsicst",
 )  # fmt: skip
 CHAIN: Final = ("cam1tcncnm1",)
-"""kalibr's transform from the first camera's frame to the second's."""
+"""kalibr's T_cn_cnm1, the transform from the first camera's frame to the second's."""
 RECTIFICATION: Final = ("rectificationmatrix", "rectification", "r")
 PROJECTION: Final = ("projectionmatrix", "projection", "p")
 
 SIDES: Final = (("1", "2"), ("left", "right"), ("l", "r"), ("0", "1"))
-"""How the two cameras of a pair are told apart."""
+"""Labels by which keys distinguish the two cameras of a pair."""
 
 
 class Found(NamedTuple):
-    """A value of a file."""
+    """A value found in a calibration file."""
 
     value: Any
     label: str
-    """The file and the key, as messages call them."""
+    """Name of the file and the key, for messages."""
     file: str
+    """Name of the file."""
 
 
 def spellings(stem: str, side: str) -> Iterator[str]:
-    """How a key of one camera of a pair may be written, such as `cameramatrix1` or `leftk`."""
+    """Possible spellings of a key of one camera of a pair, such as `cameramatrix1` or `leftk`."""
     yield stem + side
     yield side + stem
     for camera in ("cam", "camera"):
@@ -64,13 +66,13 @@ def spellings(stem: str, side: str) -> Iterator[str]:
 
 
 class Keys:
-    """The values of one or several files by key, however the key is written.
+    """Values of one or several calibration files, found under any known spelling of their keys.
 
     Args:
-        files: by name, as `read_calibration` gives them.
+        files: content of each file by name, from `read_calibration`.
 
     Attributes:
-        used: the files of the values that have been found.
+        used: names of the files in which a value has been found.
     """
 
     def __init__(self, files: Mapping[str, Mapping[str, Any]]) -> None:
@@ -83,14 +85,14 @@ class Keys:
                 self._found.setdefault(plain, []).append(Found(value, f"{name}: {key}", name))
 
     def find(self, stems: Sequence[str], side: str = "") -> Found | None:
-        """The value of the first stem that is there.
+        """Find the value of the first spelling that is present; None if there is none.
 
         Args:
-            stems: what the key may be called.
-            side: whose camera of a pair; empty for a key without one.
+            stems: possible spellings of the key, without a side.
+            side: label of one camera of a pair, see `SIDES`; empty for a key without one.
 
         Raises:
-            ConfigurationError: two files say different things about it.
+            ConfigurationError: the key occurs several times with different values.
         """
         for stem in stems:
             for key in spellings(stem, side) if side else (stem,):
@@ -107,7 +109,7 @@ class Keys:
         return None
 
     def sides(self) -> tuple[str, str] | None:
-        """How the two cameras are told apart; None where there are no two."""
+        """Labels of the left and right camera in the keys; None unless there are two cameras."""
         for left, right in SIDES:
             if self.find(MATRIX, left) and self.find(MATRIX, right):
                 return left, right
@@ -115,14 +117,14 @@ class Keys:
 
 
 def refuse_unused(files: Iterable[str], used: Collection[str]) -> None:
-    """Refuse files of which nothing would be used: they may be what was meant.
+    """Refuse files that contribute nothing: the user may have meant them to count.
 
     Args:
-        files: all that were given.
-        used: those of which something is used.
+        files: names of all files given.
+        used: names of the files that contribute a value.
 
     Raises:
-        ConfigurationError: names the others.
+        ConfigurationError: some files are unused; the message names them.
     """
     others = [name for name in files if name not in used]
     if others:
@@ -133,7 +135,7 @@ def refuse_unused(files: Iterable[str], used: Collection[str]) -> None:
 
 
 def _unwrapped(content: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What stands below keys that hold everything."""
+    """Content below outer keys that are alone on their level."""
     while len(content) == 1:
         (inner,) = content.values()
         if not isinstance(inner, Mapping):
@@ -150,15 +152,15 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def array_of(found: Found, sizes: Sequence[int], expected: str) -> FloatArray:
-    """The numbers of a value, in one row.
+    """Numbers of a value, flattened to one dimension.
 
     Args:
         found: the value.
-        sizes: how many there may be.
-        expected: what a message says should stand there.
+        sizes: allowed counts of numbers.
+        expected: description of the expected value, for messages.
 
     Raises:
-        ConfigurationError: they are no finite numbers, or as many as they may not be.
+        ConfigurationError: the value is not numeric or not finite, or has another count.
     """
     values = numbers(found.value)
     if values is not None and values.size in sizes and np.isfinite(values).all():

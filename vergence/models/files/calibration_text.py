@@ -1,4 +1,4 @@
-"""The text of a calibration file as nested mappings: YAML, XML or JSON.
+"""Parse the text of a calibration file, YAML, XML or JSON, into nested mappings.
 
 OpenCV's FileStorage writes all three. Its YAML has a directive and tags of its own; ROS and
 kalibr write ordinary YAML, which FileStorage does not read.
@@ -19,10 +19,11 @@ from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
 
 _LARGEST_BYTES = 50_000_000
-"""Of a calibration file; one that holds every image point has a few millions."""
+"""Largest size of a calibration file; a file with every image point has a few million (chosen)."""
 _DEEPEST: Final = 100
-"""Of values nested in one another; the parsers would run out of stack somewhere beyond it."""
+"""Deepest nesting of values; the parsers would overflow the stack somewhere beyond (chosen)."""
 _JSON_PART: Final = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
+"""A string of JSON, or a bracket."""
 _NOT_FINITE: Final = re.compile(r"(?<![\w.])[+-]?(?:\.?nan|\.?inf)\b", re.IGNORECASE)
 
 
@@ -30,14 +31,14 @@ def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     """Read a calibration file into nested mappings, whatever its keys are.
 
     Args:
-        path: a YAML, XML or JSON file; the content tells which.
+        path: a YAML, XML or JSON file; the format follows from the content.
 
     Returns:
-        Values by key: numbers, texts, lists, nested mappings and, for what OpenCV marks as a
-        matrix or lays out as one (`rows`, `cols`, `data`), arrays.
+        Values by key: numbers, strings, lists, nested mappings, and arrays for OpenCV's
+        matrices (mappings with `data` and `rows` or `sizes`).
 
     Raises:
-        ConfigurationError: the file cannot be read, or is none of the three.
+        ConfigurationError: the file cannot be read, or is in none of the three formats.
     """
     name = os.fspath(path)
     try:
@@ -74,7 +75,7 @@ def _kind_of(parsed: object) -> str:
 
 
 def _refuse_deep(steps: Iterable[int]) -> None:
-    """Refuse values that are nested too deep, by steps of 1 into one and -1 out of it."""
+    """Refuse values nested too deep; a step is 1 into a level and -1 out of it."""
     if any(depth > _DEEPEST for depth in accumulate(steps)):
         raise ValueError(f"values nested more than {_DEEPEST} deep")
 
@@ -86,7 +87,7 @@ def _parse_json(text: str) -> Any:
 
 
 def _yaml_steps(text: str, loader: Any) -> Iterator[int]:
-    """Into and out of the lists and mappings of a YAML text's first document."""
+    """Steps (1 or -1) into and out of the lists and mappings of a YAML text's first document."""
     import yaml
 
     for event in yaml.parse(text, loader):
@@ -101,7 +102,7 @@ def _parse_yaml(text: str) -> Any:
     import yaml
 
     class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-        """Takes tags that it does not know, such as `!!opencv-matrix`, for what they are on."""
+        """Loader that drops unknown tags, such as `!!opencv-matrix`, and keeps their values."""
 
     def untagged(loader: Any, suffix: str, node: Any) -> Any:
         if isinstance(node, yaml.MappingNode):
@@ -111,11 +112,11 @@ def _parse_yaml(text: str) -> Any:
         return loader.construct_scalar(node)
 
     Loader.add_multi_constructor("", untagged)
-    if text.startswith("%YAML"):  # OpenCV's `%YAML:1.0` is no directive of YAML
+    if text.startswith("%YAML"):  # OpenCV's `%YAML:1.0` is not valid YAML
         text = text.partition("\n")[2]
     try:
         _refuse_deep(_yaml_steps(text, Loader))
-        # topics that were recorded go on with one document a message
+        # a recorded ROS topic has one document per message; the first is enough
         return next(iter(yaml.load_all(text, Loader)), None)
     except yaml.YAMLError as error:
         raise ValueError(str(error)) from error
@@ -155,7 +156,7 @@ _PARSERS: Final[dict[str, Callable[[str], Any]]] = {
 
 
 def _with_matrices(value: Any, where: str) -> Any:
-    """The same with matrices that are written as mappings turned into arrays."""
+    """Copy of a value with matrices that are written as mappings turned into arrays."""
     if isinstance(value, Mapping):
         if "data" in value and ("rows" in value or "sizes" in value):
             return _matrix(value, where)
@@ -176,7 +177,7 @@ def _matrix(value: Mapping[str, Any], where: str) -> FloatArray:
     except (TypeError, ValueError, OverflowError):
         sides = []
     count = int(np.prod(sides)) if sides and min(sides) > 0 else 0
-    # the elements of image points are pairs of numbers
+    # an element may hold several numbers, such as the two of an image point
     if data is None or (data.size % count if count else data.size):
         got = f"{data.size} numbers" if data is not None else "no numbers"
         if data is None and _NOT_FINITE.search(str(value["data"])):
@@ -186,11 +187,11 @@ def _matrix(value: Mapping[str, Any], where: str) -> FloatArray:
 
 
 def numbers(value: Any) -> FloatArray | None:
-    """An array of what may be numbers, or None where it is not one.
+    """Convert a value to a float array; None if it is not numeric.
 
     Args:
-        value: a number, nested lists or an array; numbers may be texts, as YAML 1.1 takes `1e-5`
-            for one.
+        value: a number, nested lists or an array; numbers may be strings, since YAML 1.1 reads
+            `1e-5` as a string.
     """
     if isinstance(value, bool | Mapping) or value is None:
         return None
@@ -201,7 +202,7 @@ def numbers(value: Any) -> FloatArray | None:
 
 
 def flattened(value: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """The values of nested mappings, each with the keys that lead to it, joined by dots."""
+    """Values of nested mappings, each with its path of keys joined by dots."""
     for key, inner in value.items():
         if isinstance(inner, Mapping):
             yield from flattened(inner, f"{before}{key}.")

@@ -1,4 +1,4 @@
-"""The eyes' cameras as TOML, and back: image, pinhole, lens, response, and where each is."""
+"""Read and write the cameras as TOML: image size, intrinsics, lens, response, mounting pose."""
 
 from typing import Any
 
@@ -15,10 +15,10 @@ from vergence.models.response import EXPECTED, Response, parse_response
 
 
 def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
-    """The cameras of a head's file, and (2, 4, 4) where each is in its eye's last link.
+    """Cameras of a head file, and (2, 4, 4) the pose of each in its eye's last link.
 
     Raises:
-        HeadFileError: a camera cannot be.
+        HeadFileError: a value of a camera is missing or invalid.
     """
     image = _parse_size(root.table("image"), closing=True) if root.has("image") else None
     size, lens, focal, principal, distortion = [], [], [], [], np.zeros((2, 8))
@@ -75,7 +75,7 @@ def _parse_eye_size(table: Table, image: tuple[int, int] | None) -> tuple[int, i
 
 
 def _parse_lens(table: Table) -> tuple[str, FloatArray]:
-    """A camera's lens model and its coefficients; a pinhole is a model with none but zeros."""
+    """Lens model of a camera and its coefficients; a pinhole becomes Brown-Conrady with zeros."""
     said = table.has("lens")
     lens = table.choice("lens", [PINHOLE, *LENSES]) if said else BROWN_CONRADY
     if not said and table.has("distortion"):
@@ -92,7 +92,7 @@ def _parse_lens(table: Table) -> tuple[str, FloatArray]:
 
 
 def _refuse_unnamed(table: Table) -> None:
-    """Refuse as many coefficients as another lens than the one that need not be named has."""
+    """Refuse coefficients without a lens name if their count fits a non-default model."""
     given = table.peek("distortion")
     for lens, coefficients in LENSES.items():
         if lens != BROWN_CONRADY and isinstance(given, list) and len(given) == len(coefficients):
@@ -114,7 +114,7 @@ def _parse_response(table: Table) -> Response | None:
 
 
 def _parse_mount(table: Table) -> FloatArray:
-    """(4, 4) a camera in its eye's last link."""
+    """(4, 4) pose of a camera in its eye's last link."""
     if not table.has("head_eye_rotation"):
         return parse_pose(table, "position_m")
     mount = np.eye(4)
@@ -124,11 +124,11 @@ def _parse_mount(table: Table) -> FloatArray:
 
 
 def eyes_to_toml(cameras: Cameras, head_eye: FloatArray, mount: tuple[str, str]) -> dict[str, Any]:
-    """The tables `image`, where both eyes have images of one size, and `eyes`.
+    """Write the table `eyes`, and the table `image` if both eyes have images of one size.
 
     Args:
-        cameras: of one head.
-        head_eye: (2, 4, 4) where they are in the eyes' last links, metres.
+        cameras: cameras of one head.
+        head_eye: (2, 4, 4) pose of each camera in its eye's last link, metres.
         mount: the keys of rotation and position.
     """
     sizes = [{"width_px": width, "height_px": height} for width, height in cameras.size.tolist()]

@@ -1,4 +1,4 @@
-"""What a head as a whole must be able to do: see with two eyes side by side, and turn them."""
+"""Checks of a head as a whole: two eyes side by side, and actuators that turn the cameras."""
 
 from typing import Final
 
@@ -10,18 +10,24 @@ from vergence.models.joints import EYE_NAMES, EYES
 from vergence.models.parts import FloatArray
 
 _LEAST_BASELINE_M: Final = 1e-3
+"""Smallest distance between the cameras (chosen: far below any real head)."""
 _LEAST_CONDITION: Final = 0.05
+"""Smallest determinant, or singular value, of an image Jacobian in focal lengths per radian.
+
+Below it an actuator hardly moves the images (chosen: higher values would refuse usable heads).
+"""
 _FAR_M: Final = 100.0
+"""Distance of the point ahead; eye translation is negligible there (chosen)."""
 _TURN_RAD: Final = 1e-5
-"""Leaves a derivative of the projection exact to ten digits."""
+"""Step of central differences; keeps derivatives exact to ten digits, rad (numerical)."""
 
 
 def refuse_unfit(head: HeadModel) -> None:
-    """Refuse a head that cannot triangulate, or servo, at rest.
+    """Refuse a head that cannot triangulate or servo at rest.
 
     Raises:
-        HeadFileError: the eyes stand in one place, or exchanged, or an actuator hardly moves the
-            images.
+        HeadFileError: the eyes are in one place or exchanged, an eye joint's range is far from
+            zero, or an actuator hardly moves the images.
     """
     _refuse_far_ranges(head)
     poses = head.camera_poses(head.rest())
@@ -55,7 +61,7 @@ def refuse_unfit(head: HeadModel) -> None:
 
 
 def _refuse_far_ranges(head: HeadModel) -> None:
-    """Refuse joints of the eyes that are counted from a posture far from any that they can have."""
+    """Refuse eye joints whose range stays more than 90 degrees away from their zero."""
     for name, lower, upper in zip(
         head.joints[EYES], head.limits.lower[EYES], head.limits.upper[EYES], strict=True
     ):
@@ -69,12 +75,12 @@ def _refuse_far_ranges(head: HeadModel) -> None:
 
 
 def _refuse_places(poses: FloatArray) -> None:
-    """Refuse eyes in one place, and a left eye on the right."""
+    """Refuse eyes in one place, and a left eye on the right of the right one."""
     across = poses[1, :3, 3] - poses[0, :3, 3]
     baseline = float(np.linalg.norm(across))
     if not baseline > _LEAST_BASELINE_M:
         raise HeadFileError("eyes", f"a baseline of {baseline:.3g} m", "a baseline above 1 mm")
-    # the images themselves say which way is right
+    # the x axes of the images define which way is right
     right, down = (poses[:, :3, axis].sum(axis=0) @ across for axis in (0, 1))
     if right < 0.0 and abs(right) > abs(down):
         raise HeadFileError(
@@ -86,12 +92,12 @@ def _refuse_places(poses: FloatArray) -> None:
 
 
 def _image_jacobians(head: HeadModel, poses: FloatArray) -> FloatArray:
-    """(2, 2, m) of what is ahead, by eye, image axis and actuator, in focal lengths."""
+    """(2, 2, m) Jacobians of a far point ahead, by eye, image axis, actuator; focal lengths/rad."""
     count = head.actuation.count
-    # by central differences: compiling `image_jacobian` would cost every first call a second
+    # central differences, since compiling `image_jacobian` would add a second to the first call
     turns = _TURN_RAD * np.array([[[1.0]], [[-1.0]]]) * np.eye(7)[3 : 3 + count]
     turned = head.actuation.joints_of(head.actuation.actuators_of(head.rest()) + turns)
-    # far away, so that an eye that is carried along without turning does not count
+    # far away, so that an eye that translates without turning hardly moves its image
     ahead = poses[:, :3, 3] + _FAR_M * poses[:, :3, 2]
     own = np.empty((2, 2, count))
     for eye in range(2):

@@ -1,4 +1,4 @@
-"""Heads in files: the presets that come with the package, and files of one's own."""
+"""Load and save heads: the presets of the package, and the user's own files."""
 
 import os
 from difflib import get_close_matches
@@ -20,11 +20,11 @@ _MAKERS = {
     ".xml": f"{_STEREO}, vergence import urdf of a robot",
     ".urdf": "vergence import urdf makes of a robot",
 }
-"""What makes a head file out of what is often taken for one, by the ending."""
+"""Command that converts a file often mistaken for a head file, by file suffix."""
 
 
 def presets() -> list[str]:
-    """The names of the heads that come with the package."""
+    """Names of the heads that come with the package."""
     return sorted(
         entry.name.removesuffix(".toml")
         for entry in _PRESETS.iterdir()
@@ -70,25 +70,25 @@ def load_head(source: str | os.PathLike[str]) -> HeadModel:
 
 
 def _meant(path: str) -> str:
-    """The preset that a path's name looks like."""
+    """Hint at the preset whose name resembles a path's."""
     near = get_close_matches(Path(path).stem, presets(), n=1)
     return f" (--head {near[0]} is the preset)" if near else ""
 
 
 def from_anywhere(source: str) -> str:
-    """What names the same head from any folder: a preset's name, or a whole path."""
+    """Head name that is valid in any working directory: a preset's name or an absolute path."""
     return source if source in presets() else str(Path(source).absolute())
 
 
 def save_head(head: HeadModel, path: str | os.PathLike[str]) -> None:
-    """Write one head to a TOML file, whole or not at all.
+    """Write one head to a TOML file atomically.
 
     Args:
         head: one head, not a population.
-        path: where to write; an existing file is replaced.
+        path: file to write; an existing file is replaced.
 
     Raises:
-        HeadFileError: the head is a population, or has a name that no file may have.
+        HeadFileError: the head is a population, or has a name that is no valid file name.
         OSError: the file cannot be written.
     """
     write_whole(path, head_to_toml(head))

@@ -1,6 +1,6 @@
-"""What the TOML file of a head may hold: a name that files may have, and numbers in their ranges.
+"""Rules for the values of a head file: a name valid as a file name, and numbers in their ranges.
 
-The range of each field is that of its unit.
+Fields with one unit share one range.
 """
 
 import re
@@ -11,7 +11,7 @@ from vergence.models.cameras import BROWN_CONRADY
 from vergence.models.files.toml_table import Rule
 
 _RESERVED: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
-"""What Windows keeps for devices, with any suffix."""
+"""File names that Windows reserves for devices, with any suffix."""
 
 
 def _is_name(text: str) -> bool:
@@ -57,16 +57,19 @@ SUPERSAMPLING: Final[Rule] = (lambda x: 1 <= x <= 16, "1 to 16")
 
 DISTORTION: Final = {
     BROWN_CONRADY: COEFFICIENT,
-    # those of a quotient, and of a fisheye's narrow image, hardly bend it by themselves
+    # one coefficient of a quotient, or of a narrow fisheye image, may be large and distort little
     "rational": RATIO_COEFFICIENT,
     "fisheye": RATIO_COEFFICIENT,
 }
-"""By lens model."""
+"""Rule for distortion coefficients by lens model."""
 LINK_FIELDS: Final = {"alpha_rad": RADIANS, "a_m": METRES, "d_m": METRES, "offset_rad": RADIANS}
 TIMING: Final = {"frame_rate_hz": RATE, "exposure_s": SECONDS, "lag_s": SECONDS}
-"""Besides the control rate and the latency, which older files count in control periods."""
+"""Required fields of timing, besides the control rate and the latency.
+
+Those two are read separately, since older files give the latency in control periods.
+"""
 TIMING_OPTIONS: Final = {"command_latency_s": SECONDS, "feedback_latency_s": SECONDS}
-"""Zero where a file leaves them out."""
+"""Optional fields of timing; 0 if a file leaves them out."""
 SENSOR: Final = {
     "detection_noise_px": SIGMA,
     "encoder_resolution_rad": STEP,
@@ -75,7 +78,7 @@ SENSOR: Final = {
     "max_smear_px": POSITIVE,
 }
 SENSOR_OPTIONS: Final = {"command_resolution_rad_s": SIGMA, "backlash_rad": STEP}
-"""Zero where a file leaves them out."""
+"""Optional fields of the sensor; 0 if a file leaves them out."""
 RENDERING: Final = {
     "blur_px": SIGMA,
     "noise_grey": SIGMA,
@@ -90,18 +93,18 @@ LIMITS: Final = {
     "acceleration_rad_s2": ACCELERATION,
 }
 JOINT_LIMITS: Final = LIMITS
-"""Of one joint or actuator, in the order of `JointLimits`."""
+"""Limits of one joint or actuator, in the order of `JointLimits`."""
 LIMIT_FIELDS: Final = {
     "lower_rad": "lower",
     "upper_rad": "upper",
     "velocity_rad_s": "velocity",
     "acceleration_rad_s2": "acceleration",
 }
-"""The fields of `JointLimits` and `Actuators` by the keys of a file."""
+"""Fields of `JointLimits` and `Actuators` by the keys of a file."""
 ACTUATOR_OWN: Final = {
     "lag_s": SECONDS,
     "encoder_resolution_rad": STEP,
     "velocity_resolution_rad_s": SIGMA,
     "backlash_rad": STEP,
 }
-"""What an actuator may have otherwise than its head says."""
+"""Optional fields of an actuator that override the head's timing or sensor."""

@@ -1,4 +1,4 @@
-"""A head as TOML text and back, refusing what cannot be a head."""
+"""Read and write a head as TOML text; invalid heads are refused."""
 
 import dataclasses
 import re
@@ -56,7 +56,7 @@ from vergence.models.parts import (
 
 
 def parse_head(text: str) -> HeadModel:
-    """Make a head from the text of a TOML file.
+    """Parse a head from the text of a TOML file.
 
     Args:
         text: TOML, laid out as `head_to_toml` writes it.
@@ -65,7 +65,8 @@ def parse_head(text: str) -> HeadModel:
         The head.
 
     Raises:
-        HeadFileError: a key is unknown, missing or has a value that cannot be right.
+        HeadFileError: a key is unknown or missing, a value is out of range, or the head cannot
+            triangulate or servo.
     """
     try:
         root = Table(tomllib.loads(text), "")
@@ -75,7 +76,7 @@ def parse_head(text: str) -> HeadModel:
     check_name(name)
     cameras, mounts = parse_eyes(root)
     parts: dict[str, Any] = {"head_eye": mounts}
-    if root.has("links") or root.has("limits"):  # the article's nine
+    if root.has("links") or root.has("limits"):  # the article's nine links
         parts |= {"links": _parse_links(root), "limits": _parse_limits(root.table("limits"))}
     else:
         parts = _parse_axes(root, mounts)
@@ -95,15 +96,15 @@ def parse_head(text: str) -> HeadModel:
 
 
 def _parse_axes(root: Table, mounts: FloatArray) -> dict[str, Any]:
-    """What a head's file says of joints and actuators in the form of `joints_toml`."""
+    """Joints, frame N and actuators in the form of `joints_toml`, as arguments of `HeadModel`."""
     names, parts, pose, given, carried = parse_joints(root)
-    if not names:  # or they are called something else
+    if not names:  # perhaps the joints stand under a misspelt key: refuse unknown ones now
         root.close(
             ("frame", "actuators", "timing", "sensor", "rendering", "assumptions", "calibration")
         )
     head_eye = np.stack([product(carried[eye], mounts[i]) for i, eye in enumerate(EYE_NAMES)])
     frame = parse_frame(root)
-    # N is fixed to what the neck's last joint carries, which a joint's own frame is turned from
+    # N is fixed to the neck's last link, whose frame is rotated from that of the neck's last joint
     unframed = JointAxes(names=tuple(names), parts=tuple(parts), pose=pose, frame=carried["neck"])
     if frame is None:
         eyes = [unframed.folded()[4 + 3 * eye : 7 + 3 * eye] for eye in range(2)]
@@ -149,10 +150,10 @@ def _parse_calibration(root: Table) -> CalibrationRecord | None:
 
 
 def check_name(name: object) -> None:
-    """Refuse a name of a head that could not be part of a file's name on every system.
+    """Refuse a head name that cannot be part of a file name on every system.
 
     Raises:
-        HeadFileError: it could not.
+        HeadFileError: the name is invalid.
     """
     accepted, expected = NAME
     if not isinstance(name, str) or not accepted(name):
@@ -223,7 +224,7 @@ def _parse_sensor(table: Table) -> SensorModel:
 
 
 def _parse_options(table: Table, rules: Mapping[str, Rule]) -> dict[str, float]:
-    """What a file says of numbers that it may leave out."""
+    """Values of the optional fields that a file has."""
     return {field: table.number(field, rule) for field, rule in rules.items() if table.has(field)}
 
 
@@ -245,7 +246,7 @@ def _parse_flat(
 
 
 def _flat_to_toml(part: LoopTiming | SensorModel) -> dict[str, Any]:
-    """The fields of a part but those that a file may leave out and that say nothing."""
+    """Fields of a part, without those that have their default value."""
     return {
         field.name: value if isinstance(value, bool | str) else float(value)
         for field in dataclasses.fields(part)
@@ -254,7 +255,7 @@ def _flat_to_toml(part: LoopTiming | SensorModel) -> dict[str, Any]:
 
 
 def head_to_toml(head: HeadModel) -> str:
-    """Write one head as TOML text that `parse_head` turns back into an equal head.
+    """Write one head as TOML text; `parse_head` reads an equal head back.
 
     Args:
         head: one head, not a population.
@@ -263,7 +264,7 @@ def head_to_toml(head: HeadModel) -> str:
         The text.
 
     Raises:
-        HeadFileError: the head is a population, or has a name that could not be read again.
+        HeadFileError: the head is a population, or has an invalid name.
     """
     if head.batch_shape:
         raise HeadFileError("head", f"a population of shape {head.batch_shape}", "one head")

@@ -1,4 +1,4 @@
-"""A calibrated pair of cameras as a head whose eyes do not move."""
+"""Import of a calibrated stereo pair as a head whose eyes do not move."""
 
 from dataclasses import asdict
 from typing import Any, Final
@@ -38,7 +38,7 @@ _ASSUMED: Final[dict[str, dict[str, float | int]]] = {
         "background_grey": 120.0,
     },
 }
-"""What no calibration of a pair says."""
+"""Assumed values for the parts of a head that a stereo calibration does not contain."""
 _REASONS: Final = {
     "timing": "not in a calibration: 30 frames a second without delay",
     "sensor.detection_noise_px": (
@@ -56,23 +56,23 @@ def head_of_pair(
     calibration: CalibrationRecord | None = None,
     response: Response | None = None,
 ) -> str:
-    """A pair as the TOML text of a head.
+    """Convert a stereo pair to the TOML text of a head.
 
-    Frame N is left to the cameras: its origin midway between them, z along the mean of the optical
+    The cameras define frame N: its origin is midway between them, z along the mean of the optical
     axes.
 
     Args:
-        pair: the pair.
-        name: of the head.
-        noise_px: standard deviation of detected pixels, where it was measured.
-        calibration: how the pair was calibrated, where it is known.
-        response: light by grey level of both cameras, where it is known.
+        pair: the calibrated pair.
+        name: name of the head.
+        noise_px: measured standard deviation of detected pixels; None to assume it.
+        calibration: record of the pair's calibration, if known.
+        response: response curve of both cameras (light by grey level), if known.
 
     Returns:
-        The text; what nobody has measured is marked in `[assumptions]`.
+        The text; values that nobody has measured are listed in `[assumptions]`.
 
     Raises:
-        HeadFileError: the name cannot be one.
+        HeadFileError: the name is invalid.
     """
     check_name(name)
     cameras = (pair.left, pair.right)

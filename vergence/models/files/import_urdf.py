@@ -1,4 +1,4 @@
-"""The head in a robot's URDF or MJCF, as the text of a head file."""
+"""Import of a head from a robot's URDF or MJCF, as the text of a head file."""
 
 import os
 import re
@@ -48,21 +48,21 @@ from vergence.models.parts import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfSource:
-    """A robot's description, and which of its frames and joints are the head's.
+    """A robot description, and the frames and joints of it that make up the head.
 
     Attributes:
         file: URDF or MJCF.
-        base: frame that the neck stands on.
+        base: frame that the neck is mounted on.
         cameras: frames of the left and the right camera.
-        neck: up to three joints.
-        lock: `JOINT=DEG` of joints that are held; `JOINT=0.1m` of those that slide.
-        camera_axes: `right,down,forward` of the camera frames, one for both or one each; none
-            for frames that are optical ones, and for the cameras of an MJCF.
+        neck: up to three neck joints.
+        lock: `JOINT=DEG` for joints held at an angle; `JOINT=0.1m` for prismatic joints.
+        camera_axes: `right,down,forward` axes of the camera frames, one for both or one each; empty
+            if the frames are optical frames or cameras of an MJCF.
         speed: `RAD_S` for joints without a speed limit, `JOINT=RAD_S` for one.
         acceleration: `RAD_S2` for all joints, `JOINT=RAD_S2` for one.
-        couplings: motors that move both eyes, which the file does not have.
-        intrinsics: files of the cameras' calibration.
-        name: of the head; empty for that of the robot.
+        couplings: motors that move both eyes but are missing in the file.
+        intrinsics: files with the cameras' calibration.
+        name: name of the head; empty for the robot's name.
     """
 
     file: str | os.PathLike[str]
@@ -80,14 +80,14 @@ class UrdfSource:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImportedHead:
-    """A head that has been found in a robot's description.
+    """A head imported from a robot description.
 
     Attributes:
-        head: the head, as it is read from the text.
-        text: of its file.
-        chains: what its joints are in the robot's description.
-        motors: of the eyes, where they are not one for each joint.
-        ignored: what of the robot is no part of it, a phrase each.
+        head: the head, parsed from the text.
+        text: text of the head file.
+        chains: the kinematic chains of the head in the robot description.
+        motors: motors of the eyes; empty if each joint has its own.
+        ignored: parts of the robot that the head leaves out, one phrase each.
     """
 
     head: HeadModel
@@ -98,17 +98,18 @@ class ImportedHead:
 
 
 def import_urdf(source: UrdfSource) -> ImportedHead:
-    """Make a head of two cameras of a robot and the joints that move them.
+    """Build a head from two cameras of a robot and the joints that move them.
 
-    Joints that are held are folded into what moves. Frame N is left to the head file's own rule:
-    fixed to what the last neck joint carries, midway between the cameras with all joints at zero.
+    Locked joints become part of the fixed poses between moving joints. Frame N follows the head
+    file's default rule: fixed to the link of the last neck joint, midway between the cameras with
+    all joints at zero.
 
     Args:
-        source: the file, and what to take of it.
+        source: the file, and the selection of frames and joints.
 
     Raises:
         HeadFileError: the file cannot be read, or what it describes cannot be a head.
-        ConfigurationError: what to take of it is wrong or cannot be expressed.
+        ConfigurationError: the selection is wrong, or a head file cannot express it.
     """
     mechanism = read_mechanism(source.file)
     base = mechanism.find(source.base, "base", ("body", "site", "camera"))
@@ -158,7 +159,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         "name": _name(source, mechanism),
         **({"image": images[0].size_fields()} if one_size else {}),
         **ASSUMED_LOOP,
-        # limits belong to what drives: those of joints that motors share follow from these
+        # limits belong to the motors: those of joints with shared motors follow from them
         "joints": [
             joint
             if moved and joint["part"] != "neck"
@@ -188,7 +189,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
 
 
 def _check_two(cameras: tuple[str, str]) -> None:
-    """Refuse one camera twice, and the colour and the depth image of one device."""
+    """Refuse one camera given twice, and the colour and depth frames of one device."""
     left, right = cameras
     if left == right or ("depth" in left.lower()) != ("depth" in right.lower()):
         raise ConfigurationError(
@@ -200,7 +201,7 @@ def _check_two(cameras: tuple[str, str]) -> None:
 def _axes(
     mechanism: Mechanism, cameras: Sequence[int], triples: Sequence[str]
 ) -> tuple[FloatArray, ...]:
-    """(3, 3) each camera in its frame."""
+    """(3, 3) rotation of each camera in its frame, R_frame_camera."""
     if len(triples) > 2:
         raise ConfigurationError(
             f"camera-axes: expected one for both cameras or one for each, got {len(triples)}"
@@ -223,7 +224,7 @@ def _motors(
     ranges: Mapping[str, Range],
     couplings: Sequence[Coupling],
 ) -> list[Motor]:
-    """The motors of the eyes; none where each joint has its own."""
+    """Motors of the eyes; empty if each joint has its own."""
     if not chains.ties and not couplings:
         return []
     between = frame_between(np.stack([eye.pose for eye in eyes]))
@@ -237,7 +238,7 @@ def _motors(
 
 
 def _of_motors(assumed: Mapping[str, str], moved: Sequence[Motor]) -> dict[str, str]:
-    """The reasons of joints as those of the motors that move them, where there are such."""
+    """Assumption keys and reasons, moved from joints to the motors that drive them, if any."""
     found: dict[str, str] = {}
     for key, why in assumed.items():
         joint, _, field = key.removeprefix("joints.").rpartition(".")

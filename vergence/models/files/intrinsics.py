@@ -1,4 +1,4 @@
-"""Calibrated cameras from files of OpenCV, ROS and kalibr: pinhole, lens and image size."""
+"""Camera intrinsics from files of OpenCV, ROS and kalibr: pinhole, lens and image size."""
 
 import os
 import re
@@ -30,8 +30,9 @@ from vergence.models.files.calibration_text import numbers, read_calibration
 from vergence.models.parts import FloatArray
 
 Lens = Literal["brown-conrady", "rational", "fisheye"]
-"""OpenCV's models of 5 and of 8 coefficients, and that of its fisheye module, of 4."""
+"""OpenCV's lens models with 5 and 8 coefficients, and its fisheye model with 4."""
 COEFFICIENTS: Final[dict[Lens, int]] = {"brown-conrady": 5, "rational": 8, "fisheye": 4}
+"""Number of distortion coefficients by lens model."""
 
 _MODELS: Final[dict[str, Lens | None]] = {
     "plumbbob": "brown-conrady",
@@ -49,12 +50,12 @@ _MODELS: Final[dict[str, Lens | None]] = {
     "pinhole": None,
     "": None,
 }
-"""What files call the lens models; None where the number of coefficients has to tell."""
+"""Lens model by the name that files use; None if the number of coefficients must decide."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Intrinsics:
-    """One calibrated camera."""
+    """Intrinsics of one calibrated camera."""
 
     width: int
     """Image width, in pixels."""
@@ -65,10 +66,11 @@ class Intrinsics:
     principal: FloatArray
     """(2,) u_0 and v_0, in pixels, pixel centres at integers as in OpenCV."""
     lens: Lens
+    """Lens model."""
     distortion: FloatArray
     """(5,), (8,) or (4,) coefficients of the lens, in OpenCV's order."""
     guess: str = ""
-    """What the file does not say and was taken for granted; empty if nothing was."""
+    """Assumption made about the lens because the file does not specify it; empty if none."""
 
 
 def read_intrinsics(
@@ -80,18 +82,18 @@ def read_intrinsics(
     """Read the cameras of the left and the right eye.
 
     Args:
-        paths: one file of a pair; two files, left first; or one file of a single camera, which
-            both eyes then have.
-        size: (width, height) in pixels, for files that do not have it.
-        lens: the lens model, for files that do not name it; None for the one that the number
-            of coefficients says.
+        paths: one file with both cameras; two files, left first; or one file with a single
+            camera, used for both eyes.
+        size: (width, height) in pixels, for files that do not give it.
+        lens: the lens model, for files that do not name it; None to infer it from the number
+            of coefficients.
 
     Returns:
-        The left camera and the right one.
+        The left and the right camera.
 
     Raises:
-        ConfigurationError: a file cannot be read or is not needed, or a camera in it or their
-            order cannot be.
+        ConfigurationError: a file cannot be read or is unused, or the cameras or their order
+            are invalid.
     """
     files = {os.fspath(path): read_calibration(path) for path in paths}
     together = Keys(files)
@@ -113,7 +115,7 @@ def read_intrinsics(
 
 
 def _refuse_swapped(left: Keys, right: Keys) -> None:
-    """Refuse cameras of ROS of which the left one stands on the right of the other."""
+    """Refuse camera_info files of ROS given right camera first."""
     found = [one for keys in (left, right) if (one := keys.find(PROJECTION))]
     values = [p for one in found if (p := numbers(one.value)) is not None and p.size == 12]
     if len(values) == 2 and values[0].flat[3] < 0.0 == values[1].flat[3]:
@@ -127,16 +129,16 @@ def _refuse_swapped(left: Keys, right: Keys) -> None:
 def camera_of(
     keys: Keys, side: str = "", *, size: tuple[int, int] | None = None, lens: Lens | None = None
 ) -> Intrinsics:
-    """One camera of calibration files.
+    """Intrinsics of one camera in calibration files.
 
     Args:
-        keys: what the files hold.
-        side: whose camera of a pair; empty for the only one.
+        keys: values of the files.
+        side: label of the camera in a pair, see `SIDES`; empty for a single camera.
         size: see `read_intrinsics`.
         lens: see `read_intrinsics`.
 
     Raises:
-        ConfigurationError: something is missing or cannot be.
+        ConfigurationError: a value is missing or invalid.
     """
     matrix = keys.find(MATRIX, side)
     if matrix is None:
@@ -158,7 +160,7 @@ def camera_of(
 
 def _pinhole(found: Found) -> tuple[FloatArray, FloatArray]:
     values = array_of(found, (4, 9), "a camera matrix of 3 x 3 numbers, or f_u, f_v, u_0, v_0")
-    if values.size == 4:  # as kalibr writes a pinhole
+    if values.size == 4:  # kalibr's form of a pinhole
         focal, principal = values[:2], values[2:]
     else:
         matrix = values.reshape(3, 3)
@@ -212,7 +214,7 @@ def _image_size(keys: Keys, side: str, given: tuple[int, int] | None) -> tuple[i
 
 
 def _refuse_part(keys: Keys, side: str, size: tuple[int, int]) -> None:
-    """Refuse the camera_info of images that are made smaller, or cut out of the full ones."""
+    """Refuse a camera_info of binned or cropped images."""
     advice = "if the images are full ones, else calibrate at the size that they have"
     where, factors = _counts(keys, side, BINNING)
     if not set(factors) <= {0.0, 1.0}:
@@ -231,7 +233,7 @@ def _refuse_part(keys: Keys, side: str, size: tuple[int, int]) -> None:
 
 
 def _counts(keys: Keys, side: str, every: Sequence[Sequence[str]]) -> tuple[str, list[float]]:
-    """Numbers of pixels, 0 where there is none, and what a message calls the largest."""
+    """Label of the largest value for messages, and the pixel counts; 0 for missing keys."""
     found = [keys.find(stems, side) or (keys.find(stems) if side else None) for stems in every]
     values = [
         float(array_of(one, (1,), "a number of pixels")[0]) if one is not None else 0.0
@@ -283,7 +285,7 @@ def _lens(keys: Keys, side: str, given: Lens | None) -> tuple[Lens, FloatArray, 
 
 
 def _named_lens(keys: Keys, side: str) -> Lens | None:
-    """The lens that the files name; None where they name none."""
+    """Lens model named in the files; None if there is none."""
     for stems in (FISHEYE, MODEL, CAMERA_MODEL):
         found = keys.find(stems, side) or (keys.find(stems) if side else None)
         if found is None:

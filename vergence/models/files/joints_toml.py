@@ -1,7 +1,8 @@
-"""Joints by their axes, frame N and actuators as TOML, and back.
+"""Read and write joints, given by their axes, and frame N as TOML.
 
-The form of heads that are not the article's: `[[joints]]` from the base outwards, each by origin
-and axis in the frame of the one before, as in a URDF, or by a row of modified D-H numbers.
+Heads other than the article's take this form: `[[joints]]` from the base outwards, each with its
+origin and axis in the frame of the previous joint, as in a URDF, or with a row of modified D-H
+parameters.
 """
 
 from collections.abc import Sequence
@@ -28,36 +29,37 @@ from vergence.models.links import product
 from vergence.models.parts import FloatArray, JointLimits
 
 _MOST: Final = {"neck": 3, "eye": 2}
+"""Largest number of joints in the neck and in an eye's chain."""
 _LIMITS: Final = tuple(JOINT_LIMITS)
 
 
 class Chains(NamedTuple):
-    """The joints of a head's file."""
+    """Joints of a head file, from the base outwards."""
 
     names: list[str]
     parts: list[str]
     pose: FloatArray
-    """(J, 4, 4) of each joint in the one before, z along its axis."""
+    """(J, 4, 4) pose of each joint in the previous one, z along its axis."""
     limits: list[FloatArray | None]
-    """(4,) of each joint, None where the file leaves them to its actuators."""
+    """(4,) limits of each joint; None if they follow from the actuators."""
     carried: dict[str, FloatArray]
-    """(4, 4) by the neck and each eye: the last link's frame in that of its joint."""
+    """(4, 4) pose of the last link in the frame of its joint, for the neck and each eye."""
 
 
 def parse_joints(root: Table) -> Chains:
-    """The joints of a head's file.
+    """Parse the joints of a head file.
 
     Args:
         root: the whole file.
 
     Raises:
-        HeadFileError: a joint cannot be.
+        HeadFileError: a joint is invalid, or out of order.
     """
     names: list[str] = []
     parts: list[str] = []
     poses: list[FloatArray] = []
     limits: list[FloatArray | None] = []
-    # the rotation from a joint's own frame, z along its axis, to that of what it carries
+    # the rotation from a joint's frame, z along its axis, to the frame of the link that it moves
     carried: dict[str, FloatArray] = {"neck": np.eye(4), "left": np.eye(4), "right": np.eye(4)}
     for table in root.tables("joints") if root.has("joints") else []:
         name = table.text("name", "a joint's name")
@@ -79,7 +81,7 @@ def parse_joints(root: Table) -> Chains:
 
 
 def _refuse_order(table: Table, parts: Sequence[str], part: str) -> None:
-    """A chain goes from the neck to both eyes to one."""
+    """Refuse joints out of order: the neck's first, then those of both eyes, then those of one."""
     allowed = {"neck": {"neck"}, "both": {"neck", "both"}}.get(part, set(PARTS))
     wrong = set(parts) - allowed
     if wrong:
@@ -98,11 +100,11 @@ def _refuse_crowd(parts: Sequence[str]) -> None:
 
 
 def _parse_pose(table: Table) -> tuple[FloatArray, FloatArray]:
-    """A joint's pose, z along its axis, and the pose of what it carries in that frame."""
+    """Pose of a joint, z along its axis, and in that frame the pose of the link that it moves."""
     if table.has("alpha_rad"):
         alpha, a, d, offset = (table.number(name, rule) for name, rule in LINK_FIELDS.items())
         ca, sa, co, so = cos(alpha), sin(alpha), cos(offset), sin(offset)
-        # RotX(alpha) TransX(a) RotZ(offset) TransZ(d): a turn about z and a shift along it commute
+        # RotX(alpha) TransX(a) RotZ(offset) TransZ(d); RotZ and TransZ commute
         pose = np.array(
             [
                 [co, -so, 0.0, a],
@@ -125,9 +127,9 @@ def _parse_pose(table: Table) -> tuple[FloatArray, FloatArray]:
 
 
 def _z_to(axis: FloatArray) -> FloatArray:
-    """(3, 3) the least rotation that turns z into a direction."""
+    """(3, 3) smallest rotation that takes z to a direction."""
     x, y, z = axis
-    if abs(x) + abs(y) == 0.0:  # exact, so that what is written in this form stays what it was
+    if abs(x) + abs(y) == 0.0:  # exact, so that `joints_to_toml` is read back unchanged
         return np.eye(3) if z > 0.0 else np.diag([1.0, -1.0, -1.0])
     turn = np.array([-y, x, 0.0])
     angle = atan2(hypot(x, y), z)
@@ -138,8 +140,8 @@ def parse_pose(table: Table, position: str) -> FloatArray:
     """(4, 4) a pose from a position and an optional `rotation` (3, 3) or `rpy_rad` (3,).
 
     Args:
-        table: where it stands.
-        position: the key of the position.
+        table: table that holds the pose.
+        position: key of the position, metres.
     """
     pose = np.eye(4)
     pose[:3, 3] = table.numbers(position, (3,), LENGTH)
@@ -174,7 +176,7 @@ def _parse_limits(table: Table, name: str) -> FloatArray | None:
 
 
 def refuse_empty(name: str, limits: FloatArray) -> None:
-    """Refuse a range without angles; the first two numbers are its ends, rad."""
+    """Refuse an empty range; the first two numbers are its lower and upper end, rad."""
     if not limits[0] < limits[1]:
         raise HeadFileError(
             f"limits of {name}", [float(limits[0]), float(limits[1])], "lower_rad below upper_rad"
@@ -182,7 +184,7 @@ def refuse_empty(name: str, limits: FloatArray) -> None:
 
 
 def parse_frame(root: Table) -> FloatArray | None:
-    """(4, 4) frame N in the neck's last link; None where the file leaves it to the cameras."""
+    """(4, 4) frame N in the neck's last link; None if the file does not give it."""
     if not root.has("frame"):
         return None
     table = root.table("frame")
@@ -192,17 +194,19 @@ def parse_frame(root: Table) -> FloatArray | None:
 
 
 def frame_between(eyes: FloatArray) -> FloatArray:
-    """(4, 4) frame N where a file does not say: midway between the eyes, as they look.
+    """(4, 4) default frame N: midway between the cameras, along their mean optical axis.
 
     Args:
-        eyes: (2, 4, 4) both cameras at the zero posture in the frame that N is to be fixed to.
+        eyes: (2, 4, 4) poses of both cameras at the zero posture, in the frame that N is to be
+            fixed to.
 
     Returns:
-        z is the mean of the optical axes, and x points from the left camera to the right one as
-        far as z leaves it.
+        The pose of N: z is the mean of the optical axes, x the direction from the left camera to
+        the right one made orthogonal to z.
 
     Raises:
-        HeadFileError: the eyes look apart, are at one place, or one stands before the other.
+        HeadFileError: the eyes look in opposite directions, are in one place, or one is in front
+            of the other.
     """
     forward = eyes[:, :3, 2].sum(axis=0)
     across = eyes[1, :3, 3] - eyes[0, :3, 3]
@@ -228,7 +232,7 @@ def frame_between(eyes: FloatArray) -> FloatArray:
 
 
 def joints_to_toml(links: JointAxes, limits: JointLimits) -> dict[str, Any]:
-    """The tables of joints and frame N, which `parse_joints` turns back exactly."""
+    """Write the tables of joints and frame N; `parse_joints` and `parse_frame` read them back."""
     tables: dict[str, Any] = {
         "frame": {
             "origin_m": links.frame[:3, 3].tolist(),

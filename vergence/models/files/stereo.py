@@ -1,4 +1,4 @@
-"""A calibrated pair of cameras from files of OpenCV, ROS and kalibr."""
+"""Calibrated stereo pairs from files of OpenCV, ROS and kalibr."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -26,13 +26,17 @@ from vergence.models.parts import FloatArray
 
 Unit = Literal["m", "cm", "mm"]
 METRES: Final[dict[Unit, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""Metres per unit."""
 
+# Range of plausible baselines; others suggest a wrong unit (chosen).
 LEAST_BASELINE_M: Final = 0.01
 GREATEST_BASELINE_M: Final = 1.0
+
 _MIDDLE: Final = 0.2
-"""How much of the image's side a principal point may be from its middle without a word."""
+"""Distance of a principal point from the image centre, as a fraction of the image side, above
+which it is doubted (chosen: false doubts against missed wrong image sizes)."""
 _ORTHONORMAL: Final = 1e-3
-"""How far a rotation may be from one: files have as few as four decimals."""
+"""Tolerance on the singular values of a rotation; files have as few as four decimals (chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,12 +52,12 @@ class StereoPair:
 
     @property
     def baseline_m(self) -> FloatArray:
-        """(3,) where the right camera is in the left one's frame, metres."""
+        """(3,) position of the right camera in the left one's frame, metres."""
         return -self.rotation.T @ self.translation_m
 
     @property
     def guesses(self) -> tuple[str, ...]:
-        """What the files do not say and was taken for granted."""
+        """Doubtful or assumed values that the user should check, one phrase each."""
         cameras = {"left": self.left, "right": self.right}
         said = [
             f"{eye} camera: {guess}"
@@ -71,7 +75,7 @@ class StereoPair:
 
 
 def _far_from_middle(camera: Intrinsics) -> str:
-    """A question about the size of an image whose principal point is far from its middle."""
+    """Doubt about the image size if the principal point is far from the image centre."""
     size = np.array([camera.width, camera.height])
     if (np.abs(camera.principal - (size - 1.0) / 2.0) <= _MIDDLE * size).all():
         return ""
@@ -90,26 +94,26 @@ def read_stereo(
     lens: Lens | None = None,
     swap: bool = False,
 ) -> StereoPair:
-    """Read a calibrated pair.
+    """Read a calibrated stereo pair.
 
     The files are OpenCV's (`cameraMatrix1`, `distCoeffs1`, ..., `R`, `T`, or `M1`, `D1`, ... in
     one file and `R`, `T` in another), two camera_info files of ROS, left first, or a camchain of
-    kalibr. The rotation and the baseline of ROS are in the rectification and the projection:
+    kalibr. For ROS, rotation and baseline follow from the rectification and projection matrices:
     `R = R_right^T R_left`, `T = R_right^T (P_right[:, 3] / f' - P_left[:, 3] / f')`.
 
     Args:
-        paths: the files, which together hold both cameras and where they are.
-        unit: of the translation in the files, which is that of the board's squares.
-        size: (width, height) in pixels, for files that do not have it.
+        paths: the files, which together hold both cameras and their relative pose.
+        unit: unit of the translation in the files, given by the square size at calibration.
+        size: (width, height) in pixels, for files that do not give it.
         lens: the lens model, for files that do not name it.
-        swap: whether the first camera of the files is the right one.
+        swap: true if the first camera of the files is the right one.
 
     Returns:
         The pair.
 
     Raises:
-        ConfigurationError: a file cannot be read or is not needed, something is missing, or the
-            pair cannot be.
+        ConfigurationError: a file cannot be read or is unused, a value is missing, or the pair
+            is implausible.
     """
     names = [os.fspath(path) for path in paths]
     files = {name: read_calibration(name) for name in names}
@@ -157,7 +161,7 @@ def _without_place(keys: Keys) -> str:
 
 
 def _single_cameras(files: Mapping[str, Mapping[str, Any]]) -> tuple[Keys, Keys]:
-    """The left and the right camera's file, of those with one camera each."""
+    """Values of the left and right camera from files with one camera each."""
     singles = [keys for name in files if (keys := Keys({name: files[name]})).find(MATRIX)]
     if len(singles) != 2:
         raise ConfigurationError(
@@ -168,11 +172,11 @@ def _single_cameras(files: Mapping[str, Mapping[str, Any]]) -> tuple[Keys, Keys]
 
 
 _Placed = tuple[FloatArray, FloatArray, str]
-"""R, T in the files' unit, and what messages call where T comes from."""
+"""R, T in the files' unit, and the label of T's source for messages."""
 
 
 def _placed(keys: Keys) -> _Placed | None:
-    """The second camera in the first one's frame by R and T, or by kalibr's chain."""
+    """R and T from the first camera to the second, by their keys or kalibr's chain, if present."""
     chain = keys.find(CHAIN)
     if chain is not None:
         if keys.find(MATRIX, "2"):
@@ -192,7 +196,7 @@ def _placed(keys: Keys) -> _Placed | None:
 
 
 def _rectified(left: Keys, right: Keys) -> _Placed | None:
-    """The same by the rectification and the projection of two camera_info files."""
+    """R and T from rectification and projection matrices of two camera_info files, if present."""
     turns, shifts, label = [], [], ""
     for keys in (left, right):
         turn, projection = keys.find(RECTIFICATION), keys.find(PROJECTION)
@@ -212,7 +216,7 @@ def _rectified(left: Keys, right: Keys) -> _Placed | None:
 
 
 def _shift(projection: Found) -> FloatArray:
-    """Where the rectified frame of a camera is, from the last column of its projection."""
+    """(3,) offset of a camera's rectified frame: last column of its projection by focal length."""
     matrix = array_of(projection, (12,), "a projection of 3 x 4 numbers").reshape(3, 4)
     focal = matrix[[0, 1], [0, 1]]
     if not (focal > 0.0).all():
@@ -223,7 +227,7 @@ def _shift(projection: Found) -> FloatArray:
 
 
 def _rotation(matrix: FloatArray, label: str) -> FloatArray:
-    """The rotation nearest to one of few decimals."""
+    """Orthonormal rotation nearest to a rounded one."""
     u, scales, vt = np.linalg.svd(matrix)
     nearest: FloatArray = u @ vt
     if np.abs(scales - 1.0).max() > _ORTHONORMAL or np.linalg.det(nearest) < 0.0:
@@ -235,8 +239,8 @@ def _rotation(matrix: FloatArray, label: str) -> FloatArray:
 
 
 def _check(pair: StereoPair, label: str, unit: Unit, swap: bool) -> None:
-    """Refuse a pair that no head can have."""
-    with np.errstate(over="ignore"):  # infinite is too long as well
+    """Refuse a pair whose geometry no head can have."""
+    with np.errstate(over="ignore"):  # an infinite baseline is refused as too long
         right = pair.baseline_m
         baseline = float(np.linalg.norm(right))
     if not LEAST_BASELINE_M <= baseline <= GREATEST_BASELINE_M:
@@ -265,7 +269,7 @@ def _check(pair: StereoPair, label: str, unit: Unit, swap: bool) -> None:
 
 
 def _other_unit(baseline: float, unit: Unit) -> str:
-    """A question about the unit that would make sense of a baseline."""
+    """Hint at the unit in which a baseline would be plausible."""
     fitting: list[Unit] = [
         other
         for other in ("mm", "cm", "m")

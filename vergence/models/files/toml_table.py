@@ -1,4 +1,4 @@
-"""A TOML table taken apart key by key, each value checked by a rule."""
+"""Read a TOML table key by key, each value checked by a rule."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -11,25 +11,26 @@ from vergence.errors import HeadFileError, Words
 from vergence.models.parts import FloatArray
 
 Rule = tuple[Callable[[float], bool], str]
-"""Whether a number is accepted, and what a message says was expected."""
+"""Predicate that accepts a number, and the description of accepted numbers for messages."""
 
 
 _ALIKE: Final = 0.6
+"""Similarity ratio above which a key is suggested as the one meant (chosen: difflib's default)."""
 _HINT: Final = re.compile(r" \(is it in (\w+)\?\)$")
-"""What a rule's text asks in the end."""
+"""Question about the unit at the end of a rule's description."""
 _UNITS: Final = {"degrees": np.pi / 180.0, "millimetres": 1e-3, "milliseconds": 1e-3}
-"""How much of the unit that a rule has, is one of that which it asks for."""
+"""Factor from the unit that a question asks about to the rule's own unit."""
 
 
 class Table:
-    """A TOML table that is taken apart key by key and must be empty in the end.
+    """A TOML table that is consumed key by key and must be empty at the end.
 
-    Every method raises `HeadFileError` with the key, the value and what was expected.
+    Methods raise `HeadFileError` with the key, the value and what was expected.
 
     Args:
-        values: what stands where the table should be.
-        path: its dotted name, empty for the whole document.
-        expected: what a message says should stand there.
+        values: value found in place of the table; refused unless it is a mapping.
+        path: dotted name of the table; empty for the whole document.
+        expected: description of the expected value, for messages.
     """
 
     def __init__(self, values: object, path: str, expected: str = "a table") -> None:
@@ -40,21 +41,21 @@ class Table:
         self._asked: set[str] = set()
 
     def key(self, name: str) -> str:
-        """The dotted name of a key, as messages call it."""
+        """Dotted name of a key, for messages."""
         name = name if name.isprintable() else repr(name)  # a message is one line
         return f"{self._path}.{name}" if self._path else name
 
     def has(self, name: str) -> bool:
-        """Whether a key is there."""
+        """True if a key is present; marks it as known."""
         self._asked.add(name)
         return name in self._values
 
     def peek(self, name: str) -> Any:
-        """The value of a key that is there, which stays there."""
+        """Value of a key that is present, without consuming it."""
         return self._values[name]
 
     def take(self, name: str, expected: str) -> Any:
-        """The value of a key, whatever it is."""
+        """Consume a key and return its value, of any type."""
         self._asked.add(name)
         if name not in self._values:
             near = get_close_matches(name, self._values, n=1, cutoff=_ALIKE)
@@ -67,27 +68,27 @@ class Table:
         return self._values.pop(name)
 
     def number(self, name: str, rule: Rule) -> float:
-        """A number that a rule accepts."""
+        """Consume a number that a rule accepts."""
         return _number(self.take(name, rule[1]), self.key(name), rule)
 
     def whole(self, name: str, rule: Rule) -> int:
-        """A whole number that a rule accepts."""
+        """Consume an integer that a rule accepts."""
         value = self.take(name, rule[1])
         if not isinstance(value, int) or isinstance(value, bool) or not rule[0](value):
             raise HeadFileError(self.key(name), value, rule[1])
         return value
 
     def numbers(self, name: str, shape: tuple[int, ...], rule: Rule) -> FloatArray:
-        """An array of some shape, all of whose numbers a rule accepts."""
+        """Consume an array of a given shape whose numbers a rule accepts."""
         value = self.take(name, _list_of(shape, rule) if shape else rule[1])
         return _numbers(value, self.key(name), shape, rule)
 
     def table(self, name: str) -> "Table":
-        """The table in this one."""
+        """Consume a nested table."""
         return Table(self.take(name, "a table"), self.key(name))
 
     def tables(self, name: str, count: int | None = None) -> list["Table"]:
-        """The array of as many tables in this one; of any number for None."""
+        """Consume an array of `count` tables; any number for None."""
         expected = f"{'' if count is None else f'{count} '}tables [[{name}]]"
         values = self.take(name, expected)
         fits = isinstance(values, Sequence) and not isinstance(values, str)
@@ -96,14 +97,14 @@ class Table:
         return [Table(v, f"{self.key(name)}[{i}]") for i, v in enumerate(values)]
 
     def text(self, name: str, expected: str) -> str:
-        """Some words."""
+        """Consume a string that is not blank."""
         value = self.take(name, expected)
         if not isinstance(value, str) or not value.strip():
             raise HeadFileError(self.key(name), value, expected)
         return value
 
     def choice(self, name: str, choices: Sequence[str]) -> str:
-        """One of some words."""
+        """Consume a string that is one of the choices."""
         expected = f"one of {', '.join(choices)}"
         value = self.take(name, expected)
         if not isinstance(value, str) or value not in choices:
@@ -111,7 +112,7 @@ class Table:
         return value
 
     def flag(self, name: str) -> bool:
-        """A field that is true or false; false where it is left out."""
+        """Consume a boolean; false if it is left out."""
         if not self.has(name):
             return False
         value = self.take(name, "true or false")
@@ -120,21 +121,21 @@ class Table:
         return value
 
     def names(self) -> list[str]:
-        """The keys that nothing has taken yet."""
+        """Keys that have not been consumed yet."""
         return list(self._values)
 
     def same(self, name: str, expected: object, why: str = "") -> None:
-        """Refuse a value that is not the one expected, and say why that one."""
+        """Consume a value and refuse it unless it equals the expected one; `why` explains it."""
         said = f"{expected!r} ({why})" if why else repr(expected)
         value = self.take(name, said)
         if value != expected or isinstance(value, bool):
             raise HeadFileError(self.key(name), value, said)
 
     def close(self, known: Sequence[str] = ()) -> None:
-        """Refuse the keys that nothing has taken, and that nothing is going to.
+        """Refuse the keys that remain.
 
         Args:
-            known: what is still to be asked for.
+            known: keys that will be consumed later.
         """
         for name, value in self._values.items():
             if name not in known:
@@ -149,7 +150,7 @@ def _number(value: object, key: str, rule: Rule) -> float:
         raise HeadFileError(key, value, _HINT.sub("", expected))
     try:
         number = float(value)
-    except OverflowError:  # an integer beyond all floating-point numbers
+    except OverflowError:  # an integer beyond the floating-point range
         raise HeadFileError(key, value, _HINT.sub("", expected)) from None
     if np.isnan(number) or not accepted(number):
         asked = _HINT.search(expected)
@@ -160,7 +161,7 @@ def _number(value: object, key: str, rule: Rule) -> float:
 
 
 def _list_of(shape: tuple[int, ...], rule: Rule) -> str:
-    """What a message says that an array should be."""
+    """Description of an expected array, for messages."""
     counts = " lists of ".join(map(str, shape))
     return f"a list of {counts} numbers, each {_HINT.sub('', rule[1])}"
 

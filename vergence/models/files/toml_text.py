@@ -1,4 +1,4 @@
-"""Plain values as TOML text that people read: short lists of numbers on one line."""
+"""Write plain values as readable TOML text, short lists of numbers on one line."""
 
 import re
 from collections.abc import Mapping
@@ -7,16 +7,16 @@ from typing import Any, Final
 import tomli_w
 
 _LONGEST: Final = 80
-"""Characters of a list on one line."""
+"""Most characters of a list on one line (chosen: compact text against long lines)."""
 _NUMBERS: Final = re.compile(r"\[\n((?:[ ]+[-+.\w]+,\n)+)[ ]*\]")
-"""A list of numbers with one on each line; no text has a line break of its own."""
+"""A list of numbers, one per line; strings contain no raw line breaks, so none matches."""
 
 
 def toml_text(document: Mapping[str, Any]) -> str:
     """Write plain values as TOML.
 
     Args:
-        document: tables, lists, numbers, texts by key.
+        document: tables, lists, numbers and strings by key.
     """
     return _NUMBERS.sub(_on_one_line, tomli_w.dumps(document))
 

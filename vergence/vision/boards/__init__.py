@@ -1,1 +1,1 @@
-"""Checkerboards, ChArUco boards and AprilGrids: corners where four squares meet."""
+"""Detection of checkerboards, ChArUco boards and AprilGrids by corners where four squares meet."""

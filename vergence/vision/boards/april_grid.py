@@ -1,4 +1,4 @@
-"""Detecting AprilGrids, whole or in part."""
+"""Detection of AprilGrids, complete or in part."""
 
 from collections.abc import Iterable
 from typing import Final
@@ -15,34 +15,37 @@ from vergence.vision.boards.smoothness import smooth_of
 from vergence.vision.detection import Detection, Detector
 
 _QUICK: Final = (0, 1, 2)
-"""Of `WAYS`, those that a loop at camera rate has time for."""
+"""Search methods of `WAYS` that are fast enough for a loop at camera rate (numerical: indices)."""
 _WHOLE: Final = 1
-"""The way that is taken as well where half the image shows a part of the board only."""
+"""First search method after which a partial board suffices (numerical: index)."""
 _ENOUGH: Final = 0.97
-"""Share of a board's corners."""
+"""Fraction of a board's corners that ends the search (chosen: completeness against time)."""
 _LEAST_FOUND: Final = 0.5
-"""Share of the tags in the image, of the board's numbers, that must stand as on the board."""
+"""Least fraction of the tags with the board's numbers that must be arranged as on the board
+(chosen)."""
 _LEAST_TAGS: Final = 2
+"""Least number of tags whose print must be confirmed (chosen)."""
 _LEAST_READ: Final = 0.5
-"""Share of the tags beside the corners that must look as they are printed."""
+"""Least fraction of the tags beside the corners whose print must be confirmed (chosen)."""
 _TRACKED_STEP: Final = 0.3
-"""Of the distance to the next edge, by which a tracked corner may move."""
+"""Largest move of a tracked corner, as a fraction of the distance to the next edge (chosen)."""
 _FAR_PX: Final = 1e5
-"""Beyond all images, and within what single precision holds."""
+"""Coordinate beyond all images and within single precision, px (numerical)."""
 _MOST_OFF: Final = 0.02
+"""Tolerance of the ratio of gap to tag edge against the stated spacing (chosen: print errors)."""
 _MOST_OFF_PX: Final = 0.5
-"""By how much a gap by its tag's edge may differ from the stated spacing, and in px."""
+"""Tolerance of the gap for small tags, px; the larger one holds (chosen: detection errors)."""
 _UNTOLD_PX: Final = 0.1
-"""Standard deviation of corners so few that they tell nothing of their own noise."""
+"""Standard deviation of corners too few to estimate their noise, px (chosen)."""
 
 
 class AprilGridDetector(Detector[AprilGrid]):
-    """Detects an AprilGrid; the measured point is its middle.
+    """Detects an AprilGrid; the measured point is its centre.
 
-    Tags that the AprilTag library reads are where it starts. From each, its neighbours are sought
-    where the board has them, so that corners of tags too small, blurred or hidden to be read are
-    found too. Each corner must have black and white around it as printed, and lie where a
-    homography and a smooth lens put it.
+    The search starts at tags that the AprilTag library reads. It predicts the neighbours of each
+    from the board's layout, so that corners of tags too small, blurred or hidden to be read are
+    found too. Each corner must have black and white around it as printed, and agree with a
+    homography and a smooth lens distortion.
     """
 
     def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
@@ -72,7 +75,7 @@ class AprilGridDetector(Detector[AprilGrid]):
         shift: NDArray[np.float64],
         ways: Iterable[int],
     ) -> list[Detection]:
-        """The board in a part of the image that begins at a shift, by the ways that it takes."""
+        """Search a part of the image, at a shift in it, by some methods until one suffices."""
         best: Detection | None = None
         most = 0
         for way in ways:
@@ -87,14 +90,14 @@ class AprilGridDetector(Detector[AprilGrid]):
         return [] if best is None else [best]
 
     def _tags(self, image: NDArray[np.uint8], way: int) -> Tags | None:
-        """The corners of tags that are read and stand as on the board."""
+        """Corners of the tags that are read and are arranged as on the board; None if too few."""
         board = self.target
         count = board.columns * board.rows
         found = find_grid_tags(image, way)
         placed = as_on_board(found, board.columns, board.spacing)
         own = sum(each.id < count for each in found)
         if len(placed) < max(_LEAST_FOUND * own, 1) or any(each.id >= count for each, *_ in placed):
-            return None  # of another layout, or a part of a larger board
+            return None  # another layout, or a part of a larger board
         tags = np.full((count, 4, 2), np.nan)
         for each, _row, _column in placed:
             tags[each.id] = each.corners
@@ -103,10 +106,10 @@ class AprilGridDetector(Detector[AprilGrid]):
     def _at(
         self, image: NDArray[np.uint8], tags: Tags, step: float | None = None
     ) -> Detection | None:
-        """Refine the corners that there are, and find the others; None where there is no board."""
+        """Refine given corners and find the others; None if there is no board."""
         board = self.target
         tags = np.where(np.abs(tags) < _FAR_PX, tags, np.nan)
-        # of tags that are whole; corners of others are found from these
+        # only complete tags; the corners of others are predicted from these
         there = np.repeat(known_of(tags).all(axis=1, keepdims=True), 4, axis=1)
         if not there.any():
             return None

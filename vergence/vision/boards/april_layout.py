@@ -1,4 +1,4 @@
-"""Counts and spacing of an AprilGrid that is seen, where those stated do not fit."""
+"""Estimate counts and spacing of a visible AprilGrid if the stated ones do not fit."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,24 +14,27 @@ from vergence.vision.boards.april_tags import as_on_board, find_grid_tags, seen_
 from vergence.vision.tags.library import FoundSquare
 
 _WAYS: Final = (1, 3)
+"""Search methods of `WAYS` that are tried (numerical: indices)."""
 _MOST_COLUMNS: Final = 24
+"""Largest number of columns that is tried (chosen: search time)."""
 _LEAST_TAGS: Final = 3
+"""Least number of tags of a board (chosen)."""
 _LEAST_SHARE: Final = 0.6
-"""Of the tags in the image, that must stand as on one board."""
+"""Least fraction of the tags in the image that must be arranged as on one board (chosen)."""
 _STEP: Final = 0.01
-"""Spacings are said in steps of so much."""
+"""Resolution of estimated spacings (chosen: spacings are round numbers)."""
 
 
 def grids_in(image: NDArray[np.uint8], asked: AprilGrid | None) -> Iterator[AprilGrid]:
-    """Boards that the tags in an image may be of.
+    """Find boards that explain the tags in an image.
 
     Args:
         image: grey levels, shape (height, width).
-        asked: what was looked for and not found, whose tag edge is kept; None for any.
+        asked: the board that was not found; its tag edge is kept. None for any.
 
     Yields:
-        Boards with the columns that most tags stand by, as many rows as the tags need, and the
-        spacing that is seen.
+        Boards with the number of columns that most tags agree with, as many rows as the tags need,
+        and the estimated spacing.
     """
     given = asked is not None
     asked = asked or AprilGrid()
@@ -68,7 +71,7 @@ def grids_in(image: NDArray[np.uint8], asked: AprilGrid | None) -> Iterator[Apri
 
 
 def _spacing(found: list[FoundSquare], asked: AprilGrid) -> float:
-    """The gap by a tag's edge, of tags whose numbers follow each other."""
+    """Median ratio of gap to edge of tags with consecutive numbers."""
     by_number = sorted(found, key=lambda each: each.id)
     ratios = []
     for first, second in pairwise(by_number):
@@ -76,6 +79,6 @@ def _spacing(found: list[FoundSquare], asked: AprilGrid) -> float:
             continue
         edge = float(np.linalg.norm(first.corners[1] - first.corners[0]))
         gap = float(np.linalg.norm(second.corners[0] - first.corners[1]))
-        if gap < edge:  # else they stand in two rows
+        if gap < edge:  # else they are in two rows
             ratios.append(gap / edge)
     return float(np.median(ratios)) if ratios else asked.spacing

@@ -1,4 +1,4 @@
-"""The corners of an AprilGrid in an image, sought from those of some of its tags."""
+"""Search for the corners of an AprilGrid in an image, starting from some of its tags."""
 
 from typing import Final
 
@@ -13,37 +13,41 @@ from vergence.vision.boards.markers import sampled
 from vergence.vision.optics import FlatView, NoLens
 
 _WINDOW: Final = 0.6
-"""Half side of the refinement window, by the distance to the next edge."""
+"""Half side of the refinement window, as a fraction of the distance to the next edge (chosen: more
+pixels against disturbance by that edge)."""
 _WINDOW_PX: Final = (2, 5)
+"""Range of the half side of the refinement window, px (chosen)."""
 _TO_GO_PX: Final = 0.5
-"""A corner that would still move by more was not refined."""
+"""Largest remaining move of a corner that counts as refined, px (chosen)."""
 _PROBE: Final = 0.45
-"""Distance of the samples from a corner along both axes, by the distance to the next edge."""
+"""Distance of grey samples from a corner along both axes, as a fraction of the distance to the next
+edge (chosen)."""
 _LEAST_CONTRAST_GREY: Final = 5.0
+"""Least contrast at a corner, grey levels (chosen: above noise)."""
 _LEAST_CONTRAST: Final = 0.25
-"""Of a corner, by the median of all."""
+"""Least contrast at a corner, as a fraction of the median of all corners (chosen)."""
 _LEAST_ALIKE: Final = 0.6
-"""Correlation of a tag's bits with its print; that of another tag is 0.4 at most."""
+"""Least correlation of a tag's bits with its print; another tag has at most 0.4 (chosen)."""
 _MOST_BESIDE: Final = 12
-"""Corners that say where a tag beside them is."""
+"""Most corners that predict a neighbouring tag (chosen: averaging against lens distortion)."""
 _SQUARE: Final = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-"""Corners of a tag in units of its edge."""
+"""Corners of a tag in units of its edge (numerical)."""
 
 Tags = NDArray[np.float64]
-"""Corners of tags, px, shape (tags, 4, 2); nan where there is none."""
+"""Corners of tags, px, shape (tags, 4, 2); nan for unknown ones."""
 
 
 def known_of(tags: Tags) -> NDArray[np.bool_]:
-    """Which corners there are, (tags, 4)."""
+    """Mask of the known corners, (tags, 4)."""
     return np.asarray(np.isfinite(tags).all(axis=-1), np.bool_)
 
 
 class CornerSearch:
-    """The corners of a board in an image, as far as they have been found.
+    """State of a search for the corners of a board in an image.
 
     Attributes:
-        found: the corners of all tags.
-        said: where those that were tried were expected.
+        found: corners of all tags that have been found, nan for others.
+        said: predicted corners of the tags that have been tried.
     """
 
     def __init__(self, image: NDArray[np.uint8], board: AprilGrid, flat: FlatView | NoLens) -> None:
@@ -55,18 +59,18 @@ class CornerSearch:
         self._flat = flat
         self._contrast = np.nan
         self._free = min(board.spacing, 2.0 * board.bit_m / board.tag_m)
-        """Distance from a corner to the next edge, by a tag's edge."""
+        """Distance from a corner to the next edge, as a ratio to a tag's edge."""
         self._sides = np.zeros(count, int)
         self._corners_m = board.corners_m.reshape(-1, 4, 2)
 
     def refine(self, wanted: NDArray[np.bool_], said: Tags, step: float | None = None) -> None:
-        """Refine corners.
+        """Refine corners, and drop those without the printed contrast.
 
         Args:
-            wanted: (tags, 4) which ones.
-            said: where all corners of their tags are expected.
-            step: how far they may move by the distance to the next edge; else as far as the window
-                reaches.
+            wanted: (tags, 4) mask of the corners to refine.
+            said: predicted corners of their tags, all four of each.
+            step: largest move of a corner as a fraction of the distance to the next edge; None for
+                the reach of the window.
         """
         numbers, own = np.nonzero(wanted)
         if not len(numbers):
@@ -100,7 +104,7 @@ class CornerSearch:
         self.found[plain] = np.nan
 
     def grow(self) -> None:
-        """Look for the tags around those that are found, and for those around these."""
+        """Search for tags next to those found, repeatedly outwards."""
         places = self._board.places
         tried = np.asarray(known_of(self.found).any(axis=1), np.bool_)
         while True:
@@ -111,7 +115,7 @@ class CornerSearch:
             if not len(new):
                 break
             tried[new] = True
-            # the near corners first: a lens bends less over a gap than over a tag
+            # the near corners first, since a lens distorts less over a gap than over a tag
             self._refine_beside(new, 1.01 * self._board.spacing * self._board.tag_m)
             self._refine_beside(new, np.inf)
             seen = new[np.isfinite(self.said[new]).all(axis=(1, 2))]
@@ -120,11 +124,11 @@ class CornerSearch:
         self._refine_beside(np.flatnonzero(there.any(axis=1) & ~there.all(axis=1)), np.inf)
 
     def _refine_beside(self, numbers: NDArray[np.intp], most_m: float) -> None:
-        """Refine what is not found of some tags, from where the corners around them put it.
+        """Refine missing corners of some tags, predicted from the corners around them.
 
         Args:
-            numbers: of the tags.
-            most_m: how far on the board the next known corner may be.
+            numbers: numbers of the tags.
+            most_m: largest distance on the board to the nearest known corner, m.
         """
         there = known_of(self.found)
         said, wanted = np.full(self.found.shape, np.nan), np.zeros(there.shape, bool)
@@ -146,17 +150,17 @@ class CornerSearch:
         self.refine(wanted, said)
 
     def room(self) -> NDArray[np.float64]:
-        """Half the gap between tags as it is seen beside each, (tags,) px."""
+        """Half the gap between tags in the image at each tag, (tags,) px."""
         edges = self.said - np.roll(self.said, 1, axis=1)
         return np.asarray(0.5 * self._board.spacing * np.linalg.norm(edges, axis=-1).min(axis=1))
 
     def reads(self, numbers: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Whether tags look as they are printed."""
+        """Mask of the tags whose image agrees with their print."""
         if not len(numbers):
             return np.zeros(0, bool)
         printed = np.stack([self._board.tag_bits(int(number)) for number in numbers]).astype(float)
         size = printed.shape[-1]
-        code = slice(GRID_BORDER, size - GRID_BORDER)  # borders are all alike
+        code = slice(GRID_BORDER, size - GRID_BORDER)  # borders are equal in all tags
         printed = printed[:, code, code]
         middles = (np.arange(size)[code] + 0.5) / size
         cells = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
@@ -170,11 +174,11 @@ class CornerSearch:
     def sigmas(
         self, known: NDArray[np.intp], corners: NDArray[np.float64], tags: NDArray[np.intp]
     ) -> NDArray[np.float64]:
-        """Standard deviations of corners by the noise of the pixels, (n, 2) px.
+        """Standard deviations of corners due to pixel noise, (n, 2) px.
 
         Args:
-            known: (n,) their numbers.
-            corners: (n, 2) where they are.
+            known: (n,) indices of the corners.
+            corners: (n, 2) their pixels, px.
             tags: numbers of the tags that they belong to.
         """
         half = 0.5 * self._board.spacing
@@ -188,7 +192,7 @@ class CornerSearch:
         return out
 
     def _alternation(self, numbers: NDArray[np.intp]) -> NDArray[np.float64]:
-        """By how much the white around each corner is lighter than the black, (tags, 4) grey."""
+        """Contrast of white to black around each corner, (tags, 4) grey levels."""
         away = _PROBE * self._free
         steps = away * np.array([[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0]])
         grey = self._grey(numbers, (_SQUARE[:, None] + steps).reshape(-1, 2)).reshape(-1, 4, 4)
@@ -199,12 +203,12 @@ class CornerSearch:
         return np.asarray(contrast)
 
     def _grey(self, numbers: NDArray[np.intp], places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Grey levels at places on tags, in units of their edges, shape (tags, n)."""
+        """Grey levels at positions on tags, in units of their edges, shape (tags, n)."""
         seen = self._seen(numbers, places)
         return sampled(self._image, seen.reshape(-1, 2)).reshape(seen.shape[:2])
 
     def _seen(self, numbers: NDArray[np.intp], places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The pixels of places on tags, shape (tags, n, 2)."""
+        """Pixels of positions on tags, in units of their edges, shape (tags, n, 2)."""
         out = np.empty((len(numbers), len(places), 2))
         for i, number in enumerate(numbers.tolist()):
             refined = np.isfinite(self.found[number])

@@ -1,4 +1,4 @@
-"""Tags of an AprilGrid in an image, and which of them stand to each other as on the board."""
+"""Read the tags of an AprilGrid, and select those that are arranged as on the board."""
 
 import threading
 from typing import Any, Final
@@ -13,25 +13,28 @@ from vergence.models.tag_families import CORRECTED_BITS, library_family
 from vergence.vision.tags.library import FoundSquare
 
 WAYS: Final = (0.5, 1.0, 1.0, 2.0)
-"""Scales of the image, the quick ones first; the third one keeps bits of 2.5 px."""
+"""Image scale of each search method, quick ones first; the third reads bits of 2.5 px (chosen:
+small tags against time)."""
 _WIDENED: Final = {
     0: cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)),
     2: np.ones((2, 2), np.uint8),
 }
-"""By how much white is widened, by the way, the first one where there is none."""
+"""Kernel that dilates white, by search method; the first for all others."""
 _MOVED_PX: Final = (1.0, 1.0, 0.5, 1.0)
-"""How far that moves the edges of a tag inwards."""
+"""Inward move of a tag's edges by that dilation, by search method, px (numerical)."""
 _ENLARGED_PIXELS: Final = 2_000_000
-"""Images up to this size are enlarged."""
+"""Largest image that is enlarged, pixels (chosen: search time)."""
 _LEAST_SIDE_PX: Final = 24
+"""Smallest side of a scaled image that is searched, px (chosen)."""
 _BESIDE: Final = 0.35
-"""Of a tag's edge, by which it may lie from where its neighbour says."""
+"""Largest distance of a tag from its neighbour's prediction, in tag edges per row or column between
+them (chosen: allows for lens distortion)."""
 _NEAR: Final = 2
-"""Rows and columns away, up to which a tag says where another one is."""
+"""Most rows and columns between a tag and one that it predicts (chosen)."""
 
 
 class _Detectors(threading.local):
-    """The library's detector of this thread: it keeps state while it looks."""
+    """The library's detector of this thread; it is not thread-safe."""
 
     def __init__(self) -> None:
         self.made: Any = None
@@ -41,17 +44,17 @@ _DETECTORS: Final = _Detectors()
 
 
 def find_grid_tags(image: NDArray[np.uint8], way: int) -> list[FoundSquare]:
-    """Look through an image for tags with a border of two bits.
+    """Find tags with a border of two bits in an image.
 
-    The squares at the corners of a tag join all black to one region; white is widened by a pixel,
-    which parts them.
+    The squares at the corners of tags connect all black to one region; dilating white by a pixel
+    separates them.
 
     Args:
         image: grey levels, shape (height, width).
-        way: number in `WAYS`.
+        way: index of the search method in `WAYS`.
 
     Returns:
-        Those that the AprilTag library reads, their corners to within a pixel or two.
+        Tags that the AprilTag library reads, with corners accurate to a pixel or two.
     """
     scale = WAYS[way]
     if min(image.shape) * scale < _LEAST_SIDE_PX or (scale > 1.0 and image.size > _ENLARGED_PIXELS):
@@ -63,14 +66,14 @@ def find_grid_tags(image: NDArray[np.uint8], way: int) -> list[FoundSquare]:
         _DETECTORS.made = _make()
     found = []
     for each in _DETECTORS.made.detect(np.ascontiguousarray(wide)):
-        # the library counts pixels from the corner of the first one, and from the lower left
+        # the library has pixel edges at integers, and counts corners from the lower left
         corners = _widened(np.asarray(each.corners, float)[::-1], _MOVED_PX[way]) / scale - 0.5
         found.append(FoundSquare(each.tag_id, each.hamming, corners))
     return found
 
 
 def _widened(corners: NDArray[np.float64], by: float) -> NDArray[np.float64]:
-    """The corners, (4, 2), of a quadrangle whose edges are moved outwards."""
+    """Corners, (4, 2), of a quadrilateral with its edges moved outwards by a distance."""
     along = np.roll(corners, -1, axis=0) - corners
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     back = np.roll(along, 1, axis=0)
@@ -79,7 +82,7 @@ def _widened(corners: NDArray[np.float64], by: float) -> NDArray[np.float64]:
 
 
 def _make() -> Any:
-    """A detector of the library for the family with its border one bit wider."""
+    """Make a detector of the library for the family with the wider border of AprilGrids."""
     detector: Any = pyapriltags.Detector(families="", nthreads=1, quad_decimate=1.0)
     family = library_family(detector.libc, GRID_FAMILY)
     code = family.contents
@@ -98,17 +101,18 @@ def _make() -> Any:
 def as_on_board(
     found: list[FoundSquare], columns: int, spacing: float
 ) -> list[tuple[FoundSquare, int, int]]:
-    """The tags that stand to their neighbours as on a board, the most that hang together.
+    """Select the largest connected group of tags that are arranged as on a board.
 
-    A lens bends a board as a whole, and the places of neighbours by little.
+    Only neighbours are compared: lens distortion bends a whole board, but hardly moves neighbours
+    relative to each other.
 
     Args:
         found: tags, perhaps of several boards.
-        columns: tags in a row of the board; it may have any number of rows.
-        spacing: see `AprilGrid`.
+        columns: tags per row of the board; the number of rows is free.
+        spacing: ratio of gap to tag edge, see `AprilGrid`.
 
     Returns:
-        Tags with their rows from below and columns, no number twice.
+        Tags with their rows, counted from below, and columns; no number occurs twice.
     """
     if not found:
         return []
@@ -146,14 +150,14 @@ def as_on_board(
 
 
 def seen_spacing(corners: NDArray[np.float64], target: AprilGrid) -> tuple[float, float]:
-    """Gap between neighbouring tags by their edges, as an image shows it.
+    """Estimate the ratio of gap to tag edge in an image.
 
     Args:
-        corners: of all tags, px, shape (tags, 4, 2); nan where there is none.
+        corners: corners of all tags, px, shape (tags, 4, 2); nan for unknown ones.
         target: the board.
 
     Returns:
-        The median, nan where no two neighbours are there, and the mean edge in px.
+        The median ratio and the mean edge, px; both nan if no two neighbours are known.
     """
     grid = np.full((target.rows, target.columns, 4, 2), np.nan)
     grid[tuple(target.places.T)] = corners

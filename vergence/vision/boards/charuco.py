@@ -1,4 +1,4 @@
-"""Detecting ChArUco boards, whole or in part, in both of OpenCV's layouts."""
+"""Detection of ChArUco boards, complete or in part, in both of OpenCV's layouts."""
 
 from dataclasses import replace
 from functools import partial
@@ -19,33 +19,43 @@ from vergence.vision.detection import Detection, Detector
 from vergence.vision.optics import EyeCamera, FlatView, NoLens
 
 _WINDOW_SQUARES: Final = 0.6
+"""Largest half side of the refinement window, in squares (chosen)."""
 _WINDOW_MARGINS: Final = 0.85
-"""Half side of the refinement window in margins of a marker, whose own corners it must not see."""
+"""Half side of the refinement window, in margins of a marker; it must not contain the marker's
+corners (chosen)."""
 _WINDOW_PX: Final = (2, 5)
+"""Range of the half side of the refinement window, px (chosen)."""
 _LEAST_CORNERS: Final = 4
+"""Least number of corners, as a homography needs (numerical)."""
 _MOST_BESIDE: Final = 0.3
-"""Of a square: a corner farther from where the others say it is, is none."""
+"""Largest residual of a corner from the homography of all, in squares (chosen: outliers against
+lens distortion)."""
 _TO_GO_PX: Final = 0.5
-"""A corner that would still move by more was not refined."""
+"""Largest remaining move of a corner that counts as refined, px (chosen)."""
 _TRACKED_STEP: Final = 0.35
+"""Largest move of a tracked corner, in squares (chosen)."""
 _LEAST_PERIMETER: Final = 0.01
-"""Of a marker, by the longer side of the image that is searched."""
+"""Least perimeter of a marker, as a fraction of the longer side of the searched image (chosen:
+small markers against time)."""
 _LEAST_PERIMETER_PX: Final = 24.0
-"""A pixel a bit of the smallest markers, with their borders: no fewer can be read."""
+"""Least perimeter of a marker, px: one pixel per bit of the smallest markers with their borders,
+the least that can be read (chosen)."""
 _QUICK_PX: Final = 1280
-"""Larger images are reduced to this where a loop at camera rate looks first."""
+"""Longer side to which larger images are first reduced in loops at camera rate, px (chosen: time
+against small markers)."""
 _ENLARGED_PIXELS: Final = 2_000_000
-"""Images up to this size are enlarged where nothing is found, for markers of 2 px a bit."""
+"""Largest image that is enlarged if nothing is found, for markers of 2 px per bit, pixels (chosen:
+search time)."""
 _LEAST_READ: Final = 0.5
-"""Share of the markers beside the corners that must look as they are printed."""
+"""Least fraction of the markers beside the corners whose print must be confirmed (chosen)."""
 _UNTOLD_PX: Final = 0.1
-"""Standard deviation of corners so few that they tell nothing of their own noise."""
+"""Standard deviation of corners too few to estimate their noise, px (chosen)."""
 
 
 class CharucoDetector(Detector[CharucoBoard]):
-    """Detects a ChArUco board; the measured point is its middle.
+    """Detects a ChArUco board; the measured point is its centre.
 
-    Where a layout was not stated to be of OpenCV before 4.6, both are tried.
+    Unless the target states the layout of OpenCV before 4.6, both layouts are tried if they differ.
     """
 
     def __init__(
@@ -60,7 +70,10 @@ class CharucoDetector(Detector[CharucoBoard]):
             self._layouts.append(replace(target, legacy=True))
 
     def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
-        """In the image reduced, where it is large, and at full size; image by image by turns."""
+        """Search a large image reduced, then at full size unless all corners are found.
+
+        An odd `way` skips the first step; an even one stops after it if nothing is found.
+        """
         scale = min(_QUICK_PX / max(image.shape), 1.0)
         if scale == 1.0 or (way is not None and way % 2):
             return self._scaled(image, 1.0)
@@ -68,7 +81,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         whole = bool(found) and bool(np.isfinite(found[0].corners_px).all())
         if whole or (way is not None and not found):
             return found
-        return _most(found + self._scaled(image, 1.0))  # small markers were missed
+        return _most(found + self._scaled(image, 1.0))  # small markers may be missing
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
         return self._detect_some(image) or self._detect_rest(image)
@@ -77,7 +90,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         return self._scaled(image, 2.0) if image.size <= _ENLARGED_PIXELS else []
 
     def _scaled(self, image: NDArray[np.uint8], scale: float) -> list[Detection]:
-        """What is found in the image brought to another size."""
+        """Search the image at another scale."""
         part = image
         if scale != 1.0:
             method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
@@ -98,11 +111,11 @@ class CharucoDetector(Detector[CharucoBoard]):
         shift: NDArray[np.float64],
         scale: float = 1.0,
     ) -> list[Detection]:
-        """The layout with the most corners, of a part of the image that begins at a shift."""
+        """Detection in the layout with most corners, in a part of the image at a shift in it."""
         found = []
         markers, numbers = _markers(part, self.target)
         ids: Any
-        if not markers:  # OpenCV would look for them once more
+        if not markers:  # OpenCV would search for them again
             return []
         for board in self._layouts:
             search = cv2.aruco.CharucoDetector(board.opencv_board())
@@ -128,7 +141,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         places: NDArray[np.float64],
         step_squares: float | None = None,
     ) -> Detection | None:
-        """Refine the corners that there are; None where they do not lie as a board's do."""
+        """Refine given corners; None if they do not form the board."""
         height, width = image.shape
         inside = ((places > 0.0) & (places < (width - 1.0, height - 1.0))).all(axis=1)
         known = np.flatnonzero(inside)
@@ -166,7 +179,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         even[known] = ideal
         uneven = unevenness(even.reshape(grid.shape)) or _UNTOLD_PX
         sigmas[known] = np.maximum(corner_sigmas(image, refined, side, noise), uneven)
-        if not np.array_equal(good, used):  # without those that turned out to be none
+        if not np.array_equal(good, used):  # fit again without the outliers
             transform = homography(board.corners_m[known], ideal)
             if transform is None:
                 return None
@@ -176,7 +189,7 @@ class CharucoDetector(Detector[CharucoBoard]):
 
 
 def _markers(image: NDArray[np.uint8], board: CharucoBoard) -> tuple[Any, Any]:
-    """The corners of markers with the board's numbers, whatever its layout, and these numbers."""
+    """Corners and numbers of the markers that the board has, in any layout."""
     every = board.opencv_board().getDictionary()
     own = cv2.aruco.Dictionary(
         every.bytesList[: board.columns * board.rows // 2],
@@ -191,19 +204,19 @@ def _markers(image: NDArray[np.uint8], board: CharucoBoard) -> tuple[Any, Any]:
 
 
 def _most(found: list[Detection]) -> list[Detection]:
-    """The detection with the most corners, if there is one."""
+    """Detection with the most corners, if any."""
     return sorted(found, key=lambda each: -int(np.isfinite(each.corners_px[:, 0]).sum()))[:1]
 
 
 def _seen_at(
     flat: FlatView | NoLens, transform: NDArray[np.float64], board_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The pixels of places on the board, shape (n, 2)."""
+    """Pixels of positions on the board, shape (n, 2)."""
     return flat.seen(np.asarray(cv2.perspectiveTransform(board_m[None], transform)[0], float))
 
 
 def _plain_squares(board: CharucoBoard, grid: Grid) -> NDArray[np.float64]:
-    """The middles of squares without a marker, of which all corners are known, shape (n, 2)."""
+    """Centres of the squares without a marker whose four corners are known, shape (n, 2), px."""
     rows, columns = np.indices((board.rows - 2, board.columns - 2))
     plain = ((rows + columns) % 2 == 0) == dark_first(board)
     places = middles(grid)[plain.ravel()]
@@ -213,7 +226,7 @@ def _plain_squares(board: CharucoBoard, grid: Grid) -> NDArray[np.float64]:
 def _square_px(
     corners: NDArray[np.float64], board_m: NDArray[np.float64], square_m: float
 ) -> float:
-    """Length of a square's edge in the image, where it is shortest, px."""
+    """Length of the shortest edge of a square in the image, px."""
     apart_m = np.linalg.norm(board_m[:, None] - board_m, axis=-1)
     near = np.abs(apart_m - square_m) < 1e-6 * square_m
     if not near.any():

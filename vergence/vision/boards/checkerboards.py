@@ -1,4 +1,4 @@
-"""Detecting checkerboards: all inner corners, in the board's order."""
+"""Detection of checkerboards: all inner corners, in the board's order."""
 
 import math
 from typing import Any, Final
@@ -32,53 +32,72 @@ from vergence.vision.image import smoothed
 from vergence.vision.optics import FlatView, NoLens
 
 _WINDOW_SQUARES: Final = 0.6
-"""Half side of the refinement window in squares: a full square would see the next edge."""
+"""Half side of the refinement window, in squares (chosen: a full square would contain the next
+edge)."""
 _WINDOW_PX: Final = (2, 5)
+"""Least half side of that window, and largest except for large squares, px (chosen)."""
 _WIDER_SQUARES: Final = 0.25
+"""Largest half side of that window for large squares, in squares (chosen: out of focus their edges
+are wider than 11 px, and in such a window corners would be off by a pixel)."""
 _WIDER_PX: Final = 24
-"""Half side of the window in squares, and at most, where that is more: out of focus the edges of
-large squares are wider than 11 px, and corners sought within these lie astray by a pixel."""
+"""Largest half side of that window for large squares, px (chosen)."""
 _LEAST_SQUARE_PX: Final = 2.5
+"""Shortest edge of a square that is read, px (chosen)."""
 _TRACKED_STEP: Final = 0.35
-"""How far a corner may lie from its prediction, in squares, before the region is searched anew."""
-_UNEVEN_SQUARES: Final = 0.1
+"""Largest move of a tracked corner, in squares, before its region is searched again (chosen)."""
+
+# Largest standard deviation of corners about a smooth grid; above both, the image is smeared beyond
+# use or shows no board (chosen).
+_UNEVEN_SQUARES: Final = 0.1  # in squares
 _UNEVEN_PX: Final = 1.0
-"""More than both, as a standard deviation, is smeared beyond use, or no board."""
+
+# Residual of a corner from the prediction by all others above which it is a stray; it exceeds both
+# (chosen: more than noise).
 _STRAY_PX: Final = 0.15
-_STRAY: Final = 4.0
-"""Times the median that a corner may lie beside the others' prediction; more has a cause."""
+_STRAY: Final = 4.0  # ratio to the median residual
+
 _TO_GO_PX: Final = 0.5
+"""Largest remaining move of a corner that counts as refined, px (chosen)."""
 _MOST_STRAYS: Final = 0.25
-"""Share of the corners that the edge of a shadow may move."""
+"""Largest fraction of corners not refined, such as those at the edge of a shadow (chosen)."""
 _ROUNDS: Final = 3
-_WIDE_SQUARES: Final = 0.45
-_WIDE_PX: Final = (2, 12)
-"""Window of a corner whose other edges are not to count."""
+"""Most rounds of refining stray corners again (numerical)."""
+
+# Half side of the window in which a stray corner is refined by the edges that meet at it (chosen).
+_WIDE_SQUARES: Final = 0.45  # in squares
+_WIDE_PX: Final = (2, 12)  # its range
+
+# Residual of a corner that is not where squares meet, so that the board is refused; it exceeds all
+# three (chosen).
 _LOST_PX: Final = 0.5
-_LOST_SQUARES: Final = 0.07
-_LOST: Final = 7.0
-"""Times the median that a corner lies beside the prediction and is not where squares meet."""
+_LOST_SQUARES: Final = 0.07  # in squares
+_LOST: Final = 7.0  # ratio to the median residual
+
 _MOVED_SQUARES: Final = 0.4
+"""Prediction error of a tracked target that the second attempt allows for, in squares (chosen)."""
 _ASTRAY_SQUARES: Final = (0.2, 0.7)
-"""How far OpenCV's search places a corner beside where it is, where squares run together."""
+"""Range of the errors of OpenCV's corners that are corrected where squares run together, in squares
+(chosen)."""
 _SEARCH_PX: Final = 1600
-"""Larger images are reduced to this where squares are looked for."""
+"""Longer side to which larger images are reduced for the search for squares, px (chosen: time
+against small squares)."""
 _SEARCHED_PX: Final = (640, 320, _SEARCH_PX)
-"""The same where corners are looked for that hang together: most are found in the first, those of
-a blurred board in the second, those of small squares in the last."""
+"""Longer sides to which larger images are reduced for the search for clusters of corners: most
+boards are found at the first, blurred ones at the second, small squares at the last."""
 _TURNS_PX: Final = (640, _SEARCH_PX, 640, 320)
-"""In turns, image by image."""
+"""Longer sides in turn, one per image, if a single search method is asked for."""
 
 
 class CheckerboardDetector(Detector[Checkerboard]):
-    """Detects a checkerboard; the measured point is its upper right corner, or its middle.
+    """Detects a checkerboard; the measured point is its upper right corner, or its centre.
 
-    A board that looks the same turned by 180 degrees, or by 90, has its corners in that of the
-    possible orders whose first line points most to the right.
+    The centre is measured on boards that look equal after a rotation by 180 degrees. The corners of
+    such a board, or of one equal after 90 degrees, come in the possible order whose first row
+    points most to the right.
     """
 
     def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
-        """Where corners hang together, in the image brought to one size after the other."""
+        """Search clusters of corners in the image at one size after another."""
         sizes = _SEARCHED_PX if way is None else (_TURNS_PX[way % len(_TURNS_PX)],)
         for most_px in sizes:
             found = self._in_clusters(image, most_px)
@@ -87,7 +106,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         return []
 
     def _in_clusters(self, image: NDArray[np.uint8], most_px: int) -> list[Detection]:
-        """The board in a part of the image in which corners hang together."""
+        """Search clusters of corners in the image reduced to a longer side of `most_px`."""
         scale = min(most_px / max(image.shape), 1.0)
         small = image
         if scale < 1.0:
@@ -124,10 +143,10 @@ class CheckerboardDetector(Detector[Checkerboard]):
         shift: NDArray[np.float64] | float = 0.0,
         near: NDArray[np.float64] | None = None,
     ) -> list[Detection]:
-        """What the first way finds that finds the board in an image, or a part of it.
+        """Search an image, or a part of it at a shift, by some methods until one finds the board.
 
-        Where squares run into each other, OpenCV's corners lie beside those that meet; `near` are
-        places, (n, 2) px, at which some do.
+        If squares run into each other in the image, OpenCV's corners are displaced. `near`,
+        (n, 2) px, are corners of squares found otherwise, to correct them.
         """
         part = image if part is None else part
         scale = min(_SEARCH_PX / max(part.shape), 1.0)
@@ -140,7 +159,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
             return []
         size = (self.target.columns, self.target.rows)
         for way in ways:
-            # smoothing costs sectors corners beside a dark background, and gains them none
+            # smoothing makes the search by sectors miss corners beside a dark background
             found = way(small if way is _by_sectors else calm, size)
             if found is None:
                 continue
@@ -154,13 +173,13 @@ class CheckerboardDetector(Detector[Checkerboard]):
         return []
 
     def _ordered(self, image: NDArray[np.uint8], grid: Grid, coarse_px: float) -> Detection | None:
-        """The board whose corners OpenCV found, in one of its orders."""
+        """Detection for corners that OpenCV found, in the first order that reads correctly."""
         orders = [grid, grid[::-1, ::-1], grid[::-1], grid[:, ::-1]]
         if self.target.columns == self.target.rows:
             orders += [np.swapaxes(order, 0, 1) for order in orders]
         orders = [order for order in orders if is_regular(order)]
         orders.sort(key=_to_the_right)
-        # turned by 180 degrees a symmetric board keeps its colours, and it may have either
+        # a symmetric board keeps its colours after 180 degrees, and its first square may be light
         for dark in (True, False) if self.target.symmetric else (True,):
             for order in orders:
                 detection = self._at(image, order, max(coarse_px, 1.0), first_dark=dark)
@@ -175,7 +194,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         if not ((corners > 0.0) & (corners < (width - 1.0, height - 1.0))).all():
             return None
         grid = corners.reshape(size)
-        # a window that is wide enough for a target that moved does not find the sharpest corner
+        # a narrow window first: one wide enough for a moved target is less exact
         for coarse_px in (0.0, _MOVED_SQUARES * shortest_square(grid)):
             for dark in (True, False) if self.target.symmetric else (True,):
                 found = self._at(image, grid, coarse_px, _TRACKED_STEP, first_dark=dark)
@@ -192,14 +211,17 @@ class CheckerboardDetector(Detector[Checkerboard]):
         *,
         first_dark: bool = True,
     ) -> Detection | None:
-        """Refine corners and read the board; None where one of them is not in its place."""
+        """Refine corners and read the board; None if a corner is out of place.
+
+        `coarse_px` is the error of the given corners, `step_squares` the largest move in squares.
+        """
         square = shortest_square(grid)
         if not square >= _LEAST_SQUARE_PX:
             return None
         most = min(max(_WIDER_SQUARES * square, _WINDOW_PX[1]), _WIDER_PX)
         side = int(min(max(round(_WINDOW_SQUARES * square), _WINDOW_PX[0]), round(most)))
         corners = grid.reshape(-1, 2)
-        if coarse_px > 1.0:  # corners of a reduced image, too far for so small a window
+        if coarse_px > 1.0:  # too inexact for the small window, such as corners of a reduced image
             wide = int(min(max(round(0.4 * square), side), 4 * coarse_px))
             corners = refine_corners(image, corners, wide)
         refined = refine_corners(image, corners, side)
@@ -228,7 +250,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         if not self.target.symmetric:
             first = self.target.columns - 1
             return Detection(self.target, refined[first], refined, sigmas[first], sigmas)
-        # diagonals cross in the middle; each of four corners moves it by about a quarter
+        # the diagonals cross in the centre; each of four corners moves it by about a quarter
         outer = [0, self.target.columns - 1, len(refined) - 1, len(refined) - self.target.columns]
         point = crossing(flat.ideal(refined[outer]))
         sigma = 0.5 * np.sqrt((sigmas[outer] ** 2).mean(axis=0))
@@ -256,7 +278,7 @@ def _by_sectors(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
 
 
 def _put_back(grid: Grid, near: NDArray[np.float64]) -> Grid:
-    """Corners, those astray at the place that is theirs, if there is one."""
+    """Replace displaced corners by those of `near` that match them."""
     corners = grid.reshape(-1, 2)
     square = float(np.median(np.linalg.norm(np.diff(grid, axis=1), axis=-1)))
     least, most = (share * square for share in _ASTRAY_SQUARES)
@@ -271,13 +293,13 @@ def _put_back(grid: Grid, near: NDArray[np.float64]) -> Grid:
 def _settled(
     image: NDArray[np.uint8], grid: Grid, square: float, flat: FlatView | NoLens
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Corners of which none strays, and how far some do still; None where one is none.
+    """Refine stray corners again; None if one does not agree with the others in the end.
 
-    The edge of a shadow, a blob or a finder's guess moves one corner and leaves its squares
-    readable. Such a corner is sought anew from where the others say that it is.
+    The edge of a shadow, a spot or an error of the search moves a single corner and leaves its
+    squares readable. Such a corner is refined again, starting from the prediction by the others.
 
     Returns:
-        (n, 2) corners, px. (n,) how far they lie aside, 0 where this is no more than usual.
+        (n, 2) corners, px. (n,) residuals of those that were or are strays, px; 0 for the others.
     """
     corners, strays = grid.reshape(-1, 2).copy(), np.zeros(grid[..., 0].size, bool)
     side = int(min(max(round(_WIDE_SQUARES * square), _WIDE_PX[0]), _WIDE_PX[1]))
@@ -299,13 +321,13 @@ def _settled(
 
 
 def _to_the_right(grid: Grid) -> float:
-    """Minus the cosine of the first line's direction."""
+    """Minus the cosine of the direction of the first row."""
     along = grid[0, -1] - grid[0, 0]
     return -float(along[0] / np.linalg.norm(along))
 
 
 def crossing(quad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where the diagonals of a quadrilateral cross, shape (2,), of its corners in turn (4, 2)."""
+    """Crossing of a quadrilateral's diagonals, shape (2,); its corners in cyclic order, (4, 2)."""
     (ax, ay), (bx, by), (cx, cy), (dx, dy) = quad.tolist()
     ux, uy, vx, vy = cx - ax, cy - ay, dx - bx, dy - by
     share = ((bx - ax) * vy - (by - ay) * vx) / (ux * vy - uy * vx)

@@ -1,10 +1,10 @@
-"""Where in an image a checkerboard may lie: corners at which squares meet, and that hang together.
+"""Locate candidate regions for checkerboards: connected clusters of corners where squares meet.
 
-A corner is a saddle of the grey levels: dark, light, dark and light on a circle around it. Two of
-them are neighbours on a board where one's dark axis is the other's light one, and where the line
-between them is an edge, light on the side that both say. In photographs without a board few
-saddles have a neighbour and fewer a dozen, so a search for squares, which takes ten times as long
-where everything is full of corners, has little left to look at.
+Such a corner is a saddle point of the grey levels: dark, light, dark and light on a circle around
+it. Two saddles are neighbours on a board if the dark axis of one is the light axis of the other,
+and if the line between them is an edge whose light side agrees with both. In photographs without a
+board few saddles have a neighbour, and even fewer belong to a dozen. This leaves little to search
+for squares, which takes ten times as long in regions full of corners.
 """
 
 from typing import Any, Final, NamedTuple
@@ -17,70 +17,84 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 _BLUR_PX: Final = 1.2
+"""Standard deviation of the smoothing before derivatives, px (chosen: noise against small
+squares)."""
 _APART_PX: Final = 5
-"""Side of the square in which one saddle, the strongest, is taken."""
+"""Side of the square in which only the strongest saddle is kept, px (chosen)."""
 _LEAST_SADDLE: Final = 1.5
-"""Minus the determinant of the Hessian, grey levels by px^2 squared."""
+"""Least strength of a saddle: minus the determinant of the Hessian, (grey levels / px^2)^2
+(chosen)."""
 _MOST_SADDLES: Final = 4000
+"""Most saddles that are kept, the strongest (chosen: time)."""
 _RADIUS_PX: Final = 4.0
+"""Radius of the circle of samples around a saddle, px (chosen: inside the smallest squares)."""
 _ON_CIRCLE: Final = 16
+"""Samples on the circle (numerical)."""
 _LEAST_RANGE_GREY: Final = 6
-"""Between light and dark on the circle."""
+"""Least range of the samples on the circle, grey levels (chosen: above noise)."""
 _LEAST_CROSSED: Final = 1.5
-"""Contrast between crossed pairs of quadrants, by that between opposite sides: none at a corner."""
+"""Least ratio of the contrast between crossed pairs of quadrants to that between opposite sides,
+which is 0 at an ideal corner (chosen)."""
 _NEIGHBOURS: Final = 8
-"""The nearest saddles, among which a corner's neighbours are."""
+"""Number of nearest saddles that are considered as neighbours (chosen)."""
 _MOST_ALIKE: Final = -0.5
-"""Cosine of twice the angle between the light axes of neighbours, -1 where they are crossed."""
+"""Largest cosine of twice the angle between the light axes of neighbours; -1 if perpendicular
+(chosen)."""
 _MOST_ALONG: Final = 0.8
-"""Cosine of twice the angle between such an axis and the edge, 0 where it lies in the middle."""
+"""Largest absolute cosine of twice the angle between a light axis and the edge; 0 at 45 degrees
+(chosen)."""
 _ALONG_EDGE: Final = (0.3, 0.5, 0.7)
+"""Positions of the samples along an edge, as fractions of its length (chosen)."""
 _ASIDE: Final = 0.2
-"""Where light and dark are read beside an edge, by its length."""
+"""Distance of the samples from an edge, as a fraction of its length (chosen)."""
 _LEAST_ASIDE_PX: Final = 1.5
+"""Least distance of the samples from an edge, px (chosen)."""
 _LEAST_STEP: Final = 0.25
-"""From dark to light across an edge, by the range on the circles at its ends."""
+"""Least contrast across an edge, as a fraction of the range on the circles at its ends (chosen)."""
 _LEAST_LIKE: Final = 0.4
-"""The smaller range on the circles of neighbours by the larger one."""
+"""Least ratio of the smaller to the larger range on the circles of neighbours (chosen)."""
 _LEAST_SHARE: Final = 0.7
-"""Of the board's corners, that hang together."""
+"""Least size of a cluster, as a fraction of the board's corners (chosen)."""
 _MOST_TIMES: Final = 4.0
-"""As many as the board has: floors of tiles have more."""
+"""Largest size of a cluster, as a ratio to the board's corners (chosen: tiled floors have more)."""
 _MOST_CLUSTERS: Final = 3
+"""Most clusters that are returned (chosen: search time)."""
 _MARGIN: Final = 2.0
-"""Around a cluster, in lengths of its edges: the outermost squares, and light beside them."""
+"""Margin around a cluster in lengths of its edges, for the outermost squares and the light rim
+(chosen)."""
 _MARGIN_PX: Final = 6.0
+"""Additional margin around a cluster, px (chosen)."""
 
 Region = tuple[int, int, int, int]
-"""Pixels x0 <= u < x1, y0 <= v < y1 as (x0, y0, x1, y1)."""
+"""Region of the pixels x0 <= u < x1, y0 <= v < y1 as (x0, y0, x1, y1)."""
 
 
 class _Saddles(NamedTuple):
-    """Where the grey levels have saddles, and how they bend there."""
+    """Saddle points of the grey levels."""
 
     places: NDArray[np.int64]
-    """(n, 2) u and v."""
+    """(n, 2) u and v, px."""
     hessians: NDArray[np.float64]
-    """(n, 3) d2/du2, d2/dudv, d2/dv2."""
+    """(n, 3) second derivatives d2/du2, d2/dudv, d2/dv2."""
     ranges: NDArray[np.int16]
-    """(n,) from dark to light on the circle around each; 0 where it was not looked at."""
+    """(n,) range of grey levels on the circle around each; 0 if not sampled yet."""
 
 
 class Cluster(NamedTuple):
-    """Corners that hang together."""
+    """A connected cluster of corners."""
 
     region: Region
-    """Where the board is that they may be those of."""
+    """Region of the board that the corners may belong to."""
     corners_px: NDArray[np.float64]
-    """(n, 2) of them, to a pixel."""
+    """(n, 2) the corners, to one pixel, px."""
 
 
 def clusters(image: NDArray[np.uint8], corners: int) -> list[Cluster]:
-    """The clusters of about so many corners, a few at most.
+    """Find a few clusters with about as many corners as a board.
 
     Args:
         image: grey levels, shape (height, width), without much noise.
-        corners: how many there are on the board; those that have nearest to so many come first.
+        corners: number of corners of the board; clusters nearest to it in size come first.
     """
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
     saddles = _crossed(smooth, _saddles(smooth))
@@ -105,7 +119,7 @@ def clusters(image: NDArray[np.uint8], corners: int) -> list[Cluster]:
 
 
 def _saddles(smooth: NDArray[np.uint8]) -> _Saddles:
-    """The strongest saddles, one in a neighbourhood."""
+    """Find the strongest saddles, one per neighbourhood."""
     second: Any = [
         cv2.Sobel(smooth, cv2.CV_32F, *orders, ksize=3, scale=0.25)
         for orders in ((2, 0), (1, 1), (0, 2))
@@ -122,7 +136,7 @@ def _saddles(smooth: NDArray[np.uint8]) -> _Saddles:
 
 
 def _crossed(smooth: NDArray[np.uint8], saddles: _Saddles) -> _Saddles:
-    """Those around which light and dark change four times."""
+    """Select saddles with four changes between light and dark around them."""
     angles = 2.0 * np.pi * np.arange(_ON_CIRCLE) / _ON_CIRCLE
     circle = np.rint(_RADIUS_PX * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(int)
     greys = _greys_at(smooth, saddles.places[:, None] + circle)
@@ -136,7 +150,7 @@ def _crossed(smooth: NDArray[np.uint8], saddles: _Saddles) -> _Saddles:
     ranges = high - low
     kept = (changes == 4) & (ranges > _LEAST_RANGE_GREY) & (crossed > _LEAST_CROSSED * opposite)
     numbers = np.flatnonzero(kept)
-    # a corner midway between pixels is as strong in all of them
+    # a corner midway between pixels is equally strong in all of them
     same = cKDTree(saddles.places[numbers]).query_pairs(0.5 * _APART_PX, output_type="ndarray")
     numbers = np.delete(numbers, same[:, 1])
     return _Saddles(saddles.places[numbers], saddles.hessians[numbers], ranges[numbers])
@@ -145,7 +159,7 @@ def _crossed(smooth: NDArray[np.uint8], saddles: _Saddles) -> _Saddles:
 def _edges(
     smooth: NDArray[np.uint8], saddles: _Saddles
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs of saddles with an edge between them, as (m,) numbers of the one and of the other."""
+    """Pairs of saddles with an edge between them, as (m,) indices of the first and the second."""
     places, (uu, uv, vv) = saddles.places.astype(float), saddles.hessians.T
     near = min(_NEIGHBOURS + 1, len(places))
     _distances, found = cKDTree(places).query(places, k=near)
@@ -161,7 +175,7 @@ def _edges(
     first, second, along = first[kept], second[kept], along[kept]
     length = np.linalg.norm(along, axis=1, keepdims=True)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1) / length
-    # the mixed derivative along and across the edge says which of its sides is light
+    # the sign of the mixed derivative along and across the edge gives its light side
     bend = along[:, 0] * (uu[first] * across[:, 0] + uv[first] * across[:, 1])
     bend += along[:, 1] * (uv[first] * across[:, 0] + vv[first] * across[:, 1])
     aside = np.sign(bend)[:, None] * across * np.maximum(_ASIDE * length, _LEAST_ASIDE_PX)
@@ -177,11 +191,11 @@ def _edges(
 def _of_squares(
     count: int, first: NDArray[np.int64], second: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Those of the edges, see `_edges`, that are a side of a square: a way back over three more."""
+    """Select edges, see `_edges`, that close to a square by three more edges."""
     either = np.concatenate([first, second]), np.concatenate([second, first])
     edges = csr_array((np.ones(2 * len(first), np.int32), either), shape=(count, count))
     edges.data[:] = 1
-    # corners that two others join are opposite in a square
+    # two corners with two common neighbours are opposite in a square
     opposite = edges @ edges
     opposite.setdiag(0)
     opposite.data = (opposite.data > 1).astype(np.int32)

@@ -1,4 +1,4 @@
-"""Sub-pixel corners where four squares meet, and how sure they are."""
+"""Sub-pixel corners where four squares meet, and their standard deviations."""
 
 from math import exp, nan, sqrt
 from typing import Final
@@ -11,44 +11,49 @@ from vergence._jit import compiled
 from vergence.models.parts import FloatArray
 
 _END: Final = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 3e-3)
+"""Termination of `cornerSubPix`: iterations, and a step in pixels of the enlarged window."""
 _BLUR_PX: Final = 0.6
+"""Standard deviation of the blur before refinement, px (chosen: less bias by aliasing)."""
 _RIM: Final = 4
-"""Pixels around a window that its blur and its steps reach into."""
+"""Rim of pixels around a window for its blur and the moves of a corner, px (numerical)."""
 _BESIDE_PX: Final = 0.8
-"""From a corner, at which an edge counts a fourth."""
+"""Distance of an edge from a corner at which its weight is a quarter, px (chosen)."""
 _ITERATIONS: Final = 40
+"""Most iterations (numerical)."""
 _STEP_PX: Final = 2e-3
+"""Convergence tolerance of a step, px (numerical)."""
 _LEAST_STEEP: Final = 1.0
-"""Squared grey levels a pixel."""
+"""Least squared gradient of a pixel on an edge, (grey levels / px)^2 (chosen: noise)."""
 _LEAST_CROSSED: Final = 0.01
-"""Determinant by the squared trace, of edges that cross."""
+"""Least ratio of determinant to squared trace of the normal matrix; edges that do not cross have a
+smaller one (numerical)."""
 _LEAST_NOISE_GREY: Final = 0.3
-"""That of rounding, 1 / sqrt(12)."""
+"""Least noise, that of rounding, 1 / sqrt(12), standard deviation in grey levels (numerical)."""
 
 
 def refine_corners(
     image: NDArray[np.uint8], corners: NDArray[np.float64], side: int
 ) -> NDArray[np.float64]:
-    """Move corners to where the gradients around them meet, by OpenCV's ``cornerSubPix``.
+    """Refine corners to sub-pixel accuracy by OpenCV's ``cornerSubPix``.
 
-    It differentiates over two pixels, which aliases on edges as sharp as a good lens makes them
-    and pulls corners to the pixel grid. A light blur and twice the samples divide that bias by
+    OpenCV takes differences over two pixels, which causes aliasing on edges of a sharp lens and
+    biases corners towards the pixel grid. A light blur and doubled sampling divide that bias by
     three or four.
 
     Args:
         image: grey levels, shape (height, width).
-        corners: to within a window, px, shape (n, 2).
-        side: half the window's side, px. A window that sees another edge is wrong by pixels.
+        corners: initial corners, accurate to the window, px, shape (n, 2).
+        side: half the window's side, px. Another edge in the window causes errors of pixels.
 
     Returns:
-        px, shape (n, 2).
+        Refined corners, px, shape (n, 2).
     """
     rim = side + _RIM
     size = 2 * rim + 1
     whole = np.rint(corners).astype(int) - rim
     smooth = cv2.GaussianBlur(_windows(image, whole, size), (3, 3), _BLUR_PX)
     twice = cv2.resize(smooth, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
-    # the windows stand side by side: a corner lies as far to the right as its window does
+    # the windows are side by side in one image: corners are shifted by their windows
     shift = whole.astype(float)
     shift[:, 0] -= size * np.arange(len(corners))
     start = ((corners - shift + 0.5) * 2 - 0.5).astype(np.float32)
@@ -59,14 +64,15 @@ def refine_corners(
 def left_to_go(
     image: NDArray[np.uint8], corners: NDArray[np.float64], side: int
 ) -> NDArray[np.float64]:
-    """How far refined corners would still move, shape (n,), px.
+    """Remaining move of refined corners by one more iteration, shape (n,), px.
 
-    OpenCV leaves a corner where it was that would leave its window: it looks refined, and is not.
+    OpenCV returns a corner unchanged if it would leave its window; the remaining move reveals
+    this.
 
     Args:
         image: grey levels, shape (height, width).
-        corners: refined, px, shape (n, 2).
-        side: half the side of the window that they were refined in, px.
+        corners: refined corners, px, shape (n, 2).
+        side: half the side of the window of refinement, px.
     """
     return _moves(image, corners, side)[:, 0]
 
@@ -74,19 +80,19 @@ def left_to_go(
 def refine_between_edges(
     image: NDArray[np.uint8], corners: NDArray[np.float64], side: int
 ) -> NDArray[np.float64]:
-    r"""Move corners to where most edges around them meet, whatever else is seen there.
+    r"""Refine corners by the edges that meet at them, robust to other edges in the window.
 
-    As `refine_corners`, but a pixel whose edge passes the corner at a distance d counts by
-    1 / (1 + (d / s)^2)^2, Geman and McClure's weight: the edge of a shadow, and the next square's,
-    count little.
+    This minimises as `refine_corners` does, but weights a pixel whose edge passes the corner at a
+    distance d by 1 / (1 + (d / s)^2)^2 (Geman and McClure). Edges of shadows and of the next
+    squares so have little influence.
 
     Args:
         image: grey levels, shape (height, width).
-        corners: to within a pixel or two, px, shape (n, 2).
+        corners: initial corners, accurate to a pixel or two, px, shape (n, 2).
         side: half the window's side, px.
 
     Returns:
-        px, shape (n, 2); nan where no two edges cross.
+        Refined corners, px, shape (n, 2); nan if no two edges cross or the window is left.
     """
     out = np.empty(corners.shape)
     _meet(image, np.ascontiguousarray(corners), side, out)
@@ -135,28 +141,28 @@ def _meet(image: NDArray[np.uint8], corners: FloatArray, side: int, out: FloatAr
 def corner_sigmas(
     image: NDArray[np.uint8], corners: NDArray[np.float64], side: int, noise_grey: float
 ) -> NDArray[np.float64]:
-    r"""Standard deviations of refined corners, from the noise of the pixels.
+    r"""Standard deviations of refined corners due to pixel noise.
 
     A corner q solves `sum g g^T (p - q) = 0` over the pixels p of its window with their gradients
-    g. At the corner g is square to p - q, so to first order noise n of the gradients moves it by
+    g. At the corner g is perpendicular to p - q. To first order, gradient noise n moves q by
 
         dq = A^-1 sum g n^T (p - q),    A = sum g g^T,
 
     Args:
         image: grey levels, shape (height, width).
-        corners: refined, px, shape (n, 2).
-        side: half the side of the window that they were refined in, px.
+        corners: refined corners, px, shape (n, 2).
+        side: half the side of the window of refinement, px.
         noise_grey: standard deviation of a pixel's grey level.
 
     Returns:
-        px, shape (n, 2).
+        Standard deviations, px, shape (n, 2).
     """
     return noise_grey * _moves(image, corners, side)[:, 1:]
 
 
 @compiled
 def _moves(image: NDArray[np.uint8], corners: FloatArray, side: int) -> FloatArray:
-    """How far each corner would move, and by how much for noise of one grey level, (n, 3)."""
+    """Remaining move of each corner, and standard deviations by noise of 1 grey level, (n, 3)."""
     height, width = image.shape
     out = np.empty((len(corners), 3))
     for n in range(len(corners)):
@@ -169,11 +175,11 @@ def _moves(image: NDArray[np.uint8], corners: FloatArray, side: int) -> FloatArr
                 h = 0.5 * (float(image[row + 1, column]) - float(image[row - 1, column]))
                 dx, dy = column - u, row - v
                 away = dx * dx + dy * dy
-                weight = exp(-away / side**2)  # OpenCV's own
+                weight = exp(-away / side**2)  # OpenCV's weight
                 along = g * dx + h * dy
                 a, b, c = a + weight * g * g, b + weight * g * h, c + weight * h * h
                 d, e = d + weight * g * along, e + weight * h * along
-                # a central difference of white noise has half its variance
+                # a central difference of white noise has half the variance of the noise
                 moved = 0.5 * weight * weight * away
                 p, q, r = p + moved * g * g, q + moved * g * h, r + moved * h * h
         det = max(a * c - b * b, 1e-9)
@@ -184,14 +190,15 @@ def _moves(image: NDArray[np.uint8], corners: FloatArray, side: int) -> FloatArr
 
 
 def noise_of(image: NDArray[np.uint8], places: NDArray[np.float64]) -> float:
-    """The noise of the pixels, from places in the middle of squares of one colour.
+    """Estimate the pixel noise at points inside squares of one colour.
 
     Args:
         image: grey levels, shape (height, width).
-        places: px, shape (n, 2); those at the image's edge are left out.
+        places: the points, px, shape (n, 2); those at the image's edge are left out.
 
     Returns:
-        Standard deviation of a pixel's grey level, the median over the places.
+        Standard deviation of a pixel's grey level, from a trimmed mean over the points; at least
+        that of rounding.
     """
     height, width = image.shape
     x, y = np.rint(places).astype(int).T
@@ -201,16 +208,16 @@ def noise_of(image: NDArray[np.uint8], places: NDArray[np.float64]) -> float:
     x, y = x[inside], y[inside]
     step = np.array([-1, 0, 1])
     patch = image[y[:, None, None] + step[:, None], x[:, None, None] + step].astype(float)
-    # second differences, which a gradient of light does not enter; 36 is their variance
+    # second differences, which cancel a gradient of light; 36 is their variance
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]])
     second = np.abs((patch * mask).sum(axis=(1, 2)))
-    # the mean of |n| is sqrt(2 / pi) of a normal number's standard deviation
+    # 0.7 stands for the mean of the lower 90 % of |n| over sigma (0.66 if n is normal)
     return max(float(np.mean(np.sort(second)[: max(len(second) * 9 // 10, 1)])) / 6.0 / 0.7,
                _LEAST_NOISE_GREY)  # fmt: skip
 
 
 def _windows(image: NDArray[np.uint8], corners: NDArray[np.int_], size: int) -> NDArray[np.uint8]:
-    """Square windows of an image side by side; beyond its edge its last pixels are repeated."""
+    """Square windows of an image side by side; pixels beyond its border repeat the last ones."""
     height, width = image.shape
     out = np.empty((size, size * len(corners)), np.uint8)
     for i, (x, y) in enumerate(corners.tolist()):

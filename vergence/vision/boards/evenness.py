@@ -1,4 +1,4 @@
-"""How evenly a board's corners lie: what noise of pixels does not tell, and single strays."""
+"""Deviations of a board's corners from a smooth grid: overall, and of single corners."""
 
 from functools import lru_cache
 from math import comb, sqrt
@@ -11,28 +11,30 @@ from numpy.typing import NDArray
 from vergence._jit import compiled
 
 _HIGHEST: Final = 5
+"""Highest order of differences along a row (chosen: removes lens distortion, needs six corners)."""
 _BINOMIALS: Final = np.array(
     [[(-1.0) ** k * comb(n, k) for k in range(_HIGHEST + 1)] for n in range(_HIGHEST + 1)]
 )
-"""Signs and weights of the n-th difference."""
+"""Coefficients of the n-th difference, row n."""
 _BENDS: Final = (3, 6)
-"""Degrees of the polynomial that stands for what a homography does not explain: a lens."""
+"""Lowest and highest degree of the polynomial that models lens distortion on top of a
+homography (chosen)."""
 _FREE: Final = 1.6
-"""Corners by coefficient of that polynomial, at least."""
+"""Least number of corners per coefficient of that polynomial (chosen: avoids overfitting)."""
 
 
 @compiled
 def unevenness(grid: NDArray[np.float64]) -> float:
-    """How far corners lie beside a smooth grid, as a standard deviation of each coordinate, px.
+    """Standard deviation of corners about a smooth grid, of each coordinate, px.
 
-    It is what noise of pixels does not tell: uneven print, the pixel grid, compressed images. The
-    n-th difference of n + 1 corners in a row is free of what perspective and lens make of a line, a
-    polynomial of degree n - 1 or nearly so, and has (2n)! / n!^2 times the variance of one
-    coordinate. The fifth is taken, or that of as many corners as there are; in rows of three the
-    second, less that of the next row.
+    It includes errors beyond pixel noise: uneven print, the pixel grid, compression. Perspective
+    and lens turn a line into a polynomial, nearly of degree n - 1, which the n-th difference of
+    n + 1 corners in a row cancels. That difference has (2n)! / n!^2 times the variance of one
+    coordinate. The order is five, or less if a row has fewer corners; in rows of three it is two,
+    and the difference of the next row is subtracted.
 
     Args:
-        grid: (rows, columns, 2) the corners, nan where there is none.
+        grid: (rows, columns, 2) the corners, px; nan for unknown ones.
     """
     squares, count = 0.0, 0
     for axis in range(2):
@@ -61,17 +63,17 @@ def unevenness(grid: NDArray[np.float64]) -> float:
 
 
 def beside_others(grid: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How far each corner lies beside where all the others say that it is.
+    """Residual of each corner from its prediction by all others.
 
-    The others' say is a homography of the board, and a polynomial for what is left of a lens, of
-    the degree with the least generalised cross validation (Golub, Heath and Wahba 1979).
+    The prediction is a homography of the board plus a polynomial for remaining lens distortion,
+    of the degree with the least generalised cross validation (Golub, Heath and Wahba 1979).
 
     Args:
         grid: (rows, columns, 2) the corners, px.
 
     Returns:
-        (rows * columns, 2) the differences, px. (rows * columns,) what standard deviation each
-        of their coordinates has, by that of one corner's.
+        (rows * columns, 2) the residuals, px. (rows * columns,) ratio of the standard deviation of
+        their coordinates to that of a corner.
     """
     rows, columns, _ = grid.shape
     places, basis, counts = _polynomials(rows, columns)
@@ -92,9 +94,10 @@ def beside_others(grid: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
 def _polynomials(
     rows: int, columns: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
-    """A board's corners within 1, (n, 2); polynomials over them; how many to each degree's end.
+    """Corners of a board scaled to -1..1, (n, 2); polynomials on them; their count per degree.
 
-    The polynomials are orthonormal, (n, p), the lower degrees first.
+    The polynomials are orthonormal, (n, p), lower degrees first. The counts are cumulative, for
+    each allowed degree.
     """
     grid = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows))
     x, y = (each.ravel() for each in grid)

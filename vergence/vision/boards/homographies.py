@@ -1,4 +1,4 @@
-"""From a board's plane to an image by its corners, and how surely that places its middle."""
+"""Homography from a board's plane to an image, and the uncertainty of the board's origin by it."""
 
 from typing import Any
 
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 def homography(
     board_m: NDArray[np.float64], pixels: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """From the board's plane to the image, by all corners; None where they lie on a line.
+    """Least-squares homography from the board's plane to the image; None if corners are collinear.
 
     Args:
-        board_m: (n, 2) corners on the board.
-        pixels: (n, 2) the same in the image.
+        board_m: (n, 2) corners on the board, m.
+        pixels: (n, 2) these corners in the image, px.
     """
     transform: Any = cv2.findHomography(board_m, pixels, 0)[0]
     if transform is None or not np.isfinite(transform).all():
@@ -25,13 +25,13 @@ def homography(
 def sigma_of_middle(
     transform: NDArray[np.float64], board_m: NDArray[np.float64], sigmas: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Standard deviations of where a homography from corners puts the board's origin, (2,) px.
+    """Standard deviations of the board's origin in the image by a homography of corners, (2,) px.
 
-    A part of a board that does not surround its middle says little of it.
+    They are large if the corners do not surround the origin.
 
     Args:
         transform: the homography.
-        board_m: (n, 2) corners on the board.
+        board_m: (n, 2) corners on the board, m.
         sigmas: (n, 2) their standard deviations in the image, px.
     """
     scale = 1.0 / np.abs(board_m).max()

@@ -1,4 +1,4 @@
-"""Reading a ChArUco board: whether squares alternate at its corners, and markers are printed so."""
+"""Check a ChArUco board's image: squares that alternate at its corners, markers as printed."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -11,35 +11,36 @@ from numpy.typing import NDArray
 from vergence.models.boards import CharucoBoard
 
 _PROBE_MARGINS: Final = 0.45
-"""Distance of the samples from a corner along both axes, in margins of a marker."""
+"""Distance of grey samples from a corner along both axes, in margins of a marker (chosen)."""
 _LEAST_CONTRAST_GREY: Final = 5.0
+"""Least contrast at a corner, grey levels (chosen: above noise)."""
 _LEAST_CONTRAST: Final = 0.25
-"""Of a corner, by the median of all."""
+"""Least contrast at a corner, as a fraction of the median of all corners (chosen)."""
 _LEAST_ALIKE: Final = 0.4
-"""Correlation of a marker's grey levels with its print."""
+"""Least correlation of a marker's grey levels with its print (chosen)."""
 
 Place = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""From places on the board, (n, 2) m, to the pixels where they are seen."""
+"""Function from positions on the board, (n, 2) m, to pixels, (n, 2)."""
 
 
 def dark_first(board: CharucoBoard) -> bool:
-    """Whether the board's upper left square is black."""
+    """True if the board's upper left square is black."""
     return not (board.legacy and board.rows % 2 == 0)
 
 
 def alternates(
     image: NDArray[np.uint8], board: CharucoBoard, known: NDArray[np.intp], place: Place
 ) -> NDArray[np.bool_]:
-    """Whether the squares around each corner have their colours.
+    """Check that black and white alternate around each corner as printed.
 
     Args:
         image: grey levels, shape (height, width).
-        board: what is looked for.
-        known: (n,) numbers of the corners.
-        place: where the board is seen.
+        board: the board.
+        known: (n,) indices of the corners.
+        place: projection of the board into the image.
 
     Returns:
-        (n,) of the corners.
+        (n,) mask of the corners that pass.
     """
     away = _PROBE_MARGINS * 0.5 * (board.square_m - board.marker_m)
     steps = away * np.array([[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0]])
@@ -54,13 +55,13 @@ def alternates(
 def share_read(
     image: NDArray[np.uint8], board: CharucoBoard, known: NDArray[np.intp], place: Place
 ) -> float:
-    """How many of the markers beside some corners look as they are printed, as a share.
+    """Fraction of the markers beside some corners whose image agrees with their print.
 
     Args:
         image: see `alternates`.
-        board: the same.
-        known: the same.
-        place: the same.
+        board: see `alternates`.
+        known: see `alternates`.
+        place: see `alternates`.
     """
     row, column = np.divmod(known, board.columns - 1)
     beside = np.zeros((board.rows, board.columns), bool)
@@ -82,7 +83,7 @@ def share_read(
 
 @lru_cache(maxsize=8)
 def _squares(board: CharucoBoard) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The middles of all cells by square, (squares, n, 2) m; their print, less each's mean."""
+    """Centres of all cells by square, (squares, n, 2) m; their print minus its mean per square."""
     rows, columns = board.rows, board.columns
     size = len(board.cells) // rows
     x, y = (np.arange(size * count) + 0.5 for count in (columns, rows))
@@ -98,11 +99,11 @@ def _squares(board: CharucoBoard) -> tuple[NDArray[np.float64], NDArray[np.float
 
 
 def sampled(image: NDArray[np.uint8], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Grey levels at pixels (n, 2), those beyond the edge as at it, and of a lens's fold black."""
+    """Grey levels at pixels (n, 2); replicated beyond the border, the upper left pixel for nan."""
     remap: Any = cv2.remap
     where = np.nan_to_num(places, nan=-1e4)
     out = np.empty(len(where))
-    for start in range(0, len(where), 16384):  # remap takes 32767 of a row at most
+    for start in range(0, len(where), 16384):  # remap takes at most 32767 in a row
         part = where[None, start : start + 16384].astype(np.float32)
         out[start : start + part.shape[1]] = remap(
             image, part, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE

@@ -1,4 +1,4 @@
-"""How far corners of a board lie beside what a homography and a smooth lens make of it."""
+"""Fit of a homography and a smooth lens distortion to a board's corners, without outliers."""
 
 from typing import Final, NamedTuple
 
@@ -9,46 +9,50 @@ from numpy.typing import NDArray
 from vergence.vision.boards.homographies import homography
 
 _HIGHEST: Final = 8
-"""Degree of the polynomial that stands for what a homography does not explain: a lens."""
+"""Highest degree of the polynomial that models lens distortion on top of a homography (chosen)."""
 _COARSE: Final = 3
-"""The same, for finding corners that were taken for others."""
+"""Highest degree in the first fit, which finds corners mistaken for others (chosen)."""
 _FREE: Final = 2.0
-"""Corners by coefficient of that polynomial, at least."""
+"""Least number of corners per coefficient of that polynomial (chosen: avoids overfitting)."""
 _OF_HOMOGRAPHY: Final = 4
-"""Coefficients for each coordinate of a corner."""
+"""Parameters of a homography per image coordinate (numerical)."""
+
+# Residual of a corner from the fit above which it is an outlier; it exceeds both (chosen).
 _STRAY_PX: Final = 0.2
-_STRAY_SIGMAS: Final = 6.0
-"""A corner that lies beside the others' say by more than both is none of the board."""
+_STRAY_SIGMAS: Final = 6.0  # standard deviations
+
 _MOST_ROUNDS: Final = 8
+"""Most rounds of removing outliers (numerical)."""
 
 
 class Smooth(NamedTuple):
-    """A homography, and how corners lie beside it."""
+    """A fit to corners."""
 
     homography: NDArray[np.float64]
-    """From the board's plane to the image."""
+    """Homography from the board's plane to the image."""
     good: NDArray[np.bool_]
-    """(n,) which corners lie where the others say."""
+    """(n,) mask of the inliers."""
     uneven_px: float
-    """Standard deviation of each coordinate of those, beside the smooth board; 0 if unknown."""
+    """Standard deviation of the inliers' residuals, of each coordinate; 0 if unknown."""
     bend_px: NDArray[np.float64]
-    """(2,) what the lens adds to the homography at the board's origin."""
+    """(2,) lens distortion at the board's origin, added to the homography."""
     bend_sigma_px: float
-    """Standard deviation of each."""
+    """Standard deviation of each coordinate of `bend_px`."""
 
 
 def smooth_of(
     board_m: NDArray[np.float64], pixels: NDArray[np.float64], room_px: NDArray[np.float64]
 ) -> Smooth | None:
-    """The smooth board that fits corners, without those that stray.
+    """Fit a homography and a smooth distortion to corners, without outliers.
 
     Args:
-        board_m: (n, 2) corners on the board.
-        pixels: (n, 2) the same in the image, or in a plane without a lens.
-        room_px: (n,) how far each may lie beside a coarse fit: less than another corner is away.
+        board_m: (n, 2) corners on the board, m.
+        pixels: (n, 2) these corners in the image, or in an undistorted plane, px.
+        room_px: (n,) largest residual of each from a coarse fit, px: less than the distance to
+            another corner.
 
     Returns:
-        The fit; None where the corners lie on a line, or fewer than four are left.
+        The fit; None if the corners are collinear, or fewer than four are left.
     """
     good = np.ones(len(pixels), bool)
     fit: _Fit | None = None
@@ -61,7 +65,7 @@ def smooth_of(
             over = fit.beside_px / (fine if room is None else room[good])
             if not fit.tells or over.max() <= 1.0:
                 break
-            # a stray corner drags its neighbours along, which come back without it
+            # an outlier also pulls its neighbours away, so only the worst are removed per round
             good[np.flatnonzero(good)[over > max(1.0, 0.5 * float(over.max()))]] = False
     assert fit is not None
     return Smooth(fit.homography, good, fit.uneven_px, fit.bend_px, fit.bend_sigma_px)
@@ -70,14 +74,14 @@ def smooth_of(
 class _Fit(NamedTuple):
     homography: NDArray[np.float64]
     beside_px: NDArray[np.float64]
-    """(n,) how far each lies from where the others say."""
+    """(n,) residual of each corner from its prediction by the others."""
     robust_px: float
-    """A standard deviation of what is left, by the median."""
+    """Standard deviation of the residuals, estimated by their median."""
     uneven_px: float
     bend_px: NDArray[np.float64]
     bend_sigma_px: float
     tells: bool
-    """Whether there are more corners than coefficients."""
+    """True if there are more corners than coefficients, so that residuals carry evidence."""
 
 
 def _fitted(
@@ -86,7 +90,7 @@ def _fitted(
     good: NDArray[np.bool_],
     highest: int,
 ) -> _Fit | None:
-    """The polynomial with the least generalised cross validation (Golub, Heath and Wahba 1979)."""
+    """Fit the polynomial with least generalised cross validation (Golub, Heath and Wahba 1979)."""
     count = int(good.sum())
     transform = homography(board_m[good], pixels[good]) if count >= _OF_HOMOGRAPHY else None
     if transform is None:
@@ -121,7 +125,7 @@ def _fitted(
 def _terms(
     places: NDArray[np.float64], highest: int
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Polynomials over places within 1, (n, p), the lower degrees first; ends of the degrees."""
+    """Monomials at positions in -1..1, (n, p), lower degrees first; cumulative count by degree."""
     x, y = places.T
     columns, rows = (len(np.unique(np.rint(1e6 * each))) for each in (x, y))
     terms: list[NDArray[np.float64]] = []

@@ -1,4 +1,4 @@
-"""Reading a checkerboard through its corners: whether squares alternate, by those around each."""
+"""Check a checkerboard's image: squares that alternate, each compared with its neighbours."""
 
 from math import hypot
 from typing import Final
@@ -10,33 +10,36 @@ from vergence._jit import compiled
 from vergence.vision.plane import grey_at
 
 _LEAST_CONTRAST_GREY: Final = 5.0
-"""Between the light squares and the dark ones around a square."""
+"""Least contrast between light and dark squares around a square, grey levels (chosen)."""
 _LEAST_SHARE: Final = 0.15
-"""How far a square must lie from the middle of both, as a share of the difference."""
+"""Least deviation of a square from the mean of light and dark, as a fraction of the contrast
+(chosen)."""
 _PROBE: Final = 0.2
-"""Distance of the samples of a square from its middle."""
+"""Distance of the samples of a square from its centre, in squares (chosen)."""
 _MOST_WRONG: Final = 0.05
-"""Share of the squares that glare or dirt may hide."""
+"""Largest fraction of squares with a wrong colour, such as by glare or dirt (chosen)."""
 _OUTER_SHARE: Final = 0.6
-"""Of the outermost squares that is looked at: some boards print them half, lenses bend them, and
-the image may end in them."""
+"""Fraction of the outermost squares that is sampled (chosen: some boards print only half of them,
+lenses bend them, and the image may end in them)."""
 _LARGER: Final = 0.75
-"""Share of the corners beyond the board at which four squares meet where the board goes on."""
+"""Least fraction of the corners on the line beyond a side at which four squares must meet for the
+board to continue there (chosen)."""
 _LEAST_LINE: Final = 2
-"""Corners of such a line that must lie in the image for it to tell anything."""
+"""Least number of corners of such a line inside the image (chosen)."""
 _LEAST_STEP: Final = 0.4
-"""From light to dark between squares beyond the board, by that between the board's own. Of 4,440
-parts of boards in public photographs all go on with 0.45, all but two with 0.5; with 0.35 one of
-12,496 sides at which a board ends goes on."""
+"""Least contrast between squares beyond the board, as a fraction of the board's own contrast. Of
+4,440 parts of boards in public photographs all continue with 0.45, all but two with 0.5; with 0.35
+one of 12,496 true sides of boards seems to continue (chosen by these counts)."""
 _MOST_BENT: Final = 0.35
-"""How far a corner may lie from the middle of its neighbours, as a share of their distance."""
+"""Largest second difference of a corner and its two neighbours, as a fraction of the neighbours'
+distance (chosen)."""
 
 Grid = NDArray[np.float64]
 """Corners by row and column, shape (rows, columns, 2), px."""
 
 
 def shortest_square(grid: Grid) -> float:
-    """Length of a square's edge in the image where it is shortest, px."""
+    """Length of the shortest edge of a square in the image, px."""
     along_x, along_y = np.diff(grid, axis=1), np.diff(grid, axis=0)
     shortest = min((along_x**2).sum(axis=-1).min(), (along_y**2).sum(axis=-1).min())
     return float(np.sqrt(shortest))
@@ -44,13 +47,13 @@ def shortest_square(grid: Grid) -> float:
 
 @compiled
 def is_regular(grid: Grid) -> bool:
-    """Whether corners follow each other evenly and the right way round, as a board's do."""
+    """Check that corners form an even grid that is not mirrored."""
     rows, columns, _ = grid.shape
     for j in range(rows - 1):
         for i in range(columns - 1):
             u, v = grid[j, i + 1, 0] - grid[j, i, 0], grid[j, i + 1, 1] - grid[j, i, 1]
             x, y = grid[j + 1, i, 0] - grid[j, i, 0], grid[j + 1, i, 1] - grid[j, i, 1]
-            if not u * y - v * x > 0.0:  # the image of a board is never a mirror's
+            if not u * y - v * x > 0.0:  # the image of a board is never mirrored
                 return False
     for j in range(rows):
         for i in range(columns):
@@ -66,12 +69,12 @@ def is_regular(grid: Grid) -> bool:
 
 
 def reads(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> bool:
-    """Whether squares alternate around the corners.
+    """Check that squares alternate around the corners, up to a few wrong ones.
 
     Args:
         image: grey levels, shape (height, width).
         grid: the corners.
-        first_dark: whether the upper left square is the dark one.
+        first_dark: true if the upper left square is dark.
     """
     right, seen = _read(image, _extended(grid, 1, _OUTER_SHARE), first_dark)
     return bool((seen & ~right).sum() <= _MOST_WRONG * max(seen.sum(), 1)) and bool(
@@ -80,21 +83,21 @@ def reads(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> b
 
 
 def goes_on(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> bool:
-    """Whether four squares meet at the corners that would follow: it is a part of a larger board.
+    """Check for four squares at the next corners beyond a side: a part of a larger board.
 
-    What is seen beyond a board may well alternate. At a corner it does so along the line and
-    across it, by about as much as the board's own squares.
+    The surroundings of a board may alternate by chance. At a corner they must do so both along the
+    line of corners and across it, with nearly the contrast of the board's own squares.
 
     Args:
         image: grey levels, shape (height, width).
         grid: the corners.
-        first_dark: whether the board's upper left square is the dark one.
+        first_dark: true if the board's upper left square is dark.
     """
     return bool(_goes_on(image, grid, first_dark))
 
 
 def middles(grid: Grid) -> NDArray[np.float64]:
-    """The middles of the squares between the corners, shape (n, 2), px."""
+    """Centres of the squares between the corners, shape (n, 2), px."""
     return np.asarray(_middles(grid).reshape(-1, 2))
 
 
@@ -110,7 +113,7 @@ def _read(
 def _sampled(
     image: NDArray[np.uint8], corners: Grid
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The grey level of each square between some corners, and whether it lies in the image."""
+    """Grey level of each square between some corners, and a mask of those inside the image."""
     rows, columns, _ = corners.shape
     greys, seen = np.zeros((rows - 1, columns - 1)), np.empty((rows - 1, columns - 1), np.bool_)
     _sample(image, corners, greys, seen)
@@ -122,7 +125,7 @@ def _middles(grid: Grid) -> Grid:
 
 
 def _extended(grid: Grid, rings: int, share: float = 1.0) -> Grid:
-    """The corners, and those that would follow around them at a share of their distance."""
+    """Corners with rings of extrapolated ones around them, at a fraction of the spacing."""
     for _ in range(rings):
         rows, columns, _two = grid.shape
         out = np.empty((rows + 2, columns + 2, 2))
@@ -142,13 +145,13 @@ def _sample(
     greys: NDArray[np.float64],
     seen: NDArray[np.bool_],
 ) -> None:
-    """Grey levels of squares, and which lie in the image.
+    """Sample the grey levels of squares.
 
     Args:
         image: grey levels.
-        corners: (rows + 1, columns + 1, 2) of the squares.
-        greys: (rows, columns) result, to which they are added.
-        seen: (rows, columns) result.
+        corners: (rows + 1, columns + 1, 2) corners of the squares, px.
+        greys: (rows, columns) result, mean grey levels, added to its content.
+        seen: (rows, columns) result, mask of the squares inside the image.
     """
     height, width = image.shape
     rows, columns = seen.shape
@@ -176,13 +179,13 @@ def _alternate(
     first_dark: bool,
     right: NDArray[np.bool_],
 ) -> None:
-    """Which squares have their colour.
+    """Mark the squares with the correct colour.
 
     Args:
-        greys: (rows, columns) of the squares.
-        seen: (rows, columns) whether they lie in the image.
-        first_dark: whether the upper left one is dark.
-        right: (rows, columns) result.
+        greys: (rows, columns) grey levels of the squares.
+        seen: (rows, columns) mask of the squares inside the image.
+        first_dark: true if the upper left square is dark.
+        right: (rows, columns) result, mask of the correct squares.
     """
     rows, columns = right.shape
     for j in range(rows):
@@ -213,14 +216,14 @@ def _alternate(
 
 @compiled
 def _goes_on(image: NDArray[np.uint8], grid: Grid, first_dark: bool) -> bool:
-    """See `goes_on`."""
+    """Implement `goes_on`."""
     rows, columns, _ = grid.shape
     for side in range(4):
-        across, last = side < 2, side % 2 == 1  # along a row; below or on the right
+        across, last = side < 2, side % 2 == 1  # the line is a row; it is below or on the right
         count = columns if across else rows
         depth = rows if across else columns
-        # the next but one line of corners, the next one, and two of the board, with their ends; of
-        # what may be a larger board's outermost squares, the near part
+        # lines of corners with their ends: the second and the first beyond the board, and two of
+        # the board; of possible outermost squares only the near part
         lines = np.empty((4, count + 2, 2))
         for i in range(count):
             for k in range(2):
@@ -239,7 +242,7 @@ def _goes_on(image: NDArray[np.uint8], grid: Grid, first_dark: bool) -> bool:
                 lines[k, count + 1, n] = lines[k, count, n] + _OUTER_SHARE * step
         greys, seen = np.zeros((3, count + 1)), np.empty((3, count + 1), np.bool_)
         _sample(image, lines, greys, seen)
-        turned = last and depth % 2 == 1  # whether the colours are the other way round there
+        turned = last and depth % 2 == 1  # true if the colours are exchanged there
         for k in range(3):
             for i in range(count + 1):
                 if ((k + i) % 2 == 0) != (first_dark != turned):

@@ -1,1 +1,1 @@
-"""Robot descriptions that others wrote, URDF and MJCF, and the head that is in one."""
+"""Robot descriptions in URDF or MJCF, and the extraction of a head from one."""

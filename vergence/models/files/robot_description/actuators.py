@@ -1,4 +1,4 @@
-"""The motors of an imported head's eyes: ties of the file, a common tilt, version and vergence."""
+"""Motors of an imported head's eyes: coupled joints, a common tilt, version and vergence."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,15 +11,16 @@ from vergence.models.files.robot_description.mechanism import Tie
 from vergence.models.parts import FloatArray
 
 Coupling = Literal["common-tilt", "version-vergence"]
-"""What couples both eyes: one motor for both tilts; motors for version and for vergence."""
+"""Coupling of both eyes: one motor for both tilts, or motors for version and for vergence."""
 
 _NEAREST_M: Final = 0.25
-"""Distance straight ahead at which vergence must still let both eyes look."""
+"""Nearest point straight ahead that both eyes must be able to fixate (chosen: near objects
+against the range of version)."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """What a joint or a motor may do: rad, rad, rad/s, rad/s^2."""
+    """Limits of a joint or a motor: rad, rad, rad/s, rad/s^2."""
 
     lower: float
     upper: float
@@ -27,13 +28,13 @@ class Range:
     acceleration: float
 
     def through(self, tie: Tie) -> "Range":
-        """What is left for the master of a joint that may do this, `joint = m master + offset`."""
+        """Limits that a joint with these ones sets its master, `joint = m master + offset`."""
         ends = [(end - tie.offset) / tie.multiplier for end in (self.lower, self.upper)]
         size = abs(tie.multiplier)
         return Range(min(ends), max(ends), self.velocity / size, self.acceleration / size)
 
     def within(self, other: "Range") -> "Range":
-        """What both allow."""
+        """Intersection of both limits."""
         return Range(
             max(self.lower, other.lower),
             min(self.upper, other.upper),
@@ -47,12 +48,12 @@ class Motor:
     """A motor and the eye joints that it moves: `joint = factor * motor + offset`.
 
     Attributes:
-        name: of the motor.
-        joints: factor by joint.
-        offsets: of the joints whose offset is not 0, rad.
-        range: what it may do.
-        reason: why some of its range is an assumption; empty if it is the file's.
-        assumed: the keys of a head file for which that is the reason.
+        name: name of the motor.
+        joints: factor by joint name.
+        offsets: offset by joint name, where it is not 0, rad.
+        range: limits of the motor.
+        reason: reason why some limits are assumed; empty if all are from the file.
+        assumed: keys of the head file that the reason applies to.
     """
 
     name: str
@@ -68,10 +69,10 @@ class EyeJoint:
     """A joint of an eye.
 
     Attributes:
-        name: of the joint.
+        name: name of the joint.
         part: both, left or right.
         axis: (3,) its axis at zero, in the axes of the mean camera: x right, y down, z forward.
-        range: what it may do.
+        range: limits of the joint.
     """
 
     name: str
@@ -81,7 +82,7 @@ class EyeJoint:
 
     @property
     def pans(self) -> bool:
-        """Whether it turns its eye rather right and left than up and down."""
+        """True if the joint turns its eye more left and right than up and down."""
         return abs(float(self.axis[1])) > abs(float(self.axis[0]))
 
 
@@ -91,16 +92,16 @@ def motors(
     couplings: Sequence[Coupling],
     baseline_m: float,
 ) -> list[Motor]:
-    """The motors of the eyes, in the order of their first joints.
+    """Motors of the eyes, in the order of their first joints.
 
     Args:
-        joints: of the eyes.
-        ties: which of them follow which.
-        couplings: what is wanted besides.
+        joints: joints of the eyes.
+        ties: couplings among these joints in the file.
+        couplings: additional couplings of both eyes.
         baseline_m: distance between the cameras.
 
     Raises:
-        ConfigurationError: a coupling does not fit these joints, or leaves no range.
+        ConfigurationError: a coupling does not fit these joints, or leaves an empty range.
     """
     by_name = {joint.name: joint for joint in joints}
     found = [_free(joint, ties, by_name) for joint in joints if joint.name not in _followers(ties)]
@@ -118,7 +119,7 @@ def _followers(ties: Sequence[Tie]) -> set[str]:
 
 
 def _free(joint: EyeJoint, ties: Sequence[Tie], by_name: Mapping[str, EyeJoint]) -> Motor:
-    """The motor of a joint that follows none, with those that follow it."""
+    """Motor of an independent joint and of the joints coupled to it."""
     mine = [tie for tie in ties if tie.master == joint.name]
     allowed = joint.range
     for tie in mine:
@@ -139,7 +140,7 @@ def _free(joint: EyeJoint, ties: Sequence[Tie], by_name: Mapping[str, EyeJoint])
 def _pair(
     found: Sequence[Motor], by_name: Mapping[str, EyeJoint], coupling: Coupling, *, pans: bool
 ) -> tuple[Motor, Motor]:
-    """The motors of the left and the right joint that a coupling is about."""
+    """Motors of the left and the right joint that a coupling joins."""
     which = "pans" if pans else "tilts"
     own = {
         part: [
@@ -188,18 +189,18 @@ def _common_tilt(left: Motor, right: Motor, by_name: Mapping[str, EyeJoint]) -> 
 def _version_vergence(
     left: Motor, right: Motor, by_name: Mapping[str, EyeJoint], baseline_m: float
 ) -> list[Motor]:
-    """Version turns both eyes to the right, vergence each to the other: `version +- vergence / 2`.
+    """Motors of version and vergence; the eyes turn to the right by `version +- vergence / 2`.
 
-    The largest box of both within the joints' ranges in which vergence begins at 0, parallel
-    eyes, and reaches what is near.
+    The ranges of both are the largest within the joints' ranges such that vergence begins at 0,
+    parallel eyes, and reaches at least the nearest point to fixate.
     """
     signs = [float(np.sign(by_name[motor.name].axis[1])) for motor in (left, right)]
     turned = [
         m.range.through(Tie("", "", s, 0.0)) for m, s in zip((left, right), signs, strict=True)
     ]
-    l, r = turned  # noqa: E741 the left and the right eye's turn to the right
+    l, r = turned  # noqa: E741 ranges of the left and right eye's rotation to the right
     low, high = max(l.lower, r.lower), min(l.upper, r.upper)
-    # with both at the ends of the version, what is left of each eye for turning inwards
+    # vergence that remains at both ends of the version range
     inward = 2.0 * min(l.upper - high, low - r.lower)
     near = 2.0 * np.arctan(baseline_m / 2.0 / _NEAREST_M)
     vergence = max(inward, near)

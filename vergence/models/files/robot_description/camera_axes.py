@@ -1,4 +1,4 @@
-"""Which axes of a camera's frame point right and down in its image, and forward."""
+"""Axes of a camera's frame that point right and down in its image, and forward."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,23 +11,27 @@ from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
 
 OPTICAL: Final = "x,y,z"
+"""Axes of an optical frame: x right, y down, z forward."""
 MUJOCO: Final = "x,-y,-z"
-"""Of MuJoCo's cameras, which look along -z with y up, as OpenGL's do."""
+"""Axes of MuJoCo's cameras, which look along -z with y up, as in OpenGL."""
 
 _AXES: Final = {sign + name: s * np.eye(3)[i] for s, sign in ((1.0, ""), (-1.0, "-"))
                 for i, name in enumerate("xyz")}  # fmt: skip
 _ALIGNED: Final = np.cos(np.deg2rad(45.0))
+"""Cosine of the angle below which an axis counts as aligned with a direction (chosen)."""
 _ROLLED: Final = np.cos(np.deg2rad(25.0))
+"""Cosine of the angle between optical axis and joint axis below which a joint would roll the
+image (chosen: tilted mounts are accepted, wrong frames refused)."""
 
 
 def rotation_of(triple: str) -> FloatArray:
-    """R_frame_camera, (3, 3), of `right,down,forward`, such as `x,-y,-z`.
+    """R_frame_camera, (3, 3), from the axes `right,down,forward`, such as `x,-y,-z`.
 
     Args:
         triple: three axes of the frame with their signs.
 
     Raises:
-        ConfigurationError: they are no three axes, or make a left-handed frame.
+        ConfigurationError: the text does not name three axes, or the frame is left-handed.
     """
     names = [name.strip().lower().removeprefix("+") for name in triple.split(",")]
     expected = (
@@ -48,12 +52,12 @@ def rotation_of(triple: str) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EyeAtZero:
-    """What tells how a camera's frame lies, all of it in one frame and at zero.
+    """A camera and its joint axes at zero, in the base's frame, to check the camera's axes.
 
     Attributes:
-        name: of the camera's frame, as it was given.
-        pose: (4, 4) of the camera, its axes taken as right, down, forward.
-        axes: (J, 3) of the joints that move this eye.
+        name: name of the camera's frame, as given.
+        pose: (4, 4) pose of the camera, its axes taken as right, down, forward.
+        axes: (J, 3) axes of the joints that move this eye.
     """
 
     name: str
@@ -62,15 +66,15 @@ class EyeAtZero:
 
 
 def check_optical(eyes: Sequence[EyeAtZero], up: FloatArray) -> None:
-    """Refuse cameras that at zero do not look past each other's side, the right way up.
+    """Refuse cameras unless, at zero, they are side by side, look ahead and are upright.
 
     Args:
-        eyes: left and right.
-        up: (3,) what the file calls up: the z axis of its root.
+        eyes: the left and the right eye.
+        up: (3,) upward direction: the z axis of the file's root.
 
     Raises:
-        ConfigurationError: the axes cannot be right, down and forward; the message has those
-            that would fit.
+        ConfigurationError: the axes cannot be right, down and forward; the message proposes
+            axes that would fit.
     """
     across = eyes[1].pose[:3, 3] - eyes[0].pose[:3, 3]
     distance = float(np.linalg.norm(across))
@@ -123,7 +127,7 @@ def _angle(cosine: float) -> str:
 
 
 def _fitting(eye: EyeAtZero, across: FloatArray, up: FloatArray) -> str:
-    """The triple of the frame's axes that suits best."""
+    """Axes `right,down,forward` of the frame that fit best."""
 
     def misfit(triple: str) -> float:
         right, down, forward = (eye.pose[:3, :3] @ rotation_of(triple)).T

@@ -1,4 +1,4 @@
-"""The moving joints from a base to a camera, what is held between them folded into their poses."""
+"""Kinematic chains of moving joints from a base to a camera; fixed joints merge into poses."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ class ChainJoint:
     """A moving joint.
 
     Attributes:
-        joint: what the file says of it.
-        origin: (4, 4) in the link that the joint before it moves, or the base; at its zero.
+        joint: the joint in the file.
+        origin: (4, 4) pose at its zero, in the link that the previous joint moves, or the base.
     """
 
     joint: Joint
@@ -27,15 +27,15 @@ class Chain:
     """The moving joints from the base to a camera frame.
 
     Attributes:
-        joints: from the base up.
-        end: (4, 4) of the camera frame in the link that the last of them moves, or the base.
+        joints: the joints from the base up.
+        end: (4, 4) pose of the camera frame in the link that the last joint moves, or the base.
     """
 
     joints: tuple[ChainJoint, ...]
     end: FloatArray
 
     def pose(self, values: Mapping[str, float]) -> FloatArray:
-        """T_base_frame, (4, 4), at joint angles by name."""
+        """T_base_frame, (4, 4), of the camera frame, at joint angles by name, rad."""
         pose = np.eye(4)
         for each in self.joints:
             turn = np.eye(4)
@@ -44,7 +44,7 @@ class Chain:
         return np.asarray(pose @ self.end)
 
     def axes(self, names: Sequence[str]) -> FloatArray:
-        """(J, 3) the axes, in the base's frame and at zero, of those joints that are named."""
+        """(J, 3) axes of the named joints in the base's frame, at zero."""
         pose: FloatArray = np.eye(3)
         found: FloatArray = np.empty((0, 3))
         for each in self.joints:
@@ -56,14 +56,14 @@ class Chain:
 
 @dataclass(frozen=True)
 class Way:
-    """Joints on the way from a base to a camera: up to a common ancestor, then down."""
+    """Joints on the path from a base to a camera: up to the common ancestor, then down."""
 
     up: tuple[Joint, ...]
     down: tuple[Joint, ...]
 
 
 def way_to(mechanism: Mechanism, base: int, camera: int) -> Way:
-    """The joints on the way from a base to a camera."""
+    """Find the joints on the path from a base to a camera."""
     above, below = mechanism.ancestors(base), mechanism.ancestors(camera)
     frames = mechanism.frames
     return Way(
@@ -73,13 +73,14 @@ def way_to(mechanism: Mechanism, base: int, camera: int) -> Way:
 
 
 def fold(mechanism: Mechanism, base: int, camera: int, fixed: Mapping[str, float]) -> Chain:
-    """The chain from a base to a camera.
+    """Build the chain from a base to a camera.
 
     Args:
         mechanism: the robot.
         base: index of the base's frame.
-        camera: index of the camera's.
-        fixed: where joints are held, by name; all others on the way down are hinges.
+        camera: index of the camera's frame.
+        fixed: values of fixed joints by name, radians or metres; all other joints on the way down
+            are hinges.
     """
     above, below = mechanism.ancestors(base), mechanism.ancestors(camera)
     pending = np.linalg.inv(_still(mechanism, [i for i in above if i not in below], fixed))

@@ -1,4 +1,4 @@
-"""Numbers that somebody gives by joint: `JOINT=NUMBER UNIT`, or one number for all."""
+"""Parse numbers given per joint, `JOINT=NUMBER` with or without a unit, or one for all joints."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -12,18 +12,23 @@ from vergence.models.files.robot_description.mechanism import Joint, among
 
 _NUMBER: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-z]*)\s*")
 _TURNS: Final = {"": np.pi / 180.0, "deg": np.pi / 180.0, "rad": 1.0}
+"""Radians per unit of an angle."""
 _SLIDES: Final = {"m": 1.0, "mm": 1e-3}
+"""Metres per unit of a length."""
 
 
 def locked_joints(words: Sequence[str], joints: Mapping[str, Joint]) -> dict[str, float]:
-    """Where joints are held, radians or metres, from `JOINT=DEG`, `JOINT=1.5rad`, `JOINT=0.1m`.
+    """Parse values of locked joints from `JOINT=DEG`, `JOINT=1.5rad`, `JOINT=0.1m`.
 
     Args:
-        words: as given.
-        joints: those of the robot, by name.
+        words: the texts, as given.
+        joints: the robot's joints by name.
+
+    Returns:
+        Values by joint name, radians or metres.
 
     Raises:
-        ConfigurationError: a word is no such thing, a joint is unknown, or is given twice.
+        ConfigurationError: a text is malformed, a joint is unknown, or is given twice.
     """
     found: dict[str, float] = {}
     for word in words:
@@ -46,11 +51,11 @@ def locked_joints(words: Sequence[str], joints: Mapping[str, Joint]) -> dict[str
 
 @dataclass(frozen=True)
 class Given:
-    """Numbers that somebody gives of joints.
+    """Numbers that the user gives for joints.
 
     Attributes:
-        each: by joint.
-        others: for joints that are not among these; None where there is none.
+        each: number by joint name.
+        others: number for all other joints; None if not given.
     """
 
     each: Mapping[str, float]
@@ -64,17 +69,17 @@ def given_by_joint(
     accepted: Callable[[float], bool],
     expected: str,
 ) -> Given:
-    """Numbers from `NUMBER` and `JOINT=NUMBER`.
+    """Parse numbers from `NUMBER` and `JOINT=NUMBER`.
 
     Args:
-        option: what messages call it.
-        words: as given.
-        joints: those that may be named.
-        accepted: whether a number may be.
-        expected: how a message describes it.
+        option: name of the option, for messages.
+        words: the texts, as given.
+        joints: joints that may be named.
+        accepted: predicate of valid numbers.
+        expected: description of a valid number, for messages.
 
     Raises:
-        ConfigurationError: a word is no such thing, a joint is unknown, or is given twice.
+        ConfigurationError: a text is malformed, a joint is unknown, or is given twice.
     """
     each: dict[str, float] = {}
     others: float | None = None

@@ -1,4 +1,4 @@
-"""The joints from a base to two cameras: those of the neck, those of the eyes, those held."""
+"""Sort the joints from a base to two cameras into neck joints, eye joints and fixed joints."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from vergence.models.files.robot_description.chain import Chain, ChainJoint, Way
 from vergence.models.files.robot_description.mechanism import Joint, Mechanism, Tie, among
 from vergence.models.parts import FloatArray
 
+# Most joints that a head file has for the neck and for the chain of an eye (numerical).
 NECK_JOINTS: Final = 3
 EYE_JOINTS: Final = 2
 _SIDES: Final = ("left", "right")
@@ -18,13 +19,13 @@ _SIDES: Final = ("left", "right")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeadChains:
-    """The chains of both eyes, and what their joints are for.
+    """Kinematic chains of both eyes, and the role of each joint.
 
     Attributes:
-        chains: left, right.
-        parts: of each moving joint by name, from the base up: neck, both, left or right.
-        ties: eye joints that follow another eye joint.
-        fixed: joints on the way that stand still, and where: radians or metres.
+        chains: chains of the left and the right eye.
+        parts: part by name of each moving joint, from the base up: neck, both, left or right.
+        ties: eye joints coupled to another eye joint.
+        fixed: values of the fixed joints on the path by name, radians or metres.
     """
 
     chains: tuple[Chain, Chain]
@@ -33,11 +34,11 @@ class HeadChains:
     fixed: Mapping[str, float]
 
     def joint(self, name: str) -> ChainJoint:
-        """A moving joint."""
+        """Return a moving joint by name."""
         return next(j for chain in self.chains for j in chain.joints if j.joint.name == name)
 
     def axis(self, name: str) -> FloatArray:
-        """(3,) the axis of a moving joint in the base's frame, at zero."""
+        """(3,) axis of a moving joint in the base's frame, at zero."""
         return np.asarray(np.concatenate([chain.axes([name]) for chain in self.chains])[0])
 
 
@@ -49,18 +50,18 @@ def head_chains(
     neck: Sequence[str],
     locked: Mapping[str, float],
 ) -> HeadChains:
-    """Find out what each joint between the base and the cameras is.
+    """Determine the role of each joint between the base and the cameras.
 
     Args:
         mechanism: the robot.
-        base: the frame that the neck stands on.
-        cameras: the frames of the left and the right camera.
-        neck: names of up to three joints that both cameras stand on.
-        locked: where joints on the way stand still, by name, radians or metres.
+        base: index of the frame that the neck is mounted on.
+        cameras: indices of the frames of the left and the right camera.
+        neck: names of up to three joints that move both cameras.
+        locked: values of locked joints on the path by name, radians or metres.
 
     Raises:
-        ConfigurationError: a name is wrong, a joint is neither named nor an eye's, or the
-            mechanism cannot be expressed as a head; the message says why.
+        ConfigurationError: a name is unknown, a joint is neither of the neck, locked nor of an
+            eye, or a head file cannot express the mechanism; the message says why.
     """
     ways = tuple(way_to(mechanism, base, camera) for camera in cameras)
     on_way = list(dict.fromkeys(j.name for way in ways for j in (*way.up, *way.down)))
@@ -94,7 +95,7 @@ def head_chains(
 
 
 def _check_frames(mechanism: Mechanism, base: int, cameras: tuple[int, int]) -> None:
-    """Refuse frames with a fault on the way, and any pose above that is not finite."""
+    """Refuse frames with a fault on the path, and non-finite poses from the root to its ends."""
     above = mechanism.ancestors(base)
     for camera in cameras:
         for index in sorted({*above} ^ {*mechanism.ancestors(camera)}):
@@ -155,7 +156,7 @@ def _stand_still(
     neck: Sequence[str],
     locked: Mapping[str, float],
 ) -> dict[str, float]:
-    """The joints that are locked, and those that follow one that is."""
+    """Values of the locked joints and of the joints coupled to them."""
     known = mechanism.joints()
     fixed = {}
     for name in on_way:
@@ -205,7 +206,7 @@ def _check_lock(
             f"{tie.master}: lock that one"
         )
     unit, scale = ("m", 1.0) if joint.kind == "slide" else ("deg", 180.0 / np.pi)
-    # decimals of degrees are no exact radians
+    # tolerance for degrees given with few decimals
     if value < joint.lower - 1e-3 or value > joint.upper + 1e-3:
         raise ConfigurationError(
             f"lock: expected {joint.name} within {scale * joint.lower:.6g} to "
@@ -245,7 +246,7 @@ def _parts(
     both = moving[last + 1 :]
     longest = max(len(names) for names in own.values())
     if unnamed or (both and len(both) + longest > EYE_JOINTS):
-        # the uppermost of them may turn both eyes, as far as no eye gets more than two joints
+        # the uppermost may turn both eyes, as long as no eye has more than two joints
         below = moving[: len(moving) - max(EYE_JOINTS - longest, 0)]
         others = [name for name in below if name not in neck]
         way_on = _held(ways, others) if neck else _three_and_held(ways, below)
@@ -267,13 +268,13 @@ def _parts(
 
 
 def _three_and_held(ways: Sequence[Way], names: Sequence[str]) -> str:
-    """Options that make the uppermost joints the neck, and hold the others."""
+    """Options that make the uppermost joints the neck and lock the others."""
     neck, others = names[-NECK_JOINTS:], names[:-NECK_JOINTS]
     return f"--neck {' '.join(neck)}" + (f" {_held(ways, others)}" if others else "")
 
 
 def _held(ways: Sequence[Way], names: Sequence[str]) -> str:
-    """The option that holds joints as near to zero as they get."""
+    """Option that locks joints as near to zero as their limits allow."""
     known = {joint.name: joint for way in ways for joint in way.down}
     said = []
     for name in names:

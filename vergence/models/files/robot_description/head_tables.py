@@ -1,4 +1,4 @@
-"""The tables of an imported head's file: poses, limits, motors, and the loop that is assumed."""
+"""Tables of an imported head's file: poses, limits, motors, and assumed timing and sensors."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -13,17 +13,17 @@ from vergence.models.parts import FloatArray
 
 
 def pose_fields(position: str, pose: FloatArray, what: str) -> dict[str, Any]:
-    """A pose by its position and, where it is turned, its rotation.
+    """Fields of a pose: its position and, unless it is the identity, its rotation.
 
     Args:
         position: key of the position.
-        pose: (4, 4) metres.
-        what: what messages call it.
+        pose: (4, 4) the pose, metres.
+        what: name of the posed element, for messages.
 
     Raises:
-        ConfigurationError: it is farther away than a head file may say.
+        ConfigurationError: the position is beyond the range of a head file.
     """
-    # what only rounding has left of a 0 or a 1
+    # restore values that only rounding has moved from 0 or 1
     near = np.round(pose)
     clean = np.where(np.abs(pose - near) < 1e-15, near, pose) + 0.0
     if not all(LENGTH[0](float(length)) for length in clean[:3, 3]):
@@ -39,7 +39,7 @@ def pose_fields(position: str, pose: FloatArray, what: str) -> dict[str, Any]:
 
 
 def joint_fields(chains: HeadChains, name: str) -> dict[str, Any]:
-    """A table of `[[joints]]` but for its limits."""
+    """Fields of a joint's table in `[[joints]]`, without its limits."""
     found = chains.joint(name)
     return {
         "name": name,
@@ -50,7 +50,7 @@ def joint_fields(chains: HeadChains, name: str) -> dict[str, Any]:
 
 
 def limit_fields(limits: Range) -> dict[str, float]:
-    """The limits of a joint or an actuator."""
+    """Fields of the limits of a joint or an actuator."""
     return {
         "lower_rad": float(limits.lower),
         "upper_rad": float(limits.upper),
@@ -60,7 +60,7 @@ def limit_fields(limits: Range) -> dict[str, float]:
 
 
 def actuator_fields(moved: Sequence[Motor]) -> dict[str, Any]:
-    """The tables of actuators; none where each joint has its own."""
+    """Tables of actuators; empty if each joint has its own."""
     if not moved:
         return {}
     offsets = {joint: offset for motor in moved for joint, offset in motor.offsets.items()}
@@ -97,7 +97,7 @@ ASSUMED_LOOP: Final[dict[str, Any]] = {
         "background_grey": 120.0,
     },
 }
-"""What no description of a robot says."""
+"""Assumed values for the parts of a head that a robot description does not contain."""
 LOOP_REASONS: Final = {
     "timing.control_rate_hz": "not in such a file: what a servo bus of few joints reaches",
     "timing.frame_rate_hz": "not in such a file: that of common USB cameras",
@@ -107,3 +107,4 @@ LOOP_REASONS: Final = {
     "sensor": "not in such a file: detection as in docs/vision.md, ideal encoders, no lost images",
     "rendering": "not in such a file: how simulated images look, that of the simulated preset",
 }
+"""Reason for the assumed values by key of the head file."""

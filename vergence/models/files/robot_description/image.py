@@ -1,4 +1,4 @@
-"""The images of an imported head's cameras: from a calibration, from an MJCF, or assumed."""
+"""Intrinsics of an imported head's cameras: from a calibration, from an MJCF, or assumed."""
 
 import os
 from collections.abc import Sequence
@@ -15,18 +15,20 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 
 _SIZE: Final = (640, 480)
+"""Image size of a camera without a given one, px (chosen: common with webcams)."""
 _FIELD_DEG: Final = 60.0
+"""Horizontal field of view of a camera without a given one, degrees (chosen)."""
 _PINHOLE: Final = "brown-conrady"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EyeImage:
-    """One camera's image.
+    """Intrinsics of one camera.
 
     Attributes:
         size: width and height, pixels.
         focal: (2,) focal lengths, pixels.
-        principal: (2,) principal point, pixels, centres of pixels at integers.
+        principal: (2,) principal point, pixels, pixel centres at integers.
         lens: name of the lens model.
         distortion: its coefficients.
     """
@@ -38,11 +40,11 @@ class EyeImage:
     distortion: FloatArray
 
     def size_fields(self) -> dict[str, int]:
-        """What a head file has of the size, in `[image]` for both eyes or in `[[eyes]]`."""
+        """Fields of the image size, for `[image]` or, if the eyes differ, `[[eyes]]`."""
         return {"width_px": self.size[0], "height_px": self.size[1]}
 
     def fields(self) -> dict[str, Any]:
-        """What a head file has of all else in `[[eyes]]`."""
+        """Fields of the other intrinsics, for `[[eyes]]`."""
         return {
             "focal_px": np.asarray(self.focal, dtype=float).tolist(),
             "principal_px": np.asarray(self.principal, dtype=float).tolist(),
@@ -54,17 +56,17 @@ class EyeImage:
 def eye_images(
     cameras: Sequence[SpecCamera | None], files: Sequence[str | os.PathLike[str]]
 ) -> tuple[list[EyeImage], dict[str, str]]:
-    """Both eyes' images.
+    """Determine the intrinsics of both eyes.
 
     Args:
-        cameras: what the robot's file says of them, left and right.
-        files: of a calibration, which counts before that.
+        cameras: image parameters in the robot's file, left and right.
+        files: calibration files, which take precedence.
 
     Returns:
-        Left and right, and why what is assumed is, by its dotted key.
+        The left and the right image, and the reason for each assumption by its dotted key.
 
     Raises:
-        ConfigurationError: the calibration cannot be read, or a camera can be no eye.
+        ConfigurationError: the calibration cannot be read, or a camera cannot serve as an eye.
     """
     for eye, camera in zip(EYE_NAMES, cameras, strict=True):
         if camera is not None and camera.fault:

@@ -1,4 +1,4 @@
-"""What the joints of an imported head may do: the file's limits, those given, and assumptions."""
+"""Joint limits of an imported head: from the file, given by the user, or assumed."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -12,24 +12,26 @@ from vergence.models.files.robot_description.given import Given, given_by_joint
 from vergence.models.files.robot_description.mechanism import Joint
 
 ASSUMED_ACCELERATION: Final = 40.0
-"""rad/s^2; common position servos reach it under the weight of a small camera."""
+"""Acceleration limit where none is given, rad/s^2 (chosen: common position servos reach it with
+the weight of a small camera)."""
 
 
 def joint_ranges(
     joints: Sequence[Joint], speed: Sequence[str], acceleration: Sequence[str]
 ) -> tuple[dict[str, Range], dict[str, str]]:
-    """The limits of the moving joints.
+    """Determine the limits of the moving joints.
 
     Args:
-        joints: those that move.
-        speed: `RAD_S` for all whose limit is missing or a placeholder, `JOINT=RAD_S` for one.
-        acceleration: `RAD_S2` for all, `JOINT=RAD_S2` for one.
+        joints: the moving joints.
+        speed: `RAD_S` for all joints whose limit is missing or a placeholder, `JOINT=RAD_S` for
+            one.
+        acceleration: `RAD_S2` for all joints, `JOINT=RAD_S2` for one.
 
     Returns:
-        The limits by joint, and why those are assumed that are, by their dotted keys.
+        The limits by joint, and the reason for each assumed limit by its dotted key.
 
     Raises:
-        ConfigurationError: a limit of the file cannot be, or a speed is missing.
+        ConfigurationError: a limit in the file is invalid, or a speed is missing.
     """
     names = [joint.name for joint in joints]
     speeds = given_by_joint("speed", speed, names, *SPEED)
@@ -87,7 +89,7 @@ def _velocity(joint: Joint, speeds: Given) -> tuple[float, str]:
         return speeds.each[joint.name], _override(joint)
     if _is_real(joint.velocity):
         return joint.velocity, ""
-    assert speeds.others is not None  # or it would have been refused
+    assert speeds.others is not None  # refused before otherwise
     return speeds.others, _override(joint)
 
 

@@ -1,4 +1,4 @@
-"""A mechanism: a tree of frames and the joints that move them, whatever file described it."""
+"""A mechanism, independent of file format: a tree of frames and the joints that move them."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -16,18 +16,18 @@ FrameKind = Literal["body", "site", "camera"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Joint:
-    """How a frame moves against its parent; angles in radians, slides in metres.
+    """A joint that moves a frame relative to its parent; angles in radians, slides in metres.
 
     Attributes:
-        name: its name; made up from its frame where the file gives none.
+        name: name of the joint; derived from its frame if the file gives none.
         kind: hinge (URDF: revolute, continuous), slide (prismatic), ball or free (MJCF), planar
             or floating (URDF).
-        anchor: (3,) a point of the axis in the frame that moves.
-        axis: (3,) unit vector in the frame that moves.
-        reference: the joint's value at which the frame lies as `Frame.pose` says.
-        lower: lower limit; nan where the file has none.
-        upper: upper limit; nan where the file has none.
-        velocity: greatest speed; nan where the file has none.
+        anchor: (3,) a point on the axis, in the moving frame.
+        axis: (3,) unit vector of the axis, in the moving frame.
+        reference: joint value at which the frame is at `Frame.pose`.
+        lower: lower limit; nan if the file has none.
+        upper: upper limit; nan if the file has none.
+        velocity: speed limit; nan if the file has none.
     """
 
     name: str
@@ -40,7 +40,7 @@ class Joint:
     velocity: float = np.nan
 
     def motion(self, value: float) -> FloatArray:
-        """(4, 4) where the joint's value takes the frame, in its place at the reference."""
+        """(4, 4) pose of the frame at a joint value, relative to its pose at the reference."""
         turned = np.eye(4)
         value = value - self.reference
         if self.kind == "slide":
@@ -61,14 +61,14 @@ class Joint:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SpecCamera:
-    """What an MJCF says of a camera's image; None where it says nothing.
+    """Image parameters of a camera in an MJCF; None if not given.
 
     Attributes:
         size: width and height, pixels.
-        focal: (2,) focal lengths in pixels; None where only `fovy_deg` tells.
+        focal: (2,) focal lengths, pixels; None if only `fovy_deg` is given.
         fovy_deg: vertical field of view, degrees.
-        principal: (2,) principal point, pixels; centres of pixels at integers.
-        fault: why it can be no eye; empty if it can.
+        principal: (2,) principal point, pixels; pixel centres at integers.
+        fault: reason why the camera cannot serve as an eye; empty if it can.
     """
 
     size: tuple[int, int] | None
@@ -83,13 +83,13 @@ class Frame:
     """A frame of the tree.
 
     Attributes:
-        name: its name in the file.
+        name: name in the file.
         kind: a body (a link of a URDF), or a site or camera fixed to one.
-        parent: index of the frame that it hangs on; -1 for the root.
-        pose: (4, 4) in its parent, its joints at their references.
+        parent: index of the parent frame; -1 for the root.
+        pose: (4, 4) pose in its parent, its joints at their references.
         joints: its joints, in the order in which they are applied.
-        camera: what the file says of the image, for a camera.
-        fault: why it can be on no way to a camera; empty if it can.
+        camera: image parameters, for a camera.
+        fault: reason why no path to a camera may pass this frame; empty if one may.
     """
 
     name: str
@@ -103,10 +103,10 @@ class Frame:
 
 @dataclass(frozen=True)
 class Tie:
-    """A joint that follows another: `joint = multiplier * master + offset`.
+    """Coupling of a joint to another: `joint = multiplier * master + offset`.
 
-    The multiplier is 0, and the master of no matter, where the joint is held in its place, and nan
-    where it follows by no straight line.
+    The multiplier is 0, and the master irrelevant, if the joint is held in place. It is nan if the
+    relation is not linear.
     """
 
     joint: str
@@ -117,12 +117,12 @@ class Tie:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mechanism:
-    """Frames, parents before children, with their joints and the ties among these.
+    """Frames, parents before children, with their joints and the couplings of these.
 
     Attributes:
         name: the robot's name in the file.
         frames: the tree.
-        ties: joints that follow others, by their names.
+        ties: coupling by name of each coupled joint.
     """
 
     name: str
@@ -134,16 +134,16 @@ class Mechanism:
         return {joint.name: joint for frame in self.frames for joint in frame.joints}
 
     def find(self, name: str, option: str, prefer: tuple[FrameKind, ...]) -> int:
-        """The index of the frame of a name.
+        """Find the index of a frame by name.
 
         Args:
-            name: of a body, site or camera; a name that several of these have in common may
-                be told apart as `site:NAME`.
-            option: what a message calls the place where the name was given.
-            prefer: the kinds in the order in which they are looked through.
+            name: name of a body, site or camera; a prefix such as `site:NAME` selects one kind
+                if several share the name.
+            option: name of the option that gave the name, for messages.
+            prefer: kinds of frames, in order of search.
 
         Raises:
-            ConfigurationError: there is none.
+            ConfigurationError: there is no such frame.
         """
         kind, colon, rest = name.partition(":")
         if colon and kind in prefer:
@@ -160,7 +160,7 @@ class Mechanism:
         )
 
     def ancestors(self, frame: int) -> list[int]:
-        """The frames from the root to this one, both included."""
+        """Indices of the frames from the root to this one, both included."""
         found = []
         while frame >= 0:
             found.append(frame)
@@ -172,9 +172,9 @@ class Mechanism:
 
         Args:
             frame: index of the frame.
-            base: index of the frame that it is told in.
-            values: joint values by name, radians and metres; a joint that is not among them
-                follows its tie, or else lies at its reference.
+            base: index of the frame in which the pose is expressed.
+            values: joint values by name, radians and metres; any other joint follows its
+                coupling, or else is at its reference.
         """
         return np.linalg.inv(self._in_root(base, values)) @ self._in_root(frame, values)
 
@@ -196,10 +196,12 @@ class Mechanism:
         return tie.multiplier * values.get(tie.master, 0.0) + tie.offset
 
     def tie(self, joint: str) -> Tie | None:
-        """What a joint follows in the end, where what it follows follows others.
+        """Coupling of a joint to the independent joint at the end of its chain of couplings.
+
+        None if the joint itself is independent.
 
         Raises:
-            ConfigurationError: it follows itself.
+            ConfigurationError: the couplings form a cycle.
         """
         master, factor, offset = joint, 1.0, 0.0
         seen = {joint}
@@ -218,11 +220,11 @@ class Mechanism:
 
 
 _SHOWN: Final = 12
-"""Names that a message lists."""
+"""Most names that a message lists (chosen: short messages)."""
 
 
 def among(what: str, name: str, names: Iterable[str]) -> str:
-    """How a message describes the name that was expected: those near it, or the first few."""
+    """Description of an expected name for messages: the names like it, or else the first few."""
     known = sorted({known for known in names if known})
     if not known:
         return f"a {what} (there is none)"

@@ -1,4 +1,4 @@
-"""A URDF or MJCF as a mechanism, by MuJoCo's own parser; meshes are not needed."""
+"""Read a URDF or MJCF as a mechanism with MuJoCo's parser; meshes are not needed."""
 
 import os
 import xml.etree.ElementTree as ET
@@ -39,8 +39,8 @@ _KINDS: Final[dict[Any, JointKind]] = {
 def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
     """Read the frames and joints of a URDF or MJCF.
 
-    MuJoCo parses the file, and nothing is compiled: meshes may be missing, fixed frames stay.
-    What its parser drops or changes of a URDF, such as speed limits, comes from the XML.
+    MuJoCo parses the file without compiling it, so meshes may be missing and fixed frames stay.
+    Values of a URDF that its parser drops or changes, such as speed limits, come from the XML.
 
     Args:
         path: the file.
@@ -49,14 +49,14 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
         The mechanism.
 
     Raises:
-        HeadFileError: it cannot be read, or is neither.
+        HeadFileError: the file cannot be read, or is neither URDF nor MJCF.
     """
     name = os.fspath(path)
     root = parse_xml(name)
     if root.tag == "robot":
         check_names(name, root)
-    # without a receiver MuJoCo would write its warnings to a file in the working directory; those
-    # that matter here are found again by who uses the joint
+    # without a handler MuJoCo writes its warnings to a file in the working directory; those that
+    # matter here are detected again by the users of the joint
     mujoco.set_mju_user_warning(lambda _: None)
     try:
         return _mechanism(mujoco.MjSpec.from_file(name), root)
@@ -68,7 +68,7 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
 
 def _mechanism(spec: Any, root: ET.Element) -> Mechanism:
     if root.tag == "robot":
-        # MuJoCo puts the root link into a world of its own, which is no frame of the file
+        # MuJoCo adds a world body above the root link, which is not a frame of the file
         world = "world" if any(link.get("name") == "world" for link in root.iter("link")) else ""
         return Mechanism(
             name=root.get("name", ""),
@@ -80,13 +80,13 @@ def _mechanism(spec: Any, root: ET.Element) -> Mechanism:
 
 
 def _unreadable(name: str, error: Exception) -> HeadFileError:
-    """What MuJoCo says of a file that it cannot take."""
+    """Error with MuJoCo's message on a file that it cannot read."""
     reason = " ".join(str(error).split())
     return HeadFileError(name, reason, f"{EXPECTED} that MuJoCo can read")
 
 
 def _mjcf_ties(spec: Any) -> dict[str, Tie]:
-    """Active joint constraints: `y - y0 = a0 + a1 (x - x0)`, y0 and x0 being the references."""
+    """Couplings by active joint equalities, `y - y0 = a0 + a1 (x - x0)`; y0, x0: references."""
     references = {joint.name: float(joint.ref) * _unit(joint) for joint in spec.joints}
     ties = {}
     for equality in spec.equalities:
@@ -117,7 +117,7 @@ def _frames(spec: Any, world: str, written: Written) -> tuple[Frame, ...]:
             _joint(spec, joint, f"{name}#{i}", written.limits, speeds)
             for i, joint in enumerate(body.joints)
         )
-        if name in written.kinds:  # of a planar joint MuJoCo makes three
+        if name in written.kinds:  # MuJoCo splits a planar joint into three
             whole, kind = written.kinds[name]
             joints = tuple(replace(joint, name=whole, kind=kind) for joint in joints[:1])
         pose = _placed(spec, body)
@@ -175,13 +175,13 @@ def _joint(spec: Any, joint: Any, unnamed: str, limits: Limits, speeds: dict[str
 
 
 def _unit(joint: Any) -> float:
-    """Radians, or metres, of what the file writes as 1."""
+    """Radians or metres per unit of the file."""
     hinge = joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_BALL)
     return np.pi / 180.0 if hinge and joint.compiler.degree else 1.0
 
 
 def _servo_speeds(spec: Any) -> dict[str, float]:
-    """The speeds that velocity servos of an MJCF may be commanded."""
+    """Speed limits by joint, from the control ranges of an MJCF's velocity servos, rad/s."""
     speeds = {}
     for servo in spec.actuators:
         gain, bias = servo.gainprm, servo.biasprm
@@ -202,12 +202,12 @@ def _servo_speeds(spec: Any) -> dict[str, float]:
 
 
 def _placed(spec: Any, element: Any) -> FloatArray:
-    """(4, 4) an element's pose in its body or, for a body, in its parent."""
+    """(4, 4) pose of an element in its body or, for a body, in its parent."""
     return np.asarray(_frames_around(spec, element) @ _pose(spec, element))
 
 
 def _frames_around(spec: Any, element: Any) -> FloatArray:
-    """(4, 4) of the <frame> elements of an MJCF, one in another, that an element stands in."""
+    """(4, 4) product of the nested <frame> elements of an MJCF that contain an element."""
     pose = np.eye(4)
     frame = element.frame
     while frame is not None:
@@ -244,12 +244,12 @@ def _rotation(quat: FloatArray) -> FloatArray:
 
 
 def _decimals(values: Any) -> FloatArray:
-    """What the file has of numbers that MuJoCo keeps in single precision."""
+    """Numbers as written in the file, from MuJoCo's single-precision values."""
     return np.array([float(str(np.float32(value))) for value in values])
 
 
 def _camera(camera: Any) -> SpecCamera:
-    """A camera's image; MuJoCo's default resolution of one pixel says nothing."""
+    """Image parameters of a camera; one pixel, MuJoCo's default, is no given resolution."""
     fault = ""
     if camera.mode != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
         fault = "turns by itself after something (its mode is not fixed)"
@@ -272,6 +272,6 @@ def _camera(camera: Any) -> SpecCamera:
         focal=focal if known else None,
         fovy_deg=fovy,
         fault=fault,
-        # MuJoCo counts from the image's centre towards the left and up, in edges of pixels
+        # MuJoCo's offset points from the image centre left and up; its pixel edges are at integers
         principal=size / 2.0 - offset - 0.5 if known else None,
     )

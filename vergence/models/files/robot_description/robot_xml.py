@@ -1,4 +1,4 @@
-"""What of a robot's XML MuJoCo's parser does not tell: faults by name, limits, mimics, types."""
+"""Values of a robot's XML that MuJoCo's parser drops: faults by name, limits, mimics, types."""
 
 import xml.etree.ElementTree as ET
 from collections import Counter
@@ -11,14 +11,14 @@ from vergence.errors import HeadFileError, UnreadableFileError, Words
 from vergence.models.files.robot_description.mechanism import JointKind, Tie, among
 
 EXPECTED: Final = "a URDF (<robot>) or an MJCF (<mujoco>)"
-"""How messages describe the file."""
+"""Description of an expected file, for messages."""
 
 
 def parse_xml(path: str) -> ET.Element:
-    """The root of a URDF or MJCF.
+    """Parse the XML of a URDF or MJCF and return its root.
 
     Raises:
-        HeadFileError: it cannot be read, or is neither.
+        HeadFileError: the file cannot be read, or is neither.
     """
     try:
         content = Path(path).read_bytes()
@@ -37,7 +37,7 @@ def parse_xml(path: str) -> ET.Element:
 
 
 def _is_xacro(root: ET.Element) -> bool:
-    """Whether there is anything left to expand; its namespace alone stays in what is expanded."""
+    """True if macros are left to expand; an expanded file may keep xacro's namespace."""
     return any(
         "xacro" in str(element.tag).partition("}")[0]
         or any("${" in value or "$(" in value for value in element.attrib.values())
@@ -46,14 +46,14 @@ def _is_xacro(root: ET.Element) -> bool:
 
 
 def check_names(path: str, root: ET.Element) -> None:
-    """Refuse a URDF whose joints and links are not told apart, or not there.
+    """Refuse a URDF with ambiguous names of joints or links, or with unknown links.
 
     Args:
-        path: what messages call the file.
-        root: of the URDF.
+        path: path of the file, for messages.
+        root: root of the URDF.
 
     Raises:
-        HeadFileError: two joints or two links have one name, or a joint hangs on no link.
+        HeadFileError: two joints or two links share a name, or a joint refers to an unknown link.
     """
     for tag in ("joint", "link"):
         names = Counter(each.get("name") for each in root.findall(tag))
@@ -77,21 +77,21 @@ def check_names(path: str, root: ET.Element) -> None:
 
 
 Limits = dict[str, tuple[float, float, float]]
-"""Lower and upper limit and speed by joint, nan where the file has none."""
+"""Lower limit, upper limit and speed limit by joint; nan if the file has none."""
 
 
 class Written(NamedTuple):
-    """What a URDF has of its joints that MuJoCo's parser drops or changes."""
+    """Values of a URDF's joints that MuJoCo's parser drops or changes."""
 
     limits: Limits
     kinds: dict[str, tuple[str, JointKind]]
-    """Name and kind of joints that are planar or floating, by the link that they carry."""
+    """Name and kind of planar and floating joints, by their child link."""
     faults: dict[str, str]
-    """Why a link can be on no way to a camera, by link."""
+    """Reason why no path to a camera may pass a link, by link."""
 
 
 def urdf_written(root: ET.Element) -> Written:
-    """What is in a URDF besides the mimics, which are ties."""
+    """Read the values of `Written` from a URDF."""
     written = Written(_limits(root), {}, {})
     for joint in root.findall("joint"):
         name, child, origin = joint.get("name", ""), joint.find("child"), joint.find("origin")
@@ -110,25 +110,26 @@ def urdf_written(root: ET.Element) -> Written:
 
 
 _TURN: Final = 6.29
-"""2 pi, as coarsely as it may be written."""
+"""Largest angle of an origin, rad: 2 pi, rounded up; larger angles are taken for degrees
+(chosen: accepts a rounded full turn)."""
 
 
 def _limits(root: ET.Element) -> Limits:
-    """The limits of a URDF's joints, whose speeds MuJoCo's parser drops."""
+    """Read the limits of a URDF's joints; MuJoCo's parser drops the speed limits."""
     found: Limits = {}
     for joint in root.findall("joint"):
         limit = joint.find("limit")
         values = {} if limit is None else limit.attrib
         lower = upper = np.nan
         if joint.get("type") != "continuous" and ("lower" in values or "upper" in values):
-            # the one that is not written counts as 0
+            # a missing one of the two is 0
             lower, upper = (_number(values.get(end, "0")) for end in ("lower", "upper"))
         found[joint.get("name", "")] = (lower, upper, _number(values.get("velocity")))
     return found
 
 
 def urdf_ties(root: ET.Element) -> dict[str, Tie]:
-    """The mimics of a URDF."""
+    """Read the mimic couplings of a URDF."""
     ties = {}
     for joint in root.findall("joint"):
         mimic = joint.find("mimic")
