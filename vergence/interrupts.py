@@ -17,7 +17,7 @@ _guards = False  # True if this process was started as the command line
 
 
 def guard_start() -> None:
-    """Make Ctrl-C end the command line with one line, from this module's import, the first, on."""
+    """Make Ctrl-C end the command line with one line; called at this module's import, the first."""
     global _guards
     _guards = _is_command_line()
     if _guards and signal.getsignal(signal.SIGINT) is signal.default_int_handler:

@@ -61,7 +61,7 @@ class FamilyTracker:
 
     Searching a whole image takes many times as long as tracking. The tracker searches in full while
     a tag was lost within the last 15 images, and in every 15th image for new tags. If it has no
-    tag to track, it searches every image in the quick ways.
+    tag to track, it searches every image in the quick ways, and in full if these find a tag.
 
     Args:
         detector: detector of the family.

@@ -24,18 +24,20 @@ _LEAST_EDGE_PX: Final = 16.0
 """Shortest edge that is used, px: shorter ones have less than 8 px between their ends (chosen:
 number of edges against noise)."""
 _ENDS: Final = 0.22
-"""Fraction of an edge at each end that is left out, as other edges blur into it (chosen)."""
+"""Fraction of an edge at each end that is left out, as other edges blur into it (chosen: bias
+against pixels lost)."""
 _MOST_EDGES: Final = 12
 """Most edges of a detection; each takes some milliseconds (chosen: certainty against time)."""
 _LEAST_CONTRAST_GREY: Final = 40.0
-"""Smallest contrast of an edge, grey levels; below it the responses hardly differ (chosen)."""
+"""Smallest contrast of an edge, grey levels; below it the responses hardly differ (chosen: evidence
+against noise)."""
 _CLIPPED_GREY: Final = 250
-"""Grey level from which on a pixel may be clipped; an edge with such a pixel is not used
-(chosen)."""
+"""Grey level from which on a pixel may be clipped; an edge with such a pixel is not used (chosen:
+bias against edges lost)."""
 _LEAST_EDGES: Final = 8
 """Fewest edges for a conclusion (chosen: early remarks against false ones)."""
 _ENOUGH_EDGES: Final = 120
-"""Number of edges after which no more are added; the mean is certain enough (chosen: time)."""
+"""Number of edges after which no more are added (chosen: certainty of the mean against time)."""
 _SURE: Final = 4.0
 """Standard errors by which the mean ratio must exceed 0 for a remark (chosen: missed against false
 remarks)."""

@@ -19,7 +19,7 @@ from vergence.vision import Detection
 WINDOW_S = 3.0
 """Time window of rates and noise, s (chosen: steady values against fast changes)."""
 SHOWN_EVERY_S = 1.0
-"""Interval between reports, s (chosen)."""
+"""Interval between reports, s (chosen: up to date against readable)."""
 
 
 class TargetState(NamedTuple):

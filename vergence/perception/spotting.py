@@ -62,7 +62,7 @@ def belongs(detection: Detection, target: Target) -> bool:
 
 
 _CLIPPED_GREY: Final = 254
-"""Grey level from which on a pixel counts as clipped (physical: 8-bit images)."""
+"""Grey level from which on a pixel counts as clipped (chosen: just below 255, the largest)."""
 _MUCH_CLIPPED: Final = 0.15
 """Fraction of clipped pixels around a target above which its white is clipped (chosen: missed
 against false remarks)."""

@@ -17,8 +17,8 @@ class Recipe:
     envs: int = 256
     """Number of parallel environments."""
     episode_steps: int = 180
-    """Control periods of a training episode. The target appears within 0.6 s, and the time after
-    settling teaches little. Evaluation runs whole trials."""
+    """Control periods of a training episode. The target may appear as late as 0.6 s, and the time
+    after settling teaches little. Evaluation runs whole trials."""
     randomise: bool = False
     """True to train with the hidden variation of scenario `hardware` in any scenario."""
     network: tuple[int, ...] = (32, 32)

@@ -32,9 +32,10 @@ _FOUND_SIGMA: Final = (0.3, 0.015)
 that was searched, and 0.015 of the shortest edge. Drawn tags bent by up to 8 mm in 150 had their
 worst corner 0.6 to 2.5 % of the edge off (measured: tests/vision/tags/test_bent.py)."""
 _BENT_EXPLAINED: Final = 0.9
-"""Smallest fraction of the variance that a plane print explains of a tag on bent paper (chosen)."""
+"""Smallest fraction of the variance that a plane print explains of a tag on bent paper (chosen:
+bent tags against tags with a covered side)."""
 _BENT_WRONG: Final = 5
-"""Most cells of a bent tag that a plane print reads wrong (chosen)."""
+"""Most cells of a bent tag that a plane print reads wrong (chosen: as above)."""
 _BENT_UNCLEAR: Final = 0.25
 """Largest fraction of unclear cells in a quarter of a bent tag (chosen: looser bounds would accept
 as many tags with a covered side)."""

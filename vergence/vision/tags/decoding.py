@@ -33,8 +33,8 @@ def decode(
         code: the family.
 
     Returns:
-        The tag with the fewest wrong bits, its corners from its upper left one; None if even this
-        one has more wrong bits than the family corrects.
+        The tag with the fewest wrong bits, its corners from its upper left one; None if it has more
+        wrong bits than the family corrects, or if the contrast or the border is not a tag's.
     """
     start = (code.total - code.border) // 2
     size = code.border + 2

@@ -12,7 +12,7 @@ _LEAST_SCALE: Final = 0.4
 """Lower bound of the image scale at the far end of an edge, as a fraction of the mean scale of the
 shortest edge (chosen: perspective does not reach it)."""
 _CLIPPED_GREY: Final = 254
-"""Grey level from which on a pixel may be clipped (physical: 8-bit images)."""
+"""Grey level from which on a pixel may be clipped (chosen: just below 255, the largest level)."""
 _MUCH_CLIPPED: Final = 0.02
 """Fraction of clipped pixels above which white as a whole counts as clipped, not single pixels
 (chosen: bias by clipped white against pixels lost)."""
