@@ -1,10 +1,10 @@
 """Active binocular vision: two camera eyes turn until both look straight at a target.
 
-Importing the package registers its Gymnasium environments; what needs compiled kernels is
-loaded when it is first used.
+Importing the package registers its Gymnasium environments; modules that need compiled kernels are
+loaded at their first use.
 """
 
-# first: Ctrl-C during the imports of the command line ends it without a stack trace
+# imported first, so that Ctrl-C during further imports ends the command line without a stack trace
 import vergence.interrupts  # noqa: F401  # isort: skip
 
 import logging
@@ -59,7 +59,7 @@ _LAZY = {
 }
 
 register_environments()
-# nothing is printed unless somebody asks for it
+# nothing is logged unless the application configures logging
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 

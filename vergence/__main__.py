@@ -1,4 +1,4 @@
-"""`python -m vergence` is the command line."""
+"""Run the command line by `python -m vergence`."""
 
 from vergence.cli import main
 

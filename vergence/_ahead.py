@@ -1,7 +1,7 @@
-"""Compiles kernels in a second process while the first one has others to compile.
+"""Compile kernels in a second process while the first one compiles others.
 
-Numba compiles in one thread. Where nothing is cached yet and there is another processor, kernels
-that a command needs later are made there, into the cache that both share.
+Numba compiles in one thread. If nothing is cached yet and there is a second processor, another
+process compiles the kernels that a command needs later, into the cache that both share.
 """
 
 import os
@@ -14,15 +14,15 @@ from typing import Final
 from vergence._jit import Kernel, cache_folder
 
 _RUNNING: Final[list["subprocess.Popen[bytes]"]] = []
-"""Processes that Python would warn of if they were forgotten."""
+"""Started processes, kept because Python warns if a running one is garbage-collected."""
 
 
 def compile_ahead(kernels: Sequence[str]) -> None:
-    """Let another process compile kernels; nothing waits for it, and nobody needs it.
+    """Start a process that compiles kernels; nothing waits for it or depends on it.
 
     Args:
-        kernels: their names, `module:function`, or those of functions that compile something;
-            those that are needed first before the others.
+        kernels: names `module:function` of kernels, or of functions that compile something, in the
+            order in which they are needed.
     """
     folder = cache_folder()
     if folder is None or any(folder.rglob("*.nbi")) or _processors() < 2:
@@ -34,7 +34,7 @@ def compile_ahead(kernels: Sequence[str]) -> None:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-    except OSError:  # then they are compiled when they are called
+    except OSError:  # the kernels are then compiled at their first call
         return
     _RUNNING.append(process)
 
@@ -46,7 +46,7 @@ def _processors() -> int:
 
 
 def compiler_of(name: str) -> Callable[[], None]:
-    """What compiles the kernel, or what the function does, that `module:function` names."""
+    """Compile method of the kernel that `module:function` names, or the function it names."""
     module, _, attribute = name.partition(":")
     named: Kernel | Callable[[], None] = getattr(import_module(module), attribute)
     return named.compile if isinstance(named, Kernel) else named

@@ -1,17 +1,17 @@
-"""How kernels are compiled: numba, configured once, with an on-disk cache that goes stale safely.
+"""Compile kernels with numba, configured here once, with an on-disk cache that is never stale.
 
-Numba stores machine code beside the source of a function and notices when that one file changes.
-It does not notice a change in another module whose function or constant was compiled in, so an
-edited or upgraded helper would leave a kernel running its former code. Here the cache lies in a
-folder named by a digest of all modules that import this one, so changed kernels never meet old
-code. A constant that is compiled in must therefore live in such a module.
+Numba stores machine code beside a function's source and recompiles if that file changes. It does
+not notice a change in another module whose function or constant was compiled in, so a kernel would
+keep running the old code of an edited helper. Here the cache's folder is named by a digest of all
+modules that import this one, so that a change of any of them discards the cache. A constant that is
+compiled in must therefore be in such a module.
 
-Where no folder can be written, kernels still work: each process then compiles them for itself.
+If no folder can be written, kernels still work: each process then compiles them for itself.
 
-What is compiled is what is called: nothing is when a module is imported. Most of the time goes
-into type inference, which takes a function anew for each combination of types, so kernels write
-loops over scalars (a slice that is assigned brings in seconds of NumPy's rules), and a number
-among a helper's arguments has one type whether it is a constant or not.
+Functions are compiled when they are called, none at import. Most of the time goes into type
+inference, which treats a function anew for each combination of argument types. Kernels therefore
+use loops over scalars (assigning a slice costs seconds for NumPy's rules), and a number passed to a
+helper has the same type whether it is a constant or not.
 """
 
 import atexit
@@ -38,7 +38,7 @@ from vergence.operands import as_operand
 
 try:
     import fcntl
-except ImportError:  # Windows: no lock, so begin there with one process
+except ImportError:  # Windows: no lock, so the first run there should be a single process
     fcntl = None  # type: ignore[assignment]
 
 __all__ = [
@@ -59,7 +59,7 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 class Kernel:
-    """A loop over core dimensions that broadcasts, compiled at its first call.
+    """A broadcasting loop over core dimensions, compiled at its first call.
 
     Args:
         function: the loop.
@@ -77,19 +77,19 @@ class Kernel:
         self._ufunc: Callable[..., Any] = self._compile_and_call
 
     def __call__(self, *operands: Any, **options: Any) -> Any:
-        """Call the generalized ufunc: the inputs alone, or with ``out=``.
+        """Call the generalized ufunc with the inputs alone, or with ``out=``.
 
         Raises:
-            ConfigurationError: an operand has another shape or type than the layout says.
+            ConfigurationError: an operand has another shape or type than the layout requires.
         """
         try:
             return self._ufunc(*operands, **options)
-        except (TypeError, ValueError) as error:  # NumPy has looked at all shapes before the loop
+        except (TypeError, ValueError) as error:  # NumPy checks all shapes before the loop
             raise self._refusal(operands, error) from error
 
     @property
     def inputs(self) -> dict[str, tuple[int | str, ...]]:
-        """The core dimensions of each input, numbers or names, by the argument's name."""
+        """Core dimensions of each input, numbers or names, by the argument's name."""
         cores = re.findall(r"\(([\w,]*)\)", self.layout.partition("->")[0])
         names = list(inspect.signature(self._function).parameters)
         return {
@@ -98,7 +98,7 @@ class Kernel:
         }
 
     def _refusal(self, operands: Sequence[Any], error: Exception) -> ConfigurationError:
-        """The first operand that does not fit, by its name; what NumPy says names a number."""
+        """Error that names the first operand that does not fit; NumPy's error only numbers it."""
         name = self._function.__name__
         leading = []
         for (argument, core), operand in zip(self.inputs.items(), operands, strict=False):
@@ -117,7 +117,7 @@ class Kernel:
         return self._function.__qualname__  # pickled by name, as functions are
 
     def compile(self) -> None:
-        """Compile it now, or take it from the cache, if that has not been done yet."""
+        """Compile the kernel, or load it from the cache, unless this has been done."""
         with _BUILDING:
             if self._ufunc == self._compile_and_call:
                 self._ufunc = self._compile()
@@ -136,13 +136,13 @@ class Kernel:
             return self._guvectorized(cache=False)
 
     def _guvectorized(self, *, cache: bool) -> Callable[..., Any]:
-        # numba knows no fixed dimensions, which NumPy checks at no cost: to numba they are names
+        # numba does not support fixed dimensions: it gets names instead, and NumPy the numbers
         names = re.sub(r"\b(?=\d)", "size", self.layout)
         made: Any = numba.guvectorize([], names, nopython=True, cache=cache)(self._function)
         for signature in self._signatures:
             made.add(signature)
         made.gufunc_builder.signature = self.layout
-        ufunc: Callable[..., Any] = made.build_ufunc().ufunc  # of NumPy itself, without numba's
+        ufunc: Callable[..., Any] = made.build_ufunc().ufunc  # NumPy's own, without numba's wrapper
         return ufunc
 
 
@@ -158,12 +158,12 @@ def kernel(
     NumPy: a division by zero inside the kernel warns at the call, so guard it in the kernel.
 
     Args:
-        signatures: numba signatures, one per dtype, tried in this order: those of the narrowest
-            dtypes come first, such as ``["void(float64[:], float64[:])"]``.
-        layout: the core dimensions in NumPy's notation, such as ``"(n),(n)->()"``: a number where
-            the loop relies on it, a name where it asks for the shape. Each stands in an input.
-            Outputs are the last arguments of the function; a scalar output is written through
-            ``out[0]``.
+        signatures: numba signatures, one per dtype, such as ``["void(float64[:], float64[:])"]``.
+            They are tried in order, so the narrowest dtypes come first.
+        layout: the core dimensions in NumPy's notation, such as ``"(n),(n)->()"``: a number if the
+            loop relies on that size, a name if it reads the size from the array. Every dimension
+            occurs in an input. Outputs are the last arguments of the function; a scalar output is
+            written through ``out[0]``.
 
     Returns:
         A decorator. The decorated function is called with the inputs alone, or with ``out=``; it
@@ -186,19 +186,19 @@ def compiled(function: _Function) -> _Function:
 
 
 def device(function: _Function) -> _Function:
-    """Compile a small helper into the kernels that call it.
+    """Inline a small helper into the kernels that call it.
 
-    It has no cache of its own, as its code is part of its callers'. Called from Python, it runs as
-    the Python function that it is.
+    It is not cached itself, as its code is part of its callers. Called from Python, it runs as the
+    plain Python function.
     """
     return _helper(function, forceinline=True)
 
 
 def subroutine(function: _Function) -> _Function:
-    """Compile a helper that kernels call instead of repeating its code at each call.
+    """Compile a helper that kernels call, instead of inlining its code at each call.
 
-    It is for what is long and rare: its callers stay small, which is what compiling them costs
-    by. All else is as with `device`.
+    Use it for long helpers that are called rarely: callers stay small, which decides how long they
+    take to compile. In all other respects it is like `device`.
     """
     return _helper(function)
 
@@ -218,44 +218,44 @@ def _helper(function: _Function, **more: Any) -> _Function:
 
 
 class _Device(CPUDispatcher):
-    """A function for other compiled ones alone.
+    """A function that only other compiled functions call.
 
-    The code that makes a function callable from Python and C takes a fifth of the time of
-    compiling it, so a device has none.
+    The wrappers that make a function callable from Python and C take a fifth of the time of
+    compiling it, so this function has none.
     """
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Type a call with a constant as one with a variable: numba makes a function of each."""
+        """Type constant arguments like variables, so that numba compiles one function for both."""
         plain = {name: types.unliteral(kind) for name, kind in dict(kws).items()}
         return super().get_call_template([types.unliteral(kind) for kind in args], plain)
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
-        return self.py_func  # what a call from Python runs
+        return self.py_func  # a call from Python runs the plain function
 
     def _insert(self, *args: Any, **kws: Any) -> None:
-        """Keep the compiled code from calls from Python, which it cannot take."""
+        """Do nothing: calls from Python must not reach the compiled code, which has no wrapper."""
 
 
 def bare(group: _Group) -> _Group:
-    """A named tuple without its names, as an argument of a `compiled` function.
+    """Convert a named tuple to a plain one, as an argument of a `compiled` function.
 
-    Numba recognises the type of a plain tuple four times as fast at each call. The function names
-    the fields again, which costs nothing: ``joints = Joints(*joints)``.
+    At each call, numba recognises the type of a plain tuple four times as fast. The function
+    restores the names at no cost: ``joints = Joints(*joints)``.
     """
     return cast("_Group", tuple(group))
 
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """Where this version of the sources keeps its machine code.
+    """Folder of the machine code of this version of the sources.
 
-    The first of these that can be written: ``NUMBA_CACHE_DIR``, the package's own ``__pycache__``,
-    the user's cache folder.
+    It is in the first of these that can be written: ``NUMBA_CACHE_DIR``, the package's own
+    ``__pycache__``, the user's cache folder.
 
     Returns:
-        An existing folder, or None where none can be written: nothing is cached then.
+        An existing folder, or None if none can be written: nothing is cached then.
     """
-    if not Path(__file__).is_file():  # imported from an archive, whose sources numba cannot watch
+    if not Path(__file__).is_file():  # imported from an archive, whose files numba cannot check
         return None
     place = hashlib.sha256(os.fsencode(_PACKAGE)).hexdigest()[:8]
     name = f"kernels-{place}-{_source_digest()}"
@@ -287,13 +287,13 @@ def _cache_parents() -> Iterator[Path]:
 
 
 def _discard_mixed(folder: Path, name: str) -> None:
-    """Throw the cache away if the sources changed while this process compiled from them."""
+    """Delete the cache if the sources changed while this process compiled them."""
     if not name.endswith(_source_digest()):
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def _source_digest() -> str:
-    """A digest of the modules that compile anything, which are those that name this one."""
+    """Digest of all modules that may be compiled: those whose text names this module."""
     digest = hashlib.sha256()
     for source in sorted(_PACKAGE.rglob("*.py")):
         text = source.read_bytes()
@@ -305,9 +305,9 @@ def _source_digest() -> str:
 
 @contextlib.contextmanager
 def _caching() -> Iterator[bool]:
-    """Point numba at the cache folder while a function is decorated; yield whether to cache.
+    """Set numba's cache folder while a function is decorated; yield True if there is one.
 
-    Numba reads the setting when it decorates, so other packages' functions keep their own place.
+    Numba reads the setting when it decorates a function, so other packages' caches do not change.
     """
     folder = cache_folder()
     if folder is None:
@@ -326,16 +326,16 @@ def _caching() -> Iterator[bool]:
 def _alone(name: str) -> Iterator[None]:
     """Wait until no other process is compiling a kernel of this name into the cache folder.
 
-    Numba keeps a kernel's loop and its ufunc wrapper in two files, and the wrapper calls the loop
-    by a name that differs from process to process. Written by two processes at once, the two may
-    not belong together, and every later process would call an address that does not exist.
+    Numba stores a kernel's loop and its ufunc wrapper in two files, and the wrapper calls the loop
+    by a name that differs between processes. If two processes wrote at once, the two files might
+    not match, and every later process would call an address that does not exist.
     """
     folder = cache_folder()
     if folder is None or fcntl is None:
         yield
         return
     with contextlib.ExitStack() as stack:
-        # a folder that another version of the sources has just cleared is made again by numba
+        # numba recreates a folder that another version of the sources has just removed
         with contextlib.suppress(OSError):
             file = stack.enter_context((folder / f"{name}.lock").open("w"))
             fcntl.flock(file, fcntl.LOCK_EX)
@@ -343,7 +343,7 @@ def _alone(name: str) -> Iterator[None]:
 
 
 class _ForgivingCache(FunctionCache):
-    """Numba's cache of one function: what cannot be read or saved is compiled and used as it is."""
+    """Numba's cache of one function; errors of reading or saving only mean compiling again."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
@@ -361,12 +361,12 @@ class _ForgivingCache(FunctionCache):
 def _cache_of(function: Callable[..., Any]) -> FunctionCache | NullCache:
     try:
         return _ForgivingCache(function)  # type: ignore[no-untyped-call]
-    except (OSError, RuntimeError):  # the folder could be written a moment ago, and now cannot
+    except (OSError, RuntimeError):  # the folder cannot be written any more
         return NullCache()
 
 
 class _Reporter(event.Listener):
-    """Says once that kernels are being compiled, and once that they cannot be kept."""
+    """Reports once that kernels are being compiled, and once that they cannot be cached."""
 
     def __init__(self) -> None:
         self.start(None)
@@ -399,7 +399,7 @@ class _Reporter(event.Listener):
 
 
 _TIME: Final = "some ten seconds to a minute"
-"""On most machines, by how fast they are and what a command calls: a gaze needs the least."""
+"""Compile time on most machines; it depends on the machine and the command (least for a gaze)."""
 _ONCE: Final = f"compiling kernels: {_TIME}, once; another command may need others"
 _EVERY_TIME: Final = (
     f"compiling kernels: {_TIME} at every call, as no folder to keep them in can be "
@@ -409,16 +409,16 @@ _REPORTER: Final = _Reporter()
 
 
 def report_to(tell: Callable[[str], None] | None) -> None:
-    """Have it said when kernels are compiled, before the first is; and when they cannot be kept.
+    """Set the callback for messages that kernels are being compiled or cannot be cached.
 
     Args:
-        tell: takes each text, once; None for silence.
+        tell: called once with each message, before the first kernel is compiled; None for silence.
     """
     _REPORTER.start(tell)
 
 
 def workers_begin() -> None:
-    """Report for other processes, which have no voice, where they will have to compile."""
+    """Report compilation on behalf of worker processes, which report nothing, if it is needed."""
     folder = cache_folder()
     if folder is None or not any(folder.rglob("*.nbi")):
         _REPORTER.compiling()

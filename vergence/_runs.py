@@ -1,8 +1,8 @@
-"""Runs of numbers inside kernels: many elements of an array read at the price of one.
+"""Read several consecutive elements of an array in kernels, at the compile time of one.
 
-Numba infers the type of each `row[i + 3]` by itself, and a tuple of seventeen of them costs as
-much to compile as a page of arithmetic. A run is one operation. This module belongs to `_jit`,
-whose cache goes stale with all modules that name it.
+Numba infers the type of each `row[i + 3]` separately, and a tuple of seventeen of them takes as
+long to compile as a page of arithmetic. Reading a run of elements is a single operation. This
+module names `_jit`, so that a change of it discards the cache of kernels.
 """
 
 from collections.abc import Callable
@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 
 def run_of(count: int) -> Callable[[NDArray[Any], int], tuple[Any, ...]]:
-    """A function that reads so many elements of an array that lie in a row, as a tuple.
+    """Make a function that reads consecutive elements of an array as a tuple.
 
     Args:
-        count: how many.
+        count: number of elements.
 
     Returns:
-        Of an (n,) array and the index of the first element, which is not counted from the end.
+        Function of an (n,) array and the index of the first element, which must not be negative.
     """
 
     def run(row: NDArray[Any], first: int) -> tuple[Any, ...]:

@@ -1,4 +1,4 @@
-"""The command line: parses, calls, says what went wrong."""
+"""The command line: parse the arguments, run the command, report errors."""
 
 import os
 import sys
@@ -15,19 +15,19 @@ from vergence.envs.opengl import switch_off_what_fails
 from vergence.errors import ConfigurationError, HardwareError, VergenceError, VergenceWarning
 
 TRACE_VARIABLE: Final = "VERGENCE_TRACE"
-"""The environment variable with which a fault of the package shows its stack trace."""
+"""Environment variable; if set, a bug of the package shows its stack trace."""
 _PACKAGE: Final = Path(__file__).parent
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line.
 
-    The exit code is 0 for success, 1 for a gaze without a fix, for images without a target and for
-    a robot that fails, 2 for misuse (no words at all are one, and print the help) and for what
-    could not be read or written, and 130 after Ctrl-C.
+    The exit code is 0 for success; 1 for a gaze without a fix, images without a target, or a robot
+    that fails; 2 for misuse (also for no arguments, which print the help) and for files that cannot
+    be read or written; and 130 after Ctrl-C.
 
     Args:
-        arguments: the words after the program's name; None for those of the process.
+        arguments: the arguments after the program's name; None for the process's own.
     """
     make_printable()
     interrupts.guard_run()
@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _outcome(arguments: list[str]) -> int:
-    """Run a command and say what went wrong, a line for each thing; the exit code."""
+    """Run a command and report errors, one line each; return the exit code."""
     try:
         code = _run(arguments)
         for stream in (sys.stdout, sys.stderr):
@@ -46,12 +46,12 @@ def _outcome(arguments: list[str]) -> int:
     except VergenceError as error:
         return _fail(*error.lines, code=1 if isinstance(error, HardwareError) else 2)
     except BrokenPipeError:
-        _give_up_stdout()  # the reader of a pipe has gone: nothing is left to say, not even at exit
+        _give_up_stdout()  # the reader of a pipe has gone: print nothing more, not even at exit
         return 0
     except KeyboardInterrupt as stop:
         return _end_interrupted(stop)
     except Exception as error:
-        # a library may make an error of its own out of Ctrl-C
+        # a library may convert Ctrl-C to an error of its own
         if interrupts.interrupted():
             return _end_interrupted()
         if isinstance(error, OSError):
@@ -87,7 +87,7 @@ def _show_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Show the package's own warnings as a line each, and others as Python does."""
+    """Show the package's own warnings in one line each, and others as Python does."""
     if issubclass(category, VergenceWarning):
         note(f"warning: {message}")
     elif sys.stderr is not None:
@@ -118,13 +118,13 @@ def _fail(*reasons: str, code: int = 2) -> int:
 
 
 def _reason(error: OSError) -> str:
-    """What the system says, with the file that it is about."""
+    """Message of an error of the operating system, with the file's name."""
     reason = error.strerror or str(error) or type(error).__name__
     return reason if error.filename is None else f"{os.fsdecode(error.filename)}: {reason}"
 
 
 def _fault(error: Exception) -> str:
-    """What went wrong in the package itself, and where; no mistake of a user."""
+    """Message about a bug of the package itself, with its place in the code."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if _PACKAGE in Path(frame.filename).parents]
     place = f"{Path(own[-1].filename).relative_to(_PACKAGE)}:{own[-1].lineno}" if own else "unknown"
@@ -141,6 +141,6 @@ def _end_interrupted(stop: KeyboardInterrupt | None = None) -> int:
 
 
 def _give_up_stdout() -> None:
-    """Let Python's own flush at exit go nowhere."""
+    """Redirect standard output to nothing, so that Python's flush at exit does not fail."""
     with suppress(OSError, ValueError):  # a stream without a file behind it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,7 +1,6 @@
-"""Classes of a user's own, named `module:class` or `path/to/file.py:class`, and their mistakes.
+"""Load a user's own classes, named `module:class` or `path/to/file.py:class`.
 
-What goes wrong in such code is said in one line that names the place there: who wrote it wants
-neither our stack nor a guess.
+An error in such code is reported in one line with its place there, without this package's stack.
 """
 
 import hashlib
@@ -23,37 +22,37 @@ from vergence.errors import ConfigurationError
 _PACKAGE: Final = Path(__file__).parent
 _INSTALLED: Final = ("site-packages", "dist-packages", f"python{sys.version_info[0]}.")
 _LONGEST: Final = 400
-"""Characters of a message of somebody else's that are shown."""
+"""Most characters of a foreign error message that are shown (chosen: detail against length)."""
 
 
 def is_entry_point(word: object) -> bool:
-    """Whether a word has the form `module:class`."""
+    """True if a word has the form `module:class`."""
     return isinstance(word, str) and all(word.rpartition(":"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class EntryPoint:
-    """Where a class is: `module:class` or `path/to/file.py:class`; picklable."""
+    """Location of a class, `module:class` or `path/to/file.py:class`; picklable."""
 
     word: str
     what: str
-    """What a message calls it, such as `controller`."""
+    """Name for messages, such as `controller`."""
     module: str
     """A dotted name, or the path of a file that ends in `.py`."""
     attribute: str
     folder: Path
-    """The current folder at the time: where modules and files are looked for, in workers too."""
+    """Current folder at creation, in which modules and files are searched, in workers as well."""
 
     @classmethod
     def of(cls, word: str, what: str) -> "EntryPoint":
-        """The entry point that a word names.
+        """Parse an entry point.
 
         Args:
-            word: such as `my_robot:Robot` or `folder/mine.py:Mine`.
-            what: what a message calls it, such as `plant`.
+            word: text such as `my_robot:Robot` or `folder/mine.py:Mine`.
+            what: name for messages, such as `plant`.
 
         Raises:
-            ConfigurationError: it names none.
+            ConfigurationError: the text is not an entry point.
         """
         module, colon, attribute = word.rpartition(":")
         named = module.endswith(".py") or all(part.isidentifier() for part in module.split("."))
@@ -64,11 +63,11 @@ class EntryPoint:
         return cls(word=word, what=what, module=module, attribute=attribute, folder=Path.cwd())
 
     def load(self) -> Any:
-        """What stands there: a class, or a function.
+        """Import the class or function.
 
         Raises:
             ConfigurationError: there is no such module, file or class, or it cannot be imported;
-                the message has the error of the module itself, with its file and its line.
+                the message includes the module's own error, with its file and line.
         """
         module = self._import()
         file = shown_path(getattr(module, "__file__", None) or self.module)
@@ -86,7 +85,7 @@ class EntryPoint:
         return found
 
     def classes(self, method: str) -> list[str]:
-        """The classes of the module itself that have a method.
+        """Names of the classes defined in the module that have a method.
 
         Raises:
             ConfigurationError: there is no such module or file, or it cannot be imported.
@@ -124,13 +123,13 @@ class EntryPoint:
 
 
 def accepted_arguments(make: Callable[..., Any]) -> set[str] | None:
-    """The names of the arguments that a function or class takes.
+    """Names of the arguments that a function or class accepts.
 
     Args:
-        make: a function; or a class, whose `**options` are those of the class it derives from.
+        make: a function, or a class; `**options` of a class are taken to go to its base class.
 
     Returns:
-        The names, or None if it takes any.
+        The names, or None if it accepts any.
     """
     if not isinstance(make, type):
         parameters = signature(make).parameters.values()
@@ -140,7 +139,7 @@ def accepted_arguments(make: Callable[..., Any]) -> set[str] | None:
     names: set[str] = set()
     hands_on = False
     for owner in make.__mro__[:-1]:
-        # a protocol's own takes anything and does nothing with it
+        # the `__init__` of a protocol accepts anything and ignores it
         if "__init__" not in vars(owner) or vars(owner).get("_is_protocol"):
             continue
         parameters = signature(vars(owner)["__init__"]).parameters.values()
@@ -156,14 +155,15 @@ def accepted_arguments(make: Callable[..., Any]) -> set[str] | None:
 
 
 def where(error: BaseException) -> str:
-    """The place in somebody's code and the error there, in one line.
+    """Describe an error in a user's code, with its place, in one line.
 
     Args:
-        error: what their code has raised.
+        error: the error that this code raised.
 
     Returns:
-        `file:line in function: Type: message`; the innermost place in their own code, which is
-        neither this package, nor Python, nor an installed package unless there is no other.
+        `file:line in function: Type: message`, for the innermost place in the user's code. Places
+        in this package are never named, those in Python or installed packages only if there is no
+        other.
     """
     said = _one_line(error)
     if isinstance(error, SyntaxError) and error.filename:
@@ -182,7 +182,7 @@ def where(error: BaseException) -> str:
 
 
 def shown_path(path: str | Path) -> str:
-    """A path as a person in the current folder would write it."""
+    """Path relative to the current folder, if it is within it."""
     with suppress(ValueError, OSError):
         return str(Path(path).relative_to(Path.cwd()))
     return str(path)
@@ -191,7 +191,7 @@ def shown_path(path: str | Path) -> str:
 def _one_line(error: BaseException) -> str:
     try:
         text = " ".join(str(error).split())
-    except Exception:  # somebody's own __str__
+    except Exception:  # a user's own __str__ may fail
         text = ""
     text = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
@@ -202,13 +202,13 @@ def _defined_in(module: ModuleType, one: object) -> bool:
 
 
 def _append(folder: Path) -> None:
-    """Let modules be found in a folder too, where nothing else has them."""
+    """Add a folder to the end of the module search path."""
     if str(folder) not in sys.path:
         sys.path.append(str(folder))
 
 
 def _load_file(path: Path) -> ModuleType:
-    """The module in a file; the same one as long as the file is the same."""
+    """Load the module in a file; an unchanged file is loaded only once."""
     content = path.read_bytes()
     digest = hashlib.sha256(str(path).encode() + content).hexdigest()
     name = f"{path.stem}_{digest[:16]}"
@@ -219,7 +219,7 @@ def _load_file(path: Path) -> ModuleType:
         raise ImportError(f"expected a Python file, got {path}")
     _append(path.parent)
     module = module_from_spec(spec)
-    sys.modules[name] = module  # classes of it can then be pickled, and dataclasses made
+    sys.modules[name] = module  # pickling its classes and creating dataclasses require this
     try:
         spec.loader.exec_module(module)
     except BaseException:

@@ -1,4 +1,4 @@
-"""Every error that vergence raises on purpose."""
+"""All errors that vergence raises deliberately."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,26 +6,26 @@ from difflib import get_close_matches
 
 
 class VergenceError(Exception):
-    """Root of the package's errors: a message says what was expected and what came."""
+    """Base class of the package's errors; messages state the expected and the actual value."""
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The message, a line for each thing that is wrong."""
+        """The message, one line per problem."""
         return (str(self),)
 
 
 class VergenceWarning(UserWarning):
-    """An argument that has an answer, but hardly the one that was meant."""
+    """An argument that is valid but probably not intended."""
 
 
 class HeadFileError(VergenceError):
-    """A head preset or TOML file that cannot be a head.
+    """An invalid head preset or TOML file of a head.
 
     Attributes:
-        key: the dotted key at fault, or the file's path when it is not about one key.
-        value: what stood there.
-        expected: what should stand there.
-        file: the file that the key is in; empty for text without a file.
+        key: the dotted key at fault, or the file's path if no single key is at fault.
+        value: the value of the key.
+        expected: description of valid values.
+        file: the file with the key; empty for text without a file.
     """
 
     def __init__(self, key: str, value: object, expected: str, file: str = "") -> None:
@@ -41,14 +41,14 @@ class HeadFileError(VergenceError):
 
 
 class Words(str):
-    """What a message says as it is, without quotes, in place of a value."""
+    """Text that a message shows in place of a value, without quotes."""
 
     def __repr__(self) -> str:
         return str(self)
 
 
 class UnreadableFileError(HeadFileError):
-    """A file that is not there or cannot be read: its key is the path, its value the reason."""
+    """A file that is missing or cannot be read: `key` is its path, `value` the reason."""
 
     def __init__(self, key: str, value: object, expected: str, file: str = "") -> None:
         super().__init__(key, value, expected, file)
@@ -56,10 +56,10 @@ class UnreadableFileError(HeadFileError):
 
 
 class MistakesError(HeadFileError):
-    """Several mistakes of one file.
+    """Several mistakes in one file.
 
     Attributes:
-        mistakes: what each would raise alone.
+        mistakes: one error per mistake.
     """
 
     def __init__(self, file: str, mistakes: Sequence[VergenceError]) -> None:
@@ -69,7 +69,7 @@ class MistakesError(HeadFileError):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """A line for each mistake."""
+        """The lines of all mistakes."""
         return tuple(line for mistake in self.mistakes for line in mistake.lines)
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
@@ -80,7 +80,7 @@ class UnknownNameError(VergenceError):
     """A name that is not in a registry: a preset, a plant, a controller, a target.
 
     Attributes:
-        kind: what was looked up.
+        kind: the kind of thing that was looked up.
         name: the name that was not found.
         known: the names that exist.
     """
@@ -98,15 +98,15 @@ class UnknownNameError(VergenceError):
 
 
 class ConfigurationError(VergenceError):
-    """An argument or option with a value that cannot work."""
+    """An argument or option with an invalid value."""
 
 
 class TargetError(ConfigurationError):
-    """A target that a head cannot look at, or not see when a trial begins."""
+    """A target that a head cannot look at, or that is not visible at the start of a trial."""
 
 
 class DivergedError(VergenceError):
-    """A training whose network has come to numbers that are not finite."""
+    """Training has diverged: the network holds or outputs nan or infinity."""
 
 
 class HardwareError(VergenceError):
@@ -115,16 +115,16 @@ class HardwareError(VergenceError):
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that is wrong with a robot, found before it moves."""
+    """A problem of a robot, found by a check before it moves."""
 
     part: str
     """The part at fault, such as "servos: left_pan", "bus" or "cameras.left"."""
     problem: str
-    """What was expected and what came."""
+    """Description of the problem: the expected and the actual value."""
     cure: str = ""
-    """What to do about it; empty where nothing is known."""
+    """Advice on solving the problem; empty if none is known."""
     warning: bool = False
-    """Whether the robot may move all the same."""
+    """True if the robot may move nevertheless."""
 
     def __str__(self) -> str:
         cure = f"; cure: {self.cure}" if self.cure else ""
@@ -135,7 +135,7 @@ class ChecksFailedError(HardwareError):
     """A robot that must not move yet.
 
     Attributes:
-        findings: all that was found, errors first; at least one is an error.
+        findings: all findings, errors first; at least one is an error.
     """
 
     def __init__(self, findings: Iterable[Finding]) -> None:
@@ -144,7 +144,7 @@ class ChecksFailedError(HardwareError):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """A line for each finding; those of warnings say so."""
+        """One line per finding, with a prefix for warnings."""
         return tuple(f"{'warning: ' if one.warning else ''}{one}" for one in self.findings)
 
     def __reduce__(self) -> tuple[type, tuple[tuple[Finding, ...]]]:
@@ -152,7 +152,7 @@ class ChecksFailedError(HardwareError):
 
 
 class RenderingUnavailableError(VergenceError):
-    """A picture was asked for that needs software or hardware that is not there."""
+    """Software or hardware for rendering a picture is missing."""
 
 
 class BundleError(VergenceError):
@@ -160,14 +160,14 @@ class BundleError(VergenceError):
 
 
 class ControllerError(VergenceError):
-    """A controller of somebody's own that cannot be made, raises or answers what cannot be.
+    """A user's own controller that cannot be created, raises an error, or returns invalid values.
 
     The message names the place in that controller's code.
     """
 
 
 _LONGEST = 200
-"""Characters of a value that a message shows."""
+"""Most characters of a value that a message shows (chosen: detail against length)."""
 
 
 def _shown(value: object) -> str:
@@ -181,26 +181,26 @@ def _shown(value: object) -> str:
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """A question about the known name that looks most like another one; empty if none does."""
+    """Question that suggests the known name most similar to a name; empty if none is similar."""
     close = get_close_matches(str(name), list(known), n=1, cutoff=0.7)
     return f" (did you mean {close[0]}?)" if close else ""
 
 
 def how_to_install(extra: str) -> str:
-    """What to type for an optional part, from a registry or from a clone."""
+    """Command that installs an optional part, from a registry or from a clone."""
     return f"pip install 'vergence[{extra}]' (in a clone: pip install '.[{extra}]')"
 
 
 def refuse_unknown(owner: str, fields: Mapping[str, object], known: Iterable[str]) -> None:
-    """Refuse a field that is not known.
+    """Raise an error for an unknown field.
 
     Args:
-        owner: what has the fields, as a message calls it.
+        owner: name of the fields' owner, for messages.
         fields: values by name.
-        known: the names that there are.
+        known: the names that exist.
 
     Raises:
-        ConfigurationError: a field is another.
+        ConfigurationError: a field is unknown.
     """
     names = list(known)
     for name, value in fields.items():

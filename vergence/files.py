@@ -1,7 +1,7 @@
-"""Files and folders that appear under their names whole, or not at all.
+"""Write files and folders atomically.
 
-What is being written lies in a hidden folder beside its place, on the same disk, and takes its
-name in one step when it is complete. A process that is killed leaves at most such a hidden folder.
+Files are written to a hidden folder beside their destination, on the same disk, and renamed in one
+step when complete. A process that is killed leaves behind at most such a hidden folder.
 """
 
 import hashlib
@@ -15,24 +15,24 @@ from pathlib import Path
 from typing import Final
 
 PARTIAL: Final = ".vergence-partial-"
-"""How the names of hidden folders begin in which something is being written."""
+"""Prefix of the names of these hidden folders."""
 
 Name = str | os.PathLike[str]
 
 
 @contextmanager
 def whole_files(folder: Name, last: str | None = None) -> Iterator[Path]:
-    """Several files of a folder, written beside it and put there when all are complete.
+    """Write several files of a folder to a temporary one, and move them when all are complete.
 
     Args:
-        folder: an existing folder; files of the same names are replaced, others stay.
-        last: the file that is put there last, as a sign that the others are there.
+        folder: an existing folder; files with these names are replaced, others stay.
+        last: name of the file that is moved last, as a sign that the others are complete.
 
     Yields:
-        A folder to write them to.
+        A folder to write the files to.
 
     Raises:
-        OSError: they cannot be written.
+        OSError: the files cannot be written.
     """
     folder = Path(folder)
     with _hidden(folder) as beside:
@@ -47,16 +47,16 @@ def whole_files(folder: Name, last: str | None = None) -> Iterator[Path]:
 
 @contextmanager
 def whole_file(path: Name) -> Iterator[Path]:
-    """A file, written beside its place and put there when it is complete.
+    """Write a file to a temporary folder, and move it to its path when it is complete.
 
     Args:
-        path: the file; one of that name is replaced. Its folder exists.
+        path: the file; an existing one is replaced. Its folder must exist.
 
     Yields:
-        The path to write to, of the same name.
+        The path to write to, with the name of the file.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     path = Path(path)
     with whole_files(path.parent) as beside:
@@ -64,14 +64,14 @@ def whole_file(path: Name) -> Iterator[Path]:
 
 
 def write_whole(path: Name, content: str | bytes) -> None:
-    """Write a file whole or not at all; text as UTF-8.
+    """Write a file atomically; text as UTF-8.
 
     Args:
-        path: the file; one of that name is replaced. Its folder exists.
-        content: what it holds.
+        path: the file; an existing one is replaced. Its folder must exist.
+        content: content of the file.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     with whole_file(path) as partial:
         partial.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -79,17 +79,17 @@ def write_whole(path: Name, content: str | bytes) -> None:
 
 @contextmanager
 def whole_folder(path: Name, *, replace: bool = False) -> Iterator[Path]:
-    """A folder, written beside its place and put there when it is complete.
+    """Write a temporary folder, and rename it to its path when it is complete.
 
     Args:
-        path: the folder. Missing parents are made.
-        replace: whether a folder of that name may be replaced that has something in it by then.
+        path: the folder. Missing parents are created.
+        replace: True to replace an existing folder even if it is not empty by then.
 
     Yields:
         The folder to write to.
 
     Raises:
-        OSError: it cannot be written, or its place has been taken.
+        OSError: the folder cannot be written, or the path has been taken meanwhile.
     """
     path = Path(path)
     with _new_folder(path) as partial:
@@ -109,17 +109,17 @@ def whole_folder(path: Name, *, replace: bool = False) -> Iterator[Path]:
 
 
 def save_folder(path: Name, write: Callable[[Path], None]) -> Path:
-    """Write a folder whole; where its place has been taken meanwhile, under a free name beside it.
+    """Write a folder atomically, under a different name if its path has been taken meanwhile.
 
     Args:
-        path: the folder. Missing parents are made.
+        path: the folder. Missing parents are created.
         write: called with the folder to write to.
 
     Returns:
-        Where it is: the path, or the first that is free of `path-2`, `path-3` and so on.
+        The folder's path: `path`, or the first free one of `path-2`, `path-3` and so on.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the folder cannot be written.
     """
     path = Path(path)
     with _new_folder(path) as partial:
@@ -139,11 +139,12 @@ def save_folder(path: Name, write: Callable[[Path], None]) -> Path:
 
 
 def remove_partial(folder: Name, name: str = "") -> None:
-    """Remove what killed processes have left half-written in a folder.
+    """Remove incomplete files that killed processes have left in a folder.
 
     Args:
-        folder: the folder; nobody else may be writing to it.
-        name: the one folder in it that nobody else may be writing; empty for all there.
+        folder: the folder; no other process may be writing to it.
+        name: only those of this folder within it, which no other process may be writing; empty for
+            all.
     """
     with suppress(OSError):
         for path in list(Path(folder).iterdir()):
@@ -152,24 +153,25 @@ def remove_partial(folder: Name, name: str = "") -> None:
 
 
 def _prefix(name: str) -> str:
-    # a long name would be too long with more before it
+    # a digest, since a prefix could make a long name too long
     return f"{PARTIAL}{hashlib.sha256(name.encode()).hexdigest()[:12]}-" if name else PARTIAL
 
 
 @contextmanager
 def _hidden(folder: Path, name: str = "") -> Iterator[Path]:
-    """A hidden folder in another, removed in the end with what is still in it.
+    """Create a hidden folder within another, and remove it with its content at the end.
 
     Args:
-        folder: the other.
-        name: of the one folder that is written in it.
+        folder: the folder to create it in.
+        name: name of the folder that is written in it; empty for files.
     """
-    # tempfile's own folder tries for ever to remove itself where permission has been lost
+    # not `tempfile.TemporaryDirectory`, which never stops trying to remove itself if permission
+    # has been lost
     hidden = tempfile.mkdtemp(prefix=_prefix(name), dir=folder)
     try:
         yield Path(hidden)
     except OSError as error:
-        if error.filename is None:  # such as where the disk is full
+        if error.filename is None:  # for example if the disk is full
             error.filename = os.fspath(folder)
         raise
     finally:
@@ -178,7 +180,7 @@ def _hidden(folder: Path, name: str = "") -> Iterator[Path]:
 
 @contextmanager
 def _new_folder(path: Path) -> Iterator[Path]:
-    """A folder to write to beside the path, whose parent is made if it is missing."""
+    """Create a temporary folder beside the path, and the path's parent if it is missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with _hidden(path.parent, path.name) as hidden:
         partial = hidden / "new"
@@ -187,9 +189,9 @@ def _new_folder(path: Path) -> Iterator[Path]:
 
 
 def _name(partial: Path, path: Path) -> None:
-    """Give a complete folder its name, which at most an empty folder may have."""
+    """Rename a complete folder to its path; only an empty folder may exist there."""
     if path.exists():
-        path.rmdir()  # refuses a folder with something in it, a file and a link
+        path.rmdir()  # raises OSError for a folder that is not empty, a file or a link
     os.replace(partial, path)
 
 
@@ -199,8 +201,8 @@ def _folder_to_disk(folder: Path) -> None:
 
 
 def _to_disk(path: Path) -> None:
-    """Wait until a file, or the names in a folder, would outlast a loss of power."""
-    # not every system opens folders or can wait for them; what is written is there all the same
+    """Wait until a file, or the names in a folder, would survive a loss of power."""
+    # not every system can open folders or sync them; the files are written anyway
     with suppress(OSError) if path.is_dir() else nullcontext():
         handle = os.open(path, os.O_RDONLY)
         try:

@@ -1,8 +1,8 @@
-"""Ctrl-C while the command line starts, runs and ends: one line and exit code 130.
+"""Handle Ctrl-C while the command line starts, runs and ends: one line and exit code 130.
 
-Python answers with a stack trace of whatever it was importing, and some libraries turn the
-interruption into an error of their own, or ignore it. Only a process that was started as the
-command line is treated so: a program that imports the package keeps its own answer.
+By default, Python prints a stack trace of the current import, and some libraries convert the
+interruption to an error of their own, or ignore it. Only a process that was started as the command
+line is changed: a program that imports the package keeps its own handling.
 """
 
 import os
@@ -13,11 +13,11 @@ from contextlib import suppress
 NOTHING_WRITTEN = "interrupted: nothing was written"
 
 _seen = False
-_guards = False  # whether this process was started as the command line
+_guards = False  # True if this process was started as the command line
 
 
 def guard_start() -> None:
-    """From this module's import on, the package's first, Ctrl-C ends the command line in a line."""
+    """Make Ctrl-C end the command line with one line; called at this module's import, the first."""
     global _guards
     _guards = _is_command_line()
     if _guards and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -26,13 +26,13 @@ def guard_start() -> None:
 
 
 def guard_run() -> None:
-    """From here on Ctrl-C is a `KeyboardInterrupt`, which is remembered, see `interrupted`."""
+    """Make Ctrl-C raise `KeyboardInterrupt` from now on, and record it, see `interrupted`."""
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, _interrupt)
 
 
 def guard_robot() -> None:
-    """From here on the command line ends by SIGTERM and SIGHUP as by Ctrl-C: a robot is stopped."""
+    """Make SIGTERM and SIGHUP end the command line like Ctrl-C, so that the robot is stopped."""
     if _guards:
         for number in _enders():
             if signal.getsignal(number) is signal.SIG_DFL:  # `nohup` ignores one of them
@@ -40,24 +40,24 @@ def guard_robot() -> None:
 
 
 def guard_end() -> None:
-    """The command has ended and said how: Ctrl-C changes nothing any more."""
+    """Ignore Ctrl-C from now on: the command has ended and reported its result."""
     for number in _enders():
         if signal.getsignal(number) is _interrupt:
             signal.signal(number, signal.SIG_DFL)
     if signal.getsignal(signal.SIGINT) is _interrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        # Python ends itself by the signal if the last code that it ran from text was interrupted,
-        # such as a library's while it was imported; this here is such code, and is not
+        # Python kills itself with the signal if the last code that it ran from text was
+        # interrupted, such as a library's during its import; this runs such code undisturbed
         exec("pass")
 
 
 def _enders() -> list[signal.Signals]:
-    """Signals besides Ctrl-C that end a process; Windows has one of them."""
+    """Signals other than Ctrl-C that end a process; Windows has only one of them."""
     return [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 def interrupted() -> bool:
-    """Whether Ctrl-C was pressed, whatever a library has made of it."""
+    """True if Ctrl-C was pressed, even if a library has converted or ignored it."""
     return _seen
 
 

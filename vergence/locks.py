@@ -1,8 +1,7 @@
-"""Locks: of several processes that would write to one place, one does, and the others say so.
+"""Lock files and folders, so that only one process writes to each; the others raise an error.
 
-The lock of a place lies beside it, in a hidden file of its name. It is the operating system's, so
-it ends with the process that holds it, however that ends; a file that a killed process has left
-behind locks nothing.
+The lock of a path is a hidden file beside it, locked by the operating system. It is released with
+the process that holds it, even if the process is killed; the file it leaves behind locks nothing.
 """
 
 import os
@@ -16,33 +15,33 @@ from filelock import FileLock, Timeout
 from vergence.errors import ConfigurationError
 
 SUFFIX: Final = ".vergence-lock"
-"""How the names of lock files end."""
+"""Suffix of the names of lock files."""
 
 _ATTEMPTS: Final = 100
-"""How often a parent is made again that others remove."""
+"""Most attempts to create a parent folder that other processes remove (numerical)."""
 
 Name = str | os.PathLike[str]
 
 
 @contextmanager
 def locked(path: Name, *, wait: bool = False) -> Iterator[bool]:
-    """Nobody else writes to a file or a folder meanwhile, as far as they ask as well.
+    """Hold the lock of a file or folder; it excludes only processes that use this lock as well.
 
-    Missing parents are made, and removed in the end if nothing has come into them. Where a file
-    system has no locks, or none can be made in the parent, there is no lock: whoever comes last
-    then finds the place taken.
+    Missing parents are created, and removed at the end if they are still empty. If the file system
+    has no locks, or no file can be created in the parent, there is no lock: the last process to
+    write then finds the path taken.
 
     Args:
         path: the file or folder; it need not exist.
-        wait: whether to wait for a process that has the lock.
+        wait: True to wait for a process that holds the lock.
 
     Yields:
-        Whether there is a lock.
+        True if there is a lock.
 
     Raises:
-        ConfigurationError: another process has the lock, and it is not waited for.
+        ConfigurationError: another process holds the lock, and `wait` is False.
     """
-    # one place has one lock, whatever links lead to it
+    # the real path, so that a file or folder has one lock regardless of links
     place = Path(os.path.realpath(path))
     file = place.with_name(f".{place.name}{SUFFIX}") if place.name else place / SUFFIX
     made = [parent for parent in place.parents if not parent.exists()]
@@ -52,14 +51,14 @@ def locked(path: Name, *, wait: bool = False) -> Iterator[bool]:
     finally:
         if lock is not None:
             _let_go(lock, file)
-        with suppress(OSError):  # something has come into it
+        with suppress(OSError):  # it is not empty
             for parent in made:
                 parent.rmdir()
 
 
 def _taken(file: Path, place: Path, wait: bool) -> FileLock | None:
-    """The lock, or None where there cannot be one."""
-    # a lock without the operating system would outlive a process that is killed
+    """Acquire the lock; None if there cannot be one."""
+    # no soft lock, since it would outlive a process that is killed
     lock = FileLock(file, fallback_to_soft=False, on_acquired=_sign)
     for _attempt in range(_ATTEMPTS):
         try:
@@ -72,25 +71,25 @@ def _taken(file: Path, place: Path, wait: bool) -> FileLock | None:
                 f"to which {_owner(file)} is writing (wait for its end, or choose another)"
             ) from None
         except FileNotFoundError:
-            continue  # another process has just removed the parent that it had made
+            continue  # another process has just removed the parent that it had created
         except OSError:
             break
     return None
 
 
 def _let_go(lock: FileLock, file: Path) -> None:
-    # removed while it is held: who has opened it meanwhile finds that out, and makes a new one
+    # removed while held: a process that has opened it meanwhile notices, and creates a new one
     with suppress(OSError):
         file.unlink()
     with suppress(OSError):
         lock.release()
-    if os.name == "nt":  # there an open file cannot be removed
+    if os.name == "nt":  # Windows cannot remove an open file
         with suppress(OSError):
             file.unlink()
 
 
 def _sign(handle: int) -> None:
-    """Write this process's number into the lock, for others to tell."""
+    """Write this process's number into the lock file, for the messages of other processes."""
     with suppress(OSError):  # a full disk
         os.ftruncate(handle, 0)
         os.write(handle, str(os.getpid()).encode())

@@ -1,4 +1,4 @@
-"""Arrays that come from outside: real numbers whose last axes have the sizes that are asked for."""
+"""Check arrays given by callers: real numbers whose last axes have the required sizes."""
 
 from typing import Any, Final
 
@@ -11,25 +11,25 @@ _FLOAT64: Final = np.dtype(np.float64)
 
 
 def as_operand(name: str, value: ArrayLike, *core: int | str) -> NDArray[np.float64]:
-    """Real numbers as an array.
+    """Convert real numbers to an array, and check its shape.
 
     Args:
-        name: what a message calls them.
+        name: name for messages.
         value: a number, or numbers in lists, tuples or an array.
-        *core: sizes of the last axes; a name for one of any size.
+        *core: sizes of the last axes; a name for an axis of any size.
 
     Returns:
-        (..., *core) float64, the same array where it is one already; it may hold nan and inf.
+        (..., *core) float64, `value` itself if it is such an array; it may hold nan and inf.
 
     Raises:
-        ConfigurationError: the value has another shape, or something in it is no real number.
+        ConfigurationError: the value has another shape, or an element is not a real number.
     """
     if (
         isinstance(value, np.ndarray)
         and value.dtype is _FLOAT64
         and value.shape[value.ndim - len(core) :] == core
     ):
-        return value  # what comes most often, at once
+        return value  # fast path for the most common case
     what = f"shape (..., {', '.join(map(str, core))})" if core else "real numbers"
     try:
         array: NDArray[Any] = np.asarray(value)
@@ -38,7 +38,7 @@ def as_operand(name: str, value: ArrayLike, *core: int | str) -> NDArray[np.floa
             f"{name}: expected {what}, got rows of different lengths"
         ) from error
     if array.dtype.kind not in "biuf":
-        shown = " ".join(f"{value!r:.200}".split())  # arrays are written in several lines
+        shown = " ".join(f"{value!r:.200}".split())  # the repr of an array has several lines
         raise ConfigurationError(f"{name}: expected real numbers, got {shown:.80}")
     own = array.shape[max(array.ndim - len(core), 0) :]
     if len(own) < len(core) or any(

@@ -1,4 +1,4 @@
-"""Arrays as plain values for strict JSON, which has no nan and no infinity."""
+"""Convert arrays to plain values for strict JSON, which has no nan and no infinity."""
 
 from typing import Any
 
@@ -7,11 +7,11 @@ from numpy.typing import ArrayLike
 
 
 def plain(values: ArrayLike | None) -> Any:
-    """A number or nested lists of numbers, None for what is not finite.
+    """Convert to a number or nested lists of numbers, with None for rows that are not finite.
 
     Args:
-        values: of any shape; a row (the last axis) with a number that is not finite becomes None as
-            a whole: half a point is no point. None stays None.
+        values: array of any shape; a row (the last axis) that holds nan or infinity becomes None as
+            a whole, since a partial point is not usable. None stays None.
     """
     if values is None:
         return None
@@ -22,6 +22,6 @@ def plain(values: ArrayLike | None) -> Any:
 
 
 def column(values: ArrayLike) -> list[float | None]:
-    """Numbers of a list by themselves, each None where it is not finite."""
+    """Convert a list element by element, with None for numbers that are not finite."""
     array = np.asarray(values, np.float64)
     return [value if np.isfinite(value) else None for value in array.tolist()]

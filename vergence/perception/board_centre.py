@@ -1,4 +1,4 @@
-"""The middle of a board, from those of its corners that were found."""
+"""The centre of a board, from the corners that were found."""
 
 from typing import Any
 
@@ -12,17 +12,17 @@ from vergence.vision import Detection, EyeCamera
 
 
 def centre_weights(corners_m: FloatArray, found: NDArray[np.bool_]) -> FloatArray:
-    """Weights with which the corners of a board make up its middle.
+    """Weights whose weighted mean of a board's corners is its centre.
 
-    They are those of the affine map that fits best: the mean where all corners are there.
+    They follow from the best affine fit to the corners found: the mean if all were found.
 
     Args:
         corners_m: (n, 2) the board's corners.
-        found: (n,) which of them there are.
+        found: (n,) True for corners that were found.
 
     Returns:
-        (n,) weights that sum up to 1, zero for corners that are not there; nan where those that
-        are there lie on a line.
+        (n,) weights that sum to 1, zero for corners that were not found; nan if those that were
+        found lie on a line.
     """
     weights = np.zeros(len(corners_m))
     from_middle = (corners_m - corners_m.mean(axis=0))[found]
@@ -34,10 +34,10 @@ def centre_weights(corners_m: FloatArray, found: NDArray[np.bool_]) -> FloatArra
 
 
 def weighted(values: FloatArray, weights: FloatArray) -> FloatArray:
-    """The sum of rows times weights; what has no weight counts for nothing, whatever it is.
+    """Weighted sum of rows; rows with weight 0 are ignored, even if they are nan.
 
     Args:
-        values: (n, ...) a row for each corner.
+        values: (n, ...) one row per corner.
         weights: (n,) see `centre_weights`.
     """
     used = weights != 0.0
@@ -45,17 +45,17 @@ def weighted(values: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def centre_px(found: Detection, camera: EyeCamera | None) -> tuple[FloatArray, FloatArray]:
-    """Where the middle of a target is in an image.
+    """Pixel of a target's centre in an image.
 
-    Of a tag it is the measured point. Of a board it is where the homography of its corners puts
-    the middle, on undistorted rays where the camera is known.
+    For a tag it is the measured point. For a board, a homography fitted to its corners maps the
+    centre to the image, through undistorted rays if the camera is known.
 
     Args:
         found: the detection.
         camera: the eye; None for a pinhole.
 
     Returns:
-        (2,) the pixel and (2,) its standard deviation; nan where the corners do not tell.
+        (2,) the pixel and (2,) its standard deviation; nan if the corners do not determine it.
     """
     target = found.target
     if isinstance(target, AprilTag):

@@ -1,4 +1,4 @@
-"""Targets in single photographs."""
+"""Find targets in single photographs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class Sighting(NamedTuple):
     """(2,) standard deviation of the centre."""
 
     def document(self) -> dict[str, Any]:
-        """Plain values, pixels; None for what is not there."""
+        """Plain values, pixels; None for values that are nan."""
         return {
             "image": self.image,
             "target": str(self.detection.target),
@@ -40,19 +40,19 @@ class Sighting(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DetectResult:
-    """What was found in all images."""
+    """Targets found in all images."""
 
     images: tuple[Path, ...]
-    """Those that could be read."""
+    """Images that could be read."""
     sightings: tuple[Sighting, ...]
     remarks: tuple[str, ...]
-    """Targets that were asked for and are in no image, while others are; clipped white; another
-    response; a line each."""
+    """Notes for the user, one line each: targets that are in no image although others are, clipped
+    white, a response that seems wrong."""
     failures: tuple[str, ...]
-    """What could not be read, a line each."""
+    """Images that could not be read, one line each."""
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row for each sighting, plain values."""
+        """One row per sighting, plain values."""
         return [sighting.document() for sighting in self.sightings]
 
 
@@ -66,7 +66,7 @@ def detect(
 
     Args:
         places: images and folders of images.
-        spotter: what finds them.
+        spotter: finds the targets.
         progress: called with the fraction done after every image.
         show: called with each image.
 

@@ -1,4 +1,4 @@
-"""Whether a target's edges, as measured in space, are as long as stated; and if not, why."""
+"""Compare the measured length of a target's edges with the stated one, and explain a difference."""
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -14,10 +14,14 @@ from vergence.perception.spacing import MM, edge_m, neighbours
 from vergence.triangulation import Noise, triangulate_views
 
 _SURELY: Final = 3.0
-"""Standard deviations from which on a difference is no chance."""
+"""Standard deviations above which a difference is significant (chosen: false against missed
+remarks)."""
 _SHARE: Final = 0.01
-"""Of the stated edge: calibrations and printers are off by less, which is no mistake."""
+"""Smallest difference that is remarked on, as a fraction of the stated edge; good calibrations and
+printers err by less (chosen: as above)."""
 _NEAR: Final = 0.05
+"""Relative tolerance within which a ratio of lengths suggests a mistaken unit (chosen: mistakes
+recognised against coincidence)."""
 _UNITS: Final = {
     1000.0: "was the size given in m, or the head's lengths in mm?",
     100.0: "were the head's lengths given in cm?",
@@ -26,7 +30,7 @@ _UNITS: Final = {
     10.0: "was the size given in cm?",
     0.001: "was the size given in micrometres?",
 }
-"""What lets edges be so many times as long as stated."""
+"""Likely mistake for each ratio of the measured to the stated length."""
 
 
 class Edges(NamedTuple):
@@ -36,13 +40,13 @@ class Edges(NamedTuple):
     """Name of the left image."""
     target: PlanarTarget
     mean_m: float
-    """nan where there is none."""
+    """Mean edge; nan if none was measured."""
     sigma_m: float
-    """Standard deviation of that mean, by the noise of pixels and joints."""
+    """Standard deviation of that mean from the noise of pixels and joints."""
 
     @property
     def off(self) -> bool:
-        """Whether it is not the stated one, beyond noise and small errors of calibration."""
+        """True if it differs from the stated edge beyond noise and small calibration errors."""
         if not self.target.size_known:
             return False
         stated = edge_m(self.target)
@@ -57,21 +61,21 @@ def mean_edge_sigma(
     points: FloatArray,
     of_pixels: FloatArray,
 ) -> float:
-    """How surely the mean distance between neighbouring corners is known.
+    """Standard deviation of the mean distance between neighbouring corners.
 
-    The corners' pixels err by themselves. The joints err for all corners alike: a vergence that is
-    off makes a board larger or smaller as a whole.
+    Pixel errors are independent between corners. Joint errors are common to all corners: an error
+    of the vergence angle scales the board as a whole.
 
     Args:
         head: the head.
         q: (7,) joint angles at the exposure, rad.
         target: the board.
-        pixels: (n, 2, 2) its corners by eye.
-        points: (n, 3) its corners in space, metres; nan where there is no answer.
-        of_pixels: (n, 3, 3) their covariance by the noise of the pixels alone, m^2.
+        pixels: (n, 2, 2) its corners, by corner and eye.
+        points: (n, 3) its corners in space, metres; nan for corners without a solution.
+        of_pixels: (n, 3, 3) their covariance from pixel noise alone, m^2.
 
     Returns:
-        Metres; nan where no two neighbours have an answer.
+        Metres; nan if no two neighbours have a solution.
     """
     first, second = neighbours(target).T
     apart = points[first] - points[second]
@@ -81,7 +85,7 @@ def mean_edge_sigma(
     first, second, apart = first[there], second[there], apart[there]
     lengths = np.linalg.norm(apart, axis=1)
     along = apart / lengths[:, None] / len(lengths)
-    slopes = np.zeros_like(points)  # of the mean by each corner
+    slopes = np.zeros_like(points)  # derivatives of the mean with respect to each corner
     np.add.at(slopes, first, along)
     np.subtract.at(slopes, second, along)
     used = slopes.any(axis=1)
@@ -96,14 +100,14 @@ def mean_edge_sigma(
 
 
 def say_off(name: str, every: Sequence[Edges]) -> str:
-    """A line on the edges of targets that are not as stated.
+    """Message about targets whose edges differ from the stated size.
 
     Args:
-        name: of the targets.
-        every: of all of them in all pairs; the stated size is that of all.
+        name: name of the targets.
+        every: edges of all of them in all pairs; they share one stated size.
 
     Returns:
-        The line; empty where all are as stated.
+        One line; empty if all are as stated.
     """
     every = [each for each in every if np.isfinite(each.mean_m)]
     off = [each for each in every if each.off]

@@ -15,19 +15,19 @@ def camera_of(
     eye: str | None,
     size: tuple[int, int] | None = None,
 ) -> EyeCamera | None:
-    """The camera that options name.
+    """Load the camera that command-line options name.
 
     Args:
         head: a preset's name or the path of a TOML file.
-        calibration: a file of OpenCV, ROS or kalibr.
-        eye: `left` or `right`; of a calibration of one camera, None.
-        size: (width, height) in pixels, for a calibration that does not have it.
+        calibration: a calibration file of OpenCV, ROS or kalibr.
+        eye: `left` or `right`; None for a calibration of one camera.
+        size: (width, height) in pixels, for a calibration that does not state it.
 
     Returns:
-        The camera; None where neither is given.
+        The camera; None if neither a head nor a calibration is given.
 
     Raises:
-        VergenceError: both are given, an eye is lacking or too many, or a file cannot be read.
+        VergenceError: both are given, the eye is missing or not needed, or a file cannot be read.
     """
     if head is not None and calibration is not None:
         raise ConfigurationError("camera: expected either --head or --camera, got both")

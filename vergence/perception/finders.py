@@ -1,4 +1,4 @@
-"""What finds targets in live images: each one tracked from image to image, families as well."""
+"""Find targets in live images: track each target, or each tag of a family, between images."""
 
 from collections.abc import Hashable, Sequence
 from typing import Any, Final, NamedTuple, Protocol
@@ -12,14 +12,15 @@ from vergence.perception.spotting import identity
 from vergence.vision import Detection, Detector, EyeCamera, Tracker, make_detector
 
 _SEARCHED_EVERY: Final = 15
-"""Images after which a family is searched for again, and for so many a lost tag is awaited."""
+"""Images between searches for new tags of a family, and for which a lost tag is searched for
+(chosen: new tags found early against time)."""
 
 
 class Finder(Protocol):
-    """Finds targets in one image after the other."""
+    """Finds targets in a sequence of images."""
 
     def __call__(self, image: NDArray[np.uint8]) -> Sequence[Detection]:
-        """What is in the next image."""
+        """Find the targets in the next image."""
 
 
 def finders_of(
@@ -27,10 +28,10 @@ def finders_of(
     camera: EyeCamera | None = None,
     response: Response | None = None,
 ) -> list[Finder]:
-    """What finds each target in a live image.
+    """Make a finder for each target in live images.
 
     Args:
-        targets: what to look for.
+        targets: targets to find.
         camera: the eye; None if unknown.
         response: light by grey level; None for the camera's, see `make_detector`.
     """
@@ -52,18 +53,18 @@ def _finder(detector: Detector[Any]) -> Finder:
 class _Track(NamedTuple):
     last: Detection
     motion_px: NDArray[np.float64]
-    """(2,) since the image before."""
+    """(2,) motion of the measured point since the previous image."""
 
 
 class FamilyTracker:
-    """Follows all tags of a family, each where it is expected.
+    """Tracks all tags of a family, each near its predicted position.
 
-    Searching an image takes many times as long as following. It is done for tags that are lost, as
-    long as they may come back soon; else in every 15th image for tags that have come, and by the
-    quick ways alone where there is nothing to follow.
+    Searching a whole image takes many times as long as tracking. The tracker searches in full while
+    a tag was lost within the last 15 images, and in every 15th image for new tags. If it has no
+    tag to track, it searches every image in the quick ways, and in full if these find a tag.
 
     Args:
-        detector: of the family.
+        detector: detector of the family.
     """
 
     def __init__(self, detector: Detector[Any]) -> None:
@@ -73,7 +74,7 @@ class FamilyTracker:
         self._images = 0
 
     def __call__(self, image: NDArray[np.uint8]) -> Sequence[Detection]:
-        """The tags of the next image, of several with one number the first."""
+        """Find the tags in the next image; of several with one number, only the first."""
         followed = [self._follow(image, track) for track in self._tracks]
         self._tracks = [track for track in followed if track is not None]
         if self._due(image):
@@ -88,7 +89,7 @@ class FamilyTracker:
         return [identity(track.last.target) for track in self._tracks]
 
     def _due(self, image: NDArray[np.uint8]) -> bool:
-        """Whether to search the whole image."""
+        """True if the whole image is to be searched."""
         known = self._known()
         self._awaited = {tag: until for tag, until in self._awaited.items() if until > self._images}
         if self._images % _SEARCHED_EVERY == 0 or any(tag not in known for tag in self._awaited):

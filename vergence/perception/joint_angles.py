@@ -1,4 +1,4 @@
-"""The joint angles at which a head's images were taken, one row for all pairs or one for each."""
+"""Read the joint angles at which image pairs were taken: one row for all pairs, or one for each."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,34 +15,35 @@ from vergence.perception.joint_rows import PAIR, Row, read_rows
 from vergence.perception.photographs import some_of
 
 _BEYOND_RAD: Final = 0.1
-"""How far beyond its limits a joint may stand: encoders have an offset, and limits are rounded."""
+"""Tolerance of a joint's limits, rad: encoders have an offset, and limits are rounded (chosen:
+these against angles in the wrong unit)."""
 _UNITS: Final = {"_rad": 1.0, "_deg": math.pi / 180.0}
 
 
 def eyes_move(head: HeadModel) -> bool:
-    """Whether points depend on joint angles: they are in N, which the neck carries along."""
+    """True if points depend on joint angles: frame N follows the neck, so only eye joints count."""
     return head.actuation.count > 0
 
 
 def angles_of_pairs(
     head: HeadModel, file: Path | None, pairs: Sequence[str]
 ) -> Mapping[str, FloatArray]:
-    """The joint angles of each pair.
+    """Read the joint angles of each pair.
 
     Args:
         head: the head.
-        file: JSON, CSV or TOML with columns named as the head's joints or its actuators, in rad
-            (also with `_rad` behind it) or with `_deg` behind it in degrees; where it has several
-            rows, a column `pair` names the left image of each, with or without the ending. None
-            for a head at rest.
+        file: JSON, CSV or TOML with columns named after the head's joints or its actuators, in rad
+            (optional suffix `_rad`) or, with suffix `_deg`, in degrees. If it has several rows, a
+            column `pair` holds the name of each left image, with or without the file extension.
+            None for a head at rest.
         pairs: names of the pairs.
 
     Returns:
         (7,) joint angles by pair, rad.
 
     Raises:
-        ConfigurationError: the file cannot be read, a joint is missing or unknown, an angle cannot
-            be, or a pair has no row.
+        ConfigurationError: the file cannot be read, a joint is missing or unknown, an angle is
+            invalid, or a pair has no row.
     """
     if file is None:
         return dict.fromkeys(pairs, head.rest())
@@ -51,7 +52,7 @@ def angles_of_pairs(
 
 
 def rows_of_pairs(file: Path, pairs: Sequence[str]) -> Mapping[str, Row]:
-    """The row of each pair, see `angles_of_pairs`.
+    """Read the row of each pair, see `angles_of_pairs`.
 
     Args:
         file: JSON, CSV or TOML.
@@ -89,18 +90,18 @@ def rows_of_pairs(file: Path, pairs: Sequence[str]) -> Mapping[str, Row]:
 
 
 def angles_of_row(head: HeadModel, row: Row, where: str) -> FloatArray:
-    """The joint angles of a row, see `angles_of_pairs`.
+    """Joint angles of a row, see `angles_of_pairs`.
 
     Args:
         head: the head.
         row: angles by the names of joints or actuators.
-        where: names the row in messages.
+        where: name of the row in messages.
 
     Returns:
         (7,) rad.
 
     Raises:
-        ConfigurationError: a joint is missing or unknown, or an angle cannot be.
+        ConfigurationError: a joint is missing or unknown, or an angle is invalid.
     """
     given = _radians(head, row, where)
     own = head.actuation
@@ -131,7 +132,7 @@ def angles_of_row(head: HeadModel, row: Row, where: str) -> FloatArray:
 
 
 def _radians(head: HeadModel, row: Row, where: str) -> dict[str, float]:
-    """The angles of a row by the names of joints and actuators, rad."""
+    """Angles of a row by the names of joints and actuators, rad."""
     names = dict.fromkeys(name for name in (*head.joints, *head.actuation.names) if name)
     found: dict[str, float] = {}
     for column, value in row.items():
@@ -151,14 +152,14 @@ def _radians(head: HeadModel, row: Row, where: str) -> dict[str, float]:
 
 
 def as_number(value: Any, where: str) -> float:
-    """A finite number out of a table.
+    """Convert a table's value to a finite number.
 
     Args:
-        value: as it was read.
-        where: names its place in messages.
+        value: the value as it was read.
+        where: name of its place in messages.
 
     Raises:
-        ConfigurationError: it is none.
+        ConfigurationError: the value is not a finite number.
     """
     if not isinstance(value, bool) and isinstance(value, int | float | str):
         try:

@@ -1,4 +1,4 @@
-"""Rows of named numbers out of a JSON, CSV or TOML file."""
+"""Read rows of named numbers from a JSON, CSV or TOML file."""
 
 import csv
 import io
@@ -12,25 +12,25 @@ from vergence.errors import ConfigurationError, UnreadableFileError
 Row = dict[str, Any]
 """Values by their names."""
 PAIR: Final = "pair"
-"""The column that names the pair a row belongs to."""
+"""Column that holds the name of a row's pair."""
 _FORMATS: Final = "JSON, CSV or TOML (by its ending)"
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of a file.
+    """Read the rows of a file.
 
     A JSON or TOML file holds one row as a table; several as a list, as a table whose only value is
-    a list, or as a table of tables by the names of their pairs. A CSV file has a head.
+    a list, or as a table of tables by the names of their pairs. A CSV file has a header.
 
     Args:
         path: the file.
 
     Returns:
-        The rows, at least one; numbers of a CSV file are texts still.
+        The rows, at least one; values of a CSV file are strings.
 
     Raises:
-        UnreadableFileError: it is not there or no text.
-        ConfigurationError: it is of another format, or holds no rows.
+        UnreadableFileError: the file does not exist or is not text.
+        ConfigurationError: the file has another format, or holds no rows.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")

@@ -1,7 +1,7 @@
-"""A camera's response by the edges of targets: the one that makes them even.
+"""Check a camera's response by the edges of targets: the right response makes their blur symmetric.
 
-A lens blurs an edge between black and white evenly to both sides, in light, whatever the shape of
-its blur. In levels that are encoded otherwise than stated, the brighter side looks wider.
+In terms of light, a lens blurs an edge between black and white symmetrically, regardless of the
+shape of its blur. If the levels are encoded otherwise than stated, the bright side looks wider.
 """
 
 from collections.abc import Iterable
@@ -19,50 +19,55 @@ from vergence.vision import Detection
 from vergence.vision.image import measured_levels
 
 _REACH_PX: Final = 4.0
-"""Numerical: half width of the strip along an edge."""
+"""Half width of the strip along an edge, px (chosen: the whole blur against other edges)."""
 _LEAST_EDGE_PX: Final = 16.0
-"""Numerical: shorter edges have no 8 px apart from their ends."""
+"""Shortest edge that is used, px: shorter ones have less than 8 px between their ends (chosen:
+number of edges against noise)."""
 _ENDS: Final = 0.22
-"""Numerical: share of an edge at each end that other edges blur into."""
+"""Fraction of an edge at each end that is left out, as other edges blur into it (chosen: bias
+against pixels lost)."""
 _MOST_EDGES: Final = 12
-"""Numerical: of a detection; they take some milliseconds each."""
+"""Most edges of a detection; each takes some milliseconds (chosen: certainty against time)."""
 _LEAST_CONTRAST_GREY: Final = 40.0
-"""Numerical: below it the responses hardly differ over an edge."""
+"""Smallest contrast of an edge, grey levels; below it the responses hardly differ (chosen: evidence
+against noise)."""
 _CLIPPED_GREY: Final = 250
-"""Numerical: an edge with brighter pixels tells nothing."""
+"""Grey level from which on a pixel may be clipped; an edge with such a pixel is not used (chosen:
+bias against edges lost)."""
 _LEAST_EDGES: Final = 8
-"""Numerical: fewer tell nothing."""
+"""Fewest edges for a conclusion (chosen: early remarks against false ones)."""
 _ENOUGH_EDGES: Final = 120
-"""Numerical: more make a mean no surer than it has to be."""
+"""Number of edges after which no more are added (chosen: certainty of the mean against time)."""
 _SURE: Final = 4.0
-"""Numerical: standard errors of the mean ratio from 0, from which on another response is named."""
+"""Standard errors by which the mean ratio must exceed 0 for a remark (chosen: missed against false
+remarks)."""
 _CLEARLY: Final = 0.03
-"""Measured: as well as this mean ratio, which no public set of grey photographs reaches
-(`benchmarks.responses`), nor a lens out of focus."""
+"""Mean ratio that must be exceeded as well; no public set of grey photographs reaches it, nor does
+a lens out of focus (measured: benchmarks.responses)."""
 
 
 class ResponseCheck:
-    """Whether levels that are taken for light look encoded as sRGB, by edges of found targets.
+    """Checks by the edges of found targets if levels stated as linear look encoded as sRGB.
 
-    The reverse is not told: cameras that encode also sharpen, which edges show as well.
+    The reverse is not checked: cameras that encode also sharpen, which changes edges as well.
     """
 
     def __init__(self) -> None:
         self._ratios: list[float] = []
 
     def add(self, image: ArrayLike, detections: Iterable[Detection], stated: Response) -> None:
-        """Take an image into account, until there are edges enough.
+        """Add the edges of an image, until there are enough.
 
         Args:
-            image: any that `as_grey` takes.
-            detections: of targets in it.
-            stated: the response that it was read with.
+            image: any image that `as_grey` takes.
+            detections: detections of targets in it.
+            stated: response with which it was read.
         """
         if stated == LINEAR and len(self._ratios) < _ENOUGH_EDGES:
             self._ratios += edge_ratios(measured_levels(image), detections)
 
     def notes(self) -> list[str]:
-        """A line where edges speak against it, or none."""
+        """One line if the edges contradict a linear response, else none."""
         count = len(self._ratios)
         if count < _LEAST_EDGES:
             return []
@@ -76,21 +81,21 @@ class ResponseCheck:
 
 
 def edge_ratios(image: NDArray[np.uint8], detections: Iterable[Detection]) -> list[float]:
-    """Compare linear levels and sRGB by the edges of targets.
+    """Compare the responses "linear" and "srgb" by the edges of targets.
 
     Args:
         image: (height, width) levels.
-        detections: of targets in it.
+        detections: detections of targets in it.
 
     Returns:
-        For each edge the log of the squares that "linear" leaves of the levels, by those that
-        "srgb" leaves: above 0 where sRGB fits better.
+        For each edge the logarithm of the ratio of the residual sums of squares of "linear" and
+        "srgb": above 0 if sRGB fits better.
     """
     ratios = []
     for found in detections:
         corners = found.corners_px[neighbours(found.target)]
         long = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1) >= _LEAST_EDGE_PX
-        chosen = corners[long]  # never where one is nan
+        chosen = corners[long]  # without edges that have a corner of nan
         for start, end in chosen[:: max(len(chosen) // _MOST_EDGES, 1)][:_MOST_EDGES]:
             strip = _strip(image, start, end)
             if strip is not None:
@@ -103,7 +108,7 @@ def edge_ratios(image: NDArray[np.uint8], detections: Iterable[Detection]) -> li
 def _strip(
     image: NDArray[np.uint8], start: FloatArray, end: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
-    """The pixels along an edge: distances across it, px, rising to white, and levels."""
+    """Pixels along an edge: signed distances from it, px, positive towards white, and levels."""
     height, width = image.shape
     low = np.maximum(np.floor(np.minimum(start, end) - _REACH_PX).astype(int), 0)
     high = np.minimum(np.ceil(np.maximum(start, end) + _REACH_PX).astype(int) + 1, (width, height))
@@ -131,14 +136,14 @@ def _strip(
 
 
 def _left(away: FloatArray, level: FloatArray, response: Response) -> float:
-    """Squares of levels that a blurred step of light leaves; 0 where it does not fit at all."""
+    """Residual sum of squares of levels after the fit of a blurred step; 0 if it does not fit."""
     light = light_of_levels(response)
     dark, bright = np.interp(np.percentile(level, (10, 90)), np.arange(256), light)
 
     def residuals(values: FloatArray) -> FloatArray:
         z = (away - values[2]) / np.exp(values[3])
         height = np.exp(-0.5 * z * z)
-        # any even blur: Gram and Charlier's terms of even order, whose integrals are odd
+        # any symmetric blur: the even terms of a Gram-Charlier series, whose integrals are odd
         odd = values[4] * (z**3 - 3.0 * z) + values[5] * (z**5 - 10.0 * z**3 + 15.0 * z)
         light_here = values[0] + values[1] * (ndtr(z) + height * odd)
         return np.asarray(np.interp(light_here, light, np.arange(256.0)) - level)

@@ -1,4 +1,4 @@
-"""What a camera sees of targets, image after image: how often, where, how steadily, how fast."""
+"""Statistics of targets in live images: detection rate, position, noise and frame rate."""
 
 from array import array
 from collections import deque
@@ -17,28 +17,29 @@ from vergence.plain import plain
 from vergence.vision import Detection
 
 WINDOW_S = 3.0
-"""Over how many seconds rates and noise are taken."""
+"""Time window of rates and noise, s (chosen: steady values against fast changes)."""
 SHOWN_EVERY_S = 1.0
+"""Interval between reports, s (chosen: up to date against readable)."""
 
 
 class TargetState(NamedTuple):
-    """How a target is seen, over the window or the whole run."""
+    """Statistics of a target over the window or the whole run."""
 
     target: PlanarTarget
     seen: int
-    """In how many images."""
+    """Number of images with the target."""
     images: int
-    """Of how many."""
+    """Number of all images."""
     point_px: FloatArray
-    """(2,) mean pixel of its measured point; nan where it was not seen."""
+    """(2,) mean pixel of its measured point; nan if it was never detected."""
     noise_px: FloatArray
-    """(2,) standard deviation; nan for fewer than three sightings."""
+    """(2,) standard deviation of that pixel; nan for fewer than three detections."""
     sigma_px: FloatArray
-    """(2,) the detector's own, rms."""
+    """(2,) standard deviation that the detector states, rms."""
 
     @property
     def rate(self) -> float:
-        """Share of the images that have it."""
+        """Fraction of the images with the target."""
         return self.seen / self.images if self.images else 0.0
 
     def document(self) -> dict[str, Any]:
@@ -55,16 +56,16 @@ class TargetState(NamedTuple):
 
 
 class LiveState(NamedTuple):
-    """How it goes, over the window or the whole run."""
+    """Statistics over the window or the whole run."""
 
     images: int
-    """Since the beginning."""
+    """Images since the start."""
     seconds: float
-    """Since the beginning."""
+    """Time since the start, s."""
     frame_rate_hz: float
-    """nan for fewer than two images."""
+    """Frame rate; nan for fewer than two images."""
     detection_ms: float
-    """Median time that detecting took for an image."""
+    """Median time of detection per image."""
     targets: tuple[TargetState, ...]
 
     def document(self) -> dict[str, Any]:
@@ -86,7 +87,7 @@ class _Frame:
 
 
 class _Sums:
-    """Mean and spread of a target's pixels, taken up one by one (Welford's recurrences)."""
+    """Running mean and variance of a target's pixels (Welford's recurrences)."""
 
     def __init__(self) -> None:
         self.seen = 0
@@ -114,11 +115,11 @@ class _Sums:
 
 
 class LiveStatistics:
-    """Statistics over the last seconds, and over all since the beginning.
+    """Statistics over a sliding window and over the whole run.
 
     Args:
-        targets: those that are shown from the beginning, found or not.
-        window_s: over how many seconds.
+        targets: targets that are listed from the start, found or not.
+        window_s: length of the window, s.
     """
 
     def __init__(self, targets: Iterable[Target] = (), window_s: float = WINDOW_S) -> None:
@@ -131,19 +132,19 @@ class LiveStatistics:
         }
 
     def add(self, time_s: float, took_s: float, found: Sequence[Detection]) -> None:
-        """Take an image into account.
+        """Add an image.
 
         Args:
-            time_s: when it had been looked at.
-            took_s: how long that took.
-            found: what is in it.
+            time_s: time at which detection ended.
+            took_s: duration of the detection.
+            found: detections in the image.
         """
         if not self._took_s:
             self._begun_s, self._first_s = time_s - took_s, time_s
         self._now_s = time_s
         self._took_s.append(took_s)
         by_target: dict[PlanarTarget, Detection] = {}
-        for one in found:  # of several tags of one number the first counts
+        for one in found:  # of several tags with one number, only the first counts
             by_target.setdefault(one.target, one)
         for target, one in by_target.items():
             self._sums.setdefault(target, _Sums()).add(one)
@@ -152,7 +153,7 @@ class LiveStatistics:
             self._frames.popleft()
 
     def state(self) -> LiveState:
-        """How it goes now: images and seconds since the beginning, the rest over the window."""
+        """Current statistics: images and seconds since the start, the rest over the window."""
         frames = list(self._frames)
         apart = frames[-1].time_s - frames[0].time_s if frames else 0.0
         sums = {target: _Sums() for target in self._sums}
@@ -162,7 +163,7 @@ class LiveStatistics:
         return self._state(sums, [frame.took_s for frame in frames], apart)
 
     def total(self) -> LiveState:
-        """How it went from the beginning on."""
+        """Statistics since the start."""
         return self._state(self._sums, self._took_s, self._now_s - self._first_s)
 
     def _state(
@@ -187,18 +188,18 @@ def watch(
     seconds: float | None = None,
     show: Callable[[LiveState], None] | None = None,
 ) -> bool:
-    """Look at images until there are no more, or the time is over.
+    """Find targets in images until there are no more, or until the time is over.
 
     Args:
-        images: one after the other, see `open_video`.
-        finders: what finds the targets.
-        statistics: takes up what is found; valid whenever this is interrupted.
-        clock: seconds of a steady clock.
-        seconds: after which to end; None for never.
-        show: called about each second with how it goes.
+        images: images in sequence, see `open_video`.
+        finders: find the targets.
+        statistics: updated with every image; valid even after an interruption.
+        clock: returns seconds of a monotonic clock.
+        seconds: time after which to end; None for no limit.
+        show: called about once per second with the current statistics.
 
     Returns:
-        Whether the time was over, not the images.
+        True if the time was over, False if the images were.
 
     Raises:
         ConfigurationError: the images have another size than the camera's.

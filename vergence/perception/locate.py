@@ -1,4 +1,4 @@
-"""Targets in pairs of photographs, triangulated."""
+"""Find targets in pairs of photographs and triangulate them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -27,20 +27,21 @@ from vergence.triangulation import Noise
 from vergence.vision import Detection, EyeCamera
 
 GAP_PX: Final = 2.0
-"""By how much the lines of sight of a calibrated pair do not miss each other."""
+"""Largest distance between the lines of sight of a calibrated pair, px (chosen: false against
+missed remarks)."""
 
 
 class Missed(NamedTuple):
-    """A target of a pair that has no place in space."""
+    """A target of a pair that could not be triangulated."""
 
     pair: str
     target: PlanarTarget
     why: str
-    """`left` or `right` where one image alone has it; `twice` where one has it more than once."""
+    """`left` or `right` if only that image has the target; `twice` if one has it more than once."""
 
 
 class Shown(NamedTuple):
-    """The pair that the picture shows."""
+    """The pair that is drawn in the picture."""
 
     left: Photograph
     right: Photograph
@@ -48,7 +49,7 @@ class Shown(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LocateResult:
-    """What was found in all pairs."""
+    """Targets located in all pairs."""
 
     config: LocateConfig
     head: HeadModel
@@ -59,23 +60,23 @@ class LocateResult:
     located: tuple[Located, ...]
     missed: tuple[Missed, ...]
     remarks: tuple[str, ...]
-    """Targets that were asked for and are in no image, while others are; clipped white; a line
-    each."""
+    """Notes for the user, one line each: targets that are in no image although others are, clipped
+    white, a response that seems wrong."""
     alone: tuple[Path, ...]
     """Images without a partner."""
     failures: tuple[str, ...]
-    """What could not be read, a line each."""
+    """Images that could not be read, one line each."""
     shown: Shown
-    """The first pair in which something was located, else the first with anything, else the
-    first."""
+    """First pair in which a target was located, else the first with a detection in either image,
+    else the first."""
 
     @property
     def found(self) -> bool:
-        """Whether any point has an answer."""
+        """True if any point was triangulated."""
         return any(one.valid.any() for one in self.located)
 
     def alike(self) -> list[list[Located]]:
-        """What was located, by kind: each board by itself, tags of one family and size together."""
+        """Located targets, grouped: each board by itself, tags of one family and size together."""
         kinds: dict[PlanarTarget, list[Located]] = {}
         for one in self.located:
             target = one.target
@@ -93,7 +94,7 @@ class LocateResult:
         }
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row for each target located in a pair, plain values."""
+        """One row per located target and pair, plain values."""
         return [one.document() for one in self.located]
 
     def summary(self) -> dict[str, Any]:
@@ -119,7 +120,7 @@ class LocateResult:
         }
 
     def notes(self) -> list[str]:
-        """What a person should know beyond the table, a line each."""
+        """Remarks for the user in addition to the table, one line each."""
         said = list(self.remarks)
         if self.alone:
             said.append(
@@ -138,7 +139,7 @@ class LocateResult:
         return said + self._doubts()
 
     def _doubts(self) -> list[str]:
-        """What looks as if head file and images did not belong together."""
+        """Signs that the head file and the images do not belong together, one line each."""
         said = []
         crossed = [one for one in self.located if one.valid.any()]
         lost = [one.pair for one in self.located if not one.valid.any()]
@@ -147,7 +148,7 @@ class LocateResult:
                 f"the lines of sight do not cross before the eyes in {some_of(dict.fromkeys(lost))}"
                 " (are left and right swapped?)"
             )
-        # coarse encoders let the lines of sight miss each other by as much as they turn an eye
+        # coarse encoders separate the lines of sight by as much as their error turns an eye
         blur_rad = float(np.max(np.asarray(Noise.of(self.head).joint_rad)[EYES]))
         most = max(GAP_PX, 4.0 * blur_rad * float(self.head.cameras.focal.max()))
         apart = [one for one in crossed if one.gap_px > most]
@@ -169,16 +170,16 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
     """Find targets in pairs of photographs and triangulate them.
 
     Args:
-        config: what is located where.
+        config: images, head and targets.
         progress: called with the fraction done after every pair.
 
     Returns:
         The result.
 
     Raises:
-        VergenceError: a target, a response or the head cannot be, there are no pairs, a pair given
-            by itself cannot be read or is of another size than the head's images, none of several
-            can, or the joint angles of a pair are not there.
+        VergenceError: a target, a response or the head is invalid, there are no pairs, a single
+            pair cannot be read or has another size than the head's images, none of several pairs
+            can be read, or the joint angles of a pair are missing.
     """
     targets = parse_targets(config.target)
     response = None if config.response is None else parse_response(config.response)
@@ -245,7 +246,7 @@ def _match(
     left: Sequence[Detection],
     right: Sequence[Detection],
 ) -> tuple[list[Located], list[Missed]]:
-    """What both images of a pair have, in space, and what they do not."""
+    """Triangulate the targets that both images have exactly once; list the others as missed."""
     located, missed = [], []
     for key, target in {identity(d.target): d.target for d in (*left, *right)}.items():
         of_left, of_right = (

@@ -1,4 +1,4 @@
-"""What is located where; also the options of `vergence locate`."""
+"""Images, head and targets of a location run; also the options of `vergence locate`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class LocateConfig:
-    """What is located where."""
+    """Images, head and targets of a location run."""
 
     left: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LEFT")]
     """Image of the left eye, or a folder of such images."""
@@ -22,7 +22,7 @@ class LocateConfig:
         tyro.conf.UseAppendAction,
         tyro.conf.arg(metavar="TARGET"),
     ] = ()
-    """What to look for; may be given again and again. tag:FAMILY[:ID[:EDGE]] such as
+    """Target to find; may be repeated. tag:FAMILY[:ID[:EDGE]] such as
     tag:36h11:5:120, checkerboard:COLUMNSxROWS[:SQUARE] such as checkerboard:9x6:24.23 (inner
     corners), charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] (squares; legacy: as OpenCV before
     4.6 laid it out), aprilgrid:COLUMNSxROWS:TAG:SPACING such as aprilgrid:6x6:88:0.3 (kalibr's
@@ -31,5 +31,5 @@ class LocateConfig:
     """Light by grey level: srgb, linear, a gamma such as 2.2, or a table such as 0,0.2,1."""
     joints: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
     """Joint angles at the exposure, JSON, CSV or TOML, for a head whose eyes move; one row, or one
-    for each pair with the left image's name as pair. Columns are named as the head's joints, in
-    rad, or with _deg behind it. At rest by default."""
+    for each pair with the left image's name as pair. Columns are named after the head's joints, in
+    rad, or in degrees with the suffix _deg. At rest by default."""

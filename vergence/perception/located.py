@@ -1,4 +1,4 @@
-"""One target that both eyes see, triangulated: its corners, its centre, and how sure they are."""
+"""Triangulate a target that both eyes see: its corners, its centre, and their covariances."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,41 +20,41 @@ from vergence.vision import Detection
 
 
 class Centre(NamedTuple):
-    """The centre of a target in N."""
+    """The centre of a target in frame N."""
 
     point: FloatArray
-    """(3,) metres; nan without an answer."""
+    """(3,) metres; nan without a solution."""
     covariance: FloatArray
     """(3, 3) m^2."""
 
     @property
     def sigma(self) -> FloatArray:
-        """(3,) metres."""
+        """(3,) standard deviations, metres."""
         return np.sqrt(np.diagonal(self.covariance))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Located:
-    """A target in space."""
+    """A triangulated target."""
 
     pair: str
-    """The name of the left image."""
+    """Name of the left image."""
     target: PlanarTarget
     pixels: FloatArray
-    """(2, n, 2) its corners by eye, px; nan where one was not found."""
+    """(2, n, 2) its corners by eye, px; nan for corners that were not found."""
     sigma_px: FloatArray
     """(2, n, 2) their standard deviations."""
     fix: Fix
-    """Of its n corners."""
+    """Triangulation of its n corners."""
     centre: Centre
     edge_sigma_m: float
     """Standard deviation of the mean distance between neighbouring corners, see `edges`."""
     focal_px: float
-    """Of the head's cameras, the mean: turns the gap of a point into pixels."""
+    """Mean focal length of the head's cameras, which converts a point's gap to pixels."""
 
     @cached_property
     def valid(self) -> NDArray[np.bool_]:
-        """(n,) which corners have an answer."""
+        """(n,) True for corners with a solution."""
         return np.asarray(self.fix.valid, bool)
 
     @property
@@ -64,24 +64,24 @@ class Located:
 
     @property
     def edges(self) -> Edges:
-        """Their mean, and how surely it is known."""
+        """Mean distance between its neighbouring corners, with its standard deviation."""
         return Edges(self.pair, self.target, self.spacing.mean_m, self.edge_sigma_m)
 
     @property
     def gap_m(self) -> float:
-        """Root mean square of the corners' gaps, metres; nan without an answer."""
+        """Root mean square of the corners' gaps, metres; nan without a solution."""
         gaps = self.fix.gap[self.valid]
         return float(np.sqrt(np.mean(gaps**2))) if len(gaps) else np.nan
 
     @property
     def gap_px(self) -> float:
-        """By how much the rays miss each other, as a difference of pixels, rms."""
+        """Root mean square distance between the lines of sight, as a distance in the image, px."""
         depth = np.linalg.norm(self.fix.point[self.valid], axis=-1)
         gaps = self.focal_px * self.fix.gap[self.valid] / depth
         return float(np.sqrt(np.mean(gaps**2))) if len(gaps) else np.nan
 
     def document(self) -> dict[str, Any]:
-        """Plain values, millimetres and pixels; None for what has no answer."""
+        """Plain values, millimetres and pixels; None for values without a solution."""
         return {
             "pair": self.pair,
             "target": str(self.target),
@@ -110,7 +110,7 @@ def locate_target(
         q: (7,) joint angles at the exposure, rad.
         pair: name of the pair.
         left: the target in the left image.
-        right: the same target in the right one.
+        right: this target in the right image.
     """
     target = left.target
     own = Noise.of(head)
@@ -141,12 +141,12 @@ def locate_target(
 
 
 def orders_alike(target: PlanarTarget) -> list[NDArray[np.intp]]:
-    """The orders in which the corners of a board may come whose images look the same turned."""
+    """Possible orders of a board's corners, if turning the board does not change its appearance."""
     places: NDArray[np.intp] = np.arange(len(target.corners_m))
     if not isinstance(target, Checkerboard) or not target.symmetric:
         return [places]
     grid = places.reshape(target.rows, target.columns)
-    # only a board of an odd number of squares a side keeps its colours in a quarter turn
+    # a quarter turn keeps the colours only if each side has an odd number of squares
     quarters = target.rows == target.columns and target.rows % 2 == 0
     return [np.rot90(grid, turns).ravel() for turns in (range(4) if quarters else (0, 2))]
 
@@ -158,7 +158,7 @@ def _turned(found: Detection, order: NDArray[np.intp]) -> Detection:
 
 
 def _mismatch(fix: Fix) -> float:
-    """How badly two views of a board go together: worse where corners have no answer."""
+    """Cost of matching two views of a board: rms gap, plus a penalty for corners not solved."""
     valid = np.asarray(fix.valid, bool)
     if not valid.any():
         return np.inf
@@ -174,7 +174,7 @@ def _corner_fix(
 
 
 def _fix(head: HeadModel, q: FloatArray, pixels: FloatArray, sigma: FloatArray, own: Noise) -> Fix:
-    """Triangulate with the detector's own noise; where it has none, that of the head's file."""
+    """Triangulate with the detector's pixel noise, or the head file's if the detector has none."""
     known = np.where(np.isfinite(sigma), sigma, head.sensor.detection_noise_px)
     return triangulate_views(head, q, pixels, Noise(pixel_px=known, joint_rad=own.joint_rad))
 
@@ -191,7 +191,7 @@ _NOWHERE: Final = Centre(np.full(3, np.nan), np.full((3, 3), np.nan))
 
 
 def _board_centre(target: PlanarTarget, fix: Fix, of_joints: FloatArray) -> Centre:
-    """The middle of a board: errors of pixels average out over corners, those of joints do not."""
+    """Centre of a board: pixel errors average out over its corners, joint errors do not."""
     weights = centre_weights(target.corners_m, np.asarray(fix.valid, bool))
     if not np.isfinite(weights).all():
         return _NOWHERE

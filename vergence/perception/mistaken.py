@@ -1,4 +1,4 @@
-"""What an image has in place of targets that are not in it: another number, another size."""
+"""Hint at targets that are similar to the ones asked for: another number, another size."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,24 +16,27 @@ from vergence.vision.boards.april_layout import grids_in
 from vergence.vision.tags.library import families_in
 
 _OTHERS: Final = ((-1, -1), (-1, 0), (0, -1), (1, 0), (0, 1), (1, 1), (-2, -2))
-"""Columns and rows more than were asked for; first what counting squares does, not corners."""
+"""Columns and rows to add to the size asked for; first the error of counting squares instead of
+inner corners (chosen: likely mistakes against time)."""
 _MOST_NAMED: Final = 5
+"""Most targets that a hint names (chosen: completeness against length)."""
 _MOST_PX: Final = 1280
-"""Larger images are reduced to this: a hint is not worth a dozen searches of 12 megapixels."""
+"""Longest side of the image that is searched, px; larger images are reduced (chosen: small targets
+against the time of a dozen searches in 12 megapixels)."""
 
 
 def mistaken(
     image: NDArray[np.uint8], targets: Sequence[Target], camera: EyeCamera | None = None
 ) -> str:
-    """What is there in place of what was asked for.
+    """Search an image for targets similar to those that were asked for.
 
     Args:
         image: (height, width) grey levels, in which none of the targets was found.
-        targets: what was asked for.
+        targets: targets that were asked for.
         camera: the eye; None if unknown.
 
     Returns:
-        A part of a sentence, such as ``tag:36h11:3 is there``; empty where nothing alike is.
+        Part of a sentence, such as ``tag:36h11:3 is there``; empty if there is nothing similar.
     """
     image, camera = _reduced(image, camera)
     there: list[str] = []
@@ -62,7 +65,7 @@ def mistaken(
 def _reduced(
     image: NDArray[np.uint8], camera: EyeCamera | None
 ) -> tuple[NDArray[np.uint8], EyeCamera | None]:
-    """A large image at a size that is quickly searched, and the camera that would have taken it."""
+    """Reduce a large image to a size that is searched quickly, and its camera accordingly."""
     height, width = image.shape
     if max(width, height) <= _MOST_PX:
         return image, camera
@@ -84,7 +87,7 @@ def _reduced(
 
 
 def _tags(image: NDArray[np.uint8], families: Sequence[str], camera: EyeCamera | None) -> list[str]:
-    """The tags of the first family that has any."""
+    """Tags of the first family that has any."""
     for family in dict.fromkeys(families):
         found = make_detector(TagFamily(family=family, size_known=False), camera).detect_all(image)
         if found:
@@ -93,11 +96,11 @@ def _tags(image: NDArray[np.uint8], families: Sequence[str], camera: EyeCamera |
 
 
 def _boards(image: NDArray[np.uint8], target: Checkerboard, camera: EyeCamera | None) -> list[str]:
-    """The first board of about that size."""
+    """First board of similar size."""
     for columns, rows in _OTHERS:
         try:
             other = replace(target, columns=target.columns + columns, rows=target.rows + rows)
-        except ConfigurationError:  # of fewer corners than a board has
+        except ConfigurationError:  # too few corners for a board
             continue
         if make_detector(other, camera).search(image) is not None:
             return [f"{other} (inner corners)"]
@@ -107,7 +110,7 @@ def _boards(image: NDArray[np.uint8], target: Checkerboard, camera: EyeCamera | 
 def _grids(
     image: NDArray[np.uint8], target: AprilGrid | None, camera: EyeCamera | None
 ) -> list[str]:
-    """The grid with other counts or another spacing, or tags of one that hang together."""
+    """Grid with other counts or another spacing; any grid if no target is given."""
     for other in grids_in(image, target):
         if make_detector(other, camera).detect(image) is not None:
             size = "" if target is None else f"{1000 * target.tag_m:g}"

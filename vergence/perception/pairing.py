@@ -1,9 +1,9 @@
-"""Which photograph of the left eye and which of the right one were taken together, by their names.
+"""Pair photographs of the left and the right eye by their names.
 
-Two images are a pair if their names, without the ending, are equal once the word that tells the
-side is taken away: `left` and `right`, `l` and `r`, or `cam0` and `cam1`, in either case. The word
-stands by itself: no letter touches it, except where the case changes as in `imageLeft12`. Where
-both folders have the same names, no word is needed.
+Two images are a pair if their names, without the extension, are equal after the word for the side
+is removed: `left` and `right`, `l` and `r`, `cam0` and `cam1`, or `camera0` and `camera1`, in upper
+or lower case. The word must be separate: no letter is next to it, except if the case changes there,
+as in `imageLeft12`. If both folders use the same names, no such word is needed.
 """
 
 import re
@@ -15,9 +15,9 @@ from vergence.errors import ConfigurationError
 from vergence.perception.photographs import check_there, photographs_in, some_of
 
 _WORDS: Final = (("left", "right"), ("l", "r"), ("cam0", "cam1"), ("camera0", "camera1"))
-"""What tells the sides of a pair, left first; a longer word before a shorter one."""
+"""Words for the sides of a pair, left first."""
 _SIDE: Final = "\0"
-"""Stands in a name for the word that tells the side."""
+"""Placeholder in a name for the word for the side."""
 
 
 class ImagePair(NamedTuple):
@@ -28,7 +28,7 @@ class ImagePair(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The name of the left image."""
+        """Name of the left image."""
         return self.left.name
 
 
@@ -40,19 +40,20 @@ class Pairs(NamedTuple):
     alone: list[Path]
     """Images without a partner, those of the left folder first."""
     single: bool
-    """Whether two files were given, not folders."""
+    """True if two files were given, not folders."""
 
 
 def pair_up(left: Path, right: Path) -> Pairs:
-    """The pairs of two images or two folders.
+    """Pair two images, or the images of two folders.
 
     Args:
         left: an image, or a folder of the left eye's images.
-        right: the same of the right eye. It may be the same folder, where names tell the sides.
+        right: an image, or a folder of the right eye's images. It may be the same folder if the
+            names have words for the sides.
 
     Raises:
-        ConfigurationError: one is not there, one is a file and the other a folder, a folder has no
-            images, no image has a partner, or one has two.
+        ConfigurationError: one does not exist, one is a file and the other a folder, a folder has
+            no images, no image has a partner, or one has two.
     """
     for place in (left, right):
         check_there(place)
@@ -69,12 +70,12 @@ def pair_up(left: Path, right: Path) -> Pairs:
 
 
 def pair_images(lefts: Sequence[Path], rights: Sequence[Path], *, same: bool = False) -> Pairs:
-    """The pairs of two lists of images.
+    """Pair the images of two lists.
 
     Args:
         lefts: images of the left eye.
         rights: images of the right eye.
-        same: whether both lists are of the same images, whose names have to tell the sides.
+        same: True if both lists hold the same images, so that names must have a word for the side.
 
     Raises:
         ConfigurationError: no image has a partner, or one has two.
@@ -120,23 +121,23 @@ def pair_images(lefts: Sequence[Path], rights: Sequence[Path], *, same: bool = F
 
 
 def _keys(path: Path, eye: int, told: bool) -> list[str]:
-    """What a name may be called without its side, the likeliest first.
+    """Possible keys of an image: its name without the word for the side, the likeliest first.
 
     Args:
         path: the image.
         eye: 0 for left, 1 for right.
-        told: whether the name has to tell the side.
+        told: True if the name must have a word for the side.
     """
     keys = [] if told else [path.stem]
     for words in _WORDS:
         for start, end in _places(path.stem, words[eye]):
-            # with the kind of the word, so that `l` goes with `r` alone
+            # the key holds the kind of word, so that `l` matches only `r`
             keys.append(f"{path.stem[:start]}{_SIDE}{words[0]}{_SIDE}{path.stem[end:]}")
     return keys
 
 
 def _places(stem: str, word: str) -> list[tuple[int, int]]:
-    """Where a word stands by itself in a name, the last place first."""
+    """Positions at which a word is separate in a name, the last one first."""
     found = []
     for match in re.finditer(re.escape(word), stem, re.IGNORECASE):
         before, text, after = stem[: match.start()][-1:], match[0], stem[match.end() :][:1]

@@ -1,4 +1,4 @@
-"""The photographs of a folder, in the order in which people number them."""
+"""List the photographs of folders, sorted by the numbers in their names."""
 
 import glob
 import re
@@ -11,26 +11,26 @@ from vergence.errors import ConfigurationError
 SUFFIXES: Final = (
     ".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pnm", ".jp2",
 )  # fmt: skip
-"""Endings of the files that count as photographs; other files of a folder are passed over."""
+"""Extensions of files that count as photographs; other files of a folder are ignored."""
 _NAMED: Final = 5
-"""Names that a sentence holds before it only counts."""
+"""Most names in a message; further ones are only counted (chosen: completeness against length)."""
 
 
 def in_order(path: Path) -> tuple[object, ...]:
-    """A key to sort by: numbers in names count as numbers, `left2` before `left10`."""
-    # split by digits, texts and numbers alternate: like is always compared with like
+    """Sort key that treats numbers in names as numbers: `left2` comes before `left10`."""
+    # after the split, texts and numbers alternate, so that only like parts are compared
     parts = re.split(r"(\d+)", path.name)
     return tuple(int(part) if i % 2 else part.lower() for i, part in enumerate(parts)), path.name
 
 
 def photographs_in(folder: Path) -> list[Path]:
-    """The image files right in a folder, in their order.
+    """List the image files directly in a folder, sorted by `in_order`.
 
     Args:
         folder: a folder.
 
     Raises:
-        ConfigurationError: there is none in it, or it cannot be read.
+        ConfigurationError: the folder has no images, or cannot be read.
     """
     try:
         there = [path for path in folder.iterdir() if not path.name.startswith(".")]
@@ -46,14 +46,14 @@ def photographs_in(folder: Path) -> list[Path]:
 
 
 def check_there(place: Path) -> None:
-    """Refuse a place that is not there, before any other is looked at.
+    """Raise an error if a path does not exist.
 
     Raises:
-        ConfigurationError: it is not.
+        ConfigurationError: the path does not exist.
     """
     try:
         there = place.exists()
-    except (OSError, ValueError):  # such as a name that is too long: reading it says so
+    except (OSError, ValueError):  # e.g. a name that is too long: reading it raises a clear error
         there = True
     if not there:
         raise ConfigurationError(
@@ -62,13 +62,14 @@ def check_there(place: Path) -> None:
 
 
 def photographs_of(places: Sequence[Path]) -> list[Path]:
-    """Files as they are given, the photographs of folders, and what patterns match.
+    """List given files, the photographs of given folders, and files that match given patterns.
 
     Args:
         places: files, folders, and patterns such as `photos/*.jpg` that no shell has expanded.
 
     Raises:
-        ConfigurationError: a folder has none, a place is not there, or nothing matches a pattern.
+        ConfigurationError: a folder has no photographs, a path does not exist, or no file matches a
+            pattern.
     """
     found: list[Path] = []
     for place in places:
@@ -84,7 +85,7 @@ def photographs_of(places: Sequence[Path]) -> list[Path]:
 
 
 def some_of(names: Iterable[str]) -> str:
-    """Names in a sentence, the first few and how many more there are."""
+    """Join names for a message: the first few, and the number of further ones."""
     every = list(names)
     said = ", ".join(every[:_NAMED])
     return said if len(every) <= _NAMED else f"{said} and {len(every) - _NAMED} more"

@@ -1,4 +1,4 @@
-"""The distances between neighbouring corners in space, beside the stated one: a free check."""
+"""Distances between neighbouring corners in space, to be checked against the stated one."""
 
 from collections.abc import Iterable
 from functools import lru_cache
@@ -19,13 +19,13 @@ class Spacing(NamedTuple):
     """Distances between neighbouring corners: edges of squares, or of a tag."""
 
     mean_m: float
-    """Their mean; nan where there is none."""
+    """Mean distance; nan if there is none."""
     spread_m: float
-    """Their standard deviation."""
+    """Standard deviation of the distances."""
     number: int
-    """How many there are."""
+    """Number of distances."""
     stated_m: float
-    """What was stated; nan where no size was."""
+    """Stated distance; nan if no size was stated."""
 
     def document(self) -> dict[str, Any]:
         """Plain values, millimetres."""
@@ -38,7 +38,7 @@ class Spacing(NamedTuple):
 
 
 def edge_m(target: PlanarTarget) -> float:
-    """The edge of a board's squares, or of its tags, or of a tag, as the target has it."""
+    """Stated edge of a board's squares, of a grid's tags, or of a tag."""
     if isinstance(target, AprilGrid):
         return target.tag_m
     return target.edge_m if isinstance(target, AprilTag) else target.square_m
@@ -47,7 +47,7 @@ def edge_m(target: PlanarTarget) -> float:
 @lru_cache(maxsize=64)
 def neighbours(target: PlanarTarget) -> NDArray[np.intp]:
     """(k, 2) pairs of corners that are one edge apart on the board."""
-    if isinstance(target, AprilGrid):  # what lies between two tags is no edge
+    if isinstance(target, AprilGrid):  # gaps between tags are not edges
         first = np.arange(len(target.corners_m))
         return np.column_stack([first, first - first % 4 + (first + 1) % 4])
     pairs = cKDTree(target.corners_m).query_pairs(1.01 * edge_m(target), output_type="ndarray")
@@ -55,14 +55,14 @@ def neighbours(target: PlanarTarget) -> NDArray[np.intp]:
 
 
 def distances(target: PlanarTarget, points: FloatArray) -> FloatArray:
-    """The distances between neighbouring corners.
+    """Distances between neighbouring corners.
 
     Args:
         target: the board.
-        points: (n, 3) its corners in space, metres; nan where there is no answer.
+        points: (n, 3) its corners in space, metres; nan for corners without a solution.
 
     Returns:
-        (k,) metres, of those neighbours of which both have an answer.
+        (k,) metres, for pairs of neighbours that both have a solution.
     """
     first, second = neighbours(target).T
     apart = np.linalg.norm(points[first] - points[second], axis=-1)
@@ -70,7 +70,7 @@ def distances(target: PlanarTarget, points: FloatArray) -> FloatArray:
 
 
 def spacing(target: PlanarTarget, points: Iterable[FloatArray]) -> Spacing:
-    """Mean and spread of the distances over one view of a target, or several.
+    """Mean and standard deviation of the distances over one or several views of a target.
 
     Args:
         target: the board.

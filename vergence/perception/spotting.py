@@ -1,4 +1,4 @@
-"""All targets that are looked for in one eye's images, and what is found of them."""
+"""Find all targets that are asked for in one eye's images."""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
@@ -17,7 +17,7 @@ from vergence.vision.image import read_pixels
 
 
 class Photograph(NamedTuple):
-    """An image and what is in it."""
+    """An image and the targets found in it."""
 
     path: Path
     image: NDArray[np.uint8]
@@ -26,10 +26,10 @@ class Photograph(NamedTuple):
 
 
 def parse_targets(texts: Sequence[str]) -> list[Target]:
-    """The targets that texts name, see `vergence.vision.parse_target`.
+    """Parse targets from texts, see `vergence.vision.parse_target`.
 
     Raises:
-        ConfigurationError: there is none, or a text cannot be.
+        ConfigurationError: there is no text, or one is invalid.
     """
     if not texts:
         raise ConfigurationError(
@@ -40,7 +40,7 @@ def parse_targets(texts: Sequence[str]) -> list[Target]:
 
 
 def identity(target: PlanarTarget) -> Hashable:
-    """What makes two detections ones of the same thing: of a tag family and number."""
+    """Key that is equal for detections of one target: family and number of a tag, else itself."""
     if isinstance(target, AprilTag):
         return target.family, target.id
     return target
@@ -52,22 +52,24 @@ def number_of(target: PlanarTarget) -> int | None:
 
 
 def belongs(detection: Detection, target: Target) -> bool:
-    """Whether a detection is of what was asked for: of a tag whichever text it was found by."""
+    """True if a detection is of the target; tags are compared by family and number alone."""
     found = detection.target
     if isinstance(target, TagFamily):
         return isinstance(found, AprilTag) and found.family == target.family
     if isinstance(target, CharucoBoard) and isinstance(found, CharucoBoard):
-        return replace(found, legacy=target.legacy) == target  # either layout is looked for
+        return replace(found, legacy=target.legacy) == target  # both layouts are searched for
     return identity(found) == identity(target)
 
 
 _CLIPPED_GREY: Final = 254
+"""Grey level from which on a pixel counts as clipped (chosen: just below 255, the largest)."""
 _MUCH_CLIPPED: Final = 0.15
-"""Of the pixels around a target."""
+"""Fraction of clipped pixels around a target above which its white is clipped (chosen: missed
+against false remarks)."""
 
 
 def is_clipped(image: NDArray[np.uint8], detection: Detection) -> bool:
-    """Whether the white of a target is as bright as a pixel can be.
+    """True if the white of a target is clipped.
 
     Args:
         image: (height, width) grey levels.
@@ -80,10 +82,10 @@ def is_clipped(image: NDArray[np.uint8], detection: Detection) -> bool:
 
 
 class Sought:
-    """Which of the targets that were asked for have been found in any image, and how well lit.
+    """Keeps track of targets that no image has shown so far, and of images with clipped white.
 
     Args:
-        targets: those that were asked for.
+        targets: targets that were asked for.
     """
 
     def __init__(self, targets: Sequence[Target]) -> None:
@@ -92,16 +94,16 @@ class Sought:
         self._images = self._clipped = 0
 
     def add(self, photograph: Photograph) -> None:
-        """Take an image into account."""
+        """Add an image."""
         self._images += 1
         found = photograph.found
         self._unseen = [t for t in self._unseen if not any(belongs(d, t) for d in found)]
         self._clipped += any(is_clipped(photograph.image, each) for each in found)
 
     def notes(self) -> list[str]:
-        """A line for each target that no image has, where others were found; and on the light."""
+        """One line per target that is in no image although others are, and one on clipped white."""
         if len(self._unseen) == self._asked:
-            return []  # that nothing is found at all is said anyway
+            return []  # callers report themselves that nothing was found
         images = f"{self._images} image{'' if self._images == 1 else 's'}"
         said = [f"{target}: found in 0 of {images}" for target in self._unseen]
         if self._clipped:
@@ -116,7 +118,7 @@ class Spotter:
     """Finds all targets in images of one eye.
 
     Args:
-        targets: what to look for; a tag that several of them name belongs to the first.
+        targets: targets to find; a tag that matches several of them is reported for the first.
         camera: the eye, whose lens and image size are taken into account; None if unknown.
         response: light by grey level; None for the camera's, see `make_detector`.
     """
@@ -133,10 +135,10 @@ class Spotter:
         self._detectors = [make_detector(target, camera, response) for target in targets]
 
     def spot(self, image: ArrayLike) -> list[Detection]:
-        """Everything that is found, in the order of the targets, tags by their numbers.
+        """Find all targets, in the order of `targets`, tags sorted by their numbers.
 
         Args:
-            image: any that `as_grey` takes.
+            image: any image that `as_grey` takes.
 
         Raises:
             ConfigurationError: the image has another size than the camera's.
@@ -150,17 +152,17 @@ class Spotter:
         return found
 
     def spot_in(self, path: Path) -> Photograph:
-        """Read an image and find everything in it.
+        """Read an image and find all targets in it.
 
         Args:
             path: the image's file.
 
         Returns:
-            The image, and what is in it.
+            The image and the targets found in it.
 
         Raises:
             ConfigurationError: the image has another size than the camera's.
-            UnreadableFileError: it cannot be read.
+            UnreadableFileError: the file cannot be read.
         """
         pixels = read_pixels(path)
         try:

@@ -1,4 +1,4 @@
-"""What was located as tables of numbers: a row a corner, and a row a target."""
+"""Write located targets as tables: one row per corner, and one row per target."""
 
 import csv
 from collections.abc import Iterable, Sequence
@@ -15,7 +15,7 @@ _SPACE = ("x", "y", "z")
 
 
 def write_points(path: Path, located: Sequence[Located]) -> None:
-    """Write a row for each corner of each target; cells without an answer are empty."""
+    """Write one row per corner of each target; cells without a solution are empty."""
     head = ["pair", "target", "id", "point"]
     head += [f"{axis}_mm" for axis in _SPACE] + [f"sigma_{axis}_mm" for axis in _SPACE] + ["gap_mm"]
     for what in ("", "sigma_"):
@@ -38,7 +38,7 @@ def _points(one: Located) -> Iterable[list[object]]:
 
 
 def write_targets(path: Path, located: Sequence[Located]) -> None:
-    """Write a row for each target of each pair."""
+    """Write one row per target of each pair."""
     head = ["pair", "target", "id", "points"]
     head += [f"{axis}_mm" for axis in _SPACE] + [f"sigma_{axis}_mm" for axis in _SPACE]
     head += ["gap_rms_mm", "spacing_mean_mm", "spacing_spread_mm", "spacing_stated_mm"]

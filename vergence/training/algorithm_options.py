@@ -1,4 +1,4 @@
-"""Which options of Stable-Baselines3's PPO a run may choose, and within which bounds."""
+"""The options of Stable-Baselines3's PPO that a run may set, and their bounds."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,21 +7,22 @@ from typing import Any, Final
 from vergence.errors import ConfigurationError, refuse_unknown
 
 LARGEST: Final = 1e30
-"""The largest number of an option, well within float32."""
+"""Largest value of an option, well within float32 (numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """The numbers that an option may have."""
+    """Bounds of a numeric option."""
 
     low: float = 0.0
     high: float = LARGEST
     above: bool = False
-    """Whether the least number itself is excluded."""
+    """True if `low` itself is excluded."""
     whole: bool = False
+    """True if only integers are allowed."""
 
     def allow(self, value: object) -> bool:
-        """Whether an option may have a value."""
+        """True if a value is within the bounds."""
         if isinstance(value, bool) or not isinstance(value, int if self.whole else int | float):
             return False
         return self.low <= value <= self.high and not (self.above and value == self.low)
@@ -34,6 +35,7 @@ class Bounds:
 
 
 _MANY: Final = 2**31
+"""Largest count, beyond any practical one (numerical)."""
 _SHARE: Final = Bounds(high=1.0)
 _COUNT: Final = Bounds(low=1, high=_MANY, whole=True)
 _POSITIVE: Final = Bounds(above=True)
@@ -53,11 +55,11 @@ _OPTIONS: Final[dict[str, Bounds | None]] = {
     "max_grad_norm": _POSITIVE,
     "target_kl": _POSITIVE,
 }
-"""The options; None for one that is true or false."""
+"""Bounds by option; None for a boolean."""
 
 
 def check_algorithm(options: Mapping[str, Any]) -> None:
-    """Refuse options of PPO that cannot be.
+    """Raise an error for an invalid option of PPO.
 
     Args:
         options: values by Stable-Baselines3's names.

@@ -1,9 +1,9 @@
-"""Checkpoint files: replaced whole, read without running anything, refused when a bit has changed.
+"""Checkpoint files: written atomically, read without executing code, protected by a checksum.
 
-A checkpoint is a mapping of tensors, numbers and words, saved by `torch.save`: a ZIP archive. The
-archive's comment, the last bytes of the file, is the SHA-256 of all bytes before it. It is read by
-`torch.load` with `weights_only=True`, which builds nothing else. A kill at any moment leaves the
-old file or the new one.
+A checkpoint is a mapping of tensors, numbers and strings, saved by `torch.save` as a ZIP archive.
+The archive's comment, the last bytes of the file, is the SHA-256 of all bytes before it. It is read
+by `torch.load` with `weights_only=True`, which creates no other objects. If the process is killed
+at any moment, the file is either the old one or the new one.
 """
 
 import hashlib
@@ -19,28 +19,28 @@ from vergence.errors import ConfigurationError
 from vergence.files import write_whole
 
 FORMAT: Final = 4
-"""Version of what a checkpoint holds."""
+"""Version of a checkpoint's content (numerical)."""
 _DIGITS: Final = 64
-"""Hexadecimal digits of a SHA-256."""
+"""Hexadecimal digits of a SHA-256 (physical: the standard FIPS 180-4)."""
 
 
 def write_checkpoint(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a checkpoint; the file of that name is replaced at once or not at all.
+    """Write a checkpoint atomically.
 
     Args:
         path: the file.
-        content: tensors, numbers, words, and lists and dictionaries of these.
+        content: tensors, numbers, strings, and lists and dictionaries of these.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, checkpoint_bytes(content))
 
 
 def checkpoint_bytes(content: Mapping[str, Any]) -> bytes:
-    """A checkpoint as the bytes of its file, see `write_checkpoint`."""
-    # in memory: on a full disk `torch.save` raises no OSError
+    """Serialise a checkpoint to the bytes of its file, see `write_checkpoint`."""
+    # in memory, since `torch.save` raises no OSError on a full disk
     archive = io.BytesIO()
     torch.save({"format": FORMAT, **content}, archive)
-    # an archive ends with the length of its comment, which has been 0
+    # an archive ends with the length of its comment, which is 0 so far
     archive.seek(-2, io.SEEK_END)
     archive.write(_DIGITS.to_bytes(2, "little"))
     archive.write(_digits(archive.getvalue()))
@@ -51,7 +51,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     """Read a checkpoint.
 
     Raises:
-        ConfigurationError: there is no such file, or it is not a checkpoint, or not as written.
+        ConfigurationError: the file does not exist, is not a checkpoint, or is damaged.
     """
     try:
         data = path.read_bytes()

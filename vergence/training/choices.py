@@ -1,4 +1,4 @@
-"""The choices of a training run: a recipe's, and over them the user's."""
+"""Resolve the configuration of a training run: the recipe's values, overridden by the user's."""
 
 import dataclasses
 import tomllib
@@ -16,20 +16,20 @@ from vergence.training.recipes import recipe
 _GROUPS: Final = ("algorithm",)
 """Fields of the configuration that are themselves mappings: `algorithm.gamma=0.95`."""
 _OWN: Final = ("kind", "head", "scenario", "plant", "seed")
-"""Fields that have a word of their own on the command line."""
+"""Fields with an option of their own on the command line, which `--set` does not take."""
 
 
 def choose(options: TrainOptions) -> tuple[TrainConfig, HeadModel]:
-    """A run's configuration, with everything resolved.
+    """Resolve a run's configuration.
 
     Args:
-        options: what a person has chosen.
+        options: the user's choices.
 
     Returns:
         The configuration and the head.
 
     Raises:
-        VergenceError: there is no kind, a name is unknown or a value cannot be.
+        VergenceError: no kind is given, a name is unknown or a value is invalid.
     """
     if options.kind is None:
         raise ConfigurationError(
@@ -37,22 +37,22 @@ def choose(options: TrainOptions) -> tuple[TrainConfig, HeadModel]:
         )
     check_kind(options.kind)
     scenario = load_scenario(options.scenario)
-    # what was not asked for is the recipe's
+    # fields that the user has not set are the recipe's
     fields = {**vars(recipe(options.kind)), "head": ""}
     fields |= {name: value for name, value in vars(options).items() if value is not None}
     del fields["set"]
     known = [field.name for field in dataclasses.fields(TrainConfig) if field.name not in _OWN]
     asked = [_apply(change, fields, known) for change in options.set]
-    # the scenario's head may differ from the preset of its name, by the steps of its encoders
+    # the scenario's head may differ from the preset of that name in its encoder quantisation
     model = load_head(fields["head"]) if fields["head"] else scenario.model()
     if "shared" not in asked and Inputs.of(fields["inputs"], model).by_joint is None:
-        # inputs that are not told joint by joint cannot be learned from joint by joint
+        # a network shared by the joints needs inputs that are given per joint
         fields["shared"] = False
     return TrainConfig(**fields), model
 
 
 def _apply(change: str, fields: dict[str, Any], known: list[str]) -> str:
-    """Apply `FIELD=VALUE` to the fields; the field's name."""
+    """Apply `FIELD=VALUE` to the fields; return the field's name."""
     name, equals, text = change.partition("=")
     group, _, key = name.strip().partition(".")
     if not equals or group not in known or (group in _GROUPS) != bool(key):

@@ -1,4 +1,4 @@
-"""What a training run is made of, and its place in the run folder."""
+"""The configuration of a training run, and its files in the run folder."""
 
 import dataclasses
 import math
@@ -22,17 +22,18 @@ KINDS: Final = get_args(Kind)
 PLANTS: Final = get_args(TrainingPlant)
 ACTIVATIONS: Final = ("tanh", "relu", "elu", "silu")
 PACKAGES: Final = ("torch", "stable-baselines3")
-"""Packages whose versions matter beyond those of every run."""
+"""Packages whose versions are recorded in addition to those of every run."""
 _COUNTS: Final = {
     "steps": 2**53,
-    "envs": 2**20,  # those that the seeds of a scenario's split keep apart
+    "envs": 2**20,  # number of environments that get distinct seeds in a scenario's split
     "episode_steps": 2**31,
     "evaluations": 2**31,
     "episodes": 2**20,
     "threads": 256,
 }
-"""The greatest of each number of something; the least is 1."""
+"""Largest value of each count; the smallest is 1."""
 _LOG_STD: Final = (-20.0, 2.0)
+"""Bounds of `log_std_init`, logarithm of a standard deviation of actions in [-1, 1] (numerical)."""
 _TYPES: Final[dict[Any, tuple[type, ...]]] = {
     int: (int,),
     bool: (bool,),
@@ -41,32 +42,33 @@ _TYPES: Final[dict[Any, tuple[type, ...]]] = {
     tuple[int, ...]: (tuple,),
     dict[str, Any]: (dict,),
 }
-"""What a field of a type may be; of any other type, a text."""
+"""Python types that the values of a field may have, by the field's annotation; else `str`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig(Recipe):
-    """A training run, all choices made: what `config.toml` in a run folder says.
+    """The complete configuration of a training run, as in the run folder's `config.toml`.
 
     Raises:
-        ConfigurationError: a field has a value that cannot be.
+        ConfigurationError: a field has an invalid value.
     """
 
     kind: Kind
     """`gain-schedule` or `policy`."""
     scenario: str
-    """Scenario whose training trials it learns from, and whose validation trials judge it."""
+    """Scenario whose training trials are used for learning, and its validation trials for
+    evaluation."""
     head: str
     """Head: a preset's name, the path of a TOML file, or empty for the scenario's own; the run
     folder keeps a copy."""
     plant: TrainingPlant
-    """What moves the heads."""
+    """Plant that moves the heads."""
     seed: int
     """Seed of the networks, the exploration and the trials."""
     evaluations: int = 40
-    """How often it is evaluated and saved in the course of the run."""
+    """Number of evaluations during the run; the run is saved at each."""
     episodes: int = 300
-    """Validation trials of an evaluation."""
+    """Validation trials per evaluation."""
     threads: int = 1
     """Threads of torch."""
 
@@ -100,23 +102,23 @@ class TrainConfig(Recipe):
 
 
 def check_kind(kind: str) -> None:
-    """Refuse a kind of training that there is not.
+    """Raise an error for an unknown kind of training.
 
     Raises:
-        ConfigurationError: there is none of that name.
+        ConfigurationError: there is no kind of that name.
     """
     _check_known("train", kind, KINDS)
 
 
 def check_type(name: str, value: object) -> None:
-    """Refuse a value that is not of its field's type.
+    """Raise an error for a value of the wrong type.
 
     Args:
         name: a field of `TrainConfig`.
         value: its value.
 
     Raises:
-        ConfigurationError: it is of another type.
+        ConfigurationError: the value has another type than the field.
     """
     hint = get_type_hints(TrainConfig)[name]
     expected = _TYPES.get(hint, (str,))
@@ -135,7 +137,7 @@ def _check_known(name: str, value: object, known: tuple[str, ...]) -> None:
 
 
 def _check_widths(name: str, widths: tuple[Any, ...]) -> None:
-    """Hidden layers that a bundle could hold."""
+    """Check that a bundle can hold hidden layers of these widths."""
     whole = all(isinstance(w, int) and not isinstance(w, bool) for w in widths)
     if not widths or not whole or not all(1 <= width <= MAX_WIDTH for width in widths):
         raise ConfigurationError(
@@ -150,20 +152,20 @@ def _check_widths(name: str, widths: tuple[Any, ...]) -> None:
 
 
 def begin_run(folder: Path, config: TrainConfig, head: HeadModel) -> None:
-    """Make a run folder with the configuration, the head and the versions.
+    """Create a run folder with the configuration, the head and the packages' versions.
 
     Raises:
-        ConfigurationError: the folder cannot be made or has something in it.
+        ConfigurationError: the folder cannot be created or is not empty.
     """
     with run_folder(folder) as partial:
         write_config(partial, config, head, PACKAGES)
 
 
 def check_new(folder: Path) -> None:
-    """Refuse a run folder with something in it, and say how to go on with a run in it.
+    """Raise an error for a folder that is not empty; it says how to resume a run in the folder.
 
     Raises:
-        ConfigurationError: there is something.
+        ConfigurationError: the folder is not empty.
     """
     if (folder / "config.toml").is_file() and command_of(folder) in ("train", None):
         raise ConfigurationError(
@@ -174,13 +176,13 @@ def check_new(folder: Path) -> None:
 
 
 def load_run(folder: Path) -> tuple[TrainConfig, HeadModel]:
-    """The configuration and the head of a training run.
+    """Load the configuration and the head of a training run.
 
     Args:
         folder: the run folder.
 
     Raises:
-        ConfigurationError: it is no run folder of `vergence train`, or its head is another.
+        ConfigurationError: it is not a run folder of `vergence train`, or its head has changed.
     """
     path = folder / "config.toml"
     try:

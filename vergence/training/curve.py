@@ -1,4 +1,4 @@
-"""The learning curve: a row for each evaluation, as a table and as a figure."""
+"""The learning curve: one row per evaluation, as a table and as a figure."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,11 +22,11 @@ COLUMNS: Final = {
     "steps_per_s": "control steps learned from a second since the last row, evaluation left out",
     "best": "whether this is the best so far",
 }
-"""What a row of the curve says."""
+"""Columns of the curve, and their meanings."""
 
 
 def write_curve(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Write `curve.csv`, whole or not at all."""
+    """Write `curve.csv` atomically."""
     table = pd.DataFrame(list(rows), columns=list(COLUMNS))
     with whole_file(folder / "curve.csv") as partial:
         table.to_csv(partial, index=False)
@@ -41,8 +41,8 @@ def draw_curve(
         folder: the run folder.
         rows: the curve.
         baselines: headline metrics by name.
-        title: what was learned.
-        unit: `s` or `px`, of the headline metric.
+        title: title of the figure.
+        unit: unit of the headline metric, `s` or `px`.
     """
     table = pd.DataFrame(list(rows), columns=list(COLUMNS))
     millions = table["step"] / 1e6

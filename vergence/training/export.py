@@ -1,4 +1,4 @@
-"""From a training run to a bundle: its network with how it was made and what it reached."""
+"""Export a training run as a bundle: its network, how it was trained, and its metrics."""
 
 import dataclasses
 import shlex
@@ -31,14 +31,14 @@ def export_run(run: Path, out: Path, checkpoint: str = "best", replace: bool = F
         run: the run folder of `vergence train`.
         out: the bundle to write, `*.vgp`.
         checkpoint: `best` or `last`.
-        replace: whether a file of that name may be replaced.
+        replace: True to replace an existing file.
 
     Returns:
         The manifest of the bundle.
 
     Raises:
-        BundleError: the network may not stand in a bundle, or the file cannot be written.
-        ConfigurationError: the folder is no training run with such a checkpoint.
+        BundleError: a bundle cannot hold the network, or the file cannot be written.
+        ConfigurationError: the folder is not a training run with that checkpoint.
     """
     try:
         learner = load_learner(run, checkpoint)
@@ -76,7 +76,7 @@ def export_run(run: Path, out: Path, checkpoint: str = "best", replace: bool = F
 
 
 def command_of(config: TrainConfig) -> str:
-    """The command that makes a training run, whatever its recipe has become since."""
+    """Command that reproduces a training run, independent of later changes of the recipe."""
     words = ["vergence", "train", config.kind]
     named = {name: getattr(config, name) for name in _NAMED}
     if config.head:
@@ -96,7 +96,7 @@ _NAMED: Final = ("scenario", "plant", "seed", "steps", "envs", "inputs")
 
 
 def _changes(usual: Mapping[str, Any], wanted: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """What `--set` must say to come from the usual choices to others."""
+    """Arguments of `--set` that change the usual values to the wanted ones."""
     changes = []
     for name, value in wanted.items():
         if isinstance(value, Mapping):
@@ -108,7 +108,7 @@ def _changes(usual: Mapping[str, Any], wanted: Mapping[str, Any], prefix: str = 
 
 
 def _finite(value: Any) -> Any:
-    """Plain values, with what is infinite or missing (a run that never settled) as null."""
+    """Plain values, with null for infinite or missing ones (a run that never settled)."""
     if isinstance(value, Mapping):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

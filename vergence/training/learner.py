@@ -29,7 +29,7 @@ from vergence.training.vec_env import VectorEnvAdapter
 Actor = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 CLIP_INPUTS: Final = 10.0
-"""Normalised inputs are limited to this many standard deviations."""
+"""Limit of normalised inputs, standard deviations (chosen: outliers against information)."""
 _ACTIVATIONS: Final[dict[str, type[torch.nn.Module]]] = {
     "tanh": torch.nn.Tanh,
     "relu": torch.nn.ReLU,
@@ -42,16 +42,16 @@ class Learner:
     """A network, its algorithm and its training environments.
 
     Args:
-        config: what to learn and how.
-        head: the head, which the environments and the inputs know.
+        config: the run's configuration.
+        head: the head, used by the environments and the inputs.
 
     Raises:
-        VergenceError: an option cannot be.
+        VergenceError: an option is invalid.
     """
 
     def __init__(self, config: TrainConfig, head: HeadModel) -> None:
         torch.set_num_threads(config.threads)
-        # a network that has diverged is found where its weights and actions are checked
+        # weights and actions are checked elsewhere: this shows a network that has diverged
         torch.distributions.Distribution.set_default_validate_args(False)
         self.config = config
         self.head = head
@@ -69,7 +69,7 @@ class Learner:
             ) from error
 
     def _make(self, options: Mapping[str, Any]) -> None:
-        """Make environments, statistics and networks."""
+        """Create environments, statistics and networks."""
         config = self.config
         self.env = VectorEnvAdapter(
             training_env(
@@ -88,7 +88,7 @@ class Learner:
             gamma=config.algorithm.get("gamma", 0.99),
         )
         if not config.normalise_inputs:
-            # not used, but a checkpoint has statistics of the inputs in any case
+            # not used, but every checkpoint holds statistics of the inputs
             unused: Any = RunningMeanStd(shape=(self.inputs.size,))
             self.normalisation.obs_rms = unused
         self.model = _model(config, self.normalisation, self.inputs)
@@ -99,35 +99,35 @@ class Learner:
         self.env.seed(self.scenario.seed("train", self.config.seed))
 
     def restore(self, content: Mapping[str, Any]) -> None:
-        """Put the learner back to where a checkpoint was written.
+        """Restore the learner from a checkpoint.
 
         Args:
-            content: the checkpoint's; from that of a `last` one, training goes on as if it had
-                never stopped.
+            content: the checkpoint's content; from a `last` checkpoint, training continues as if
+                it had never stopped.
 
         Raises:
-            ConfigurationError: the checkpoint is that of another learner.
+            ConfigurationError: the checkpoint belongs to another learner.
         """
         restore(content, self.model, self.normalisation)
         if SURROUNDINGS in content:
             restore_surroundings(content[SURROUNDINGS], self.model, self.normalisation)
 
     def check_finite(self) -> None:
-        """Refuse to go on with networks or optimisers that have come to nan or infinity.
+        """Raise an error if networks or optimisers hold nan or infinity.
 
         Raises:
-            DivergedError: one has; the message says which.
+            DivergedError: one does; the message names it.
         """
         name = _not_finite(self.model.get_parameters())
         if name is not None:
             raise DivergedError(f"{name} became nan or infinite")
 
     def controller(self) -> "LearnedSoFar":
-        """The present network as a controller; it goes on changing with the learner."""
+        """The network as a controller; it keeps changing as the learner trains."""
         return LearnedSoFar(self.config.kind, self.inputs, self._act)
 
     def _act(self, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(n, size) inputs to (n, actions) in [-1, 1], without exploring."""
+        """Map (n, size) inputs to (n, actions) in [-1, 1], without exploration."""
         policy: Any = self.model.policy
         policy.set_training_mode(False)
         seen: Any = self.normalisation.normalize_obs(inputs)
@@ -147,8 +147,8 @@ class LearnedSoFar:
 
     Args:
         kind: `gain-schedule` or `policy`.
-        inputs: what the network sees.
-        act: (n, size) inputs to (n, actions) in [-1, 1].
+        inputs: the network's inputs.
+        act: maps (n, size) inputs to (n, actions) in [-1, 1].
     """
 
     def __init__(self, kind: str, inputs: Inputs, act: Actor) -> None:
@@ -177,7 +177,7 @@ class LearnedSoFar:
 
 
 def load_learner(folder: Path, which: str = "best") -> Learner:
-    """The learner of a run folder, with the weights and statistics of a checkpoint.
+    """Load the learner of a run folder, with the weights and statistics of a checkpoint.
 
     Args:
         folder: the run folder.
@@ -234,7 +234,7 @@ def _model(config: TrainConfig, env: VecNormalize, inputs: Inputs) -> PPO:
 
 
 def _not_finite(value: Any, name: str = "") -> str | None:
-    """The first tensor with a number that is not finite in nested dictionaries, by its name."""
+    """Name of the first tensor in nested dictionaries that holds nan or infinity."""
     if isinstance(value, torch.Tensor):
         return None if bool(torch.isfinite(value).all()) else name
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""The state of a learner: all that training goes on from, as tensors, numbers and words."""
+"""Save and restore a learner's state, as tensors, numbers and strings."""
 
 import json
 import random
@@ -15,7 +15,7 @@ from vergence.errors import ConfigurationError
 
 
 def state_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any]:
-    """What a learner has become: networks, optimisers, statistics and random generators.
+    """State of a learner: networks, optimisers, statistics and random generators.
 
     Args:
         model: the learner, between two rollouts.
@@ -32,11 +32,11 @@ def state_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any
 
 
 def surroundings_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any]:
-    """What a learner is in the midst of: its running episodes.
+    """State of a learner's running episodes.
 
     Args:
         model: the learner, between two rollouts.
-        normalisation: around the environments, whose `state` is asked for.
+        normalisation: wrapper of the environments, which must have `state`.
     """
     venv: Any = normalisation.venv
     seen: dict[str, Any] = {name: getattr(model, f"_last_{name}") for name in _LAST}
@@ -49,11 +49,11 @@ def surroundings_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[s
 
 
 _LAST: Final = ("obs", "original_obs", "episode_starts")
-"""What SB3 remembers of the step before, by the ends of its names."""
+"""Attributes of SB3's models that hold the previous step, without their prefix `_last_`."""
 
 
 def restore(content: Mapping[str, Any], model: BaseAlgorithm, normalisation: VecNormalize) -> None:
-    """Put a learner back to where a checkpoint was written.
+    """Restore a learner from a checkpoint, except for its running episodes.
 
     Raises:
         ConfigurationError: the checkpoint belongs to another network or algorithm.
@@ -76,7 +76,7 @@ def restore(content: Mapping[str, Any], model: BaseAlgorithm, normalisation: Vec
 def restore_surroundings(
     content: Mapping[str, Any], model: BaseAlgorithm, normalisation: VecNormalize
 ) -> None:
-    """Put a learner back into the midst of what it was doing, see `surroundings_of`.
+    """Restore a learner's running episodes, see `surroundings_of`.
 
     Raises:
         ConfigurationError: the checkpoint belongs to other environments.
@@ -102,7 +102,7 @@ def _arrays(tensors: Mapping[str, torch.Tensor]) -> dict[str, Any]:
 
 
 def _statistics(normalisation: VecNormalize) -> list[tuple[str, RunningMeanStd]]:
-    inputs: Any = normalisation.obs_rms  # a mapping for spaces that we do not have
+    inputs: Any = normalisation.obs_rms  # a mapping only for dictionary spaces, not used here
     return [("inputs", inputs), ("returns", normalisation.ret_rms)]
 
 

@@ -1,4 +1,4 @@
-"""Who is told how a training run goes, and what is told of it."""
+"""The listener that receives a training run's progress, and the run's result."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,27 +11,27 @@ Row = dict[str, Any]
 
 
 class Listener(Protocol):
-    """Who is told how a run goes, and may stop it."""
+    """Callbacks that receive a run's progress and may stop it."""
 
     def begin(self, baselines: dict[str, Score], unit: str) -> None:
-        """The baselines have been evaluated; their headline metric is in `unit`."""
+        """Called after the baselines are evaluated; their headline metric is in `unit`."""
 
     def going_on(self, done: int) -> None:
-        """A run goes on from so many control steps; from 0 where nothing had been saved."""
+        """Called if a run is resumed after `done` control steps; 0 if nothing had been saved."""
 
     def step(self, done: int, total: int) -> None:
-        """So many control steps have been learned from."""
+        """Called after every step with the number of control steps done and in total."""
 
     def row(self, row: Row) -> None:
-        """An evaluation has been made and the run saved."""
+        """Called after each evaluation, when the run has been saved."""
 
     def stopping(self) -> bool:
-        """Whether to save the run after this update and leave it."""
+        """True to save the run after this update and stop it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """How a run has ended."""
+    """Result of a run."""
 
     folder: Path
     rows: list[Row]

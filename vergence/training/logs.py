@@ -1,4 +1,4 @@
-"""What TensorBoard is shown of a run."""
+"""Log a run to TensorBoard."""
 
 import threading
 from pathlib import Path
@@ -9,11 +9,11 @@ from torch.utils.tensorboard.writer import SummaryWriter
 
 
 class TensorBoardWriter(KVWriter):
-    """Scalars to TensorBoard; a run that goes on hides what was written after its checkpoint.
+    """Writes scalars to TensorBoard; a resumed run hides entries from after its checkpoint.
 
     Args:
-        folder: where its files belong.
-        purge_step: the step from which on earlier entries are hidden; None for none.
+        folder: folder of the event files.
+        purge_step: step from which on existing entries are hidden; None to hide none.
     """
 
     def __init__(self, folder: Path, purge_step: int | None) -> None:
@@ -22,7 +22,7 @@ class TensorBoardWriter(KVWriter):
         self._writer = SummaryWriter(str(folder), purge_step=purge_step)
 
     def _unless_raised_here(self, args: threading.ExceptHookArgs) -> None:
-        """Say nothing of a file that cannot be written: the next `write` raises the error."""
+        """Ignore errors of the writer's thread on a file: the next `write` raises them."""
         if not isinstance(args.exc_value, OSError):
             self._excepthook(args)
 
@@ -36,7 +36,7 @@ class TensorBoardWriter(KVWriter):
         self._writer.flush()
 
     def close(self) -> None:
-        """Write what is left."""
+        """Write pending entries and close the files."""
         try:
             self._writer.close()
         finally:
@@ -44,5 +44,5 @@ class TensorBoardWriter(KVWriter):
 
 
 def make_logger(folder: Path, purge_step: int | None) -> Logger:
-    """SB3's logger, writing to TensorBoard alone."""
+    """Make an SB3 logger that writes only to TensorBoard."""
     return Logger(folder=None, output_formats=[TensorBoardWriter(folder, purge_step)])

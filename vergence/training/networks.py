@@ -1,8 +1,8 @@
-"""Policies in which one small network serves the four eye joints alike.
+"""Policies in which the four eye joints share one small network.
 
-An eye's joints differ in their geometry, and the inputs have taken that out: what is left is the
-same task four times (how far, how fast, what was commanded). One network with a joint's own
-numbers as its input learns from all four at once and treats them alike. The critic sees all.
+The eyes' joints differ in geometry, but the inputs already account for it. The task that remains is
+identical for all four: distance to go, velocity, past commands. One network, whose input is the
+channels of a single joint, learns from all four joints at once. The critic gets all inputs.
 """
 
 from collections.abc import Sequence
@@ -14,14 +14,14 @@ from torch import nn
 
 
 class SharedLayers(nn.Module):
-    """Hidden layers: of the actor one network for each joint, of the critic one for all.
+    """Hidden layers of an actor shared by the joints, and of a critic with all inputs.
 
     Args:
-        by_joint: (4, channels) where each joint's own numbers are among the inputs.
-        size: how many inputs there are.
+        by_joint: (4, channels) indices of each joint's own channels among the inputs.
+        size: number of inputs.
         widths: widths of the actor's hidden layers.
-        critic: widths of the critic's.
-        activation: between them.
+        critic: widths of the critic's hidden layers.
+        activation: activation after each layer.
     """
 
     def __init__(
@@ -40,43 +40,43 @@ class SharedLayers(nn.Module):
         self.critic = _layers(size, critic, activation)
 
     def forward(self, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """(n, size) inputs to the latent values of actor and critic."""
+        """Map (n, size) inputs to the latent values of actor and critic."""
         return self.forward_actor(inputs), self.forward_critic(inputs)
 
     def forward_actor(self, inputs: torch.Tensor) -> torch.Tensor:
-        """(n, size) inputs to (n, 4 width), joint by joint."""
+        """Map (n, size) inputs to (n, 4 width), joint by joint."""
         own = inputs[:, self.by_joint]  # type: ignore[index]
         return self.actor(own).flatten(1)  # type: ignore[no-any-return]
 
     def forward_critic(self, inputs: torch.Tensor) -> torch.Tensor:
-        """(n, size) inputs to the critic's latent values."""
+        """Map (n, size) inputs to the critic's latent values."""
         return self.critic(inputs)  # type: ignore[no-any-return]
 
 
 class SharedHead(nn.Module):
-    """The last layer of the actor: (n, 4 width) to (n, 4), the same for each joint."""
+    """The last layer of the actor, (n, 4 width) to (n, 4), shared by the joints."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
         self.width = width
         self.out = nn.Linear(width, 1)
-        # an untrained policy acts near zero, as Stable-Baselines3's own does
+        # the actions of an untrained policy are near zero, as in Stable-Baselines3
         nn.init.orthogonal_(self.out.weight, gain=0.01)
         nn.init.zeros_(self.out.bias)
 
     def forward(self, latent: torch.Tensor) -> torch.Tensor:
-        """Actions before they are limited."""
+        """Map latent values to actions that are not yet limited."""
         return self.out(latent.reshape(len(latent), -1, self.width)).squeeze(-1)  # type: ignore[no-any-return]
 
 
 class JointPolicy(ActorCriticPolicy):
-    """A policy for PPO whose actor is one network, used for each joint.
+    """A policy for PPO whose actor is one network shared by the joints.
 
     Args:
         *args: see `ActorCriticPolicy`.
         by_joint: see `SharedLayers`.
         critic: widths of the critic's hidden layers.
-        **kwargs: see `ActorCriticPolicy`; `net_arch` has the widths of the actor's.
+        **kwargs: see `ActorCriticPolicy`; `net_arch` holds the widths of the actor's hidden layers.
     """
 
     def __init__(
@@ -113,8 +113,8 @@ class JointPolicy(ActorCriticPolicy):
     def plain_actor(self) -> nn.Sequential:
         """The actor as ordinary layers, (n, size) inputs to (n, 4) actions not yet limited.
 
-        Joint by joint the same weights stand in blocks of larger matrices, with zeros elsewhere:
-        the form of it that an exchange format without indexing can hold.
+        The shared weights are repeated in one block per joint of larger matrices, with zeros
+        elsewhere: an exchange format without indexing can hold this form.
         """
         layers: Any = self.mlp_extractor
         joints, size = len(self._by_joint), self.features_dim

@@ -1,7 +1,7 @@
-"""From a learner to a network of a bundle: its actor as an ONNX graph, checked against torch.
+"""Export a learner's actor as the ONNX graph of a bundle, checked against torch.
 
-The graph has all that stands between what a network sees and what a bundle's outputs mean:
-normalisation, actor, squashing and rescaling.
+The graph holds all operations from the network's inputs to the bundle's outputs: normalisation,
+actor, squashing and rescaling.
 """
 
 import logging
@@ -29,28 +29,28 @@ from vergence.errors import BundleError, ConfigurationError
 from vergence.training.networks import JointPolicy
 
 CHECKED: Final = 10_000
-"""Random inputs on which ONNX and torch must agree."""
+"""Random inputs on which ONNX and torch must agree (numerical)."""
 TOLERANCE: Final = 1e-5
-"""By how much they may differ: 30 roundings of a float32 near 1."""
+"""Largest difference between their outputs: 84 machine epsilons of float32 (numerical)."""
 
 
 def network_of(
     kind: str, model: BaseAlgorithm, normalisation: VecNormalize | None
 ) -> tuple[Network, float]:
-    """A learner as a network of a bundle: normalise, act, squash, rescale; checked against it.
+    """Convert a learner to a network of a bundle, and check that both agree.
 
     Args:
         kind: `gain-schedule` or `policy`.
         model: a learner of Stable-Baselines3.
-        normalisation: the running statistics of its inputs; None where it has none.
+        normalisation: the running statistics of its inputs; None if it has none.
 
     Returns:
-        The network, and the greatest difference to the learner's own actions on 10,000 random
+        The network, and its largest difference from the learner's own outputs on 10,000 random
         inputs.
 
     Raises:
-        BundleError: it cannot be exported, or the two differ.
-        ConfigurationError: it is no PPO on actions from -1 to 1.
+        BundleError: the learner cannot be exported, or the two differ.
+        ConfigurationError: the learner is not a PPO with actions from -1 to 1.
     """
     actor = actor_of(model)
     (size,) = model.observation_space.shape or ()
@@ -69,17 +69,17 @@ def network_of(
 
 
 def export_network(actor: nn.Module, size: int) -> Network:
-    """An actor as an ONNX graph that a bundle may hold.
+    """Export an actor as an ONNX graph that a bundle can hold.
 
     Args:
-        actor: (n, size) inputs to (n, outputs), float32; every row by itself.
-        size: length of the inputs.
+        actor: maps (n, size) inputs to (n, outputs), float32, each row independently.
+        size: number of inputs.
 
     Returns:
-        The network; its weights are in it.
+        The network, with its weights.
 
     Raises:
-        BundleError: it needs operators that a bundle may not have.
+        BundleError: the actor needs operators that a bundle may not contain.
     """
     was_training = actor.training
     actor.eval()
@@ -102,7 +102,7 @@ def export_network(actor: nn.Module, size: int) -> Network:
     finally:
         actor.train(was_training)
     model = program.model_proto
-    # names of source files and modules of the machine that exported it
+    # drop the names of source files and modules of this machine
     for part in (model, model.graph, *model.graph.node, *model.graph.input, *model.graph.output):
         part.ClearField("metadata_props")
         part.ClearField("doc_string")
@@ -114,7 +114,7 @@ def export_network(actor: nn.Module, size: int) -> Network:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without what the exporter says about packages that are not installed, and about itself."""
+    """Suppress the exporter's messages about itself and about packages not installed."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)
@@ -129,18 +129,18 @@ def _quiet() -> Iterator[None]:
 def check_agreement(
     network: Network, reference: Callable[[NDArray[np.float32]], NDArray[Any]], seed: int = 0
 ) -> float:
-    """Compare a network with what it was made from, on random inputs over their whole range.
+    """Compare an exported network with its original on random inputs over their whole range.
 
     Args:
         network: the exported network.
-        reference: (n, inputs) float32 inputs in [-1, 1] to (n, outputs).
+        reference: the original; maps (n, inputs) float32 inputs in [-1, 1] to (n, outputs).
         seed: seed of the inputs.
 
     Returns:
-        The greatest difference of an output.
+        Largest difference of an output.
 
     Raises:
-        BundleError: it is more than `TOLERANCE`.
+        BundleError: the difference exceeds `TOLERANCE`.
     """
     rng = np.random.default_rng(seed)
     inputs = rng.uniform(-1.0, 1.0, (CHECKED, network.inputs)).astype(np.float32)
@@ -157,7 +157,7 @@ class _Actor(nn.Module):
 
     def __init__(self, features: nn.Module, action: nn.Module, squashed: bool) -> None:
         super().__init__()
-        # rows of numbers are flat as they are
+        # rows of inputs are flat already
         self.features = nn.Identity() if isinstance(features, FlattenExtractor) else features
         self.action = action
         self.squashed = squashed
@@ -168,16 +168,16 @@ class _Actor(nn.Module):
 
 
 def actor_of(model: BaseAlgorithm) -> nn.Module:
-    """The deterministic actor of a learner, from normalised inputs to actions in [-1, 1].
+    """Deterministic actor of a learner, from normalised inputs to actions in [-1, 1].
 
     Args:
         model: a PPO, or another on-policy learner of Stable-Baselines3.
 
     Returns:
-        The module; but for a `JointPolicy` it shares the learner's weights.
+        The module; it shares the learner's weights, except for a `JointPolicy`.
 
     Raises:
-        ConfigurationError: its policy is of another kind, or its actions have other bounds.
+        ConfigurationError: the policy is of another kind, or the actions have other bounds.
     """
     shape = model.action_space.shape or ()
     bounded = Box(-1.0, 1.0, shape, np.float32)
@@ -196,13 +196,13 @@ def actor_of(model: BaseAlgorithm) -> nn.Module:
 
 
 class Normalised(nn.Module):
-    """A network behind the normalisation of its inputs: clip((x - mean) / std).
+    """A network preceded by the normalisation of its inputs: clip((x - mean) / std).
 
     Args:
-        network: (n, size) normalised inputs to (n, outputs).
+        network: maps (n, size) normalised inputs to (n, outputs).
         mean: (size,) means of the inputs.
         std: (size,) their standard deviations.
-        clip: where normalised inputs are limited.
+        clip: limit of normalised inputs.
     """
 
     mean: torch.Tensor
@@ -213,28 +213,27 @@ class Normalised(nn.Module):
         super().__init__()
         self.network = network
         exact = torch.as_tensor(np.asarray(mean, dtype=np.float64))
-        # an input that hardly varies is divided by next to nothing: the rounding of its mean to
-        # float32 would then be seen, so the rest is subtracted as well
+        # dividing by the tiny standard deviation of an input that hardly varies would magnify the
+        # rounding of its mean to float32, so the rounding error is subtracted as well
         self.register_buffer("mean", exact.float())
         self.register_buffer("mean_rest", (exact - exact.float().double()).float())
         self.register_buffer("std", torch.as_tensor(np.asarray(std, dtype=np.float32)))
         self.clip = clip
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
-        """The network's outputs for inputs as they come."""
+        """Map inputs that are not normalised to the network's outputs."""
         normal = ((inputs - self.mean) - self.mean_rest) / self.std
         return self.network(torch.clip(normal, -self.clip, self.clip))  # type: ignore[no-any-return]
 
 
 class Uniform(nn.Module):
-    """Takes an actor's actions to outputs of which -1 and 1 are the bounds, and all is linear.
+    """Maps an actor's actions to outputs in [-1, 1] that are linear in gains or velocities.
 
-    What an action means to a training environment may be another thing (gains grow with its
-    square, velocities with its cube): here the graph learns it, so that one who runs a bundle
-    need not know it.
+    Training environments use nonlinear actions: gains grow with their square, velocities with their
+    cube. The exported graph includes this mapping, so that users of a bundle need not know it.
 
     Args:
-        actor: (n, size) inputs to (n, actions) in [-1, 1].
+        actor: maps (n, size) inputs to (n, actions) in [-1, 1].
         kind: `gain-schedule` or `policy`.
     """
 
@@ -244,7 +243,7 @@ class Uniform(nn.Module):
         self.kind = kind
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
-        """The outputs for an actor's inputs, as `outputs_of` has them."""
+        """Map an actor's inputs to outputs, see `outputs_of`."""
         action: torch.Tensor = self.actor(inputs)
         if self.kind == POLICY:
             return torch.pow(action, VELOCITY_POWER)
@@ -253,7 +252,7 @@ class Uniform(nn.Module):
 
 
 def outputs_of(kind: str, action: NDArray[Any]) -> NDArray[Any]:
-    """What a bundle's network puts out for an action of the training environment.
+    """Outputs of a bundle's network for actions of the training environment.
 
     Args:
         kind: `gain-schedule` or `policy`.

@@ -1,4 +1,4 @@
-"""Training runs: begin one, or go on with one that was stopped or killed."""
+"""Begin training runs, and resume those that were stopped or killed."""
 
 import dataclasses
 import time
@@ -34,19 +34,19 @@ def train(
 
     Args:
         folder: the run folder, new or empty.
-        config: what to learn and how.
+        config: the run's configuration.
         head: the head.
-        listener: who is told.
-        clock: seconds, for the speed in the curve.
+        listener: receives the progress.
+        clock: returns seconds, for the speed in the curve.
 
     Returns:
-        How it ended.
+        The run's result.
 
     Raises:
-        VergenceError: the folder is not free, or an option cannot be.
+        VergenceError: the folder is not empty, or an option is invalid.
     """
     check_new(folder)
-    learner = Learner(config, head)  # before the folder: it finds the options that cannot be
+    learner = Learner(config, head)  # before the folder is made: this raises on invalid options
     try:
         begin_run(folder, config, head)
         with _writing(folder):
@@ -61,23 +61,22 @@ def resume(
     steps: int | None = None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Result:
-    """Go on with a run from its last checkpoint, to the same number of steps.
+    """Resume a run from its last checkpoint.
 
-    What follows is what would have followed without the interruption, to the last bit. A learning
-    rate that falls over the run is the one that a run to `steps` has there, whatever the number
-    that the run was begun with.
+    The result is bit for bit the result without the interruption. If `steps` is given, a learning
+    rate that falls over the run continues as in a run of that length, not of the original one.
 
     Args:
         folder: the run folder.
-        listener: who is told.
-        steps: another number of steps in total; None for the configuration's.
-        clock: seconds, for the speed in the curve.
+        listener: receives the progress.
+        steps: new total number of steps; None for the configuration's.
+        clock: returns seconds, for the speed in the curve.
 
     Returns:
-        How it ended.
+        The run's result.
 
     Raises:
-        ConfigurationError: the folder holds no run that can go on, or it is already there.
+        ConfigurationError: the folder holds no run that can be resumed, or the run is finished.
     """
     config, head = load_run(folder)
     with _writing(folder):
@@ -111,10 +110,10 @@ def resume(
 
 @contextmanager
 def _writing(folder: Path) -> Iterator[None]:
-    """Say what is kept of a run whose folder cannot be written any more.
+    """Convert an error of writing the run folder to a message on resuming the run.
 
     Raises:
-        ConfigurationError: it cannot.
+        ConfigurationError: the folder cannot be written.
     """
     try:
         yield
@@ -126,7 +125,7 @@ def _writing(folder: Path) -> Iterator[None]:
 
 
 class _Stopped(Exception):  # noqa: N818  not an error
-    """The listener wants the run to stop here, where it has just been saved."""
+    """Raised to stop the run at the listener's request, after it has been saved."""
 
 
 class _Run(BaseCallback):
@@ -157,7 +156,7 @@ class _Run(BaseCallback):
         self._checkpoints = RunCheckpoints(folder, config, learner.head)
 
     def go_on(self) -> Result:
-        """Learn until the configuration's steps are done or the listener stops it."""
+        """Train until the configuration's steps are done or the listener stops the run."""
         learner, model = self._learner, self._learner.model
         total = learner.config.steps
         listener = self._listener
@@ -171,7 +170,7 @@ class _Run(BaseCallback):
         finished = True
         self._since = (done, self._clock())
         try:
-            # numbers out of range are found and said by `check_finite`
+            # `check_finite` reports numbers out of range
             with np.errstate(over="ignore", invalid="ignore"):
                 if done < total:
                     self._learn(total - done)
@@ -192,7 +191,7 @@ class _Run(BaseCallback):
         )
 
     def _learn(self, steps: int) -> None:
-        """Learn from so many steps, evaluate and save."""
+        """Train for a number of steps, then evaluate and save."""
         self._learner.model.learn(
             steps,
             callback=self,
@@ -202,7 +201,7 @@ class _Run(BaseCallback):
         self._save()
 
     def _on_rollout_start(self) -> None:
-        # here the networks have learned from all steps so far: the one place to save them
+        # save only here, where the networks have learned from all steps so far
         self._learner.check_finite()
         done = self.model.num_timesteps
         if not self._rows or done // self._every > self._rows[-1]["step"] // self._every:

@@ -1,4 +1,4 @@
-"""The checkpoints of a run folder: the best and the last, bound to the run's choices and head."""
+"""The best and the last checkpoint of a run folder, bound to its configuration and head."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -15,38 +15,38 @@ from vergence.training.config import TrainConfig
 
 CHECKPOINTS: Final = ("best", "last")
 SURROUNDINGS: Final = "surroundings"
-"""What the last checkpoint holds beside what the best one does: what it was in the midst of."""
+"""Key of the state of running episodes, which only the last checkpoint holds."""
 _MAY_CHANGE: Final = ("steps",)
-"""Choices that may change when a run goes on."""
+"""Fields of the configuration that may change if a run is resumed."""
 
 
 @dataclass(frozen=True)
 class RunCheckpoints:
     """The checkpoints of one run.
 
-    `last` is what the run goes on from, `best` the network of its best evaluation. Each says which
-    run it is of, and is refused in another.
+    A run is resumed from `last`; `best` holds the network of its best evaluation. Each records the
+    configuration and head of its run; reading it for another run raises an error.
     """
 
     run: Path
     """The run folder."""
     config: TrainConfig
-    """What `config.toml` says."""
+    """Configuration in `config.toml`."""
     head: HeadModel
-    """What `head.toml` says."""
+    """Head in `head.toml`."""
 
     def path(self, which: str) -> Path:
-        """The file of a checkpoint."""
+        """Path of a checkpoint."""
         return self.run / "checkpoints" / f"{which}.pt"
 
     def read(self, which: str) -> dict[str, Any]:
-        """The content of a checkpoint.
+        """Read the content of a checkpoint.
 
         Args:
             which: `best` or `last`.
 
         Raises:
-            ConfigurationError: there is none, it is damaged, or it is that of another run.
+            ConfigurationError: the checkpoint is missing, damaged, or of another run.
         """
         if which not in CHECKPOINTS:
             raise ConfigurationError(f"checkpoint: expected best or last, got {which!r}")
@@ -69,28 +69,28 @@ class RunCheckpoints:
     def write(
         self, content: Mapping[str, Any], surroundings: Mapping[str, Any], best: bool
     ) -> None:
-        """Write the last checkpoint, and the best one if this is it.
+        """Write the last checkpoint, and also the best one if `best`.
 
         Args:
-            content: what both hold.
-            surroundings: what the last one holds beside that, to go on from.
-            best: whether this is the best evaluation so far.
+            content: content of both.
+            surroundings: state of the running episodes, only for the last one.
+            best: True if this is the best evaluation so far.
         """
         marked = {**content, "run": self._run()}
         full = {**marked, SURROUNDINGS: surroundings}
         folder = self.path("last").parent
         folder.mkdir(exist_ok=True)
-        # the last first: where a kill comes between, `latest` makes the best one from it
+        # last.pt comes first: if the process is killed in between, `latest` makes best.pt from it
         with whole_files(folder, last="best.pt") as beside:
             (beside / "last.pt").write_bytes(checkpoint_bytes(full))
             if best:
                 (beside / "best.pt").write_bytes(checkpoint_bytes(marked))
 
     def latest(self) -> dict[str, Any] | None:
-        """The last checkpoint, with the best one beside it; None where nothing was saved yet.
+        """Read the last checkpoint, and make sure of the best one; None if nothing was saved yet.
 
         Raises:
-            ConfigurationError: either is missing, damaged or that of another run.
+            ConfigurationError: either is missing, damaged or of another run.
         """
         last, best = self.path("last"), self.path("best")
         if not last.exists():
@@ -119,14 +119,14 @@ class RunCheckpoints:
 
 
 def _has_progress(path: Path) -> bool:
-    """Whether a file is there, of a table whether it has rows."""
+    """True if a file exists and, for a table, has rows."""
     if not path.exists():
         return False
     return path.suffix != ".csv" or len(path.read_bytes().splitlines()) > 1
 
 
 def _changes(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """What differs, field by field."""
+    """Differences between two configurations, field by field."""
     changes = []
     for name in sorted(set(before) | set(now)):
         old, new = before.get(name), now.get(name)

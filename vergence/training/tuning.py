@@ -1,4 +1,4 @@
-"""Tuning of recipes: short trainings, judged on validation trials."""
+"""Tune recipes by short training runs, judged on validation trials."""
 
 import tempfile
 from collections.abc import Callable
@@ -19,11 +19,11 @@ SPANS: Final = {
     "gae_lambda": Span(0.85, 0.99),
     "log_std_init": Span(-2.0, 0.0),
 }
-"""What of a recipe is varied; gamma = 1 - 1 / discount_time_steps."""
+"""Search ranges of a recipe's parameters; gamma = 1 - 1 / discount_time_steps."""
 
 
 class _Silent:
-    """A listener that has nothing to say."""
+    """A listener that does nothing."""
 
     def begin(self, baselines: Any, unit: str) -> None:
         """See `vergence.training.listener.Listener`."""
@@ -43,7 +43,7 @@ class _Silent:
 
 
 def recipe_changes(options: Options) -> list[str]:
-    """A point of the search as changes of a recipe, see `vergence train --set`."""
+    """Convert a point of the search to changes of a recipe, see `vergence train --set`."""
     return [
         f"algorithm.learning_rate={options['learning_rate']!r}",
         f"algorithm.gamma={1.0 - 1.0 / options['discount_time_steps']!r}",
@@ -58,13 +58,13 @@ def training_objective(
     folder: Path,
     changes: Callable[[Options], list[str]] = recipe_changes,
 ) -> Objective:
-    """Judges a recipe by a short training: its last network on validation trials.
+    """Make an objective that scores the last network of a short training on validation trials.
 
     Args:
-        config: what is tuned; its `controller` is the kind of training,
-            its `steps` are those of each.
-        folder: where the trainings are kept while they run.
-        changes: a point of the search as changes of the recipe.
+        config: configuration of the tuning; its `controller` is the kind of training, its `steps`
+            the length of each training.
+        folder: folder for the trainings' files while they run.
+        changes: converts a point of the search to changes of the recipe.
     """
 
     def judge(options: Options) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""How good a controller in training is: on validation trials, beside the best fixed laws."""
+"""Score a controller in training on validation trials, and compare it with the best fixed laws."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -12,27 +12,27 @@ from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
 
 BASELINES: Final = ("ibvs-tuned", "state-feedback", "saccade")
-"""What a learned controller is compared with while it learns: the article's law with the best
-constant gain, and the laws that have the same predictor as its inputs."""
+"""Controllers that a learned one is compared with during training: the article's law with the best
+constant gain, and the laws that use the predictor of the learned one's inputs."""
 OF_MOVING: Final = ("ibvs-tuned", "pursuit")
-"""The same where targets move."""
+"""Controllers for this comparison if targets move."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """What an evaluation found."""
+    """Result of an evaluation."""
 
     headline: float
-    """Median settle time to the leading band, s, a failure counting as the whole trial; or for a
-    moving target the median tracking RMS, px."""
+    """Median settling time to the leading band, s, with the whole trial's duration for a failure;
+    for moving targets the median tracking RMS, px."""
     mean: float
-    """The same on average."""
+    """Mean of this metric."""
     settled_fraction: float
-    """Share of the trials that settle, or of the moving targets that are not lost."""
+    """Fraction of the trials that settle, or of the moving targets that are not lost."""
 
     @classmethod
     def of(cls, trials: Trials) -> "Score":
-        """The score of some trials."""
+        """Score of a set of trials."""
         if trials.moving:
             values, good = trials.tracking_px, ~trials.lost
         else:
@@ -46,27 +46,27 @@ class Score:
         )
 
     def rank(self, baseline: "Score") -> tuple[float, float, float]:
-        """Smaller is better: more failures than the baseline's first, then the metric.
+        """Sort key, smaller is better: failures in excess of the baseline's, then the metric.
 
-        Median settle times come in whole control periods; the mean tells equal ones apart.
+        Median settling times are multiples of the control period; the mean decides between equals.
         """
         excess = max(0.0, baseline.settled_fraction - self.settled_fraction)
         return excess, self.headline, self.mean
 
 
 class Validation:
-    """Evaluates controllers on the same validation trials, again and again.
+    """Evaluates controllers, always on the same validation trials.
 
     Args:
-        scenario: whose trials.
+        scenario: scenario of the trials.
         head: the head.
-        plant: what moves the heads.
-        seed: which of the validation trials.
-        episodes: how many.
+        plant: plant that moves the heads.
+        seed: seed that selects the validation trials.
+        episodes: number of trials.
 
     Attributes:
-        baselines: scores by name; the name says so where the options of the tuned controller
-            were found for another head.
+        baselines: scores by name; the name says so if the controller's options were tuned for
+            another head.
     """
 
     def __init__(
@@ -87,13 +87,13 @@ class Validation:
             if entry is not None:
                 label = name if is_for(entry, head) else f"{name} (untuned for this head)"
                 self.baselines[label] = self.score(make_controller(name, head, **entry.options))
-            else:  # with options of its own; the article's law for one that needs a tuned gain
+            else:  # default options; the plain article's law in place of one with a tuned gain
                 name = "ibvs" if name == "ibvs-tuned" else name
                 self.baselines[name] = self.score(make_controller(name, head))
 
     @property
     def best_baseline(self) -> Score:
-        """The baseline to beat."""
+        """Baseline with the best headline metric."""
         return min(self.baselines.values(), key=lambda score: score.headline)
 
     def score(self, controller: Controller) -> Score:

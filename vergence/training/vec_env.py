@@ -1,9 +1,9 @@
-"""Gymnasium vector environments as Stable-Baselines3 wants them.
+"""Adapt Gymnasium vector environments to the interface of Stable-Baselines3.
 
-Stable-Baselines3 has a vector interface of its own and refuses Gymnasium's. They differ in three
-things: SB3's environments begin the next episode within the step that ended the last one, its
-infos are a list with a dictionary for each place, and an ended episode's last observation and
-whether it was cut short by time stand there as `terminal_observation` and `TimeLimit.truncated`.
+Stable-Baselines3 has its own vector interface and does not accept Gymnasium's. They differ in three
+ways. SB3's environments begin the next episode within the step that ended the last one. Their infos
+are a list with one dictionary per environment. At the end of an episode this dictionary holds the
+last observation as `terminal_observation`, and `TimeLimit.truncated`.
 """
 
 from collections.abc import Sequence
@@ -20,17 +20,17 @@ from vergence.errors import ConfigurationError, DivergedError
 
 
 class VectorEnvAdapter(VecEnv):
-    """A Gymnasium vector environment behind the interface of Stable-Baselines3.
+    """A Gymnasium vector environment with the interface of Stable-Baselines3.
 
-    Nothing is done place by place but for those whose episode has ended: the places that go on
-    share one empty info. An ended episode's info holds what `Monitor` would write, `episode`
-    with the sum of rewards `r` and the length `l`, and `is_success` where the environment says.
+    For speed, Python loops only over environments whose episode has ended; all others share one
+    empty info. The info of an ended episode holds the entries that `Monitor` writes, `episode` with
+    the sum of rewards `r` and the length `l`, and `is_success` if the environment reports it.
 
     Args:
         env: a vector environment in `SameStep` mode.
-        seed: seed of the first reset: place i runs seed + i; None for any.
-        first_trial: number of the trial that each place begins with, of environments with
-            numbered trials.
+        seed: seed of the first reset: environment i gets seed + i; None for a random one.
+        first_trial: number of each environment's first trial, for environments with numbered
+            trials.
 
     Raises:
         ConfigurationError: the environment resets in another mode.
@@ -55,7 +55,7 @@ class VectorEnvAdapter(VecEnv):
         self._going_on: dict[str, Any] = {}
 
     def reset(self) -> NDArray[np.float32]:
-        """Begin an episode at every place, with the seeds and options last given."""
+        """Begin an episode in every environment, with the seeds and options last given."""
         options: dict[str, Any] = {}
         for key in self._options[0]:
             options[key] = [given[key] for given in self._options]
@@ -68,7 +68,7 @@ class VectorEnvAdapter(VecEnv):
         return np.asarray(observation)
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Take note of actions for `step_wait`.
+        """Store the actions for `step_wait`.
 
         Raises:
             DivergedError: an action is nan.
@@ -80,10 +80,10 @@ class VectorEnvAdapter(VecEnv):
     def step_wait(
         self,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Take the actions.
+        """Step the environments with the stored actions.
 
         Returns:
-            Observations, float32 rewards, whether each episode has ended, and infos.
+            Observations, float32 rewards, flags of episodes that have ended, and infos.
         """
         observation, reward, terminated, truncated, info = self.env.step(self._actions)
         reward = np.asarray(reward, dtype=np.float32)
@@ -107,16 +107,16 @@ class VectorEnvAdapter(VecEnv):
         return np.asarray(observation), reward, done, infos
 
     def state(self) -> SavedState:
-        """All that the running episodes go on from, of environments that have a `state`."""
+        """State from which the running episodes continue; the environments must have `state`."""
         env: Any = self.env
         monitored = copied({"returns": self._returns, "lengths": self._lengths})
         return {"monitored": monitored, **env.state()}
 
     def restore(self, state: SavedState) -> None:
-        """Put the episodes back to where `state` was called.
+        """Restore the episodes to a state from `state`.
 
         Raises:
-            ConfigurationError: the state is that of other environments.
+            ConfigurationError: the state belongs to other environments.
         """
         env: Any = self.env
         put_back({"returns": self._returns, "lengths": self._lengths}, state["monitored"])
@@ -127,19 +127,19 @@ class VectorEnvAdapter(VecEnv):
         self.env.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the vector environment, once for each place asked for."""
+        """An attribute of the vector environment, repeated for each index asked for."""
         value = getattr(self.env, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of the vector environment, which all places share."""
+        """Set an attribute of the vector environment, common to all environments."""
         self._all_places(indices, attr_name)
         setattr(self.env, attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of the vector environment, once for all places."""
+        """Call a method of the vector environment once for all environments."""
         self._all_places(indices, method_name)
         result = getattr(self.env, method_name)(*method_args, **method_kwargs)
         return [result] * self.num_envs
@@ -147,11 +147,11 @@ class VectorEnvAdapter(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
     ) -> list[bool]:
-        """No place has a wrapper of its own."""
+        """False for each index: single environments have no wrappers."""
         return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """The picture of each place."""
+        """Rendered image of each environment; None without rendering."""
         pictures: Any = self.env.render()
         return [None] * self.num_envs if pictures is None else list(pictures)
 

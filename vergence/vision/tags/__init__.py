@@ -1,1 +1,1 @@
-"""AprilTags: found by the AprilTag library, their corners by lines fitted to the edges."""
+"""AprilTags: found by the AprilTag library, their corners by a fit to all edges of the cells."""

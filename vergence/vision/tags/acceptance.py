@@ -1,4 +1,4 @@
-"""Accepting a fit as a tag, and the library's corners of a tag whose paper is bent."""
+"""Decide if a fit is a tag, and give a sigma to the library's corners of a tag on bent paper."""
 
 import math
 from typing import Final
@@ -12,36 +12,44 @@ from vergence.vision.tags.library import FoundSquare
 from vergence.vision.tags.report import Fit
 
 LEAST_EDGE_PX: Final = 8.0
+"""Shortest edge of a tag that is read, px (chosen: smaller tags against clutter)."""
 _LEAST_EXPLAINED: Final = 0.5
-"""Share of the variance near the edges that the print explains."""
+"""Smallest fraction of the variance near the edges that the print explains (chosen: tags in bad
+light against false tags)."""
 _LEAST_CONTRAST_GREY: Final = 5.0
+"""Smallest mean contrast of a tag, grey levels of light (chosen: dim tags against noise)."""
 _LEAST_RIM: Final = 0.1
-"""Of the contrast, by which the light steps at the sides of the square: the inside of a border of
-two bits, as kalibr's grids have it, reads like a tag."""
+"""Smallest mean step of the light across the square's sides, as a fraction of the contrast. It
+rejects the inside of a border two cells wide, as in kalibr's grids, which reads like a tag
+(chosen: blurred tags against such insides)."""
 _MOST_FRAME: Final = 1
-"""Cells of the frame around the code that may be wrong."""
+"""Most wrong cells in the frame around the code (chosen: dirty tags against false ones)."""
 _MOST_UNCLEAR: Final = 0.2
-"""Of a quarter's cells; of 789 tags in public photographs none has more."""
+"""Largest fraction of wrong or unclear cells in any quarter of the tag (measured: none of 789 tags
+in public photographs has more)."""
 _FOUND_SIGMA: Final = (0.3, 0.015)
-"""Standard deviation of the library's own corners of a bent tag: the greater one of px, in the
-image that was searched, and of the shortest edge. Measured on drawn tags bent by up to 8 mm in
-150, whose worst corner lay 0.6 to 2.5 % of the edge aside (tests/vision/tags/test_bent.py)."""
+"""Standard deviation of the library's own corners of a bent tag: the larger of 0.3 px in the image
+that was searched, and 0.015 of the shortest edge. Drawn tags bent by up to 8 mm in 150 had their
+worst corner 0.6 to 2.5 % of the edge off (measured: tests/vision/tags/test_bent.py)."""
 _BENT_EXPLAINED: Final = 0.9
+"""Smallest fraction of the variance that a plane print explains of a tag on bent paper (chosen:
+bent tags against tags with a covered side)."""
 _BENT_WRONG: Final = 5
+"""Most cells of a bent tag that a plane print reads wrong (chosen: as above)."""
 _BENT_UNCLEAR: Final = 0.25
-"""What a plane print explains of a bent tag at least, and the cells that it reads wrong or not
-clearly at most. With more, as many tags would be found whose side something covers."""
+"""Largest fraction of unclear cells in a quarter of a bent tag (chosen: looser bounds would accept
+as many tags with a covered side)."""
 
 
 def reads_as_tag(fit: Fit, code: TagFamilyCode) -> bool:
-    """Tell whether what was fitted is the tag that was asked for.
+    """Check that a fit is the tag that was asked for.
 
     Args:
-        fit: of the tag's edges.
-        code: its family.
+        fit: fit of the tag's edges.
+        code: the tag's family.
 
     Returns:
-        True where the print explains the light, the cells read as printed and the border is one
+        True if the print explains the light, the cells read as printed and the border is one
         cell wide.
     """
     if fit.contrast < _LEAST_CONTRAST_GREY or fit.explained < _LEAST_EXPLAINED:
@@ -53,14 +61,14 @@ def reads_as_tag(fit: Fit, code: TagFamilyCode) -> bool:
 
 
 def may_be_bent(fit: Fit) -> bool:
-    """Tell whether a refused fit may be that of a tag on bent paper.
+    """Check if a refused fit may be of a tag on bent paper.
 
     Args:
-        fit: one that `reads_as_tag` refuses.
+        fit: a fit that `reads_as_tag` refuses.
 
     Returns:
-        True where there is no fit, or nearly a good one: on bent paper a fit may not converge, and
-        a good one reads cells near the corners wrong.
+        True if there is no fit, or one that is nearly good: on bent paper a fit may fail to
+        converge, and a converged fit reads cells near the corners wrong.
     """
     wrong, frame, unclear = fit.reading
     near = wrong <= _BENT_WRONG and frame <= _MOST_FRAME and unclear <= _BENT_UNCLEAR
@@ -70,21 +78,21 @@ def may_be_bent(fit: Fit) -> bool:
 def sigma_as_found(
     image: NDArray[np.uint8], square: FoundSquare, scale: float, code: TagFamilyCode
 ) -> float | None:
-    """Give the standard deviation of the library's own corners of a tag that may be bent.
+    """Standard deviation of the library's own corners of a tag that may be bent.
 
     Args:
         image: grey levels, shape (height, width).
         square: the tag as the library found it, in the pixels of `image`.
-        scale: pixels of the image by pixels of that in which the library looked.
+        scale: pixels of `image` per pixel of the image that the library searched.
         code: the family.
 
     Returns:
-        Standard deviation, px; None for no tag: all bits must be right, another reading must agree,
-        and the family be one in which chance does not make that so.
+        Standard deviation, px; None if this is no tag. A tag has no wrong bit, `decode` reads the
+        same number, and its family corrects bits: in other families clutter often reads as a tag.
     """
     corners, edge = square.corners, shortest_edge(square.corners)
     height, width = image.shape
-    # where the image's side cuts a tag, the library draws its corner in
+    # if the image's side cuts a tag, the library moves its corner into the image
     cell = edge / code.border
     inside = (corners > cell).all() and (corners < (width - cell, height - cell)).all()
     if not inside or edge < LEAST_EDGE_PX or not CORRECTED_BITS[code.name]:
@@ -93,11 +101,11 @@ def sigma_as_found(
     if square.wrong_bits or read is None or read.id != square.id:
         return None
     sigma = max(_FOUND_SIGMA[0] * scale, _FOUND_SIGMA[1] * edge)
-    # something may cover a side, and moves its corners
+    # an object that covers part of a side would move its corners
     return sigma if read.plain == 1.0 else max(sigma, 0.5 * cell)
 
 
 def shortest_edge(corners: NDArray[np.float64]) -> float:
-    """Length of the shortest edge between four corners (4, 2), in their unit."""
+    """Length of the shortest edge between four corners, shape (4, 2), in their unit."""
     a, b, c, d = corners.tolist()
     return min(math.dist(a, b), math.dist(b, c), math.dist(c, d), math.dist(d, a))

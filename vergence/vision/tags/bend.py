@@ -1,4 +1,4 @@
-"""The bend of a tag's sheet: eight polynomials that vanish at the corners, and their usual size."""
+"""The bend of a tag's sheet: eight polynomials, zero at the corners, and their expected size."""
 
 from math import sqrt
 from typing import Final
@@ -12,22 +12,24 @@ from vergence.vision.tags.normal import hold_near, normal_equations
 from vergence.vision.tags.workspace import BOWS, SPREAD, UNKNOWNS, Room
 
 _WIDEST: Final = 0.1
-"""Numerical: standard deviation, px of the spread and half edges of the bend, that leaves them to
-the pixels where these tell anything."""
+"""Standard deviation of a weak prior on the spread, px, and on the bend's coefficients, half edges;
+any evidence in the pixels outweighs it (numerical)."""
 _SURELY: Final = 2.0
-"""Numerical: times what chance makes of it that the squares of eight coefficients, by their
-covariance, must be: by chance in one tag of 25."""
+"""Ratio to its expectation by noise that the squared Mahalanobis norm of the eight coefficients
+must exceed (chosen: noise alone exceeds it in one flat tag of 25)."""
 
 
 @subroutine
 def bend_at(bent: FloatArray, x: float, y: float) -> tuple[float, float]:
-    """How far a bend moves a place of the plane on the sheet; it vanishes at the corners.
+    """Displacement (dx, dy) of a point of the tag's plane by the bend; 0 at the corners.
+
+    With c the coefficients, dx = (c1 + c3 x) (1 - x^2) + (c2 + c4 x) (1 - y^2) and
+    dy = (c5 + c7 y) (1 - x^2) + (c6 + c8 y) (1 - y^2).
 
     Args:
-        bent: (9,) the spread, and the bend's coefficients: x is moved by (1 - x^2), (1 - y^2) and x
-            times both, y by the same and y times both.
-        x: of the place, half edges.
-        y: the same.
+        bent: (9,) the spread, then the bend's eight coefficients c1 to c8.
+        x: x of the point, half edges.
+        y: y of the point, half edges.
     """
     over_x, over_y = 1.0 - x * x, 1.0 - y * y
     dx = (bent[1] + bent[3] * x) * over_x + (bent[2] + bent[4] * x) * over_y
@@ -40,17 +42,17 @@ def bend_slopes(
     flat_x: float, flat_y: float, x: float, y: float, by_x: float, by_y: float,
     pixels: FloatArray, n: int,
 ) -> None:  # fmt: skip
-    """The derivatives of the print by the coefficients of a bend, as in `bend_at`.
+    """Derivatives of the print with respect to the bend's coefficients, see `bend_at`.
 
     Args:
-        flat_x: of the place before it is moved, half edges.
-        flat_y: the same.
-        x: after that.
-        y: the same.
-        by_x: derivative of the print there.
-        by_y: the same.
-        pixels: (pixels, `COLUMNS`) result, the last columns.
-        n: the pixel.
+        flat_x: x of the point before the bend moves it, half edges.
+        flat_y: its y.
+        x: x of the point after the bend has moved it, half edges.
+        y: its y.
+        by_x: derivative of the print with respect to x, there.
+        by_y: derivative with respect to y.
+        pixels: (pixels, `COLUMNS`) result, in the last columns.
+        n: index of the pixel.
     """
     over_x, over_y = 1.0 - flat_x * flat_x, 1.0 - flat_y * flat_y
     pixels[n, 14], pixels[n, 15] = by_x * over_x, by_x * over_y
@@ -61,7 +63,7 @@ def bend_slopes(
 
 @subroutine
 def size_of_bend(bent: FloatArray) -> float:
-    """The root of the mean square of a bend's coefficients."""
+    """Root mean square of a bend's coefficients."""
     squares = 0.0
     for k in range(BOWS - SPREAD, UNKNOWNS - SPREAD):
         squares += bent[k] ** 2 / (UNKNOWNS - BOWS)
@@ -70,18 +72,18 @@ def size_of_bend(bent: FloatArray) -> float:
 
 @subroutine
 def usual_bow(room: Room, count: int, number: int, bent: FloatArray, variance: float) -> float:
-    """The standard deviation of a bend's coefficients, after a step without one: empirical Bayes.
+    """Estimate the prior standard deviation of a bend's coefficients by empirical Bayes.
 
     Args:
-        room: after that step.
-        count: pixels.
-        number: of blocks.
-        bent: (9,) the spread, and no bend yet.
-        variance: of a pixel.
+        room: working arrays after a step that kept the sheet flat.
+        count: number of pixels.
+        number: number of blocks.
+        bent: (9,) the spread, and a bend of 0.
+        variance: variance of a pixel.
 
     Returns:
-        The root of the mean of their squares beyond chance, those counting most of which the pixels
-        tell most; 0 where they are no more than chance.
+        Root mean square of the coefficients in excess of noise, weighted by how well the pixels
+        determine each; 0 if they are no larger than noise makes them.
     """
     matrix, bows = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     normal_equations(room.pixels, count, room.blocks, number, UNKNOWNS, matrix, bows)
@@ -93,7 +95,7 @@ def usual_bow(room: Room, count: int, number: int, bent: FloatArray, variance: f
     if not factorise(matrix, UNKNOWNS):
         return 0.0
     solve(matrix, bows, UNKNOWNS)
-    # the last rows of the factor are that of the bend's own normal matrix, all else eliminated
+    # the factor's last rows are the factor of the bend's normal matrix, other unknowns eliminated
     squares = told = 0.0
     for j in range(BOWS, UNKNOWNS):
         total = 0.0

@@ -1,4 +1,4 @@
-"""Small systems of equations by Cholesky factors, in place, in kernels."""
+"""Solve small linear systems in kernels, in place, by Cholesky factors."""
 
 from math import sqrt
 
@@ -8,7 +8,7 @@ from vergence.models.parts import FloatArray
 
 @subroutine
 def factorise(matrix: FloatArray, size: int) -> bool:
-    """The lower Cholesky factor in place; False where the matrix is not positive definite."""
+    """Replace a matrix by its lower Cholesky factor; False if it is not positive definite."""
     for j in range(size):
         for i in range(j, size):
             total = matrix[i, j]
@@ -25,7 +25,7 @@ def factorise(matrix: FloatArray, size: int) -> bool:
 
 @subroutine
 def forward(factor: FloatArray, right: FloatArray, size: int) -> None:
-    """Solve with a lower triangle, in place."""
+    """Solve a lower triangular system, in place."""
     for i in range(size):
         for k in range(i):
             right[i] -= factor[i, k] * right[k]
@@ -34,7 +34,7 @@ def forward(factor: FloatArray, right: FloatArray, size: int) -> None:
 
 @subroutine
 def solve(factor: FloatArray, right: FloatArray, size: int) -> None:
-    """Solve with a lower Cholesky factor, in place."""
+    """Solve a system given the lower Cholesky factor of its matrix, in place."""
     forward(factor, right, size)
     for i in range(size - 1, -1, -1):
         for k in range(i + 1, size):

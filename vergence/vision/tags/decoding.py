@@ -1,4 +1,4 @@
-"""Numbers of squares that may be tags, their cells read by the levels around each."""
+"""Decode squares that may be tags: threshold each cell by the levels around it."""
 
 from typing import Any, Final
 
@@ -10,28 +10,31 @@ from vergence.models.tag_families import CORRECTED_BITS, TagFamilyCode
 from vergence.vision.tags.library import FoundSquare
 
 _AROUND: Final = 5
-"""Cells along the square around a cell whose lightest and darkest give its threshold."""
+"""Side, in cells, of the window around a cell whose lightest and darkest cell give its threshold
+(chosen: both colours in the window against shadows within it)."""
 _LEAST_CONTRAST_GREY: Final = 8.0
+"""Smallest median contrast within these windows, grey levels (chosen: dim tags against clutter)."""
 _LEAST_PLAIN: Final = 0.8
-"""Share of the border's cells that must have its colour."""
+"""Smallest fraction of the border's cells that have its colour (chosen: covered tags against
+clutter)."""
 
 
 def decode(
     image: NDArray[np.uint8], corners: NDArray[np.float64], code: TagFamilyCode
 ) -> FoundSquare | None:
-    """Which tag of a family a square may be.
+    """Decode a square that may be a tag of a family.
 
-    Unlike the libraries' own reading, which takes one plane of grey for all of the square, this one
-    stands a shadow that ends within it.
+    The libraries fit one plane of grey levels to the whole square; the local thresholds used here
+    also read a square in which a shadow ends.
 
     Args:
         image: grey levels, shape (height, width).
-        corners: of the square that may be a tag's, in turn, px, shape (4, 2).
+        corners: corners of the square, in order around it, px, shape (4, 2).
         code: the family.
 
     Returns:
-        The tag with the fewest wrong bits, its corners from its upper left one; None where none is
-        near enough.
+        The tag with the fewest wrong bits, its corners from its upper left one; None if it has more
+        wrong bits than the family corrects, or if the contrast or the border is not a tag's.
     """
     start = (code.total - code.border) // 2
     size = code.border + 2
@@ -52,9 +55,9 @@ def decode(
     light, dark = cv2.dilate(grey, kernel), cv2.erode(grey, kernel)
     if float(np.median(light - dark)) < _LEAST_CONTRAST_GREY:
         return None
-    # light multiplies: the geometric mean lies below white in the shadow and above black in the sun
+    # shadow scales levels: the geometric mean lies below white in shadow and above black in sun
     white = grey > np.sqrt((light + 1.0) * (dark + 1.0))
-    # the border's own ring has one colour, whichever way the square is turned
+    # the border's ring has one colour in every orientation of the square
     inner = slice(-origin, -origin + code.border)
     ring = white[inner, inner].copy()
     ring[1:-1, 1:-1] = not code.dark_inside
@@ -73,5 +76,5 @@ def decode(
     assert best is not None
     if best[0] > CORRECTED_BITS[code.name]:
         return None
-    # turned by so many quarters against the clock, the corner after as many is the upper left one
+    # after `turn` quarter turns anticlockwise, corner number `turn` is the upper left one
     return FoundSquare(best[1], best[0], np.roll(corners, -best[2], axis=0), plain)

@@ -1,4 +1,4 @@
-"""Detecting AprilTags: squares by the AprilTag library, their corners by lines fitted to edges."""
+"""Detect AprilTags: the AprilTag library finds squares, a fit to all edges gives their corners."""
 
 from functools import lru_cache
 from typing import Any, Final
@@ -31,32 +31,44 @@ _OPENCV: Final = {
     "25h9": cv2.aruco.DICT_APRILTAG_25h9,
     "16h5": cv2.aruco.DICT_APRILTAG_16h5,
 }
-"""Families that OpenCV looks for as well, with an adaptive threshold that finds others."""
+"""Families that OpenCV searches for as well; its adaptive threshold finds other tags."""
 _STEPS: Final = (8, 8, 8)
+"""Most Gauss-Newton steps in each of the three stages of a fit in a search. More steps do not help
+fits that do not converge: of 59 drawn tags bent by 4 to 7 mm in 150, 55 converge with these, and
+56 with 30 in each stage (measured: tests/vision/tags/test_bent.py)."""
 _PIXELS: Final = (400, 4000)
-"""Of the stages of a fit, of one that may take its time, and of one at camera rate. More steps do
-not help those that do not converge: of 59 drawn tags bent by 4 to 7 mm in 150
-(tests/vision/tags/test_bent.py) 55 do with these, and 56 with 30 in each stage."""
+"""Most pixels of a fit in a search: in the first stage, and in each later one (chosen: accuracy
+against time)."""
 _TRACKED_STEPS: Final = (3, 5, 5)
+"""Most steps in each stage of a tracked tag's fit, at camera rate (chosen: convergence against
+time)."""
 _TRACKED_PIXELS: Final = (120, 240)
+"""Most pixels of a tracked tag's fit, as in `_PIXELS` (chosen: accuracy against time)."""
 _SLOW_STEPS: Final = (3, 8, 8)
+"""Most steps of the second fit of a tracked tag, after a doubtful first one (chosen: as above)."""
 _SLOW_PIXELS: Final = (200, 800)
+"""Most pixels of this second fit, at least, as in `_PIXELS` (chosen: as above)."""
 _NEAR_PX: Final = 1.0
+"""Largest distance of a corner from its prediction, px, at which the first fit of a tracked tag is
+accepted; beyond it a second fit follows, with more pixels (chosen: reliability against time)."""
 _SURE_PX: Final = 0.06
-"""How far from its prediction a corner may be found, and with what standard deviation, by few
-pixels; else it is fitted once more, with more of them."""
+"""Largest standard deviation of a point, px, at which this first fit is accepted (chosen: as
+above)."""
 _PIXELS_BY_EDGE: Final = 3.0
-"""Those of the second stage for each pixel of the edge of a large tag."""
+"""Pixels of a tracked tag's later stages per pixel of its shortest edge, for large tags (chosen:
+accuracy against time)."""
 _CUT_QUIET: Final = 0.4
-"""Cells of white around a tag that was cut out near its edge."""
+"""Width of the white margin, cells, around a tag cut out close to its border (chosen: closely cut
+tags against clutter beside the border)."""
 _OVERLAP_PX: Final = 48
-"""Of the parts of an image that are searched by turns; larger tags are found at half size."""
+"""Rows by which each half of the image that is searched by turns reaches beyond the middle; larger
+tags are found at half size (chosen: coverage against time)."""
 
 
 class TagDetector(Detector[AprilTag | TagFamily]):
     """Detects one AprilTag, or all of a family; the measured point is the centre.
 
-    The centre is where the diagonals cross in the plane that the lens does not bend.
+    The centre is the crossing of the diagonals in the undistorted image plane.
     """
 
     def __init__(
@@ -78,7 +90,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         return [square for square in squares if square.id == self.target.id]
 
     def _search_half(self, image: NDArray[np.uint8]) -> list[Detection]:
-        """The tags that the library finds in the image at half its size."""
+        """Tags that the library finds in the image at half its size."""
         calm = smoothed(image)
         if calm is None:
             return []
@@ -89,7 +101,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
     def _search_full(
         self, image: NDArray[np.uint8], rows: tuple[int, int] | None = None
     ) -> list[Detection]:
-        """The tags that the library finds in the image itself, or in some of its rows."""
+        """Tags that the library finds in the image at full size, or in the given rows of it."""
         if smoothed(image) is None:
             return []
         first, end = rows or (0, len(image))
@@ -103,7 +115,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         scale: float,
         shift: float | tuple[float, float],
     ) -> list[Detection]:
-        """Those of some squares, where they lie in the image, that are tags."""
+        """Fit the squares, scaled and shifted into the image, and keep those that are tags."""
         found: list[Detection] = []
         for square in self._wanted(squares):
             placed = square._replace(corners=scale * square.corners + shift)
@@ -117,7 +129,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         return found
 
     def _as_found(self, square: FoundSquare, sigma: float) -> Detection:
-        """A tag with the library's own corners."""
+        """Detection with the library's own corners."""
         return Detection(
             self._tag(square.id),
             _crossing(square.corners),
@@ -127,7 +139,10 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         )
 
     def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
-        """At half size, and at full size; image by image, its upper and its lower part by turns."""
+        """Search at half and at full size; given `way`, only one of these, by turns.
+
+        Even ways search at half size, odd ones the upper and the lower half at full size.
+        """
         if way is None:
             return self._search_half(image) or self._search_full(image)
         if way % 2 == 0:
@@ -149,7 +164,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         return self._search_opencv(image, [])
 
     def _search_opencv(self, image: NDArray[np.uint8], known: list[Detection]) -> list[Detection]:
-        """Tags in squares that OpenCV finds, beside those that are known."""
+        """Tags in squares that OpenCV finds, except those that are known."""
         if self.target.family not in _OPENCV or smoothed(image) is None:
             return []
         if self._aruco is None:
@@ -199,9 +214,9 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         if found is not None:
             if fit.moved_px < _NEAR_PX and fit.sigma_px < _SURE_PX:
                 return found
-        else:  # the target is not quite where it was expected
+        else:  # the target is not exactly at its prediction
             found = self._fitted(image, corners, number, _TRACKED_STEPS, most)
-        # it was led far by few pixels, or the edge of a shadow lies on it
+        # few pixels may have led the fit astray, or the edge of a shadow lies on the tag
         most = _SLOW_PIXELS[0], max(_SLOW_PIXELS[1], most[1])
         if found is None:
             return self._fit(image, corners, number, _SLOW_STEPS, most)[0]
@@ -217,7 +232,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         steps: tuple[int, int, int] = _STEPS,
         most: tuple[int, int] = _PIXELS,
     ) -> Detection | None:
-        """The tag whose corners are about there; None where it does not read as that tag."""
+        """Fit the tag near the given corners; None if it does not read as that tag."""
         return self._tried(image, corners, identity, steps, most)[0]
 
     def _tried(
@@ -228,10 +243,10 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         steps: tuple[int, int, int],
         most: tuple[int, int],
     ) -> tuple[Detection | None, bool]:
-        """The tag whose corners are about there, and whether it is none only for being bent.
+        """Fit the tag near the given corners in several ways; also True if it may be a bent tag.
 
-        Corners that are near enough for the second stage alone are sometimes led astray by the
-        first; and some tags are cut out nearer than a cell.
+        Besides the plain way, the fit is tried without the first stage, which sometimes leads good
+        corners astray, and with a narrow quiet zone, for tags cut out closer than a cell.
         """
         ways = [(steps, 1.0)]
         if steps == _STEPS:
@@ -255,7 +270,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         most: tuple[int, int],
         quiet: float = 1.0,
     ) -> tuple[Detection | None, Fit]:
-        """A fit, and the tag if it reads as one."""
+        """Fit a tag once; the tag if it reads as one, and the fit."""
         code = self._code
         points, sigmas = np.empty((5, 2)), np.empty((5, 2))
         fit = fit_tag(
@@ -269,20 +284,20 @@ class TagDetector(Detector[AprilTag | TagFamily]):
 
 
 def compile_fit() -> None:
-    """Compile what a tag's detection calls, on an image without a tag."""
+    """Compile the kernels of a tag's detection, on an image without a tag."""
     corners = np.array([[10.0, 10.0], [40.0, 10.0], [40.0, 40.0], [10.0, 40.0]])
     TagDetector(AprilTag())._fit(np.zeros((50, 50), np.uint8), corners, 0, (0, 1, 1), _PIXELS)
 
 
 @lru_cache(maxsize=256)
 def _cells_of(code: TagFamilyCode, identity: int) -> NDArray[np.float64]:
-    """The print, 0 black to 1 white, nan where anything may be."""
+    """Printed cells, 0 black to 1 white, nan where nothing is specified."""
     cells = code.cells(identity)
     return np.where(cells == UNPRINTED, np.nan, cells / 255.0)
 
 
 def _crossing(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where the diagonals of four corners cross, px."""
+    """Crossing of the diagonals of four corners, px."""
     a, b, c, d = np.column_stack([corners, np.ones(4)])
     point = np.cross(np.cross(a, c), np.cross(b, d))
     return np.asarray(point[:2] / point[2])
@@ -299,11 +314,11 @@ def _by_number(detection: Detection) -> tuple[int, float, float]:
 
 
 def _same(a: Detection, b: Detection) -> bool:
-    """Whether two detections are of one tag."""
+    """True if two detections are of one tag."""
     return a.target == b.target and _covers(b, a.point_px)
 
 
 def _covers(detection: Detection, point: NDArray[np.float64]) -> bool:
-    """Whether a point, px, lies in a tag."""
+    """True if a point, px, lies within a detected tag."""
     corners = detection.corners_px.astype(np.float32)
     return cv2.pointPolygonTest(corners, point.tolist(), measureDist=False) >= 0.0

@@ -1,26 +1,27 @@
-r"""A tag's corners, from all edges of its cells fitted to the light at once.
+r"""A tag's corners, by fitting all edges of its cells to the light of the pixels at once.
 
-The edges are a homography from the image to the tag's plane, eight numbers; an edge is a step
-blurred by a Gaussian. The pixels near the edges take part (`stages`). With T the blurred print
-(`printed_at`) at the pixel's place in the tag's plane, and I the light of the pixel by the camera's
-response,
+A homography with eight unknowns maps the image to the tag's plane; each edge is a step blurred by a
+Gaussian. Only pixels near the edges take part (`stages`). T is the blurred print (`printed_at`) at
+the point of the tag's plane that a pixel shows, p the pixel, I its light by the camera's response.
+The fit solves
 
     I = a_k + b_k (T(G p + d(p)) + e |dT|),    minimise  sum w_k (I - a_k - b_k ...)^2
 
-over the homography G, the blurs across the edges along x and along y, the spread e by which white
-reaches into black on all edges (ink, a response that is not the stated one, clipped white), and a
-dark level and a contrast for each block k of the tag, so that shadows and ramps of light move no
-edge. The levels are eliminated (variable projection, Golub and Pereyra 1973); Gauss-Newton steps
-are composed with G (Baker and Matthews 2004).
+over the homography G, the blurs across the edges along x and along y, and the spread e by which
+white reaches into black on all edges (ink, a wrong response, clipped white). Each block k of the
+tag also has its own dark level a_k and contrast b_k, so that shadows and light gradients do not
+move edges. These levels are eliminated (variable projection, Golub and Pereyra 1973); Gauss-Newton
+steps are composed with G (Baker and Matthews 2004).
 
-Where the edges are bowed, as on bent paper, a bend d is sought as well: eight polynomials that
-vanish at the corners, each with a prior of the size that all have in the mean of squares (empirical
-Bayes). Pixels of clipped white count for nothing.
+If the edges are bowed, as on bent paper, a bend d is fitted as well: eight polynomials that vanish
+at the corners, with a common prior variance of their coefficients (empirical Bayes). Pixels of
+clipped white are left out.
 
-The inverse of the normal matrix is the covariance of the corners, scaled by what is left of each
-block as a whole (`variance_of_blocks`).
+The covariance of the corners is the inverse of the normal matrix, scaled by a variance that
+includes correlation of the residuals within each block (`variance_of_blocks`).
 
-A blur pulls the corner of a print inwards, and not the lines that meet in it.
+Corners come from the edges because blur moves the corner of a print inwards, but not the lines that
+meet there.
 """
 
 from math import inf
@@ -51,32 +52,47 @@ from vergence.vision.tags.workspace import (
 )
 
 _SMALL_STEP_PX: Final = 0.02
-"""Below it there is no further step: the next would be a tenth of it, where it was whole."""
+"""Corner step, px, below which a later stage ends: the next full step would be a tenth of it
+(numerical)."""
 _SMALL_BLUR_STEP: Final = 0.1
-"""Of the log of a blur: the residuals of a wrong one would be taken for noise."""
+"""Step of a blur's logarithm below which a later stage may end: residuals of a wrong blur would
+count as noise (numerical)."""
 _FIRST_STEP_PX: Final = 0.15
+"""Corner step, px, below which the first stage ends (numerical)."""
 _HOLD: Final = 1e-5
+"""Weight that holds blurs near their last values in later stages, relative to the first stage
+(numerical)."""
 _BOUNDS_PX: Final = 8.0
-"""And a cell, around the corners: what is looked at."""
+"""Margin of the searched region around the corners, px, in addition to a cell (chosen: errors of
+the prediction against time)."""
 _CONVERGED_PX: Final = 0.05
+"""Largest last corner step of a converged fit, px (numerical)."""
 _SPREAD_PX: Final = 0.1
-"""Measured (`benchmarks.real_light`): standard deviation of the spread, a prior."""
+"""Prior standard deviation of the spread, px (measured: benchmarks.real_light)."""
 _NO_SPREAD_PX: Final = 1e-6
-"""Numerical: the same where no inner edges tell it from a smaller tag."""
+"""Prior standard deviation of the spread, px, in stages with outer edges only: these cannot
+distinguish spread from a smaller tag (numerical)."""
 _FAR_WORSE: Final = 2.5
-"""Numerical: times what the outer edges leave that all edges leave where the sheet is bent."""
+"""Ratio of the residual variance of all edges to the one before, of the outer edges, above which
+the sheet is taken to be bent (chosen: bent tags against flat ones with a poor start)."""
 _LARGE_BOW: Final = 0.03
-"""Numerical: standard deviation of such a bend's coefficients, half edges."""
+"""Prior standard deviation of such a bend's coefficients, half edges (chosen: wide enough for
+bends of this size)."""
 _MOST_SHRUNK: Final = 0.06
-"""Numerical: coefficient of the inside's scale along both axes, half edges, that no bend has: a tag
-with a border of two cells, taken for one with a border of one, has 0.2."""
+"""Largest size of both coefficients that scale the tag's inside along x and along y, half edges;
+no bend has more. A tag with a border of two cells, taken for one with a border of one, has 0.2
+(chosen: between both)."""
 _BEYOND_BEND: Final = 0.3
-"""Measured (`benchmarks.real_light`): standard deviation of a corner that the polynomials of a bend
-leave, by that of their coefficients."""
+"""Standard deviation of the corner error that the bend's polynomials do not model, as a ratio to
+the standard deviation of their coefficients (measured: benchmarks.real_light)."""
 _PRIOR_SQUARES: Final = 4.0
-"""Numerical: so many squares of single pixels count beside those of blocks, which are few."""
+"""Number of squared residuals of single pixels that are added to those of the blocks, which are
+few, in the estimate of the variance (chosen: steadiness against correlated residuals)."""
 _LONG_STEP_PX: Final = 3.0
+"""Corner step, px, beyond which, plus half a cell, a fit is given up (chosen: poor starts against
+fits that diverge)."""
 _LEAST_EDGE_PX: Final = 8.0
+"""Shortest edge of a tag that is fitted, px (chosen: as `acceptance.LEAST_EDGE_PX`)."""
 
 
 @compiled
@@ -98,21 +114,22 @@ def fit_tag(
 
     Args:
         image: grey levels, shape (height, width).
-        light: (256,) of each grey level, see `light_of_levels`.
+        light: (256,) light of each grey level, see `light_of_levels`.
         rays: (height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole.
         row: the camera, see `pack_camera`.
         cells: (n, n) the print, 0 black to 1 white, nan unknown.
-        border: cells along the square whose corners are sought, in the middle of the print.
-        quiet: how wide the quiet zone around the print's border is taken to be, cells.
-        steps: at most, in each of the three stages: with a wide band along the outer edges, with a
-            narrow one, and with the edges of the cells as well.
-        most: pixels that take part in the first of them, and in each of the others.
-        start: (4, 2) about where the corners are, px, from the upper left clockwise.
+        border: side of the square whose corners are sought, cells; centred in the print.
+        quiet: assumed width of the quiet zone around the print's border, cells.
+        steps: most steps in each of the three stages: with a wide band along the outer edges, with
+            a narrow band, and with the edges of the cells as well.
+        most: most pixels in the first stage, and in each of the others.
+        start: (4, 2) approximate corners, px, from the upper left clockwise.
         points: (5, 2) result: the corners and the centre, px.
         sigmas: (5, 2) result: their standard deviations, px.
 
     Returns:
-        How well it fits; no contrast where the square is too small, or not all of it in the image.
+        Quality of the fit; `NOTHING`, with a contrast of 0, if the square is too small or not all
+        in the image, or if the fit fails.
     """
     shortest, longest, _ = sides_of(start)
     if not (shortest >= _LEAST_EDGE_PX and longest < inf):
@@ -153,9 +170,9 @@ def fit_tag(
                 return NOTHING
             worse = which == ALL and not stage.clipped and left.pixel > _FAR_WORSE * before > 0.0
             if worse and used == BOWS:
-                # the outer edges do not tell where the inner ones lie: the sheet is bent
+                # inner edges do not lie where the outer ones predict: the sheet is bent
                 bow, used = _LARGE_BOW, UNKNOWNS
-            # blurs stay near where they are unless the pixels say otherwise
+            # a weak prior holds blurs near their last values
             blur = (_HOLD if fine else 1.0) * left.contrast * left.contrast * stage.pixels
             spread = left.pixel / (_SPREAD_PX if which >= ALL else _NO_SPREAD_PX) ** 2
             bend = left.pixel / max(bow, 1e-9) ** 2
@@ -195,7 +212,7 @@ def _look(
     border: int,
     start: FloatArray,
 ) -> Sight:
-    """What is looked at: the image around the corners, and the plane across the rays to them."""
+    """Image region around the corners, and an undistorted plane across the rays to them."""
     view = View(len(rays) > 0, np.empty((3, 3)), np.empty((3, 3)))
     if view.lens:
         u = v = 0.0

@@ -1,4 +1,4 @@
-"""The dark level and the contrast of each block of a tag, and how much each block counts."""
+"""Dark level, contrast and weight of each block of a tag."""
 
 from math import exp, log
 from typing import Final
@@ -8,18 +8,19 @@ from vergence.models.parts import FloatArray
 from vergence.vision.tags.workspace import Blocks
 
 _LEAST_PIXELS: Final = 6
-"""Of a block, below which it says nothing."""
+"""Fewest pixels of a block that is used (chosen: small tags against noisy levels)."""
 _LEAST_SPREAD: Final = 0.02
-"""Variance of the print in a block, below which it has no contrast to tell."""
+"""Variance of the print in a block below which its contrast is undetermined (chosen: as above)."""
 _UNUSUAL: Final = 4.0
-"""Times the usual variance that is left, beyond which a block counts less."""
+"""Ratio of a block's residual variance to the usual one above which its weight falls (chosen:
+robustness against efficiency)."""
 
 
 @subroutine
 def block_levels(blocks: Blocks, number: int) -> float:
-    """The dark level and the contrast of each block, and the mean contrast of all.
+    """Estimate the dark level and contrast of each block; return the mean contrast.
 
-    A block of one colour, or of the wrong contrast, has none.
+    A block of one colour, or with a contrast of the wrong sign, gets contrast 0: it is not used.
     """
     plain, levels, total, pixels = blocks.plain, blocks.levels, 0.0, 0.0
     for k in range(number):
@@ -41,7 +42,7 @@ def block_levels(blocks: Blocks, number: int) -> float:
 
 @subroutine
 def block_weights(pixels: FloatArray, count: int, blocks: Blocks, number: int) -> float:
-    """What blocks count, less where the print does not explain what is seen; the variance left."""
+    """Set the weights of blocks, lower for large residuals; return the weighted sum of squares."""
     plain, levels, weights = blocks.plain, blocks.levels, blocks.weights
     for k in range(number):
         weights[k] = 0.0
@@ -54,7 +55,7 @@ def block_weights(pixels: FloatArray, count: int, blocks: Blocks, number: int) -
     for k in range(number):
         if levels[k, 1] > 0.0:
             weights[k] /= plain[k, 0]
-            # the geometric mean, which few bad blocks do not lift
+            # the geometric mean, which a few bad blocks hardly raise
             squares += plain[k, 0] * log(weights[k] + 0.05)
             told += plain[k, 0]
     if told == 0.0:

@@ -1,4 +1,4 @@
-"""Squares that read as tags, by the AprilTag library."""
+"""Find squares that read as tags with the AprilTag library."""
 
 import threading
 from collections import Counter
@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from vergence.models.tag_families import CORRECTED_BITS, library_family
 
 _LEAST_SIDE_PX: Final = 24
-"""Of an image; the library's own arithmetic fails on images of a few pixels."""
+"""Smallest side of an image that is searched, px: the library fails on images of a few pixels
+(chosen: with a margin)."""
 _SHARPENING: Final = 0.25
-"""The library's default, which helps with small tags; the binding rounds it down to none."""
+"""Strength of sharpening, the library's default; it helps with small tags, and the binding would
+round it down to 0 (chosen: by the library)."""
 
 
 class FoundSquare(NamedTuple):
@@ -23,13 +25,14 @@ class FoundSquare(NamedTuple):
     id: int
     wrong_bits: int
     corners: NDArray[np.float64]
-    """From the tag's upper left one, clockwise as it is seen, OpenCV's pixels, shape (4, 2)."""
+    """Corners from the tag's upper left one, clockwise in the image, in OpenCV's pixels, shape
+    (4, 2)."""
     plain: float = 1.0
-    """Share of the border's cells that have its colour; 1 where they were not read one by one."""
+    """Fraction of the border's cells that have its colour; 1 if the cells were not read."""
 
 
 class _Detectors(threading.local):
-    """The library's detectors of this thread: they keep state while they look."""
+    """The library's detectors of this thread; they keep state during a search."""
 
     def __init__(self) -> None:
         self.of_family: dict[str, Any] = {}
@@ -40,14 +43,14 @@ _DETECTORS: Final = _Detectors()
 
 
 def find_squares(image: NDArray[np.uint8], family: str) -> list[FoundSquare]:
-    """Look through an image for all tags of a family.
+    """Search an image for all tags of a family.
 
     Args:
         image: grey levels, shape (height, width).
         family: see `vergence.models.tag_families`.
 
     Returns:
-        What reads as a tag, by its number.
+        Squares that read as tags, sorted by number and wrong bits.
     """
     if min(image.shape) < _LEAST_SIDE_PX:
         return []
@@ -55,7 +58,7 @@ def find_squares(image: NDArray[np.uint8], family: str) -> list[FoundSquare]:
     if detector is None:
         detector = _make({family: CORRECTED_BITS[family]})
         _DETECTORS.of_family[family] = detector
-    # the library counts pixels from the corner of the first one, and corners from the lower left
+    # the library's origin is the corner of the first pixel; its corners begin at the lower left
     found = [
         FoundSquare(each.tag_id, each.hamming, np.asarray(each.corners, float)[::-1] - 0.5)
         for each in detector.detect(image)
@@ -64,13 +67,14 @@ def find_squares(image: NDArray[np.uint8], family: str) -> list[FoundSquare]:
 
 
 def families_in(image: NDArray[np.uint8]) -> list[str]:
-    """The families of which there seem to be tags, all of them looked for at once.
+    """Families that seem to have tags in an image, from one search for all families.
 
     Args:
         image: grey levels, shape (height, width).
 
     Returns:
-        Those of which something reads as a tag without a wrong bit; by how often.
+        Families with at least one square that reads as a tag without a wrong bit, the most
+        frequent first.
     """
     if min(image.shape) < _LEAST_SIDE_PX:
         return []
@@ -81,10 +85,10 @@ def families_in(image: NDArray[np.uint8]) -> list[str]:
 
 
 def _make(corrected: Mapping[str, int]) -> Any:
-    """A detector of the library for families, with so many corrected bits of each.
+    """Make a detector of the library, given the number of corrected bits of each family.
 
-    The binding adds families itself with two corrected bits, whatever that takes, and knows not
-    all of them.
+    The binding itself lacks some families, and adds the others with two corrected bits each,
+    regardless of the cost.
     """
     detector: Any = pyapriltags.Detector(families="", nthreads=1, quad_decimate=1.0)
     for family, bits in corrected.items():

@@ -1,4 +1,4 @@
-"""Normal equations of a tag's fit, levels eliminated, and the variance by what they leave."""
+"""Normal equations of a tag's fit, levels eliminated, and the variance from its residuals."""
 
 import numpy as np
 
@@ -18,14 +18,14 @@ def normal_equations(
     matrix: FloatArray,
     right: FloatArray,
 ) -> None:
-    """The normal equations of a step in the first unknowns, levels eliminated, by block and all.
+    """Build the normal equations of a step with the levels eliminated, by block and in total.
 
     Args:
-        pixels: see `evaluate_print`.
-        count: the same.
-        blocks: their normal matrices and scores are a result.
-        number: of blocks.
-        used: unknowns that are sought.
+        pixels: (pixels, `COLUMNS`) see `evaluate_print`.
+        count: number of pixels.
+        blocks: result: their normal matrices and scores.
+        number: number of blocks.
+        used: number of unknowns that are sought, the first ones.
         matrix: (unknowns, unknowns) result, the normal matrix of all blocks.
         right: (unknowns,) result, the right side.
     """
@@ -48,7 +48,7 @@ def normal_equations(
             slope = weight * pixels[n, 3 + j]
             scores[j] += slope * r
             slope *= contrast
-            # all of the row: loops of one length run several numbers at once
+            # full rows, not only a triangle: loops of equal length are vectorised
             for i in range(used):
                 normal[j, i] += slope * pixels[n, 3 + i]
     for j in range(used):
@@ -76,7 +76,7 @@ def hold_near(
     matrix: FloatArray, right: FloatArray, bent: FloatArray, blur: float, spread: float,
     bow: float, used: int,
 ) -> None:  # fmt: skip
-    """Add to normal equations what is known of blurs, spread and bows without the pixels."""
+    """Add the priors of blurs, spread and bend, as weights, to normal equations."""
     matrix[8, 8] += blur
     matrix[9, 9] += blur
     for k in range(SPREAD, used):
@@ -89,21 +89,21 @@ def hold_near(
 def variance_of_blocks(
     factor: FloatArray, step: FloatArray, blocks: Blocks, number: int, used: int
 ) -> tuple[float, float]:
-    r"""The variance of a pixel by what the pixels of each block leave together.
+    r"""Estimate the variance of a pixel from the residuals of whole blocks.
 
-    Where what is left is alike from pixel to pixel it adds up: sums over a block of N pixels
-    scatter by more than the square root of N. With the blocks' scores s_k and normal matrices N_k,
+    Residuals that are correlated from pixel to pixel add up: their sum over a block of N pixels
+    scatters by more than the square root of N. With the blocks' scores s_k and normal matrices N_k,
     and N their sum, ``E s_k^T N^-1 s_k = sigma^2 (tr A_k - tr A_k^2)``, ``A_k = N^-1 N_k``.
 
     Args:
         factor: lower Cholesky factor of N.
-        step: (unknowns,) the last one, after which the scores are wanted.
-        blocks: before it.
-        number: of blocks.
-        used: unknowns that are sought.
+        step: (unknowns,) the last step; the scores are evaluated after it.
+        blocks: blocks before that step.
+        number: number of blocks.
+        used: number of unknowns that are sought.
 
     Returns:
-        The sum of independent squares, and how many they are.
+        Sum of the squares, and the number of independent squares in it: its degrees of freedom.
     """
     scores, normal, levels = blocks.scores, blocks.normal, blocks.levels
     score, part = np.empty(UNKNOWNS), np.empty((UNKNOWNS, UNKNOWNS))

@@ -1,4 +1,4 @@
-"""The pixels near a tag's edges, which take part in a fit."""
+"""Gather the pixels near a tag's edges, which take part in a fit."""
 
 from math import sqrt
 from typing import Final
@@ -9,15 +9,19 @@ from vergence.vision.plane import through
 from vergence.vision.tags.workspace import Sight, Sought, TagPrint, sides_of
 
 _LEAST_SCALE: Final = 0.4
-"""Of an edge's pixels by its length, at its far end, by those of the shortest in the mean."""
+"""Lower bound of the image scale at the far end of an edge, as a fraction of the mean scale of the
+shortest edge (chosen: perspective does not reach it)."""
 _CLIPPED_GREY: Final = 254
-"""From which on a pixel may have been brighter than it says."""
+"""Grey level from which on a pixel may be clipped (chosen: just below 255, the largest level)."""
 _MUCH_CLIPPED: Final = 0.02
-"""Numerical: share of the pixels from which on white is clipped, not single pixels."""
+"""Fraction of clipped pixels above which white as a whole counts as clipped, not single pixels
+(chosen: bias by clipped white against pixels lost)."""
 _BESIDE_CLIPPED_GREY: Final = 240
-"""Measured (`benchmarks.real_light`): from which on pixels are left out then."""
+"""Grey level from which on pixels are left out if white is clipped (measured:
+benchmarks.real_light)."""
 _LEAST_QUIET: Final = 0.45
-"""Share of the quiet zone that is looked at in any case."""
+"""Fraction of the quiet zone's width that is always used (chosen: evidence on the outer edges
+against objects behind the zone)."""
 
 
 @subroutine
@@ -32,21 +36,21 @@ def gather_pixels(
     most: int,
     places: FloatArray,
 ) -> int:
-    """Take the pixels near the edges, evenly thinned out where there are more than `most`.
+    """Gather the pixels near the edges, evenly subsampled to at most `most`.
 
     Args:
         sight: the image.
-        tag: what is printed.
-        sought: about where the tag is.
-        reach_px: half width of the band.
-        unseen_px: how much of the quiet zone's outer part is left out.
-        whole: whether all pixels within the square take part.
-        within: whether the edges of the cells within the square take part.
-        most: pixels.
-        places: (most, 3) result: undistorted place and light.
+        tag: the print.
+        sought: the tag's approximate pose.
+        reach_px: half width of the band along the edges, px.
+        unseen_px: width of the outer part of the quiet zone that is left out, px.
+        whole: True to take all pixels within the square.
+        within: True to take pixels near the edges of the cells within the square.
+        most: most pixels.
+        places: (most, 3) result: undistorted position and light.
 
     Returns:
-        How many.
+        Number of pixels.
     """
     image, light, rays, view = sight.image, sight.light, sight.rays, sight.plane
     G, cells, border, quiet = sought.G, tag.cells, tag.border, tag.quiet
@@ -64,7 +68,7 @@ def gather_pixels(
         expected = max(expected, area)
     stride = int(expected / most) + 1
     phase = int(0.618 * stride + 0.5)
-    # most pixels are far from all edges: a bound that perspective does not reach tells them
+    # a cheap bound, loose enough for any perspective, rejects most pixels: they are far from edges
     away = reach_px / (_LEAST_SCALE * 0.5 * shortest)
     nearest, farthest = 0.0 if whole or within else 1.0 - away, 1.0 + away
     start = 0.5 * (len(cells) - border)
@@ -79,7 +83,7 @@ def gather_pixels(
             w = G[2, 0] * u + G[2, 1] * v + G[2, 2]
             x = (G[0, 0] * u + G[0, 1] * v + G[0, 2]) / w
             y = (G[1, 0] * u + G[1, 1] * v + G[1, 2]) / w
-            # px for a unit of the plane across the edges along x, and along y
+            # px per unit of the plane, across the edges along x and along y
             if not nearest <= max(abs(x), abs(y)) <= farthest:
                 continue
             a, b = G[0, 0] - x * G[2, 0], G[0, 1] - x * G[2, 1]
@@ -109,9 +113,9 @@ def gather_pixels(
 
 @subroutine
 def without_clipped(places: FloatArray, count: int, light: FloatArray) -> int:
-    """Leave out pixels that may have been brighter than they say; how many are left.
+    """Remove pixels that may be clipped, in place; return the number left.
 
-    Where white is clipped, demosaicking and compression have spread that to the pixels beside it.
+    If white is clipped, demosaicking and compression have changed the neighbouring pixels as well.
     """
     clipped = 0
     for n in range(count):
@@ -129,7 +133,7 @@ def without_clipped(places: FloatArray, count: int, light: FloatArray) -> int:
 
 @subroutine
 def _edges_of(cells: FloatArray) -> float:
-    """Length of the edges between cells of different colours, cells."""
+    """Total length of the edges between cells of different colours, cells."""
     size = len(cells)
     edges = 0.0
     for j in range(size):
@@ -143,7 +147,7 @@ def _edges_of(cells: FloatArray) -> float:
 
 @subroutine
 def _near_edge(cells: FloatArray, x: float, y: float, reach_x: float, reach_y: float) -> bool:
-    """Whether an edge between cells of different colours passes near a place, all in cells."""
+    """True if an edge between cells of different colours is near a point, all in cells."""
     size = len(cells)
     column, row = min(max(int(x), 0), size - 1), min(max(int(y), 0), size - 1)
     edge = int(x + 0.5)

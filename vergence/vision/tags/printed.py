@@ -1,11 +1,11 @@
-r"""What a blurred print of square cells looks like at a point, and how that changes.
+r"""Value and derivatives of a blurred print of square cells at a point.
 
 Cells are c_ij, 0 black to 1 white. Blurred by a Gaussian of standard deviations s_x, s_y in cells,
 
-    T(x, y) = sum_ij c_ij w_i(x) w_j(y),    w_i(x) = Phi((i + 1 - x) / s_x) - Phi((i - x) / s_x),
+    T(x, y) = sum_ij c_ij w_i(x) w_j(y),    w_i(x) = Phi((i + 1 - x) / s_x) - Phi((i - x) / s_x).
 
-which is exact for a blur whose axes are the cells', and near enough for a round one seen at an
-angle: it is exact there too along the straight edges between cells.
+This is exact for a blur whose axes are those of the cells. For a round blur seen at an angle it is
+a good approximation, and still exact along the straight edges between cells.
 """
 
 from math import erf, floor, pi, sqrt
@@ -17,15 +17,18 @@ from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 
 MOST_REACHED: Final = 12
-"""Cells along an axis that a blur may reach; what lies beyond counts as the last of them."""
+"""Most cells along an axis that a blur covers; cells beyond count as the last one (numerical)."""
 _REACH: Final = 3.0
-"""Standard deviations after which a blur ends."""
+"""Standard deviations at which the Gaussian is cut off (numerical)."""
 _STEPS: Final = 128
-"""Of a standard deviation between the entries of the tables, which are read with linear
-interpolation: to 2e-6, and at a fifth of what the functions take."""
+"""Entries of the tables per standard deviation. Linear interpolation is accurate to 2e-6 and takes
+a fifth of the time of the functions (numerical)."""
 _Z: Final = np.arange(-_REACH, _REACH + 1.5 / _STEPS, 1.0 / _STEPS)
+"""Arguments of the tables, standard deviations (numerical)."""
 _BELOW: Final = np.array([0.5 + 0.5 * erf(z / sqrt(2.0)) for z in _Z.tolist()])
+"""Standard normal distribution function at `_Z` (numerical)."""
 _HEIGHT: Final = np.exp(-0.5 * _Z**2) / sqrt(2.0 * pi)
+"""Standard normal density at `_Z` (numerical)."""
 
 
 class Printed(NamedTuple):
@@ -35,28 +38,28 @@ class Printed(NamedTuple):
     by_x: float
     by_y: float
     by_blur_x: float
-    """By the log of the blur along x."""
+    """Derivative with respect to the logarithm of the blur along x."""
     by_blur_y: float
     ridge_x: float
-    """By the width of white across the edges along x, in standard deviations of the blur: how much
-    all of them move towards black."""
+    """Derivative with respect to the spread of white, by which all edges across x move towards
+    black, in standard deviations of the blur."""
     ridge_y: float
     known: bool
-    """False where a cell counts of which it is not known what is printed there."""
+    """False if a cell that contributes has an unknown print."""
 
 
 @subroutine
 def _weigh(x: float, s: float, weights: FloatArray) -> tuple[int, int]:
-    """How much each cell counts at a place along an axis.
+    """Weight of each cell at a point along an axis.
 
     Args:
-        x: the place, cells.
+        x: the point, cells.
         s: standard deviation of the blur, cells.
-        weights: (4, MOST_REACHED) result: the weights, their derivatives by x and by log s, and by
-            the place of the edge to the next cell, in standard deviations.
+        weights: (4, MOST_REACHED) result: the weights, and their derivatives with respect to x, to
+            log s, and to the position of the edge to the next cell, in standard deviations.
 
     Returns:
-        The first cell, and how many.
+        The first cell, and the number of cells.
     """
     first = floor(x - _REACH * s)
     count = min(floor(x + _REACH * s) - first + 1, MOST_REACHED)
@@ -91,16 +94,16 @@ def printed_at(
     along_x: FloatArray,
     along_y: FloatArray,
 ) -> Printed:
-    """The blurred print at a point.
+    """Blurred print at a point.
 
     Args:
-        cells: (rows, columns) 0 black to 1 white, nan unknown; the outermost go on beyond.
-        x: the point in cells from the upper left corner of all cells.
-        y: the same downwards.
+        cells: (rows, columns) 0 black to 1 white, nan unknown; the outermost extend beyond.
+        x: the point, cells to the right of the upper left corner of all cells.
+        y: the point, cells below that corner.
         s_x: standard deviation of the blur along x, cells.
         s_y: along y.
-        along_x: (4, MOST_REACHED) room to work in.
-        along_y: the same.
+        along_x: (4, MOST_REACHED) scratch array.
+        along_y: (4, MOST_REACHED) scratch array.
     """
     rows, columns = cells.shape
     left, across = _weigh(x, s_x, along_x)

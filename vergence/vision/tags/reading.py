@@ -1,4 +1,4 @@
-"""Reading a board: which cells do not have the grey that is printed there, by the levels around."""
+"""Read a board's cells: compare each with its print, by the levels of the cells around it."""
 
 from math import nan
 from typing import Final, NamedTuple
@@ -13,30 +13,36 @@ from vergence.vision.plane import View, grey_at, seen_at, through
 from vergence.vision.tags.bend import bend_at
 
 _LEAST_CONTRAST_GREY: Final = 5.0
-"""Between the light and the dark around a cell."""
+"""Smallest contrast between light and dark around a cell that is read, grey levels (chosen: dim
+boards against noise)."""
 _LEAST_CELL_CONTRAST: Final = 0.1
-"""How far a cell must lie from the middle of both, as a share of the difference."""
+"""Smallest distance of a correct cell from the middle between light and dark, as a fraction of
+their difference (chosen: bad light against wrong cells)."""
 _CLEAR_CELL_CONTRAST: Final = 0.25
-"""From where on it is clear which of both it is."""
+"""Smallest such distance of a clear cell (chosen: bad light against covered cells)."""
 _AROUND: Final = 2
-"""Cells to each side whose levels a cell is compared with."""
+"""Cells to each side, at most, that give the levels for a cell (chosen: both colours present
+against shadows)."""
 _PROBE_CELLS: Final = (0.22, 0.36)
-"""Least and greatest distance of the samples of a cell from its middle, along both axes: where a
-square was found beside its edges, those far from the middle tell."""
+"""Smallest and largest distance of a cell's samples from its centre, along both axes, cells. If a
+square was found beside its true edges, the samples far from the centre show it (chosen: this
+against blur)."""
 _EDGE_BLURS: Final = 1.4
-"""Standard deviations of the blur that a sample stays away from the edge of its cell."""
+"""Distance of the samples from the edge of their cell, standard deviations of the blur (chosen: as
+above)."""
 
 
 class Reading(NamedTuple):
-    """How well a print's cells are read."""
+    """Counts of a print's cells that are read wrong or not clearly."""
 
     wrong: int
-    """Cells that do not have the grey that is printed there."""
+    """Cells that do not have the colour that is printed there."""
     frame: int
-    """Of those, on the rectangle's rim, which is the same for all of a family."""
+    """Wrong cells on the rectangle's rim, which is common to all tags of a family."""
     unclear: float
-    """In the worst quarter, the share of those that are wrong or in the middle between light and
-    dark. Many are where a square was found beside its edges: something covers one of its sides."""
+    """Fraction of the cells in the worst quarter that are wrong or near the middle between light
+    and dark. It is large if a square was found beside its true edges, because something covers one
+    of its sides."""
 
 
 @subroutine
@@ -56,26 +62,27 @@ def read_cells(
     ring_counts: bool,
     greys: FloatArray,
 ) -> Reading:
-    """How many cells do not have the grey that is printed there.
+    """Compare the cells in the image with the print.
 
     Args:
         image: grey levels.
-        H: (3, 3) see `back_of`, of the rectangle of cells that the next four say.
-        bent: (9,) of the sheet, see `bend_at`.
-        camera: the eye's.
-        view: the plane that the lens does not bend.
+        H: (3, 3) homography to the image, see `back_of`, from the rectangle that `left`, `top`,
+            `across` and `down` define.
+        bent: (9,) the sheet's spread and bend, see `bend_at`.
+        camera: the eye's camera.
+        view: the undistorted plane.
         cells: (rows, columns) 0 black to 1 white, nan not compared.
         blur: standard deviation of the blur, cells.
         left: cells from the print's left edge to the rectangle.
-        top: cells from its upper edge.
-        across: the rectangle's width in cells.
-        down: its height.
-        ring: cells around the print that are not compared: a quiet zone may be cut.
-        ring_counts: whether the levels of the others are compared with are theirs as well.
-        greys: (rows, columns) room to work in.
+        top: cells from the print's upper edge to the rectangle.
+        across: the rectangle's width, cells.
+        down: the rectangle's height, cells.
+        ring: width of the print's outer ring that is not compared, cells: a quiet zone may be cut.
+        ring_counts: True if that ring still gives levels that other cells are compared with.
+        greys: (rows, columns) scratch array.
 
     Returns:
-        How well those are read that are compared and lie in the image.
+        Counts over the cells that are compared and lie in the image.
     """
     rows, columns = cells.shape
     far = min(max(0.5 - _EDGE_BLURS * blur, _PROBE_CELLS[0]), _PROBE_CELLS[1])
@@ -106,7 +113,7 @@ def read_cells(
             if not (cells[j, i] == cells[j, i] and greys[j, i] == greys[j, i]):
                 continue
             light = dark = lights = darks = 0.0
-            # as near as both colours are found: a shadow may end anywhere
+            # the smallest neighbourhood with both colours: a shadow may end anywhere
             for around in range(1, _AROUND + 1):
                 light = dark = lights = darks = 0.0
                 for row in range(max(j - around, 0), min(j + around + 1, rows)):

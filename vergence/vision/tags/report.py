@@ -1,4 +1,4 @@
-"""The report of a tag's fit: points and their sigmas as the lens shows them, and how it reads."""
+"""Report a tag's fit: points and their sigmas in the distorted image, and the cells read."""
 
 from math import inf, sqrt
 from typing import Final, NamedTuple
@@ -26,27 +26,29 @@ from vergence.vision.tags.workspace import (
 
 
 class Fit(NamedTuple):
-    """What a fit came to."""
+    """Quality of a fit."""
 
     contrast: float
-    """Grey levels of light, of all blocks in the mean; 0 where nothing was fitted."""
+    """Mean contrast of all blocks, grey levels of light; 0 if nothing was fitted."""
     explained: float
-    """The share of the variance near the edges that the print explains."""
+    """Fraction of the variance near the edges that the print explains."""
     reading: Reading
     moved_px: float
-    """How far the corner lies that lies farthest from where it was expected."""
+    """Largest distance, along u or v, of a corner from its expected position."""
     sigma_px: float
-    """The greatest standard deviation of a point."""
+    """Largest standard deviation of a point."""
     rim: float
-    """The mean step of the light across the square's sides, as a share of the contrast: 1 as it is
-    printed and sharp, 0 where the border is wider than that."""
+    """Mean step of the light across the square's sides, as a fraction of the contrast: 1 for a
+    sharp print, 0 if the border is wider than the square."""
 
 
 NOTHING: Final = Fit(0.0, 0.0, Reading(0, 0, 0.0), 0.0, 0.0, 0.0)
+"""Result of a fit that failed (numerical)."""
 _BEFORE_CELLS: Final = 0.5
+"""Distance inside a side at which light is sampled, cells (chosen: the middle of the border)."""
 _BEYOND_CELLS: Final = 0.3
-"""From a side to where the light before and beyond it is taken: a quiet zone that is cut nearer
-than a cell is still white there."""
+"""Distance outside a side at which light is sampled, cells: a quiet zone that is narrower than a
+cell is still white there (chosen: such zones against blur)."""
 
 
 @subroutine
@@ -70,22 +72,22 @@ def report(
 
     Args:
         sight: the image.
-        camera: the eye's.
-        tag: what is printed.
-        scale: how large it is.
-        sought: where it is, and how it looks.
-        room: as the last step leaves it.
-        last: what the print left before that step.
-        number: of blocks.
-        used: unknowns that were sought.
-        variance: of a pixel.
-        beyond: variance of a corner that no unknown stands for, px^2.
-        start: (4, 2) about where the corners were expected, px.
+        camera: the eye's camera.
+        tag: the print.
+        scale: size of the tag in the image.
+        sought: the tag's pose, blurs and bend.
+        room: working arrays after the last step.
+        last: residuals before that step.
+        number: number of blocks.
+        used: number of unknowns that were sought.
+        variance: variance of a pixel.
+        beyond: variance of a corner that no unknown models, px^2.
+        start: (4, 2) expected corners, px.
         points: (5, 2) result: the corners and the centre, px.
         sigmas: (5, 2) result: their standard deviations, px.
 
     Returns:
-        How well it fits; no contrast where a point is not in the image or not to be told.
+        Quality of the fit; `NOTHING` if a point is outside of the image or undetermined.
     """
     height, width = sight.image.shape
     moved = largest = 0.0
@@ -113,7 +115,7 @@ def report(
 
 @subroutine
 def _step_across_sides(sight: Sight, camera: CameraRow, tag: TagPrint, sought: Sought) -> float:
-    """The mean step of the light from before the sides to beyond them, in the sense printed."""
+    """Mean step of the light across the square's sides, positive if its sign is as printed."""
     first, cell = (len(tag.cells) - tag.border) // 2, 2.0 / tag.border
     before, beyond = 1.0 - _BEFORE_CELLS * cell, 1.0 + _BEYOND_CELLS * cell
     total = 0.0
@@ -130,7 +132,7 @@ def _step_across_sides(sight: Sight, camera: CameraRow, tag: TagPrint, sought: S
 
 @subroutine
 def _light_at(sight: Sight, camera: CameraRow, sought: Sought, x: float, y: float) -> float:
-    """The light at a place of the tag's plane, half edges; black outside of the image."""
+    """Light at a point of the tag's plane, half edges; 0 outside of the image."""
     dx, dy = bend_at(sought.bent, x, y)
     u, v = through(sought.H, x - dx, y - dy)
     u, v = seen_at(camera, sight.plane, u, v)
@@ -140,7 +142,7 @@ def _light_at(sight: Sight, camera: CameraRow, sought: Sought, x: float, y: floa
 
 @subroutine
 def _explained(blocks: Blocks, number: int) -> float:
-    """The weighted sum of squares of all pixels that the print explains."""
+    """Weighted sum of squares over all pixels that the print explains."""
     sums, levels, weights, total = blocks.plain, blocks.levels, blocks.weights, 0.0
     for k in range(number):
         contrast = levels[k, 1]
@@ -152,7 +154,7 @@ def _explained(blocks: Blocks, number: int) -> float:
 
 @subroutine
 def _read(sight: Sight, camera: CameraRow, tag: TagPrint, scale: Scale, sought: Sought) -> Reading:
-    """The cells of a tag; without the quiet zone's levels where it reads better without."""
+    """Read a tag's cells; without the quiet zone's levels if fewer cells are wrong without."""
     cells, border = tag.cells, float(tag.border)
     offset = 0.5 * (len(cells) - tag.border)
     ring, greys = 1 if len(cells) == tag.border + 2 else 0, np.empty(cells.shape)
@@ -174,13 +176,13 @@ def _read(sight: Sight, camera: CameraRow, tag: TagPrint, scale: Scale, sought: 
 def _seen(
     camera: CameraRow, view: View, u: float, v: float, a: float, b: float, c: float
 ) -> tuple[float, float, float, float]:
-    """A point and its standard deviations as the lens shows them.
+    """Map a point and its standard deviations from the undistorted plane to the image.
 
     Args:
-        camera: the eye's.
-        view: the plane that the lens does not bend.
-        u: of the point, undistorted.
-        v: the same.
+        camera: the eye's camera.
+        view: the undistorted plane.
+        u: u of the point, undistorted.
+        v: v of the point, undistorted.
         a: variance of u, undistorted.
         b: covariance.
         c: variance of v.
@@ -206,16 +208,16 @@ def _seen(
 def _covariance_of(
     factor: FloatArray, used: int, G: FloatArray, u: float, v: float, x: float, y: float
 ) -> tuple[float, float, float]:
-    """The covariance of a point of the plane in the image, J N^-1 J^T, for pixels of variance 1.
+    """Covariance J N^-1 J^T of the image of a point of the plane, for pixels of variance 1.
 
     Args:
         factor: lower Cholesky factor of N.
-        used: unknowns that were sought.
-        G: (3, 3) to the plane.
-        u: of the point, undistorted.
-        v: the same.
-        x: in the plane.
-        y: the same.
+        used: number of unknowns that were sought.
+        G: (3, 3) homography to the tag's plane.
+        u: u of the point, undistorted.
+        v: v of the point, undistorted.
+        x: x of the point in the tag's plane.
+        y: y of the point in the tag's plane.
 
     Returns:
         The variance of u, the covariance, the variance of v.
@@ -223,7 +225,7 @@ def _covariance_of(
     J, column = np.empty((2, UNKNOWNS)), np.empty(UNKNOWNS)
     g, h = G[2, 0], G[2, 1]
     w = g * u + h * v + G[2, 2]
-    # the plane's coordinates by pixels
+    # derivatives of the plane's coordinates with respect to pixels
     a, b = (G[0, 0] - x * g) / w, (G[0, 1] - x * h) / w
     c, d = (G[1, 0] - y * g) / w, (G[1, 1] - y * h) / w
     det = a * d - b * c

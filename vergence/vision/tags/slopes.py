@@ -1,4 +1,4 @@
-"""The blurred print at each pixel of a fit, and how it changes with all that is sought."""
+"""The blurred print at each pixel of a fit, and its derivatives with respect to all unknowns."""
 
 from math import sqrt
 
@@ -10,14 +10,14 @@ from vergence.vision.tags.workspace import UNKNOWNS, Room, Sought, TagPrint
 
 @subroutine
 def evaluate_print(sought: Sought, tag: TagPrint, room: Room, count: int, along: int) -> None:
-    """The print and its derivatives at all pixels, and their sums by block.
+    """Evaluate the print and its derivatives at all pixels, and their sums by block.
 
     Args:
-        sought: where the tag is now.
-        tag: what is printed.
-        room: its places are read; its pixels, and its blocks' plain sums and slopes, are the
-            result. A pixel is of block -1 where an unknown cell counts.
-        count: pixels.
+        sought: the tag's current pose, blurs and bend.
+        tag: the print.
+        room: its `places` are read; its `pixels` and its blocks' `plain` and `slopes` are the
+            result. A pixel to which an unknown cell contributes gets block -1.
+        count: number of pixels.
         along: blocks along an edge.
     """
     G, blurs, bent, cells = sought.G, sought.blurs, sought.bent, tag.cells

@@ -1,4 +1,4 @@
-"""The stages of a tag's fit: which pixels take part in each, and how they are cut into blocks."""
+"""The stages of a tag's fit: the pixels that take part in each, and their division into blocks."""
 
 from typing import Final, NamedTuple
 
@@ -9,67 +9,79 @@ from vergence.vision.tags.pixels import gather_pixels, without_clipped
 from vergence.vision.tags.workspace import Room, Sight, Sought, TagPrint, sides_of
 
 WIDE, NARROW, ALL, BEND = range(4)
-"""A wide band along the outer edges, a narrow one, the edges of all cells, and a bend."""
+"""Stages: a wide band along the outer edges, a narrow one, the edges of all cells, and a bend."""
 _BLOCK_PX: Final = 8.0
-"""Length of a block of one pair of levels along the edge."""
+"""Smallest side of a block, which has one dark level and one contrast, px (chosen: shadows and
+gradients against noise)."""
 _MOST_BLOCKS: Final = 8
-"""Along an edge."""
+"""Most blocks along an edge (chosen: as above)."""
 _PIXELS_PER_BLOCK: Final = 24
-"""Of those that take part, at least."""
+"""Pixels that take part per block, from which the number of blocks follows (chosen: as above)."""
 _REACH_PX: Final = 1.0
+"""Constant part of the half width of the band along the edges, px (chosen: evidence against time
+and neighbouring edges)."""
 _REACH_BLURS: Final = 2.2
-"""Half width of the band of pixels along the edges: a pixel and so many blurs."""
+"""Part of this half width that grows with the blur, in blurs of `_FIRST_BLUR_PX` (chosen: as
+above)."""
 _WIDE_PX: Final = 4.0
-"""The same in the first steps, for corners that are beside the edges."""
+"""Largest half width of the band in the first stage, px, for poor initial corners (chosen: reach
+against neighbouring edges)."""
 _WIDE_BLUR_PX: Final = 2.0
+"""Largest initial blur of the print in the first stage, px; so blurred, pixels far from an edge
+carry evidence on it (chosen: reach against accuracy)."""
 _WIDE_BLUR_CELLS: Final = 0.35
-"""Blur of the print in the first steps, so that a pixel tells of an edge that is far."""
+"""Initial blur of the print in the first stage, cells (chosen: as above)."""
 _QUIET_BLURS: Final = 1.8
-"""So many blurs of the quiet zone, which is a cell wide, are not looked at: what lies behind it
-reaches into them."""
+"""Width of the outer part of the quiet zone that is left out, in blurs of `_FIRST_BLUR_PX`: the
+background blurs into it (chosen: evidence against this background)."""
 _FIRST_BLOCKS: Final = 3
-"""Along an edge in the first steps, which few pixels take part in."""
+"""Most blocks along an edge in the first stage, which has few pixels (chosen: shadows against
+noise)."""
 _FIRST_BLUR_PX: Final = 0.8
+"""Initial blur of the print after the first stage, px; the smallest in it (chosen: a typical
+blur)."""
 _MOST_BLUR_PX: Final = 6.0
+"""Largest blur of a fit, px (chosen: blurred tags against fits that diverge)."""
 _MOST_BLUR_CELLS: Final = 0.7
+"""Largest blur of a fit, cells (chosen: as above)."""
 
 
 class Scale(NamedTuple):
-    """How large a tag is in the image, and what follows from that."""
+    """Size of a tag in the image, and bounds that follow from it."""
 
     shortest_px: float
-    """Of its edges."""
+    """Length of its shortest edge."""
     cell_px: float
     along: int
-    """Blocks along an edge, at most."""
+    """Most blocks along an edge."""
     most_blur_px: float
 
 
 @subroutine
 def scale_of(corners: FloatArray, border: int, most: int) -> Scale:
-    """The scale of a tag.
+    """Scale of a tag.
 
     Args:
-        corners: (4, 2) about where they are, undistorted, px.
+        corners: (4, 2) approximate corners, undistorted, px.
         border: cells along the square between them.
-        most: pixels that take part.
+        most: most pixels that take part.
     """
     shortest, longest, _ = sides_of(corners)
     cell_px = shortest / border
-    # never one for each cell: a block of one colour has no contrast of its own
+    # at most one block per cell of the border: a block of one colour has no contrast
     along = min(max(int(0.5 * (shortest + longest) / _BLOCK_PX), 1), _MOST_BLOCKS, border)
     along = min(along, 1 + most // (4 * _PIXELS_PER_BLOCK))
     return Scale(shortest, cell_px, along, min(max(_MOST_BLUR_CELLS * cell_px, 0.5), _MOST_BLUR_PX))
 
 
 class Stage(NamedTuple):
-    """What takes part in a stage."""
+    """Numbers of pixels and blocks that take part in a stage."""
 
     pixels: int
     along: int
     """Blocks along an edge."""
     clipped: bool
-    """Whether pixels of clipped white were left out."""
+    """True if pixels of clipped white were left out."""
 
 
 @subroutine
@@ -83,17 +95,17 @@ def begin_stage(
     room: Room,
     most: int,
 ) -> Stage:
-    """Begin a stage before that of the bend: with a plane through the corners.
+    """Begin a stage other than `BEND`, with the homography through the corners.
 
     Args:
-        which: see `WIDE`.
-        blurred: whether an earlier stage has found the blurs.
+        which: the stage, see `WIDE`.
+        blurred: True if an earlier stage has found the blurs.
         sight: the image.
-        tag: what is printed.
-        scale: how large it is.
-        sought: its corners are read; the plane is the result, and the blurs if they are not found.
-        room: its places are the result.
-        most: pixels that take part.
+        tag: the print.
+        scale: size of the tag in the image.
+        sought: its corners are read; `G` is a result, and so are the blurs unless `blurred`.
+        room: its `places` are a result.
+        most: most pixels that take part.
     """
     plane_of(sought.corners, sought.G)
     along, blur_px = scale.along, _FIRST_BLUR_PX

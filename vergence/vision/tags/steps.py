@@ -1,4 +1,4 @@
-"""A Gauss-Newton step of a tag's fit."""
+"""Gauss-Newton steps of a tag's fit."""
 
 from math import exp, hypot, inf
 from typing import Final, NamedTuple
@@ -13,20 +13,22 @@ from vergence.vision.tags.slopes import evaluate_print
 from vergence.vision.tags.workspace import SPREAD, UNKNOWNS, Room, Sought, TagPrint, place_of
 
 _LEAST_BLUR_PX: Final = 0.3
+"""Smallest blur of a fit, px (chosen: sharp images against edges that few pixels show)."""
 _LONGEST_BLUR_STEP: Final = 0.7
-"""Numerical: of the log of a blur."""
+"""Largest step of a blur's logarithm (numerical)."""
 _LEAST_PACE: Final = 0.2
+"""Smallest fraction of a step that is taken after an overshoot (numerical)."""
 _FASTER: Final = 1.5
-"""Numerical: bounds of the share of a step that is taken, and by what it grows again."""
+"""Factor by which this fraction grows again after a step without overshoot (numerical)."""
 
 
 class Compared(NamedTuple):
-    """What the print leaves of the light of all pixels."""
+    """Residuals of all pixels' light after the print."""
 
     contrast: float
-    """Of all blocks in the mean; 0 where none has any."""
+    """Mean contrast of all blocks; 0 if none has any."""
     unexplained: float
-    """Weighted sum of the squares that are left."""
+    """Weighted sum of squared residuals."""
     pixel: float
     """Variance of a pixel."""
 
@@ -36,11 +38,11 @@ def compare(sought: Sought, tag: TagPrint, room: Room, count: int, along: int) -
     """Compare the print with the pixels, by blocks.
 
     Args:
-        sought: where the tag is now.
-        tag: what is printed.
-        room: its places are read; its pixels, and what is known of the blocks but for the normal
+        sought: the tag's current pose, blurs and bend.
+        tag: the print.
+        room: its `places` are read; its `pixels` and its blocks, except for their normal
             equations, are the result.
-        count: pixels.
+        count: number of pixels.
         along: blocks along an edge.
     """
     blocks, number = room.blocks, along * along
@@ -58,7 +60,7 @@ def compare(sought: Sought, tag: TagPrint, room: Room, count: int, along: int) -
 
 @subroutine
 def begin_steps(room: Room) -> None:
-    """Take the next step whole, whatever the ones before did."""
+    """Make `improve` take the next step in full, regardless of earlier steps."""
     room.pace[0], room.pace[1], last = 1.0, 0.0, room.last
     for k in range(UNKNOWNS):
         last[k] = 0.0
@@ -76,26 +78,26 @@ def improve(
     bow: float,
     most_blur: float,
 ) -> tuple[float, float]:
-    """Take a step, or a part of it where the one before went too far.
+    """Take a Gauss-Newton step, shortened if the previous one overshot.
 
-    That is so where the slope along it has changed its sign; the secant says how far would have
-    been right. Without this, steps go to and fro where edges are sharpened, or seen at a low angle.
+    A step overshot if the slope along it has changed sign; the secant then gives the right
+    fraction. Without this, steps oscillate if edges are sharpened or seen at a low angle.
 
     Args:
-        sought: where the tag is, and result.
-        room: as `compare` and the step before leave it; the step and the factor of its normal
-            matrix are the result.
-        count: pixels.
-        number: of blocks.
-        used: unknowns that are sought, the first ones.
-        blur: how firmly blurs are held where they are, see `hold_near`.
-        spread: how firmly the spread is held at 0.
-        bow: the bend.
-        most_blur: the largest blur, px.
+        sought: the tag's pose, blurs and bend; also the result.
+        room: working arrays after `compare` and the previous step; the step and the Cholesky factor
+            of its normal matrix are the result.
+        count: number of pixels.
+        number: number of blocks.
+        used: number of unknowns that are sought, the first ones.
+        blur: weight that holds the blurs at their last values, see `hold_near`.
+        spread: weight that holds the spread at 0.
+        bow: weight that holds the bend at 0.
+        most_blur: largest blur, px.
 
     Returns:
-        How far the corner moves that moves farthest, px, infinitely where the pixels do not tell;
-        and by how much the log of a blur changes most.
+        Largest move of a corner, px, infinite if the normal matrix is not positive definite; and
+        the largest change of a blur's logarithm.
     """
     matrix, step = room.matrix, room.step
     normal_equations(room.pixels, count, room.blocks, number, used, matrix, step)
@@ -131,7 +133,7 @@ def improve(
 
 @subroutine
 def _move_plane(G: FloatArray, step: FloatArray) -> None:
-    """Move the plane: G becomes (1 + step) G."""
+    """Update the homography: G becomes (1 + step) G."""
     for j in range(3):
         a, b, c = G[0, j], G[1, j], G[2, j]
         G[0, j] = (1.0 + step[0]) * a + step[1] * b + step[2] * c
@@ -141,7 +143,7 @@ def _move_plane(G: FloatArray, step: FloatArray) -> None:
 
 @subroutine
 def _move_corners(sought: Sought) -> float:
-    """Move corners and the way back to where the plane is; how far the farthest moves, px."""
+    """Update H and the corners from G; return the largest move of a corner, px."""
     corners, H = sought.corners, sought.H
     back_of(sought.G, H)
     far = 0.0

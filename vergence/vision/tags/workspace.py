@@ -1,4 +1,4 @@
-"""The arrays of a tag's fit: what it looks at, what is sought, and the room that steps work in."""
+"""The arrays of a tag's fit: the image, the unknowns, and the working arrays of its steps."""
 
 from math import hypot, inf
 from typing import Final, NamedTuple
@@ -12,46 +12,47 @@ from vergence.vision.plane import View
 from vergence.vision.tags.printed import MOST_REACHED
 
 UNKNOWNS: Final = 19
-"""Of a fit: eight of the homography, two logs of blurs, the spread of white, eight of a bend."""
+"""Unknowns of a fit: eight of the homography, two logarithms of blurs, the spread of white into
+black, eight of a bend (numerical)."""
 SPREAD: Final = 10
-"""Column of how far white reaches into black, px."""
+"""Index of the spread, px, among the unknowns (numerical)."""
 BOWS: Final = 11
-"""First column of the bend, in half edges, see `bend_at`."""
+"""Index of the bend's first coefficient, half edges, see `bend_at` (numerical)."""
 COLUMNS: Final = 3 + UNKNOWNS
-"""Of a pixel: its grey, its block, the print, and the derivatives."""
+"""Columns of a pixel: its light, its block, the print, and the derivatives (numerical)."""
 
 
 class Sight(NamedTuple):
-    """The image that a tag is looked for in, and where."""
+    """The image that a tag is searched in, and the region of the search."""
 
     image: NDArray[np.uint8]
     """Grey levels, shape (height, width)."""
     light: FloatArray
-    """(256,) of each of them."""
+    """(256,) light of each grey level."""
     rays: NDArray[np.float32]
-    """(height, width, 2) undistorted, or (0, 0, 2) for pixels that are such."""
+    """(height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole."""
     plane: View
-    """The plane that the lens does not bend."""
+    """The undistorted plane."""
     left: int
-    """The first pixel that is looked at along u, maybe outside of the image; and so on."""
+    """First pixel of the region along u; it may lie outside of the image, as the next three may."""
     right: int
     top: int
     bottom: int
 
 
 class TagPrint(NamedTuple):
-    """What is printed."""
+    """The print of a tag."""
 
     cells: FloatArray
     """(n, n) 0 black to 1 white, nan unknown."""
     border: int
-    """Cells along the square whose corners are sought, in the middle of the print."""
+    """Side of the square whose corners are sought, cells; centred in the print."""
     quiet: float
-    """How wide the quiet zone around it is taken to be, cells."""
+    """Assumed width of the quiet zone around the square, cells."""
 
 
 class Sought(NamedTuple):
-    """Where a tag is, and how it looks."""
+    """The unknowns of a fit: a tag's pose, blurs, spread and bend."""
 
     corners: FloatArray
     """(4, 2) undistorted, px."""
@@ -66,47 +67,47 @@ class Sought(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """What is known of each block: sums over its pixels, and what they come to."""
+    """Sums over the pixels of each block, and the levels and weights that follow from them."""
 
     plain: FloatArray
     """(K, 5) sums of 1, T, T^2, I, T I."""
     slopes: FloatArray
-    """(K, 2, unknowns) of the derivatives of T, and of T times them."""
+    """(K, 2, unknowns) sums of the derivatives of T, and of T times them."""
     normal: FloatArray
-    """(K, unknowns, unknowns) of the derivatives' products, levels eliminated."""
+    """(K, unknowns, unknowns) normal matrices, levels eliminated."""
     scores: FloatArray
-    """(K, unknowns) of the derivatives times what the print leaves."""
+    """(K, unknowns) sums of the derivatives times the residuals."""
     levels: FloatArray
-    """(K, 2) dark level and contrast, no contrast for those that say nothing."""
+    """(K, 2) dark level and contrast; contrast 0 for blocks that are not used."""
     weights: FloatArray
-    """(K,) how much they count."""
+    """(K,) weights."""
 
 
 class Room(NamedTuple):
-    """What steps work in."""
+    """Working arrays of the steps."""
 
     places: FloatArray
-    """(pixels, 3) undistorted place and light of those that take part."""
+    """(pixels, 3) undistorted position and light of the pixels that take part."""
     pixels: FloatArray
     """(pixels, `COLUMNS`) see `evaluate_print`."""
     along_x: FloatArray
     """(4, `MOST_REACHED`) see `printed_at`."""
     along_y: FloatArray
-    """The same."""
+    """(4, `MOST_REACHED`) see `printed_at`."""
     blocks: Blocks
     matrix: FloatArray
-    """(unknowns, unknowns) normal matrix, and its lower Cholesky factor after a step."""
+    """(unknowns, unknowns) normal matrix; its lower Cholesky factor after a step."""
     step: FloatArray
-    """(unknowns,) right side, and the step."""
+    """(unknowns,) right side of the normal equations; the step after it is solved."""
     last: FloatArray
-    """(unknowns,) the step before, 0 before the first one of a stage."""
+    """(unknowns,) previous step; 0 before the first one of a stage."""
     pace: FloatArray
-    """(2,) the share of a step that was taken, and the slope along it where it began."""
+    """(2,) fraction of the previous step that was taken, and the slope along it at its start."""
 
 
 @subroutine
 def make_room(pixels: int, blocks: int) -> Room:
-    """Room for so many pixels and blocks."""
+    """Allocate working arrays."""
     return Room(
         np.empty((pixels, 3)),
         np.empty((pixels, COLUMNS)),
@@ -129,7 +130,7 @@ def make_room(pixels: int, blocks: int) -> Room:
 
 @subroutine
 def place_of(k: int) -> tuple[float, float]:
-    """The place of a corner in the tag's plane, half edges, or of the centre after the last."""
+    """Position of corner k in the tag's plane, half edges; of the centre for k = 4."""
     if k == 4:
         return 0.0, 0.0
     return -1.0 if k == 0 or k == 3 else 1.0, -1.0 if k < 2 else 1.0
@@ -140,13 +141,13 @@ class Sides(NamedTuple):
 
     shortest: float
     longest: float
-    """Infinite where a corner is nowhere."""
+    """Infinite if a corner is not finite."""
     perimeter: float
 
 
 @subroutine
 def sides_of(corners: FloatArray) -> Sides:
-    """The lengths of the sides between (4, 2) corners."""
+    """Lengths of the sides between (4, 2) corners."""
     shortest, longest, perimeter = inf, 0.0, 0.0
     for k in range(4):
         other = (k + 1) % 4
