@@ -64,9 +64,10 @@ def range_of(name: str, scenario: Scenario, head: HeadModel) -> Range:
 
 
 def matters(name: str, scenario: Scenario) -> bool:
-    """True if an imperfection has an effect: sizes of outliers have one only if there are outliers.
+    """True if an imperfection has an effect in a scenario.
 
-    The same holds for every imperfection that occurs with a probability.
+    The size or duration of random events, such as outliers, has one only if the scenario has such
+    events.
     """
     chance = IMPERFECTIONS[name].of_chance
     if not chance:

@@ -32,9 +32,9 @@ def as_trials(
 
     Args:
         task: the recorded task, open or closed.
-        record: a recording with `visible`, `positions` and `command`, and of the truth
-            `pixel_error`, `target` and `motors`; with all fields if the plant is no simulation. It
-            may have ended early.
+        record: a recording with the readings `visible`, `positions` and `command`, and the ground
+            truth `pixel_error`, `target` and `motors`; with all fields if the plant is no
+            simulation. It may have ended early.
         steps: greatest number of control periods to evaluate.
         scenario: name of the scenario.
         plant: name of the plant.

@@ -95,7 +95,7 @@ class TrialsJob:
 def controller_objective(
     config: TuneConfig, scenario: Scenario, head: HeadModel, mapper: Mapper | None = None
 ) -> Objective:
-    """Make an objective that judges options by the scenario's training trials, always the same.
+    """Make an objective that judges all options by the same training trials of the scenario.
 
     The jobs are parts of a point's trials, not points: the next point of a search depends on all
     points before it, and so would depend on the number of points tried at a time. A trial is the
