@@ -1,1 +1,1 @@
-"""Runs, their metrics, and what is written and drawn of them."""
+"""Evaluation: runs, their metrics, and their reports and figures."""

@@ -1,4 +1,4 @@
-"""The main job: both eyes turn to a target, and its position comes out with its uncertainty."""
+"""A single gaze: turn both eyes to a target, and report its position with its uncertainty."""
 
 import dataclasses
 from collections.abc import Callable
@@ -38,59 +38,59 @@ _HARDWARE: Final = "hardware"
 
 @dataclass(frozen=True, kw_only=True)
 class GazeResult:
-    """What one gaze came to."""
+    """Result of one gaze."""
 
     config: GazeConfig
     head: HeadModel
     trajectory: pd.DataFrame
-    """A row per control period, from time zero on; nan where the truth is not known."""
+    """One row per control period, from time zero on; nan for unknown ground truth."""
     settle_1px_s: float
-    """When both eyes' true errors come within 1 px of the residual to stay; nan if they do not, or
-    without truth."""
+    """Time from which both eyes' true errors stay within 1 px of the residual, s; nan if they never
+    do, or without ground truth."""
     settle_05px_s: float
-    """The same for 0.5 px."""
+    """Time from which they stay within 0.5 px, s; nan likewise."""
     residual: FloatArray
     """(2, 2) the least error that the head's actuators can reach at the target, by eye and image
-    axis, px: zero where each eye joint has a motor of its own; nan without truth."""
+    axis, px: zero if each eye joint has a motor of its own; nan without ground truth."""
     truth_m: FloatArray
-    """(3,) where the target is, m; nan without truth, as on a real head."""
+    """(3,) true position of the target in N, m; nan without ground truth, as on a real head."""
     gaze: Fix
-    """The fix by gaze from the last joint angles, one element."""
+    """Fix by gaze from the last joint angles, one element."""
     itpc: Fix
-    """The fix from the last image in which both eyes saw the target, of the last 0.2 s, and the
-    joint angles of its exposure; one element."""
+    """Fix from the last image, not older than 0.2 s, with the target visible in both eyes, and from
+    the joint angles of its exposure; one element."""
     positions: FloatArray
     """(7,) the last joint angles, rad."""
     images: tuple[Image, Image] | None
     """The eyes' last images; None for a robot that has none."""
     diagnostics: dict[str, int]
-    """Counts of what went wrong in a robot's loop, by name; empty for a simulation."""
+    """Counts of faults in a robot's loop, by name; empty for a simulation."""
     drawn: bool
-    """Whether a simulation without images had these drawn for its last posture."""
+    """True if `images` were drawn for the last posture, as the simulation has no images."""
 
     @property
     def has_truth(self) -> bool:
-        """Whether the plant knew the truth."""
+        """True if the plant provides the ground truth."""
         return bool(np.isfinite(self.truth_m).all())
 
     @property
     def residual_px(self) -> float:
-        """The residual of the worse eye; nan without truth."""
+        """Residual of the worse eye, px; nan without ground truth."""
         return float(np.linalg.norm(self.residual, axis=-1).max())
 
     @property
     def has_residual(self) -> bool:
-        """Whether the actuators keep the eyes from looking at the target at once."""
+        """True if the actuators cannot bring both eyes onto the target together."""
         return self.residual_px > LEAST_RESIDUAL_PX
 
     @property
     def limitation(self) -> str:
-        """What a residual means for the gaze, in words."""
+        """Statement of the limitation that a residual implies."""
         exactly = "" if self.residual_px > 1.0 else "exactly "
         return f"the eyes cannot look {exactly}at the target at once"
 
     def summary(self) -> dict[str, Any]:
-        """The result as plain values, None for what has no answer."""
+        """The result as plain values; None for missing ones."""
         return {
             "settle_1px_s": _plain(self.settle_1px_s),
             "settle_05px_s": _plain(self.settle_05px_s),
@@ -124,8 +124,8 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
     """Bring the gaze to a target and triangulate it.
 
     Args:
-        config: what to do.
-        progress: called with the fraction done after every control period.
+        config: the gaze.
+        progress: callback with the fraction done, after every control period.
 
     Returns:
         The result.
@@ -138,7 +138,7 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
     refuse_fixed_pair(head)
     point = np.asarray(config.target_mm) / MM
     refused = _why_unreachable(head, point, config.target_mm)
-    if refused and is_simulated(config.plant):  # a robot looks at what it sees
+    if refused and is_simulated(config.plant):  # a robot looks at the target that it detects
         in_metres = not _why_unreachable(head, MM * point, config.target_mm)
         raise ConfigurationError(refused + (" (is it in metres?)" if in_metres else ""))
     rate = head.timing.control_rate_hz
@@ -162,13 +162,13 @@ def watch(
     config: GazeConfig,
     progress: Callable[[float], None] | None = None,
 ) -> GazeResult:
-    """Run a gaze's trial, close its task, and judge the record.
+    """Run the trial of a gaze, close its task, and evaluate the recording.
 
     Args:
-        task: one head.
-        controller: what turns its eyes.
+        task: a task with one head.
+        controller: the controller.
         config: the gaze, with the trial's duration and seed.
-        progress: called with the fraction done after every control period.
+        progress: callback with the fraction done, after every control period.
 
     Returns:
         The result.
@@ -192,7 +192,7 @@ def watch(
 
 
 class Ending(NamedTuple):
-    """Last images of a plant and its counts, while it is open; see `GazeResult`."""
+    """Last images and fault counts of a plant, taken before it closes; see `GazeResult`."""
 
     images: tuple[Image, Image] | None
     drawn: bool
@@ -200,7 +200,7 @@ class Ending(NamedTuple):
 
     @classmethod
     def of(cls, task: GazeTask) -> "Ending":
-        """Those at present, of a task's first head."""
+        """Take the present images and counts of a task's first head."""
         images = eye_images(task, 0)
         drawn = images is not None and task.plant.frames(0) is None
         return cls(images, drawn, task.plant.diagnostics())
@@ -209,13 +209,13 @@ class Ending(NamedTuple):
 def gaze_result(
     config: GazeConfig, task: GazeTask, record: Recorder, ending: Ending | None = None
 ) -> GazeResult:
-    """Judge a recorded gaze.
+    """Evaluate a recorded gaze.
 
     Args:
-        config: what the gaze was.
-        task: one head, open or closed.
-        record: what was recorded of it, all fields; it may have ended early.
-        ending: images and counts at its end; None where there are none, as after a replay.
+        config: the gaze.
+        task: a task with one head, open or closed.
+        record: the recording, with all fields; it may have ended early.
+        ending: images and counts at the end; None if there are none, as after a replay.
 
     Returns:
         The result.
@@ -246,7 +246,7 @@ def gaze_result(
 
 
 def _hardware(config: GazeConfig) -> tuple[GazeConfig, HeadModel, dict[str, Any]]:
-    """The gaze with the name of its head, the head, and the plant's options."""
+    """Configuration with the head's name filled in, the head, and options of the plant."""
     if config.plant != _HARDWARE:
         if config.hardware is not None:
             raise ConfigurationError(
@@ -267,7 +267,7 @@ def _hardware(config: GazeConfig) -> tuple[GazeConfig, HeadModel, dict[str, Any]
 
 
 def _why_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -> str:
-    """Why the eyes cannot find a target, or not fixate it; empty where they can."""
+    """Reason why the eyes cannot see or fixate a target; empty if they can."""
     if not np.isfinite(point).all():
         return f"target: expected three finite numbers, got {target_mm}"
     pixels = head.project(head.rest(), point)
@@ -292,7 +292,7 @@ def _outside(pixel: FloatArray, size: NDArray[np.int64]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers and lists of numbers for JSON, None for what is not finite."""
+    """Convert numbers and lists of numbers for JSON; None for values that are not finite."""
     if np.ndim(value):
         return [_plain(item) for item in value]
     return float(value) if np.isfinite(value) else None

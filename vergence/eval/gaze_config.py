@@ -1,4 +1,4 @@
-"""What one gaze is; also the options of `vergence gaze`."""
+"""Configuration of one gaze; also the options of `vergence gaze`."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -8,24 +8,25 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class GazeConfig:
-    """What one gaze is."""
+    """A target, a head and a controller for one gaze."""
 
     head: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="HEAD")] = None
     """Head: a preset's name (see `vergence info`) or the path of a TOML file; simulated by default,
-    on a robot that of its configuration."""
+    on a robot the head of its configuration."""
     target_mm: Annotated[
         tuple[float, float, float], tyro.conf.arg(name="target", metavar="X Y Z")
     ] = (0.0, -100.0, 1000.0)
-    """Where the target stands, in mm, in the base frame N: x right, y down, z forward. An emulated
-    head has it placed there, a robot looks at what its detector sees instead."""
+    """Position of the target in the base frame N, mm: x right, y down, z forward. The emulator
+    places it there; a robot looks at the target that it detects instead."""
     controller: Annotated[str, tyro.conf.arg(metavar="CONTROLLER")] = "ibvs"
     """Controller that turns the eyes (see `vergence info`); on a robot begin with
     state-feedback."""
     gain: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
-    """Gain of the controller, 1/s; its own by default, 4 for ibvs."""
+    """Gain of the controller, 1/s; the controller's default by default, 4 for ibvs."""
     plant: Annotated[str, tyro.conf.arg(metavar="PLANT")] = "rendered"
-    """What moves and sees: rendered (drawn images and a detector), mujoco, kinematic, hardware (a
-    robot, or vergence emulate), or module:class of a plant of one's own."""
+    """Plant that moves the head and takes the images: rendered (drawn images and a detector),
+    mujoco, kinematic, hardware (a robot, or vergence emulate), or module:class of a custom
+    plant."""
     hardware: Annotated[
         str | None, tyro.conf.arg(name="config", help_behavior_hint="", metavar="PATH")
     ] = None

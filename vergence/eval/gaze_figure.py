@@ -1,4 +1,4 @@
-"""The picture of one gaze: what the eyes saw, how the errors fell, where the axes cross."""
+"""Figure of one gaze: the eyes' images, the errors over time, and the optical axes."""
 
 from pathlib import Path
 from typing import Any
@@ -17,9 +17,10 @@ from vergence.models.parts import FloatArray
 
 _COLOURS = ("#1f6fb4", "#d1571b")
 _WORTH_MAGNIFYING = 0.15
-"""Half width of the magnified part, by the image's, from which on nothing is magnified."""
+"""Largest half width of the magnified part, as a fraction of the image's width; wider parts are not
+magnified."""
 _LEAST_PX = 1e-3
-"""Errors below this are drawn as this."""
+"""Least drawn error, px; smaller errors are drawn as this."""
 _GREEN, _GREY = "#14803c", "#666666"
 _STYLE: Any = {
     "font.size": 11,
@@ -32,7 +33,7 @@ _STYLE: Any = {
 
 
 def draw_gaze(result: GazeResult, path: Path) -> None:
-    """Draw a gaze to a PNG file.
+    """Draw a gaze into a PNG file.
 
     Args:
         result: the gaze.
@@ -49,8 +50,8 @@ def compose_gaze(result: GazeResult) -> Figure:
         result: the gaze.
 
     Returns:
-        Both eyes above the errors and the axes from above. Without truth it has no target, without
-        images none.
+        Both eyes, and below them the errors and the optical axes from above. Without ground truth
+        the target is left out, without images the images.
     """
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(12.0, 10.2), dpi=110, layout="constrained")
@@ -148,7 +149,7 @@ def _draw_errors(axes: Axes, result: GazeResult) -> None:
     scale: dict[str, Any] = {"yscale": "log", "ylim": (_LEAST_PX, None)}
     if result.has_residual:
         title = _mark_least_error(axes, result)
-        if result.residual_px > 1.0:  # a curve that ends far from zero has no decades to show
+        if result.residual_px > 1.0:  # an error that ends far from zero needs no logarithmic scale
             scale = {"ylim": (0.0, None)}
     else:
         _mark_bands(axes, result)
@@ -175,7 +176,7 @@ def _mark_bands(axes: Axes, result: GazeResult) -> None:
 
 
 def _mark_least_error(axes: Axes, result: GazeResult) -> str:
-    """Lines at the least errors of both eyes, and when the errors came near them."""
+    """Draw lines at both eyes' least errors, and the settle times to them; return the title."""
     for eye, least in enumerate(np.linalg.norm(result.residual, axis=-1)):
         axes.axhline(least, color=_COLOURS[eye], lw=1.2, ls=":")
         axes.get_lines()[eye].set_label(f"{EYE_NAMES[eye]}, least {least:.3g} px")
@@ -202,10 +203,10 @@ def _say(axes: Axes, text: str, top: float) -> None:
 
 
 def _draw_axes(axes: Axes, result: GazeResult) -> None:
-    """The two optical axes from above, z upwards, with the fixes magnified beside them."""
+    """Draw the two optical axes from above, z upwards, with the target and the fix by gaze."""
     poses = result.head.camera_poses(result.positions)
     fix = result.gaze
-    # without truth the picture reaches as far as the fix, or as the hand where there is none
+    # without ground truth the view reaches as far as the fix, or 1 m if there is none
     target = MM * (result.truth_m if result.has_truth else fix.point[0])
     if not np.isfinite(target).all():
         target = np.array([0.0, 0.0, MM])

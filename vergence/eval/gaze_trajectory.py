@@ -1,4 +1,4 @@
-"""The table of a gaze's trial: a row per control period, from a record alone."""
+"""The table of a gaze's trial, one row per control period, from a recording alone."""
 
 from typing import Any, Final
 
@@ -14,42 +14,45 @@ from vergence.recording import Recorder
 from vergence.triangulation import Fix, triangulate_gaze, triangulate_views
 
 MM: Final = 1000.0
+"""Millimetres per metre (physical: conversion of units)."""
 _LATELY_S: Final = 0.2
-"""Age up to which an image in which both eyes saw the target stands for the last one, s."""
+"""Greatest age of the last image with the target visible in both eyes for it to be used, s
+(chosen)."""
 
 
 def first_reading(record: Recorder) -> Reading:
-    """Readings of a record's first head, without the axis of the heads."""
+    """Readings of a recording's first head, without the axis of the heads."""
     return Reading._make(part[:, 0] for part in record.reading)
 
 
 def first_truth(record: Recorder) -> Truth:
-    """Truth of a record's first head; nan, and nothing in view, where it is unknown."""
+    """Ground truth of a recording's first head; nan, and nothing in view, if unknown."""
     if record.truth is None:
         return Truth.unknown(len(record.reading.time_s))
     return Truth._make(part[:, 0] for part in record.truth)
 
 
 def recorded_fixes(head: HeadModel, record: Recorder) -> tuple[Fix, Fix]:
-    """Triangulate the target of a record's first head in each control period.
+    """Triangulate the target of a recording's first head in each control period.
 
     Args:
         head: the model.
-        record: all fields of the readings.
+        record: a recording with all fields of the readings.
 
     Returns:
-        (rows,) by gaze from the joint angles, and (rows,) from the last image in which both eyes
-        saw the target, of the last 0.2 s, and the joint angles of its exposure.
+        (rows,) fixes by gaze, from the joint angles; and (rows,) fixes from the last image, not
+        older than 0.2 s, with the target visible in both eyes, and the joint angles of its
+        exposure.
     """
     reading = first_reading(record)
     views = triangulate_views(head, reading.positions_at_exposure, reading.pixels)
-    # cameras that nothing synchronises may end with one eye's image alone
+    # without synchronised cameras, the newest image may be of one eye only
     rows = _last_valid(reading.time_s, views.valid)
     return triangulate_gaze(head, reading.positions), Fix._make(part[rows] for part in views)
 
 
 def _last_valid(time_s: FloatArray, valid: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The row whose fix stands at each row; one that is too old gives way to any."""
+    """Row whose fix each row takes: the last valid one, or its own if that one is too old."""
     rows = np.zeros(len(valid), dtype=np.int64)
     last = 0
     for row in range(len(valid)):
@@ -60,14 +63,14 @@ def _last_valid(time_s: FloatArray, valid: NDArray[np.bool_]) -> NDArray[np.int6
 
 
 def trajectory_table(head: HeadModel, record: Recorder) -> pd.DataFrame:
-    """Tabulate a record's first head: its pixels, joints, commands and fixes.
+    """Tabulate a recording's first head: its pixels, joints, commands and fixes.
 
     Args:
         head: the model that the controller knew.
-        record: all fields of the readings, and of the truth where there is one.
+        record: a recording with all fields of the readings, and of the ground truth if known.
 
     Returns:
-        A row per control period; nan where the truth is not known.
+        One row per control period; nan for unknown ground truth.
     """
     reading, truth = first_reading(record), first_truth(record)
     columns: dict[str, NDArray[Any]] = {"time_s": reading.time_s, "exposure_s": reading.exposure_s}
@@ -83,7 +86,7 @@ def trajectory_table(head: HeadModel, record: Recorder) -> pd.DataFrame:
             for what, pixels in by_eye.items():
                 columns[f"{what}_{name}_{axis_name}_px"] = pixels[:, eye, axis]
     for joint, name in enumerate(head.joints):
-        if name:  # one that both eyes share stands twice, with the same angle
+        if name:  # a joint shared by both eyes occurs twice, with the same angle
             columns[f"position_{name}_rad"] = reading.positions[:, joint]
             columns[f"velocity_{name}_rad_s"] = reading.velocities[:, joint]
     for name, velocity in zip(head.actuation.names, reading.command[:, EYES].T, strict=False):

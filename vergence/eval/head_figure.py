@@ -1,4 +1,4 @@
-"""The drawing by which a person checks a head: eyes, axes, fields of view, images."""
+"""Figure for checking a head by eye: its eyes, axes, fields of view and images."""
 
 from pathlib import Path
 from typing import Final
@@ -25,16 +25,18 @@ _VIEWS: Final = (
     ("from the right", 2, 1, "z (mm), forward", "y (mm), down"),
     ("from behind", 0, 1, "x (mm)", "y (mm), down"),
 )
-"""Title, axis of N across and up the page, and their labels; y points down the page."""
+"""Title, axes of N across and up the page, and their labels; y points down the page."""
 _MM: Final = 1000.0
+"""Millimetres per metre (physical: conversion of units)."""
 _RAYS: Final = 49
-"""Of a field of view, across."""
+"""Rays across a field of view (chosen: smoothness of its outline)."""
 _SAME: Final = 0.02
-"""Axes as near to each other, by the size of the head, are drawn as one."""
+"""Largest distance, as a fraction of the head's size, and difference of unit directions at which
+axes are drawn as one (chosen)."""
 
 
 class _Geometry:
-    """What the three views show, in N at rest, millimetres.
+    """Geometry of the three views: positions in N at rest, millimetres.
 
     Args:
         head: one head.
@@ -65,9 +67,9 @@ class _Geometry:
 
 
 def _field(camera: EyeCamera) -> FloatArray:
-    """(2, n, 3) rays in the camera along the row and the column of its principal point, length 1.
+    """(2, n, 3) unit rays in the camera frame, along the row and column of its principal point.
 
-    They are even in angle, so that a field of view of 180 degrees has an area too.
+    They are evenly spaced in angle, so that a field of view of 180 degrees has an area too.
     """
     (u, v), (right, bottom) = camera.principal_px, (camera.width - 0.5, camera.height - 0.5)
     edges, _ = edge_rays(camera, np.array([[-0.5, v], [right, v], [u, -0.5], [u, bottom]]))
@@ -80,15 +82,15 @@ def _field(camera: EyeCamera) -> FloatArray:
 
 
 def draw_head(head: HeadModel, path: Path, summary: HeadSummary | None = None) -> None:
-    """Draw a head to a PNG file, to be checked by eye.
+    """Draw a head into a PNG file, to be checked by eye.
 
     Args:
         head: one head, not a population.
-        path: the file; one of that name is replaced. Its folder exists.
-        summary: of the head, where it is known already.
+        path: the file, replaced if it exists; its folder must exist.
+        summary: summary of the head; computed by default.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     with styled():
         figure = compose(head, summary or summarise(head))
@@ -97,11 +99,11 @@ def draw_head(head: HeadModel, path: Path, summary: HeadSummary | None = None) -
 
 
 def compose(head: HeadModel, summary: HeadSummary) -> Figure:
-    """The drawing of a head, laid out.
+    """Compose the figure of a head.
 
     Args:
         head: one head, not a population.
-        summary: of it.
+        summary: summary of the head.
     """
     shown = _Geometry(head)
     with styled():
@@ -121,7 +123,7 @@ def compose(head: HeadModel, summary: HeadSummary) -> Figure:
         figure.suptitle(
             f"{head.name}: baseline {summary.baseline_mm:.1f} mm, at rest, in frame N", fontsize=14
         )
-        figure.draw_without_rendering()  # lays it out
+        figure.draw_without_rendering()  # computes the layout
         figure.set_layout_engine("none")
         for panel, labels in views:
             _make_equal(panel)
@@ -130,17 +132,17 @@ def compose(head: HeadModel, summary: HeadSummary) -> Figure:
 
 
 def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> Labels:
-    """Draw what is seen along an axis of N; the labels are to be placed in the end."""
+    """Draw the view along an axis of N; the caller places the labels after the layout."""
     plane = [across, up]
     length = 0.3 * shown.size
     labels = Labels(panel)
     _draw_baseline(panel, shown, plane, labels)
-    towards = 1.0 if across == 2 else -1.0  # the reader, along the axis that is not on the page
+    towards = 1.0 if across == 2 else -1.0  # direction to the reader along the view's axis
     far = 4.0 * float((shown.high - shown.low).max())
     for eye, (origin, turn) in enumerate(zip(shown.eyes, shown.turns, strict=True)):
         colour, start = _COLOURS[eye], origin[plane]
         if {across, up} != {0, 1}:
-            # that of the image's two axes which this view shows: a camera may be rolled
+            # the image axis that this view shows; it differs for a camera that is rolled
             side = int(np.argmax(np.linalg.norm(turn[plane, :2], axis=0)))
             rays = shown.fields[eye][side] @ turn.T
             ends = start + far * rays[:, plane]
@@ -157,7 +159,7 @@ def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> Labels:
         panel.plot(*start, "s", color=colour, ms=8, zorder=6)
         labels.avoid(start, 5.0)
         outside = -1.0 if eye == 0 else 1.0
-        # behind the eye, where no line of sight is
+        # labels stand behind the eye, away from its line of sight
         back = (
             (outside, -1.0) if up == 2 else (-1.0, 0.3 * outside) if across == 2 else (outside, 0.0)
         )
@@ -176,7 +178,7 @@ def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> Labels:
 
 
 def _make_equal(panel: Axes) -> None:
-    """Give both axes of a laid out panel one scale, by wider limits of one of them."""
+    """Give both axes of a panel the same scale by widening the limits of one, after layout."""
     box = panel.bbox
     ends = np.array([panel.get_xlim(), panel.get_ylim()])
     spans = np.abs(ends[:, 1] - ends[:, 0])
@@ -192,7 +194,7 @@ def _make_equal(panel: Axes) -> None:
 def _seen_as_one(
     shown: _Geometry, across: int, up: int
 ) -> list[tuple[str, FloatArray, FloatArray]]:
-    """The joints' axes with their numbers, those as one that lie on each other in a view."""
+    """Joint axes with their numbers; axes that coincide in a view are merged."""
     found: list[tuple[str, FloatArray, FloatArray]] = []
     plane = [across, up]
     for number, (origin, axis) in enumerate(shown.axes, start=1):
@@ -209,7 +211,7 @@ def _seen_as_one(
 def _draw_frame(
     panel: Axes, origin: FloatArray, length: float, plane: list[int], labels: Labels
 ) -> None:
-    """The axes of N that lie in the plane of a view."""
+    """Draw the axes of N that lie in the plane of a view."""
     start = origin[plane]
     for axis, name in enumerate("xyz"):
         tip = origin.copy()
@@ -230,7 +232,7 @@ def _draw_axis(
     panel: Axes, start: FloatArray, direction: FloatArray, towards: float, half: float,
     text: str, labels: Labels,
 ) -> None:  # fmt: skip
-    """A joint's axis: an arrow through its origin, or a ring with its point or its feathers."""
+    """Draw a joint's axis as an arrow; along the view as a ring with a dot (towards) or cross."""
     if np.linalg.norm(direction) < 0.2:
         panel.plot(*start, "o", color=GREEN, ms=13, mfc="none", mew=1.6, zorder=5)
         panel.plot(*start, "o" if towards > 0.0 else "x", color=GREEN, ms=4 if towards > 0 else 8)
@@ -249,11 +251,11 @@ def _draw_axis(
 
 
 def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int], labels: Labels) -> None:
-    """The distance between the eyes, as a dimension line beside them."""
+    """Draw the baseline as a dimension line next to the eyes."""
     left, right = shown.eyes[:, plane]
     if np.linalg.norm(right - left) < 0.5 * shown.baseline:
         return
-    # behind what is near the eyes in the view from above, above it in the view from behind
+    # behind the parts near the eyes in the view from above, above them in the view from behind
     level = shown.nearby[:, plane[1]].min() - 0.3 * shown.size
     ends = np.array([[left[0], level], [right[0], level]])
     panel.annotate(
@@ -264,13 +266,13 @@ def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int], labels: Labe
         panel.plot(*np.column_stack([start, end]), color=GREY, lw=0.7)
         labels.avoid_line(start, end)
     labels.avoid_line(*ends)
-    behind = (0.0, -1.0)  # of the eyes: down the view from above, up that from behind
+    behind = (0.0, -1.0)  # down in the view from above, up in the view from behind
     white = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
     labels.add(ends.mean(axis=0), f"{shown.baseline:.1f} mm", GREY, behind, bbox=white)
 
 
 def _write_joints(panel: Axes, summary: HeadSummary) -> None:
-    """The numbers in the views, with names and ranges."""
+    """Write the legend of the joints' numbers, with names and ranges, and of the cameras."""
     panel.set_axis_off()
     lines = []
     for number, joint in enumerate(summary.joints, start=1):

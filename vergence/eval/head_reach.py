@@ -1,4 +1,4 @@
-"""Where a head can look: the points that both eyes reach and see, the neck at rest."""
+"""Reach of a head: the points that both eyes can fixate and see with the neck at rest."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,27 +11,30 @@ from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 
 NEAREST_M: Final = 0.01
-"""From this depth on the reach is looked for."""
+"""Least depth of the search, m (chosen)."""
 _FARTHEST_M: Final = 100.0
+"""Greatest depth of the search, m; the reach counts as infinite from there (chosen)."""
 _SIDES: Final = (("left", 0, -1.0), ("right", 0, 1.0), ("up", 1, -1.0), ("down", 1, 1.0))
-"""Axis of N and sign of the directions in which the widest angles are looked for."""
+"""Name, axis of N and sign of the directions in which the widest angles are searched."""
 _FORWARD: Final = np.array([0.0, 0.0, 1.0])
+"""Direction straight ahead in N (numerical: a unit vector)."""
 _DIRECTION_M: Final = 1.0
-"""At this distance the widest angles are looked for, or at twice the nearest depth if larger."""
+"""Distance at which the widest angles are searched, or twice the nearest depth if larger, m
+(chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reach:
-    """Where both eyes can look at a point and see it, the neck at rest."""
+    """Limits within which both eyes can fixate a point and see it, with the neck at rest."""
 
     nearest_m: float
-    """Straight ahead, from midway between the eyes; nan where there is no such depth."""
+    """Least depth straight ahead, from midway between the eyes; nan if there is none."""
     farthest_m: float
-    """Straight ahead; inf beyond 100 m."""
+    """Greatest depth straight ahead; inf beyond 100 m."""
     distance_m: float
-    """From midway between the eyes, for the angles."""
+    """Distance from midway between the eyes to which the angles apply."""
     left_deg: float
-    """Widest angle from straight ahead at that distance; nan where there is none."""
+    """Widest angle from straight ahead at that distance; nan if there is none."""
     right_deg: float
     up_deg: float
     down_deg: float
@@ -43,16 +46,17 @@ def centre_of(head: HeadModel) -> FloatArray:
 
 
 def look_at(head: HeadModel, points: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Joint angles with which both eyes look at points of N, and whether they then see them.
+    """Joint angles at which both eyes look at points of N, and a mask of the visible points.
 
-    Eyes that do not move stay as they are; those that cannot fixate exactly come nearest.
+    Fixed eyes keep their pose; eyes that cannot fixate exactly take the angles of the least error.
 
     Args:
         head: one head, not a population.
         points: (n, 3) in N, m.
 
     Returns:
-        (n, 7) joint angles, rad, the neck at rest; (n,) whether both eyes see the point then.
+        (n, 7) joint angles with the neck at rest, rad; (n,) True if the angles are within limits
+        and both eyes see the point.
     """
     rest = head.rest()
     if head.actuation.count:
@@ -67,7 +71,7 @@ def look_at(head: HeadModel, points: FloatArray) -> tuple[FloatArray, NDArray[np
 
 
 def reach_of(head: HeadModel) -> Reach:
-    """Where both eyes can look at a point and see it, the neck at rest.
+    """Find the reach of a head with the neck at rest.
 
     Args:
         head: one head, not a population.
@@ -100,10 +104,10 @@ def points_of(head: HeadModel, reach: Reach) -> FloatArray:
 
     Args:
         head: the head.
-        reach: its own.
+        reach: the head's reach.
 
     Returns:
-        (n, 3) in N, m; none on a side where it sees nothing. Those in corners may be beyond it.
+        (n, 3) in N, m; none on a side without reach. Points in corners may be out of reach.
     """
     sides: list[list[FloatArray]] = [[], []]
     for name, axis, sign in _SIDES:

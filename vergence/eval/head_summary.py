@@ -1,4 +1,4 @@
-"""What a head can do, in the numbers that a buyer of one would ask for."""
+"""Summary of a head: its reach, fields of view, precision and limits in numbers."""
 
 from dataclasses import asdict, dataclass
 from math import isfinite, isnan
@@ -16,11 +16,12 @@ from vergence.triangulation.fix import triangulate_views
 from vergence.vision.optics import EyeCamera
 
 DEPTHS_M: Final = (0.5, 1.0, 2.0)
-"""Where the expected depth error is told."""
+"""Depths at which the expected depth error is reported, m (chosen)."""
 
 
 LEAST_RESIDUAL_PX: Final = 1e-3
-"""A residual below this is none: the iterations that look for it end there."""
+"""Residual below which it counts as zero, px: the accuracy of the iterations that find it
+(numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,12 +30,13 @@ class JointSummary:
 
     name: str
     moves: str
-    """What it turns: the neck, an eye, both; or the joints that an actuator moves."""
+    """Parts that the joint turns: the neck, an eye, both eyes; or the joints that an actuator
+    moves."""
     lower_deg: float
     upper_deg: float
     velocity_deg_s: float
     acceleration_rad_s2: float
-    """inf where there is no limit."""
+    """Greatest acceleration; inf for no limit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +55,7 @@ class EyeSummary:
     vertical_deg: float
     """Field of view along the column of the principal point, through the lens."""
     folds: bool
-    """Whether the lens model folds back on itself inside the image: there is no ray there."""
+    """True if the lens model folds back on itself within the image, where pixels have no rays."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,35 +66,35 @@ class HeadSummary:
     digest: str
     joints: tuple[JointSummary, ...]
     actuators: tuple[JointSummary, ...]
-    """What moves the eyes where it is not one motor a joint; empty otherwise."""
+    """Actuators of the eyes, unless each joint has its own motor; empty otherwise."""
     eyes: tuple[EyeSummary, ...]
     baseline_mm: float
-    """Between the cameras at rest."""
+    """Distance between the cameras at rest, mm."""
     control_rate_hz: float
     frame_rate_hz: float
     latency_ms: float
     reach: Reach
     depth_error_mm: dict[str, float]
-    """One standard deviation of depth straight ahead by the depth in metres; nan out of reach."""
+    """Standard deviation of depth straight ahead, mm, by the depth in m; nan out of reach."""
     detection_noise_px: float
     encoder_steps_deg: tuple[float, float]
-    """The finest and the coarsest of the actuators' encoders."""
+    """Finest and coarsest quantisation of the actuators' encoders."""
     backlash_deg: float
-    """The greatest play of an actuator."""
+    """Greatest backlash of an actuator."""
     least_error_px: float
-    """The greatest pixel error that is left where the eyes look at best, at those depths straight
-    ahead and at the sides of the reach."""
+    """Greatest residual: pixel error that the eyes cannot remove, at those depths straight ahead
+    and at the sides of the reach."""
     assumptions: dict[str, str]
     calibration: CalibrationRecord | None
-    """How the cameras were calibrated, where the file says."""
+    """Record of the cameras' calibration, if the file has one."""
 
     @property
     def moves(self) -> bool:
-        """Whether the eyes move."""
+        """True if the eyes move."""
         return bool(self.actuators) or any(joint.moves != "neck" for joint in self.joints)
 
     def document(self) -> dict[str, Any]:
-        """The same for JSON: null for what there is not, "inf" for what has no limit."""
+        """The summary for JSON: null for missing values, "inf" for infinite ones."""
         document: dict[str, Any] = _plain(asdict(self))
         return document
 
@@ -105,16 +107,16 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not isfinite(value):
         return None if isnan(value) else "inf"
     if isinstance(value, float):
-        return float(f"{value:.12g}")  # without what only rounding has left
+        return float(f"{value:.12g}")  # removes rounding errors
     return value
 
 
 def summarise(head: HeadModel) -> HeadSummary:
-    """Work out what a head can do.
+    """Summarise a head.
 
-    The depth error counts what the head's own sensors say of their noise: that of the detected
-    pixel, the encoders' steps and the actuators' play, of one fixation; no error of calibration.
-    Where the eyes look straight at a point, it is that of `triangulate_gaze`.
+    The depth error of one fixation includes the head's sensor noise: the noise of detected pixels,
+    the quantisation of encoders and the backlash of actuators. It includes no calibration error. If
+    the eyes fixate the point exactly, it equals the depth error of `triangulate_gaze`.
 
     Args:
         head: one head, not a population.
@@ -191,7 +193,7 @@ def joint_summaries(head: HeadModel) -> tuple[JointSummary, ...]:
 
 
 def actuator_summaries(head: HeadModel) -> tuple[JointSummary, ...]:
-    """What moves the eyes of a head where it is not one motor a joint; empty otherwise."""
+    """Actuators of the eyes, unless each joint has its own motor; empty otherwise."""
     if head.actuators is None:
         return ()
     actuation = head.actuation
@@ -239,14 +241,14 @@ def _eye(camera: EyeCamera, name: str) -> EyeSummary:
 
 
 def edge_rays(camera: EyeCamera, pixels: FloatArray) -> tuple[FloatArray, bool]:
-    """Rays of pixels at an image's edge, or of the last on the way there that have one.
+    """Rays of pixels at an image's edge, or of the last pixels on the way there that have a ray.
 
     Args:
         camera: the eye.
         pixels: (n, 2) raw pixels.
 
     Returns:
-        (n, 2) rays (x / z, y / z), and whether any had none at the edge itself.
+        (n, 2) rays (x / z, y / z), and True if any pixel at the edge had no ray.
     """
     rays = camera.rays(pixels)
     missing = np.asarray(np.isnan(rays).any(axis=1))

@@ -1,4 +1,4 @@
-"""The drawing of what an eye's image holds: its size, principal point, and angles of view."""
+"""Figure of an eye's image: its size, principal point, and angles of view."""
 
 from typing import Final
 
@@ -12,19 +12,19 @@ from vergence.models.joints import EYE_NAMES
 from vergence.vision.optics import EyeCamera
 
 _RING_STEPS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-"""Degrees between the rings of an image."""
+"""Candidate spacings of the rings of equal angle, degrees (chosen: round numbers)."""
 _MOST_RINGS: Final = 4.5
-"""Rings between the principal point and the farther edge: so many have room for their numbers."""
+"""Most rings between the principal point and the farther edge (chosen: room for their labels)."""
 
 
 def draw_image(panel: Axes, camera: EyeCamera, eye: int, colour: str) -> None:
-    """An image's outline with its principal point and rings of equal angle through the lens.
+    """Draw an image's outline with its principal point and rings of equal angle through the lens.
 
     Args:
-        panel: to draw on.
-        camera: the eye's.
-        eye: 0 for the left one, 1 for the right one.
-        colour: of the eye.
+        panel: axes to draw on.
+        camera: camera of the eye.
+        eye: 0 for the left eye, 1 for the right eye.
+        colour: colour of the eye.
     """
     width, height = camera.width, camera.height
     outline = Rectangle(
@@ -43,7 +43,7 @@ def draw_image(panel: Axes, camera: EyeCamera, eye: int, colour: str) -> None:
         pixels = camera.project(np.column_stack([ring, np.ones(len(turn))]))
         (line,) = panel.plot(*pixels.T, color=colour, lw=0.8, alpha=0.7)
         line.set_clip_path(outline)
-        # on the side of the image where there is more of the ring
+        # label on the side of the image that shows more of the ring
         side = pixels[0 if camera.principal_px[0] <= 0.5 * width else 90]
         margin = 0.05 * np.array([width, height])
         if ((side > margin) & (side < np.array([width, height]) - margin)).all():

@@ -1,7 +1,7 @@
-"""Independent jobs, run one after the other, on this machine's processors, or on a cluster.
+"""Run independent jobs one after the other, on this machine's processors, or on a cluster.
 
-A job is a picklable call without arguments whose result depends on nothing but itself, so results
-are the same, and in the same order, wherever they were computed.
+A job is a picklable callable without arguments, whose result depends only on the job itself. The
+results, and their order, are therefore the same wherever the jobs run.
 """
 
 import logging
@@ -25,21 +25,22 @@ from vergence.eval.reporting.runs import versions
 T = TypeVar("T")
 Job = Callable[[], Any]
 _MANAGER: Final = "_ExecutorManagerThread"
-"""The class of the thread with which loky hands out jobs."""
+"""Class name of loky's thread that distributes jobs."""
 _JOIN_S: Final = 10.0
+"""Longest wait for that thread after jobs are cancelled, s (chosen)."""
 Progress = Callable[[int, int], None]
-"""Called with the number of jobs done and their number."""
+"""Callback with the number of finished jobs and the total number."""
 
 
 class Mapper(ABC):
-    """Runs jobs and returns their results in order.
+    """Runner of jobs, which returns their results in order.
 
     Args:
-        progress: told after every job.
+        progress: callback after every job.
 
     Attributes:
-        progress: the same; it may be replaced between calls.
-        workers: how many jobs run at a time.
+        progress: callback after every job; it may be replaced between calls.
+        workers: number of jobs that run at a time.
     """
 
     workers: int = 1
@@ -51,7 +52,7 @@ class Mapper(ABC):
         """Run all jobs.
 
         Raises:
-            Exception: a job's own, as it is.
+            Exception: the exception of a job, unchanged.
         """
         results: dict[int, T] = {}
         with closing(self._results(jobs)) as found:
@@ -63,25 +64,25 @@ class Mapper(ABC):
 
     @abstractmethod
     def _results(self, jobs: Sequence[Callable[[], T]]) -> Generator[tuple[int, T]]:
-        """The jobs' numbers and results, each as soon as it is there."""
+        """Yield the jobs' numbers and results, each as soon as it is available."""
 
     def close(self) -> None:
-        """Let go of what the mapper holds."""
+        """Release the mapper's resources."""
 
 
 class SerialMapper(Mapper):
-    """Runs jobs one after the other in this process."""
+    """Runner of jobs one after the other in this process."""
 
     def _results(self, jobs: Sequence[Callable[[], T]]) -> Generator[tuple[int, T]]:
         return ((number, job()) for number, job in enumerate(jobs))
 
 
 class ProcessMapper(Mapper):
-    """Runs jobs on this machine's processors, in processes that stay for the next jobs.
+    """Runner of jobs in worker processes of this machine, which stay alive for further jobs.
 
     Args:
-        workers: how many processes.
-        progress: told after every job.
+        workers: number of processes.
+        progress: callback after every job.
 
     Raises:
         ConfigurationError: there is not at least one worker.
@@ -97,8 +98,9 @@ class ProcessMapper(Mapper):
         from joblib import Parallel, delayed
 
         workers_begin()
-        # A process that has grown while it compiled kernels is replaced, and nothing is lost. Where
-        # warnings are errors, this one would end the thread that hands out jobs, which never end.
+        # loky replaces a process whose memory has grown while it compiled kernels, without losing
+        # jobs. If warnings are errors, its warning would end the thread that distributes jobs, and
+        # the call would hang.
         warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
         workers = max(1, min(self.workers, len(jobs)))
         parallel = Parallel(n_jobs=workers, return_as="generator", pre_dispatch="2*n_jobs")
@@ -115,9 +117,9 @@ class ProcessMapper(Mapper):
 
 
 def _call_off(results: Generator[Any]) -> None:
-    """End joblib's processes, and say nothing of it: nobody waits for their results any more."""
+    """Cancel the remaining jobs and end joblib's processes, without messages."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of how many jobs are called off
+        warnings.simplefilter("ignore")  # about the number of cancelled jobs
         results.close()
     for thread in threading.enumerate():
         if type(thread).__name__ == _MANAGER:
@@ -126,9 +128,9 @@ def _call_off(results: Generator[Any]) -> None:
 
 @contextmanager
 def _silent_manager() -> Iterator[None]:
-    """Ignore the KeyError with which loky's manager ends when its jobs go while it hands one out.
+    """Ignore the KeyError of loky's manager thread if its jobs are cancelled while it submits one.
 
-    Nothing follows from it: the executor is thrown away then.
+    The error is harmless: the executor is discarded then.
     """
     hook = threading.excepthook
 
@@ -145,15 +147,15 @@ def _silent_manager() -> Iterator[None]:
 
 @contextmanager
 def _interrupts_withheld() -> Iterator[None]:
-    """Withhold Ctrl-C while worker processes start, which inherit that.
+    """Block SIGINT while worker processes start; they inherit the blocked signal.
 
-    A terminal sends Ctrl-C to all of them. Only this process answers it, and ends the others;
-    they would each say where they were interrupted.
+    A terminal sends Ctrl-C to all of them. Only this process shall react to it and end the others,
+    which would each print a traceback otherwise.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    # the tracker of shared memory, which workers ask for, lets the signal through as it starts
+    # start the tracker of shared memory, which workers use, first: its start unblocks the signal
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -163,11 +165,11 @@ def _interrupts_withheld() -> Iterator[None]:
 
 
 def _alone(job: Callable[[], T]) -> T:
-    """Run a job on one thread: its siblings have the other processors."""
+    """Run a job on one thread, as other jobs use the other processors."""
     import cv2
 
     cv2.setNumThreads(1)
-    # what somebody's own code prints is no part of a result that goes to standard output
+    # output of user-defined code must not mix with results on standard output
     with redirect_stdout(sys.stderr):
         return job()
 
@@ -176,15 +178,15 @@ def _alone(job: Callable[[], T]) -> T:
 def open_mapper(
     workers: int | None = None, cluster: str | None = None, progress: Progress | None = None
 ) -> Iterator[Mapper]:
-    """What runs jobs here or on a cluster; it is closed in the end.
+    """Open a mapper for this machine or a cluster; it is closed at the end of the context.
 
     Args:
-        workers: how many processes on this machine; one per processor by default.
-        cluster: address of a Ray cluster to run on instead, `HOST:PORT`.
-        progress: told after every job.
+        workers: number of processes on this machine; one per processor by default.
+        cluster: address of a Ray cluster to use instead, `HOST:PORT`.
+        progress: callback after every job.
 
     Yields:
-        The mapper; of one worker, this process alone.
+        The mapper; for one worker, it runs the jobs in this process.
 
     Raises:
         ConfigurationError: there is not at least one worker, or no such cluster.
@@ -202,14 +204,15 @@ def open_mapper(
 
 
 class RayMapper(Mapper):
-    """Runs jobs as tasks of a Ray cluster; a task whose node is lost runs again elsewhere.
+    """Runner of jobs as tasks of a Ray cluster; a task whose node is lost runs again elsewhere.
 
-    The cluster's nodes need the same versions of Python and packages as this machine. A failure
-    leaves the cluster, which calls off what was still to run there; the next jobs join it again.
+    The cluster's nodes need the same versions of Python and packages as this machine. After a
+    failure the mapper leaves the cluster, which cancels the remaining tasks; the next jobs join it
+    again.
 
     Args:
-        address: of the cluster, such as `127.0.0.1:6379`.
-        progress: told after every job.
+        address: address of the cluster, such as `127.0.0.1:6379`.
+        progress: callback after every job.
 
     Raises:
         ConfigurationError: Ray is not installed or no cluster answers at the address.
@@ -226,7 +229,7 @@ class RayMapper(Mapper):
 
         Raises:
             ConfigurationError: a node has other versions.
-            VergenceError: one job's node was lost too often.
+            VergenceError: nodes of one job were lost too often.
         """
         if not self._ray.is_initialized():
             self._ray = _join(self._address)
@@ -258,13 +261,13 @@ class RayMapper(Mapper):
 
 
 _RETRIES: Final = 5
-"""How many nodes may be lost under one task."""
+"""Most lost nodes per task (chosen)."""
 _ANSWER_S: Final = 5
-"""How long a cluster may take to answer."""
+"""Time limit for a cluster to answer, s (chosen)."""
 
 
 def _join(address: str) -> ModuleType:
-    """Ray, connected to a cluster."""
+    """Connect Ray to a cluster, and return its module."""
     host, _, port = address.rpartition(":")
     if not (host and port.isdecimal() and int(port) < 65536):
         raise ConfigurationError(f"cluster: expected HOST:PORT, got {address!r}")
@@ -275,14 +278,14 @@ def _join(address: str) -> ModuleType:
     }
     try:
         if socket.gethostbyname(host).startswith("127."):
-            # on Linux Ray would put this machine's outer address in its place, where a cluster
-            # that listens on loopback alone is not found
+            # on Linux, Ray would replace a loopback address by this machine's external one, where a
+            # cluster that listens only on loopback is not found
             settings["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
         for name, value in settings.items():
             os.environ.setdefault(name, value)  # read when Ray is imported
         import ray
 
-        # where nothing listens, Ray itself would try for minutes
+        # if nothing listens at the address, Ray itself would retry for minutes
         socket.create_connection((host, int(port)), timeout=_ANSWER_S).close()
         ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     except ImportError as error:
@@ -298,7 +301,7 @@ def _join(address: str) -> ModuleType:
 
 
 def _remote(job: Callable[[], T], expected: dict[str, str]) -> T:
-    """Run a job on a node of a cluster, if the node would give the same result."""
+    """Run a job on a node of a cluster, if the node has the same versions of packages."""
     found = versions()
     if found != expected:
         different = sorted(set(found.items()) ^ set(expected.items()))

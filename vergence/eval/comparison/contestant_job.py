@@ -1,4 +1,4 @@
-"""One controller in one scenario on one plant: how a worker makes it, and whom it blames."""
+"""Jobs of one controller in one scenario on one plant: making the controller, and its failures."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True, kw_only=True)
 class Failure:
-    """What went wrong in a controller of somebody's own."""
+    """Error raised by a user-defined controller."""
 
     scenario: str
     plant: str
@@ -28,39 +28,40 @@ class Failure:
 
     @property
     def told(self) -> str:
-        """The message, and what the controller is left out of for it."""
+        """The message, and the scenario and plant from which the controller is left out."""
         return f"{self.message} (left out of {self.scenario} on {self.plant})"
 
 
 class Made(NamedTuple):
-    """A contestant's controller for the head that it is to turn."""
+    """A contestant's controller, made for a head."""
 
     controller: Controller
     options: dict[str, Any]
-    """Those that it runs with; of a policy file its SHA-256."""
+    """The controller's options; for a policy file its SHA-256."""
     head: HeadModel
     layout: ObservationLayout
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContestantJob(ABC, Generic[Found]):
-    """What a worker finds of one controller in one scenario on one plant; picklable."""
+    """Picklable job of a worker for one controller in one scenario on one plant."""
 
     contestant: Contestant
     fitted: Fitted
-    """Found here: a worker on another machine may have another table of tuned options."""
+    """Options, resolved before the job is sent: another machine may have another table of tuned
+    options."""
     scenario: Scenario
     plant: str
     head: HeadModel | None
-    """In place of the scenario's own."""
+    """Head that replaces the scenario's; None for the scenario's."""
     episodes: int
-    """Trials of each scenario that runs."""
+    """Number of trials of each scenario that runs."""
     seed: int
     keep_going: bool
-    """Whether to return what goes wrong in somebody's own code, in place of raising it."""
+    """True to return a `Failure` in place of raising the error of a user-defined controller."""
 
     def __call__(self) -> Found | Failure:
-        """Make the controller and find it."""
+        """Make the controller and return its results, or its failure."""
         head = self.scenario.model() if self.head is None else self.head
         layout = ObservationLayout.of(head)
         try:
@@ -78,10 +79,10 @@ class ContestantJob(ABC, Generic[Found]):
 
     @abstractmethod
     def _find(self, made: Made) -> Found:
-        """What is looked for of the controller."""
+        """Compute the job's result for the controller."""
 
     def _trials(self, controller: Controller, scenario: Scenario, *, observed: int = 0) -> Trials:
-        """Run the controller's trials, see `run_trials`; what it does wrong is told as its own."""
+        """Run the controller's trials, see `run_trials`; errors are attributed to it."""
         with blamed(controller):
             return run_trials(
                 controller,

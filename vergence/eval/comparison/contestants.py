@@ -1,4 +1,4 @@
-"""Who is evaluated: controllers by name, by entry point, from a file, or as they are."""
+"""Controllers that take part: by name, by entry point, from a file, or as objects."""
 
 import hashlib
 from collections.abc import Collection, Mapping
@@ -24,46 +24,47 @@ from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
 
 BASELINE: Final = "ibvs-tuned"
-"""What every other controller is compared with."""
+"""The controller with which all others are compared."""
 BOUND: Final = "bound"
 """The name of the time-optimal bound's row."""
 LADDER: Final = (
     "ibvs", "ibvs-tuned", "adaptive", "pid", "fuzzy", "delay-compensated", "state-feedback",
     "saccade", "pursuit", "learned-gain", "learned-policy",
 )  # fmt: skip
-"""The order in which tables have the controllers of the registry; others come after them."""
+"""Order of the registry's controllers in tables; others follow."""
 POLICY_FILES: Final = (".vgp", ".onnx")
 _TRIED: Final = 3
-"""Heads on which a controller of somebody's own acts once before any work is done."""
+"""Heads in the batch on which a user-defined controller acts once before the evaluation
+(numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contestant:
-    """A controller to be made for each scenario's head; picklable if what it holds is."""
+    """A controller to be made for each scenario's head; picklable if its source is."""
 
     label: str
-    """What the tables call it."""
+    """Name in tables."""
     source: str | EntryPoint | Controller
     """A name of the registry, a policy file's path, an entry point, or the controller itself."""
     given: GivenOptions = field(default_factory=GivenOptions)
-    """Options for it and others."""
+    """User-given options of all controllers."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What it may be called."""
+        """Names under which options and errors may refer to it."""
         word = self.source.word if isinstance(self.source, EntryPoint) else self.source
         return (word, self.label) if isinstance(word, str) else (self.label,)
 
     def fitted(self, head: HeadModel, scenario: str) -> Fitted:
-        """The options that it runs with.
+        """Resolve the controller's options.
 
         Args:
-            head: the model that it knows.
-            scenario: whose tuned options it takes, if it is one of the registry.
+            head: the model that the controller knows.
+            scenario: name of the scenario whose tuned options apply to a registry controller.
 
         Raises:
-            ConfigurationError: an option that was given is none of its, or the user's table of
-                tuned options cannot be read.
+            ConfigurationError: the controller has no option of a given name, or the user's table
+                of tuned options cannot be read.
         """
         given = self.given.of(self.names, scenario)
         if given:
@@ -89,15 +90,15 @@ class Contestant:
     def make(
         self, head: HeadModel, layout: ObservationLayout, options: Mapping[str, Any]
     ) -> tuple[Controller, dict[str, Any]]:
-        """The controller for a head.
+        """Make the controller for a head.
 
         Args:
-            head: the model that it knows.
-            layout: of observations and actions.
-            options: see `fitted`.
+            head: the model that the controller knows.
+            layout: layout of observations and actions.
+            options: the controller's options, see `fitted`.
 
         Returns:
-            The controller and its options; of a policy file its SHA-256.
+            The controller and its options; for a policy file its SHA-256.
 
         Raises:
             VergenceError: it cannot be made.
@@ -109,18 +110,18 @@ class Contestant:
         if self.source in CONTROLLERS:
             return make_controller(self.source, head, layout, **options), dict(options)
         policy = load_policy(Path(self.source), head=head, layout=layout)
-        # a file may be another one tomorrow: the result says which one ran
+        # the file may change later: the digest identifies the one that ran
         return policy, {"sha256": hashlib.sha256(Path(self.source).read_bytes()).hexdigest()}
 
     def check(self, head: HeadModel, scenario: Scenario) -> Fitted:
-        """Make it once, and let one of somebody's own act once, before any work is done.
+        """Make the controller once before the evaluation; user-defined ones also act once.
 
         Args:
-            head: the model that it knows.
-            scenario: where it shall run.
+            head: the model that the controller knows.
+            scenario: the scenario in which it will run.
 
         Returns:
-            The options that it runs with.
+            The controller's options.
 
         Raises:
             VergenceError: it cannot run.
@@ -143,7 +144,7 @@ class Contestant:
         return found
 
     def _culprit(self, head: HeadModel, layout: ObservationLayout, found: Fitted) -> str:
-        """The given option with which alone it cannot be made; all where it takes several."""
+        """Name of the given option that alone prevents making it; all names if none does alone."""
         rest = {key: value for key, value in found.options.items() if key not in found.given}
         for name in found.given:
             try:
@@ -158,21 +159,21 @@ def contestants(
     others: Mapping[str, Controller] | None = None,
     given: GivenOptions | None = None,
 ) -> list[Contestant]:
-    """Those that some words name, each once; the baseline is always among them.
+    """Make contestants from words of the command line, each once; the baseline always takes part.
 
     Args:
         words: names of controllers, paths of policies (.vgp or .onnx), or `module:class` or
-            `path/to/file.py:class`, made with `head=` and `layout=`. None for all controllers of
+            `path/to/file.py:class`, made with `head=` and `layout=`. Empty for all controllers of
             the registry.
         others: more controllers by their labels.
-        given: options for them.
+        given: user-given options of the controllers.
 
     Returns:
         The contestants, in the order of the words.
 
     Raises:
-        UnknownNameError: a word names nothing.
-        ConfigurationError: a file or an attribute is not there.
+        UnknownNameError: a word names no controller.
+        ConfigurationError: a file or an attribute does not exist.
         ControllerError: a module cannot be imported.
     """
     given = given or GivenOptions()
@@ -190,19 +191,19 @@ def contestants(
 def that_can_be_made(
     found: list[Contestant], head: HeadModel, scenario: Scenario, named: Collection[str]
 ) -> tuple[list[tuple[Contestant, Fitted]], list[str]]:
-    """Leave out those that cannot be made here, such as for want of an optional package.
+    """Leave out contestants that cannot be made here, for example if a package is missing.
 
     Args:
-        found: contestants.
-        head: the head to make them for.
-        scenario: the scenario to make them for.
-        named: names and paths that were asked for: these are not left out.
+        found: the contestants.
+        head: the head for which to make them.
+        scenario: the scenario for which to make them.
+        named: requested names and paths, which are never left out.
 
     Returns:
-        Those that can be made with the options that they run with, and a note for each other.
+        The contestants that can be made, with their options; and a note for each other one.
 
     Raises:
-        VergenceError: one that was asked for cannot be made.
+        VergenceError: a requested contestant cannot be made.
     """
     able, notes = [], []
     for one in found:
@@ -216,12 +217,12 @@ def that_can_be_made(
 
 
 def ladder() -> list[str]:
-    """The controllers of the registry in the order in which tables have them."""
+    """The registry's controllers in the order of tables."""
     return sorted(CONTROLLERS, key=lambda name: (*LADDER, name).index(name))
 
 
 def _label(word: str, words: list[str]) -> str:
-    """A file by its name, or by its path where two have the same name."""
+    """Label of a word: a file's name, or its path if two files have the same name."""
     path = Path(word)
     if path.suffix not in POLICY_FILES and not path.suffix.startswith(".py:"):
         return word

@@ -1,4 +1,4 @@
-"""Controllers compared on the same trials: every controller in every scenario on every plant.
+"""Compare controllers on identical trials: every controller in every scenario on every plant.
 
 ```python
 evaluation = evaluate(EvaluateConfig(controllers=("ibvs", "saccade"), scenarios=("workspace",)))
@@ -42,21 +42,21 @@ def evaluate(
     """Run every controller on every scenario's trials on every plant.
 
     Args:
-        config: what to compare.
-        others: more controllers by the names that tables shall call them: any object with
-            Stable-Baselines3's `predict`.
+        config: the configuration.
+        others: more controllers by their names in tables: any objects with Stable-Baselines3's
+            `predict`.
         mapper: runs the jobs; this process by default. The numbers are the same for any mapper,
-            but for the time that `predict` takes.
-        options: options by controller, and in these by scenario, in place of a file's.
-        keep_going: whether a controller of somebody's own that raises is left out and told in
-            `failures`, as long as another one but the baseline is left.
+            except for the duration of `predict`.
+        options: options by controller, and within these by scenario, in place of a file's.
+        keep_going: True to leave out a user-defined controller that raises, and to report it in
+            `failures`, unless only the baseline would remain.
 
     Returns:
         The evaluation.
 
     Raises:
-        ControllerError: a controller of somebody's own raises, and it is not to be left out.
-        VergenceError: a name is unknown or an option has a value that cannot be.
+        ControllerError: a user-defined controller raises, and is not to be left out.
+        VergenceError: a name is unknown or an option has an invalid value.
     """
     mapper = mapper or SerialMapper()
     if config.on_robot:
@@ -77,15 +77,15 @@ def complete(
     *,
     keep_going: bool,
 ) -> Evaluation:
-    """Run all that is simulated.
+    """Run the simulated trials and join them with a robot's outcomes.
 
     Args:
-        config: what to compare.
-        lineup: who takes part.
+        config: the configuration.
+        lineup: the controllers, scenarios and plants.
         mapper: runs the jobs.
         found: outcomes of a robot's trials.
-        failed: what went wrong in these.
-        keep_going: see `evaluate`, as for the result and the errors.
+        failed: failures of controllers in a robot's trials.
+        keep_going: see `evaluate`, which also describes the result and the errors.
     """
     jobs = [
         EvaluationJob(

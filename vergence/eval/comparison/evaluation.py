@@ -1,4 +1,4 @@
-"""What an evaluation came to: the outcome of each controller, and the rows of its tables."""
+"""Results of an evaluation: the outcome of each controller, and the rows of its tables."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -55,7 +55,7 @@ def row_fields(band_px: float) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What one controller came to in one scenario on one plant."""
+    """Results of one controller in one scenario on one plant."""
 
     scenario: str
     plant: str
@@ -65,15 +65,15 @@ class Outcome:
     """The scenario's leading band of settling, px."""
     duration_s: float
     options: dict[str, Any]
-    """The options that it ran with."""
+    """The controller's options."""
     tuned: bool | None
-    """Whether they were tuned for the head, see `Fitted`."""
+    """True if the options were tuned for the head, see `Fitted`."""
     given: tuple[str, ...]
-    """Those of them that were given."""
+    """Names of the user-given options."""
     trials: pd.DataFrame
-    """A row a trial."""
+    """One row per trial."""
     summary: dict[str, Any]
-    """Every statistic with the ends of its interval, `_low` and `_high`; nan for no meaning."""
+    """Every statistic with the ends of its interval, `_low` and `_high`; nan if undefined."""
     curves: pd.DataFrame
     """See `error_curves`."""
     gains: pd.DataFrame
@@ -88,18 +88,18 @@ class Evaluation:
     config: EvaluateConfig
     outcomes: list[Outcome]
     notes: list[str] = field(default_factory=list)
-    """What was left out, and why, and what is untuned."""
+    """Notes on controllers and plants that are left out, and on untuned controllers."""
     failures: list[str] = field(default_factory=list)
-    """What went wrong in controllers of somebody's own, which are left out."""
+    """Errors of user-defined controllers, which are left out."""
 
     def summaries(
         self, scenario: str | None = None, plant: str | None = None
     ) -> list[dict[str, Any]]:
-        """The rows of the tables: each scenario's and plant's controllers, and their bound.
+        """Rows of the tables: the controllers of each scenario and plant, and the bound.
 
         Args:
-            scenario: the rows of this one alone; of all by default.
-            plant: the rows of this one alone; of all by default.
+            scenario: the only scenario to include; all by default.
+            plant: the only plant to include; all by default.
         """
         return [
             row
@@ -135,7 +135,7 @@ class Evaluation:
         return found
 
     def rows(self) -> list[dict[str, Any]]:
-        """The rows of evaluation.json: plain values, None where one has no meaning."""
+        """The rows of evaluation.json: plain values, None for undefined ones."""
         return [
             {key: plain_value(row.get(key)) for key in row_fields(group[0].band_px)}
             for (scenario, plant), group in self.groups().items()
@@ -143,12 +143,12 @@ class Evaluation:
         ]
 
     def trials(self) -> pd.DataFrame:
-        """All trials, a row each."""
+        """All trials, one row each."""
         return pd.concat([one.trials for one in self.outcomes], ignore_index=True)
 
 
 def plain_value(value: Any) -> Any:
-    """A value as JSON has it: None for nan and infinity."""
+    """Convert a value for JSON: None for nan and infinity."""
     if isinstance(value, float) and not abs(value) < float("inf"):
         return None
     return value

@@ -19,7 +19,7 @@ from vergence.eval.trials.settling import Band
 
 _DELAY_BINS = 6
 _GAINS = (-8.0, 25.0)
-"""Effective gains beyond these are not shown, 1/s."""
+"""Limits of the axis of effective gains, 1/s."""
 _TIME: Final = "time since the onset (s)"
 
 
@@ -38,26 +38,26 @@ _CAPTIONS: Final = {
     "triangulation": "How far the point that gaze triangulates is from the target, over time: once "
     "the eyes have settled, what remains is the error of the model.",
 }
-"""What each kind of figure shows and what to conclude."""
+"""Captions by kind of figure: its content and the conclusion to draw."""
 
 
 def caption(name: str) -> str:
-    """What a figure shows and what to conclude.
+    """Caption of a figure; empty if there is none.
 
     Args:
-        name: of the figure, see `draw`.
+        name: name of the figure, see `draw`.
     """
     return next((said for kind, said in _CAPTIONS.items() if name.startswith(f"{kind}-")), "")
 
 
 def draw(evaluation: Evaluation) -> dict[str, Figure]:
-    """All figures by name, such as `settle-times-workspace-kinematic`.
+    """Draw all figures, by name, such as `settle-times-workspace-kinematic`.
 
     Args:
-        evaluation: what to draw.
+        evaluation: the evaluation.
 
     Returns:
-        The figures, in the order in which a report shows them.
+        The figures, in the order of the report.
     """
     figures = {}
     with styled():
@@ -83,12 +83,12 @@ def draw(evaluation: Evaluation) -> dict[str, Figure]:
 
 
 def _height(entries: int, panel: float) -> float:
-    """Room for panels and a legend of so many entries below them, inches."""
+    """Height of a figure with panels and, below them, a legend of so many entries, inches."""
     return panel + 0.27 * math.ceil(entries / 4)
 
 
 def _draw_settle_times(group: list[Outcome], where: str) -> Figure:
-    """The distribution of settle times; who never settles ends at the trial's end."""
+    """Cumulative distribution of settle times, to the trial's end; a marker for the unsettled."""
     styles = controller_styles([*(one.controller for one in group), BOUND])
     duration, band = group[0].duration_s, Band(group[0].band_px)
     figure = new_figure(9.0, _height(len(styles), 4.2))
@@ -96,7 +96,7 @@ def _draw_settle_times(group: list[Outcome], where: str) -> Figure:
     times = {one.controller: one.trials[band.settle_s].to_numpy() for one in group}
     least = of_bound([one.trials for one in group], band.px)
     times[BOUND] = least[band.bound_s].to_numpy()
-    # on a line of its own beyond the trial's end: the fraction that never settled
+    # trials that never settle: a marker beyond the trial's end, at the final settled fraction
     edge = 1.12 * duration
     for place, (name, settle) in enumerate(times.items()):
         known = np.sort(settle[np.isfinite(settle)])
@@ -125,7 +125,7 @@ def _draw_settle_times(group: list[Outcome], where: str) -> Figure:
 
 
 def _draw_errors(group: list[Outcome], where: str) -> Figure:
-    """The larger eye's error over time: the median trial, and the 95th of a hundred."""
+    """The worse eye's error over time: median and 95th percentile of the trials."""
     styles = controller_styles([one.controller for one in group])
     figure = new_figure(9.0, _height(len(styles), 4.2))
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -138,7 +138,7 @@ def _draw_errors(group: list[Outcome], where: str) -> Figure:
         if not group[0].moving:
             axes.axhline(group[0].band_px, color=GREY, linewidth=1.0)
     if group[0].moving:
-        # the trial begins on the target: what follows is the question
+        # the trial begins on the target: the axis starts at the later errors instead
         panels[0].set_ylim(bottom=0.5 * _least_late_error(group))
     for axes in panels:
         _plain_log(axes, "y")
@@ -150,7 +150,7 @@ def _draw_errors(group: list[Outcome], where: str) -> Figure:
 
 
 def _last_s(group: list[Outcome]) -> float:
-    """How far the curves of a group go."""
+    """Last time of a group's curves, s."""
     return max(float(one.curves["time_s"].iloc[-1]) for one in group)
 
 
@@ -161,7 +161,7 @@ def _least_late_error(group: list[Outcome]) -> float:
 
 
 def _draw_gains(group: list[Outcome], where: str) -> Figure:
-    """What gain each controller amounts to, by the image's error and by time."""
+    """Effective gain of each controller, by image error and by time."""
     styles = controller_styles([one.controller for one in group])
     figure = new_figure(9.0, _height(len(styles), 4.2))
     panels = figure.subplots(1, 2, sharey=True)
@@ -173,7 +173,7 @@ def _draw_gains(group: list[Outcome], where: str) -> Figure:
     panels[1].set(xlabel=_TIME, xlim=(0.0, _last_s(group)))
     for axes in panels:
         axes.axhline(0.0, color=GREY, linewidth=1.0)
-    # what moves ahead of the image has gains of any size and sign: those would hide the others
+    # feedforward motion gives effective gains of any size and sign, which would hide the others
     low, high = panels[0].get_ylim()
     panels[0].set_ylim(max(low, _GAINS[0]), min(high, _GAINS[1]))
     _plain_log(panels[0], "x")
@@ -183,7 +183,7 @@ def _draw_gains(group: list[Outcome], where: str) -> Figure:
 
 
 def _draw_delays(group: list[Outcome], where: str) -> Figure:
-    """Settled fraction and median settle time by the delay that the trials really had."""
+    """Settled fraction and median settle time by the true delay of the trials."""
     styles = controller_styles([one.controller for one in group])
     figure = new_figure(9.0, _height(len(styles), 4.2))
     left, right = figure.subplots(1, 2, sharex=True)
@@ -213,7 +213,7 @@ def _draw_delays(group: list[Outcome], where: str) -> Figure:
 
 
 def _by_delay(trials: pd.DataFrame, band_px: float) -> pd.DataFrame:
-    """Trials in bins of their delay: its mean, the settled fraction, the median settle time."""
+    """Bin trials by delay: mean delay, settled fraction and median settle time of each bin."""
     values = counted(trials, band_px)
     delay, column = values["latency_s"], Band(band_px).settle_s
     settled = np.isfinite(trials[column])
@@ -229,7 +229,7 @@ def _by_delay(trials: pd.DataFrame, band_px: float) -> pd.DataFrame:
 
 
 def _draw_triangulation(group: list[Outcome], where: str) -> Figure:
-    """How far the gaze fix is from the target over time."""
+    """Distance of the gaze fix from the target over time."""
     styles = controller_styles([one.controller for one in group])
     figure = new_figure(9.0, _height(len(styles), 4.0))
     axes = figure.subplots()
@@ -279,7 +279,7 @@ def _draw_tracking(rows: list[dict[str, float]], where: str) -> Figure:
 
 
 def _plain_log(axes: Axes, which: str) -> None:
-    """Numbers without exponents on a logarithmic axis, and more of them where few decades show."""
+    """Label a logarithmic axis without exponents, with more labels if it spans few decades."""
     axis = axes.xaxis if which == "x" else axes.yaxis
     low, high = sorted(axes.get_xlim() if which == "x" else axes.get_ylim())
     decades = np.log10(high / low)

@@ -21,7 +21,7 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
 
     Args:
         folder: an empty folder, see `vergence.eval.reporting.runs.run_folder`.
-        evaluation: what to write.
+        evaluation: the evaluation.
 
     Raises:
         ConfigurationError: nothing was evaluated.
@@ -60,7 +60,7 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
 
 
 def _long(evaluation: Evaluation, what: str) -> pd.DataFrame:
-    """The curves or the gains of all outcomes, each row named by its controller."""
+    """Join the curves or gains of all outcomes, with columns for scenario, plant and controller."""
     parts = []
     for one in evaluation.outcomes:
         part: pd.DataFrame = getattr(one, what).copy()

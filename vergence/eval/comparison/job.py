@@ -1,4 +1,4 @@
-"""What an evaluation measures of one controller in one scenario on one plant."""
+"""The evaluation's job: trials and statistics of one controller in one scenario on one plant."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -17,16 +17,17 @@ from vergence.eval.trials.results import Trials
 from vergence.eval.trials.settling import judged_bands, timed_bands
 
 OBSERVED: Final = 100
-"""Trials whose observations serve the figures of gains and the cost for one head."""
+"""Trials whose observations are kept, for effective gains and the duration of `predict` for one
+head (chosen: memory against samples)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationJob(ContestantJob[Outcome]):
-    """The outcome of one controller in one scenario on one plant.
+    """Run and summarise all trials of one controller in one scenario on one plant.
 
-    A thousand trials take seconds, and what comes back is small. Fewer trials a job would not
-    share the work better: the whole ladder is a hundred jobs, and curves and intervals need all
-    trials of a controller at one place.
+    A thousand trials take seconds, and the result is small. Smaller jobs would not balance the load
+    better: all controllers make a hundred jobs, and curves and intervals need all trials of a
+    controller in one process.
     """
 
     def _find(self, made: Made) -> Outcome:
@@ -67,7 +68,7 @@ class EvaluationJob(ContestantJob[Outcome]):
 
 
 def _gain_of(controller: Controller) -> dict[str, Any]:
-    """The constant gain of a law that has one, whether by option or by default."""
+    """The constant gain of a law that has one, given as an option or by default."""
     if not isinstance(controller, IBVS | TunedIBVS):
         return {}
     gain = controller.gain
@@ -75,7 +76,7 @@ def _gain_of(controller: Controller) -> dict[str, Any]:
 
 
 def _table(trials: Trials, label: str) -> pd.DataFrame:
-    """A row a trial; nan for what has no meaning, and for a settle time that never came."""
+    """Table with one row per trial; nan for undefined metrics and trials that never settle."""
     settling = not trials.moving
     nothing = float("nan")
     judged = judged_bands(trials.band_px)

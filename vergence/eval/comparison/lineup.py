@@ -1,4 +1,4 @@
-"""Who takes part where: controllers with the options they run with, by scenario and plant."""
+"""Line-up of an evaluation: controllers with their options, by scenario and plant."""
 
 import shlex
 import tomllib
@@ -31,23 +31,24 @@ from vergence.models.files.head_file import load_head, presets
 from vergence.models.head import HeadModel
 
 MOST_TRIALS: Final = 100_000
-"""The errors alone of a trial of 2 s take 8 kB, and those of all trials are held at once."""
+"""Most trials of a controller in a scenario (chosen: a bound on memory, as all trials are held at
+once and the errors alone of a trial of 2 s take 8 kB)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lineup:
-    """Who takes part, and where."""
+    """Controllers, scenarios and plants of an evaluation."""
 
     head: HeadModel | None
-    """The head in place of the scenarios' own, if any."""
+    """The head that replaces the scenarios' heads, if any."""
     hardware: HardwareConfig | None
     """The robot, if any."""
     pairs: list[tuple[Scenario, str]]
     """Each scenario with each plant that it runs on."""
     able: dict[str, list[tuple[Contestant, Fitted]]]
-    """Those that can be made, with the options that they run with, by scenario."""
+    """Contestants that can be made, with their options, by scenario."""
     notes: list[str]
-    """What was left out, and why, and what is untuned."""
+    """Notes on controllers and plants that are left out, and on untuned controllers."""
 
 
 def line_up(
@@ -58,21 +59,21 @@ def line_up(
     *,
     baseline: bool = True,
 ) -> Lineup:
-    """Find out who takes part before any trial runs, and tune the baseline if that is wanted.
+    """Resolve and check the line-up before any trial runs, and tune the baseline on request.
 
     Args:
-        config: who shall take part.
+        config: the configuration.
         others: more controllers by their labels.
         mapper: runs the trials of tuning.
-        options: options by controller, and in these by scenario, in place of a file's.
-        baseline: whether `ibvs-tuned` takes part, asked for or not.
+        options: options by controller, and within these by scenario, in place of a file's.
+        baseline: True if `ibvs-tuned` takes part even without a request.
 
     Returns:
-        Who takes part.
+        The line-up.
 
     Raises:
-        ControllerError: a controller of somebody's own raises.
-        VergenceError: a name is unknown or an option has a value that cannot be.
+        ControllerError: a user-defined controller raises.
+        VergenceError: a name is unknown or an option has an invalid value.
     """
     as_seed(config.seed)
     if config.trials < 1:
@@ -117,13 +118,13 @@ def tune_first(
     """Tune the baseline for each scenario's head for which it is untuned.
 
     Args:
-        config: what is to be compared.
+        config: the configuration.
         mapper: runs the trials.
         options: see `evaluate`.
-        say: told what is tuned before it is, and what was found.
+        say: callback with a message before each tuning and one with its result.
 
     Raises:
-        VergenceError: a name is unknown, or what was found cannot be kept.
+        VergenceError: a name is unknown, or the tuned gain cannot be saved.
     """
     given, hardware = _given(config, options), _hardware(config)
     if hardware is not None:
@@ -141,7 +142,7 @@ def tune_first(
 
 
 def _hardware(config: EvaluateConfig) -> HardwareConfig | None:
-    """The robot that is described."""
+    """The robot of `--config`, if any."""
     if config.stage is not None and not config.on_robot:
         raise ConfigurationError(
             f"stage: expected none without --plant {ROBOT}, got {config.stage}"
@@ -161,20 +162,20 @@ def _hardware(config: EvaluateConfig) -> HardwareConfig | None:
 
 
 def _head(config: EvaluateConfig, hardware: HardwareConfig | None) -> HeadModel | None:
-    """The head in place of the scenarios' own, if any."""
+    """The head that replaces the scenarios' heads, if any."""
     if hardware is not None:
         return hardware.head
     return None if config.head is None else load_head(config.head)
 
 
 def _stepping(hardware: HardwareConfig) -> HeadModel:
-    """A robot's head with the steps of its servos' speeds, which scenarios' own heads state."""
+    """A robot's head with its servos' command quantisation, which the scenarios' heads include."""
     step = TICK_RAD_S / min(servo.gear_ratio for servo in hardware.servos)
     return hardware.head.replace(sensor={"command_resolution_rad_s": step})
 
 
 def _source(config: EvaluateConfig, hardware: HardwareConfig | None) -> str | None:
-    """The preset or the file of that head."""
+    """Preset or file of the head that replaces the scenarios' heads."""
     if hardware is None:
         return config.head
     name = str(tomllib.loads(hardware.text)["head"])
@@ -194,7 +195,7 @@ def _untuned(
     config: EvaluateConfig,
     hardware: HardwareConfig | None,
 ) -> list[str]:
-    """A note on the controllers whose options were not found for this head."""
+    """Note on controllers that are untuned for this head."""
     names = [one.label for one, fitted in able if fitted.tuned is False]
     if not names:
         return []
@@ -210,14 +211,14 @@ def _untuned(
 def _pairs(
     config: EvaluateConfig, hardware: HardwareConfig | None
 ) -> tuple[list[tuple[Scenario, str]], list[str]]:
-    """Each scenario with each plant that it runs on, and a note for each other plant."""
+    """Pairs of scenario and plant that can run, and a note for each pair that cannot."""
     words_of = config.chosen_scenarios
     for name, words in (("scenario", words_of), ("plant", config.plants)):
         if not words:
             raise ConfigurationError(f"{name}: expected at least one, got none")
     scenarios = [load_scenario(name) for name in dict.fromkeys(words_of)]
     for plant in config.plants:
-        plant_type(plant)  # refuses what is no plant
+        plant_type(plant)  # raises for an unknown plant
     pairs, notes = [], []
     if hardware is not None:
         loop = loop_variation(hardware)

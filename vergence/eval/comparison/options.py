@@ -1,4 +1,4 @@
-"""The options that controllers run with: tuned for the head, for another one, or given in a file.
+"""Options of controllers: tuned for the head, tuned for another head, or given in a file.
 
 ```toml
 [pid]                   # in every scenario
@@ -24,31 +24,31 @@ from vergence.eval.tuning.spaces import SEARCH_SPACES
 from vergence.models.head import HeadModel
 
 UNTUNED = "untuned for this head"
-"""How people are told that options were found for another head, or not at all."""
+"""Mark for options that were tuned for another head, or never."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fitted:
-    """The options that a controller runs with, and where they come from."""
+    """A controller's options and their source."""
 
     options: dict[str, Any]
     tuned: bool | None = None
-    """Whether they were tuned for this head; None where there is nothing to tune or they were
+    """True if they were tuned for this head; None if there is nothing to tune or they were
     given."""
     tuned_for: str | None = None
-    """The name of the head that they were tuned for, if any."""
+    """Name of the head for which they were tuned, if any."""
     given: tuple[str, ...] = ()
-    """Those that were given."""
+    """Names of the user-given options."""
 
 
 def fitted(name: str, head: HeadModel, scenario: str, given: Mapping[str, Any]) -> Fitted:
-    """The options of a controller of the registry.
+    """Resolve the options of a registry controller.
 
     Args:
         name: the controller.
         head: the head.
         scenario: the scenario's name.
-        given: options to put over those that were tuned.
+        given: user-given options, which override tuned ones.
 
     Raises:
         ConfigurationError: the user's table of tuned options cannot be read.
@@ -56,7 +56,8 @@ def fitted(name: str, head: HeadModel, scenario: str, given: Mapping[str, Any]) 
     space = {} if name == "ibvs" else SEARCH_SPACES.get(law_of(name), {})
     entry = find_tuned(name, scenario, head)
     tuned = is_for(entry, head) if space else None
-    # tuned options that are given are tuned no longer; what is left of another head's stays so
+    # A given value replaces a tuned one, so options tuned for this head count as tuned no longer.
+    # Remaining options that were tuned for another head stay marked as untuned.
     if space.keys() <= given.keys() or (tuned and space.keys() & given.keys()):
         entry, tuned = (None if space.keys() <= given.keys() else entry), None
     return Fitted(
@@ -68,11 +69,11 @@ def fitted(name: str, head: HeadModel, scenario: str, given: Mapping[str, Any]) 
 
 
 class GivenOptions:
-    """Options by controller, and by controller and scenario.
+    """User-given options by controller, and by controller and scenario.
 
     Args:
-        content: options by controller; a table among them has a scenario's name.
-        where: what messages call it, such as the file's path.
+        content: options by controller; a nested table holds the options of one scenario.
+        where: name of the source in messages, such as the file's path.
 
     Raises:
         ConfigurationError: a controller has no table.
@@ -89,10 +90,10 @@ class GivenOptions:
 
     @classmethod
     def read(cls, path: Path) -> "GivenOptions":
-        """The options in a TOML file.
+        """Read the options from a TOML file.
 
         Raises:
-            ConfigurationError: it cannot be read or is not such a file.
+            ConfigurationError: the file cannot be read or is not a TOML file of options.
         """
         try:
             return cls(tomllib.loads(path.read_text(encoding="utf-8")), str(path))
@@ -104,16 +105,16 @@ class GivenOptions:
             raise ConfigurationError(f"{path}: expected a TOML file, got {error}") from error
 
     def check_names(self, known: Iterable[str]) -> list[str]:
-        """Refuse what is the name of no controller.
+        """Reject options of unknown controllers.
 
         Args:
-            known: the controllers that take part.
+            known: names of the controllers that take part.
 
         Returns:
-            A note for each controller that does not take part.
+            A note for each controller that has options but does not take part.
 
         Raises:
-            ConfigurationError: there is no controller of a name.
+            ConfigurationError: a name is not that of a controller.
         """
         taking_part = list(known)
         notes = []
@@ -130,11 +131,11 @@ class GivenOptions:
         """The options of one controller in one scenario.
 
         Args:
-            names: what the controller may be called.
+            names: the controller's names.
             scenario: the scenario's name.
 
         Raises:
-            ConfigurationError: a table of the controller's has the name of no scenario.
+            ConfigurationError: a nested table has an unknown scenario's name.
         """
         found: dict[str, Any] = {}
         special: dict[str, Any] = {}

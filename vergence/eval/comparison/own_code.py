@@ -1,7 +1,7 @@
-"""Controllers of somebody's own: made, and watched while they run.
+"""User-defined controllers: making them, and reporting their errors while they run.
 
-What goes wrong in their code is said in one line that names the place there: who wrote it wants
-neither our stack nor a guess.
+An error in their code becomes a message of one line that names the place in that code, instead of a
+traceback through this package.
 """
 
 import inspect
@@ -25,14 +25,14 @@ _PREDICT: Final = "predict(observation, state=None, episode_start=None, determin
 def make_own(
     entry: EntryPoint, head: HeadModel, layout: ObservationLayout, options: Mapping[str, Any]
 ) -> "Watched":
-    """A controller of somebody's own, watched.
+    """Make a user-defined controller and wrap it in `Watched`.
 
     Raises:
-        ConfigurationError: there is no such class, or it has no `predict` to be called.
-        ControllerError: its code raises.
+        ConfigurationError: there is no such class, or it has no suitable `predict`.
+        ControllerError: its constructor raises.
     """
     make = entry.load()
-    with suppress(ValueError):  # what is written in C may have no signature
+    with suppress(ValueError):  # classes written in C may have no signature
         try:
             inspect.signature(make).bind(head=head, layout=layout, **options)
         except TypeError as error:
@@ -48,7 +48,7 @@ def make_own(
 
 
 def option_names(make: Any) -> set[str] | None:
-    """The options that a class takes beside `head` and `layout`; None for any."""
+    """Names of the options that a class takes besides `head` and `layout`; None for any name."""
     parameters = inspect.signature(make).parameters.values()
     if any(one.kind is inspect.Parameter.VAR_KEYWORD for one in parameters):
         return None
@@ -56,7 +56,7 @@ def option_names(make: Any) -> set[str] | None:
 
 
 def blamed(controller: Policy) -> AbstractContextManager[None]:
-    """Blame a controller of somebody's own for all that is refused meanwhile, and no other.
+    """Context that attributes errors to a user-defined controller; no effect for other ones.
 
     See `Watched.blamed`.
     """
@@ -64,14 +64,14 @@ def blamed(controller: Policy) -> AbstractContextManager[None]:
 
 
 class Watched:
-    """A controller that says in one line what goes wrong in its `predict`, and where.
+    """Wrapper of a controller that reports errors of its `predict` in one line, with their place.
 
     Args:
-        controller: anything with Stable-Baselines3's `predict`.
-        label: what messages call it.
+        controller: any object with Stable-Baselines3's `predict`.
+        label: name in messages.
 
     Raises:
-        ConfigurationError: it has no `predict` that can be called so.
+        ConfigurationError: the controller has no `predict` with that signature.
     """
 
     def __init__(self, controller: Any, label: str) -> None:
@@ -104,7 +104,7 @@ class Watched:
         """See `Controller.predict`.
 
         Raises:
-            ControllerError: it raises, or answers something else than actions and a state.
+            ControllerError: it raises, or does not return actions and a state.
         """
         self._calls += 1
         try:
@@ -128,9 +128,9 @@ class Watched:
 
     @contextmanager
     def blamed(self) -> Iterator[None]:
-        """What is refused meanwhile, such as actions that are nan, is this controller's fault.
+        """Attribute errors raised within the context, such as for nan actions, to this controller.
 
-        A robot's fault, such as a cable that is pulled, is its own.
+        Errors of a robot, such as a disconnected cable, stay as they are.
         """
         try:
             yield

@@ -1,4 +1,4 @@
-"""config.toml of a run: what ran, on which heads and with which options, and what did not."""
+"""config.toml of a run: controllers, heads and options that ran, and notes on those left out."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ from vergence.models.head import HeadModel
 
 
 class Ran(Protocol):
-    """One controller in one scenario."""
+    """Result of one controller in one scenario."""
 
     @property
     def scenario(self) -> str:
@@ -25,26 +25,26 @@ class Ran(Protocol):
 
     @property
     def head(self) -> HeadModel:
-        """The head that it knew."""
+        """The head that the controller knew."""
 
     @property
     def options(self) -> dict[str, Any]:
-        """The options that it ran with."""
+        """The controller's options."""
 
     @property
     def tuned(self) -> bool | None:
-        """Whether they were tuned for the head, see `Fitted`."""
+        """True if the options were tuned for the head, see `Fitted`."""
 
 
 def what_ran(
     config: EvaluateConfig, notes: Sequence[str], failures: Sequence[str]
 ) -> dict[str, Any]:
-    """The configuration, and what was left out of it, as plain values.
+    """The configuration with notes and failures, as plain values.
 
     Args:
-        config: what was asked for.
-        notes: what was left out, and why.
-        failures: what went wrong.
+        config: the configuration.
+        notes: notes on controllers and plants that were left out.
+        failures: errors of user-defined controllers.
     """
     found: dict[str, Any] = plain(
         {**config.resolved(), "notes": list(notes), "failures": list(failures)}
@@ -59,14 +59,14 @@ def write_ran(
     failures: Sequence[str],
     outcomes: Iterable[Ran],
 ) -> None:
-    """Write config.toml, and a file of the head of each scenario.
+    """Write config.toml and a file for the head of each scenario.
 
     Args:
         folder: the run folder.
-        config: see `what_ran`, as are the following two.
-        notes: what was left out, and why.
-        failures: what went wrong.
-        outcomes: what ran.
+        config: the configuration.
+        notes: notes on controllers and plants that were left out.
+        failures: errors of user-defined controllers.
+        outcomes: results of the controllers that ran.
     """
     heads: dict[str, Any] = {}
     ran: dict[str, dict[str, Any]] = {}

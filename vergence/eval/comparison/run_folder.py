@@ -1,4 +1,4 @@
-"""What the run folder of every comparison has: figures, config.toml, and a section as a report."""
+"""Common part of all comparisons' run folders: figures, config.toml, and a section and report."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -33,18 +33,18 @@ def write_report_of(
 
     Args:
         folder: the run folder.
-        name: the section's.
-        title: the section's, and the report's.
-        text: what was done and found.
-        tables: the section's.
-        figures: by name.
-        captions: by the figures' names.
-        data: the file of the folder that the section is about.
-        rows: how many rows it has.
-        config: what was asked for.
-        notes: what was left out, and why.
-        failures: what went wrong.
-        outcomes: what ran.
+        name: name of the section.
+        title: title of the section and of the report.
+        text: text of the section.
+        tables: tables of the section.
+        figures: figures by name.
+        captions: captions by the figures' names.
+        data: the section's data file in the folder.
+        rows: number of rows of the data file.
+        config: the configuration.
+        notes: notes on controllers and plants that were left out.
+        failures: errors of user-defined controllers.
+        outcomes: results of the controllers that ran.
     """
     (folder / "figures").mkdir()
     for figure_name, figure in figures.items():

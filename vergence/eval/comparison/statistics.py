@@ -1,8 +1,9 @@
-"""Summaries of trials with bootstrap confidence intervals, the same for the same seed.
+"""Summaries of trials with bootstrap confidence intervals, reproducible by their seed.
 
-Trials are resampled with replacement, a thousand times, by a generator keyed by the seed and the
-number of trials alone. Two controllers that ran the same trials are therefore resampled alike,
-so that the interval of their ratio is a paired one: what makes a trial hard for both cancels.
+Trials are resampled with replacement, a thousand times. The random generator depends only on the
+seed and the number of trials, so two controllers that ran the same trials get the same resamples.
+The interval of their ratio is therefore a paired one: the difficulty of a trial common to both
+cancels.
 """
 
 from collections.abc import Callable
@@ -15,17 +16,19 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.models.parts import FloatArray
 
 RESAMPLES: Final = 1000
+"""Bootstrap resamples of an interval (chosen: precision of its ends against time)."""
 LEVEL: Final = 0.95
-"""How often such an interval holds the value of all trials that could have been drawn."""
+"""Confidence level: fraction of such intervals that hold the value of the whole population of
+trials (chosen)."""
 _BLOCK: Final = 2_000_000
-"""Numbers resampled at once: a bound on memory."""
+"""Most values resampled at once, a bound on memory (numerical)."""
 
 Statistic = Callable[[FloatArray], FloatArray]
-"""(..., n) values to (...), over the last axis."""
+"""Function from (..., n) values to (...), over the last axis."""
 
 
 class Interval(NamedTuple):
-    """A value, and the interval it lies in with a probability of `LEVEL`."""
+    """A statistic and its confidence interval at the level `LEVEL`."""
 
     value: float
     low: float
@@ -38,14 +41,14 @@ def median(values: FloatArray) -> FloatArray:
 
 
 def mean(values: FloatArray) -> FloatArray:
-    """The mean over the last axis: of booleans, the fraction that is true."""
+    """The mean over the last axis; for booleans, the fraction that is true."""
     return np.asarray(np.mean(values, axis=-1))
 
 
 def percentile(values: FloatArray, percent: float) -> FloatArray:
-    """A percentile over the last axis: a value that occurred, the higher of the two nearest.
+    """A percentile over the last axis: the higher of the two nearest values, not interpolated.
 
-    Interpolation would have no answer between values that are infinite.
+    Interpolation is undefined between infinite values.
     """
     return np.asarray(np.percentile(values, percent, axis=-1, method="higher"))
 
@@ -57,9 +60,9 @@ class Bootstrap:
     """Intervals for statistics of n trials.
 
     Args:
-        num: n.
-        seed: of the resampling.
-        resamples: how often to resample.
+        num: number of trials, n.
+        seed: seed of the resampling.
+        resamples: number of resamples.
     """
 
     def __init__(self, num: int, seed: int = 0, resamples: int = RESAMPLES) -> None:
@@ -74,8 +77,8 @@ class Bootstrap:
         """A statistic of all trials with its interval.
 
         Args:
-            values: (n,) one a trial.
-            statistic: of what.
+            values: (n,) one per trial.
+            statistic: the statistic.
 
         Returns:
             The value and its percentile interval.
@@ -92,9 +95,9 @@ class Bootstrap:
         """The ratio of a statistic of two controllers on the same trials, with its interval.
 
         Args:
-            values: (n,) one a trial, the numerator's.
-            others: (n,) one a trial, the denominator's.
-            statistic: of what.
+            values: (n,) values of the numerator, one per trial.
+            others: (n,) values of the denominator, one per trial.
+            statistic: the statistic.
 
         Returns:
             The ratio and its paired interval.
@@ -108,7 +111,7 @@ class Bootstrap:
 
 
 def _unanimous(value: float, num: int) -> Interval:
-    """The exact interval of a fraction where all trials, or none, have it (Clopper-Pearson)."""
+    """The exact (Clopper-Pearson) interval of a fraction that is 0 or 1."""
     far = (0.5 * (1.0 - LEVEL)) ** (1.0 / num)
     return Interval(value, far, 1.0) if value == 1.0 else Interval(value, 0.0, 1.0 - far)
 

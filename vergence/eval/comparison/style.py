@@ -1,4 +1,4 @@
-"""How controllers are drawn: each by its own colour, dash and marker, the same in every figure."""
+"""Line styles of controllers: a colour, dash and marker for each, the same in every figure."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -28,6 +28,7 @@ _OWN: Final[dict[str, dict[str, Any]]] = {
     "learned-gain": {"color": "#2bb3b0", "linestyle": (0, (3, 1, 1, 1)), "marker": "<"},
     "learned-policy": {"color": "#b0122e", "linestyle": (0, (8, 2, 2, 2)), "marker": ">"},
 }
+# colours, dashes (in line widths) and markers of controllers outside the registry (chosen)
 _COLORS: Final = ("#5b8c00", "#0072b2", "#e08a00", "#8a3ffc", "#d02670", "#007d79", "#a2191f")
 _DASHES: Final = ((0, (4, 1)), (0, (2, 1)), (0, (5, 1, 1, 1)), (0, (3, 3)), (0, (7, 1)))
 _MARKERS: Final = ("h", "d", "8", "H", "1", "2")
@@ -37,7 +38,7 @@ def controller_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Line styles by controller, the label included.
 
     Args:
-        names: the controllers; those that are not of the registry get styles in their order.
+        names: the controllers; those outside the registry get further styles in order.
 
     Returns:
         Keyword arguments of `Axes.plot`.
@@ -60,15 +61,15 @@ def controller_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
 def draw_line(
     axes: Axes, x: Values, y: Values, style: dict[str, Any], place: int, **more: Any
 ) -> None:
-    """A line with a few markers, at places that differ from line to line.
+    """Draw a line with a few markers, which are shifted from line to line.
 
     Args:
-        axes: where.
+        axes: axes to draw in.
         x: (n,) abscissae.
         y: (n,) ordinates.
-        style: of the controller.
-        place: which of the figure's lines it is.
-        **more: over the style.
+        style: line style of the controller.
+        place: index of the line in the figure.
+        **more: overrides of the style.
     """
     every = max(1, len(x) // 6)
     start = (place * every) // 7 % every
@@ -76,7 +77,7 @@ def draw_line(
 
 
 def shared_legend(figure: Figure, axes: Axes) -> None:
-    """One legend for all panels, below them."""
+    """Draw one legend for all panels, below them."""
     handles, labels = axes.get_legend_handles_labels()
     columns = min(len(labels), 4)
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, handlelength=3.2)

@@ -1,8 +1,8 @@
-"""What a controller's trials come to: each statistic with its interval.
+"""Statistics of a controller's trials, each with its confidence interval.
 
-A trial that never settles, as one that swings never does, counts as the whole trial in every median
-and percentile of times, and as infinitely far from the bound in those of ratios; a gaze fix that
-has no answer counts as infinitely far off. Nothing is dropped.
+No trial is dropped. A trial that never settles counts with its duration in medians and percentiles
+of times, and as infinite in those of ratios to the bound; a trial that swings never settles. A
+missing gaze fix counts as an infinite error.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,8 @@ from vergence.eval.trials.settling import HALF_PX, ONE_PX, Band, judged_bands, t
 from vergence.models.parts import FloatArray
 
 SWINGING: Final = "swinging_trials"
-"""How many trials swing; `swings_fraction` is their share, with its interval."""
+"""Column with the number of trials that swing; `swings_fraction` is their fraction, with its
+interval."""
 _SETTLING: Final[dict[str, tuple[str, Statistic]]] = {
     "overshoot_median": ("overshoot", median),
     "overshoot_p95": ("overshoot", p95),
@@ -47,7 +48,7 @@ _BOTH: Final[dict[str, tuple[str, Statistic]]] = {
 
 
 def _of_bands(band_px: float) -> dict[str, tuple[str, Statistic]]:
-    """The statistics of every band of a scenario, the widest first."""
+    """Statistics (column and function by name) of a scenario's bands, widest first."""
     found: dict[str, tuple[str, Statistic]] = {}
     for band in reversed(judged_bands(band_px)):
         found[band.settled_fraction] = (band.settled, mean)
@@ -60,10 +61,10 @@ def _of_bands(band_px: float) -> dict[str, tuple[str, Statistic]]:
 
 
 def counted(table: pd.DataFrame, band_px: float) -> dict[str, FloatArray]:
-    """The trials' values as summaries count them.
+    """The trials' values with substitutes for missing ones, as summaries use them.
 
     Args:
-        table: a row a trial, one controller's.
+        table: one row per trial, of one controller.
         band_px: the scenario's leading band of settling, px.
 
     Returns:
@@ -76,18 +77,18 @@ def counted(table: pd.DataFrame, band_px: float) -> dict[str, FloatArray]:
     for band in judged_bands(band_px):
         settle, bound = values[band.settle_s], values[band.bound_s]
         values[band.settled] = np.isfinite(settle)
-        # where even the bound takes longer than the trial, nobody's ratio has a value, nor has
-        # that of a trial that never settled
+        # the ratio counts as infinite if the trial never settled, or if it is too short even for
+        # the bound
         never = (bound >= duration) | np.isnan(settle)
         ratio = settle / np.where(bound > 0.0, bound, np.nan)
         values[band.ratio] = np.where(never & ~np.isnan(bound), np.inf, ratio)
     for band in timed_bands(band_px):
         settle = values[band.settle_s]
         values[band.settle_s] = np.where(np.isnan(settle), duration, settle)
-    # the fix at settling is that of the trial's end where it never settles
+    # a trial that never settles has its last gaze fix in place of the one at settling
     settled = values["fix_error_settled_m"]
     end = values["fix_error_end_m"]
-    known = np.isfinite(end).any()  # a plant without truth has no fix error at all
+    known = np.isfinite(end).any()  # without ground truth there is no fix error at all
     end = np.where(np.isnan(end) & known, np.inf, end)
     values["fix_error_end_m"] = end
     values["fix_error_settled_m"] = np.where(np.isnan(settled), end, settled)
@@ -100,15 +101,15 @@ def summarise(
     """All statistics of one controller's trials.
 
     Args:
-        table: a row a trial.
-        moving: whether the scenario's target moves all along.
-        duration_s: how long a trial lasts.
+        table: one row per trial.
+        moving: True if the scenario's target moves throughout.
+        duration_s: duration of a trial, s.
         band_px: the scenario's leading band of settling, px.
-        seed: of the intervals' resampling.
+        seed: seed of the bootstrap.
 
     Returns:
-        `trials`, `duration_s`, `swinging_trials`, and each statistic by its name, its interval's
-        ends by the name with `_low` and `_high`; nan where it has no meaning.
+        `trials`, `duration_s`, `swinging_trials`, and each statistic by name; the ends of its
+        interval have the suffixes `_low` and `_high`; nan if undefined.
     """
     bootstrap = Bootstrap(len(table), seed)
     values = counted(table, band_px)
@@ -127,19 +128,19 @@ def summarise(
 def compare(
     table: pd.DataFrame, reference: pd.DataFrame, moving: bool, band_px: float, seed: int
 ) -> dict[str, float]:
-    """How many times faster than another controller on the same trials.
+    """Speed-up over another controller on the same trials.
 
     Args:
-        table: a row a trial.
-        reference: the other controller's.
-        moving: whether the scenario's target moves all along: then how many times nearer.
+        table: one row per trial.
+        reference: one row per trial of the other controller.
+        moving: True if the scenario's target moves throughout: the tracking RMS is compared then.
         band_px: the scenario's leading band of settling, px.
-        seed: of the interval's resampling.
+        seed: seed of the bootstrap.
 
     Returns:
-        `faster`, the ratio of the medians of settle time to that band (of tracking RMS for moving
-        targets), the other's by this one's, and the ends of its interval; nan where less than
-        half of the trials of either have settled, as there is no median then.
+        `faster`, the ratio of the other controller's median settle time to that band (or tracking
+        RMS) to this one's, and the ends of its interval; nan if no more than half of the trials of
+        either controller have settled, as the median is undefined then.
     """
     column = "tracking_px" if moving else Band(band_px).settle_s
     ours, theirs = (counted(one, band_px)[column] for one in (table, reference))
@@ -154,13 +155,13 @@ def compare(
 
 
 def of_bound(tables: Sequence[pd.DataFrame], band_px: float) -> pd.DataFrame:
-    """The trials of the bound: of each target the least that any controller's trial has.
+    """Trials of the bound: the least bound of any controller's trial for each target.
 
-    In simulation these are the same. On a robot each trial has its own, as its images come when
-    they come.
+    In simulation all controllers have the same bounds. On a robot each trial has its own, as its
+    images arrive at other times.
 
     Args:
-        tables: of each controller, a row a trial, in the order of the targets.
+        tables: a table for each controller, one row per trial, in the order of the targets.
         band_px: the scenario's leading band of settling, px.
     """
     least = {
@@ -174,12 +175,12 @@ def bound_summary(table: pd.DataFrame, band_px: float, seed: int) -> dict[str, A
     """The row of the time-optimal bound.
 
     Args:
-        table: a row a trial, see `of_bound`.
+        table: one row per trial, see `of_bound`.
         band_px: the scenario's leading band of settling, px.
-        seed: of the intervals' resampling.
+        seed: seed of the bootstrap.
 
     Returns:
-        A row as `summarise` makes, with what the bound has.
+        A row with the fields of `summarise`; nan for those that a bound does not have.
     """
     limit = counted(table, band_px)
     bootstrap = Bootstrap(len(table), seed)

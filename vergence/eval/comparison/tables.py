@@ -1,4 +1,4 @@
-"""An evaluation as people read it: its tables, and the text about them."""
+"""An evaluation's tables and text for its report and the terminal."""
 
 import math
 from operator import itemgetter
@@ -32,20 +32,22 @@ _PEAK_TO_PEAK: Final = (
     "fixation_peak_to_peak_p95_rad_s",
 )
 _DEGREES: Final = math.degrees(1.0)
+"""Degrees per radian (physical: conversion of units)."""
 _NOTHING: Final = 1e-6
-"""What a table shows as 0: the speed of eyes that rest, by rounding."""
+"""Magnitude below which tables show 0, such as rounding errors in the speed of eyes at rest
+(numerical)."""
 RESIDUAL_COLUMN: Final = "residual (px)"
 ONE_PIXEL_COLUMN: Final = "1 px (ms)"
 
 
 def tables(evaluation: Evaluation) -> list[ReportTable]:
-    """A table for each scenario and plant; medians with their intervals.
+    """Make a table for each scenario and plant; medians have their intervals.
 
     Args:
-        evaluation: what to show.
+        evaluation: the evaluation.
 
     Returns:
-        The tables. A cell may have a second line: in the first column the options that ran.
+        The tables. A cell may have a second line: in the first column, the controller's options.
     """
     found = []
     for (scenario, plant), group in evaluation.groups().items():
@@ -66,7 +68,7 @@ def tables(evaluation: Evaluation) -> list[ReportTable]:
 
 
 def _columns(group: list[Outcome]) -> list[str]:
-    """The columns; that of ratios says so where what they are ratios to is untuned."""
+    """Column titles; the column of ratios says if the baseline is untuned or has given options."""
     columns = list(MOVING_COLUMNS if group[0].moving else SETTLING_COLUMNS)
     if not group[0].moving and group[0].band_px != 1.0:
         columns.insert(columns.index("x bound"), ONE_PIXEL_COLUMN)
@@ -81,12 +83,12 @@ def _columns(group: list[Outcome]) -> list[str]:
 
 
 def has_residual(group: list[Outcome]) -> bool:
-    """Whether there is an error that the head cannot do away with, of targets at rest."""
+    """True if a target at rest has a residual: a least error that the head can reach above 0."""
     return bool((group[0].trials["residual_px"] >= LEAST_RESIDUAL_PX).any())
 
 
 def _mark_of_baseline(group: list[Outcome]) -> str:
-    """What is to be said of what the others are compared with; empty for nothing."""
+    """Mark of the baseline's options: given or untuned; empty otherwise."""
     baseline = next((one for one in group if one.controller == BASELINE), None)
     if baseline is None:
         return ""
@@ -151,11 +153,11 @@ _UNTUNED_LEGEND: Final = (
 
 
 def legend(evaluation: Evaluation, *, intervals: bool = True) -> str:
-    """What the columns and marks of the tables mean.
+    """Explanation of the tables' columns and marks.
 
     Args:
-        evaluation: what they show.
-        intervals: whether they show intervals.
+        evaluation: the evaluation of the tables.
+        intervals: True if the tables show intervals.
     """
     below = "Below a median its 95 % interval by bootstrap"
     text = _LEGEND.format(
@@ -169,6 +171,7 @@ def legend(evaluation: Evaluation, *, intervals: bool = True) -> str:
 
 
 _MOST_OPTIONS: Final = 3
+"""Most options that a table lists; more are counted (chosen: room of a line)."""
 
 
 def _label(row: dict[str, Any]) -> str:
@@ -178,7 +181,7 @@ def _label(row: dict[str, Any]) -> str:
 
 
 def _describe(row: dict[str, Any]) -> str:
-    """A controller's options in one line; many are counted, and named in summary.csv."""
+    """A controller's options in one line; if they are many, their number (summary.csv has all)."""
     shown = {key: value for key, value in row["options"].items() if key != "scenario"}
     text = ", ".join(f"{key} {_short(value)}" for key, value in shown.items())
     if len(shown) > _MOST_OPTIONS:
@@ -203,7 +206,7 @@ def _is_no_residual(key: str, value: float) -> bool:
 
 
 def _share(row: dict[str, Any], key: str) -> str:
-    """A fraction in per cent, never rounded to all or to nothing."""
+    """A fraction in per cent, never rounded to exactly 0 or 100."""
     value = row.get(key, math.nan)
     if not math.isfinite(value):
         return NONE
@@ -212,7 +215,7 @@ def _share(row: dict[str, Any], key: str) -> str:
 
 
 def _with_swinging(settled: str, row: dict[str, Any]) -> str:
-    """What has settled, and below it how many trials swing; the bound has none."""
+    """The settled fraction, and below it the number of trials that swing, except for the bound."""
     swinging = row.get(SWINGING, math.nan)
     return settled if math.isnan(swinging) else f"{settled}\n{int(swinging)} swing"
 
@@ -237,10 +240,10 @@ def _lines(first: str, second: str) -> str:
 
 
 def describe(evaluation: Evaluation) -> SectionText:
-    """What was done, and the best numbers of each scenario and plant, as `section.jinja` has it.
+    """Describe the evaluation and its best results per scenario and plant, by `section.jinja`.
 
     Args:
-        evaluation: what to describe.
+        evaluation: the evaluation.
 
     Returns:
         The text of its section in a report.
@@ -276,7 +279,7 @@ def describe(evaluation: Evaluation) -> SectionText:
 
 
 def _listed(evaluation: Evaluation) -> str:
-    """The bands that the scenarios' may be, in words."""
+    """The settling bands of all scenarios as text, such as "1 or 2"."""
     bands = {band for one in evaluation.outcomes for band in judged_bands(one.band_px)}
     *others, last = (f"{band.px:g}" for band in sorted(bands))
     return f"{', '.join(others)} or {last}"

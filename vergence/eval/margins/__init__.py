@@ -1,1 +1,1 @@
-"""Margins: how far a loop may be from what its model says."""
+"""Margins: the largest deviations of a control loop from its model that controllers tolerate."""

@@ -1,4 +1,4 @@
-"""What margins are measured of; on the command line the options of `vergence evaluate`."""
+"""Configuration of margins; on the command line, the options of `vergence evaluate`."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -8,10 +8,10 @@ from vergence.eval.comparison.config import EvaluateConfig
 
 @dataclass(frozen=True, kw_only=True)
 class MarginsConfig(EvaluateConfig):
-    """What to measure; `episodes` is the number of trials at each value, 200 by default."""
+    """The margins to measure; `episodes` is the number of trials at each value, 200 by default."""
 
     imperfections: tuple[str, ...] = ()
-    """Those that are moved, by the names of `vergence.eval.margins.ranges.SEARCHED`; all by
+    """Imperfections to vary, by the names of `vergence.eval.margins.ranges.SEARCHED`; all by
     default."""
 
     default_trials: ClassVar[int] = 200

@@ -16,16 +16,18 @@ from vergence.eval.margins.tables import title_of
 from vergence.eval.reporting.style import BLACK, GREY, new_figure, styled
 
 _COLUMNS: Final = 4
+"""Most panels side by side (chosen: legibility)."""
 _WIDTH: Final = 13.0
+"""Width of a figure with all columns, inches (chosen: legibility)."""
 _ROOM: Final = 0.05
-"""Left and right of what was searched, as a share of it."""
+"""Margin of the axis on either side, as a fraction of the searched range (chosen: legibility)."""
 
 
 def draw(margins: Margins) -> dict[str, Figure]:
-    """A figure for each scenario, by name.
+    """Draw a figure for each scenario, by name.
 
     Args:
-        margins: what to draw.
+        margins: the margins.
     """
     with styled():
         return {
@@ -58,7 +60,7 @@ def _draw(found: list[Margin], scenario: str) -> Figure:
 
 
 def _draw_bar(panel: Axes, one: Margin, place: int, style: dict[str, object]) -> None:
-    """A wide light bar where the median has not doubled, a narrow dark one where trials settle."""
+    """Draw a wide light bar for the range "doubles" and a narrow dark one for "settles"."""
     color, scale = style["color"], SEARCHED[one.imperfection].scale
     for kind, height, alpha in (("doubles", 0.74, 0.3), ("settles", 0.34, 1.0)):
         low, high = (getattr(one, f"{kind}_{end}") for end in ("low", "high"))
@@ -68,7 +70,7 @@ def _draw_bar(panel: Axes, one: Margin, place: int, style: dict[str, object]) ->
             continue
         panel.barh(
             place, scale * (high - low), left=scale * low, height=height, color=color, alpha=alpha,
-            # a range of no width is still a line
+            # the edge keeps a range of zero width visible as a line
             edgecolor=color, linewidth=1.0, zorder=2 if kind == "doubles" else 3,
         )  # fmt: skip
     for end in ENDS[:2]:

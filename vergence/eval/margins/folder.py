@@ -20,10 +20,10 @@ def write_margins(folder: Path, margins: Margins) -> None:
 
     Args:
         folder: an empty folder, see `vergence.eval.reporting.runs.run_folder`.
-        margins: what to write.
+        margins: the margins.
 
     Raises:
-        ConfigurationError: nothing was found.
+        ConfigurationError: there are no margins.
     """
     if not margins.found:
         raise ConfigurationError("margins: expected at least one, got none")
@@ -49,7 +49,7 @@ def write_margins(folder: Path, margins: Margins) -> None:
 
 
 def _ranges(margins: Margins) -> pd.DataFrame:
-    """The rows of margins.json with what was searched."""
+    """The rows of margins.json with the expected value and the searched range."""
     return pd.DataFrame(
         [
             {
@@ -64,7 +64,7 @@ def _ranges(margins: Margins) -> pd.DataFrame:
 
 
 def _points(margins: Margins) -> pd.DataFrame:
-    """All that was measured: a row for each value."""
+    """All measurements: one row per value of an imperfection."""
     return pd.DataFrame(
         [
             {

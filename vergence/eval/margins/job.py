@@ -1,4 +1,4 @@
-"""The margin of one imperfection of one controller in one scenario."""
+"""The job that measures the margin of one imperfection of one controller in one scenario."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -12,7 +12,7 @@ from vergence.eval.margins.search import last_value
 
 @dataclass(frozen=True, kw_only=True)
 class MarginJob(ContestantJob[Margin]):
-    """The margin of one imperfection."""
+    """Measure the margin of one imperfection."""
 
     imperfection: str
 

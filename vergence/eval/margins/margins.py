@@ -1,4 +1,4 @@
-"""Margins: what was found of each controller, scenario and imperfection, as rows."""
+"""Measured margins of controllers, by scenario and imperfection, and their rows."""
 
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -16,31 +16,35 @@ ROW: Final = ("controller", "scenario", "imperfection", "unit", *ENDS)
 
 @dataclass(frozen=True, kw_only=True)
 class Margin:
-    """How far one imperfection may be from the expected value.
+    """Margin of one imperfection: the ranges about the expected value in which criteria hold.
 
-    The ends are values that were measured, the farthest of those that are good without a gap from
-    the expected one on, which may be the end of what was searched; both ends are None where not
-    even the expected value is good.
+    Each end is a measured value: the farthest one up to which the criterion holds at every measured
+    value from the expected one on. It may be the end of the searched range. Both ends are None if
+    the criterion does not even hold at the expected value.
     """
 
     controller: str
     scenario: str
     imperfection: str
     range: Range
-    """What was searched."""
+    """Searched range."""
     settles_low: float | None
-    """From here on 99 % of the trials that settle untouched still settle."""
+    """Low end of the range in which 99 % of the trials that settle in the unmodified scenario still
+    settle."""
     settles_high: float | None
+    """High end of that range."""
     doubles_low: float | None
-    """From here on their median settling time is less than twice what it is untouched."""
+    """Low end of the range in which the median settle time of these trials is less than twice that
+    in the unmodified scenario."""
     doubles_high: float | None
+    """High end of that range."""
     points: list[Point]
-    """All that was measured, by value."""
+    """All measurements, sorted by value."""
     head: HeadModel
     options: dict[str, Any]
-    """The options that the controller ran with."""
+    """The controller's options."""
     tuned: bool | None
-    """Whether they were tuned for the head, see `Fitted`."""
+    """True if the options were tuned for the head, see `Fitted`."""
 
     @property
     def unit(self) -> str:
@@ -52,7 +56,7 @@ class Margin:
         return {name: getattr(self, name) for name in ROW}
 
     def is_open(self, end: str) -> bool:
-        """Whether an end is that of the search alone: the imperfection may have more.
+        """True if an end is only the end of the search, while the imperfection may go beyond it.
 
         Args:
             end: one of `ENDS`.
@@ -65,14 +69,14 @@ class Margin:
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """All that was found."""
+    """All margins of a run."""
 
     config: MarginsConfig
     found: list[Margin]
     notes: list[str] = field(default_factory=list)
-    """What was left out, and why, and what is untuned."""
+    """Notes on controllers and imperfections that are left out, and on untuned controllers."""
     failures: list[str] = field(default_factory=list)
-    """What went wrong in controllers of somebody's own, which are left out."""
+    """Errors of user-defined controllers, which are left out."""
 
     def rows(self) -> list[dict[str, Any]]:
         """The rows of margins.json: plain values, None for no value."""

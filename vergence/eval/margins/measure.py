@@ -1,4 +1,7 @@
-"""Trials with one imperfection at one value, compared with the same trials untouched."""
+"""Trials with one imperfection fixed at a value, compared with trials of the unmodified scenario.
+
+The reference trials have the same targets and random numbers, and no imperfection is moved.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,53 +14,56 @@ from vergence.eval.trials.results import Trials
 from vergence.eval.trials.scenarios import Scenario
 
 _DEVIATIONS: Final = 3.0
+"""Least settling band, in standard deviations of the detection noise (chosen)."""
 _SETTLING_PERCENT: Final = 99
+"""Least percentage of the reference trials that settle which has to settle still (chosen)."""
 _SLOWER: Final = 2.0
+"""Ratio of median settle times from which a controller counts as too slow (chosen)."""
 
 
 class Point(NamedTuple):
-    """What the trials that settle untouched come to at one value of an imperfection."""
+    """Results at a value of an imperfection, over trials that settle in the unmodified scenario."""
 
     value: float
     band_px: float
     """The band of settling, px."""
     trials: int
-    """How many settle untouched."""
+    """Number of trials that settle in the unmodified scenario."""
     settled: int
-    """How many of these still settle."""
+    """Number of these that still settle."""
     median_s: float
-    """Their median settling time, where those that do not settle never do: inf where these are
-    half of them or more; nan where none settles untouched."""
+    """Their median settle time, s, with inf for trials that do not settle: inf if half of them or
+    more do not; nan if none settles in the unmodified scenario."""
     untouched_median_s: float
-    """The same of the untouched trials in the same band."""
+    """Median settle time of these trials in the unmodified scenario, to the same band, s."""
     swinging: int = 0
-    """How many of all trials at this value swing, see `vergence.eval.trials.fixation.swings`; of
-    these none counts as settled."""
+    """Number of all trials at this value that swing, see `vergence.eval.trials.fixation.swings`;
+    none of them counts as settled."""
 
     @property
     def settles(self) -> bool:
-        """Whether 99 % still settle."""
+        """True if 99 % still settle."""
         return self.trials > 0 and 100 * self.settled >= _SETTLING_PERCENT * self.trials
 
     @property
     def keeps_pace(self) -> bool:
-        """Whether the median is less than twice that of the untouched trials."""
+        """True if the median is less than twice the one in the unmodified scenario."""
         return self.median_s < _SLOWER * self.untouched_median_s
 
 
 def moved(scenario: Scenario, name: str, value: float) -> Scenario:
-    """A scenario with an imperfection at one value in every trial, all else as it is.
+    """Copy a scenario with one imperfection fixed at a value in every trial.
 
     Args:
         scenario: the scenario.
         name: the imperfection.
-        value: what it is.
+        value: its value.
     """
     variation = scenario.variation or Variation()
     fixed: dict[str, Any] = {name: (value, value)}
     duration_s = scenario.duration_s
     if name == "onset_s":
-        # what begins later has as much time
+        # trials with a later onset are longer, to leave the same time
         duration_s += max(0.0, value - variation.greatest("onset_s", 0.0))
     return replace(
         scenario,
@@ -67,16 +73,16 @@ def moved(scenario: Scenario, name: str, value: float) -> Scenario:
 
 
 def band_px(scenario: Scenario, name: str, value: float) -> float:
-    """The band of settling: the scenario's, or three standard deviations of the noise.
+    """Settling band: the scenario's, or three standard deviations of the detection noise if larger.
 
-    A controller that sees the target only through noise cannot keep its eyes stiller than it knows
-    where to look. Nothing else widens the band: what is judged is the true error of the eyes, and
-    neither outliers nor play nor steps of encoders keep it from being small.
+    Noise limits how well a controller knows the target, and so how still it can hold the eyes.
+    Nothing else widens the band: the judged error is the true one, which can be small in spite of
+    outliers, backlash and encoder quantisation.
 
     Args:
         scenario: the scenario.
-        name: the imperfection that is moved.
-        value: what it is.
+        name: the imperfection that is varied.
+        value: its value.
     """
     if name != "detection_noise_px":
         return scenario.band_px
@@ -84,12 +90,12 @@ def band_px(scenario: Scenario, name: str, value: float) -> float:
 
 
 class Measure:
-    """Measures one controller in one scenario, each value once.
+    """Measurement of one controller in one scenario by value of an imperfection, cached.
 
     Args:
-        run: runs the controller's trials in a scenario.
-        scenario: the scenario.
-        name: the imperfection that is moved.
+        run: callback that runs the controller's trials in a scenario.
+        scenario: the unmodified scenario.
+        name: the imperfection that is varied.
     """
 
     def __init__(self, run: Callable[[Scenario], Trials], scenario: Scenario, name: str) -> None:
@@ -101,14 +107,14 @@ class Measure:
         self._found: dict[float, Point] = {}
 
     def __call__(self, value: float) -> Point:
-        """What the trials come to at a value."""
+        """Measure at a value, or return the earlier measurement."""
         if value not in self._found:
             self._found[value] = self._at(value)
         return self._found[value]
 
     @property
     def points(self) -> list[Point]:
-        """All that has been measured, by value."""
+        """All measurements, sorted by value."""
         return sorted(self._found.values())
 
     def _at(self, value: float) -> Point:
@@ -125,7 +131,7 @@ class Measure:
             trials=count,
             settled=int(np.isfinite(settle_s).sum()),
             median_s=float(np.median(np.where(np.isnan(settle_s), np.inf, settle_s))),
-            # who settles in the scenario's band does so in a wider one
+            # trials that settle to the scenario's band also settle to a wider one
             untouched_median_s=float(np.median(self._untouched.settle_s(band)[self._those])),
             swinging=swinging,
         )

@@ -1,6 +1,7 @@
-"""Between which values margins are looked for, from which one on, and what people call them.
+"""Ranges and starting values of the search for margins, and labels and units of imperfections.
 
-Onset and phase are no faults; a controller that minds them reads what it cannot know.
+Onset and frame phase are not faults: a controller that is sensitive to them relies on knowledge
+that it cannot have.
 """
 
 from typing import Final, NamedTuple
@@ -13,16 +14,16 @@ from vergence.models.head import HeadModel
 
 
 class Searched(NamedTuple):
-    """Where the margins of one imperfection are looked for, and how they are shown."""
+    """Search range of one imperfection's margins, and how they are shown."""
 
     label: str
     least: float
     most: float
-    """In the unit of `IMPERFECTIONS`, as `least`."""
+    """Ends of the range, `least` and `most`, in the unit of `IMPERFECTIONS`."""
     unit: str
-    """The unit in which people see it; empty for a ratio."""
+    """Unit in tables and figures; empty for a ratio."""
     scale: float
-    """What it is multiplied by for that."""
+    """Factor from the unit of `IMPERFECTIONS` to that unit."""
 
 
 SEARCHED: Final = {
@@ -31,27 +32,27 @@ SEARCHED: Final = {
     for name, one in IMPERFECTIONS.items()
     if one.part == part
 }
-"""By name, in the order of tables and figures: part by part of the loop.
+"""Search ranges by name, in the order of tables and figures: part by part of the loop.
 
-An imperfection of each actuator's own has the same value for all of them."""
+An imperfection that each actuator has of its own gets the same value for all of them."""
 
 
 class Range(NamedTuple):
-    """Where the margins of one imperfection are looked for in one scenario."""
+    """Search range of one imperfection's margins in one scenario, with the expected value."""
 
     low: float
     expected: float
-    """What a scenario has that does not move it; where that is drawn anew for each trial, what the
-    model says, or the end of the drawn range that is nearest to it."""
+    """Start of the search: the model's value; if the scenario draws the imperfection, the value of
+    the drawn range that is nearest to the model's."""
     high: float
 
 
 def range_of(name: str, scenario: Scenario, head: HeadModel) -> Range:
-    """Where the margins of an imperfection are looked for; the expected value is always within.
+    """Search range of an imperfection's margins, widened to hold the expected value.
 
     Args:
         name: the imperfection.
-        scenario: what draws, or does not.
+        scenario: the scenario, which may draw the imperfection.
         head: the model that the controller knows.
     """
     expected = float(np.max(IMPERFECTIONS[name].nominal(head)))
@@ -63,7 +64,11 @@ def range_of(name: str, scenario: Scenario, head: HeadModel) -> Range:
 
 
 def matters(name: str, scenario: Scenario) -> bool:
-    """Whether anything follows from an imperfection: the size of outliers where there are any."""
+    """True if an imperfection has an effect in a scenario.
+
+    The size or duration of random events, such as outliers, has one only if the scenario has such
+    events.
+    """
     chance = IMPERFECTIONS[name].of_chance
     if not chance:
         return True

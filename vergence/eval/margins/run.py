@@ -1,4 +1,4 @@
-"""Margins of controllers: one imperfection moved at a time, away from what the model expects.
+"""Measure the margins of controllers: vary one imperfection at a time from its expected value.
 
 ```python
 margins = measure_margins(MarginsConfig(controllers=("ibvs-tuned",), scenarios=("workspace",)))
@@ -33,27 +33,26 @@ def measure_margins(
     options: Mapping[str, Mapping[str, Any]] | None = None,
     keep_going: bool = False,
 ) -> Margins:
-    """Find how far each imperfection may be from what the model expects.
+    """Find the largest deviation of each imperfection from the model that controllers tolerate.
 
-    At every value the same trials run as untouched, with the same targets and the same random
-    numbers, and with the imperfection at that value in each of them.
+    At every value the trials of the unmodified scenario run again, with the same targets and random
+    numbers, and with the imperfection at that value in every trial.
 
     Args:
-        config: what to measure. Of the plants there is one.
-        others: more controllers by their labels, see `vergence.eval.comparison.evaluate`, as are
-            the rest.
+        config: the configuration, with exactly one plant.
+        others: more controllers by their labels, see `vergence.eval.comparison.evaluate`.
         mapper: runs the jobs; this process by default. The result is the same for any mapper.
-        options: options by controller, and in these by scenario.
-        keep_going: whether a controller of somebody's own that raises is left out of the scenario
-            and told in `failures`, as long as another one is left.
+        options: options by controller, and within these by scenario.
+        keep_going: True to leave a user-defined controller that raises out of the scenario, and to
+            report it in `failures`, unless no margins would remain.
 
     Returns:
         The margins.
 
     Raises:
-        ControllerError: a controller of somebody's own raises, and it is not to be left out.
-        VergenceError: a name is unknown, a scenario's target never rests, or an option has a value
-            that cannot be.
+        ControllerError: a user-defined controller raises, and is not to be left out.
+        VergenceError: a name is unknown, a scenario's target never rests, or an option has an
+            invalid value.
     """
     for name in config.imperfections:
         if name not in SEARCHED:
@@ -104,7 +103,7 @@ def measure_margins(
 def _imperfections(
     config: MarginsConfig, scenario: Scenario, plant: str, lineup: Lineup
 ) -> tuple[list[str], list[str]]:
-    """Those that are moved in a scenario, and a note for each other one."""
+    """Imperfections to vary in a scenario, and a note for each one that is left out."""
     head = scenario.model() if lineup.head is None else lineup.head
     asked = [name for name in SEARCHED if name in (config.imperfections or SEARCHED)]
     names = [name for name in asked if matters(name, scenario)]

@@ -1,30 +1,33 @@
-"""The last value, away from the expected one, at which something still holds.
+"""Search for the last value, going away from the expected one, at which a condition holds.
 
-It is found on a grid, whose steps are smallest next to the expected value, where fragile
-controllers fail, and then by halving between the last value at which it holds and the first at
-which it does not. What is returned has been measured, and so has every value of the grid before
-it; what fails between two of them and holds at both is not seen.
+The search tests the values of a grid until the first at which the condition fails. The grid is
+finest next to the expected value, where fragile controllers fail. Bisection then narrows the
+bracket between the last value at which the condition holds and that first one. The condition was
+tested at the returned value and at every grid value before it. A failure between two grid values
+that both hold is not detected.
 """
 
 from collections.abc import Callable
 from typing import Final
 
 GRID: Final = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 3 / 8, 1 / 2, 5 / 8, 3 / 4, 7 / 8, 1.0)
-"""Shares of the way from the expected value to the end of the search."""
+"""Grid values as fractions of the way from the expected value to the end of the search (chosen:
+resolution against number of runs)."""
 HALVINGS: Final = 4
+"""Bisections of the bracket (chosen: resolution against number of runs)."""
 
 
 def last_value(holds: Callable[[float], bool], begin: float, end: float) -> float | None:
     """Search from one value towards another.
 
     Args:
-        holds: whether it holds at a value.
-        begin: where the search begins.
-        end: where it ends.
+        holds: the condition, tested at a value.
+        begin: start of the search.
+        end: end of the search.
 
     Returns:
-        The last value at which it holds, which may be either end; None where it does not hold at
-        the beginning.
+        The last value at which the condition holds, which may be `begin` or `end`; None if it does
+        not hold at `begin`.
     """
     if not holds(begin):
         return None
@@ -40,7 +43,7 @@ def last_value(holds: Callable[[float], bool], begin: float, end: float) -> floa
 
 
 def _between(holds: Callable[[float], bool], good: float, bad: float) -> float:
-    """Halve the way from a value at which it holds to one at which it does not."""
+    """Bisect between a value at which the condition holds and one at which it fails."""
     for _ in range(HALVINGS):
         middle = _plain(0.5 * (good + bad))
         if holds(middle):
@@ -51,5 +54,5 @@ def _between(holds: Callable[[float], bool], good: float, bad: float) -> float:
 
 
 def _plain(value: float) -> float:
-    """A value of so few digits that it can be written down, and is measured as it is written."""
+    """Round to six significant digits, so that the tested value is exactly the written one."""
     return float(f"{value:.6g}")

@@ -1,4 +1,4 @@
-"""Margins as people read them: a table for each controller, and the text about them."""
+"""Tables of margins for the report and the terminal, and the text about them."""
 
 from typing import Final
 
@@ -12,10 +12,10 @@ _NEVER: Final = "nowhere"
 
 
 def tables(margins: Margins) -> list[ReportTable]:
-    """A table for each controller in each scenario, a row an imperfection.
+    """Make a table for each controller in each scenario, with one row per imperfection.
 
     Args:
-        margins: what to show.
+        margins: the margins.
     """
     return [
         ReportTable(
@@ -29,10 +29,10 @@ def tables(margins: Margins) -> list[ReportTable]:
 
 
 def title_of(imperfection: str) -> str:
-    """What an imperfection is called, with the unit in which it is shown.
+    """Label of an imperfection, with the unit in which it is shown.
 
     Args:
-        imperfection: its name.
+        imperfection: name of the imperfection.
     """
     shown = SEARCHED[imperfection]
     return f"{shown.label} ({shown.unit})" if shown.unit else shown.label
@@ -61,7 +61,7 @@ def _row(one: Margin) -> list[str]:
 
 
 def _number(one: Margin, value: float) -> str:
-    """Three significant digits in the unit that is shown, without zeros at the end."""
+    """Format a value with three significant digits in the shown unit, without trailing zeros."""
     text = format_number(SEARCHED[one.imperfection].scale * value)
     return text.rstrip("0").rstrip(".") if "." in text else text
 
@@ -75,10 +75,10 @@ LEGEND: Final = (
 
 
 def describe(margins: Margins) -> SectionText:
-    """What was done and found, as `section.jinja` has it.
+    """Describe the margins, by `section.jinja`.
 
     Args:
-        margins: what to describe.
+        margins: the margins.
 
     Returns:
         The text of its section in a report.

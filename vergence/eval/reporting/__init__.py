@@ -1,1 +1,1 @@
-"""Run folders, the report, and one look for all figures."""
+"""Run folders, the report, and the common style of all figures."""

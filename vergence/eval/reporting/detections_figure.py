@@ -1,4 +1,4 @@
-"""Photographs with what was detected drawn on them."""
+"""Figures of photographs with their detections."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,15 +19,17 @@ from vergence.perception.spotting import Photograph, number_of
 from vergence.vision import Detection
 
 COLOURS: Final = ("#00a2ff", "#ff7a00", "#00c060", "#d84bff", "#e8c000", "#ff4060")
-"""Of targets, one after the other: they stand out from grey."""
+"""Colours of targets, assigned in order; they stand out from grey images."""
 _TITLE_PT: Final = 10.0
+"""Font size of a panel's title, pt (chosen: legibility)."""
 _LETTER_WIDTH: Final = 0.62
-"""Of a letter, in the size of the type, a little above the mean of names."""
+"""Estimated width of a letter as a fraction of the font size, slightly above the mean of file names
+(chosen)."""
 _HALO: Final = [patheffects.withStroke(linewidth=3.0, foreground="black", alpha=0.75)]
 
 
 class Colours:
-    """A colour for each target, the same wherever it is drawn."""
+    """Assignment of a fixed colour to each target of a figure."""
 
     def __init__(self) -> None:
         self._given: dict[str, str] = {}
@@ -38,11 +40,11 @@ class Colours:
 
 
 def outline(target: PlanarTarget, corners: FloatArray) -> FloatArray:
-    """The outermost corners of a target in their order around it, without those not found.
+    """The outermost corners of a target in order around it, without missing ones.
 
     Args:
         target: the board.
-        corners: (n, k) its corners, in an image or in space; nan where there is none.
+        corners: (n, k) its corners, in an image or in space; nan for a missing one.
 
     Returns:
         (m, k) a closed line, from the upper left corner clockwise.
@@ -64,13 +66,13 @@ def outline(target: PlanarTarget, corners: FloatArray) -> FloatArray:
 def draw_detections(
     panel: Axes, image: NDArray[np.uint8], found: Sequence[Detection], colours: Colours
 ) -> None:
-    """An image with its targets: corners, outline, upper left corner, and the numbers of tags.
+    """Draw an image with its targets: corners, outline, upper left corner, and numbers of tags.
 
     Args:
-        panel: to draw on.
+        panel: axes to draw on.
         image: (height, width) grey levels.
-        found: what is in it.
-        colours: of targets.
+        found: detections in the image.
+        colours: colours of targets.
     """
     height, width = image.shape
     panel.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
@@ -96,7 +98,7 @@ def draw_detections(
 
 
 def shortened(text: str, width_in: float, size_pt: float) -> str:
-    """A text without its middle, where it is wider than so many inches in type of a size."""
+    """Cut the middle out of a text that is wider than a width in inches, at a font size in pt."""
     most = max(int(width_in * 72.0 / (_LETTER_WIDTH * size_pt)), 8)
     if len(text) <= most:
         return text
@@ -104,7 +106,7 @@ def shortened(text: str, width_in: float, size_pt: float) -> str:
 
 
 def _title(name: str, found: Sequence[Detection], width_in: float) -> str:
-    """An image's name and what is in it, in a line, or in two where it is too wide for one."""
+    """An image's name and its detections, on two lines if they are too wide for one."""
     what = _what(found)
     line = f"{name}: {what}"
     if shortened(line, width_in, _TITLE_PT) == line:
@@ -113,7 +115,7 @@ def _title(name: str, found: Sequence[Detection], width_in: float) -> str:
 
 
 def _what(found: Sequence[Detection]) -> str:
-    """What is in an image, in a few words."""
+    """Summary of an image's detections: boards by name, and the number of tags."""
     boards = [str(one.target) for one in found if number_of(one.target) is None]
     tags = len(found) - len(boards)
     count = [f"{tags} {'tag' if tags == 1 else 'tags'}"] if tags else []
@@ -121,14 +123,14 @@ def _what(found: Sequence[Detection]) -> str:
 
 
 def draw_photographs(shown: Sequence[Photograph], path: Path) -> None:
-    """Draw photographs beside one another to a PNG file.
+    """Draw photographs next to each other into a PNG file.
 
     Args:
         shown: one photograph or a few.
-        path: the file; one of that name is replaced. Its folder exists.
+        path: the file, replaced if it exists; its folder must exist.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     with styled():
         figure = compose(shown)
@@ -137,7 +139,7 @@ def draw_photographs(shown: Sequence[Photograph], path: Path) -> None:
 
 
 def compose(shown: Sequence[Photograph]) -> Figure:
-    """The picture, laid out.
+    """Compose the figure.
 
     Args:
         shown: see `draw_photographs`.

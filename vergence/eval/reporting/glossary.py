@@ -1,4 +1,4 @@
-"""The words of reports and tables that a reader may not know, in one sentence each."""
+"""Glossary of terms in reports and tables."""
 
 from typing import Final
 
@@ -28,11 +28,11 @@ GLOSSARY: Final[dict[str, str]] = {
     "twin": "A simulated head whose true geometry differs from the model that controls it by drawn "
     "errors; a population of such heads stands for the article's one.",
 }
-"""Explanations by term, in the order in which a report lists them."""
+"""Explanations by term, in the order of the report."""
 
 METHODS_LEGEND: Final = (
     "gaze: where the optical axes cross, from the joint angles alone. "
     "ITPC (integrated two-pose calibration): where the rays through the target's pixels cross, "
     "from the joint angles of their exposure."
 )
-"""The two methods, for the foot of a table on a terminal."""
+"""Explanation of the two methods, for below a table on a terminal."""

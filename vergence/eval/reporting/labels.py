@@ -1,4 +1,4 @@
-"""Short texts beside points of a figure, each where it covers no other."""
+"""Placement of short texts next to points of a figure, without overlaps."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
@@ -10,25 +10,25 @@ from matplotlib.text import Annotation
 from vergence.models.parts import FloatArray
 
 _DISTANCES: Final = (3.0, 8.0, 14.0, 22.0, 32.0, 44.0, 58.0, 74.0, 92.0)
-"""Between a point and the box of its text, points of type."""
+"""Candidate distances between a point and the box of its text, pt (chosen)."""
 _TURNS: Final = np.array([0.0, *(s * a for a in np.arange(1, 9) * np.pi / 8 for s in (1, -1))])
-"""From the wanted side, radians, the nearest first."""
+"""Candidate directions of a text relative to the requested one, radians, nearest first."""
 _LEADER_FROM: Final = 20.0
-"""Texts as far from their points, points of type, are joined to them by a line."""
+"""Distance between a text and its point beyond which a line joins them, pt (chosen)."""
 _GAP: Final = 2.5
-"""Around a text, points of type."""
+"""Free margin around a text, pt (chosen)."""
 
 
 def page_point(point: FloatArray) -> tuple[float, float]:
-    """A point of the page, as matplotlib's types want it."""
+    """Convert a point to the tuple that matplotlib's types require."""
     return float(point[0]), float(point[1])
 
 
 class Labels:
-    """Short texts beside points, each where it covers no other.
+    """Texts of a panel, which are placed next to their points without overlaps.
 
     Args:
-        panel: where they stand.
+        panel: axes of the texts.
     """
 
     def __init__(self, panel: Axes) -> None:
@@ -40,24 +40,24 @@ class Labels:
     def add(
         self, point: FloatArray, text: str, colour: str, aside: Iterable[float], **style: Any
     ) -> None:
-        """Ask for a text, which stands on the side that a direction (across, up) tells."""
+        """Add a text, preferably in the direction `aside` (across, up) from its point."""
         annotation = self._panel.annotate(
             text, page_point(point), (0, 0), textcoords="offset points", color=colour,
             ha="center", va="center", zorder=8, **{"fontsize": 11, **style},
         )  # fmt: skip
-        annotation.set_in_layout(False)  # it has no place before the panel has
+        annotation.set_in_layout(False)  # its position is known only after the panel's layout
         self._texts.append((np.array(point), annotation, np.array(tuple(aside), np.float64)))
 
     def avoid(self, point: FloatArray, radius: float = 4.0) -> None:
-        """Keep a point free, and as many points of type around it."""
+        """Keep texts away from a point, by a radius in pt."""
         self._points.append((np.array(point), radius))
 
     def avoid_line(self, start: FloatArray, end: FloatArray) -> None:
-        """Keep a line free."""
+        """Keep texts away from a line."""
         self._lines.append(np.array([start, end]))
 
     def place(self) -> None:
-        """Put all texts where they belong; call it once the figure has been laid out."""
+        """Place all texts; call it after the layout of the figure."""
         to_points = 72.0 / self._panel.figure.dpi
         transform = self._panel.transData
         corners = to_points * np.array(self._panel.bbox.get_points())
@@ -91,14 +91,16 @@ def _free_offset(
     taken: Sequence[tuple[FloatArray, FloatArray]],
     corners: FloatArray,
 ) -> FloatArray:
-    """The nearest place to a wanted direction, in points, where a box covers no other.
+    """Offset of a text's box from its point, pt: the first candidate without an overlap.
 
-    Where there is none, that where it covers the least.
+    The box has to lie within the panel. Candidates at nearer distances come first, and at each
+    distance directions closer to the wanted one. If all overlap, the one with the least overlap is
+    taken.
     """
     towards = np.column_stack([np.cos(angle + _TURNS), np.sin(angle + _TURNS)])
     places = []
     for distance in _DISTANCES:
-        # a box whose nearest edge is as far away in this direction
+        # the box's edge, not its centre, is at this distance from the point
         edge = np.min(half / np.maximum(np.abs(towards), 1e-9), axis=1)
         places.append(towards * (edge + distance)[:, None])
     offsets = np.concatenate(places)

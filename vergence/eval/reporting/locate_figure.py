@@ -1,4 +1,4 @@
-"""The picture of located targets: what both eyes saw, and where it is in space."""
+"""Figure of located targets: the images of both eyes, and the targets in space."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,34 +24,37 @@ _VIEWS: Final = (
     ("from above", 0, 2, "x (mm), right", "z (mm), forward"),
     ("from the right", 2, 1, "z (mm), forward", "y (mm), down"),
 )
-"""Title, axis of N across and up the page, and their labels; y points down the page."""
+"""Title, axes of N across and up the page, and their labels; y points down the page."""
 _EYES: Final = (BLUE, ORANGE)
 _VISIBLE_PT: Final = 2.0
-"""Half axis of an ellipse, points of type, from which on it is seen beside its point."""
+"""Least semi-axis at which an ellipse is visible around its point, pt (chosen)."""
 _SCALES: Final = (1, 3, 10, 30)
-"""How many sigma an ellipse may be drawn at."""
+"""Scales of the ellipses, in standard deviations; the first visible one is used (chosen)."""
 _WIDTH: Final = 12.5
-"""Of the figure, inches."""
+"""Width of the figure, inches (chosen: legibility)."""
 _BELOW: Final = 5.4
-"""Height of the views of space, inches."""
+"""Height of the views of space, inches (chosen: legibility)."""
+# Font sizes, pt (chosen: legibility).
 _HEADING_PT: Final = 13.0
 _TITLE_PT: Final = 12.0
+
 _CROWDED: Final = 5
-"""Pairs of which all points can be told apart; of more, only those of the pair above are drawn."""
+"""Most image pairs whose points are all drawn; of more, only the points of the pair shown above are
+drawn (chosen: legibility)."""
 _FAR: Final = 5.0
-"""By how many times the usual distance of a target a point is too far away for the views: it would
-leave all others a dot."""
+"""Ratio to the usual distance of targets beyond which a point is left out of the views, where it
+would shrink all others to a dot (chosen)."""
 
 
 def draw_located(result: LocateResult, path: Path) -> None:
-    """Draw what was located to a PNG file.
+    """Draw located targets into a PNG file.
 
     Args:
-        result: of `locate`.
-        path: the file; one of that name is replaced. Its folder exists.
+        result: the result of `locate`.
+        path: the file, replaced if it exists; its folder must exist.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     with styled():
         figure = compose(result)
@@ -60,17 +63,17 @@ def draw_located(result: LocateResult, path: Path) -> None:
 
 
 def compose(result: LocateResult) -> Figure:
-    """The picture, laid out.
+    """Compose the figure.
 
     Args:
-        result: of `locate`.
+        result: the result of `locate`.
     """
     shown, colours = result.shown, Colours()
     tall = max(each.image.shape[0] / each.image.shape[1] for each in shown)
     top = 0.5 * _WIDTH * tall + 0.4
     with styled():
         seen = [one for one in result.located if one.valid.any()]
-        # views of space without a point in it would show nothing
+        # without a valid point, the views of space would be empty
         heights = (top, _BELOW) if seen else (top,)
         figure = new_figure(_WIDTH, sum(heights))
         grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
@@ -94,7 +97,7 @@ def _draw_space(
     seen: Sequence[Located],
     colours: Colours,
 ) -> None:
-    """Both views of space, and how many points lie outside of them."""
+    """Draw both views of space, with the number of points outside them."""
     eyes = np.concatenate(
         [MM * result.head.camera_poses(q)[:, :3, 3] for q in result.angles.values()]
     )
@@ -114,7 +117,7 @@ def _draw_space(
 
 
 def _near(seen: Sequence[Located]) -> list[NDArray[np.bool_]]:
-    """(n,) for each target, which of its points are near enough to be drawn."""
+    """Mask of each target's points that are near enough to be drawn, (n,) each."""
     away = [np.linalg.norm(one.fix.point, axis=-1) for one in seen]
     usual = np.median([np.median(d[one.valid]) for d, one in zip(away, seen, strict=True)])
     return [one.valid & (d <= _FAR * usual) for d, one in zip(away, seen, strict=True)]
@@ -170,7 +173,7 @@ def _draw_sigma(
     near: Sequence[NDArray[np.bool_]],
     colours: Colours,
 ) -> None:
-    """Ellipses at outermost corners, of one sigma or of as many as can be seen, if any can."""
+    """Draw covariance ellipses at outermost corners, at the first scale that makes them visible."""
     chosen = [
         (MM * one.fix.point[corner], MM**2 * one.fix.covariance[corner], one)
         for one, drawn in zip(seen, near, strict=True)
@@ -205,7 +208,7 @@ def _draw_sigma(
 
 
 def _outermost(one: Located, drawn: NDArray[np.bool_]) -> list[int]:
-    """The corners that are drawn and lie farthest out along the diagonals of the board."""
+    """Indices of the drawn corners that are farthest out along the diagonals of the board."""
     valid = np.flatnonzero(drawn)
     if not len(valid):
         return []

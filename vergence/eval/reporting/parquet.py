@@ -1,4 +1,4 @@
-"""Tables as Parquet, beside the CSV that every run writes."""
+"""Conversion of a run's CSV tables to Parquet."""
 
 from pathlib import Path
 
@@ -6,22 +6,22 @@ from vergence.files import whole_file
 
 
 def write_parquet(csv: Path) -> Path:
-    """Write a table as Parquet beside its CSV; pyarrow must be installed.
+    """Write a table as Parquet next to its CSV file; pyarrow must be installed.
 
     Args:
-        csv: the table. Its floats come back to the last digit.
+        csv: the table. Its floats are converted without loss.
 
     Returns:
-        The new file, of the same name with the ending `.parquet`.
+        The new file, with the same name and the suffix `.parquet`.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     from pyarrow.csv import read_csv
     from pyarrow.parquet import write_table
 
     path = csv.with_suffix(".parquet")
-    table = read_csv(csv)  # exact, which pandas' own reader is from version 3 on
+    table = read_csv(csv)  # exact floats; pandas' own reader is exact only from version 3 on
     with whole_file(path) as partial:
         write_table(table, partial)
     return path

@@ -1,4 +1,4 @@
-"""A sheet to print: a board, a ruler, and the text by which commands look for the board."""
+"""Printable sheets: a board, a ruler, and the text that names the board in commands."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -17,13 +17,16 @@ from vergence.files import whole_file
 from vergence.vision.printing import RULER_MM, Sheet
 
 RULER_TEXT: Final = f"print at 100 %, measure this: {RULER_MM:g} mm"
-"""What stands at the ruler."""
+"""Text next to the ruler."""
 _INCH_MM: Final = 25.4
+"""Millimetres per inch (physical: definition of the inch)."""
 _POINTS: Final = 72.0
+"""Points per inch, the unit of PDF pages (physical: definition of the point)."""
 _TEXT_PT: Final = 8.0
-"""A board's longest text is shorter than the ruler at this size."""
+"""Font size, at which a board's longest text is shorter than the ruler, pt (chosen)."""
 _RULER_TOP_MM, _LINES_MM = 0.6, (4.6, 8.2)
-"""Where in their strip the ruler and the lines of text begin, from the board's margin on."""
+"""Distances of the ruler and of the lines of text from the board's margin, mm."""
+# Number of the ruler's intervals, lengths of its ticks and width of its strokes (chosen).
 _TICKS: Final = 10
 _TICK_MM: Final = 2.0
 _END_TICK_MM: Final = 3.2
@@ -38,17 +41,18 @@ _RC: Final[Any] = {
 
 
 def draw_sheet(sheet: Sheet, path: Path, dpi: float) -> None:
-    """Write a sheet as PDF, SVG or PNG, whole or not at all; the same sheet gives the same bytes.
+    """Write a sheet as PDF, SVG or PNG, atomically; equal sheets give equal bytes.
 
     Args:
-        sheet: what is printed.
-        path: the file, whose ending says which; one of that name is replaced. Its folder exists.
-        dpi: pixels of a PNG to the inch.
+        sheet: the sheet.
+        path: the file, whose suffix selects the format; replaced if it exists. Its folder must
+            exist.
+        dpi: resolution of a PNG, pixels per inch.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
-    # without the user's own settings, which may crop the sheet or change its letters
+    # default settings: the user's may crop the sheet or change its font
     with style.context(["default", _RC]), whole_file(path) as partial:
         figure = _figure(sheet)
         ending = path.suffix.lower()
@@ -69,7 +73,7 @@ def _figure(sheet: Sheet) -> Figure:
     strip = turned.translate(*sheet.ruler_mm) + page
     for loops, transform in ((sheet.black_mm, page), (_ruler(), strip)):
         patch = PathPatch(_compound(loops), facecolor="black", linewidth=0.0, transform=transform)
-        patch.set_snap(False)  # to whole pixels, which would move edges by half of one
+        patch.set_snap(False)  # snapping to whole pixels would move edges by up to half a pixel
         figure.add_artist(patch)
     for text, v in zip((RULER_TEXT, f"{sheet.target}"), _LINES_MM, strict=True):
         figure.text(
@@ -85,14 +89,14 @@ def _figure(sheet: Sheet) -> Figure:
 
 
 def _compound(loops: list[NDArray[np.float64]]) -> Outline:
-    """Closed polygons as one path: what is filled at once has no seams."""
+    """Join closed polygons into one path, which is filled without seams."""
     return Outline.make_compound_path(
         *(Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in loops)
     )
 
 
 def _ruler() -> list[NDArray[np.float64]]:
-    """Rectangles of the ruler, whose first and last tick have their middles at 0 and 100 mm."""
+    """Rectangles of the ruler; its first and last ticks are centred at 0 and 100 mm."""
     half = 0.5 * _STROKE_MM
     boxes = [(-half, _RULER_TOP_MM, RULER_MM + half, _RULER_TOP_MM + _STROKE_MM)]
     for tick in range(_TICKS + 1):
@@ -103,9 +107,9 @@ def _ruler() -> list[NDArray[np.float64]]:
 
 
 def _write_pdf(figure: Figure, path: Path, title: str) -> None:
-    """Write a figure as a page whose printing dialog offers it unscaled.
+    """Write a figure as a PDF page for which printing dialogs default to no scaling.
 
-    That is a wish in the document's catalog, which `Figure.savefig` has no way to state.
+    This is a preference in the document's catalog, which `Figure.savefig` cannot set.
     """
     pdf: Any = backend_pdf
     metadata = {"Title": title, "CreationDate": None, "Producer": None, "Creator": "vergence"}
@@ -117,7 +121,7 @@ def _write_pdf(figure: Figure, path: Path, title: str) -> None:
             "Pages": file.pagesObject,
             "ViewerPreferences": wish,
         }
-        file.writeObject(file.rootObject, catalog)  # in place of the one written already
+        file.writeObject(file.rootObject, catalog)  # replaces the catalog that is already written
         figure.dpi = _POINTS  # the unit of a page
         width, height = (float(edge) for edge in figure.get_size_inches())
         file.newPage(width, height)

@@ -1,4 +1,4 @@
-"""The report: one self-contained HTML file, for a phone, a screen and paper."""
+"""The report: one self-contained HTML file for phones, screens and paper."""
 
 import re
 from collections import Counter
@@ -27,12 +27,12 @@ _PHRASES: Final = {
     BY_CONSTRUCTION: "by construction",
     NO_FIGURE: "without a figure of ours",
 }
-"""The verdicts below `reproduced` in the headline's sentence."""
+"""Words of the headline's sentence for the verdicts below `reproduced`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReportTable:
-    """A table of text, a row an entry; on a phone each row is a card under its first column."""
+    """A table of text; on a phone each row is a card with its first column as the title."""
 
     title: str
     columns: list[str]
@@ -41,44 +41,44 @@ class ReportTable:
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """One experiment, or one evaluation, as the report shows it."""
+    """Section of the report for one experiment or one evaluation."""
 
     name: str
     title: str
     article: str
     what: str
-    """What was done, and how; each line is a paragraph."""
+    """Description of the work and its method; each line is a paragraph."""
     conclusion: str
-    """What came out; the same."""
+    """Results; each line is a paragraph."""
     summary: list[dict[str, Any]]
-    """Rows as `SummaryRow` has them."""
+    """Rows with the fields of `SummaryRow`."""
     figures: list[Path]
     """SVG files."""
     rows: int
-    """Rows of the table."""
+    """Number of rows of the data file."""
     config: dict[str, Any]
     seed: int
     data: str = ""
-    """Where the table is, from the report's folder; `tables/NAME.csv` by default."""
+    """Path of the data file, relative to the report's folder; `tables/NAME.csv` by default."""
     tables: list[ReportTable] = field(default_factory=list)
-    """What it found where there is no article to compare with; shown first."""
+    """Tables of results for sections that do not compare with the article; shown first."""
     headline: str = ""
-    """One sentence of it for the top of the report."""
+    """One sentence for the top of the report."""
     captions: dict[str, str] = field(default_factory=dict)
-    """What each figure shows and what to conclude, by the stem of its file."""
+    """Captions, with the conclusions to draw, by the stem of each figure's file."""
     quick: bool = False
-    """Whether it ran with `--quick`."""
+    """True if it ran with `--quick`."""
     changed: dict[str, Any] = field(default_factory=dict)
-    """The configuration where it is not that of a full run."""
+    """Configuration values that differ from a full run's."""
 
 
 def write_report(path: Path, sections: list[Section], title: str = "") -> None:
     """Write the report.
 
     Args:
-        path: the file; it is replaced whole.
-        sections: the experiments, in order.
-        title: of a report that is not about the article.
+        path: the file, replaced atomically.
+        sections: the sections, in order.
+        title: title of a report that is not about the article.
     """
     page = environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = page.from_string(read_template("vergence.eval.reporting", "report.html.jinja"))
@@ -102,13 +102,13 @@ def write_report(path: Path, sections: list[Section], title: str = "") -> None:
 
 
 def headlines(sections: list[Section]) -> list[tuple[str, dict[str, Any]]]:
-    """What a summary shows: each result that the article reports, once.
+    """Rows of the report's summary: each result that the article reports, once.
 
     Args:
-        sections: the experiments, in order.
+        sections: the sections, in order.
 
     Returns:
-        Pairs of a section's name and a row as `SummaryRow` has it.
+        Pairs of a section's name and a row with the fields of `SummaryRow`.
     """
     keys = ("experiment", "quantity", "method", "axis")
     reported = {tuple(getattr(row, key) for key in keys) for row in reported_results()}
@@ -121,20 +121,20 @@ def headlines(sections: list[Section]) -> list[tuple[str, dict[str, Any]]]:
 
 
 def tally(sections: list[Section]) -> dict[str, int]:
-    """How many of the article's results got which verdict, the best first.
+    """Count the article's results by verdict, the best verdict first.
 
     Args:
-        sections: the experiments.
+        sections: the sections.
 
     Returns:
-        Counts by verdict; verdicts that none got are left out.
+        Counts by verdict, without zeros.
     """
     counts = Counter(row["verdict"] for _name, row in headlines(sections))
     return {verdict: counts[verdict] for verdict in VERDICTS if counts[verdict]}
 
 
 def _ratio(row: dict[str, Any]) -> str:
-    """Ours by the article's, at the end where they are farthest apart."""
+    """Ratio of our value to the article's, at the end of the range where they differ most."""
     article = row["article_low"], row["article_high"]
     if row["ours_low"] is None or row["ours_high"] is None or article == (None, None):
         return NONE
@@ -147,18 +147,18 @@ def _inline(path: Path, prefix: str) -> str:
 
 
 def inline_svg(text: str, prefix: str, label: str) -> str:
-    """An SVG file as markup whose ids are its own in a page with others.
+    """Make markup to embed from an SVG file, with ids that are unique on the page.
 
     Args:
-        text: of the file.
-        prefix: of the ids.
-        label: for those who cannot see the figure.
+        text: content of the file.
+        prefix: prefix of the ids.
+        label: text alternative for screen readers.
     """
     text = text[text.index("<svg") :]
     text = re.sub(r'\bid="([^"]+)"', rf'id="{prefix}-\1"', text)
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", text)
     text = re.sub(r'href="#([^"]+)"', rf'href="#{prefix}-\1"', text)
-    # the page decides how wide it is; the viewBox keeps its proportions
+    # the page sets the width; the viewBox keeps the aspect ratio
     head, rest = text.split(">", 1)
     head = re.sub(r'\s(width|height)="[^"]+"', "", head)
     return f'{head} role="img" aria-label="{label}">{rest}'

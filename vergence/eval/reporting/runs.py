@@ -1,4 +1,4 @@
-"""Run folders: written whole or not at all, with everything needed to run again."""
+"""Run folders: written atomically, with all that is needed to repeat the run."""
 
 import dataclasses
 import importlib.metadata
@@ -36,11 +36,11 @@ _VERSIONED = (
 
 
 _DISTRIBUTIONS: Final = {"mujoco": "mujoco-core"}
-"""What installs a package, where it has another name."""
+"""Distributions of packages that have another name."""
 
 
 def versions(packages: tuple[str, ...] = _VERSIONED) -> dict[str, str]:
-    """The versions of Python and of installed packages; those not installed are left out."""
+    """Versions of Python and of packages, without packages that are not installed."""
     found = {"python": platform.python_version()}
     for package in packages:
         try:
@@ -54,7 +54,7 @@ def check_free(folder: Path) -> None:
     """Refuse a run folder that would overwrite something.
 
     Raises:
-        ConfigurationError: there is a file of that name, or a folder with something in it.
+        ConfigurationError: a file of that name exists, or a folder that is not empty.
     """
     if "\0" in str(folder):
         raise _unwritable(folder, ValueError("no name has a NUL in it"))
@@ -68,7 +68,7 @@ def check_free(folder: Path) -> None:
             what = "a file"
         else:
             return
-    except OSError as error:  # such as a name that is too long
+    except OSError as error:  # for example, a name that is too long
         raise _unwritable(folder, error) from error
     raise ConfigurationError(f"out: expected a new or empty folder, got {what}: {folder}")
 
@@ -87,16 +87,16 @@ _SIGNS: Final = {
     "trajectory.csv": "gaze",
     "trajectory.parquet": "gaze",  # alone up to version 0.1
 }
-"""What the run folders of one command have and those of no other."""
+"""Commands by an entry that only their run folders contain."""
 
 
 def command_of(folder: Path) -> str | None:
-    """Which command a folder is a run of; None for another folder, or none."""
+    """Command that wrote a run folder; None if there is no such folder or it is no run folder."""
     return next((kind for name, kind in _SIGNS.items() if (folder / name).exists()), None)
 
 
 def run_folder_of(folder: Path) -> str | None:
-    """The same as a message says it."""
+    """Description of a run folder for messages; None if it is no run folder."""
     if (folder / _RECORDING).is_dir() and not (folder / "evaluation.json").exists():
         return "an evaluation on a robot that has not ended (--resume goes on with it)"
     command = command_of(folder)
@@ -104,7 +104,7 @@ def run_folder_of(folder: Path) -> str | None:
 
 
 _RECORDING: Final = "recording"
-"""What an evaluation on a robot has from its beginning on."""
+"""Folder that an evaluation on a robot contains from its start."""
 _GOES_ON: Final = {
     "train": " (--resume goes on with it)",
     "tune": " (which vergence tune goes on with)",
@@ -113,10 +113,10 @@ _GOES_ON: Final = {
 
 
 def check_writable(folder: Path) -> None:
-    """Refuse, before any work is done, a run folder that could not be made in the end.
+    """Refuse, before any work is done, a run folder that could not be created afterwards.
 
     Raises:
-        ConfigurationError: there is something of that name, or its place cannot be written.
+        ConfigurationError: the name is taken, or the parent folder cannot be written.
     """
     check_free(folder)
     there = next(path for path in folder.absolute().parents if path.exists())
@@ -134,13 +134,13 @@ def _unwritable(folder: Path, error: Exception) -> ConfigurationError:
 
 @contextmanager
 def claimed(folder: Path) -> Iterator[None]:
-    """Hold the place of a run folder from before the work begins until it is written.
+    """Lock the name of a run folder from before the work begins until it is written.
 
     Args:
-        folder: where the run belongs; new or empty.
+        folder: the run folder, new or empty.
 
     Raises:
-        ConfigurationError: it has something in it, cannot be made, or another process holds it.
+        ConfigurationError: the folder is not empty, cannot be created, or another process holds it.
     """
     check_writable(folder)
     with locked(folder) as alone:
@@ -153,16 +153,16 @@ def claimed(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def run_folder(folder: Path) -> Iterator[Path]:
-    """A folder that appears under its name when its content is complete.
+    """Create a run folder that appears under its name only when its content is complete.
 
     Args:
-        folder: where the run belongs; new or empty.
+        folder: the run folder, new or empty.
 
     Yields:
         The folder to write to.
 
     Raises:
-        ConfigurationError: the folder cannot be made or has something in it.
+        ConfigurationError: the folder cannot be created or is not empty.
     """
     check_free(folder)
     try:
@@ -173,17 +173,17 @@ def run_folder(folder: Path) -> Iterator[Path]:
 
 
 def save_run(folder: Path, write: Callable[[Path], None]) -> Path:
-    """Write a finished run; its place may have been taken while it ran.
+    """Write a finished run, even if its name was taken while it ran.
 
     Args:
-        folder: where the run belongs.
-        write: called with the folder to write to.
+        folder: the run folder.
+        write: callback that writes the content into a given folder.
 
     Returns:
-        Where it is: there, or beside it under a free name.
+        The folder as written: `folder`, or a free name next to it.
 
     Raises:
-        ConfigurationError: it can be written nowhere there.
+        ConfigurationError: neither can be written.
     """
     try:
         return save_folder(folder, write)
@@ -202,7 +202,7 @@ def write_config(
         folder: the run folder.
         config: a dataclass of plain values.
         head: the head that the run used.
-        packages: packages whose versions matter beyond those of every run.
+        packages: packages whose versions are recorded besides those of every run.
     """
     content = {
         "config": plain(dataclasses.asdict(config)),
@@ -214,13 +214,13 @@ def write_config(
 
 
 def write_json(path: Path, content: Mapping[str, Any] | Sequence[Any]) -> None:
-    """Write plain values as JSON, refusing nan and inf, which JSON does not have."""
+    """Write plain values as JSON; nan and inf raise an error, as JSON does not have them."""
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     path.write_text(text, encoding="utf-8")
 
 
 def plain(value: Any) -> Any:
-    """A value with what TOML has no word for (None) left out and paths as text."""
+    """Convert a value for TOML: leave out None, which TOML does not have; write paths as text."""
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items() if item is not None}
     if isinstance(value, list | tuple):

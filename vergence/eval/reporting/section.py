@@ -1,4 +1,4 @@
-"""A report's section kept as a file, so that the section of one run drops into another's report."""
+"""Sections of reports as files, so that another report can include the section of a run."""
 
 import dataclasses
 import json
@@ -13,10 +13,11 @@ from vergence.files import whole_folder, write_whole
 
 SECTION_FILE: Final = "section.json"
 _FORMAT: Final = 1
+"""Version of the file's format (numerical)."""
 
 
 def write_section(path: Path, section: Section) -> None:
-    """Write a section whose figures lie beside the file or below it.
+    """Write a section; its figures must be in the file's folder or below it.
 
     Args:
         path: the file.
@@ -38,7 +39,7 @@ def read_section(path: Path) -> Section:
         The section.
 
     Raises:
-        ConfigurationError: the file is no section, or a figure is missing or lies elsewhere.
+        ConfigurationError: the file is no section, or a figure is missing or in another folder.
     """
     try:
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -65,10 +66,10 @@ def read_section(path: Path) -> Section:
 
 
 def _check_plain(section: Section) -> None:
-    """Refuse values of other types than a report shows.
+    """Refuse a section with values of types that a report cannot show.
 
     Raises:
-        TypeError: there is one.
+        TypeError: a value has a wrong type.
     """
     lines = [[table.title, *table.columns] for table in section.tables]
     lines += [row for table in section.tables for row in table.rows]
@@ -91,11 +92,11 @@ _NUMBERS: Final = ("article_low", "article_high", "ours_low", "ours_high")
 
 
 def include_section(run: Path, folder: Path) -> Path:
-    """Copy a run's section, with its figures and tables, into a folder of such copies.
+    """Copy a run folder, with its section, figures and tables, into a folder of such copies.
 
     Args:
         run: the run folder.
-        folder: where a folder of the run's name is made, or replaced.
+        folder: the parent folder of the copy, which has the run's name and may replace another.
 
     Returns:
         The copy's folder.
@@ -111,13 +112,13 @@ def include_section(run: Path, folder: Path) -> Path:
 
 
 def included_sections(folder: Path) -> list[Section]:
-    """The sections of all copies in a folder, each under a name of its own.
+    """Read the sections of all copies in a folder, and give each a unique name.
 
     Args:
         folder: see `include_section`.
 
     Returns:
-        The sections, by the runs' names.
+        The sections, sorted by the runs' names.
     """
     sections = []
     for path in sorted(folder.glob(f"[!.]*/{SECTION_FILE}")):

@@ -1,4 +1,4 @@
-"""One look for all figures: readable in greyscale, on a phone and on paper."""
+"""Common style of all figures, readable in greyscale, on phones and on paper."""
 
 import io
 from contextlib import AbstractContextManager
@@ -21,11 +21,11 @@ METHOD_STYLE: Final[dict[str, dict[str, Any]]] = {
     "gaze": {"color": BLUE, "marker": "o", "linestyle": "-", "label": "gaze"},
     "itpc": {"color": ORANGE, "marker": "s", "linestyle": "--", "label": "ITPC"},
 }
-"""How the two methods are drawn: told apart by marker and dash as well as by colour."""
+"""Line styles of the two methods, with different markers and dashes as well as colours."""
 ARTICLE_STYLE: Final[dict[str, Any]] = {"color": BLACK, "linestyle": ":", "linewidth": 1.3}
-"""How the article's values are drawn."""
+"""Line style of the article's values."""
 ARTICLE_BAND: Final[dict[str, Any]] = {"color": GREY, "alpha": 0.18, "linewidth": 0.0}
-"""How a range of the article's is drawn."""
+"""Style of a range of the article's values."""
 
 _RC: Final[Any] = {
     "font.size": 11,
@@ -45,26 +45,26 @@ _RC: Final[Any] = {
 
 
 def new_figure(width: float = 9.0, height: float = 4.2) -> Figure:
-    """An empty figure in the house style, in inches; draw it inside `styled`."""
+    """Make an empty figure, with sizes in inches; draw it inside `styled`."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def log_scale(panel: Axes) -> None:
-    """A logarithmic vertical axis whose ticks are plain numbers."""
+    """Make the vertical axis logarithmic, with plain numbers at its ticks."""
     panel.set_yscale("log")
     panel.yaxis.set_major_formatter("{x:g}")
     panel.yaxis.set_minor_formatter("")
 
 
 def legend_below(figure: Figure, columns: int, **options: Any) -> None:
-    """One legend for all panels of a figure, below them, each label once.
+    """Add one legend for all panels of a figure, below them, with each label once.
 
     Args:
         figure: the figure.
-        columns: of the legend.
-        options: of `Figure.legend`, beyond these.
+        columns: number of columns of the legend.
+        options: further options of `Figure.legend`.
     """
     handles: dict[str, Any] = {}
     for panel in figure.axes:
@@ -76,20 +76,20 @@ def legend_below(figure: Figure, columns: int, **options: Any) -> None:
 
 
 def styled() -> AbstractContextManager[None]:
-    """The context in which figures are drawn and saved."""
+    """Context for drawing and saving figures in this style."""
     return matplotlib.rc_context(_RC)
 
 
 def save_figure(figure: Figure, stem: Path) -> None:
-    """Write a figure as `stem`.svg and `stem`.png; the same figure gives the same bytes."""
+    """Write a figure as `stem`.svg and `stem`.png; equal figures give equal bytes."""
     with styled():
-        figure.draw_without_rendering()  # panels of equal axes fit only in the second layout
+        figure.draw_without_rendering()  # panels with equal axes fit only after a second layout
         figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
         figure.savefig(stem.with_suffix(".png"), dpi=110, metadata={"Software": None})
 
 
 def svg_of(figure: Figure) -> str:
-    """A figure as the text of an SVG file."""
+    """Render a figure as the text of an SVG file."""
     text = io.StringIO()
     with styled():
         figure.savefig(text, format="svg", metadata={"Date": None})

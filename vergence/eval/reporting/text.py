@@ -1,4 +1,4 @@
-"""Text that a person wrote, with numbers filled in: templates, and how numbers are written."""
+"""Text templates for reports, and the format of their numbers."""
 
 import math
 from collections.abc import Mapping
@@ -8,10 +8,10 @@ from typing import Any, Final, NamedTuple
 import jinja2
 
 Numbers = Mapping[str, float]
-"""The numbers that a text fills in, by name, its unit last; nan for one that does not exist."""
+"""Numbers for a template, by name with the unit last; nan for a number that does not exist."""
 
 NONE: Final = "–"
-"""Stands where there is no number."""
+"""Placeholder for a missing number."""
 
 
 _CAPTION: Final = "caption_"
@@ -21,21 +21,21 @@ class SectionText(NamedTuple):
     """The text of a report's section; an empty line ends a paragraph."""
 
     what: str
-    """What was done, and how."""
+    """Description of the work and its method."""
     found: str
-    """What came out."""
+    """Results."""
     headline: str
-    """One sentence of it for the top of the report; empty for none."""
+    """One sentence for the top of the report; empty for none."""
     captions: dict[str, str]
-    """What each figure shows and what to conclude, by the figure's name."""
+    """Captions, with the conclusions to draw, by the figures' names."""
 
 
 def read_template(package: str, name: str = "section.jinja") -> str:
-    """A template that lies in a package.
+    """Read a template from a package.
 
     Args:
-        package: such as `vergence.eval.article.gain_sweep`.
-        name: of the file.
+        package: the package, such as `vergence.eval.article.gain_sweep`.
+        name: name of the file.
     """
     return (resources.files(package) / name).read_text(encoding="utf-8")
 
@@ -44,16 +44,16 @@ def render_text(template: str, **values: Any) -> SectionText:
     """Fill numbers into the text of a section.
 
     Args:
-        template: in the language of Jinja, with the blocks `what` and `found`; it may have
-            `headline`, and `caption_` with the name of a figure in which `_` stands for `-`. It
-            chooses no words: its sentences are true whatever the numbers are.
-        values: what it fills in, by name.
+        template: a Jinja template with the blocks `what` and `found`; optional are `headline`, and
+            `caption_` followed by the name of a figure with `_` in place of `-`. Its words do not
+            depend on the numbers: its sentences hold for all values.
+        values: values of the template, by name.
 
     Returns:
-        The blocks, a line a paragraph.
+        The blocks, with one line per paragraph.
 
     Raises:
-        jinja2.UndefinedError: the text names a number that is not there.
+        jinja2.UndefinedError: the template names a value that is missing.
     """
     found = environment().from_string(template)
     context = found.new_context(values)
@@ -67,10 +67,10 @@ def render_text(template: str, **values: Any) -> SectionText:
 
 
 def environment(**options: Any) -> jinja2.Environment:
-    """Where templates are read: every name has to be there, and numbers have their filters.
+    """Make a Jinja environment that requires every name and has the filters for numbers.
 
     Args:
-        options: of `jinja2.Environment`, beyond these.
+        options: further options of `jinja2.Environment`.
     """
     made = jinja2.Environment(undefined=jinja2.StrictUndefined, **options)
     made.filters |= {
@@ -87,7 +87,7 @@ def _unwrapped(text: str) -> str:
 
 
 def format_number(value: float | None) -> str:
-    """Three significant digits, never with an exponent; a dash for none."""
+    """Format a number with three significant digits and no exponent; a dash for none."""
     if value is None or not math.isfinite(value):
         return NONE
     if value == 0.0:
@@ -97,13 +97,13 @@ def format_number(value: float | None) -> str:
 
 
 def format_fixed(value: float | None, decimals: int = 0, signed: bool = False) -> str:
-    """So many digits after the point; a dash for none.
+    """Format a number with a fixed number of decimals; a dash for none.
 
     Args:
         value: the number.
         decimals: digits after the point.
-        signed: whether a plus stands before what is greater than zero. What rounds to zero never
-            has a sign.
+        signed: True to put a plus before positive numbers. A number that rounds to zero has no
+            sign.
     """
     if value is None or not math.isfinite(value):
         return NONE
@@ -112,11 +112,11 @@ def format_fixed(value: float | None, decimals: int = 0, signed: bool = False) -
 
 
 def format_given(value: float) -> str:
-    """A number that somebody gave, with the digits that it was given."""
+    """Format a given number, with its own digits."""
     return f"{value:zg}"
 
 
 def format_range(low: float | None, high: float | None) -> str:
-    """A range, a single number, or a dash where there is none."""
+    """Format a range, or a single number if both ends look alike; a dash for none."""
     ends = dict.fromkeys(map(format_number, (low, high)))
     return " to ".join(end for end in ends if end != NONE) or NONE

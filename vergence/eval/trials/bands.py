@@ -1,14 +1,14 @@
-r"""How far an actuator may be off its goal while both eyes are in the settling band.
+r"""Largest deviation of each actuator from its goal with both eyes in the settling band.
 
-It is the widest that the eyes' error circles allow, whatever the other actuators do. For an eye
-with two motors of its own that is `band sqrt(((J^T J)^-1)_ii)` with J the true image Jacobian at
-the goal. Where actuators tie joints, J_e A being what they do to the image of eye e, it is the
-greatest d_k with |J_e A d| <= band for both eyes,
+It is the widest deviation that the eyes' error circles allow, whatever the other actuators do. For
+an eye with one motor for each joint it is `band sqrt(((J^T J)^-1)_ii)`, J being the true image
+Jacobian at the goal. For coupled joints, J_e A is the Jacobian of the image of eye e with respect
+to the actuators, and the deviation is the greatest d_k with |J_e A d| <= band for both eyes,
 
     band min over w of sqrt(((w M_l + (1 - w) M_r)^-1)_kk),   M_e = (J_e A)^T J_e A,   0 < w < 1.
 
-Each w gives a limit, as what lies in both circles lies in the ellipsoid of their weighted sum;
-the least of them is exact, both being convex.
+Each w gives an upper limit, because the intersection of both circles lies in the ellipsoid of their
+weighted sum. The smallest limit is exact, because both sets are convex.
 """
 
 from math import inf, nan, sqrt
@@ -23,8 +23,11 @@ from vergence.models.packed import PackedHead, camera_of, joint_per_actuator
 from vergence.models.parts import FloatArray
 
 _GOLDEN: Final = 0.6180339887498949
+"""Golden ratio less 1: the factor by which a section shrinks the bracket (numerical)."""
 _SECTIONS: Final = 40
+"""Sections of the golden-section search; the bracket shrinks to 4e-9 (numerical)."""
 _LEAST_WEIGHT: Final = 1e-6
+"""Distance of the weight from 0 and 1, which keeps the weighted sum invertible (numerical)."""
 
 
 @compiled
@@ -36,23 +39,23 @@ def bands_of_eyes(
     goal: FloatArray,
     slack: FloatArray,
 ) -> None:
-    """Where the joints of eyes with two motors each have to be, and how far off they may be.
+    """Write the goals and bands of the joints of eyes with one motor for each joint.
 
     Args:
         heads: (n or 1, PACKED) the true heads.
         nominal: (PACKED,) the head that the controller knows.
         targets: (n, 3) in N, m.
-        band: px.
-        goal: (n, 4) result, rad, nan for nowhere.
-        slack: (n, 4) result, rad.
+        band: settling band of an eye's error, px.
+        goal: (n, 4) result, goal angles, rad; nan if no angles reach the target.
+        slack: (n, 4) result, largest deviations from the goals, rad.
     """
     for n in range(targets.shape[0]):
         true = heads[n] if heads.shape[0] > 1 else heads[0]
         for eye in range(2):
             found = eye_goal(true, nominal, eye, targets[n])
             ut, up, vt, vp = found.ut, found.up, found.vt, found.vp
-            # diagonal of (J^T J)^-1, whose determinant is that of J squared; over the band the
-            # image bends away from its tangent by less than the band's share of the focal length
+            # Diagonal of (J^T J)^-1, with det(J^T J) = det(J)^2. Within the band the image deviates
+            # from its linearisation by less than the fraction band / focal length.
             bend = 1.0 + band / camera_of(nominal, eye).focal_u
             widest = band * bend / abs(ut * vp - up * vt)
             goal[n, 2 * eye], goal[n, 2 * eye + 1] = found.tilt, found.pan
@@ -69,7 +72,7 @@ def bands_of_actuators(
     goal: FloatArray,
     slack: FloatArray,
 ) -> None:
-    """As `bands_of_eyes`, of the actuators of eyes that are tied."""
+    """Write the goals and bands of the actuators of coupled joints, see `bands_of_eyes`."""
     error, jacobian = np.empty((2, 2)), np.empty((2, 2, 2))
     for n in range(targets.shape[0]):
         true = heads[n] if heads.shape[0] > 1 else heads[0]
@@ -89,7 +92,7 @@ def bands_of_actuators(
                         squares[eye, k, i] += _rate(true, jacobian, eye, axis, k) * _rate(
                             true, jacobian, eye, axis, i
                         )
-        # as for an eye alone; beside the image's centre it bends with the distance from there
+        # as for an eye alone; off the image's centre the nonlinearity grows with the distance
         bend = 1.0 + band / focal * (1.0 + 4.0 * off / focal)
         for k in range(SLOTS):
             slack[n, k] = band * bend * _widest(squares, k)
@@ -97,7 +100,7 @@ def bands_of_actuators(
 
 @device
 def _rate(p: PackedHead, jacobian: FloatArray, eye: int, axis: int, k: int) -> float:
-    """What one actuator does to an eye's image along one axis, px/rad."""
+    """Derivative of an eye's image along one axis with respect to one actuator, px/rad."""
     first, second = joint_per_actuator(p, 2 * eye, k), joint_per_actuator(p, 2 * eye + 1, k)
     rate: float = jacobian[eye, axis, 0] * first + jacobian[eye, axis, 1] * second
     return rate
@@ -105,18 +108,19 @@ def _rate(p: PackedHead, jacobian: FloatArray, eye: int, axis: int, k: int) -> f
 
 @device
 def _widest(squares: FloatArray, k: int) -> float:
-    """How far actuator k can be off while both eyes are within 1 px, rad: by golden section.
+    """Largest deviation of actuator k with both eyes within 1 px, rad; by golden section.
 
-    Convex in the weight, as the inverse of a positive definite matrix is.
+    The minimised diagonal element is convex in the weight: the inverse of a positive definite
+    matrix is.
 
     Args:
         squares: (2, 4, 4) M_l and M_r, px^2/rad^2.
-        k: which actuator.
+        k: index of the actuator.
     """
     low, high = _LEAST_WEIGHT, 1.0 - _LEAST_WEIGHT
     a, b = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
     at_a, at_b = _reach_squared(squares, a, k), _reach_squared(squares, b, k)
-    # an actuator of one eye alone has its least at an end
+    # an actuator that moves one eye only has its minimum at an end of the interval
     least = min(_reach_squared(squares, low, k), _reach_squared(squares, high, k))
     for _ in range(_SECTIONS):
         least = min(least, at_a, at_b)
@@ -133,16 +137,16 @@ def _widest(squares: FloatArray, k: int) -> float:
 
 @device
 def _reach_squared(squares: FloatArray, weight: float, k: int) -> float:
-    """((w M_l + (1 - w) M_r)^-1)_kk, rad^2/px^2; inf where nothing holds actuator k."""
+    """((w M_l + (1 - w) M_r)^-1)_kk, rad^2/px^2; inf if no image constrains actuator k."""
     m = np.empty((SLOTS, SLOTS))
     for i in range(SLOTS):
         for j in range(SLOTS):
             m[i, j] = weight * squares[0, i, j] + (1.0 - weight) * squares[1, i, j]
         if squares[0, i, i] + squares[1, i, i] == 0.0:
-            m[i, i] = 1.0  # does not exist, or does nothing to the images
+            m[i, i] = 1.0  # does not exist, or does not move the images
             if i == k:
                 return inf
-    # with k eliminated last, 1 / (M^-1)_kk is the last pivot
+    # Gaussian elimination with k last: 1 / (M^-1)_kk is the last pivot
     for i in range(SLOTS):
         if i == k:
             continue

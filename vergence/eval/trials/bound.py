@@ -1,22 +1,29 @@
-r"""The time-optimal bound: no controller can settle before it.
+r"""The time-optimal bound: a lower bound on the settling time of any controller.
 
-Nothing can be known of a target before the first image of it in which either eye's detector finds
-it can be read, with that trial's latency, jitter, dropped frames and missed detections. The next
-control step answers it, the command's own latency passes, and from then on the slowest actuator
-needs at least the time in which it can come into its settling band to stay, see
-`vergence.eval.trials.entry`, its motor taking the shortest way through its play. A trial is judged
-at its control steps, so the time is rounded up to whole periods, and counts from the onset.
+A controller knows nothing of a target before it can read the first image in which the detector of
+either eye finds it, after that trial's latency, jitter, dropped frames and missed detections. The
+next control step reacts to the image, and its command takes effect after the command latency. From
+then on the slowest actuator needs at least the minimum time to enter its settling band and stay
+there, see `vergence.eval.trials.entry`; its motor crosses its backlash by the shortest way. Trials
+are judged at control steps, so the time is rounded up to whole periods. It counts from the onset.
 
-Some relaxations keep this a bound for every controller. An actuator's band is the widest that the
-eyes' error circles allow, whatever the other actuators do, see `vergence.eval.trials.bands`.
-Between two steps nobody looks: an actuator may pass the far edge by `a T^2 / 8` and be back within
-one period. The switch need not fall on a step. Commands have no steps and are not lost, the control
-loop does not stall, and an outlier or a false detection counts as a sight. A servo of second order
-has no lag, but the greatest speed that it can swing up to. But for that, and for what is lost or
-stalls, none is worth more than a few milliseconds.
+Several relaxations keep this a lower bound for every controller:
 
-The goal is where the true head's error is least as the controller measures it, see
-`vergence.eval.trials.goal`: with model errors, that is not where the true head fixates.
+- An actuator's band is the widest that the eyes' error circles allow, whatever the other actuators
+  do, see `vergence.eval.trials.bands`.
+- Errors between control steps do not count: an actuator may pass the far edge of its band by
+  `a T^2 / 8` and return within one period.
+- The switch from full command to full reverse need not fall on a control step.
+- Commands are not quantised and not lost, and the control loop does not stall.
+- An outlier or a false detection counts as a detection.
+- A servo with a second-order response has no lag, and its speed limit is the highest speed that its
+  overshoot can reach.
+
+Except for the servo's response, lost commands and stalls, each of them lowers the bound by no more
+than a few milliseconds.
+
+The goal minimises the true head's error as the controller measures it, see
+`vergence.eval.trials.goal`. With model errors, the true head does not fixate the target there.
 """
 
 from math import inf, isfinite
@@ -37,25 +44,25 @@ from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
 
 _ROUNDING: Final = 1e-6
-"""Share of a period by which two times may differ that are one."""
+"""Tolerance, in control periods, within which two times count as equal (numerical)."""
 
 
 def settle_bound(
     task: GazeTask, band_px: float = 1.0, sight_s: FloatArray | None = None
 ) -> FloatArray:
-    """The earliest time at which both eyes can have settled, of the trials that just began.
+    """Earliest time at which both eyes can have settled, for trials that have just begun.
 
     Args:
-        task: trials at time zero, on a simulated plant. The targets are taken to come to rest, at
-            once or with a second jump. Of that nothing can be known before its own first image;
-            until then the eyes may have gone anywhere.
+        task: trials at time zero, on a simulated plant. The targets are assumed to come to rest,
+            at once or after a second jump. Nothing can be known of the second jump before its own
+            first image; until then the eyes may have gone anywhere.
         band_px: the settling band, on the norm of each eye's true pixel error.
-        sight_s: (n,) when the first image of the target could be read, s, where trials on a robot
-            have shown it; that of the simulated loop by default.
+        sight_s: (n,) times at which the first image of the target could be read in trials on a
+            robot, s; by default the times of the simulated loop.
 
     Returns:
-        (n,) seconds since the onset, up to a control step; 0 for eyes that look there already,
-        inf where an actuator's range ends before the band or nobody ever sees the target.
+        (n,) seconds since the onset, rounded up to a control step; 0 for eyes that look there
+        already, inf if an actuator's range ends before the band or no eye ever sees the target.
 
     Raises:
         ConfigurationError: the plant is no simulation, trials have moved on, or the band is
@@ -90,28 +97,29 @@ def settle_bound(
     sights = simulation.first_sights() if sight_s is None else (sight_s, np.full(task.num, -inf))
     first, last = (np.ceil(sight / period - _ROUNDING) for sight in sights)
     moves_s = first * period + conditions.command_latency_s
-    # a joint's band is wider than what the error circle leaves: an eye outside it has to move
+    # The joints' bands enclose the error circle: an eye outside the circle has to move even if its
+    # joints are within their bands.
     settled = np.maximum(np.ceil((moves_s + motion_s) / period - _ROUNDING), last + 1.0)
     return np.where(inside, 0.0, settled * period - simulation.onset_s())
 
 
 class Motors(NamedTuple):
-    """What the actuators of the eyes can do, (4,) each."""
+    """Motion limits of the eyes' actuators, (4,) each."""
 
     lower: FloatArray
     """Least angles, rad."""
     upper: FloatArray
     """Greatest angles, rad."""
     speed: FloatArray
-    """Greatest commands, rad/s; 0 for one that does not exist."""
+    """Greatest velocity commands, rad/s; 0 for an actuator that does not exist."""
     acceleration: FloatArray
-    """Greatest accelerations, rad/s^2, inf for none."""
+    """Greatest accelerations, rad/s^2; inf for no limit."""
     lag_ratio: FloatArray
-    """Lags by that of the head."""
+    """Lags, as ratios to the head's lag."""
 
     @classmethod
     def of(cls, actuation: Actuation) -> "Motors":
-        """Those of a head."""
+        """Take the limits of a head's eye actuators."""
         return cls(
             *(
                 np.ascontiguousarray(values[EYES])
@@ -127,7 +135,7 @@ class Motors(NamedTuple):
 
 
 class Able(NamedTuple):
-    """What of that trials have otherwise, (n,) or (n, 4) by actuator of the eyes."""
+    """Per-trial overrides of the motor limits, (n,) or (n, 4) by actuator of the eyes."""
 
     lag_s: FloatArray
     acceleration_ratio: FloatArray
@@ -137,10 +145,11 @@ class Able(NamedTuple):
 
     @classmethod
     def of(cls, conditions: Conditions) -> "Able":
-        """That of what they run with.
+        """Take the overrides from the trials' conditions.
 
-        A lag of second order with an overshoot o, driven as well as can be, stays below (1 + o) /
-        (1 - o) of its greatest command: of it, no more than this speed and the acceleration count.
+        A second-order response with overshoot o never exceeds (1 + o) / (1 - o) times its greatest
+        command, however it is driven. Its trials get this speed limit, their acceleration limit
+        and no lag.
         """
         able = cls(
             *(
@@ -165,15 +174,15 @@ def _motion_times(
     period: float,
     times: FloatArray,
 ) -> None:
-    """How long the slowest actuator of each trial needs.
+    """Write the least time that the slowest actuator of each trial needs.
 
     Args:
-        goal: (n, 4) where the actuators of the eyes have to be, rad, nan for nowhere.
-        slack: (n, 4) how far off they may be, rad.
-        start: (n, 4) where they are, rad.
-        begin: (n, 4) where their motors are, rad.
-        motors: `bare`.
-        able: `bare`.
+        goal: (n, 4) goal angles of the eyes' actuators, rad; nan for no goal.
+        slack: (n, 4) largest deviations from the goals, rad.
+        start: (n, 4) present angles of the actuators, rad.
+        begin: (n, 4) present angles of their motors, within the backlash, rad.
+        motors: `Motors`, made `bare`.
+        able: `Able`, made `bare`.
         period: the control period, s.
         times: (n,) result, s.
     """
@@ -187,7 +196,7 @@ def _motion_times(
             if isfinite(goal[n, k]):
                 turn = goal[n, k] - start[n, k]
                 behind = start[n, k] - begin[n, k]
-                # the way to the flank that pushes
+                # the motor's way through the backlash to the flank that pushes
                 play = 0.5 * able.backlash_rad[n, k] + (behind if turn > 0.0 else -behind)
                 room = (
                     motors.upper[k] - begin[n, k] if turn > 0.0 else begin[n, k] - motors.lower[k]
@@ -219,17 +228,17 @@ def _entry(
     fade: float,
     period: float,
 ) -> float:
-    """The least time in which an actuator comes from rest to within its slack.
+    """Least time in which an actuator at rest enters its band and stays there.
 
     Args:
-        turn: how far it has to turn, rad.
-        slack: how far off it may be, rad.
-        play: how far its motor turns before it turns, rad.
-        room: how far the motor can turn that way, rad.
-        lag: its lag, s.
-        acceleration: its greatest, rad/s^2.
-        speed: its greatest command, rad/s.
-        fade: what its speed takes of the acceleration, per rad/s.
+        turn: angle from the actuator to its goal, signed, rad.
+        slack: largest deviation from the goal, rad.
+        play: backlash that the motor has to cross before the actuator moves, rad.
+        room: angle up to the motor's limit in that direction, rad.
+        lag: time constant of the response, s.
+        acceleration: greatest acceleration, rad/s^2.
+        speed: greatest velocity command, rad/s.
+        fade: loss of acceleration with speed, as a fraction per rad/s.
         period: the control period, s.
     """
     near = abs(turn) - slack

@@ -1,9 +1,10 @@
-"""What trials look like over time: errors, triangulation errors, the gain a controller amounts to.
+"""Trials over time: errors, triangulation errors, and the effective gain of a controller.
 
-The effective gain of an eye is the projection of its commanded joint velocities on those of the
-fixed-gain law with a gain of 1/s for the same observation: k for the law itself with gain k, and
-for any controller the k whose law would have pulled as hard in the law's direction. Where actuators
-tie the eyes' joints, both eyes have one gain, that of the actuators' velocities.
+The effective gain of an eye is the projection of its commanded joint velocities on those that the
+fixed-gain law with a gain of 1/s commands for the same observation. For the fixed-gain law with
+gain k it is k; for any other controller it is the gain at which the law would command the same
+velocity along its own direction. Heads with coupled joints have one gain for both eyes, from the
+actuators' velocities.
 
 Time counts from each trial's onset, as settling does.
 """
@@ -24,27 +25,29 @@ from vergence.eval.trials.run import Trials
 from vergence.models.parts import FloatArray
 
 ERROR_BINS_PX: Final = np.geomspace(1.0, 512.0, 19)
-"""Bins of image error for effective gains."""
+"""Edges of the bins of image error for effective gains, px (chosen: half an octave each)."""
 LEAST_ERROR_PX: Final = 1.0
-"""Image error below which the law's direction is mostly noise."""
+"""Least image error for an effective gain, px; below it the law's direction is mostly noise
+(chosen)."""
 _ROUNDING: Final = 1e-6
+"""Tolerance, in control periods, within which an onset falls on a step (numerical)."""
 _FEW: Final = 30
-"""Samples below which a bin says nothing."""
+"""Least number of samples in a bin; bins with fewer are left out (chosen)."""
 
 
 def error_curves(trials: Trials) -> pd.DataFrame:
-    """Quantiles over trials of the larger eye's error and of the gaze fix's error, since the onset.
+    """Quantiles over trials, since the onset, of the worse eye's error and the gaze fix's error.
 
-    Errors of targets at rest are those beyond the least that the head can reach.
+    For targets at rest, the residual (the least error that the head can reach) is subtracted.
 
     Args:
         trials: the trials.
 
     Returns:
-        A row a control period, as far as every trial goes on from the first period that does not
-        begin before its onset: `time_s`; `error_p05_px`, `error_p50_px`, `error_p95_px`; the
-        same of `fix_error`, in m. A missing error counts as the image's diagonal, a missing
-        fix as infinite.
+        One row per control period, from each trial's first period at or after its onset to the
+        last period that all trials have: `time_s`; `error_p05_px`, `error_p50_px`,
+        `error_p95_px`; likewise for `fix_error`, in m. A missing error counts as the image's
+        diagonal, a missing fix as infinite.
     """
     norm = np.linalg.norm(trials.reducible, axis=-1).max(axis=-1)
     norm = np.where(np.isnan(norm), trials.missing_px, norm)
@@ -58,7 +61,7 @@ def error_curves(trials: Trials) -> pd.DataFrame:
 
 
 def _steps_since_onset(trials: Trials) -> NDArray[np.intp]:
-    """(periods, n) the steps of each trial from its onset on, as many as all of them have."""
+    """(periods, n) indices of each trial's steps since its onset, cut to the shortest trial."""
     period_s = trials.head.timing.period_s
     first = np.ceil(trials.onset_s / period_s - _ROUNDING).astype(np.intp)
     left = len(trials.time_s) - first.max()
@@ -76,10 +79,10 @@ def effective_gains(trials: Trials, layout: ObservationLayout) -> pd.DataFrame:
 
     Args:
         trials: the trials.
-        layout: of the observations.
+        layout: layout of the observations.
 
     Returns:
-        A row a bin: `by` (`error` in px, or `time` since the onset in s), `at` (its middle),
+        One row per bin: `by` (`error` in px, or `time` since the onset in s), `at` (its middle),
         `gain_p25`, `gain_p50`, `gain_p75` (1/s), `samples`.
     """
     seen = layout.decode(trials.observation)
@@ -126,12 +129,12 @@ def single_predict_us(
     calls: int = 300,
     clock_ns: Callable[[], int] = time.perf_counter_ns,
 ) -> float:
-    """What `predict` costs for one head alone.
+    """Median duration of `predict` for a single head.
 
     Args:
         controller: the controller.
-        observation: (steps, m, size) what it saw in some trials.
-        calls: how many to time.
+        observation: (steps, m, size) observations of m trials; the first trial's are used.
+        calls: number of calls to time.
         clock_ns: a clock in nanoseconds.
 
     Returns:

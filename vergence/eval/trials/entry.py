@@ -1,9 +1,10 @@
-r"""The least time in which an actuator at rest can enter a band of angles to stay.
+r"""Least time in which an actuator at rest can enter a band of angles and stay there.
 
     dv/dt = clip((u - v) / lag, -a, a),   dq/dt = v,   |u| <= u_max
 
-Full command until a switch and full reverse after it is the fastest, the switch being the latest
-that still stops it within the far edge of the band. It is in when it crosses the near edge.
+The fastest motion is bang-bang: full command until a switch, full reverse after it, with the latest
+switch that still stops the actuator before the far edge of the band. The actuator has entered when
+it crosses the near edge.
 """
 
 from math import inf, log
@@ -13,24 +14,25 @@ from vergence._jit import compiled, device
 from vergence.models.joint_response import follow_fading_joint, follow_joint, share_left
 
 _HALVINGS: Final = 60
+"""Steps of each bisection; they exhaust double precision (numerical)."""
 
 
 @compiled
 def fastest_entry(
     near: float, far: float, lag: float, acceleration: float, speed: float, fade: float
 ) -> float:
-    """The least time in which a joint at rest can pass `near` and still stop within `far`.
+    """Least time in which a joint at rest can pass `near` and still stop before `far`.
 
     Args:
         near: distance to the near edge of the band, rad.
         far: distance to its far edge, rad; inf for a joint that need not stop.
         lag: time constant of the joint's response, s.
         acceleration: greatest acceleration, rad/s^2, inf for none.
-        speed: greatest command, rad/s.
-        fade: what its speed takes of the acceleration, per rad/s, see `joint_response`.
+        speed: greatest velocity command, rad/s.
+        fade: loss of acceleration with speed, as a fraction per rad/s, see `joint_response`.
 
     Returns:
-        Seconds; 0 where `near` is no distance.
+        Seconds; 0 if `near` is not above zero.
     """
     if near <= 0.0:
         return 0.0
@@ -47,7 +49,7 @@ def fastest_entry(
         switch = low
     low, high = 0.0, _until_beyond(near, joint)
     if switch < inf:
-        # stopping at the far edge, the joint has passed the near one
+        # a joint that stops at the far edge has passed the near one
         high = min(high, switch) + _stop_time(switch, joint)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
@@ -59,7 +61,7 @@ def fastest_entry(
 
 
 class _Joint(NamedTuple):
-    """What moves a joint: its lag, s, its greatest acceleration and command, and their fade."""
+    """A joint's response: lag, s; greatest acceleration and command; fade of the acceleration."""
 
     lag: float
     acceleration: float
@@ -77,7 +79,7 @@ def _after(q: float, v: float, command: float, time: float, joint: _Joint) -> tu
 
 @device
 def _place(time: float, switch: float, joint: _Joint) -> tuple[float, float]:
-    """Angle and velocity at a time, with full command until the switch and full reverse after."""
+    """Angle and velocity at a time, under full command until the switch, then full reverse."""
     q, v = _after(0.0, 0.0, joint.speed, min(time, switch), joint)
     if time > switch:
         q, v = _after(q, v, -joint.speed, time - switch, joint)
@@ -86,10 +88,10 @@ def _place(time: float, switch: float, joint: _Joint) -> tuple[float, float]:
 
 @device
 def _stop_time(switch: float, joint: _Joint) -> float:
-    """How long full reverse takes from the switch on to stop a joint."""
+    """Time from the switch until full reverse has stopped the joint, s."""
     _q, v = _place(switch, switch, joint)
     time = 0.0
-    # the lag allows the greatest deceleration down to this velocity
+    # the deceleration stays at its limit down to this velocity; then the lag reduces it
     least = inf
     if joint.acceleration < inf:
         least = max(joint.acceleration * joint.lag - joint.speed, 0.0)
@@ -103,13 +105,13 @@ def _stop_time(switch: float, joint: _Joint) -> float:
 
 @device
 def _stop(switch: float, joint: _Joint) -> float:
-    """Where a joint stops that is reversed at the switch."""
+    """Angle at which the joint stops if it reverses at the switch, rad."""
     return _place(switch + _stop_time(switch, joint), switch, joint)[0]
 
 
 @device
 def _until_beyond(distance: float, joint: _Joint) -> float:
-    """Some time after which full command has carried a joint beyond a distance."""
+    """An upper bound on the time in which full command carries a joint beyond a distance, s."""
     time = distance / joint.speed + joint.lag + 1e-6
     while _place(time, inf, joint)[0] <= distance:
         time *= 2.0

@@ -1,7 +1,7 @@
-"""Metrics of fixation, one value a trial: how still the eyes hold a target that rests.
+"""Metrics of fixation, one value per trial: the stillness of the eyes on a target at rest.
 
-Trajectories have time along the first axis and any shape of trials after it. A joint's speed is the
-mean over a control period, so that swings from one period to the next count too.
+Trajectories have time along the first axis, followed by any shape of trials. A joint's speed is its
+mean over a control period, so that oscillations from one period to the next count too.
 """
 
 from typing import Any, Final
@@ -13,32 +13,35 @@ from vergence.eval.trials.metrics import late
 from vergence.models.parts import FloatArray
 
 FIXATION_S: Final = 5.0
-"""End of a trial over which the joints' speeds while fixating are taken, s; see
+"""Length of the window at a trial's end for joint speeds while fixating, s (chosen); see
 `fixation_start`."""
 _APPROACH_S: Final = 2.0
-"""Time from the onset that fixation leaves to the approach, s: most laws settle within it."""
+"""Least time between the onset and the fixation window, s; most laws settle within it (chosen)."""
 SWING_RAD_S: Final = float(np.deg2rad(20.0))
-"""Peak to peak of a joint speed above which an eye swings, rad/s."""
+"""Peak-to-peak joint speed above which an eye swings (oscillates), rad/s (chosen)."""
 SWING_WINDOW_S: Final = 0.25
-"""Time within which a swing has to show, s. Laws swing at 3 to 15 Hz where delays, play or noise
-are beyond what they hold (measured); what chases single outliers is in fewer such windows."""
+"""Window within which the speed has to span `SWING_RAD_S`, s (chosen). Laws oscillate at 3 to 15 Hz
+if delay, backlash or noise exceed their margins (docs/evaluate.md); reactions to single outliers
+show in fewer such windows."""
 SWING_S: Final = 1.0
-"""Time through which every such window has to show it, s: a turn of up to half of it is none."""
+"""Time throughout which every such window has to show the oscillation, s; a single turn of up to
+half of it does not count (chosen)."""
 GO_S: Final = 0.7
-"""Time from the onset in which the eyes may turn to the target as they like, s."""
+"""Time after the onset left to the turn towards the target, in which nothing counts as
+oscillation, s (chosen)."""
 HELD_S: Final = 0.1
-"""Time within the band from which a trial counts as having been there, s."""
+"""Time within the band after which a trial counts as having reached it, s (chosen)."""
 
 
 def fixation_start(onset_s: ArrayLike, duration_s: float) -> FloatArray:
-    """The time from which on eyes are taken to fixate a target that rests since its onset.
+    """Start of the fixation window, for a target that rests from its onset on.
 
-    `FIXATION_S` before the end, but not before 2 s after the onset, nor, in trials too short for
-    that, before half of the time after the onset.
+    The window is the last `FIXATION_S` of the trial. It starts 2 s after the onset at the earliest,
+    or, in trials with less than 4 s after the onset, halfway between the onset and the end.
 
     Args:
         onset_s: (...) since the trial's start, s.
-        duration_s: how long the trial lasts.
+        duration_s: duration of the trial, s.
 
     Returns:
         (...) s.
@@ -49,12 +52,12 @@ def fixation_start(onset_s: ArrayLike, duration_s: float) -> FloatArray:
 
 
 def speed_rms(time_s: ArrayLike, speed: ArrayLike, after_s: ArrayLike) -> FloatArray:
-    """The root mean square of the speed of the worst joint, from a time on.
+    """The root mean square of the worst joint's speed, from a time on.
 
     Args:
         time_s: (steps + 1,) s.
         speed: (steps, ..., joints) rad/s, the mean from one time to the next.
-        after_s: (...) or a scalar, from when on it counts.
+        after_s: (...) or a scalar, start of the evaluated part, s.
 
     Returns:
         (...) rad/s; nan for trials that are over by then.
@@ -66,12 +69,12 @@ def speed_rms(time_s: ArrayLike, speed: ArrayLike, after_s: ArrayLike) -> FloatA
 
 
 def speed_peak_to_peak(time_s: ArrayLike, speed: ArrayLike, after_s: ArrayLike) -> FloatArray:
-    """The range of the speed of the worst joint, from a time on: the greatest less the least.
+    """The peak-to-peak range of the worst joint's speed, from a time on.
 
     Args:
-        time_s: (steps + 1,) s, see `speed_rms`, as are the following two.
-        speed: (steps, ..., joints) rad/s.
-        after_s: (...) or a scalar.
+        time_s: (steps + 1,) s.
+        speed: (steps, ..., joints) rad/s, the mean from one time to the next.
+        after_s: (...) or a scalar, start of the evaluated part, s.
 
     Returns:
         (...) rad/s; nan for trials that are over by then.
@@ -85,27 +88,28 @@ def speed_peak_to_peak(time_s: ArrayLike, speed: ArrayLike, after_s: ArrayLike) 
 def _counted(
     time_s: ArrayLike, speed: ArrayLike, after_s: ArrayLike
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Speeds, and which of them, of the same shape, begin no earlier than a time."""
+    """Speeds, and a mask of their shape for those whose period begins at a time or later."""
     found = np.asarray(speed, dtype=np.float64)
     counts = late(np.asarray(time_s)[:-1], after_s, found.shape[1:-1])
     return found, np.broadcast_to(counts[..., None], found.shape)
 
 
 def swings(time_s: ArrayLike, speed: ArrayLike, onset_s: ArrayLike) -> NDArray[np.bool_]:
-    """Tell trials whose eyes swing although their target rests.
+    """Detect trials whose eyes swing (oscillate) although their target rests.
 
-    The peak to peak of a joint's speed exceeds `SWING_RAD_S` in every `SWING_WINDOW_S` of a whole
-    `SWING_S`, at any time from `GO_S` after the onset on. A single turn of up to half a second is
-    in too few of the windows, whatever its speed. A sinusoid is told from 20 degrees/s peak to
-    peak on at 4 Hz, from 23 at 3 Hz, from 40 at 2 Hz.
+    A trial swings if, at any time later than `GO_S` after the onset, the peak-to-peak speed of a
+    joint exceeds `SWING_RAD_S` in every window of `SWING_WINDOW_S` throughout a span of `SWING_S`.
+    A single turn of up to half a second falls into too few of the windows, whatever its speed. The
+    least peak-to-peak speed at which a sinusoid is detected is 20 degrees/s at 4 Hz, 23 at 3 Hz
+    and 40 at 2 Hz.
 
     Args:
         time_s: (steps + 1,) s, evenly spaced, see `speed_rms`.
         speed: (steps, ..., joints) rad/s.
-        onset_s: (...) or a scalar, since when the target rests, s.
+        onset_s: (...) or a scalar, time at which the target comes to rest, s.
 
     Returns:
-        (...) False for trials that are too short to tell.
+        (...) True for trials that swing; False for trials that are too short to decide.
     """
     time, found = np.asarray(time_s), np.asarray(speed, dtype=np.float64)
     if len(time) < 2:  # stopped before its first period was over
@@ -124,17 +128,17 @@ def swings(time_s: ArrayLike, speed: ArrayLike, onset_s: ArrayLike) -> NDArray[n
 def left_again(
     time_s: ArrayLike, pixel_error: ArrayLike, band_px: float, onset_s: ArrayLike
 ) -> NDArray[np.bool_]:
-    """Tell trials that have been in a band for `HELD_S` since the onset, and left it again.
+    """Detect trials that stayed in a band for `HELD_S` after the onset, and left it again.
 
     Args:
         time_s: (steps,) s, evenly spaced.
         pixel_error: (steps, ..., 2, 2) by eye and image axis, beyond the least one, px; nan
             counts as outside.
         band_px: the band, on the norm of each eye's error.
-        onset_s: (...) or a scalar, since when the target rests, s.
+        onset_s: (...) or a scalar, time at which the target comes to rest, s.
 
     Returns:
-        (...) whether they did.
+        (...) True for trials that did.
     """
     time = np.asarray(time_s)
     inside = (np.linalg.norm(np.asarray(pixel_error), axis=-1) < band_px).all(axis=-1)
@@ -149,7 +153,7 @@ def left_again(
 
 
 def _greatest(values: NDArray[Any], length: int) -> NDArray[Any]:
-    """(steps - length + 1, ...) the greatest of so many values from each step on."""
+    """(steps - length + 1, ...) the running maximum over `length` values from each step on."""
     found, covered = values, 1
     while 2 * covered <= length:
         found = np.maximum(found[:-covered], found[covered:])
@@ -159,5 +163,5 @@ def _greatest(values: NDArray[Any], length: int) -> NDArray[Any]:
 
 
 def _throughout(holds: NDArray[np.bool_], length: int) -> NDArray[np.bool_]:
-    """(steps - length + 1, ...) whether it holds for so many steps from each one on."""
+    """(steps - length + 1, ...) True where a condition holds for `length` steps from a step on."""
     return np.asarray(~_greatest(~holds, length))

@@ -1,14 +1,14 @@
-r"""Where the eyes have to be: the least error that a true head's actuators can reach.
+r"""Goal angles of the eyes: the least error that a true head's actuators can reach.
 
 A controller sees the true head through its model: the error of an eye is the true head's pixel,
-undistorted by the model's lens, less the model's principal point. Two motors of its own bring an
-eye to where that is zero, which Newton's method finds. Where actuators tie joints, the angles a of
-the actuators are those of the least sum of squares over both eyes,
+undistorted by the model's lens, less the model's principal point. An eye with one motor for each
+joint can reach an error of zero; Newton's method finds its angles. With coupled joints, the
+actuators' goal angles a* minimise the sum of squares over both eyes,
 
     a* = argmin sum over eyes |e_eye(a)|^2,
 
-by Gauss-Newton steps, and the residual e* = e(a*) is what is left. Limits of joints and actuators
-are not applied.
+by Gauss-Newton steps, and the residual e* = e(a*) remains. Limits of joints and actuators are not
+applied.
 """
 
 from math import isfinite, nan
@@ -28,23 +28,29 @@ from vergence.models.parts import FloatArray
 from vergence.models.projection import share_of_actuators
 
 _NEWTON_STEPS: Final = 30
+"""Most Newton steps for an eye (numerical)."""
 _GAUSS_NEWTON_STEPS: Final = 200
+"""Most Gauss-Newton steps for coupled joints (numerical)."""
 _DIFFERENCE_RAD: Final = 1e-5
+"""Half step of the central differences, rad (numerical)."""
 _TOLERANCE_PX: Final = 1e-9
+"""Error at which Newton's method has converged, px (numerical)."""
 _LEAST_STEP_RAD: Final = 1e-10
+"""Gauss-Newton step below which the iteration has converged, rad (numerical)."""
 _SETTLED_RAD: Final = 1e-7
+"""Size of the last allowed Gauss-Newton step that still counts as converged, rad (numerical)."""
 
 
 def least_measured_error(task: GazeTask, target: FloatArray) -> FloatArray:
-    """What is left of the errors at best, of the trials of a task.
+    """Least errors that a task's heads can reach at their targets.
 
     Args:
-        task: the trials; where they are not simulated, the model stands for the true heads.
-        target: (n, 3) where their targets are, in N, m.
+        task: the trials; unless they are simulated, the model stands for the true heads.
+        target: (n, 3) their targets in N, m.
 
     Returns:
-        (n, 2, 2) by eye and image axis, px, as `Truth.pixel_error`; zero for a head whose eyes have
-        two motors each, nan where the target is out of sight of any angles.
+        (n, 2, 2) by eye and image axis, px, as `Truth.pixel_error`; zero for a head with one motor
+        for each eye joint, nan if no angles bring the target into view.
     """
     residual, plant = np.zeros((task.num, 2, 2)), task.plant
     if not task.head.actuation.direct:
@@ -58,7 +64,7 @@ def least_measured_error(task: GazeTask, target: FloatArray) -> FloatArray:
 def _residuals(
     heads: FloatArray, nominal: PackedHead, targets: FloatArray, residual: FloatArray
 ) -> None:
-    """The least errors of heads whose actuators tie joints.
+    """Write the least errors of heads with coupled joints.
 
     Args:
         heads: (n or 1, PACKED) the true heads.
@@ -79,14 +85,14 @@ def _residuals(
 def measured_error(
     true: PackedHead, nominal: PackedHead, eye: int, tilt: float, pan: float, point: FloatArray
 ) -> tuple[float, float]:
-    """The true pixel error as `Truth` has it: what a controller would measure without noise."""
+    """The true pixel error as in `Truth`: a controller's measurement without noise."""
     x, y, z = point_in_eye(true, eye, tilt, pan, point[0], point[1], point[2])
     u, v = point_to_pixel(true, eye, x, y, z, True)
     return pixel_error(nominal, eye, u, v)
 
 
 class Slopes(NamedTuple):
-    """An eye's error, px, and how it changes with its two joints, px/rad, by differences."""
+    """An eye's error, px, and its derivatives by tilt and pan, px/rad, by central differences."""
 
     u: float
     v: float
@@ -100,7 +106,7 @@ class Slopes(NamedTuple):
 def error_slopes(
     true: PackedHead, nominal: PackedHead, eye: int, tilt: float, pan: float, point: FloatArray
 ) -> Slopes:
-    """An eye's measured error at some angles, and its image Jacobian."""
+    """An eye's measured error and image Jacobian at given angles."""
     h = _DIFFERENCE_RAD
     u, v = measured_error(true, nominal, eye, tilt, pan, point)
     ua, va = measured_error(true, nominal, eye, tilt + h, pan, point)
@@ -113,7 +119,7 @@ def error_slopes(
 
 
 class EyeGoal(NamedTuple):
-    """An eye's angles of no error, rad, and the image Jacobian there; nan for none."""
+    """Angles at which an eye's error is zero, rad, and the image Jacobian there; nan if none."""
 
     tilt: float
     pan: float
@@ -125,7 +131,7 @@ class EyeGoal(NamedTuple):
 
 @device
 def eye_goal(true: PackedHead, nominal: PackedHead, eye: int, point: FloatArray) -> EyeGoal:
-    """Where an eye with two motors of its own has to be."""
+    """Goal angles of an eye with one motor for each joint."""
     tilt, pan = fixate_eye(true, eye, point[0], point[1], point[2])
     for _ in range(_NEWTON_STEPS):
         u, v, ut, up, vt, vp = error_slopes(true, nominal, eye, tilt, pan, point)
@@ -148,19 +154,19 @@ def actuator_goal(
     error: FloatArray,
     jacobian: FloatArray,
 ) -> bool:
-    """Where the actuators of both eyes have to be.
+    """Find the goal angles of the actuators of both eyes, for coupled joints.
 
     Args:
-        true: a packed head.
-        nominal: the head that the controller knows.
-        point: (3,) in N, m.
-        own: (4,) result: the actuators' angles, rad.
-        error: (2, 2) result: what is left there, by eye and image axis, px.
-        jacobian: (2, 2, 2) result: the rates of both errors by eye, image axis and joint of that
+        true: the true head, packed.
+        nominal: the head that the controller knows, packed.
+        point: (3,) the target in N, m.
+        own: (4,) result: the actuators' goal angles, rad.
+        error: (2, 2) result: the residual there, by eye and image axis, px.
+        jacobian: (2, 2, 2) result: derivatives of the errors by eye, image axis and joint of that
             eye, px/rad.
 
     Returns:
-        Whether there are such angles.
+        True if there are such angles.
     """
     joints, wanted, step = np.empty(4), np.empty((2, 2)), np.empty(SLOTS)
     if not fixate_tied(true, point[0], point[1], point[2], joints):
@@ -183,7 +189,7 @@ def actuator_goal(
         if not isfinite(size) or not isfinite(error[0, 0] + error[1, 0]):
             return False
         last = attempt == _GAUSS_NEWTON_STEPS - 1
-        # steps creep where much is left of the error
+        # convergence is slow if the residual is large
         if size < (_SETTLED_RAD if last else _LEAST_STEP_RAD):
             return True
         for k in range(SLOTS):

@@ -1,4 +1,4 @@
-"""The loops of scenarios: what robots that people own make of times, motors and images."""
+"""Control loops of the scenarios: timing, motor and image faults of typical hobby robots."""
 
 from dataclasses import replace
 from typing import Any, Final
@@ -7,6 +7,7 @@ from vergence.envs.plants.variation import Variation
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
 
 LATEST_ONSET_S: Final = 0.6
+"""Latest drawn onset of a target, s (chosen)."""
 _FAULTS: Final[dict[str, Any]] = {
     "frame_phase": (0.0, 1.0),
     "clock_drift": (-0.001, 0.001),
@@ -24,7 +25,7 @@ _FAULTS: Final[dict[str, Any]] = {
     "onset_s": (0.1, LATEST_ONSET_S),
     "model_errors": TWIN_ERRORS,
 }
-"""What two small servos and two cameras on a bus of one's own make of a loop."""
+"""Ranges for two small servos per eye and two cameras, on a bus of their own."""
 HARDWARE: Final = Variation(latency_s=(0.04, 0.13), acceleration_ratio=(0.4, 1.2), **_FAULTS)
 WEBCAM: Final = Variation(
     latency_s=(0.06, 0.13),
@@ -34,33 +35,35 @@ WEBCAM: Final = Variation(
 )
 DESK: Final = replace(
     WEBCAM,
-    # a hobby servo makes its speed of its own angles, over several of its own periods
+    # a hobby servo differentiates its own angles over several of its own periods
     speed_filter_s=(0.0, 0.08),
     speed_latency_s=(0.0, 0.02),
-    # a third have no speed to report, and their angles are subtracted from period to period: at
-    # 60 Hz, half a period is two thirds of this
+    # a third of the trials have no reported speed and take the difference of angles over one
+    # period: this happens from half a period on, and at 60 Hz that is two thirds of the range
     speed_span_s=(0.0, 0.75 / 60.0),
-    # gains as delivered, with an integral term, on loads that they were not made for
+    # factory gains, with an integral term, on loads for which they were not tuned
     overshoot=(0.0, 0.3),
-    # half-duplex lines at a megabit with long cables: from none to one packet in twenty
+    # half-duplex lines at 1 Mbit/s with long cables: up to one packet in twenty
     lost_command_probability=(0.0, 0.05),
-    # a desktop's scheduler, a garbage collection, a USB hub: at most one in 8 s, of up to 0.1 s
+    # a desktop's scheduler, a garbage collection, a USB hub: on average at most one in 8 s, of up
+    # to 0.1 s
     stall_probability=(0.0, 0.002),
     stall_s=(0.1, 0.1),
-    # lamps and reflections: at most one in 17 s, for up to 6 frames
+    # lamps and reflections: on average at most one in 17 s, for up to 6 frames
     false_detection_probability=(0.0, 0.002),
     false_detection_s=(0.2, 0.2),
     false_detection_px=(100.0, 100.0),
-    # no trigger: anything up to the time between two frames
+    # no common trigger: the right eye lags by up to one frame interval
     skew_s=(0.0, 1.0 / 30.0),
 )
-"""Two hobby turrets and two webcams that nothing keeps in step: `WEBCAM`, and all the rest.
+"""Two hobby turrets and two unsynchronised webcams: `WEBCAM` with further faults.
 
-The sizes are what such parts are known for, not measured on a head."""
+The sizes are typical of such parts, not taken from a real head."""
 TICK_RAD_S: Final = 0.023980823922105444
+"""Unit of velocity of Dynamixel's X series, 0.229 rev/min, rad/s (physical)."""
 TICKS: Final = {
     "sensor": {
-        # 12 bits a turn, and the speeds of Dynamixel's X series
+        # encoders with 12 bits per turn, and the velocity unit of Dynamixel's X series
         "encoder_resolution_rad": 0.0015339807878856412,
         "velocity_resolution_rad_s": TICK_RAD_S,
         "command_resolution_rad_s": TICK_RAD_S,

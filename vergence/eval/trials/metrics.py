@@ -1,10 +1,10 @@
-"""Metrics of gaze trials, one value a trial: settling, overshoot, precision, effort, tracking.
+"""Metrics of gaze trials, one value per trial: settling, overshoot, precision, effort, tracking.
 
-All take trajectories with time along the first axis and any shape of trials after it. Errors are
-pixels by eye and image axis. Of a target at rest they are taken beyond the least error that the
-head can reach, which is zero for eyes that fixate exactly. Where an error is nan (a target behind
-the camera, or not seen where only the images know) the trial goes on: it counts as outside every
-band, and as `missing_px` in averages.
+All take trajectories with time along the first axis, followed by any shape of trials. Errors are
+pixels by eye and image axis. For a target at rest the residual is subtracted first: the least error
+that the head can reach, zero for eyes that can fixate exactly. A trial goes on where its error is
+nan (the target is behind the camera or, on a plant without ground truth, not detected). Such an
+error counts as outside every band, and as `missing_px` in averages.
 """
 
 from typing import Final
@@ -15,21 +15,22 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.models.parts import FloatArray
 
 _ROUNDING_S: Final = 1e-9
+"""Tolerance within which two times count as equal, s (numerical)."""
 STEADY_S: Final = 0.25
-"""How much of a trial's end the steady-state error is taken over, s."""
+"""Window at a trial's end for the steady-state error, s (chosen)."""
 
 
 def settle_time(time_s: ArrayLike, pixel_error: ArrayLike, band_px: float) -> FloatArray:
-    """When both eyes' errors enter a band to stay until the trial's end.
+    """The time at which both eyes' errors enter a band and stay in it until the trial's end.
 
     Args:
         time_s: (steps,) s.
-        pixel_error: (steps, ..., 2, 2) by eye and image axis, beyond the least one, px; nan
-            counts as outside.
+        pixel_error: (steps, ..., 2, 2) by eye and image axis, less the residual, px; nan counts
+            as outside.
         band_px: the band, on the norm of each eye's error.
 
     Returns:
-        (...) one of the times; nan for trials that never settle.
+        (...) one of `time_s`; nan for trials that never settle.
     """
     time = np.asarray(time_s, dtype=np.float64)
     norm = np.linalg.norm(np.asarray(pixel_error), axis=-1)
@@ -42,17 +43,17 @@ def settle_time(time_s: ArrayLike, pixel_error: ArrayLike, band_px: float) -> Fl
 
 
 def overshoot(pixel_error: ArrayLike, onset: ArrayLike = 0) -> FloatArray:
-    """How far the error passes beyond its goal, as a fraction of its size at the onset.
+    """Overshoot of the error beyond its goal, as a fraction of the error at the onset.
 
-    The goal is zero, or the least error of a head that cannot reach zero. Per eye, the error is
-    projected on the direction that it has at the onset; the larger of the two eyes' values counts.
+    The goal is zero, or the residual of a head that cannot reach zero. Each eye's error is
+    projected on its direction at the onset; the larger value of the two eyes counts.
 
     Args:
-        pixel_error: (steps, ..., 2, 2) by eye and image axis, beyond the least one, px.
+        pixel_error: (steps, ..., 2, 2) by eye and image axis, less the residual, px.
         onset: (...) or a scalar, the step at which the target appears or jumps.
 
     Returns:
-        (...) 0 where nothing passes beyond it, or where neither eye had an error to reduce.
+        (...) 0 for no overshoot, or if neither eye had an error at the onset.
     """
     error = np.asarray(pixel_error, dtype=np.float64)
     begun = np.broadcast_to(np.asarray(onset, dtype=np.int64), error.shape[1:-2])
@@ -66,11 +67,11 @@ def overshoot(pixel_error: ArrayLike, onset: ArrayLike = 0) -> FloatArray:
 
 
 def error_norm(pixel_error: ArrayLike, missing_px: float) -> FloatArray:
-    """The error of the head: the root of the mean square of both eyes' errors.
+    """The error of the head: the root mean square of both eyes' errors.
 
     Args:
         pixel_error: (steps, ..., 2, 2) px.
-        missing_px: what an error that is nan counts as, px.
+        missing_px: value in place of an error that is nan, px.
 
     Returns:
         (steps, ...) px.
@@ -88,8 +89,8 @@ def steady_state_error(
     Args:
         time_s: (steps,) s.
         pixel_error: (steps, ..., 2, 2) px.
-        missing_px: what an error that is nan counts as, px.
-        window_s: how much of the end.
+        missing_px: value in place of an error that is nan, px.
+        window_s: length of the window at the end, s.
 
     Returns:
         (...) px.
@@ -102,13 +103,13 @@ def steady_state_error(
 def tracking_rms(
     time_s: ArrayLike, pixel_error: ArrayLike, missing_px: float, after_s: ArrayLike
 ) -> FloatArray:
-    """The root mean square of the error once a moving target should have been caught up with.
+    """The root mean square of the error after the time allowed for catching up.
 
     Args:
-        time_s: (steps,) s, see `steady_state_error`, as are the following two.
+        time_s: (steps,) s.
         pixel_error: (steps, ..., 2, 2) px.
-        missing_px: px.
-        after_s: (...) or a scalar, from when on it counts.
+        missing_px: value in place of an error that is nan, px.
+        after_s: (...) or a scalar, start of the evaluated part, s.
 
     Returns:
         (...) px; nan for trials that are over by then.
@@ -126,20 +127,20 @@ def tracking_lag(
     image_velocity: ArrayLike,
     after_s: ArrayLike,
 ) -> FloatArray:
-    """How far the eyes trail a moving target, as a time.
+    """The time by which the eyes trail a moving target.
 
-    Eyes that repeat the target's path L seconds late see it L times its image velocity (that
-    seen by an eye held still) off the centre. L is the least-squares fit of this, over both eyes
-    and the time from `after_s` on.
+    Eyes that follow the target's path L seconds late have the error L v, v being the target's image
+    velocity in an eye that does not move. L is fitted by least squares over both eyes and the time
+    from `after_s` on.
 
     Args:
         time_s: (steps,) s.
         pixel_error: (steps, ..., 2, 2) px.
-        image_velocity: (steps, ..., 2, 2) px/s of the target, seen by eyes held still.
-        after_s: (...) or a scalar, from when on it counts.
+        image_velocity: (steps, ..., 2, 2) the target's image velocity in eyes at rest, px/s.
+        after_s: (...) or a scalar, start of the evaluated part, s.
 
     Returns:
-        (...) seconds, negative for eyes that lead; nan where nothing moves.
+        (...) seconds, negative for eyes that lead; nan if nothing moves.
     """
     error, velocity = np.asarray(pixel_error), np.asarray(image_velocity)
     counts = late(time_s, after_s, error.shape[1:-2])[..., None, None]
@@ -151,7 +152,7 @@ def tracking_lag(
 
 
 def late(time_s: ArrayLike, after_s: ArrayLike, trials: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Tell which times of trials are not before one of their own.
+    """Mask the steps at or after a given time of each trial.
 
     Args:
         time_s: (steps,) s.
@@ -159,7 +160,7 @@ def late(time_s: ArrayLike, after_s: ArrayLike, trials: tuple[int, ...]) -> NDAr
         trials: the shape `...`.
 
     Returns:
-        (steps, ...) which.
+        (steps, ...) True from that time on.
     """
     time = np.reshape(np.asarray(time_s), (-1, *(1,) * len(trials)))
     return np.asarray(time >= np.broadcast_to(after_s, trials) - _ROUNDING_S)
@@ -191,15 +192,15 @@ def command_peak(command: ArrayLike) -> FloatArray:
 
 
 def at_time(time_s: ArrayLike, values: ArrayLike, when_s: ArrayLike) -> FloatArray:
-    """What each trial's trajectory was at a time of its own.
+    """Sample each trial's trajectory at a time of its own.
 
     Args:
         time_s: (steps,) s, increasing.
-        values: (steps, n) one value a trial.
-        when_s: (n,) s, among `time_s`; nan for never.
+        values: (steps, n) one column per trial.
+        when_s: (n,) times among `time_s`, s; nan for never.
 
     Returns:
-        (n,) nan where the time is.
+        (n,) the values; nan where the time is nan.
     """
     time, when = np.asarray(time_s), np.asarray(when_s)
     known: NDArray[np.bool_] = np.isfinite(when)

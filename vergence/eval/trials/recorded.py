@@ -1,4 +1,4 @@
-"""Trials from a record, of any plant."""
+"""Trials made from a recording of any plant, simulated or real."""
 
 import numpy as np
 
@@ -25,24 +25,25 @@ def as_trials(
     band_px: float = BAND_PX,
     catch_up_s: float = 0.0,
 ) -> Trials:
-    """Make trials of a record: with targets that are there from the start, and no bounds.
+    """Make trials of a recording; their onset is at 0 and their bounds are nan.
 
-    Without truth the errors are the measured ones at the time of their exposure, and the last ones
-    are known if the record goes on for the image's latency.
+    Without ground truth the errors are measured ones, at the times of their exposures. The last
+    errors are known only if the recording goes on for the latency of an image.
 
     Args:
         task: the recorded task, open or closed.
-        record: `visible`, `positions` and `command`, and of the truth `pixel_error`, `target` and
-            `motors`; all fields where the plant is no simulation. It may have ended early.
-        steps: how many control periods count, at most.
-        scenario: see `Trials`, as for the following.
-        plant: the plant's name.
-        moving: whether the target keeps moving.
-        band_px: px.
-        catch_up_s: s.
+        record: a recording with the readings `visible`, `positions` and `command`, and the ground
+            truth `pixel_error`, `target` and `motors`; with all fields if the plant is no
+            simulation. It may have ended early.
+        steps: greatest number of control periods to evaluate.
+        scenario: name of the scenario.
+        plant: name of the plant.
+        moving: True if the target keeps moving.
+        band_px: leading band of settling, px.
+        catch_up_s: time at the start that does not count in tracking, s.
 
     Returns:
-        The trials, without observations and the time of `predict`.
+        The trials, without observations and the duration of `predict`.
     """
     head, reading, truth = task.head, record.reading, record.truth
     rows = _rows(task, record, steps)
@@ -53,7 +54,8 @@ def as_trials(
         target = np.full((count, task.num, 3), np.nan)
     else:
         error, target = truth.pixel_error[rows], truth.target[rows]
-        # where the joints would be without play, in which they may rest while gears wear
+        # The joint angles by the motors, as without backlash: motors that oscillate within the
+        # backlash wear the gears although the joints rest.
         driven = head.actuation.joints_of(truth.motors[rows])
     residual = np.zeros((task.num, 2, 2))
     if not isinstance(task.plant, Simulation):
@@ -87,7 +89,7 @@ def as_trials(
 
 
 def _rows(task: GazeTask, record: Recorder, steps: int) -> slice | IntArray:
-    """The rows that stand for the control periods: a robot may have missed some."""
+    """Recorded rows of the control periods; a period that a robot missed takes the row before."""
     if isinstance(task.plant, Simulation):
         return slice(steps + 1)
     ends = np.rint(record.reading.time_s[:, 0] * task.head.timing.control_rate_hz)
@@ -96,20 +98,21 @@ def _rows(task: GazeTask, record: Recorder, steps: int) -> slice | IntArray:
 
 
 def _measured_error(task: GazeTask, record: Recorder, rows: int) -> FloatArray:
-    """(rows, n, 2, 2) the measured errors where their images were exposed; nan between images."""
+    """(rows, n, 2, 2) measured errors at the steps of their exposures; nan between images."""
     exposed = record.reading.exposure_s * task.head.timing.control_rate_hz
     known = np.isfinite(exposed) & (exposed > -0.5)
     step = np.rint(np.where(known, exposed, 0.0)).astype(np.int64)
     told, places = np.nonzero(known & (step < rows))
     measured = record.pixel_error[told, places]
     error = np.full((rows, task.num, 2, 2), np.nan)
-    # what was not seen has no error, and no earlier one stands for it; of two images, the later
+    # inf marks a target that was not detected, so that no earlier error is carried on; of two
+    # images at one step, the later counts
     error[step[told, places], places] = np.where(np.isnan(measured), np.inf, measured)
     return error
 
 
 def _carried_on(error: FloatArray) -> FloatArray:
-    """Fill the periods without an image from the one before; before the first, from that one."""
+    """Fill periods without an image from the image before; before the first image, from it."""
     error = error.copy()
     for step in range(1, len(error)):
         gap = np.isnan(error[step])
@@ -122,9 +125,9 @@ def _carried_on(error: FloatArray) -> FloatArray:
 
 
 def _conditions(task: GazeTask) -> dict[str, FloatArray]:
-    """What the trials run with, by name; nothing where the plant cannot tell.
+    """Hidden conditions of the trials by name; empty if the plant is no simulation.
 
-    What each actuator of the eyes has of its own is a number a trial for each of them.
+    A condition that each actuator has of its own becomes one entry per actuator of the eyes.
     """
     if not isinstance(task.plant, Simulation):
         return {}

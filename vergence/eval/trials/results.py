@@ -1,4 +1,4 @@
-"""What trials of one controller were, and what follows from it: one value a trial and metric."""
+"""Recorded trials of one controller and their metrics, one value per trial and metric."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,108 +15,110 @@ from vergence.models.parts import FloatArray
 from vergence.triangulation import triangulate_gaze
 
 BAND_PX: Final = ONE_PX.px
-"""The band that settling means unless another is named."""
+"""Default band of settling, px."""
 _ROUNDING_S: Final = 1e-9
+"""Tolerance within which two times count as equal, s (numerical)."""
 _ROUNDING_PX: Final = 1e-6
-"""What numerics leave of the least error where it is zero."""
+"""Residual below which it counts as zero, px (numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trials:
-    """What n trials of a controller were: step k of a trial is k control periods from its start."""
+    """Trajectories of n trials of a controller; step k is k control periods after the start."""
 
     scenario: str
     plant: str
     moving: bool
-    """Whether the target moves all along, so that tracking counts and settling does not."""
+    """True if the target moves throughout: tracking is evaluated, not settling."""
     band_px: float
-    """The band of settling that leads, px."""
+    """Leading band: the one to which the scenario judges settling, px."""
     catch_up_s: float
-    """Time at the start that the tracking of a moving target does not count."""
+    """Time after the onset that does not count in the tracking of a moving target, s."""
     head: HeadModel
     """The head that the controller knows."""
     time_s: FloatArray
     """(steps + 1,) since the trial's start."""
     onset_s: FloatArray
-    """(n,) when the target appeared where it stays, or began to move, since the trial's start."""
+    """(n,) time since the trial's start at which the target reached its last place or began to
+    move, s."""
     error: FloatArray
-    """(steps + 1, n, 2, 2) px by eye and image axis: the true undistorted error at the present
-    time in simulation, the measured error at exposure time on a plant without truth; nan where
+    """(steps + 1, n, 2, 2) px by eye and image axis: in simulation the true undistorted error at
+    the present time, on a plant without ground truth the measured error at exposure time; nan if
     there is none."""
     residual: FloatArray
     """(n, 2, 2) the least error that the true head's actuators can reach at the target, px; zero
-    where both eyes can fixate exactly, and for moving targets. On a plant without truth, what the
-    model says for where its last images have the target."""
+    if both eyes can fixate exactly, and for moving targets. On a plant without ground truth, the
+    model's least error at the place that the last images give for the target."""
     command: FloatArray
-    """(steps, n, 4) the velocities of the eyes' actuators as commanded, rad/s, within their limits;
-    0 for those that a head does not have."""
+    """(steps, n, 4) commanded velocities of the eyes' actuators, within their limits, rad/s; 0 for
+    actuators that the head does not have."""
     visible: NDArray[np.bool_]
-    """(steps + 1, n, 2) whether each eye saw the target in the newest image."""
+    """(steps + 1, n, 2) True if the target is visible in an eye's newest image."""
     lost: NDArray[np.bool_]
-    """(n,) whether the target was ever lost, by the task's rule."""
+    """(n,) True if the target was ever lost, by the task's rule."""
     stopped: NDArray[np.bool_]
-    """(n,) whether a robot was stopped before the end because it swung."""
+    """(n,) True if a robot was stopped before the end because it swung (oscillated)."""
     positions: FloatArray
     """(steps + 1, n, 7) joint angles as the sensors report them, rad."""
     speed: FloatArray
     """(steps, n, 4) mean speed of the eyes' joints over each control period, rad/s: in simulation
-    the true one, as the motors turn them, so that motion within their play counts; on a plant
-    without truth that of the measured angles."""
+    from the true motor angles, so that motion within the backlash counts; on a plant without ground
+    truth from the measured angles."""
     target: FloatArray
-    """(steps + 1, n, 3) the target in N, m; nan without truth."""
+    """(steps + 1, n, 3) the target in N, m; nan without ground truth."""
     bounds_s: dict[float, FloatArray]
-    """(n,) each: the time-optimal bound of settling since the onset, by band, px; nan where it has
-    no meaning."""
+    """(n,) each: the time-optimal bound of the settle time since the onset, s, by band in px; nan
+    if there is none."""
     conditions: dict[str, FloatArray]
-    """(n,) each: what the trials ran with, hidden from the controller, by name; empty on a plant
-    that cannot tell."""
+    """(n,) each: conditions of the trials by name, hidden from the controller; empty unless the
+    plant is a simulation."""
     observation: NDArray[np.float32]
-    """(steps, m, size) what the controller saw in the first m trials, as many as were asked for."""
+    """(steps, m, size) observations of the first m trials, m being the requested number."""
     predict_us: float
-    """Microseconds a head that `predict` took in the batch: the median over steps."""
+    """Duration of `predict` per head in the batch, microseconds: the median over steps."""
 
     @property
     def num(self) -> int:
-        """How many trials."""
+        """Number of trials."""
         return int(self.error.shape[1])
 
     @property
     def duration_s(self) -> float:
-        """How long each trial lasted."""
+        """Duration of each trial, s."""
         return float(self.time_s[-1])
 
     @property
     def missing_px(self) -> float:
-        """What an error without a value counts as in averages: the larger image's diagonal."""
+        """Value in place of a missing error in averages: the larger image's diagonal, px."""
         return float(np.hypot(*self.head.cameras.size.T).max())
 
     @cached_property
     def reducible(self) -> FloatArray:
-        """(steps + 1, n, 2, 2) the error beyond the residual, px: what a controller can do about.
+        """(steps + 1, n, 2, 2) the error less the residual, px: the part a controller can remove.
 
-        For moving targets it is the error as it is.
+        For moving targets it is the error itself.
         """
         return np.asarray(self.error - self.residual)
 
     @cached_property
     def residual_px(self) -> FloatArray:
-        """(n,) that of the worse eye; nan where tracking counts or each joint has a motor."""
+        """(n,) residual of the worse eye, px; nan for moving targets and uncoupled joints."""
         if self.moving or self.head.actuation.direct:
             return np.full(self.num, np.nan)
         worse = np.linalg.norm(self.residual, axis=-1).max(axis=-1)
         return np.where(worse < _ROUNDING_PX, 0.0, worse)
 
     def settle_s(self, band_px: float = BAND_PX) -> FloatArray:
-        """(n,) when both eyes come within a band about the least error that they can reach to stay.
+        """(n,) settle time: both eyes enter a band about their residuals and stay in it, s.
 
         It counts from the onset, and is nan for trials that never settle. A trial that `swings`
-        has not settled, whatever the pixels say.
+        has not settled, whatever its pixel errors are.
         """
         settled = metrics.settle_time(self.time_s, self.reducible, band_px)
         return np.where(self.swings, np.nan, np.maximum(settled - self.onset_s, 0.0))
 
     def settle_or_trial_s(self, band_px: float = BAND_PX) -> FloatArray:
-        """(n,) the same, a trial that never settles counting as the whole trial."""
+        """(n,) settle time, s; the duration of the trial if it never settles."""
         settle = self.settle_s(band_px)
         return np.where(np.isnan(settle), self.duration_s, settle)
 
@@ -126,7 +128,7 @@ class Trials:
         return self.bounds_s[BAND_PX]
 
     def ratio_to_bound(self, band_px: float = BAND_PX) -> FloatArray:
-        """(n,) settle time by the bound; inf for failures, of which there is no ratio.
+        """(n,) ratio of the settle time to the bound; inf for trials that never settle.
 
         Args:
             band_px: one of the bands of `bounds_s`.
@@ -135,28 +137,31 @@ class Trials:
 
     @cached_property
     def swings(self) -> NDArray[np.bool_]:
-        """(n,) see `fixation.swings`, or `stopped`; False for targets that never rest."""
+        """(n,) True if the eyes swing, see `fixation.swings`, or the robot was `stopped` for it.
+
+        False for targets that never rest.
+        """
         if self.moving:
             return np.zeros(self.num, dtype=np.bool_)
         return self.stopped | fixation.swings(self.time_s, self.speed, self.onset_s)
 
     @cached_property
     def left_again(self) -> NDArray[np.bool_]:
-        """(n,) see `fixation.left_again`, of the leading band; else as `swings`."""
+        """(n,) see `fixation.left_again`, for the leading band; otherwise as `swings`."""
         if self.moving:
             return np.zeros(self.num, dtype=np.bool_)
         return fixation.left_again(self.time_s, self.reducible, self.band_px, self.onset_s)
 
     @cached_property
     def fixation_rms_rad_s(self) -> FloatArray:
-        """(n,) see `fixation.speed_rms`, while fixating; nan for targets that never rest."""
+        """(n,) see `fixation.speed_rms`, over the fixation; nan for targets that never rest."""
         if self.moving:
             return np.full(self.num, np.nan)
         return fixation.speed_rms(self.time_s, self.speed, self._fixation_start)
 
     @cached_property
     def fixation_peak_to_peak_rad_s(self) -> FloatArray:
-        """(n,) see `fixation.speed_peak_to_peak`, else as `fixation_rms_rad_s`."""
+        """(n,) see `fixation.speed_peak_to_peak`; otherwise as `fixation_rms_rad_s`."""
         if self.moving:
             return np.full(self.num, np.nan)
         return fixation.speed_peak_to_peak(self.time_s, self.speed, self._fixation_start)
@@ -167,14 +172,14 @@ class Trials:
 
     @cached_property
     def overshoot(self) -> FloatArray:
-        """(n,) see `metrics.overshoot`: beyond the least error that the eyes can reach."""
+        """(n,) see `metrics.overshoot`: beyond the residual."""
         return metrics.overshoot(
             self.reducible, np.searchsorted(self.time_s, self.onset_s - _ROUNDING_S)
         )
 
     @cached_property
     def steady_px(self) -> FloatArray:
-        """(n,) see `metrics.steady_state_error`: what is left beyond the least error."""
+        """(n,) see `metrics.steady_state_error`: beyond the residual, px."""
         return metrics.steady_state_error(self.time_s, self.reducible, self.missing_px)
 
     @cached_property
@@ -186,13 +191,13 @@ class Trials:
 
     @cached_property
     def tracking_lag_s(self) -> FloatArray:
-        """(n,) see `metrics.tracking_lag`; nan where the target stands still, or without truth."""
+        """(n,) see `metrics.tracking_lag`, s; nan if the target rests, or without ground truth."""
         before, after = np.roll(self.target, 1, axis=0), np.roll(self.target, -1, axis=0)
         before[0], after[-1] = self.target[0], self.target[-1]
         span = np.full(len(self.time_s), 2.0)
         span[[0, -1]] = 1.0
         span *= self.head.timing.period_s
-        # eyes as they are, held still while the target passes
+        # image velocity of the target with the eyes held at their present angles
         seen = [self.head.project(self.positions, p, distorted=False) for p in (before, after)]
         velocity = (seen[1] - seen[0]) / span[:, None, None, None]
         return metrics.tracking_lag(
@@ -211,12 +216,12 @@ class Trials:
 
     @cached_property
     def fix_error_m(self) -> FloatArray:
-        """(steps + 1, n) distance of the gaze fix from the target; nan for neither."""
+        """(steps + 1, n) distance of the gaze fix from the target, m; nan if either is missing."""
         fix = triangulate_gaze(self.head, self.positions)
         return np.asarray(np.linalg.norm(fix.point - self.target, axis=-1))
 
     def fix_error_at_settling_m(self) -> FloatArray:
-        """(n,) that distance at the moment of settling to 1 px; nan for trials that never do."""
+        """(n,) `fix_error_m` at the time of settling to 1 px; nan for trials that never settle."""
         return metrics.at_time(self.time_s, self.fix_error_m, self.onset_s + self.settle_s())
 
 
@@ -225,14 +230,14 @@ def _ratio(settle_s: FloatArray, bound_s: FloatArray) -> FloatArray:
 
 
 def headline(trials: Trials) -> float:
-    """The one number a controller is judged by in a scenario; smaller is better.
+    """The single number by which a controller is judged in a scenario; smaller is better.
 
     Args:
         trials: the trials.
 
     Returns:
-        For a scenario that settles, the median settle time to its leading band, s, a trial that
-        never settles counting as the whole trial; for a moving one the median of the trials'
+        For targets that come to rest, the median settle time to the leading band, s; a trial that
+        never settles counts with its duration. For moving targets, the median of the trials'
         tracking RMS, px.
     """
     settle_s = trials.settle_or_trial_s(trials.band_px)
@@ -240,7 +245,7 @@ def headline(trials: Trials) -> float:
 
 
 def join(parts: Sequence[Trials]) -> Trials:
-    """Trials of several batches as one.
+    """Join the trials of several batches.
 
     Args:
         parts: trials of the same controller, scenario and plant.

@@ -1,4 +1,4 @@
-"""Trials of one controller in one scenario, side by side, with all that metrics need.
+"""Run trials of one controller in one scenario, in batches, and record all that metrics need.
 
 ```python
 scenario = load_scenario("workspace")
@@ -8,8 +8,8 @@ trials = run_trials(controller, scenario, episodes=1000)
 headline(trials)                       # s: the median time to settle to 1 px
 ```
 
-Trial i is trial `first_trial + i` of `scenario.seed(split, seed)`: the same target, the same noise
-and the same hidden conditions whichever controller runs it, alone or among a thousand others.
+Trial i is trial `first_trial + i` of `scenario.seed(split, seed)`: it has the same target, noise
+and hidden conditions whichever controller runs it, alone or in a batch of a thousand.
 """
 
 import time
@@ -40,9 +40,10 @@ from vergence.recording import Recorder
 __all__ = ["BATCH", "Trials", "headline", "run_trials"]
 
 BATCH: Final = 1000
-"""Trials that run side by side unless another number is given: more only cost memory."""
+"""Default number of trials in a batch; more only cost memory (chosen)."""
 _SIMULATED: Final = ("visible", "positions", "command")
-"""Readings to record of simulated trials, which are many and whose errors are the true ones."""
+"""Fields of readings to record in simulated trials: few, as there are many trials and errors come
+from the ground truth."""
 _TRUTH: Final = ("pixel_error", "target", "motors")
 
 
@@ -63,29 +64,29 @@ def run_trials(
 ) -> Trials:
     """Run a controller on a scenario's trials.
 
-    A trial lasts the scenario's time, also after a success or a lost target. On a plant without
-    truth the errors are the measured ones at the time of their exposure; a trial then runs on for
-    the image's latency, so that its last error is known too.
+    A trial lasts the scenario's duration, even after a success or a lost target. On a plant without
+    ground truth the errors are measured ones, at the times of their exposures; a trial then runs on
+    for the latency of an image, so that its last error is known too.
 
     Args:
-        controller: anything with Stable-Baselines3's `predict`, with or without a state.
-        scenario: what to run.
-        episodes: how many trials.
-        plant: what moves the heads.
-        split: whose seeds: `train`, `validation` or `test`.
-        seed: which of that split's.
-        head: the head, for one other than the scenario's.
+        controller: any object with Stable-Baselines3's `predict`, with or without a state.
+        scenario: the scenario to run.
+        episodes: number of trials.
+        plant: name of the plant that moves the heads.
+        split: seed split: `train`, `validation` or `test`.
+        seed: index of the seed within the split.
+        head: a head other than the scenario's; None for the scenario's.
         first_trial: the number of the first trial.
-        batch: how many run side by side; `BATCH` at most by default, or what the plant can have.
-        observed: of how many trials, the first ones, to keep the observations.
-        progress: called with the fraction of steps done.
-        clock_ns: a clock in nanoseconds, to time `predict` by.
+        batch: trials in a batch; by default `BATCH` or the plant's limit, if that is lower.
+        observed: number of trials, from the first, whose observations are kept.
+        progress: callback with the fraction of steps done.
+        clock_ns: clock that times `predict`, in nanoseconds.
 
     Returns:
         The trials, in the order of their numbers.
 
     Raises:
-        VergenceError: an argument cannot be, or an action has a wrong shape or is nan.
+        VergenceError: an argument is invalid, or an action has a wrong shape or is nan.
     """
     if episodes < 1:
         raise ConfigurationError(f"episodes: expected at least 1, got {episodes}")
@@ -122,11 +123,11 @@ def _share(
 
 
 class Timed:
-    """A controller that keeps how long `predict` took and what the first trials observed.
+    """Wrapper of a controller that records durations of `predict` and the first observations.
 
     Args:
         controller: the controller.
-        observed: of how many trials to keep the observations.
+        observed: number of trials, from the first, whose observations are kept.
         clock_ns: a clock in nanoseconds.
     """
 
@@ -149,7 +150,7 @@ class Timed:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], Any]:
-        """Let the controller choose, and time it."""
+        """Call the controller's `predict` and record its duration."""
         self.observations.append(observation[: self._observed].copy())
         began = self._clock_ns()
         answer = self._controller.predict(
@@ -160,16 +161,16 @@ class Timed:
 
 
 def periods(assignment: Assignment, head: HeadModel, *, simulated: bool) -> tuple[int, int]:
-    """Control periods of a trial.
+    """Control periods of a trial, evaluated and run.
 
     Args:
-        assignment: of the trial.
-        head: that looks.
-        simulated: whether it does in a simulation.
+        assignment: the trial's assignment.
+        head: the head that runs it.
+        simulated: True on a simulated plant.
 
     Returns:
-        Those that count, and all: without a simulation the last error is known when its image has
-        come.
+        Number of periods to evaluate, and number to run: without a simulation more are run, as the
+        last error is known only after the latency of its image.
     """
     steps = max(1, round(assignment.duration_s * head.timing.control_rate_hz))
     return steps, steps + (0 if simulated else head.timing.latency_frames)
@@ -185,19 +186,19 @@ def run_in(
     first_trial: int = 0,
     progress: Callable[[float], None] = lambda _fraction: None,
 ) -> Trials:
-    """Run trials side by side in one task, which is closed then.
+    """Run one batch of trials in a task, which the rollout then closes.
 
     Args:
-        task: the heads.
+        task: the task, one head per trial.
         timed: the controller.
-        scenario: what to run.
-        plant: the plant's name.
-        seed: of the trials' random streams.
+        scenario: the scenario to run.
+        plant: name of the plant.
+        seed: seed of the trials' random streams.
         first_trial: the number of the first trial.
-        progress: called with the fraction of steps done.
+        progress: callback with the fraction of steps done.
 
     Returns:
-        The trials; of a plant that is no simulation without bounds.
+        The trials; without bounds if the plant is no simulation.
     """
     simulated = isinstance(task.plant, Simulation)
     steps, all_steps = periods(scenario, task.head, simulated=simulated)
@@ -225,7 +226,8 @@ def run_in(
         band_px=scenario.band_px,
         catch_up_s=scenario.catch_up_s,
     )
-    first = len(timed.spent_ns) - all_steps  # a robot's rollout asks once before
+    # a robot's rollout calls `predict` once before the first step
+    first = len(timed.spent_ns) - all_steps
     asked = slice(first, first + steps)
     return replace(
         trials,
@@ -236,7 +238,7 @@ def run_in(
 
 
 def _known_at_the_start(task: GazeTask, plant: Simulation, scenario: Assignment) -> dict[str, Any]:
-    """Onsets, bounds and residuals of a simulation's trials, which have just begun."""
+    """Onsets, bounds and residuals of simulated trials that have just begun."""
     known: dict[str, Any] = {"onset_s": plant.onset_s()}
     if not scenario.moving:
         bands = judged_bands(scenario.band_px)

@@ -1,9 +1,9 @@
-"""Scenarios: named tasks on which ways of looking at a target are compared.
+"""Scenarios: named tasks on which controllers are compared.
 
-A scenario is an assignment, which a simulated head and a robot can have alike: a target, how long,
-and how near. Beside it stands its simulation: which head, on which plants, and what differs from
-trial to trial without anybody telling the controller. Its trials come from three kinds of seeds,
-for training, validation and testing, so far apart that no vector of environments reaches another's.
+A scenario is an assignment, which simulated heads and robots share (a target, a duration and a band
+of settling), with its simulation: the head, the plants, and the conditions that vary from trial to
+trial and are hidden from the controller. Its seeds are split into training, validation and test
+seeds, so far apart that the seeds of a vector of environments never reach another split.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,37 +22,40 @@ from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 
 SPLITS: Final = ("train", "validation", "test")
-"""What trials are for."""
+"""Purposes of trials, each with seeds of its own."""
 _BETWEEN_SPLITS: Final = 2**40
+"""Distance between the first seeds of two splits (numerical)."""
 _BETWEEN_SEEDS: Final = 2**20
+"""Distance between two seeds of a split: the greatest size of a vector (numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Assignment:
-    """What trials ask of a head, simulated or real."""
+    """The task that trials set a head, simulated or real."""
 
     name: str
     what: str
-    """What happens in a trial, one line."""
+    """Description of a trial, one line."""
     target: Mapping[str, Any]
-    """What the eyes look at, see `vergence.envs.targets.registry.make_target`. A robot that looks
-    at the world takes nothing of it, see `vergence.eval.robot.stage`."""
+    """The target, see `vergence.envs.targets.registry.make_target`. A robot that looks at the world
+    ignores it, see `vergence.eval.robot.stage`."""
     duration_s: float
-    """How long a trial lasts, s."""
+    """Duration of a trial, s."""
     band_px: float = 1.0
-    """The band of settling that leads, px."""
+    """Leading band: the one to which settling is judged, px."""
     moving: bool = False
-    """Whether the target keeps moving: tracking counts, and not settling."""
+    """True if the target keeps moving: tracking is evaluated, not settling."""
     catch_up_s: float = 0.0
-    """Time at the start that the tracking of a moving target does not count, s."""
+    """Time after the onset that does not count in the tracking of a moving target, s."""
 
     def seed(self, split: str, seed: int = 0) -> int:
         """The seed of the trials of a split.
 
         Args:
             split: one of `SPLITS`.
-            seed: which of the split's seeds, 0 to 2**20 - 1. A vector whose environment i has
-                the seed + i overlaps with no other one's, up to 2**20 environments.
+            seed: index of the seed within the split, 0 to 2**20 - 1. A vector of up to 2**20
+                environments, of which environment i has the returned seed + i, never overlaps with
+                another seed's vector.
 
         Raises:
             UnknownNameError: there is no such split.
@@ -67,16 +70,16 @@ class Assignment:
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario(Assignment):
-    """One scenario: an assignment and its simulation."""
+    """An assignment and its simulation."""
 
     head: str = "simulated"
     """Preset of the head that the controller knows."""
     parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """What that head has otherwise than its preset, see `HeadModel.replace`."""
+    """Overrides of the preset's values, see `HeadModel.replace`."""
     plants: tuple[str, ...] = ("kinematic", "mujoco")
-    """What can move the head."""
+    """Names of the plants that can move the head."""
     variation: Variation | None = None
-    """What each trial draws anew and the controller is not told."""
+    """Ranges of the conditions that each trial draws, hidden from the controller."""
 
     def model(self) -> HeadModel:
         """The head that the controller knows."""
@@ -84,7 +87,7 @@ class Scenario(Assignment):
 
     @property
     def steps(self) -> int:
-        """Control periods of a trial."""
+        """Number of control periods of a trial."""
         return round(self.duration_s * self.model().timing.control_rate_hz)
 
     def env_options(
@@ -93,8 +96,8 @@ class Scenario(Assignment):
         """Keyword arguments of `GazeTask`, `GazeVectorEnv` and `gymnasium.make`.
 
         Args:
-            plant: one of `plants`, or `module:class` of a plant of one's own.
-            head: another head than the scenario's.
+            plant: one of `plants`, or `module:class` of a custom plant.
+            head: a head other than the scenario's; None for the scenario's.
 
         Raises:
             ConfigurationError: the scenario does not run on that plant.
@@ -114,12 +117,12 @@ class Scenario(Assignment):
     def task(
         self, num: int = 1, plant: str = "kinematic", head: str | HeadModel | None = None
     ) -> GazeTask:
-        """A task whose trials are this scenario's, see `env_options`.
+        """Make a task that runs this scenario's trials, see `env_options`.
 
         Args:
-            num: how many heads side by side.
-            plant: one of `plants`, or `module:class` of a simulated plant of one's own.
-            head: another head than the scenario's.
+            num: number of heads in the batch.
+            plant: one of `plants`, or `module:class` of a custom simulated plant.
+            head: a head other than the scenario's; None for the scenario's.
 
         Raises:
             ConfigurationError: the scenario does not run on that plant, or the head cannot look at
@@ -139,7 +142,7 @@ class Scenario(Assignment):
 
 @contextmanager
 def named(scenario: str) -> Iterator[None]:
-    """Say whose target it is that a head cannot look at, and what to do about that.
+    """Add the scenario's name and a remedy to the error for a target that a head cannot look at.
 
     Args:
         scenario: the scenario's name.
@@ -251,7 +254,7 @@ _SCENARIOS = (
     Scenario(
         name="robust",
         what="the workspace with unknown delay, lag, model errors, noise and dropped frames",
-        # the true eyes see it up to five times 6 px beside where the model has it
+        # the true head's image of the target is up to 5 x 6 px away from the model's
         target={"kind": "random", "border": 30.0},
         duration_s=3.0,
         variation=Variation(
@@ -274,7 +277,7 @@ _SCENARIOS = (
 
 
 def _through(loop: str, *targets: str) -> list[Scenario]:
-    """Scenarios with the targets of others and the loop of one, as `hardware-fast`."""
+    """Make scenarios with the loop of one scenario and targets of others, e.g. `hardware-fast`."""
     by_name = {one.name: one for one in _SCENARIOS}
     made = by_name[loop]
     return [
@@ -282,7 +285,7 @@ def _through(loop: str, *targets: str) -> list[Scenario]:
             made,
             name=f"{loop}-{name}",
             what=f"{by_name[name].what}; through the loop of {loop}",
-            # the true eyes see what appears beside where the model has it
+            # the true head's image of a target that appears is away from the model's
             target=dict(by_name[name].target)
             | ({} if by_name[name].moving else {"border": made.target["border"]}),
             # the onset comes late

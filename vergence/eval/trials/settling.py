@@ -1,4 +1,4 @@
-"""Bands of settling, and the columns of tables that tell of each."""
+"""Bands of settling, and the names of their columns in tables."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -10,8 +10,9 @@ import numpy as np
 class Band:
     """A band of settling, on the norm of each eye's error, and the names of its columns.
 
-    Settle times are named by the band, as `settle_2px_s`, `settle_05px_s` and `settle_2_5px_s`.
-    The other columns are so too, as `bound_2px_s`, but for the band of one pixel: `bound_s`.
+    Names hold the band's width, as in `settle_2px_s`, `settle_05px_s`, `settle_2_5px_s` and
+    `bound_2px_s`. For the band of one pixel, only names of settle times hold it: `settle_1px_s`,
+    but `bound_s`.
     """
 
     px: float
@@ -19,7 +20,7 @@ class Band:
     @property
     def _name(self) -> str:
         whole, _, part = np.format_float_positional(self.px, trim="-").partition(".")
-        # without a sign in between, a half would be 05, but 2.5 px and 25 px the same
+        # 0.5 is written 05; 2.5 needs the separator, or it would read as 25
         return f"{whole}{'_' if part and whole != '0' else ''}{part}px"
 
     @property
@@ -38,12 +39,12 @@ class Band:
 
     @property
     def ratio(self) -> str:
-        """A trial's settle time by the bound."""
+        """A trial's ratio of settle time to bound."""
         return f"ratio_to_bound{self._tail}"
 
     @property
     def settled(self) -> str:
-        """Whether a trial settled."""
+        """True if a trial settled."""
         return f"settled{self._tail}"
 
     @property
@@ -73,14 +74,16 @@ class Band:
 
 
 ONE_PX: Final = Band(1.0)
+"""Band of one pixel (chosen)."""
 _ALWAYS: Final = (ONE_PX, Band(2.0))
-"""2 px leads where play, steps of the commands and of the encoders are as large as a pixel."""
+"""Bands of every table. 2 px leads in scenarios whose backlash and quantisation of commands and
+encoders are as large as a pixel."""
 HALF_PX: Final = Band(0.5)
-"""Settle times to this band are in every table, its bound only where it leads."""
+"""Band with settle times in every table, but with a bound only if it leads (chosen)."""
 
 
 def judged_bands(leading_px: float) -> list[Band]:
-    """The bands by which a scenario's trials are judged, each with its bound, narrowest first.
+    """The bands to which a scenario's trials have time-optimal bounds, narrowest first.
 
     Args:
         leading_px: the scenario's leading band, px.

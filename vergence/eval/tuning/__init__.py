@@ -1,1 +1,1 @@
-"""`vergence tune`: the options with which a controller does best."""
+"""`vergence tune`: search for the best options of a controller."""

@@ -1,8 +1,9 @@
-"""The best fixed gain for a head, found in a minute: every tenth gain, then those about the best.
+"""The best fixed gain for a head, found in a minute by a coarse and a fine search.
 
-`vergence tune ibvs` tries every gain. Up to the onset of overshoot a settle time falls with the
-gain, and behind it each swing makes it jump; a tracking error has one valley. The best gain
-therefore lies beside the best of every tenth.
+The coarse search tries every tenth gain of `vergence tune ibvs`, the fine search all gains about
+the best of these. The settle time falls with the gain until overshoot begins; beyond that, it jumps
+up with each further oscillation. A tracking error has a single minimum over the gain. In both cases
+the best gain lies next to the best one of the coarse search.
 """
 
 import shlex
@@ -20,29 +21,30 @@ from vergence.models.files.head_file import from_anywhere
 from vergence.models.head import HeadModel
 
 EPISODES: Final = TuneConfig.episodes
-"""Training trials that judge a gain."""
+"""Number of training trials that judge a gain."""
 _COARSE: Final = 10
-"""Every which gain is tried first."""
+"""Stride of the coarse search, in steps of the gain (chosen: speed against the risk of missing the
+best gain)."""
 
 
 def tune_baseline(scenario: Scenario, head: HeadModel, source: str | None, mapper: Mapper) -> Tuned:
-    """Find the best fixed gain, and keep it in the user's table of tuned options.
+    """Find the best fixed gain and save it in the user's table of tuned options.
 
     Args:
-        scenario: whose training trials judge.
+        scenario: the scenario whose training trials judge the gains.
         head: the head that moves and that the law knows.
-        source: where the head comes from: a preset's name or a path; None for the scenario's own.
+        source: source of the head: a preset's name or a path; None for the scenario's head.
         mapper: runs the trials.
 
     Returns:
-        The entry.
+        The entry of the table.
 
     Raises:
         ConfigurationError: the table cannot be written.
     """
     words = ["vergence", "evaluate", "ibvs-tuned", "--scenario", scenario.name]
     words += [] if source is None else ["--head", from_anywhere(source)]
-    check_writable(user_file())  # before a minute of work
+    check_writable(user_file())  # before the search, which takes a minute
     gain = best_gain(scenario, head, mapper)
     entry = Tuned(
         controller="ibvs",
@@ -61,16 +63,16 @@ def best_gain(scenario: Scenario, head: HeadModel, mapper: Mapper) -> float:
     """The gain with the least loss on training trials, see `vergence.eval.tuning.objective`.
 
     Args:
-        scenario: whose trials.
+        scenario: the scenario of the trials.
         head: the head.
-        mapper: runs the trials, a gain a job.
+        mapper: runs the trials, one job per gain.
 
     Returns:
-        The gain, 1/s, one of the search's steps.
+        The gain, 1/s, a multiple of the search's step.
 
     Raises:
-        ConfigurationError: no trial settles with any gain, or the best is the greatest one that is
-            tried, beside which a better one may lie: neither tells what the law can do.
+        ConfigurationError: the best gain lets no trial settle, or it is the greatest gain of the
+            search, beyond which a better one may lie. Neither would represent the law's best.
     """
     gains = SEARCH_SPACES["ibvs"]["gain"].points()
     coarse = range(0, len(gains), _COARSE)

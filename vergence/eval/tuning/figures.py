@@ -1,4 +1,4 @@
-"""What tuning looked like: the curve of one option, or a slice along each of several."""
+"""Figures of tuning: a curve for a single option, or a scatter panel for each of several."""
 
 from collections.abc import Mapping, Sequence
 
@@ -19,12 +19,13 @@ def draw_search(
 
     Args:
         attempts: the points tried.
-        spans: where each option was searched.
-        title: what was tuned.
-        unit: `s` or `px`, of the metric.
+        spans: search range of each option.
+        title: title of the figure.
+        unit: unit of the metric, `s` or `px`.
 
     Returns:
-        A curve for one option; for several a panel each, in which the other options vary too.
+        A curve for a single option; for several, one panel each, in which the other options vary
+        too.
     """
     best = min(attempts, key=lambda attempt: attempt.rank)
     with styled():

@@ -1,4 +1,4 @@
-"""What a search makes small: how a controller with some options does on training trials."""
+"""Objective of a search: the loss of a controller's options on training trials."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,14 +19,16 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 Objective = Callable[[Options], Mapping[str, float]]
-"""Options to what came of them: `headline`, smaller is better, `mean`, which tells equal ones
-apart, `settled_fraction` where trials can fail, and other numbers to be kept."""
+"""Function from options to results: `headline` (smaller is better), `mean` (which breaks ties),
+`settled_fraction` if trials can fail, and other numbers to record."""
 
 LEAST_SETTLED: Final = 0.99
-"""Share of trials that must settle before a shorter median counts as it is."""
+"""Fraction of settled trials below which the loss exceeds the headline metric (chosen)."""
 _FAILURE_COSTS: Final = 10.0
+"""Relative increase of the loss per fraction of settled trials that is missing: 10 % per percentage
+point (chosen: failures against speed)."""
 _LEAST: Final = 25
-"""Trials that are worth a job of their own."""
+"""Least number of trials in a job (chosen: balance of load against overhead)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,19 +38,20 @@ class Attempt:
     number: int
     options: Options
     found: dict[str, float]
-    """What the objective returned."""
+    """Results of the objective."""
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Smaller is better."""
+        """Sort key, loss and then mean; smaller is better."""
         return loss(self.found), self.found["mean"]
 
 
 def loss(found: Mapping[str, float]) -> float:
-    """What a search makes small: the headline metric, a tenth dearer for each per cent that fails.
+    """Loss that a search minimises: the headline metric, plus a tenth per per cent of failures.
 
-    A median alone would give up trials beyond it, almost half of all, for a shorter one. The
-    first per cent costs nothing more: failures are in the metric already, as whole trials.
+    The median alone would sacrifice almost half of all trials for a shorter settle time of the
+    rest. The first per cent of failures has no penalty: the metric includes failed trials already,
+    with their whole duration.
     """
     short = max(0.0, LEAST_SETTLED - found.get("settled_fraction", 1.0))
     return found["headline"] * (1.0 + _FAILURE_COSTS * short)
@@ -56,20 +59,21 @@ def loss(found: Mapping[str, float]) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class TrialsJob:
-    """Some of the training trials that judge a point; picklable."""
+    """Picklable job that runs some of the training trials that judge a point."""
 
     config: TuneConfig
     options: Options
     scenario: Scenario
     head: HeadModel
     numbers: range
-    """Which trials."""
+    """Numbers of the trials."""
 
     def __call__(self) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(n,) what each trial is judged by, and whether it is a good one.
+        """Run the trials; return (n,) the metric of each, and (n,) True for successful ones.
 
-        That is the settle time to the scenario's leading band, s, the whole trial's for one that
-        never settles; for moving targets the tracking error, px, of which a lost one is not good.
+        The metric is the settle time to the scenario's leading band, s, or the duration of a trial
+        that never settles. For moving targets it is the tracking error, px, and a trial that loses
+        its target has failed.
         """
         options: dict[str, Any] = self.options
         trials = run_trials(
@@ -91,15 +95,15 @@ class TrialsJob:
 def controller_objective(
     config: TuneConfig, scenario: Scenario, head: HeadModel, mapper: Mapper | None = None
 ) -> Objective:
-    """Judges options by the scenario's training trials, the same for all options.
+    """Make an objective that judges all options by the same training trials of the scenario.
 
-    The trials of a point are what is shared out, and not points: what a search tries next depends
-    on all points before, and would depend on how many are tried at a time. A trial is the same in
-    any batch, so the numbers are the same for any mapper.
+    The jobs are parts of a point's trials, not points: the next point of a search depends on all
+    points before it, and so would depend on the number of points tried at a time. A trial is the
+    same in any batch, so the results are the same for any mapper.
 
     Args:
-        config: what is tuned.
-        scenario: whose trials.
+        config: the configuration of tuning.
+        scenario: the scenario of the trials.
         head: the head that moves and that the controller knows.
         mapper: runs the trials; this process by default.
     """
@@ -120,10 +124,10 @@ def controller_objective(
 
 
 def judged(parts: Sequence[tuple[FloatArray, NDArray[np.bool_]]]) -> dict[str, float]:
-    """What the trials of a point come to.
+    """Summarise the trials of a point.
 
     Args:
-        parts: what the jobs of the point have returned.
+        parts: results of the point's jobs.
 
     Returns:
         See `Objective`.

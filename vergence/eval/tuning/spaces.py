@@ -1,4 +1,4 @@
-"""What is searched: the options of each controller, and where."""
+"""Search spaces: the options of each controller, and their ranges."""
 
 import inspect
 from collections.abc import Mapping
@@ -15,16 +15,16 @@ Options = dict[str, float]
 
 
 class Span(NamedTuple):
-    """Where an option is searched."""
+    """Search range of an option."""
 
     low: float
     high: float
     scale: Literal["linear", "log"] = "linear"
     step: float | None = None
-    """The grid's step from `low` on; None for a continuous search."""
+    """Step of the grid, which starts at `low`; None for a continuous search."""
 
     def points(self) -> list[float]:
-        """The grid's values, exact decimals; none without a step."""
+        """The grid's values, as exact decimals; empty without a step."""
         if self.step is None:
             return []
         count = round((self.high - self.low) / self.step) + 1
@@ -32,10 +32,10 @@ class Span(NamedTuple):
 
 
 SEARCH_SPACES: Final[dict[str, dict[str, Span]]] = {
-    # overshoot begins at 4.1 with nominal timing; a moving target wants up to 17, where the loop
-    # rings and nearly bursts
+    # overshoot begins at 4.1 with nominal timing; moving targets need up to 17, where the loop
+    # oscillates and is almost unstable
     "ibvs": {"gain": Span(0.5, 20.0, "linear", 0.05)},
-    # lambda_zero = lambda_inf is the fixed gain, so the best of these is at least as good
+    # lambda_zero = lambda_inf is a fixed gain, so the best options are at least as good as that
     "adaptive": {
         "lambda_zero": Span(1.0, 12.0, "linear", 0.05),
         "lambda_inf": Span(0.5, 12.0, "linear", 0.05),
@@ -47,7 +47,7 @@ SEARCH_SPACES: Final[dict[str, dict[str, Span]]] = {
         "kd": Span(0.0, 0.6),
         "filter_s": Span(0.002, 0.06, "log"),
     },
-    # error_px and rate_px_s say where the rules matter: near the target, or on the way to it
+    # error_px and rate_px_s scale the region of the rules: near the target, or on the way to it
     "fuzzy": {
         "kp": Span(1.0, 12.0, "linear", 0.05),
         "ki": Span(0.001, 2.0, "log"),
@@ -66,7 +66,7 @@ SEARCH_SPACES: Final[dict[str, dict[str, Span]]] = {
 
 
 def search_space(controller: str) -> dict[str, Span]:
-    """Where a controller's options are searched.
+    """Search space of a controller's options.
 
     Raises:
         UnknownNameError: there is no such controller.
@@ -85,7 +85,7 @@ def search_space(controller: str) -> dict[str, Span]:
 
 
 def first_point(controller: str, spans: Mapping[str, Span]) -> Options | None:
-    """The controller's own defaults, where they lie in the search; None where they do not."""
+    """The controller's defaults; None if one is missing or outside its search range."""
     module, _, attribute = CONTROLLERS.get(law_of(controller), "").partition(":")
     if not module:
         return None
@@ -100,5 +100,5 @@ def first_point(controller: str, spans: Mapping[str, Span]) -> Options | None:
 
 
 def is_grid(spans: Mapping[str, Span]) -> bool:
-    """Whether a search is small enough to try every point: one option with a step."""
+    """True if a search is small enough to try every point: a single option with a step."""
     return len(spans) == 1 and all(span.step is not None for span in spans.values())

@@ -1,9 +1,10 @@
-"""A search over options: an Optuna study, kept where it can go on and be shared.
+"""A search over options as an Optuna study that can be resumed and shared.
 
-The study lives in a database: a SQLite file, or PostgreSQL for many machines. Whoever calls with
-the same study goes on with it, after an end, a kill or while others search too. What a search
-tries is keyed by (seed, number of the attempt), so that one that was stopped and one that was not
-try the same; of several processes at a time, who ends first decides what the others know.
+The study is stored in a database: a SQLite file, or PostgreSQL for several machines. A call with an
+existing study resumes it, whether it has ended, was killed, or is still running in other processes.
+The points of a search are drawn from (seed, number of the attempt), so an interrupted search tries
+the same points as an uninterrupted one. If several processes search at once, the points also depend
+on the order in which earlier attempts end.
 """
 
 import json
@@ -25,15 +26,16 @@ from vergence.eval.tuning.spaces import Span
 from vergence.eval.tuning.study_storage import opened_study
 
 MOST_POINTS: Final = 5000
-"""Points of a grid that is still searched."""
+"""Largest grid that is searched, in points (chosen: a bound on time)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Search:
-    """What to search, and where the study is kept.
+    """The search space, settings and storage of a study.
 
     Raises:
-        ConfigurationError: a grid is asked for that the spans do not describe.
+        ConfigurationError: `attempts` is below 1, or a grid has a span without a step or too many
+            points.
     """
 
     name: str
@@ -41,16 +43,16 @@ class Search:
     storage: str
     """A SQLite file, or the URL of a PostgreSQL database."""
     spans: Mapping[str, Span]
-    """Where each option is searched."""
+    """Search range of each option."""
     setting: Mapping[str, Any]
-    """What else the results depend on: a study goes on with the same alone."""
+    """All else that the results depend on; a study resumes only with equal values."""
     attempts: int
-    """How many points to try in total; a grid has its own number."""
+    """Total number of points to try; ignored for a grid."""
     seed: int
     grid: bool
-    """Whether to try every point of the spans' steps."""
+    """True to try every point of the grid of the spans' steps."""
     first: Mapping[str, float] | None = None
-    """The point to try first, where there is one to improve on; not of a grid."""
+    """Point to try first, if any; ignored for a grid."""
 
     def __post_init__(self) -> None:
         if self.attempts < 1:
@@ -68,13 +70,13 @@ class Search:
 
     @property
     def total(self) -> int:
-        """How many points are tried in the end."""
+        """Total number of points of the finished study."""
         if self.grid:
             return math.prod(len(span.points()) for span in self.spans.values())
         return self.attempts
 
     def sampler(self) -> BaseSampler:
-        """What chooses the points."""
+        """Make the sampler that chooses the points."""
         if self.grid:
             points = {name: span.points() for name, span in self.spans.items()}
             return _PatientGrid(points, seed=self.seed)
@@ -86,19 +88,19 @@ def run_search(
     objective: Objective,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Attempt]:
-    """Try points until the study has as many as asked for.
+    """Try points until the study has the requested number.
 
     Args:
-        search: what to search.
-        objective: what to make small; a `VergenceError` says that a point cannot be.
-        progress: told the number of points tried, and their number in the end.
+        search: the search.
+        objective: the objective to minimise; it raises a `VergenceError` for an invalid point.
+        progress: callback with the number of points tried and the total number.
 
     Returns:
-        All points of the study that could be tried, in their order.
+        All valid points of the study, in the order of their numbers.
 
     Raises:
         ConfigurationError: the study cannot be opened or has another setting.
-        VergenceError: not one point could be tried.
+        VergenceError: no point is valid.
     """
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     with opened_study(search.storage, search.name, search.sampler()) as study:
@@ -128,7 +130,7 @@ def _fill(
     objective: Objective,
     progress: Callable[[int, int], None],
 ) -> VergenceError | None:
-    """Try points until there are enough; the reason of one that could not be tried."""
+    """Try points until there are enough; return the last error of an invalid point, if any."""
     refused: VergenceError | None = None
     while (done := _count(study)) < search.total:
         progress(done, search.total)
@@ -141,7 +143,7 @@ def _fill(
             study.tell(trial, state=TrialState.PRUNED)
             continue
         except BaseException:
-            # a grid's sampler comes back to what was begun and not ended, not to what failed
+            # a grid's sampler repeats unfinished points, but not failed ones
             if not search.grid:
                 study.tell(trial, state=TrialState.FAIL)
             raise
@@ -153,12 +155,12 @@ def _fill(
 
 
 def _suggest(trial: Trial, name: str, span: Span) -> float:
-    # a grid's points are exact decimals, which a step of Optuna's would round differently
+    # without a step: a grid's points are exact decimals, which Optuna would round differently
     return trial.suggest_float(name, span.low, span.high, log=span.scale == "log")
 
 
 def _count(study: Study) -> int:
-    """How many points have been tried, with those that cannot be."""
+    """Number of points tried, including invalid ones."""
     states = (TrialState.COMPLETE, TrialState.PRUNED)
     trials = study.get_trials(deepcopy=False, states=states)
     # several processes may have tried a point of a grid twice
@@ -167,7 +169,7 @@ def _count(study: Study) -> int:
 
 
 def _check_setting(study: Study, search: Search) -> None:
-    """Refuse to go on with another setting than the study's."""
+    """Refuse to resume a study with different settings."""
     setting = {**search.setting, "grid": search.grid, "seed": search.seed}
     setting["spans"] = {name: list(span) for name, span in search.spans.items()}
     setting = json.loads(json.dumps(setting))
@@ -183,7 +185,7 @@ def _check_setting(study: Study, search: Search) -> None:
 
 
 class _PatientGrid(GridSampler):
-    """Optuna's grid; it does not stop a loop that is not Optuna's own."""
+    """Optuna's grid sampler, without its call to stop the study when the grid is complete."""
 
     def after_trial(
         self,
@@ -192,17 +194,17 @@ class _PatientGrid(GridSampler):
         state: TrialState,
         values: Sequence[float] | None,
     ) -> None:
-        """Nothing: the loop counts the points itself."""
+        """Do nothing: the loop in `_fill` counts the points itself."""
 
 
 class _KeyedSampler(BaseSampler):
-    """A TPE sampler that begins anew for each attempt, seeded by its number.
+    """A TPE sampler that is made anew for each attempt, seeded by the attempt's number.
 
-    A search that was stopped then goes on as if it had not been, and processes that share a study
-    never draw the same numbers.
+    An interrupted search then resumes as if it had not been interrupted, and processes that share a
+    study never draw the same numbers.
 
     Args:
-        seed: of the search.
+        seed: seed of the search.
     """
 
     def __init__(self, seed: int) -> None:

@@ -1,4 +1,4 @@
-"""Where a study is kept: a SQLite file, or a PostgreSQL database for many machines."""
+"""Storage of a study: a SQLite file, or a PostgreSQL database for several machines."""
 
 import re
 import time
@@ -17,24 +17,25 @@ from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from vergence.errors import ConfigurationError
 
 _CONNECT_TIMEOUT_S: Final = 10
+"""Time limit for connecting to a PostgreSQL server, s (chosen: slow networks against waiting)."""
 _MADE_BY_ANOTHER: Final = ("already exists", "UniqueViolation", "UNIQUE constraint", "is locked")
 _PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, None)
 
 
 @contextmanager
 def opened_study(place: str, name: str, sampler: BaseSampler) -> Iterator[Study]:
-    """A study, found or begun; its connections are closed in the end.
+    """Open or create a study; its connections are closed at the end of the context.
 
     Args:
-        place: a file, which is made if it is not there, or the URL of a database.
+        place: a file, which is created if it does not exist, or the URL of a database.
         name: the study's name.
-        sampler: chooses its points.
+        sampler: the sampler that chooses its points.
 
     Yields:
         The study.
 
     Raises:
-        ConfigurationError: it cannot be opened.
+        ConfigurationError: the storage cannot be opened, read or written.
     """
     try:
         study, storage = _create(place, name, sampler)
@@ -58,9 +59,9 @@ def opened_study(place: str, name: str, sampler: BaseSampler) -> Iterator[Study]
 
 
 def _create(place: str, name: str, sampler: BaseSampler) -> tuple[Study, RDBStorage]:
-    """Open or create the study; whoever comes second while the tables are made tries again."""
+    """Open or create the study; retry if another process is creating the tables meanwhile."""
     url = _url(place)
-    # a server that takes the connection and says nothing would be waited for without end
+    # without a timeout, a server that accepts the connection but never answers would block forever
     patient = url.startswith("sqlite") or "connect_timeout=" in url
     connect = {} if patient else {"connect_timeout": _CONNECT_TIMEOUT_S}
     for pause_s in _PAUSES_S:
@@ -82,13 +83,13 @@ def _create(place: str, name: str, sampler: BaseSampler) -> tuple[Study, RDBStor
 
 
 def without_password(storage: str) -> str:
-    """A study's place as it may be shown and written down.
+    """Hide the password of a study's storage, for messages and files.
 
     Args:
         storage: a file, or a URL.
 
     Returns:
-        The same with stars for a URL's password.
+        The storage, with stars in place of a URL's password.
     """
     return re.sub(r"(://[^/?#:]*:)[^/?#]*@", r"\1***@", storage)
 
@@ -104,5 +105,5 @@ def _url(storage: str) -> str:
             ) from error
         return f"sqlite:///{path.absolute()}"
     kind, _, rest = storage.partition("://")
-    # SQLAlchemy would look for psycopg2 behind the plain name
+    # for the plain name, SQLAlchemy would require psycopg2
     return f"postgresql+psycopg://{rest}" if kind in ("postgresql", "postgres") else storage

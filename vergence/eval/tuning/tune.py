@@ -1,4 +1,4 @@
-"""Tuning: the options with which a controller does best on a scenario's training trials."""
+"""Tuning: search for the options that do best on a scenario's training trials."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -27,14 +27,14 @@ PACKAGES: Final = ("optuna",)
 
 @dataclass(frozen=True, kw_only=True)
 class TuneResult:
-    """What tuning has found."""
+    """Result of tuning."""
 
     config: TuneConfig
-    """What was tuned, its defaults filled in."""
+    """The configuration, with defaults filled in."""
     best: Attempt
     attempts: list[Attempt]
     unit: str
-    """`s` or `px`, of the headline metric."""
+    """Unit of the headline metric, `s` or `px`."""
 
 
 def tune(
@@ -45,22 +45,22 @@ def tune(
     head: HeadModel,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> TuneResult:
-    """Search, or go on with a search, and write what it found.
+    """Start or resume a search, and write its results.
 
     Args:
-        folder: the run folder; that of an earlier call is written over.
-        config: what to tune.
-        spans: where each option is searched.
-        objective: what to make small.
+        folder: the run folder; results of an earlier call are overwritten.
+        config: the configuration.
+        spans: search range of each option.
+        objective: the objective to minimise.
         head: the head.
-        progress: told the number of points tried, and their number in the end.
+        progress: callback with the number of points tried and the total number.
 
     Returns:
-        What was found: the smallest headline metric (see `objective.loss`), and among equal ones
-        (median settle times come in whole control periods) the smallest mean.
+        The result. The best point has the smallest loss (see `objective.loss`) and, among equal
+        ones (median settle times are whole control periods), the smallest mean.
 
     Raises:
-        VergenceError: the study cannot be opened or goes on with another setting.
+        VergenceError: the study cannot be opened, or its settings differ.
     """
     scenario = load_scenario(config.scenario)
     config = dataclasses.replace(
@@ -102,7 +102,7 @@ def tune(
 
 def _write(folder: Path, result: TuneResult, spans: Mapping[str, Span], head: HeadModel) -> None:
     config = result.config
-    # processes that share a study end at the same time, and each writes what all have found
+    # processes that share a study may end together, and each writes the results of all
     with locked(folder, wait=True), whole_files(folder, last="tune.json") as partial:
         shown = dataclasses.replace(config, storage=without_password(str(config.storage)))
         write_config(partial, shown, head, PACKAGES)
@@ -118,7 +118,7 @@ def _write(folder: Path, result: TuneResult, spans: Mapping[str, Span], head: He
 
 
 def summary(result: TuneResult) -> dict[str, Any]:
-    """What `tune.json` says."""
+    """Content of `tune.json`."""
     best = result.best
     return {
         **{
