@@ -54,7 +54,7 @@ _MOST_EVALUATIONS: Final = 60
 has more coefficients than the views determine and these wander along a valley (numerical)."""
 _RATIONAL_SIZE: Final = 1.0
 """Prior standard deviation of the coefficients k1 to k6 of the rational lens (chosen: real lenses
-have smaller ones, and larger ones put poles into the image)."""
+have coefficients of this size or less)."""
 _TOLERANCE: Final = 1e-8
 """Relative convergence tolerance of the sum of squares. With 10,000 residuals, a change of one
 parameter by one standard deviation changes the sum by 1e-4 (numerical)."""

@@ -32,7 +32,7 @@ from vergence.models.response import Response
 from vergence.perception.spacing import MM
 
 _DETECTED: Final = 0.5
-"""Fraction of the progress done after detection in all images (chosen: about half of the time)."""
+"""Fraction of the progress done after detection in all images (chosen)."""
 _UNSURE: Final = 0.1
 """Relative standard deviation of a focal length from which on a camera is refused (chosen)."""
 _TORN: Final = 3.0

@@ -202,7 +202,7 @@ def _fisheye_starts(problem: Adjustment, size: tuple[int, int]) -> list[FloatArr
     for more in (0, place.CALIB_USE_INTRINSIC_GUESS):
         with suppress(cv2.error):
             result: Any = cv2.fisheye.calibrate(
-                [board[None].astype(float) for board in boards],  # OpenCV 5 wants rows
+                [board[None].astype(float) for board in boards],  # OpenCV 5 expects rows
                 [corner[None].astype(float) for corner in corners],
                 size, guess.copy(), np.zeros(4), flags=int(flags | more),
             )  # fmt: skip
