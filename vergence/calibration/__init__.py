@@ -1,1 +1,1 @@
-"""The cameras that a robot really has, found from photographs of a board."""
+"""Calibration of a robot's cameras from photographs of a board."""

@@ -1,22 +1,22 @@
-r"""Bundle adjustment of photographs of a board: cameras, where they stand, every board pose.
+r"""Bundle adjustment of photographs of a board: cameras, their relative pose, and board poses.
 
-The pixel of corner n of view v in camera c is that of the point
+Corner n of view v is, in the frames of the left and the right camera, at
 
     p_left = R_v (x_n, y_n, z_n) + t_v,    p_right = R p_left + t
 
-and the sum of squares of `(projected - measured) / sigma` is least over all values of the cameras,
-R and t, every R_v and t_v, and how the board is bent, as no paper is flat:
+The adjustment minimises the sum of squares of `(projected - measured) / sigma` over the parameters
+of the cameras, R and t, every R_v and t_v, and the curvatures of the board, as no paper is flat:
 
     z = (b_xx x^2 + b_yy y^2) / 2 + b_xy x y    from the middle of the board.
 
-The poses of the board are eliminated (variable projection, Golub
-and Pereyra 1973): for given cameras each is found by itself, six numbers, and what is left is a
-problem of some thirty numbers that `scipy.optimize.least_squares` solves. With the Jacobians J of
-the cameras' values and P of a board's pose, that problem has
+The poses of the board are eliminated (variable projection, Golub and Pereyra 1973): for given
+cameras each pose is a separate problem of six unknowns. About thirty unknowns remain, which
+`scipy.optimize.least_squares` solves. With the Jacobians J by the camera parameters and P by a
+board's pose, this reduced problem has
 
     J' = J - P (P^T P)^-1 P^T J,    covariance = (J'^T J')^-1,
 
-the same as those of all numbers at once.
+and its covariance is the camera block of the full problem's covariance.
 """
 
 from collections.abc import Sequence
@@ -34,55 +34,61 @@ from vergence.calibration.projection import camera_values, project
 from vergence.models.parts import FloatArray
 
 _POSE_STEPS: Final = 50
+"""Largest number of Levenberg-Marquardt steps for the board poses (numerical)."""
 _POSE_TOLERANCE: Final = 1e-7
-"""Of a step, rad and in units of the board's size: the next is some 1e-4 of it."""
+"""Convergence tolerance of a pose step, rad and in units of the board's size; the next step is
+about 1e-4 of it (numerical)."""
 _RIDGE: Final = 1e-13
-"""Relative, of the diagonal of a view's normal matrix: only one that cannot be inverted sees it."""
+"""Relative ridge on the diagonal of a view's normal matrix; it matters only if the matrix is
+singular (numerical)."""
 _LEAST_DIAGONAL: Final = 1e-200
-"""Of a view without corners."""
+"""Absolute ridge, which lets a view without corners have an inverse (numerical)."""
 _SAME_COST: Final = 1e-13
-"""Relative change of a sum of squares that is rounding."""
+"""Relative change of a sum of squares that counts as rounding (numerical)."""
 _FIRST_DAMPING: Final = 1e-6
+"""Initial damping of the pose steps, relative to the diagonal (numerical)."""
 _MOST_DAMPING: Final = 1e6
+"""Damping above which the iteration of a view's pose ends (numerical)."""
 _MOST_EVALUATIONS: Final = 60
-"""Of the sum of squares: cameras take some 10 but for a lens with more coefficients than the views
-tell, whose values wander along a valley."""
+"""Largest number of evaluations of the sum of squares. Cameras take about 10, more only if a lens
+has more coefficients than the views determine and these wander along a valley (numerical)."""
 _RATIONAL_SIZE: Final = 1.0
-"""Of the coefficients k1 to k6 of the rational lens, as a standard deviation."""
+"""Prior standard deviation of the coefficients k1 to k6 of the rational lens (chosen: real lenses
+have coefficients of this size or less)."""
 _TOLERANCE: Final = 1e-8
-"""Relative, of the sum of squares: of 10,000 residuals, one standard deviation of a number changes
-it by 1e-4."""
+"""Relative convergence tolerance of the sum of squares. With 10,000 residuals, a change of one
+parameter by one standard deviation changes the sum by 1e-4 (numerical)."""
 
 
 class Poses(NamedTuple):
-    """Poses of a board in the frame of the left camera, one for each view."""
+    """Poses of a board in the frame of the left camera, one per view."""
 
     rotation: FloatArray
-    """(v, 3, 3)."""
+    """(v, 3, 3) rotation matrices."""
     translation: FloatArray
     """(v, 3) metres."""
 
     def of(self, views: NDArray[Any]) -> "Poses":
-        """Those of some views."""
+        """Select the poses of some views."""
         return Poses(self.rotation[views], self.translation[views])
 
     def moved(self, steps: FloatArray) -> "Poses":
-        """These poses after small steps.
+        """Apply a small step to each pose.
 
         Args:
-            steps: (v, 6) a rotation vector in the left camera's frame, and a shift, m.
+            steps: (v, 6) rotation vector in the left camera's frame, rad, and translation, m.
         """
         turns = Rotation.from_rotvec(steps[:, :3]).as_matrix()
         return Poses(turns @ self.rotation, self.translation + steps[:, 3:])
 
 
 class Rig(NamedTuple):
-    """One camera, or two and how they stand to each other: `x_right = R x_left + T`."""
+    """One camera, or two and their relative pose: `x_right = R x_left + T`."""
 
     lenses: tuple[str, ...]
-    """(c) the lens model of each."""
+    """(c) lens model of each camera."""
     values: tuple[FloatArray, ...]
-    """(c) values of each, see `camera_values`."""
+    """(c) parameters of each camera, see `camera_values`."""
     rotation: FloatArray
     """(3, 3) R; the identity for one camera."""
     translation: FloatArray
@@ -92,23 +98,23 @@ class Rig(NamedTuple):
 
     @classmethod
     def single(cls, lens: str, values: FloatArray) -> "Rig":
-        """One camera by itself, before a flat board."""
+        """Make a rig of one camera and a flat board."""
         return cls((lens,), (values,), np.eye(3), np.zeros(3), np.zeros(3))
 
     @property
     def blocks(self) -> list[slice]:
-        """Where in `packed` are each camera's values, R and T, and the board's curvatures."""
+        """Slices of `packed`: each camera's parameters, R and T, and the board's curvatures."""
         lengths = [len(values) for values in self.values] + [6 * (len(self.values) - 1), 3]
         ends = np.cumsum(lengths).tolist()
         return [slice(end - length, end) for end, length in zip(ends, lengths, strict=True)]
 
     def packed(self) -> FloatArray:
-        """All numbers in a row: the cameras' values, R's rotation vector and T, curvatures."""
+        """Pack all parameters: the cameras', R as a rotation vector, T, and the curvatures."""
         between = [Rotation.from_matrix(self.rotation).as_rotvec(), self.translation]
         return np.concatenate([*self.values, *(between if len(self.values) > 1 else ()), self.bend])
 
     def unpacked(self, row: FloatArray) -> "Rig":
-        """The rig that such a row is of."""
+        """Make a rig from a packed array."""
         *cameras, between, bend = (row[block] for block in self.blocks)
         rig = self._replace(values=tuple(cameras), bend=bend)
         if len(cameras) == 1:
@@ -118,11 +124,11 @@ class Rig(NamedTuple):
 
     @property
     def prior(self) -> FloatArray:
-        """(p) what is known of each number before any image, over its deviation squared.
+        """(p) prior information of each parameter, 1 / sigma^2; 0 for no prior.
 
-        The coefficients of the rational lens by themselves are hardly told by any views: numerator
-        and denominator may share a factor, with poles in the image. They are taken to be of the
-        size of `_RATIONAL_SIZE` or less, which real lenses' are.
+        Views hardly determine the coefficients of the rational lens one by one: numerator and
+        denominator may share a factor, with poles in the image. The prior keeps them at about
+        `_RATIONAL_SIZE` or less, as in real lenses.
         """
         known = [
             np.where(
@@ -134,7 +140,7 @@ class Rig(NamedTuple):
         return np.concatenate([*known, others]) / _RATIONAL_SIZE**2
 
     def names(self, eyes: Sequence[str]) -> list[str]:
-        """The names of the numbers of `packed`.
+        """Name the parameters in the order of `packed`.
 
         Args:
             eyes: the name of each camera.
@@ -150,44 +156,45 @@ class Rig(NamedTuple):
 
 
 class Linearised(NamedTuple):
-    """Residuals over sigma, and their Jacobians, view by view."""
+    """Residuals divided by sigma, and their Jacobians, view by view."""
 
     residuals: FloatArray
     """(v, m): m = 2 n c, camera by camera; 0 for corners that were not found."""
     by_pose: FloatArray
-    """(v, m, 6): by a small rotation of the board in the left camera's frame, and a shift."""
+    """(v, m, 6) Jacobian by a small rotation of the board in the left camera's frame, and a
+    translation."""
     by_rig: FloatArray
-    """(v, m, p): by the numbers of `Rig.packed`."""
+    """(v, m, p) Jacobian by the parameters of `Rig.packed`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """The problem: what was seen of a board, and how surely."""
+    """Measurements of a bundle adjustment: corners of a board and their standard deviations."""
 
     board: FloatArray
     """(n, 3) corners of the board in its frame, metres."""
     pixels: FloatArray
-    """(c, v, n, 2) where they were seen, px; nan for corners that were not found."""
+    """(c, v, n, 2) measured corners, px; nan for corners that were not found."""
     sigma: FloatArray
     """(c, v, n, 2) standard deviations, px."""
 
     @cached_property
     def seen(self) -> NDArray[np.bool_]:
-        """(c, v, n) which corners were found."""
+        """(c, v, n) True for corners that were found."""
         return np.asarray(np.isfinite(self.pixels).all(axis=-1))
 
     def of(self, views: NDArray[Any]) -> "Adjustment":
-        """The problem of some views alone."""
+        """Restrict the problem to some views."""
         return Adjustment(self.board, self.pixels[:, views], self.sigma[:, views])
 
     def one(self, camera: int) -> "Adjustment":
-        """The problem of one camera alone."""
+        """Restrict the problem to one camera."""
         only = slice(camera, camera + 1)
         return Adjustment(self.board, self.pixels[only], self.sigma[only])
 
     @cached_property
     def _bending(self) -> FloatArray:
-        """(n, 3) height of each corner above the flat board by each curvature, m^2."""
+        """(n, 3) derivative of each corner's height above the flat board by curvature, m^2."""
         x, y = (self.board[:, :2] - self.board[:, :2].mean(axis=0)).T
         return np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
 
@@ -200,12 +207,12 @@ class Adjustment:
         return np.asarray(bent @ poses.rotation.transpose(0, 2, 1))
 
     def linearised(self, rig: Rig, poses: Poses, *, by_rig: bool = True) -> Linearised:
-        """Residuals and Jacobians at given cameras and poses.
+        """Compute residuals and Jacobians at given cameras and poses.
 
         Args:
             rig: the cameras.
-            poses: of the board.
-            by_rig: whether the Jacobian by the rig's numbers is wanted; else it has no columns.
+            poses: poses of the board.
+            by_rig: True to compute the Jacobian by the rig's parameters; else it has no columns.
         """
         turned = self._turned(rig, poses)
         points = turned + poses.translation[:, None]
@@ -235,21 +242,21 @@ class Adjustment:
             weight = np.where(found, 1.0 / np.where(found, self.sigma[camera], 1.0), 0.0)
             residual = np.where(found, seen.pixels - np.where(found, self.pixels[camera], 0.0), 0.0)
             parts[0].append((weight * residual).reshape(views, -1))
-            # a turn d of the board moves a corner by d x turned
+            # a small rotation d of the board moves a corner by d x turned
             by_pose = np.concatenate([np.cross(turned[..., None, :], by_left), by_left], axis=-1)
             parts[1].append((weight[..., None] * by_pose).reshape(views, -1, 6))
             parts[2].append((weight[..., None] * jacobian).reshape(views, weight[0].size, -1))
         return Linearised(*(np.concatenate(part, axis=1) for part in parts))
 
     def posed(self, rig: Rig, start: Poses) -> tuple[Poses, Linearised]:
-        """The board's pose in each view that fits given cameras best, by Levenberg and Marquardt.
+        """Fit the board's pose in each view to given cameras, by Levenberg and Marquardt.
 
         Args:
             rig: the cameras.
-            start: poses near by.
+            start: initial poses.
 
         Returns:
-            The poses, and residuals and Jacobians by them there.
+            The poses, and the residuals and Jacobians by pose there.
         """
         size = np.ptp(self.board, axis=0).max()
         damping = np.full(len(start.translation), _FIRST_DAMPING)
@@ -279,15 +286,15 @@ class Adjustment:
         return poses, now
 
     def solved(self, start: Rig, poses: Poses, tolerance: float = _TOLERANCE) -> "Solution":
-        """Cameras and poses with the least sum of squares.
+        """Find the cameras and poses with the least sum of squares.
 
         Args:
-            start: cameras near by.
-            poses: of the board, near by.
-            tolerance: relative, of the sum of squares and of the numbers.
+            start: initial cameras.
+            poses: initial poses of the board.
+            tolerance: relative tolerance of the sum of squares and of the parameters.
 
         Raises:
-            LinAlgError: the start is behind a camera, or the views do not tell the numbers.
+            LinAlgError: the start is behind a camera, or the views do not determine the parameters.
         """
         near = _Near(start.packed(), poses, None)
         last: dict[bytes, tuple[Poses, Linearised]] = {}
@@ -324,35 +331,35 @@ class Adjustment:
 
 
 class _Near(NamedTuple):
-    """Cameras that were solved for, and how the poses go on from there."""
+    """The last linearisation, from which the poses at other cameras are predicted."""
 
     row: FloatArray
     """(p) see `Rig.packed`."""
     poses: Poses
     following: FloatArray | None
-    """(v, 6, p) see `_following`."""
+    """(v, 6, p) see `_following`; None before the first linearisation."""
 
     def poses_at(self, row: FloatArray) -> Poses:
-        """The poses at other cameras, to first order."""
+        """Predict the poses at other cameras, to first order."""
         if self.following is None:
             return self.poses
         return self.poses.moved(-self.following @ (row - self.row))
 
 
 def _eliminated(linear: Linearised) -> FloatArray:
-    """(v, m, p) derivative by the cameras' numbers while the poses follow."""
+    """(v, m, p) Jacobian J' by the rig's parameters with the poses eliminated."""
     return np.asarray(linear.by_rig - linear.by_pose @ _following(linear))
 
 
 def _following(linear: Linearised) -> FloatArray:
-    """(v, 6, p) by how much the poses move against the cameras' numbers."""
+    """(v, 6, p) negative derivative of the best poses by the rig's parameters."""
     transposed = linear.by_pose.transpose(0, 2, 1)
     normal = _damped(transposed @ linear.by_pose, np.full(len(transposed), _RIDGE))
     return np.asarray(np.linalg.solve(normal, transposed @ linear.by_rig))
 
 
 def _damped(normal: FloatArray, damping: FloatArray) -> FloatArray:
-    """(v, 6, 6) normal matrices with their diagonals made larger, so that each has an inverse."""
+    """(v, 6, 6) normal matrices with larger diagonals, so that each has an inverse."""
     larger = damping[:, None] * np.einsum("vii->vi", normal) + _LEAST_DIAGONAL
     return np.asarray(normal + larger[..., None] * np.eye(6))
 
@@ -367,13 +374,13 @@ def cross_matrices(vectors: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The cameras that fit best, and how surely."""
+    """The cameras that fit best, and the residuals and Jacobians there."""
 
     problem: Adjustment
     rig: Rig
     poses: Poses
     linear: Linearised
-    """Residuals over sigma and Jacobians, at the solution."""
+    """Residuals divided by sigma and Jacobians, at the solution."""
 
     @property
     def residuals_px(self) -> FloatArray:
@@ -382,23 +389,23 @@ class Solution:
 
     @cached_property
     def by_rig(self) -> FloatArray:
-        """(v, m, p) derivative of the residuals while the poses follow."""
+        """(v, m, p) Jacobian of the residuals by the rig's parameters, poses eliminated."""
         return _eliminated(self.linear)
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Numbers that were measured, less those that were found."""
+        """Number of measured values minus number of estimated ones."""
         measured = 2 * int(self.problem.seen.sum())
         return measured - 6 * len(self.poses.translation) - int(self.by_rig.shape[-1])
 
     @property
     def noise(self) -> float:
-        """How many times sigma the residuals are: 1 where the detector's sigma is right."""
+        """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
         return float(np.sqrt((self.linear.residuals**2).sum() / max(self.degrees_of_freedom, 1)))
 
     @cached_property
     def information(self) -> FloatArray:
-        """(v, p, p) what each view tells of the cameras' numbers, if sigma is right."""
+        """(v, p, p) each view's information on the rig's parameters, if sigma is right."""
         return np.asarray(self.by_rig.transpose(0, 2, 1) @ self.by_rig)
 
 
@@ -410,5 +417,5 @@ def residuals_of(problem: Adjustment, linear: Linearised) -> FloatArray:
 
 
 def rms(residuals_px: FloatArray) -> float:
-    """Root mean square of residuals as lengths (..., 2), as OpenCV has it; nan are left out."""
+    """Root mean square length of residuals (..., 2), as OpenCV defines it; nan are left out."""
     return float(np.sqrt(np.nanmean((residuals_px**2).sum(axis=-1))))

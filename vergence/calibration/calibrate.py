@@ -1,4 +1,4 @@
-"""Photographs of a board in, believable cameras out: one camera, or a pair."""
+"""Calibration of one camera or a pair from photographs of a board, with checks of the result."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -32,41 +32,43 @@ from vergence.models.response import Response
 from vergence.perception.spacing import MM
 
 _DETECTED: Final = 0.5
-"""Of the progress, when all images have been looked through."""
+"""Fraction of the progress done after detection in all images (chosen)."""
 _UNSURE: Final = 0.1
-"""Relative deviation of a focal length from which on there is none."""
+"""Relative standard deviation of a focal length from which on a camera is refused (chosen)."""
 _TORN: Final = 3.0
-"""So many times what each camera leaves by itself both together may leave..."""
+"""Largest ratio of a pair's joint residual to the residual of its cameras alone, if a focal length
+changes by `_TORN_FOCAL` too: beyond it a camera must have moved (chosen)."""
 _TORN_FOCAL: Final = 0.01
-"""...if a focal length differs by that share between both: else no camera stayed where it was."""
+"""Relative change of a focal length from a camera alone to the pair, see `_TORN` (chosen)."""
 
 
 class Dropped(NamedTuple):
-    """A view that did not go in, or one image of a pair of which the other did."""
+    """A view that was left out, or one image of a pair whose other image was kept."""
 
     view: str
-    """Its file; of a pair without either image the left one."""
+    """Its file name; the left one if both images of a pair were left out."""
     why: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """One camera or two, as photographs say that they are."""
+    """Calibration of one camera or of a pair."""
 
     seen: Observations
     alone: tuple[Fit, ...]
-    """(c) each camera by itself."""
+    """(c) fit of each camera alone."""
     fit: Fit
-    """All together; of one camera the same."""
+    """Fit of all cameras together; for one camera its own fit."""
     covariance: FloatArray
-    """(p, p) of the numbers of `Rig.packed`."""
+    """(p, p) covariance of the parameters of `Rig.packed`."""
     held_out_px: FloatArray
-    """(c, v, n, 2) residuals of the kept views by cameras that did not know them."""
+    """(c, v, n, 2) cross-validation residuals of the kept views: each by cameras that were
+    calibrated without it."""
     lens: str
     """The lens model."""
     lens_errors: Mapping[str, float]
-    """By lens that was tried, the error of each camera alone on unseen views, in units of sigma:
-    the geometric mean of the views' root mean squares."""
+    """Cross-validation error of each lens model that was tried, in units of sigma: the geometric
+    mean over the views of each camera alone of their root mean squares."""
     failures: tuple[str, ...]
     """Files that could not be read, a line each."""
 
@@ -77,12 +79,12 @@ class Calibration:
 
     @cached_property
     def sigma(self) -> FloatArray:
-        """(p) standard deviations of the numbers of `Rig.packed`."""
+        """(p) standard deviations of the parameters of `Rig.packed`."""
         return np.sqrt(np.diagonal(self.covariance))
 
     @property
     def baseline_mm(self) -> tuple[float, float]:
-        """The distance between the cameras and its standard deviation."""
+        """Distance between the cameras and its standard deviation, mm."""
         between = self.rig.blocks[-2]
         shift = self.rig.translation
         length = float(np.linalg.norm(shift))
@@ -91,12 +93,12 @@ class Calibration:
 
     @property
     def rms_alone_px(self) -> list[float]:
-        """(c) what each camera leaves by itself, root mean square."""
+        """(c) root mean square residual of each camera alone."""
         return [rms(fit.solution.residuals_px) for fit in self.alone]
 
     @property
     def dropped(self) -> list[Dropped]:
-        """What did not go in, and why."""
+        """Views and images that were left out, and why."""
         found = []
         for view, kept in enumerate(self.fit.kept.tolist()):
             reasons = [self._reason(camera, view) for camera in range(len(self.alone))]
@@ -118,7 +120,7 @@ class Calibration:
         return found
 
     def _reason(self, camera: int, view: int) -> str:
-        """Why a photograph does not go with its own camera; empty where it does."""
+        """Explain why a photograph does not fit its own camera; empty if it does."""
         fit = self.alone[camera]
         why = self.seen.excluded.get(self.seen.names[camera][view])
         if why is not None:
@@ -172,8 +174,8 @@ def calibrate(
         photographs: (c, v) the files of each camera, view by view.
         lens: the lens model, of `LENSES`; None for the one that predicts unseen views best.
         progress: called with the fraction done.
-        response: light by grey level of every camera; None for that of each image's kind, see
-            `default_response`.
+        response: light by grey level of every camera; None for the default of each image's format,
+            see `default_response`.
 
     Raises:
         ConfigurationError: the photographs give no calibration; the message says why.
@@ -194,10 +196,10 @@ def calibrate_views(
     lens: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
-    """Calibrate from corners that were found.
+    """Calibrate from detected corners.
 
     Args:
-        seen: what one camera saw of a board, or two.
+        seen: corners of a board in the photographs of one camera or two.
         lens: see `calibrate`.
         progress: called with the fraction done.
 
@@ -251,7 +253,7 @@ def calibrate_views(
 
 
 class _Trial(NamedTuple):
-    """A camera by itself with one lens model."""
+    """The fit of one camera alone with one lens model."""
 
     fit: Fit
     errors: FloatArray
@@ -261,7 +263,7 @@ class _Trial(NamedTuple):
 def _trials(
     seen: Observations, lenses: Sequence[str], tick: Callable[[], None]
 ) -> dict[str, list[_Trial]]:
-    """Each camera by itself with each lens model, but for models that do not fit at all."""
+    """Fit each camera alone with each lens model; leave out models that do not fit at all."""
     cameras = len(seen.names)
     every = [seen.camera(camera) for camera in range(cameras)]
     firsts = [_first(every[camera], camera, cameras) for camera in range(cameras)]
@@ -283,7 +285,7 @@ def _trials(
 
 
 def _errors(trials: Mapping[str, Sequence[_Trial]]) -> dict[str, FloatArray]:
-    """By lens, the errors of the views that any of the lenses goes with, of all cameras."""
+    """Collect, by lens, the errors of all cameras' views that at least one lens fits."""
     kept = [np.concatenate([one.fit.kept for one in each]) for each in trials.values()]
     agreed = np.any(kept, axis=0)
     return {
@@ -292,7 +294,7 @@ def _errors(trials: Mapping[str, Sequence[_Trial]]) -> dict[str, FloatArray]:
 
 
 def _first(seen: Observations, camera: int, cameras: int) -> Fit:
-    """The first fit of a camera; numbers that no view tells are a message."""
+    """Make the first fit of a camera; report parameters that no view determines."""
     try:
         return first_fit(seen)
     except np.linalg.LinAlgError:
@@ -308,11 +310,11 @@ def _tried(lens: str, seen: Observations, first: Fit, tick: Callable[[], None]) 
 
 
 def _ignore(fraction: float) -> None:
-    """Show no progress."""
+    """Ignore the progress."""
 
 
 def _refuse_unsure(solution: Solution, camera: int, cameras: int) -> None:
-    """Refuse a camera that the views do not tell."""
+    """Refuse a camera whose focal length the views do not determine."""
     values = solution.rig.values[0]
     sigma = np.sqrt(np.diagonal(covariance_of(solution)))[:2]
     if not float((sigma / values[:2]).max()) < _UNSURE:
@@ -323,7 +325,7 @@ def _refuse_unsure(solution: Solution, camera: int, cameras: int) -> None:
 
 
 def _refuse_torn(fit: Fit, alone: Sequence[Fit]) -> None:
-    """Refuse a pair that no two cameras fixed to each other can be."""
+    """Refuse pairs of images that two cameras fixed to each other cannot have taken."""
     together = float(np.median(fit.views.rms_px[fit.kept]))
     apart = float(np.median([np.median(one.views.rms_px[one.kept]) for one in alone]))
     changes = [

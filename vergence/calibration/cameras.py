@@ -1,4 +1,4 @@
-"""One camera from photographs of a board: pinhole, lens, and which photographs to believe."""
+"""Calibration of one camera from photographs of a board: pinhole, lens, and inlier photographs."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -25,46 +25,55 @@ from vergence.models.packed import pack_camera
 from vergence.models.parts import FloatArray
 
 LEAST_VIEWS: Final = 5
-"""Of a calibration: with fewer, nothing tells a bad photograph from a lens."""
+"""Fewest views of a calibration (chosen: fewer cannot tell a bad photograph from a lens)."""
 FOLDS: Final = 5
+"""Folds of the cross-validation (chosen: more take longer)."""
 _FOLD_TOLERANCE: Final = 1e-6
-"""Relative, of the sum of squares of a fold, which need not be as exact as the result."""
+"""Relative tolerance of a fold's sum of squares, which may be coarser than the result's
+(numerical)."""
 _STARTS: Final = 10
-"""Samples of views from which a start is tried: with a fifth of bad views, one of them is good in
-all but 5 % of the cases."""
+"""Random samples of views from which a start is tried (chosen: with a fifth of bad views, 95 % of
+the cases have at least one good sample)."""
 _SAMPLE: Final = 6
-"""Views of a sample."""
+"""Views per sample (chosen: fewer determine a camera badly, more are rarely all good)."""
 _TRUSTED: Final = 0.6
-"""Share of the views, those that fit best, that the first fits go by (Rousseeuw 1984)."""
+"""Fraction of the views, the best-fitting ones, that the first fits use: least trimmed squares,
+Rousseeuw 1984 (chosen: up to two fifths of the views may be bad)."""
 _POOR_START: Final = 4.0
-"""Times sigma: cameras that are about right leave 1 to 2 before the poses are refined."""
+"""Ratio of residuals to sigma above which a start is poor (chosen: cameras that are about right
+leave 1 to 2 before the poses are refined)."""
 _MOST_FITS: Final = 10
+"""Largest number of rounds of fitting and selecting views (numerical)."""
 _OUTLYING: Final = 3.0
-"""So many times the median noise of the trusted views, by sigma, a view has that is left out..."""
+"""Ratio of a view's noise, residuals over sigma, to the trusted views' median above which it is an
+outlier, if `_OUTLYING_PX` is exceeded too (chosen)."""
 _OUTLYING_PX: Final = 2.0
-"""...and so many times their median residual in pixels."""
+"""Ratio of a view's rms in pixels to the trusted views' median, see `_OUTLYING` (chosen)."""
 _AS_GOOD: Final = 1.2
-"""Times the least median noise, up to which a fit of more views is better."""
+"""Ratio to the least median noise up to which a fit counts as equally good, so that the one with
+more views wins (chosen)."""
 _NOISY: Final = 1.2
-"""Times the median: more than the noise of a view's residuals scatters by, some 6 %."""
+"""Ratio of a view's noise to the median above which its sigma is enlarged (chosen: a view's noise
+scatters by about 6 % by chance)."""
 _SETTLED: Final = 0.05
-"""Relative change of a view's sigma that no fit is done for."""
+"""Relative change of a view's sigma that needs no further fit (numerical)."""
 _LEAST_POSED: Final = 4
-"""Corners that give a pose."""
+"""Fewest corners that determine a pose (physical: geometry of a planar target)."""
 _BEFORE_IT: Final = np.array([0.0, 0.0, 1.0])
+"""Translation of a view without a pose, m: in front of the camera (numerical)."""
 
 
 @dataclass(frozen=True, eq=False)
 class ViewFit:
-    """How well each view goes with given cameras."""
+    """Residuals of each view with given cameras."""
 
     noise: FloatArray
     """(v) residuals in units of sigma; nan for a view without corners."""
     rms_px: FloatArray
-    """(v) root mean square of the residuals as lengths, px."""
+    """(v) root mean square length of the residuals, px."""
 
     def outlying(self, trusted: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(v) which views are not like the trusted ones."""
+        """(v) True for outliers with respect to the trusted views."""
         noise, rms_px = np.median(self.noise[trusted]), np.median(self.rms_px[trusted])
         worse = (self.noise > _OUTLYING * noise) & (self.rms_px > _OUTLYING_PX * rms_px)
         return np.asarray(worse | ~np.isfinite(self.noise))
@@ -75,23 +84,23 @@ class Fit:
     """Cameras found from the views that agree."""
 
     solution: Solution
-    """Of the kept views."""
+    """Solution of the kept views."""
     kept: NDArray[np.bool_]
-    """(v) which views went in."""
+    """(v) True for kept views, the inliers."""
     views: ViewFit
-    """Of all views."""
+    """Residuals of all views."""
 
     @property
     def median_noise(self) -> float:
-        """The median of the kept views' noise."""
+        """Median of the kept views' noise."""
         return float(np.median(self.views.noise[self.kept]))
 
 
 def judge_views(problem: Adjustment, linear: Linearised) -> ViewFit:
-    """How large the residuals of each view are.
+    """Compute the size of each view's residuals.
 
     Args:
-        problem: of all views.
+        problem: problem of all views.
         linear: its residuals.
     """
     count = problem.seen.sum(axis=(0, 2))
@@ -103,17 +112,17 @@ def judge_views(problem: Adjustment, linear: Linearised) -> ViewFit:
 
 
 def pack_values(lens: str, values: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """A camera's values as kernels take them."""
+    """Pack a camera's parameters into the array form of the kernels."""
     return np.asarray(pack_camera(size, values[:2], values[2:4], lens, values[4:]))
 
 
 def pose_views(problem: Adjustment, rig: Rig, size: tuple[int, int]) -> Poses:
-    """The board's pose in each view of one camera, without a guess (`cv2.solvePnP`).
+    """Find the board's pose in each view of one camera, without a start (`cv2.solvePnP`).
 
     Args:
-        problem: of one camera; views without corners get a pose that means nothing.
+        problem: problem of one camera; views without corners get a placeholder pose.
         rig: the camera.
-        size: of its images, px.
+        size: width and height of its images, px.
     """
     rays = np.asarray(
         pixels_to_rays(problem.pixels[0], pack_values(rig.lenses[0], rig.values[0], size))
@@ -123,7 +132,7 @@ def pose_views(problem: Adjustment, rig: Rig, size: tuple[int, int]) -> Poses:
         seen = np.isfinite(view).all(axis=-1)
         found: Any = (False,)
         if seen.sum() >= _LEAST_POSED:
-            with suppress(cv2.error):  # corners on a line
+            with suppress(cv2.error):  # collinear corners
                 found = cv2.solvePnP(
                     problem.board[seen], view[seen], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
                 )
@@ -134,18 +143,18 @@ def pose_views(problem: Adjustment, rig: Rig, size: tuple[int, int]) -> Poses:
 
 
 def starts_of(problem: Adjustment, lens: str, size: tuple[int, int]) -> list[FloatArray]:
-    """Values of a camera to begin with, by OpenCV's own calibration.
+    """Find initial parameters of a camera with OpenCV's own calibration.
 
     Args:
-        problem: of one camera.
+        problem: problem of one camera.
         lens: the lens model.
-        size: of its images, px.
+        size: width and height of its images, px.
     """
     boards, corners = _as_opencv(problem)
     flags = cv2.CALIB_RATIONAL_MODEL if lens == "rational" else 0
     found = []
     no_guess: Any = None
-    with suppress(cv2.error):  # views from which it finds no homography, or no focal length
+    with suppress(cv2.error):  # OpenCV finds no homography or no focal length
         result: Any = cv2.calibrateCameraExtended(
             boards, corners, size, no_guess, no_guess, flags=flags
         )
@@ -157,7 +166,7 @@ def starts_of(problem: Adjustment, lens: str, size: tuple[int, int]) -> list[Flo
 
 
 def _as_opencv(problem: Adjustment) -> tuple[list[Any], list[Any]]:
-    """The corners of the board and of the images, view by view."""
+    """List the corners of the board and of the images, view by view."""
     boards, corners = [], []
     for view in problem.pixels[0]:
         seen = np.isfinite(view).all(axis=-1)
@@ -173,7 +182,7 @@ def _values_of(matrix: FloatArray, coefficients: FloatArray, lens: str) -> Float
 
 
 def _by_angle(values: FloatArray) -> FloatArray:
-    """A fisheye that is like a Brown-Conrady camera near the axis.
+    """Approximate a Brown-Conrady camera near its axis by a fisheye.
 
     tan(t) (1 + k1 tan(t)^2) = t (1 + (1/3 + k1) t^2 + ...).
     """
@@ -181,7 +190,10 @@ def _by_angle(values: FloatArray) -> FloatArray:
 
 
 def _fisheye_starts(problem: Adjustment, size: tuple[int, int]) -> list[FloatArray]:
-    """Values by `cv2.fisheye.calibrate`, whose own guess fails on wide views."""
+    """Find initial parameters with `cv2.fisheye.calibrate`.
+
+    Its own start fails on wide views, so that a second try begins with a guess.
+    """
     boards, corners = _as_opencv(problem)
     focal = max(size) / np.pi
     guess = np.array([[focal, 0.0, 0.5 * size[0]], [0.0, focal, 0.5 * size[1]], [0.0, 0.0, 1.0]])
@@ -190,7 +202,7 @@ def _fisheye_starts(problem: Adjustment, size: tuple[int, int]) -> list[FloatArr
     for more in (0, place.CALIB_USE_INTRINSIC_GUESS):
         with suppress(cv2.error):
             result: Any = cv2.fisheye.calibrate(
-                [board[None].astype(float) for board in boards],  # OpenCV 5 wants rows
+                [board[None].astype(float) for board in boards],  # OpenCV 5 expects rows
                 [corner[None].astype(float) for corner in corners],
                 size, guess.copy(), np.zeros(4), flags=int(flags | more),
             )  # fmt: skip
@@ -199,14 +211,14 @@ def _fisheye_starts(problem: Adjustment, size: tuple[int, int]) -> list[FloatArr
 
 
 def first_fit(seen: Observations) -> Fit:
-    """Find which photographs of a camera agree with each other, and a camera that they agree on.
+    """Find the photographs of a camera that agree with each other, and fit a camera to them.
 
-    Of samples of a few views, the one is taken whose camera most views go with; the fit goes on
-    with those that fit best (least trimmed squares), so that bad photographs do not pull it to
-    themselves.
+    Starts come from all views and from random samples of a few; the start that most views fit is
+    taken. The fit then uses only the best-fitting views (least trimmed squares), so that bad
+    photographs do not bias it.
 
     Args:
-        seen: what one camera saw.
+        seen: corners in the photographs of one camera.
 
     Raises:
         ConfigurationError: too few views have the board, or they give no camera.
@@ -251,10 +263,10 @@ def first_fit(seen: Observations) -> Fit:
 
 
 class _Start(NamedTuple):
-    """A camera to begin with, and the board's poses before it."""
+    """An initial camera, and the board's poses in front of it."""
 
     noise: float
-    """What most views have, see `_TRUSTED`."""
+    """Noise at the `_TRUSTED` quantile of the views."""
     rig: Rig
     poses: Poses
 
@@ -266,7 +278,7 @@ def _best_start(
     size: tuple[int, int],
     best: _Start | None = None,
 ) -> _Start | None:
-    """Of some lenses and values, and another start, that with which most views go."""
+    """Choose the start that most views fit, among lenses with parameters and an earlier start."""
     for lens, values in starts:
         rig = Rig.single(lens, values)
         poses = pose_views(problem, rig, size)
@@ -282,7 +294,7 @@ def fit_camera(seen: Observations, lens: str, first: Fit) -> Fit:
     """Find a camera with a given lens from the views that agree.
 
     Args:
-        seen: what one camera saw.
+        seen: corners in the photographs of one camera.
         lens: the lens model.
         first: see `first_fit`.
 
@@ -292,7 +304,7 @@ def fit_camera(seen: Observations, lens: str, first: Fit) -> Fit:
     problem, size = seen.problem, seen.sizes[0]
     mine = first.solution.rig
     found = []
-    # views that were left out for their lens come back with it
+    # views that only the first fit's lens excluded are tried again
     for kept in (first.kept, seen.usable[0]):
         solutions = _solutions(problem, kept, lens, _turned_into(lens, mine), size)
         enough = _AS_GOOD * first.solution.noise
@@ -315,7 +327,7 @@ def fit_camera(seen: Observations, lens: str, first: Fit) -> Fit:
 
 
 def _turned_into(lens: str, rig: Rig) -> list[FloatArray]:
-    """A camera with one lens as the start of another, where one is near the other."""
+    """Convert a camera to another lens as its start; empty if the models are not related."""
     values, own = rig.values[0], rig.lenses[0]
     if own == lens:
         return [values]
@@ -331,7 +343,7 @@ def _solutions(
     starts: Sequence[FloatArray],
     size: tuple[int, int],
 ) -> list[Solution]:
-    """The cameras that some starts lead to, without those that lead nowhere."""
+    """Solve from each start; leave out starts that fail."""
     found = []
     for values in starts:
         rig = Rig.single(lens, values)
@@ -342,16 +354,16 @@ def _solutions(
 
 
 def settle(problem: Adjustment, solution: Solution, kept: NDArray[np.bool_], poses: Poses) -> Fit:
-    """Leave out the views that are not like the others, and weigh the others by their residuals.
+    """Leave out outlier views, and weight the others by their residuals.
 
-    A view whose residuals, in units of sigma, are r > 1.2 times the median has a sigma that is too
-    small, as its board was not quite still. Its sigma is multiplied by (r / 1.2)^2.
+    A view whose residuals, in units of sigma, are r > 1.2 times the median has too small a sigma,
+    as its board was not quite still. Its sigma is multiplied by (r / 1.2)^2.
 
     Args:
-        problem: of all views.
-        solution: of the kept views.
-        kept: (v) which views these are.
-        poses: of the board in all views, near by.
+        problem: problem of all views.
+        solution: solution of the kept views.
+        kept: (v) True for the kept views.
+        poses: initial poses of the board in all views.
     """
     weighted = problem
     for _ in range(_MOST_FITS):
@@ -373,20 +385,20 @@ def settle(problem: Adjustment, solution: Solution, kept: NDArray[np.bool_], pos
 
 
 def folds_of(views: int) -> list[NDArray[np.bool_]]:
-    """(v) which views each fold holds out: those next to each other, which may be alike."""
+    """List the views that each fold holds out, (v) masks of neighbours, which may be alike."""
     return [np.arange(views) * FOLDS // views == fold for fold in range(FOLDS)]
 
 
 def held_out(solution: Solution, progress: Callable[[], None] | None = None) -> FloatArray:
-    """Residuals of views that the cameras were not found from.
+    """Compute cross-validation residuals: each view by cameras that were found without it.
 
     Args:
-        solution: of all views; each fold begins with it.
+        solution: solution of all views; each fold begins with it.
         progress: called after each fold.
 
     Returns:
-        (c, v, n, 2) px, each view's by the cameras found from the other folds, which know nothing
-        of it but the board's pose; nan for corners that were not found.
+        (c, v, n, 2) px, each view's by the cameras of the other folds, with only the board's pose
+        fitted to the view itself; nan for corners that were not found.
     """
     problem = solution.problem
     residuals = np.full(problem.pixels.shape, np.nan)
@@ -401,15 +413,15 @@ def held_out(solution: Solution, progress: Callable[[], None] | None = None) -> 
 
 
 def unseen_errors(fit: Fit, problem: Adjustment) -> FloatArray:
-    """(v) mean square of each view's residuals where the camera does not know it, by sigma.
+    """(v) mean square cross-validation error of each view, in units of sigma^2.
 
-    Of kept views they are those of `held_out`, of others those that the camera leaves, or
-    `_HOPELESS` where it has none. Sigma is the detector's: a fit has made that of views larger
-    which do not go well with its own lens.
+    Kept views have the residuals of `held_out`; others have the residuals of the fit, or
+    `_HOPELESS` if there are none. Sigma is the detector's, as the fit has enlarged it for views
+    that do not fit its own lens well.
 
     Args:
-        fit: of one camera.
-        problem: of all views.
+        fit: fit of one camera.
+        problem: problem of all views.
     """
     errors = fit.views.noise**2
     sigma = problem.sigma[:, fit.kept]
@@ -418,11 +430,11 @@ def unseen_errors(fit: Fit, problem: Adjustment) -> FloatArray:
 
 
 def choose_lens(errors: Mapping[str, FloatArray]) -> str:
-    """The simplest lens model that predicts unseen views as well as the best one.
+    """Choose the simplest lens model that predicts unseen views as well as the best one.
 
-    Of the models in `_ORDER` the first whose errors are not surely greater than the best one's, by
-    2 % or more: the mean of the logarithm of their ratio, view by view, is no more than that or
-    than two of its standard errors, and no view refutes it, which the other model goes with.
+    It is the first model in `_ORDER` that meets two conditions. The logarithm of the ratio of its
+    errors to the best model's, averaged over the views, is at most 2 % or two of its standard
+    errors, whichever is larger. And no single view has a ratio that refutes the model.
 
     Args:
         errors: by lens, (v) see `unseen_errors`.
@@ -439,10 +451,12 @@ def choose_lens(errors: Mapping[str, FloatArray]) -> str:
 
 
 _REFUTED: Final = 2.0 * np.log(3.0)
-"""Of the same logarithm, for a single view: three times the error is no chance."""
+"""Log ratio of mean squares at which a single view refutes a lens model (chosen: three times the
+error is no chance)."""
 _HOPELESS: Final = 1e12
-"""Mean square of a view, by sigma, that a camera cannot have seen."""
+"""Mean square, in units of sigma^2, of a view that a camera cannot have seen (numerical)."""
 _LEAST_GAIN: Final = 0.02
-"""Of the logarithm of a mean square: a gain below is not worth coefficients that nothing tells."""
+"""Least gain in the logarithm of a mean square (chosen: less is not worth more coefficients, which
+the views hardly determine)."""
 _ORDER: Final = (BROWN_CONRADY, "fisheye", "rational")
-"""Lens models, those with a few coefficients first, of which the common one is first."""
+"""Lens models in order of preference: fewer coefficients first, then the more common one."""

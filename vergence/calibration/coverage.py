@@ -15,37 +15,44 @@ from vergence.models.parts import FloatArray
 from vergence.perception.spacing import MM
 
 CELLS: Final = 3
-"""Along each side of an image, for what is covered."""
+"""Cells along each side of an image in which coverage is counted (chosen: parts with names)."""
 MOST_SENTENCES: Final = 3
-"""Of advice: as many as a person keeps in mind at the next photographs."""
+"""Most sentences of advice (chosen: as many as a person keeps in mind while photographing)."""
 ENOUGH_VIEWS: Final = 20
-"""Kalibr, mrcal and OpenCV's tutorials ask for as many or more."""
+"""Views that are enough (chosen: Kalibr, mrcal and OpenCV's tutorials ask for as many or more)."""
 _FACING_DEG: Final = 15.0
-"""Tilts below it barely tell the focal length from the distance (Zhang 2000, figure 5)."""
+"""Tilt below which a board faces the camera and hardly separates the focal length from the
+distance, degrees (chosen: after Zhang 2000, figure 5)."""
 _TILTED: Final = 0.25
-"""Share of the views that should be tilted by more."""
+"""Fraction of the views that should be tilted by more than `_FACING_DEG` (chosen)."""
 _ASIDE_DEG: Final = 10.0
-"""From it on a board counts as tilted to a side."""
+"""Tilt from which on a board counts as tilted to a side, degrees (chosen)."""
 _NEARER: Final = ("right side", "left side", "lower edge", "upper edge")
-"""Of the board, nearest to the camera where its normal points to +x, -x, +y, -y."""
+"""Side of the board that is nearest to the camera if its normal points to +x, -x, +y, -y."""
 _DEPTHS: Final = 1.3
-"""Ratio of the far views' distance to that of the near ones below which it is all one distance."""
+"""Ratio of the far views' distance to the near ones' below which all views count as equally far
+(chosen)."""
 _MOVED: Final = 2.0
-"""So many times what each image leaves by itself both together leave where something moved."""
+"""Ratio of a pair's joint residual to its images' own residuals above which the board or a camera
+moved (chosen)."""
 _MANY: Final = 0.25
-"""Share of the views that is too large to be left out, or to have moved."""
+"""Fraction of the views that were left out, or moved, from which on advice is given (chosen)."""
 _UNSURE_FOCAL: Final = 0.005
-"""Relative deviation of a focal length: 5 mm of depth at 1 m."""
+"""Relative standard deviation of a focal length that calls for advice (chosen: it causes 5 mm of
+depth error at 1 m)."""
 _UNSURE_CORNER: Final = 5.0
-"""So many times the median of the image a corner's direction may be unsure..."""
+"""Ratio of the directions' standard deviation in an image corner to the image's median that calls
+for advice, if it also exceeds `_UNSURE_CORNER_PX` (chosen)."""
 _UNSURE_CORNER_PX: Final = 0.5
-"""...and from so many pixels on it matters."""
+"""Standard deviation of directions in an image corner that matters, px (chosen)."""
 _GRID: Final = 9
-"""Pixels along each side of an image where the uncertainty of directions is looked at."""
+"""Pixels along each side of an image at which the uncertainty of directions is evaluated
+(numerical)."""
 _NEAREST_M: Final = 0.1
-"""Of a board's middle: webcams do not focus nearer."""
+"""Smallest plausible distance of a board's middle, m (chosen: webcams do not focus nearer)."""
 _BENT: Final = 0.005
-"""Sag over the board's diagonal, from which on it is worth a flat board: 1 mm on A4 paper's 200."""
+"""Ratio of the board's sag to its diagonal that calls for a flat board (chosen: 1 mm for the
+200 mm of a board on A4 paper)."""
 
 
 class Sag(NamedTuple):
@@ -56,14 +63,14 @@ class Sag(NamedTuple):
 
 
 class Attitudes(NamedTuple):
-    """Tilts and distances of the board before one camera, of the views that it took part in."""
+    """Tilts and distances of the board in the kept views of one camera."""
 
     tilt_deg: FloatArray
     """(v, 2) angle between the board's normal and the optical axis, split into x and y.
 
-    Positive where the right side, or the lower edge, is nearer to the camera."""
+    Positive if the right side, or the lower edge, is nearer to the camera."""
     distance_m: FloatArray
-    """(v) of the board's middle."""
+    """(v) distance of the board's middle from the camera."""
 
     @property
     def angle_deg(self) -> FloatArray:
@@ -72,16 +79,16 @@ class Attitudes(NamedTuple):
 
 
 def camera_names(found: Calibration) -> tuple[str, ...]:
-    """Left and right; of one camera, camera."""
+    """Name the cameras: left and right for a pair, camera for a single one."""
     return tuple(EYE_NAMES) if len(found.alone) > 1 else ("camera",)
 
 
 def attitudes(found: Calibration, camera: int) -> Attitudes:
-    """How the board was held before a camera.
+    """Compute the tilts and distances of the board in front of a camera.
 
     Args:
         found: the calibration.
-        camera: which one.
+        camera: index of the camera.
     """
     solution = found.fit.solution
     seen = solution.problem.seen[camera].any(axis=-1)
@@ -96,7 +103,7 @@ def attitudes(found: Calibration, camera: int) -> Attitudes:
 
 
 def views_per_cell(found: Calibration, camera: int) -> NDArray[np.intp]:
-    """(CELLS, CELLS) in how many kept views a corner lies in each cell of the image, row by row."""
+    """(CELLS, CELLS) number of kept views with a corner in each cell of the image, row by row."""
     return views_in_cells(found.fit.solution.problem.pixels[camera], found.seen.sizes[camera])
 
 
@@ -105,7 +112,7 @@ def views_in_cells(views: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]
 
     Args:
         views: (v, n, 2) corners by view, px; nan for those that do not count.
-        size: of the image, px.
+        size: width and height of the image, px.
 
     Returns:
         (CELLS, CELLS) row by row.
@@ -121,11 +128,11 @@ def views_in_cells(views: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]
 
 
 def direction_sigma_at(found: Calibration, camera: int, pixels: FloatArray) -> FloatArray:
-    """How surely a camera tells the directions of pixels.
+    """Compute the uncertainty of a camera's directions at some pixels.
 
     Args:
         found: the calibration.
-        camera: which one.
+        camera: index of the camera.
         pixels: (n, 2) px.
 
     Returns:
@@ -141,7 +148,7 @@ def direction_sigma_at(found: Calibration, camera: int, pixels: FloatArray) -> F
 
 
 def board_sag(found: Calibration) -> Sag:
-    """How far the board's corners are from one plane, and how surely."""
+    """Compute the sag of the board, the spread of its corners' heights, and its uncertainty."""
     corners = found.seen.target.corners_m
     x, y = (corners - corners.mean(axis=0)).T
     heights = np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
@@ -153,21 +160,21 @@ def board_sag(found: Calibration) -> Sag:
 
 
 def advice(found: Calibration) -> list[str]:
-    """What to do better at the next photographs.
+    """Advise on the next photographs.
 
     Args:
         found: the calibration.
 
     Returns:
-        Up to `MOST_SENTENCES`, the weightiest first, and what to say of the light; empty where
-        nothing is lacking.
+        Up to `MOST_SENTENCES` sentences, the most important first, then remarks on the light; empty
+        if nothing is lacking.
     """
     sentences = [text for rule in _RULES if (text := rule(found))]
     return [*sentences[:MOST_SENTENCES], *found.seen.remarks]
 
 
 def moved_together(found: Calibration) -> str:
-    """Pairs whose images fit each by itself but not together."""
+    """Advise on pairs whose images fit alone but not together."""
     if len(found.alone) < 2:
         return ""
     alone = np.stack([fit.views.rms_px for fit in found.alone])
@@ -189,7 +196,7 @@ def moved_together(found: Calibration) -> str:
 
 
 def few_views(found: Calibration) -> str:
-    """Too few views, or too many that were left out."""
+    """Advise on too few views, or too many that were left out."""
     kept = found.fit.kept
     count, every = int(kept.sum()), len(kept)
     lost = every - count
@@ -206,7 +213,7 @@ def few_views(found: Calibration) -> str:
 
 
 def empty_cells(found: Calibration) -> str:
-    """Parts of the images where no view has a corner."""
+    """Advise on parts of the images without a corner in any view."""
     parts = []
     for camera, name in enumerate(camera_names(found)):
         empty = views_per_cell(found, camera) == 0
@@ -217,7 +224,7 @@ def empty_cells(found: Calibration) -> str:
 
 
 def _cells(empty: NDArray[np.bool_]) -> str:
-    """Cells by name, whole sides at once."""
+    """Name the empty cells, whole sides at once."""
     rows, columns = ("upper", "middle", "lower"), ("left", "middle", "right")
     left, names = empty.copy(), []
     for index, name in ((0, "left"), (2, "right")):
@@ -235,12 +242,12 @@ def _cells(empty: NDArray[np.bool_]) -> str:
 
 
 def joined(words: Sequence[str]) -> str:
-    """Words as a sentence lists them."""
+    """Join words with commas and "and"."""
     return " and ".join(part for part in (", ".join(words[:-1]), words[-1]) if part)
 
 
 def tilts(found: Calibration) -> str:
-    """Boards that all face the camera, or are tilted to some sides only."""
+    """Advise on boards that all face the camera, or are tilted to some sides only."""
     tilt = attitudes(found, 0).tilt_deg
     angle = np.linalg.norm(tilt, axis=-1)
     tilted = int((angle > _FACING_DEG).sum())
@@ -263,7 +270,7 @@ def tilts(found: Calibration) -> str:
 
 
 def distances(found: Calibration) -> str:
-    """Boards that are all as far away."""
+    """Advise on boards that are all at about the same distance."""
     near, far = np.quantile(attitudes(found, 0).distance_m, [0.1, 0.9])
     if far > _DEPTHS * near:
         return ""
@@ -272,13 +279,13 @@ def distances(found: Calibration) -> str:
 
 
 def image_sigma(found: Calibration, camera: int) -> tuple[float, float]:
-    """Standard deviation of a camera's directions, px: the median, and in the worst corner.
+    """Standard deviation of a camera's directions, px: the image's median, and the worst corner's.
 
     It is infinite where the lens model has no inverse.
 
     Args:
         found: the calibration.
-        camera: which one.
+        camera: index of the camera.
     """
     grid = image_grid(found.seen.sizes[camera], _GRID).reshape(-1, 2)
     sigma = direction_sigma_at(found, camera, grid).reshape(_GRID, _GRID)
@@ -287,11 +294,11 @@ def image_sigma(found: Calibration, camera: int) -> tuple[float, float]:
 
 
 def corner_directions(found: Calibration) -> str:
-    """Corners of an image where directions are not known well."""
+    """Advise on image corners with uncertain directions."""
     sigma = [image_sigma(found, camera) for camera in range(len(found.alone))]
     camera = int(np.argmax([corner for _, corner in sigma]))
     usual, corner = sigma[camera]
-    beyond = np.isinf(corner) and found.lens == "fisheye"  # by 90 degrees, where no board can be
+    beyond = np.isinf(corner) and found.lens == "fisheye"  # at 90 degrees, beyond any board
     if corner <= max(_UNSURE_CORNER * usual, _UNSURE_CORNER_PX) or beyond:
         return ""
     of = f"the {EYE_NAMES[camera]} camera's image" if len(sigma) > 1 else "the image"
@@ -303,14 +310,14 @@ def corner_directions(found: Calibration) -> str:
 
 
 def image_grid(size: tuple[int, int], count: int) -> FloatArray:
-    """(count, count, 2) pixels all over an image, from border to border."""
+    """(count, count, 2) regular grid of pixels over an image, from border to border."""
     width, height = size
     u, v = np.linspace(-0.5, width - 0.5, count), np.linspace(-0.5, height - 0.5, count)
     return np.stack(np.meshgrid(u, v), axis=-1)
 
 
 def focal_lengths(found: Calibration) -> str:
-    """Focal lengths that the views do not tell well."""
+    """Advise on focal lengths that the views determine badly."""
     unsure = [
         float((found.sigma[block][:2] / values[:2]).max())
         for values, block in zip(found.rig.values, found.rig.blocks, strict=False)
@@ -326,7 +333,7 @@ def focal_lengths(found: Calibration) -> str:
 
 
 def stated_size(found: Calibration) -> str:
-    """Boards so near that their size was hardly given in mm."""
+    """Advise on boards that come out so near that their size was probably not given in mm."""
     far = float(np.median(attitudes(found, 0).distance_m))
     if far > _NEAREST_M or not found.seen.target.size_known:
         return ""
@@ -337,7 +344,7 @@ def stated_size(found: Calibration) -> str:
 
 
 def bent_board(found: Calibration) -> str:
-    """A board that is far from flat."""
+    """Advise on a board that is far from flat."""
     sag, size = board_sag(found), MM * float(np.linalg.norm(np.ptp(found.seen.target.corners_m, 0)))
     if sag.mm - 2.0 * sag.sigma_mm < _BENT * size:
         return ""
@@ -355,4 +362,4 @@ _RULES: Final[tuple[Callable[[Calibration], str], ...]] = (
     focal_lengths,
     bent_board,
 )
-"""The weightiest first; each gives one sentence, or none where nothing is lacking."""
+"""Rules of advice, the most important first; each gives a sentence, empty if nothing is lacking."""

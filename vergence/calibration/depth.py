@@ -1,4 +1,4 @@
-"""Uncertainty of depth by distance, of a calibrated pair."""
+"""Depth uncertainty of a calibrated pair against distance."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,49 +11,52 @@ from vergence.calibration.uncertainty import point_covariances
 from vergence.models.parts import FloatArray
 
 BASELINES: Final = (3.0, 100.0)
-"""Distances shown reach from and to so many baselines..."""
+"""Nearest and farthest distance of the figure, in baselines (chosen: the range of use)."""
 NEAR_M, FAR_M = 0.2, 5.0
-"""...and at least over these, m."""
+"""Distances that the figure covers in any case, m (chosen: the range of use)."""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthSigma:
-    """Standard deviations of depth along the pair's middle axis."""
+    """Standard deviations of depth along the pair's middle axis.
+
+    They are nan for points outside either image.
+    """
 
     distance_m: FloatArray
-    """(n) from the middle of the baseline."""
+    """(n) distance from the middle of the baseline."""
     calibration_m: FloatArray
-    """(n) from errors of the calibration, the same in every pair of images."""
+    """(n) contribution of calibration errors, which are the same in every pair of images."""
     noise_m: FloatArray
-    """(n) from the noise of one pair of images; nan for points that one camera does not see."""
+    """(n) contribution of the noise of one pair of images."""
 
     @property
     def total_m(self) -> FloatArray:
-        """(n) from both."""
+        """(n) root sum square of both contributions."""
         return np.asarray(np.hypot(self.calibration_m, self.noise_m))
 
 
 def pixel_noise_px(found: Calibration) -> float:
-    """Standard deviation of a detected corner, each coordinate: what each camera leaves alone."""
+    """Estimate a detected corner's standard deviation per coordinate from each camera alone."""
     return float(np.sqrt(0.5 * np.mean(np.square(found.rms_alone_px))))
 
 
 def depths_shown(found: Calibration) -> FloatArray:
-    """(n) distances for a figure, m, evenly on a logarithmic scale."""
+    """(n) distances for a figure, m, evenly spaced on a logarithmic scale."""
     baseline = float(np.linalg.norm(found.rig.translation))
     near, far = min(NEAR_M, BASELINES[0] * baseline), max(FAR_M, BASELINES[1] * baseline)
     return np.geomspace(near, far, 80)
 
 
 def depth_sigma_at(found: Calibration, distance_m: FloatArray) -> DepthSigma:
-    """Predict how surely depth is told along the axis in the middle between both cameras'.
+    """Predict the uncertainty of depth along the bisector of the optical axes.
 
     Args:
         found: a pair's calibration.
-        distance_m: (n) from the middle of the baseline.
+        distance_m: (n) distances from the middle of the baseline.
 
     Returns:
-        Standard deviations; nan where a point is outside of an image.
+        Standard deviations; nan if a point is outside either image.
     """
     rig = found.rig
     axis = np.array([0.0, 0.0, 1.0]) + rig.rotation[2]
@@ -72,7 +75,7 @@ def depth_sigma_at(found: Calibration, distance_m: FloatArray) -> DepthSigma:
 
 
 def _in_both(found: Calibration, points: FloatArray) -> FloatArray:
-    """(n) whether both cameras see points (n, 3) of the left camera's frame."""
+    """(n) True for points (n, 3) in the left camera's frame that are inside both images."""
     rig = found.rig
     inside = np.ones(len(points), bool)
     for camera, size in enumerate(found.seen.sizes):

@@ -31,26 +31,28 @@ from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, new_
 from vergence.models.parts import FloatArray
 
 _WIDE: Final = 11.2
-"""Of a figure of all cameras, inches."""
+"""Width of a figure of all cameras, inches (chosen)."""
 _RINGS: Final = 12
-"""Of equal width around the principal point."""
+"""Rings of equal width around the principal point in which residuals are averaged (chosen)."""
 _GRID: Final = 41
+"""Pixels along each side of an image at which sigma is evaluated for contours (numerical)."""
 _LEVELS_PX: Final = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+"""Levels of the contours of sigma, px (chosen)."""
 _CLIPPED: Final = 4.0
-"""So many times the median of the kept views a bar may be long."""
+"""Largest bar in medians of the kept views, unless a kept view exceeds it (chosen)."""
 _NAMED: Final = 40
-"""Views of which each has its name below its bars."""
+"""Largest number of views that all have their names below the bars (chosen)."""
 
 
 def residual_field(found: Calibration, camera: int) -> Figure:
-    """Residuals over a camera's image as magnified arrows: each corner's, and the mean of cells."""
+    """Draw residuals over a camera's image as magnified arrows: per corner, and cell means."""
     return residual_arrows(
         *_residuals(found, camera), found.seen.sizes[camera], camera_names(found)[camera]
     )
 
 
 def residuals_by_radius(found: Calibration, camera: int) -> Figure:
-    """Residuals along the radius from the principal point, and across, against the radius."""
+    """Plot radial and tangential residuals against the radius from the principal point."""
     pixels, residuals = _residuals(found, camera)
     out = pixels - found.rig.values[camera][2:4]
     radius = np.linalg.norm(out, axis=-1)
@@ -87,14 +89,14 @@ def residuals_by_radius(found: Calibration, camera: int) -> Figure:
 
 
 def image_coverage(found: Calibration, camera: int) -> Figure:
-    """Corners that the calibration goes by, over the image, and in how many views each part has."""
+    """Draw the corners used by the calibration over the image, and the views in each part of it."""
     views = found.fit.solution.problem.pixels[camera]
     size, name = found.seen.sizes[camera], camera_names(found)[camera]
     return corners_seen(views, size, name, EYE_STYLES[camera]["color"])
 
 
 def tilt_directions(found: Calibration) -> Figure:
-    """Tilts of the board, which way and how far."""
+    """Plot direction and size of the board's tilts."""
     with styled():
         figure = new_figure(WIDTH, 5.2)
         panel = figure.add_subplot()
@@ -121,7 +123,7 @@ def tilt_directions(found: Calibration) -> Figure:
 
 
 def tilts_by_distance(found: Calibration) -> Figure:
-    """Tilt of the board in each view against its distance."""
+    """Plot the tilt of the board in each view against its distance."""
     with styled():
         figure = new_figure(WIDTH, 5.2)
         panel = figure.add_subplot()
@@ -143,7 +145,7 @@ def _dots(camera: int) -> dict[str, Any]:
 
 
 def view_residuals(found: Calibration) -> Figure:
-    """Root mean square of each view's residuals; hatched what was left out."""
+    """Plot the root mean square of each view's residuals; views left out are hatched."""
     fits = dict(zip(camera_names(found), found.alone, strict=True))
     colours = [EYE_STYLES[camera]["color"] for camera in range(len(fits))]
     if len(fits) > 1:
@@ -186,7 +188,7 @@ def view_residuals(found: Calibration) -> Figure:
 
 
 def direction_sigma(found: Calibration, camera: int) -> Figure:
-    """Standard deviation of directions over a camera's image, and where corners were seen."""
+    """Draw the standard deviation of directions over a camera's image, and the hull of corners."""
     width, height = found.seen.sizes[camera]
     grid = image_grid((width, height), _GRID)
     sigma = direction_sigma_at(found, camera, grid.reshape(-1, 2)).reshape(_GRID, _GRID)
@@ -212,11 +214,11 @@ def direction_sigma(found: Calibration, camera: int) -> Figure:
 
 
 def depth_sigma(depth: DepthSigma, relative: bool) -> Figure:
-    """Standard deviation of depth by distance: of the calibration, of one fix's noise, of both.
+    """Plot the standard deviation of depth: from calibration, from one pair's noise, from both.
 
     Args:
-        depth: along the middle axis.
-        relative: whether in percent of the distance, or in millimetres.
+        depth: standard deviations along the middle axis.
+        relative: True for percent of the distance, False for millimetres.
     """
     scale = 1e2 / depth.distance_m if relative else np.full(len(depth.distance_m), 1e3)
     with styled():
@@ -239,19 +241,19 @@ def depth_sigma(depth: DepthSigma, relative: bool) -> Figure:
 
 
 def short_names(names: Sequence[str]) -> list[str]:
-    """Names of files without folder and ending."""
+    """Shorten file names: without folder and suffix, the last 16 characters."""
     return [name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0][-16:] for name in names]
 
 
 def _residuals(found: Calibration, camera: int) -> tuple[FloatArray, FloatArray]:
-    """(n, 2) where the corners of the kept views are, and projected minus measured, px."""
+    """(n, 2) measured corners of the kept views, and residuals projected minus measured, px."""
     solution = found.fit.solution
     seen = solution.problem.seen[camera]
     return solution.problem.pixels[camera][seen], solution.residuals_px[camera][seen]
 
 
 def _hull(pixels: FloatArray) -> FloatArray:
-    """The closed outline of pixels; those themselves where they lie on a line."""
+    """Closed convex hull of pixels; the pixels themselves if they are collinear."""
     try:
         corners = ConvexHull(pixels).vertices
     except QhullError:

@@ -1,4 +1,4 @@
-"""Calibrated cameras as files: a head of a pair, a calibration of one camera."""
+"""Files of calibrated cameras: a head file for a pair, a camera_info file for one camera."""
 
 from typing import Any, Final
 
@@ -28,7 +28,7 @@ _ROS_LENSES: Final[dict[str, str]] = {
 
 
 def intrinsics_of(found: Calibration, camera: int) -> Intrinsics:
-    """One of the cameras."""
+    """Extract the intrinsics of one camera."""
     values, lens = found.rig.values[camera], found.rig.lenses[camera]
     known: dict[str, Lens] = {name: name for name in ("brown-conrady", "rational", "fisheye")}
     width, height = found.seen.sizes[camera]
@@ -39,15 +39,15 @@ def intrinsics_of(found: Calibration, camera: int) -> Intrinsics:
 
 
 def head_text(found: Calibration, name: str, response: Response | None = None) -> str:
-    """The head file of a calibrated pair, as TOML.
+    """Write the head file of a calibrated pair as TOML text.
 
     Args:
         found: a pair's calibration.
-        name: of the head.
-        response: light by grey level of both cameras, where it was stated.
+        name: name of the head.
+        response: light by grey level of both cameras, if it was stated.
 
     Raises:
-        HeadFileError: the name cannot be one.
+        HeadFileError: the name is not valid.
     """
     pair = StereoPair(
         left=intrinsics_of(found, 0),
@@ -65,7 +65,7 @@ def head_text(found: Calibration, name: str, response: Response | None = None) -
 
 
 def record_of(found: Calibration) -> CalibrationRecord:
-    """Origin and uncertainty of a calibrated pair."""
+    """Record the origin and uncertainty of a calibrated pair."""
     sigma = {
         f"{eye}.camera.{value}": deviation
         for eye, lens, block in zip(EYE_NAMES, found.rig.lenses, found.rig.blocks[:-2], strict=True)
@@ -88,14 +88,14 @@ def record_of(found: Calibration) -> CalibrationRecord:
 
 
 def place_covariance(rig: Rig, covariance: FloatArray) -> FloatArray:
-    """The covariance of the right camera's pose in the left one's frame.
+    """Compute the covariance of the right camera's pose in the left camera's frame.
 
     Args:
         rig: two cameras.
-        covariance: (6, 6) of R's rotation vector and T, where `x_right = R x_left + T`.
+        covariance: (6, 6) covariance of R's rotation vector and T in `x_right = R x_left + T`.
 
     Returns:
-        (6, 6) of r and p, with the pose `(R^T exp([r]), p)` and `p = -R^T T`; rad and m.
+        (6, 6) covariance of r and p of the pose `(R^T exp([r]), p)`, with `p = -R^T T`; rad and m.
     """
     vector = Rotation.from_matrix(rig.rotation).as_rotvec()
     by_vector = np.asarray(cv2.Rodrigues(vector)[1]).reshape(3, 3, 3)
@@ -112,7 +112,7 @@ def place_covariance(rig: Rig, covariance: FloatArray) -> FloatArray:
 
 
 def camera_document(found: Calibration) -> dict[str, Any]:
-    """A camera's calibration with the keys of ROS's camera_info files, plain values.
+    """Convert a camera's calibration to plain values with the keys of ROS's camera_info files.
 
     Args:
         found: one camera's calibration.

@@ -1,4 +1,4 @@
-"""Figures over a camera's image: where corners were seen, and what is left of them."""
+"""Figures over a camera's image: measured corners and their residuals."""
 
 from typing import Any, Final
 
@@ -12,32 +12,33 @@ from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, new_figure,
 from vergence.models.parts import FloatArray
 
 WIDTH: Final = 5.6
-"""Of a figure of one camera, inches: two stand side by side, or one fills a phone."""
+"""Width of a figure of one camera, inches (chosen: two stand side by side, one fills a phone)."""
 EYE_STYLES: Final[tuple[dict[str, Any], ...]] = (
     {"color": BLUE, "marker": "o"},
     {"color": ORANGE, "marker": "s"},
 )
 LEAST_IN_CELL: Final = 3
-"""Corners whose mean says something."""
+"""Fewest corners whose mean residual is shown (chosen: a mean of fewer is mostly noise)."""
 _ACROSS: Final = 14
-"""Cells of residuals across an image."""
+"""Cells across an image in which residuals are averaged (chosen)."""
 _ARROW: Final = 0.9
-"""Length of a long mean arrow, in cells."""
+"""Length of a long mean arrow (95th percentile), in cells (chosen: arrows hardly overlap)."""
 _MAGNIFICATIONS: Final = tuple(digit * 10**power for power in range(5) for digit in (1, 2, 5))
+"""Round magnifications of arrows (chosen)."""
 _MOST_DOTS: Final = 4000
-"""Of a scatter; more only fill the page with ink."""
+"""Most dots of a scatter plot (chosen: more only fill the page with ink)."""
 
 
 def residual_arrows(
     pixels: FloatArray, residuals: FloatArray, size: tuple[int, int], name: str
 ) -> Figure:
-    """Residuals over an image as magnified arrows: each corner's, and the mean of cells.
+    """Draw residuals over an image as magnified arrows, per corner and averaged in cells.
 
     Args:
-        pixels: (n, 2) where corners were seen, px.
+        pixels: (n, 2) measured corners, px.
         residuals: (n, 2) projected minus measured, px.
-        size: of the image, px.
-        name: of the camera.
+        size: width and height of the image, px.
+        name: name of the camera.
     """
     width, height = size
     cell = width / _ACROSS
@@ -73,13 +74,13 @@ def residual_arrows(
 
 
 def corners_seen(views: FloatArray, size: tuple[int, int], name: str, colour: str) -> Figure:
-    """Corners over an image, and in how many views each part of it has one.
+    """Draw corners over an image, and the number of views with a corner in each part of it.
 
     Args:
         views: (v, n, 2) corners by view, px; nan for those that do not count.
-        size: of the image, px.
-        name: of the camera.
-        colour: of the dots.
+        size: width and height of the image, px.
+        name: name of the camera.
+        colour: colour of the dots.
     """
     width, height = size
     pixels = views[np.isfinite(views).all(axis=-1)]
@@ -112,12 +113,12 @@ def corners_seen(views: FloatArray, size: tuple[int, int], name: str, colour: st
 
 
 def some(count: int) -> slice:
-    """As many of a number of dots as are drawn."""
+    """Thin out dots to at most `_MOST_DOTS`."""
     return slice(None, None, -(-count // _MOST_DOTS) or 1)
 
 
 def frame_image(panel: Axes, size: tuple[int, int]) -> None:
-    """Make a panel an image's frame, v down."""
+    """Set a panel's axes to an image's frame, v downwards."""
     width, height = size
     panel.set(
         xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal",

@@ -1,4 +1,4 @@
-"""What photographs show of a board: its corners, view by view, and how surely."""
+"""Detected corners of a board in photographs, view by view, with standard deviations."""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
@@ -23,22 +23,24 @@ from vergence.vision import Detector, make_detector, parse_target, read_image
 from vergence.vision.image import read_pixels
 
 _SURELY_NONE: Final = 6
-"""Photographs without the board after which another one is looked for."""
+"""Photographs without the board after which another board is searched for (chosen: an early
+message against a wrong one)."""
 _LARGE_PX: Final = 1600
-"""Of an image's longer side, above which it is looked at once more at half its size."""
+"""Longer side above which an image is searched again at half its size, px (chosen: larger images
+are often soft from pixel to pixel)."""
 LEAST_CORNERS: Final = 6
-"""Of a view: with fewer, its pose takes up all that it says."""
+"""Fewest corners of a view (chosen: fewer hardly determine more than the view's pose)."""
 
 
 def parse_board(text: str, *, tags: bool = False) -> PlanarTarget:
-    """The board that a text names.
+    """Parse the name of a board.
 
     Args:
         text: see `vergence.vision.parse_target`.
-        tags: whether one tag will do, whose four corners say too little of a camera.
+        tags: True to accept a single tag, whose four corners are too few to calibrate a camera.
 
     Raises:
-        ConfigurationError: it is none, a family of tags, or a tag where that does not do.
+        ConfigurationError: it is no board, a family of tags, or a tag that is not accepted.
     """
     target = parse_target(text)
     if tags and isinstance(target, TagFamily):
@@ -68,20 +70,20 @@ class Observations:
     sigma: FloatArray
     """(c, v, n, 2) their standard deviations, px."""
     excluded: Mapping[str, str] = field(default_factory=dict)
-    """Files of `names` that count as without the board, and why."""
+    """Files of `names` that count as without the board, with the reason."""
     remarks: tuple[str, ...] = ()
-    """On the light of the images, a line each."""
+    """Remarks on the light of the images, a line each."""
 
     @cached_property
     def usable(self) -> NDArray[np.bool_]:
-        """(c, v) in which photographs enough of the board was found."""
+        """(c, v) True for photographs in which enough of the board was found."""
         count = np.isfinite(self.pixels).all(axis=-1).sum(axis=-1)
-        # a tag, which some callers take, is whole with fewer
+        # a tag, which some callers accept, has fewer corners
         return np.asarray(count >= min(LEAST_CORNERS, self.pixels.shape[2]))
 
     @cached_property
     def problem(self) -> Adjustment:
-        """All views; photographs that are not usable count as without corners."""
+        """The bundle adjustment of all views; unusable photographs count as without corners."""
         corners = self.target.corners_m
         blank = ~self.usable[..., None, None]
         return Adjustment(
@@ -91,7 +93,7 @@ class Observations:
         )
 
     def camera(self, camera: int) -> "Observations":
-        """Those of one camera alone."""
+        """Select the observations of one camera."""
         only = slice(camera, camera + 1)
         return Observations(
             target=self.target, names=self.names[only], sizes=self.sizes[only],
@@ -100,7 +102,7 @@ class Observations:
         )  # fmt: skip
 
     def of(self, views: NDArray[np.bool_]) -> "Observations":
-        """Those of some views."""
+        """Select the observations of some views."""
         return Observations(
             target=self.target,
             names=tuple(
@@ -116,7 +118,7 @@ class Observations:
 
     @property
     def digest(self) -> str:
-        """SHA-256 over board and corners, which are rounded to 1e-6 px."""
+        """SHA-256 over the board and its corners, rounded to 1e-6 px."""
         content = np.concatenate([self.pixels.ravel(), self.sigma.ravel()])
         sha = hashlib.sha256(str(self.target).encode())
         sha.update(np.round(np.nan_to_num(content, nan=-1.0), 6).astype("<f8").tobytes())
@@ -124,11 +126,11 @@ class Observations:
 
 
 class _Seen(NamedTuple):
-    """A photograph."""
+    """Detection result of a photograph."""
 
     size: tuple[int, int]
     corners_px: FloatArray | None
-    """(n, 2) the board's corners; None without the board."""
+    """(n, 2) the board's corners; None if the board was not found."""
     sigma_px: FloatArray | None
 
 
@@ -144,11 +146,10 @@ def observe(
         target: the board.
         photographs: (c, v) the files of each camera, view by view.
         progress: called with the fraction done.
-        responses: (c) light by grey level of each camera, see `make_detector`; None for none known.
+        responses: (c) light by grey level of each camera, see `make_detector`; None if unknown.
 
     Returns:
-        What was found, without views that no camera has, and a line for each file that could not
-        be read.
+        The observations, and a line for each file that could not be read.
 
     Raises:
         ConfigurationError: no file can be read, one camera has images of several sizes, or the
@@ -212,9 +213,10 @@ def observe(
 
 
 def _look(path: Path, detector: Detector[Any], check: ResponseCheck) -> _Seen | str:
-    """What is in a photograph, or why it cannot be read.
+    """Detect the board in a photograph; a text says why the file cannot be read.
 
-    Large photographs are often soft from pixel to pixel; they are looked at once more when smaller.
+    Large photographs are often soft from pixel to pixel. If the board is not found, they are
+    searched again at half the size, and so on down to `_LARGE_PX`.
     """
     try:
         image = read_pixels(path)
@@ -223,7 +225,7 @@ def _look(path: Path, detector: Detector[Any], check: ResponseCheck) -> _Seen | 
     height, width = image.shape[:2]
     scale = 1.0
     found = detector.detect(image)
-    if image.dtype == np.int32:  # of a TIFF; no image that can be made smaller
+    if image.dtype == np.int32:  # from a TIFF; cv2.resize does not take it
         image = image.astype(np.float32)
     while found is None and max(image.shape[:2]) > _LARGE_PX:
         image = np.asarray(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
@@ -238,7 +240,7 @@ def _look(path: Path, detector: Detector[Any], check: ResponseCheck) -> _Seen | 
 
 
 def _copies(pixels: FloatArray) -> dict[int, int]:
-    """Views whose corners are those of an earlier view to the last bit, and of which.
+    """Find views with exactly the corners of an earlier view; map them to the earlier view.
 
     Args:
         pixels: (c, v, n, 2) corners.
@@ -256,7 +258,7 @@ def _copies(pixels: FloatArray) -> dict[int, int]:
 def _refuse_another(
     target: PlanarTarget, files: Sequence[Path], seen: Sequence[_Seen | str]
 ) -> None:
-    """Refuse photographs of another board, before all of them are searched for this one."""
+    """Refuse photographs of another board before all are searched for this one."""
     if any(isinstance(one, _Seen) and one.corners_px is not None for one in seen):
         return
     readable = [p for p, one in zip(files, seen, strict=True) if isinstance(one, _Seen)]
@@ -273,7 +275,7 @@ def _not_found(target: PlanarTarget, files: Sequence[Path], hint: str) -> Config
 
 
 def _one_size(files: Sequence[Path], row: Sequence[_Seen | str]) -> tuple[int, int]:
-    """The size of a camera's images."""
+    """Get the common size of a camera's images, px."""
     by_size: dict[tuple[int, int], list[str]] = {}
     for path, one in zip(files, row, strict=True):
         if isinstance(one, _Seen):

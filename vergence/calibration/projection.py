@@ -1,7 +1,7 @@
-"""Pixels of points in one camera, and their derivatives by the point and by the camera.
+"""Projection of points into one camera, with Jacobians by the point and by the camera parameters.
 
-The lens models are those of `vergence.models.lens`, whose kernels project without derivatives by
-coefficients; tests compare both.
+The lens models equal those of `vergence.models.lens`, whose kernels project without derivatives by
+the coefficients; tests compare both.
 """
 
 from typing import NamedTuple
@@ -12,12 +12,13 @@ from vergence.models.cameras import LENSES
 from vergence.models.parts import FloatArray
 
 PINHOLE_VALUES = ("f_u", "f_v", "u_0", "v_0")
-"""First values of a camera, px; the lens's coefficients follow in OpenCV's order."""
+"""First parameters of a camera, px; the lens's coefficients follow in OpenCV's order."""
 _SMALL_RADIUS = 1e-9
+"""Least normalised radius, which avoids a division by zero on the axis (numerical)."""
 
 
 def camera_values(lens: str) -> tuple[str, ...]:
-    """The names of a camera's values: the pinhole's, then the lens's coefficients.
+    """Name a camera's parameters: the pinhole's, then the lens's coefficients.
 
     Args:
         lens: one of `vergence.models.cameras.LENSES`.
@@ -26,29 +27,29 @@ def camera_values(lens: str) -> tuple[str, ...]:
 
 
 class Projected(NamedTuple):
-    """Pixels and their derivatives."""
+    """Pixels and their Jacobians."""
 
     pixels: FloatArray
-    """(..., 2)."""
+    """(..., 2) px."""
     by_point: FloatArray
-    """(..., 2, 3) derivative by the point, px/m."""
+    """(..., 2, 3) Jacobian by the point, px/m."""
     by_camera: FloatArray
-    """(..., 2, k) derivative by the camera's values."""
+    """(..., 2, k) Jacobian by the camera's parameters."""
 
 
 class _Bent(NamedTuple):
-    """Distorted normalised coordinates and their derivatives."""
+    """Distorted normalised coordinates and their Jacobians."""
 
     xy: FloatArray
-    """(..., 2)."""
+    """(..., 2) distorted normalised coordinates."""
     by_ideal: FloatArray
-    """(..., 2, 2) derivative by the ideal coordinates."""
+    """(..., 2, 2) Jacobian by the undistorted coordinates."""
     by_coefficients: FloatArray
-    """(..., 2, n) derivative by the lens's coefficients."""
+    """(..., 2, n) Jacobian by the lens's coefficients."""
 
 
 def project(lens: str, values: FloatArray, points: FloatArray) -> Projected:
-    """Pixels of points in the camera's frame.
+    """Project points in the camera's frame.
 
     Args:
         lens: the lens model.
@@ -56,7 +57,7 @@ def project(lens: str, values: FloatArray, points: FloatArray) -> Projected:
         points: (..., 3) metres; behind the camera the pixels are nan.
 
     Returns:
-        Pixels with derivatives; nothing is refused beyond the lens's fold.
+        Pixels with Jacobians, also for points beyond the lens's fold.
     """
     z = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
     ideal = points[..., :2] / z
@@ -76,7 +77,7 @@ def project(lens: str, values: FloatArray, points: FloatArray) -> Projected:
 
 
 def _bend_by_radius(coefficients: FloatArray, ideal: FloatArray) -> _Bent:
-    """Brown and Conrady's lens, and the rational one where there are 8 coefficients."""
+    """Distort by the Brown-Conrady lens, or the rational lens if there are 8 coefficients."""
     k1, k2, p1, p2, k3, k4, k5, k6 = np.pad(coefficients, (0, 8 - len(coefficients))).tolist()
     x, y = ideal[..., 0], ideal[..., 1]
     r2 = x * x + y * y
@@ -108,7 +109,7 @@ def _bend_by_radius(coefficients: FloatArray, ideal: FloatArray) -> _Bent:
 
 
 def _bend_by_angle(coefficients: FloatArray, ideal: FloatArray) -> _Bent:
-    """Kannala and Brandt's lens."""
+    """Distort by the Kannala-Brandt fisheye lens."""
     r = np.maximum(np.linalg.norm(ideal, axis=-1), _SMALL_RADIUS)
     t = np.arctan(r)
     powers = np.stack([t ** (2 * n) for n in range(5)], axis=-1)

@@ -1,4 +1,4 @@
-"""The run folder of a calibration: its tables, and its report for a person."""
+"""Run folder of a calibration: camera file, tables and HTML report."""
 
 import csv
 from pathlib import Path
@@ -27,17 +27,17 @@ from vergence.files import write_whole
 from vergence.models.joints import EYE_NAMES
 
 _DEPTHS_M: Final = (0.5, 1.0, 2.0, 2.5)
-"""Distances of the table of depth."""
+"""Distances of the table of depth, m (chosen: the range of use)."""
 
 
 def write_run(folder: Path, found: Calibration, content: str, name: str) -> None:
-    """Write a calibration's tables and its report.
+    """Write a calibration's file, its tables and its report.
 
     Args:
-        folder: where to.
+        folder: the run folder.
         found: the calibration.
-        content: of the file that it makes.
-        name: of that file.
+        content: content of the calibration's file.
+        name: name of that file.
     """
     (folder / name).write_text(content, encoding="utf-8")
     names = found.rig.names(EYE_NAMES[: len(found.alone)])
@@ -64,12 +64,12 @@ def write_run(folder: Path, found: Calibration, content: str, name: str) -> None
 
 
 def write_report(folder: Path, found: Calibration, name: str) -> None:
-    """Write calibration.html, whole by itself.
+    """Write calibration.html, which is self-contained.
 
     Args:
-        folder: where to.
+        folder: the run folder.
         found: the calibration.
-        name: of the file that the calibration makes.
+        name: name of the calibration's file.
     """
     drawn = _figures(found).items()
     markup = {stem: inline_svg(svg_of(figure), stem, stem) for stem, figure in drawn}
@@ -86,7 +86,7 @@ def write_report(folder: Path, found: Calibration, name: str) -> None:
 
 
 def _figures(found: Calibration) -> dict[str, Figure]:
-    """All figures by name."""
+    """Draw all figures, by name."""
     drawn = {}
     for camera, name in enumerate(camera_names(found)):
         drawn[f"residuals-{name}"] = figures.residual_field(found, camera)
@@ -104,7 +104,7 @@ def _figures(found: Calibration) -> dict[str, Figure]:
 
 
 def _values(found: Calibration) -> dict[str, Any]:
-    """What the template fills in."""
+    """Collect the values for the template."""
     names = camera_names(found)
     several = len(names) > 1
     held = attitudes(found, 0)
@@ -139,7 +139,7 @@ def _values(found: Calibration) -> dict[str, Any]:
 
 
 def _depth_rows(found: Calibration) -> list[list[str]]:
-    """Rows of the table of depth."""
+    """Format the rows of the depth table."""
     depth = depth_sigma_at(found, np.array(_DEPTHS_M))
     columns = (
         1e3 * depth.calibration_m,
@@ -154,7 +154,7 @@ def _depth_rows(found: Calibration) -> list[list[str]]:
 
 
 def _number_rows(found: Calibration) -> list[list[str]]:
-    """Rows of the table of the cameras' numbers."""
+    """Format the rows of the table of camera parameters."""
     rows = []
     for name, lens, values, block in zip(
         camera_names(found), found.rig.lenses, found.rig.values, found.rig.blocks, strict=False

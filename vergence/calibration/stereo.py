@@ -1,4 +1,4 @@
-"""Two cameras from photographs of a board: both, and how they stand to each other."""
+"""Calibration of two cameras and their relative pose from photographs of a board."""
 
 from dataclasses import replace
 from typing import Final
@@ -15,27 +15,27 @@ from vergence.models.parts import FloatArray
 from vergence.perception.located import orders_alike
 
 _TOGETHER: Final = 0.03
-"""Of the image's width: by how much the corners of half of the pairs may be missed where the
-second camera is put where one single pair says. The public pairs have 0.004."""
+"""Largest median reprojection error over the pairs, in image widths, with the relative pose of the
+best single pair (chosen: public photograph sets have 0.004)."""
 _AGREEING: Final = 0.5
-"""Share of the pairs that have to agree."""
+"""Fraction of the pairs that have to agree (chosen)."""
 _TRUSTED: Final = 3.0
-"""So many times the median a pair may miss them, to be in the first fit."""
+"""Ratio of a pair's reprojection error to the median up to which the first fit uses it (chosen)."""
 
 
 def fit_pair(seen: Observations, left: Fit, right: Fit) -> tuple[Observations, Fit]:
-    """Find both cameras and how they stand to each other from the views that agree.
+    """Find both cameras and their relative pose from the views that agree.
 
-    The second camera is first put where the one pair says with which most others agree.
+    The relative pose starts from the single pair with which most others agree.
 
     Args:
-        seen: what both cameras saw.
-        left: the left camera by itself.
-        right: the right one by itself.
+        seen: corners in the photographs of both cameras.
+        left: fit of the left camera alone.
+        right: fit of the right camera alone.
 
     Returns:
-        What was seen, the corners of boards that look the same turned in the same order in both
-        images; and the cameras, found without photographs that do not go with their own camera.
+        The observations, with the corners of rotationally symmetric boards in one order in both
+        images; and the cameras, found without photographs that do not fit their own camera.
 
     Raises:
         ConfigurationError: the photographs were not taken by one pair of cameras.
@@ -99,7 +99,7 @@ def fit_pair(seen: Observations, left: Fit, right: Fit) -> tuple[Observations, F
 
 
 def _check_place(rig: Rig) -> None:
-    """Refuse a second camera where none can be."""
+    """Refuse an implausible position of the right camera."""
     place = -rig.rotation.T @ rig.translation
     length = float(np.linalg.norm(place))
     if place[0] < 0.0 and abs(place[0]) > 0.5 * length:
@@ -115,7 +115,7 @@ def _check_place(rig: Rig) -> None:
 
 
 def _turned(seen: Observations, order: NDArray[np.intp], views: NDArray[np.bool_]) -> Observations:
-    """The same with the right images' corners of some views in another order."""
+    """Reorder the right images' corners in some views."""
     pixels, sigma = seen.pixels.copy(), seen.sigma.copy()
     for values in (pixels, sigma):
         values[1, views] = values[1, views][:, order]
@@ -123,7 +123,7 @@ def _turned(seen: Observations, order: NDArray[np.intp], views: NDArray[np.bool_
 
 
 def _missed_px(problem: Adjustment, rig: Rig, poses: Poses) -> FloatArray:
-    """(v) by how much the right camera misses the corners, px rms; nan without corners."""
+    """(v) rms reprojection error in the right camera, px; nan without corners."""
     right = Rig.single(rig.lenses[1], rig.values[1])._replace(bend=rig.bend)
     moved = Poses(
         rig.rotation @ poses.rotation, poses.translation @ rig.rotation.T + rig.translation

@@ -1,15 +1,16 @@
-r"""How surely cameras are known that a bundle adjustment has found.
+r"""Covariance of the cameras that a bundle adjustment has found, robust to correlated residuals.
 
 If the residuals of all corners were independent, the covariance would be s^2 (J'^T J')^-1 with the
-noise s (see `adjustment`). Those of one view are not where its board was bent or moved between two
-exposures, so each view's pull on the cameras, u_v = S^-1/2 J'_v^T r_v with S the sum of
-S_v = J'_v^T J'_v, is compared with what that covariance says: with H_v = S^-1/2 S_v S^-1/2,
+noise s (see `adjustment`). The residuals of one view are correlated if its board was bent or moved
+between two exposures. Therefore each view's normalised gradient, its pull on the cameras,
+u_v = S^-1/2 J'_v^T r_v with S the sum of S_v = J'_v^T J'_v, is compared with the covariance that
+independent corners imply: with H_v = S^-1/2 S_v S^-1/2,
 
     cov(u_v) = s^2 (H_v - H_v^2),   so that   sum of (1 - H_v)^-1/2 u_v (...)^T   is s^2 on average
 
-(the CR2 estimate of Bell and McCaffrey 2002). If the pulls are surely greater, their own
-covariance takes the place of independent corners', so far as there are views enough to tell it: of
-v views and p numbers by the share v / (v + p), the rest being s^2 as many times as the pulls say.
+(the CR2 estimator of Bell and McCaffrey 2002). If the pulls are significantly larger, a mixture
+replaces the covariance of independent corners: with v views and p parameters, the pulls' own
+covariance with weight v / (v + p), and s^2 scaled up to the size of the pulls with the rest.
 """
 
 from dataclasses import replace
@@ -22,18 +23,21 @@ from vergence.calibration.projection import project
 from vergence.models.parts import FloatArray
 
 _LEAST_VALUE: Final = 1e-15
-"""Of a correlation's eigenvalues: a combination of numbers that nothing tells."""
+"""Least eigenvalue of the scaled information matrix; a smaller one belongs to a combination of
+parameters that is not observable (numerical)."""
 _LEAST_SHARE: Final = 1e-3
-"""Of 1 - H_v: a view that alone tells a number has no residual to tell its error by."""
+"""Least eigenvalue of 1 - H_v: a view that alone determines a parameter leaves no residual from
+which to estimate its error (numerical)."""
 _SURELY: Final = 2.0
-"""Standard deviations by which pulls exceed what is expected before they count."""
+"""Standard deviations by which the pulls have to exceed their expectation before their covariance
+is used (chosen)."""
 
 
 def covariance_of(solution: Solution) -> FloatArray:
-    """(p, p) covariance of the rig's numbers, see `Rig.packed`.
+    """(p, p) covariance of the rig's parameters, see `Rig.packed`.
 
     Args:
-        solution: the cameras and how they were found.
+        solution: the solution of the bundle adjustment.
     """
     gradients = np.einsum("vmp,vm->vp", solution.by_rig, solution.linear.residuals)
     return clustered_covariance(
@@ -44,13 +48,13 @@ def covariance_of(solution: Solution) -> FloatArray:
 def clustered_covariance(
     information: FloatArray, gradients: FloatArray, noise: float, prior: FloatArray
 ) -> FloatArray:
-    """(p, p) covariance of numbers that several groups of measurements tell.
+    """(p, p) covariance of parameters estimated from groups of measurements (CR2).
 
     Args:
-        information: (v, p, p) S_v of each group, in which errors may go together.
+        information: (v, p, p) S_v of each group; errors within a group may be correlated.
         gradients: (v, p) J'_v^T r_v of each group.
-        noise: s.
-        prior: (p, p) what is known besides, as information.
+        noise: s, ratio of the residuals to sigma.
+        prior: (p, p) information matrix of the prior.
     """
     total = information.sum(axis=0) + prior
     scale = 1.0 / np.sqrt(np.diagonal(total))
@@ -59,7 +63,7 @@ def clustered_covariance(
     shares, axes = np.linalg.eigh(root.T @ information @ root)
     left = np.maximum(1.0 - shares, _LEAST_SHARE)
     pulls = np.einsum("vij,vj,vkj,vk->vi", axes, left**-0.5, axes, gradients @ root) / noise
-    # what it is on average, and the deviation of its sum of squares, if corners are independent
+    # expected covariance of the pulls, and spread of their sum of squares, for independent corners
     expected = np.einsum("vij,vj,vkj->vik", axes, (1.0 - shares) * shares / left, axes)
     mean = np.trace(expected, axis1=1, axis2=2).sum()
     ratio = (pulls**2).sum() / mean
@@ -74,19 +78,19 @@ def clustered_covariance(
 def direction_sigma_px(
     solution: Solution, covariance: FloatArray, camera: int, rays: FloatArray
 ) -> FloatArray:
-    """How surely a camera tells directions, in pixels where it sees them.
+    """Compute the uncertainty of a camera's directions, in pixels of its image.
 
-    A turn of the camera's frame is no error of its directions, so the camera is turned to where
-    the corners that it saw move least (as "fit" in the projection uncertainty of mrcal, Kogan).
+    A rotation of the camera's frame is no error of its directions. It is removed by the rotation
+    that moves the measured corners least (as "fit" in the projection uncertainty of mrcal, Kogan).
 
     Args:
-        solution: the cameras and how they were found.
+        solution: the solution of the bundle adjustment.
         covariance: (p, p) see `covariance_of`.
-        camera: which one.
+        camera: index of the camera.
         rays: (n, 2) X / Z, Y / Z in that camera.
 
     Returns:
-        (n) standard deviation, px: the root mean square of those along u and along v.
+        (n) standard deviation, px: the root mean square of the deviations along u and v.
     """
     lens, values = solution.rig.lenses[camera], solution.rig.values[camera]
     block = solution.rig.blocks[camera]
@@ -118,10 +122,10 @@ def points_of(solution: Solution, camera: int) -> FloatArray:
 def point_covariances(
     solution: Solution, covariance: FloatArray, points: FloatArray, noise_px: float
 ) -> tuple[FloatArray, FloatArray]:
-    """How surely two cameras tell where points are.
+    """Compute the covariances of points triangulated by two cameras.
 
     Args:
-        solution: two cameras and how they were found.
+        solution: the solution of a pair's bundle adjustment.
         covariance: (p, p) see `covariance_of`.
         points: (n, 3) in the left camera's frame, metres.
         noise_px: standard deviation of a detected pixel, each coordinate.

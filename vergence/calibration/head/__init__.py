@@ -1,1 +1,1 @@
-"""Calibration of a head's joints and eyes from what it saw of a board while it moved."""
+"""Calibration of a head's joints and eyes from views of a board while the head moved."""

@@ -1,15 +1,15 @@
-r"""Bundle adjustment of a head: its numbers, the board, and every true joint angle.
+r"""Bundle adjustment of a head: its parameters, the board, and every true joint angle.
 
-The least sum of squares of
+The adjustment minimises the sum of squares of
 
     (projected - measured) / sigma                       each corner in each eye and frame,
-    e / sigma_e                                          each angle's error of reading,
-    (x - x_0) / sigma_0                                  each number of the head, as it was believed
+    e / sigma_e                                          the reading error of each angle,
+    (x - x_0) / sigma_0                                  the prior of each parameter of the head
 
-over the head's numbers x, those of the readings' rules (see `reading_terms`), the board's poses in
-frame 0 and its bend, and the errors e. Errors of one frame alone are eliminated frame by frame
-(Schur complement), so that some hundred unknowns are left, whose normal matrix is assembled from
-small blocks.
+over the head's parameters x, the parameters of the reading-error terms (see `reading_terms`), the
+board's poses in frame 0 and its bend, and the reading errors e. Errors of a single frame are
+eliminated frame by frame (Schur complement). About a hundred shared unknowns remain, and their
+normal matrix is assembled from small blocks.
 """
 
 from dataclasses import dataclass, replace
@@ -28,91 +28,95 @@ from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
 
 BEND: Final = 3
-"""Curvatures of the board, see `vergence.calibration.adjustment`."""
+"""Number of curvatures of the board, see `vergence.calibration.adjustment` (numerical)."""
 _BEND_SIGMA: Final = 0.5
-"""Of a curvature, 1/m: 0.6 mm at the edge of a board of 100 mm."""
+"""Prior standard deviation of a curvature, 1/m (chosen: 0.6 mm at the edge of a 100 mm board)."""
 _NOTHING: Final = 1e-6
-"""Precision of what is unknown, 1/rad^2 and 1/m^2."""
+"""Prior information of unknowns without a prior, 1/rad^2 and 1/m^2 (numerical)."""
 _ROBUST: Final = 3.0
-"""Deviations from which on a corner or an angle counts for less."""
+"""Scale of Cauchy's loss, in standard deviations: a larger corner or reading error counts for less
+(chosen)."""
 
 
 class State(NamedTuple):
     """Values of all unknowns."""
 
     values: FloatArray
-    """(p,) see `HeadModel.parameters`."""
+    """(p,) parameters of the head, see `HeadModel.parameters`."""
     bend: FloatArray
     """(3,) curvatures of the board, 1/m."""
     boards: Poses
-    """(b) in frame 0."""
+    """(b) poses of the board in frame 0, one per placement."""
     shared: FloatArray
-    """(r,) errors of resting joints, rad."""
+    """(r,) reading errors that frames share while joints rest, rad."""
     errors: FloatArray
-    """(f, 7) errors of single frames, rad."""
+    """(f, 7) reading errors of single frames, rad."""
     terms: FloatArray
-    """(t,) numbers of the readings' rules, rad."""
+    """(t,) parameters of the reading-error terms, rad."""
 
 
 class Weights(NamedTuple):
-    """How much what was measured counts, 0 to 1."""
+    """Weights of the measurements, 0 to 1."""
 
     corners: FloatArray
-    """(2, f, n) of each corner by eye."""
+    """(2, f, n) weight of each corner by eye."""
     angles: FloatArray
-    """(f, 7) of each angle that was read for a frame of its own."""
+    """(f, 7) weight of each reading error of a single frame."""
     usual: float = np.inf
-    """Mean square of a corner's residuals over sigma, from which wrong ones are told (Cauchy's
-    loss); inf for least squares."""
+    """Typical mean square of a corner's residuals, in units of sigma^2, which scales Cauchy's loss;
+    inf for least squares."""
 
     @classmethod
     def of(cls, kept: NDArray[np.bool_]) -> "Weights":
-        """Those of corners (2, f, n) that count or do not."""
+        """Make weights 1 for kept corners (2, f, n) and 0 for others."""
         return cls(kept.astype(np.float64), np.ones((kept.shape[1], 7)))
 
 
 class Normal(NamedTuple):
-    """The problem at a state, its frames' own errors eliminated."""
+    """Normal equations at a state, with the errors of single frames eliminated."""
 
     cost: float
-    """Sum of squares, weighted."""
+    """Weighted sum of squares."""
     matrix: FloatArray
-    """(s, s) normal matrix of what is shared: numbers, bend, rules, boards, shared errors."""
+    """(s, s) normal matrix of the shared unknowns: head parameters, bend, reading-error terms,
+    boards, shared errors."""
     slope: FloatArray
-    """(s,)"""
+    """(s,) gradient, half of the cost's."""
     back: FloatArray
-    """(f, 7, s_f) how the frames' own errors follow what is shared, with `columns`."""
+    """(f, 7, s_f) negative derivative of the frames' own errors by the shared unknowns in
+    `columns`."""
     offset: FloatArray
-    """(f, 7) how they move by themselves."""
+    """(f, 7) negative step of the frames' own errors while the shared unknowns stay."""
     inner: FloatArray
     """(f, 7, 7) normal matrix of each frame's own errors."""
     residuals: FloatArray
-    """(2, f, n, 2) over sigma; 0 for corners that were not found."""
+    """(2, f, n, 2) residuals divided by sigma; 0 for corners that were not found."""
     by_frame: tuple[FloatArray, FloatArray] | None = None
-    """(f, s_f, s_f) and (f, s_f) what each frame adds to matrix and slope, with `columns`."""
+    """(f, s_f, s_f) and (f, s_f) each frame's contributions to matrix and slope, with `columns`."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeadAdjustment:
-    """The problem: a head as it is believed to be, and what it saw.
+    """The adjustment problem: a nominal head, its prior, and its frames.
 
     Args:
-        about: the head as its file has it, from which rotations are counted.
-        spreads: (p,) deviations of its numbers from what they are; 0 for those that are held.
-        frames: what it saw.
+        about: the nominal head, from its file; rotations are relative to it.
+        spreads: (p,) prior standard deviations of its parameters; 0 for fixed ones.
+        frames: frames of the board.
     """
 
     about: HeadModel
     spreads: FloatArray
     frames: HeadFrames
     noisier: FloatArray | None = None
-    """(7,) how many times what their steps and play say the readings of each actuator scatter."""
+    """(7,) ratio of each actuator's reading scatter to its expectation by quantisation and
+    backlash; None for 1."""
     terms: ReadingTerms = NO_TERMS
-    """Rules that the readings' errors follow."""
+    """Reading-error terms."""
 
     @cached_property
     def joints(self) -> JointErrors:
-        """Which angles are unknown."""
+        """Unknown reading errors of the joints."""
         found = JointErrors.of(self.about, self.frames)
         if self.noisier is None:
             return found
@@ -120,12 +124,12 @@ class HeadAdjustment:
 
     @cached_property
     def nominal(self) -> FloatArray:
-        """(p,) the numbers as they were believed."""
+        """(p,) nominal parameters, the mean of the prior."""
         return self.about.parameters().values
 
     @cached_property
     def to_joints(self) -> FloatArray:
-        """(7, 7) joint angles per actuator angle."""
+        """(7, 7) matrix from actuator angles to joint angles."""
         out = np.eye(7)
         if not self.about.actuation.direct:
             out[EYES, EYES] = self.about.actuation.to_joints
@@ -133,31 +137,31 @@ class HeadAdjustment:
 
     @cached_property
     def boards(self) -> int:
-        """Number of places of the board."""
+        """Number of placements of the board."""
         return int(self.frames.placement.max()) + 1
 
     @property
     def size(self) -> int:
-        """Number of what is shared."""
+        """Number s of shared unknowns."""
         return self.common + 6 * self.boards + len(self.joints.runs)
 
     @property
     def common(self) -> int:
-        """How many of these, the first ones, every frame depends on: numbers, bend, rules."""
+        """Number of leading shared unknowns common to all frames: head, bend, reading terms."""
         return len(self.nominal) + BEND + len(self.terms.names)
 
     @cached_property
     def _heights(self) -> FloatArray:
-        """(n, 3) see `Adjustment`."""
+        """(n, 3) derivative of each corner's height by curvature, m^2, see `Adjustment`."""
         x, y = self.frames.corners[:, :2].T
         return np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
 
     @cached_property
     def precision(self) -> FloatArray:
-        """(s,) what is known of each shared unknown before any image, over its square."""
+        """(s,) prior information of each shared unknown, 1 / sigma^2."""
         flat = len(self.frames.corners) <= 4
         bend = 1e-6 if flat else _BEND_SIGMA
-        # places of the board that no frame shows must have some pose
+        # placements of the board that no frame shows need a solvable pose too
         known = np.full(self.size, _NOTHING)
         sigma = np.maximum(self.spreads, 1e-9)
         known[: len(sigma)] = 1.0 / sigma**2
@@ -169,7 +173,7 @@ class HeadAdjustment:
 
     @cached_property
     def columns(self) -> NDArray[np.intp]:
-        """(f, s_f) where each frame's own blocks are among what is shared; -1 for nowhere."""
+        """(f, s_f) indices of each frame's unknowns among the shared ones; -1 for none."""
         common, f = self.common, len(self.frames.time_s)
         head = np.broadcast_to(np.arange(common), (f, common))
         board = common + 6 * self.frames.placement[:, None] + np.arange(6)
@@ -192,12 +196,12 @@ class HeadAdjustment:
         return out
 
     def linearised(self, state: State, weights: Weights, *, by_frame: bool = False) -> Normal:
-        """The normal equations at a state.
+        """Assemble the normal equations at a state.
 
         Args:
-            state: the unknowns' values.
-            weights: of corners and angles.
-            by_frame: whether to say what each frame adds to them.
+            state: values of the unknowns.
+            weights: weights of corners and angles.
+            by_frame: True to return each frame's contributions as well.
         """
         chain, q = Chain(self.about, state.values), self.angles(state)
         points, turned = board_points(self.corners(state), state.boards, self.frames.placement)
@@ -237,13 +241,13 @@ class HeadAdjustment:
                 [seen.by_head, by_bend, rules, seen.by_board, by_run, mine], axis=-1
             )
             rows *= (root * scale)[..., None]
-            if np.isnan(seen.pixels).any():  # corners behind the camera, which nobody saw
+            if np.isnan(seen.pixels).any():  # corners behind the camera that were not measured
                 np.nan_to_num(rows, copy=False)
             rows = rows.reshape(f, -1, rows.shape[-1])
             product = rows.transpose(0, 2, 1) @ rows
             pulls = (rows.transpose(0, 2, 1) @ r)[..., 0]
             columns = np.concatenate([chain.columns[eye], np.arange(p, width)])
-            # the head's own block is every frame's, summed at once
+            # all frames share the head's own block: sum it at once
             numbers = len(chain.columns[eye]) + head - p
             matrix[np.ix_(columns[:numbers], columns[:numbers])] += product[
                 :, :numbers, :numbers
@@ -276,7 +280,7 @@ class HeadAdjustment:
         return Normal(cost, matrix, slope, back, offset, inner, residuals, parts)
 
     def _away(self, state: State) -> FloatArray:
-        """(s,) how far the shared unknowns are from what was believed."""
+        """(s,) deviation of the shared unknowns from the prior's mean."""
         away = np.zeros(self.size)
         p = len(self.nominal)
         away[:p], away[p : p + BEND] = state.values - self.nominal, state.bend
@@ -286,12 +290,12 @@ class HeadAdjustment:
         return away
 
     def moved(self, state: State, now: Normal, step: FloatArray) -> State:
-        """The state after a step of what is shared, its frames' errors following."""
+        """Apply a step of the shared unknowns; the frames' own errors follow."""
         p, c, b = len(self.nominal), self.common, 6 * self.boards
         padded = np.append(step, 0.0)
         follow = now.offset + np.einsum("fjs,fs->fj", now.back, padded[self.columns])
         terms = state.terms + step[p + BEND : c]
-        # angles go where the step has them, also where play makes more or less of it
+        # the true angles take the linearised step although backlash is not linear
         follow += self.terms.at(terms)[0] - self.terms.tangent(state.terms, terms)
         return State(
             state.values + step[:p],
@@ -303,14 +307,14 @@ class HeadAdjustment:
         )
 
     def of(self, frames: NDArray[np.bool_]) -> "HeadAdjustment":
-        """The problem of some of the frames alone."""
+        """Restrict the problem to some of the frames."""
         return replace(self, frames=self.frames.of(frames), terms=self.terms.of(frames))
 
     def start(self, boards: Poses) -> State:
-        """The head as it is believed to be, before boards.
+        """Make the initial state: the nominal head in front of given boards.
 
         Args:
-            boards: (b or more) their poses in frame 0.
+            boards: (b or more) poses of the board in frame 0.
         """
         return State(
             self.nominal.copy(),
@@ -323,5 +327,5 @@ class HeadAdjustment:
 
 
 def _loss(squares: FloatArray, cut: float) -> FloatArray:
-    """Squares, those far above a cut as logarithms (Cauchy's loss)."""
+    """Cauchy's loss: squares that grow as logarithms far above a cut."""
     return cut * np.log1p(squares / cut) if np.isfinite(cut) else squares

@@ -1,4 +1,4 @@
-"""Coverage of a recording, and what else to record."""
+"""Coverage of a recording, and advice on further recording."""
 
 from typing import Final
 
@@ -11,20 +11,21 @@ from vergence.models.joints import EYE_NAMES, NECK
 from vergence.models.parts import FloatArray
 
 _CELLS: Final = 4
-"""Of an image along either side."""
+"""Cells along each side of an image in which coverage is counted (chosen)."""
 _FULL_PERCENT: Final = 80.0
+"""Percentage of cells that is enough coverage (chosen)."""
 _MOVED_RAD: Final = 0.1
-"""Range of angles below which a joint counts as still: 6 degrees."""
+"""Range of angles up to which a joint counts as unmoved, rad (chosen: 6 degrees)."""
 _FAR_M: Final = 1.5
-"""Distance of a board from which on it tells depth far away."""
+"""Distance of a board that is far enough to calibrate depth far away, m (chosen)."""
 
 
 def coverage_percent(head: HeadModel, frames: HeadFrames) -> FloatArray:
-    """(2,) by eye, in how much of a coarse grid over the image corners have been seen.
+    """(2,) by eye, percentage of the cells of the image that have had a corner.
 
     Args:
-        head: whose images they are.
-        frames: what it saw.
+        head: the head whose images they are.
+        frames: frames of the board.
     """
     found = []
     for eye in range(2):
@@ -35,10 +36,10 @@ def coverage_percent(head: HeadModel, frames: HeadFrames) -> FloatArray:
 
 
 def advice(head: HeadModel, found: Collected, frames: HeadFrames) -> list[str]:
-    """What would make the recording tell more, a line each.
+    """Advise how to make the recording more informative, a line each.
 
     Args:
-        head: as its file has it.
+        head: the nominal head, from its file.
         found: the recording.
         frames: all of its frames.
     """

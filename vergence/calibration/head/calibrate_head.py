@@ -1,4 +1,4 @@
-"""Frames of a board in, a believable head out."""
+"""Calibration of a head from frames of a board, with checks of the result."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
@@ -41,6 +41,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _MOST_PLACES: Final = 8
+"""Most fits to a recording, each after the first with another placement of the board (chosen)."""
 _ASK: Final = (
     ": a head's file has no place for them; --terms harmonics tells them, and the head of readings "
     "that are corrected by them"
@@ -53,26 +54,27 @@ _BY_AXES: Final = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeadCalibration:
-    """A head as a recording says that it is."""
+    """Calibration of a head from a recording."""
 
     solution: HeadSolution
     kept: NDArray[np.bool_]
-    """(2, f, n) the corners that went in."""
+    """(2, f, n) True for kept corners, the inliers."""
     held_out: FloatArray
-    """(2, f) mean squares, over sigma, of views by heads that did not know them; nan without."""
+    """(2, f) mean squares of views by heads that were calibrated without them, in units of sigma^2;
+    nan for views without kept corners."""
     notes: tuple[str, ...]
-    """What a person should know of the recording, a line each."""
+    """Remarks on the recording, a line each."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a person should know, a line each."""
+        """Remarks on the recording and the calibration, a line each."""
         solution = self.solution
         said = (*term_remarks(solution, self.terms), *_noisy(solution), *say_size(solution))
         return (*self.notes, *said)
 
     @property
     def about(self) -> HeadModel:
-        """The head as its file has it."""
+        """The nominal head, from its file."""
         return self.solution.problem.about
 
     @cached_property
@@ -84,35 +86,35 @@ class HeadCalibration:
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
-        """Numbers of the rules that its readings follow."""
+        """Parameters of the reading-error terms."""
         return found_terms(self.solution, self._covariance)
 
     @property
     def frames(self) -> HeadFrames:
-        """What it saw."""
+        """Frames of the board."""
         return self.solution.problem.frames
 
     @property
     def views(self) -> NDArray[np.bool_]:
-        """(2, f) the views that went in."""
+        """(2, f) True for kept views, with at least one kept corner."""
         return np.asarray(self.kept.any(axis=-1))
 
     @cached_property
     def rms_px(self) -> float:
-        """Root mean square of what is left of the corners that went in, as lengths."""
+        """Root mean square length of the kept corners' residuals, px."""
         left = self.solution.normal.residuals * self.frames.sigma
         return rms(left[self.kept])
 
     @cached_property
     def rms_heldout_px(self) -> float:
-        """The same of views by heads that did not know them."""
+        """Cross-validation counterpart of `rms_px`, by heads calibrated without the view, px."""
         mean = np.nanmean(self.held_out) if np.isfinite(self.held_out).any() else np.nan
         sigma = self.frames.sigma[self.kept]
         return float(np.sqrt(2.0 * mean * np.mean(sigma**2)))
 
     @property
     def covariance(self) -> FloatArray:
-        """(p, p) of the numbers of `HeadModel.parameters`."""
+        """(p, p) covariance of `HeadModel.parameters`."""
         p = len(self.solution.problem.nominal)
         return self._covariance[:p, :p]
 
@@ -122,7 +124,7 @@ class HeadCalibration:
 
     @property
     def sigma(self) -> FloatArray:
-        """(p,) their standard deviations."""
+        """(p,) standard deviations of `HeadModel.parameters`."""
         return np.sqrt(np.diagonal(self.covariance))
 
 
@@ -137,10 +139,10 @@ def calibrate_head(
     """Find a head's joints, eyes and cameras from frames of a board.
 
     Args:
-        head: as its file has it.
-        frames: what it saw while it moved.
-        cameras: whether focal lengths, principal points and lenses may change, too.
-        terms: some of `TERMS`, or `AUTO` alone for those that the frames call for.
+        head: the nominal head, from its file.
+        frames: frames of the board, taken while the head moved.
+        cameras: True to estimate focal lengths, principal points and lenses too.
+        terms: some of `TERMS`, or `AUTO` alone for the terms that the frames call for.
         progress: called with the fraction done.
 
     Raises:
@@ -197,7 +199,7 @@ def calibrate_head(
 
 
 def tidy(frames: HeadFrames) -> HeadFrames:
-    """The frames in the order of time, without those that show nothing, or the same again."""
+    """Sort frames by time; leave out frames that do not show the board, and duplicates."""
     order = np.argsort(frames.time_s, kind="stable")
     frames = frames.of(order)
     shown = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).any(axis=0)
@@ -211,7 +213,7 @@ def tidy(frames: HeadFrames) -> HeadFrames:
 
 
 def _noisy(solution: HeadSolution) -> list[str]:
-    """Lines on joints whose readings scatter more than their steps say."""
+    """Report joints whose readings scatter more than quantisation and backlash explain."""
     noisier, sigma = solution.problem.noisier, solution.problem.joints.sigma
     if noisier is None:
         return []
@@ -229,4 +231,4 @@ def _noisy(solution: HeadSolution) -> list[str]:
 
 
 def _ignore(fraction: float) -> None:
-    """Show no progress."""
+    """Ignore the progress."""

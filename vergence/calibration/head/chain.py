@@ -1,15 +1,15 @@
-r"""Pixels of a board's corners through a moving head, and their exact derivatives.
+r"""Projection of a board's corners through a moving head's kinematic chain, with exact Jacobians.
 
-A corner x of a board in frame 0, the neck, an eye's joints and its camera are one chain,
+A corner x of a board in frame 0, the neck, an eye's joints and its camera form the chain
 
-    p_C = (T_0_N(neck) M_0 RotZ(q1) M_1 RotZ(q2) M_2)^-1 T_0_B x,
+    p_C = (T_0_N(neck) M_0 RotZ(q1) M_1 RotZ(q2) M_2)^-1 T_0_B x.
 
-in which every number that is sought moves all that follows a frame F by a twist xi = (w, v) in F.
-The corner moves there by `-(w x p_F + v)`, so that a pixel with the gradient g_F by p_F changes by
+Each estimated parameter moves the chain beyond some frame F by a twist xi = (w, v) in F. This
+moves the corner in F by `-(w x p_F + v)`, so that a pixel with the gradient g_F by p_F changes by
 
     -(p_F x g_F, g_F) . xi .
 
-The rows `(p_F x g_F, g_F)` in the frames of the chain are all that the derivatives need.
+The Jacobians need only the rows `(p_F x g_F, g_F)`, wrenches, in the frames of the chain.
 """
 
 from dataclasses import dataclass
@@ -30,24 +30,25 @@ IntArray = NDArray[np.intp]
 
 
 class Seen(NamedTuple):
-    """Pixels of one eye in all frames, and their derivatives."""
+    """Pixels of one eye in all frames, and their Jacobians."""
 
     pixels: FloatArray
     """(f, n, 2) px; nan behind the camera."""
     by_head: FloatArray
-    """(f, n, 2, p_eye) by those of the head's numbers that the eye depends on, see `columns`."""
+    """(f, n, 2, p_eye) Jacobian by the head parameters that the eye depends on, see `columns`."""
     by_joints: FloatArray
-    """(f, n, 2, 7) by the joint angles, px/rad."""
+    """(f, n, 2, 7) Jacobian by the joint angles, px/rad."""
     by_board: FloatArray
-    """(f, n, 2, 6) by a small rotation of the board in frame 0 and a shift, px/rad and px/m."""
+    """(f, n, 2, 6) Jacobian by a small rotation of the board in frame 0 and a translation, px/rad
+    and px/m."""
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A head whose geometry is a vector of numbers.
+    """Kinematic chains of a head with given parameters.
 
     Args:
-        about: the head from which rotations are counted.
+        about: the head to which rotations are relative.
         values: (p,) see `HeadModel.parameters`.
     """
 
@@ -56,12 +57,12 @@ class Chain:
 
     @cached_property
     def head(self) -> HeadModel:
-        """The head of these numbers."""
+        """The head with these parameters."""
         return self.about.with_parameters(self.values)
 
     @cached_property
     def constants(self) -> FloatArray:
-        """(10, 4, 4) B_0 to B_3 of the neck, and M_0 to M_2 of either eye with its camera."""
+        """(10, 4, 4) B_0 to B_3 of the neck, and M_0 to M_2 of each eye with its camera."""
         poses = np.array(self.head.links.folded())
         for eye in range(2):
             poses[6 + 3 * eye] = poses[6 + 3 * eye] @ self.head.head_eye[eye]
@@ -69,7 +70,7 @@ class Chain:
 
     @cached_property
     def twists(self) -> FloatArray:
-        """(p, 6, 6) body twists of M_0 to M_2 of the left eye, then of the right, by number."""
+        """(p, 6, 6) per parameter, body twists of M_0 to M_2 of the left, then the right eye."""
         links, about, head = self.head.links, self.about, self.head
         names = head.parameters().names
         out = np.zeros((len(names), 6, 6))
@@ -86,7 +87,7 @@ class Chain:
 
     @cached_property
     def columns(self) -> tuple[IntArray, IntArray]:
-        """(p_eye,) by eye: which of the numbers it depends on, those of its camera last."""
+        """(p_eye,) by eye: indices of the parameters that it depends on, its camera's last."""
         names = self.about.parameters().names
         found = []
         for eye, name in enumerate(EYE_NAMES):
@@ -99,18 +100,18 @@ class Chain:
         return camera_values(self.about.cameras.lens[eye])
 
     def seen(self, eye: int, q: FloatArray, points: FloatArray, turned: FloatArray) -> Seen:
-        """Pixels of points in frame 0, with derivatives.
+        """Project points in frame 0, with Jacobians.
 
         Args:
-            eye: 0 for left.
+            eye: 0 for left, 1 for right.
             q: (f, 7) true joint angles, rad.
             points: (f, n, 3) metres, in frame 0.
-            turned: (f, n, 3) the same as directions from the board's origin.
+            turned: (f, n, 3) offsets of these points from the board's origin, in frame 0.
         """
         B, M = self.constants[:4], self.constants[4 + 3 * eye : 7 + 3 * eye]
         after = [(B[0], q[:, 0]), (B[1], q[:, 1]), (B[2], q[:, 2]), (B[3], None)]
         after += [(M[0], q[:, 3 + 2 * eye]), (M[1], q[:, 4 + 2 * eye]), (M[2], None)]
-        # each frame before its joint turns, as the joint's own twist is about its z axis
+        # each frame after its joint's rotation: the joint's own twist is about its z axis
         places, rotations = [points], [np.broadcast_to(np.eye(3), (len(q), 3, 3))]
         inside, rotation = points, rotations[0]
         for constant, angle in after:
@@ -141,7 +142,7 @@ class Chain:
         for k, place in enumerate((5, 6, 7)):
             used = np.flatnonzero(twists[:, k].any(axis=1))
             rows = wrench(place)
-            if k < 2:  # the constant is before its joint turns
+            if k < 2:  # the constant comes before its joint's rotation
                 rows = _turned(rows, rot_z(-q[:, 3 + 2 * eye + k]))
             by_head[..., used] -= rows @ twists[used, k].T
         by_head[..., -len(own) :] = image.by_camera
@@ -164,7 +165,7 @@ def rot_z(angle: FloatArray) -> FloatArray:
 
 
 def adjoint(pose: FloatArray) -> FloatArray:
-    """(6, 6) a twist of frame B as one of frame A, by the pose T_A_B."""
+    """(6, 6) adjoint matrix of the pose T_A_B: transforms a twist from frame B to frame A."""
     out = np.zeros((6, 6))
     out[:3, :3] = out[3:, 3:] = pose[:3, :3]
     out[3:, :3] = cross_matrices(pose[:3, 3]) @ pose[:3, :3]
@@ -172,23 +173,23 @@ def adjoint(pose: FloatArray) -> FloatArray:
 
 
 def board_points(corners: FloatArray, boards: Poses, board: IntArray) -> tuple[FloatArray, ...]:
-    """The corners of boards in frame 0, and as directions from each board's origin.
+    """Compute the corners of boards in frame 0, and their offsets from each board's origin there.
 
     Args:
         corners: (n, 3) metres.
         boards: (b) poses in frame 0.
-        board: (f,) which of them each frame shows.
+        board: (f,) index of the board pose that each frame shows.
     """
     turned = corners @ boards.rotation[board].transpose(0, 2, 1)
     return turned + boards.translation[board][:, None], turned
 
 
 def _cross(points: FloatArray, gradients: FloatArray) -> FloatArray:
-    """(f, n, 2, 3) points (f, n, 3) times gradients (f, n, 2, 3)."""
+    """(f, n, 2, 3) cross products of points (f, n, 3) and gradients (f, n, 2, 3)."""
     return np.cross(points[:, :, None], gradients)
 
 
 def _turned(wrench: FloatArray, turn: FloatArray) -> FloatArray:
-    """Both halves of rows (f, n, 2, 6) in a frame turned by (f, 3, 3)."""
+    """Express both halves of rows (f, n, 2, 6) in a frame rotated by (f, 3, 3)."""
     halves = wrench.reshape(*wrench.shape[:-1], 2, 3) @ turn[:, None, None]
     return halves.reshape(wrench.shape)

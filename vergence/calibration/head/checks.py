@@ -1,4 +1,4 @@
-"""Recordings from which no head can be had, and how to make one from which it can."""
+"""Checks of recordings: refusals with advice if they cannot calibrate a head, and remarks."""
 
 from typing import Final
 
@@ -13,20 +13,23 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 
 _LEAST_POSES: Final = 6
-"""Of a recording: fewer tell nothing of errors."""
+"""Fewest poses of a recording (chosen: fewer carry no evidence on errors)."""
 _CLEARLY: Final = 0.5
-"""How much nearer to each other exchanged eyes must have the board to be the right ones."""
+"""Ratio of the spread of the board's position with exchanged eyes to the spread as recorded, below
+which the eyes are exchanged (chosen)."""
 _LEAST_SHARE: Final = 0.5
-"""Share of the views that have to go together."""
+"""Fraction of inlier views up to which a recording is refused (chosen)."""
 _ANOTHER_SIZE: Final = 1.2
-"""Times the distance between the eyes that nobody who has measured it is off by."""
+"""Ratio of the eyes' distance to the file's, either way, from which on a head is refused (chosen:
+nobody mismeasures it by so much)."""
 _SAME_SIZE: Final = 0.025
+"""Change of the eyes' distance, relative to the file's, below which no remark is made (chosen)."""
 _SAME_SIZE_MM: Final = 1.0
-"""Share of that distance, and mm, below which a difference is not worth a word."""
+"""Change of the eyes' distance below which no remark is made, mm (chosen)."""
 _MANY_LEFT_OUT: Final = 0.1
-"""Share of an eye's views from which on it is worth a word that they do not go in."""
+"""Fraction of an eye's views that were left out above which a remark is made (chosen)."""
 _SURPRISING: Final = 4.0
-"""Deviations by which a number may differ from the head's file."""
+"""Prior standard deviations by which a parameter may differ from the head's file (chosen)."""
 
 
 def refuse_still(head: HeadModel) -> None:
@@ -49,7 +52,7 @@ def refuse_few(frames: HeadFrames) -> None:
 
 
 def refuse_exchanged(head: HeadModel, frames: HeadFrames, start: Start) -> None:
-    """Refuse images of the left eye that are the right one's."""
+    """Refuse a recording with the images of the left and right eye exchanged."""
     both = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).all(axis=0)
     if not both.any():
         return
@@ -66,7 +69,7 @@ def refuse_exchanged(head: HeadModel, frames: HeadFrames, start: Start) -> None:
 
 
 def refuse_implausible(solution: HeadSolution, kept: NDArray[np.bool_]) -> None:
-    """Refuse views that do not go together, or a head far from what its file says."""
+    """Refuse views that do not agree, or a head far from its file."""
     frames = solution.problem.frames
     views = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).sum()
     share = kept.any(axis=-1).sum() / views
@@ -100,7 +103,7 @@ def refuse_implausible(solution: HeadSolution, kept: NDArray[np.bool_]) -> None:
 
 
 def baselines_m(solution: HeadSolution) -> tuple[float, float]:
-    """Distances between the cameras at rest by the head's file, and as it was found, m."""
+    """Distances between the cameras at rest, m: nominal, and as calibrated."""
     heads = (solution.problem.about, solution.head)
     places = [head.camera_poses(head.rest())[:, :3, 3] for head in heads]
     was, now = (float(np.linalg.norm(right - left)) for left, right in places)
@@ -108,7 +111,7 @@ def baselines_m(solution: HeadSolution) -> tuple[float, float]:
 
 
 def say_size(solution: HeadSolution) -> list[str]:
-    """A line on a head that is larger or smaller than its file, as a wrong board makes it."""
+    """Remark on a head that is larger or smaller than its file, as a wrong board size makes it."""
     was, now = (1e3 * each for each in baselines_m(solution))
     if abs(now - was) < max(_SAME_SIZE_MM, _SAME_SIZE * was):
         return []
@@ -119,7 +122,7 @@ def say_size(solution: HeadSolution) -> list[str]:
 
 
 def few_views(frames: HeadFrames, kept: NDArray[np.bool_]) -> list[str]:
-    """Lines on eyes of which many views, or all, do not go in."""
+    """Remark on eyes without views, or with many views left out."""
     lines = []
     for eye, name in enumerate(EYE_NAMES):
         views = int((frames.seen[eye].sum(axis=-1) >= LEAST_CORNERS).sum())
@@ -135,7 +138,7 @@ def few_views(frames: HeadFrames, kept: NDArray[np.bool_]) -> list[str]:
 
 
 def _said(value: float, unit: str) -> str:
-    """A number with the unit that people use."""
+    """Format a number with degrees, mm or px."""
     scale, name = {"rad": (180.0 / np.pi, " degrees"), "m": (1e3, " mm"), "px": (1.0, " px")}.get(
         unit, (1.0, "")
     )

@@ -1,4 +1,4 @@
-"""Making of a recording: a head looks at a board from many postures, each frame kept at once."""
+"""Recording for a head calibration: the head looks at a board in many postures, logged at once."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -32,33 +32,33 @@ from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter
 
 _DITHER_RAD: Final = np.deg2rad(0.3).item()
-"""By how much an actuator is moved at most between the frames of a pose: several steps of a 12-bit
-encoder, which scatters their errors, and little enough for the board to stay in view."""
+"""Largest dither of an actuator about a pose, rad (chosen: several quantisation steps of a 12-bit
+encoder, which makes their errors independent, and small enough to keep the board in view)."""
 _JUDGED: Final = 10
-"""Poses after which the recording is judged again."""
+"""Poses after which the recording is evaluated again (chosen: a fit takes time)."""
 _MOST_LOST: Final = 12
-"""Poses one after the other without the board, after which it is taken to be gone."""
+"""Consecutive poses without the board after which the collection ends with an error (chosen)."""
 _GIVEN_UP: Final = 2
-"""Looks of a pose without the board, after which the next pose is tried."""
+"""Looks of a pose without the board after which the next pose is tried (chosen)."""
 _MOVED: Final = 0.01
-"""Share of the image's width by which a board appears beside where it was that has been moved: a
-fit to ten poses has it within a pixel or two."""
+"""Displacement of the board in the image, in image widths, above which the board has been moved
+(chosen: a fit to ten poses predicts it to a pixel or two)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CollectOptions:
-    """How much is collected."""
+    """Options of a collection."""
 
     poses: int = 60
-    """Poses of one place of the board, those of earlier runs among them."""
+    """Poses per placement of the board, including those of earlier runs."""
     frames: int = 8
-    """Frames of a pose, in each of which all joints stand a little otherwise."""
+    """Frames per pose, each with all joints dithered."""
     seed: int = 0
-    """Seed of the postures; every run of a folder has a stream of its own."""
+    """Seed of the postures; every run in a folder has its own random stream."""
     until: float | None = None
-    """Uncertainty of depth, in per cent, at which it is enough; None for all poses."""
+    """Depth uncertainty, in per cent, at which the collection ends; None for all poses."""
     moved: bool = False
-    """Whether the board has been moved since the last run of this folder."""
+    """True if the board has been moved since the last run in this folder."""
 
     def __post_init__(self) -> None:
         for name, value, most in (("poses", self.poses, 10_000), ("frames", self.frames, 100)):
@@ -72,24 +72,24 @@ class CollectOptions:
 
 @dataclass
 class Collected:
-    """What a recording holds by now."""
+    """Content of a recording so far."""
 
     folder: Path
     target: PlanarTarget
     placement: int
-    """Number of the board's present place."""
+    """Number of the board's present placement."""
     sights: list[Sight] = field(default_factory=list)
     places: list[int] = field(default_factory=list)
-    """Of each sight, the number of the board's place."""
+    """Number of the board's placement for each sight."""
     poses: int = 0
-    """Of the present place, those of earlier runs among them."""
+    """Poses of the present placement, including those of earlier runs."""
     unseen: int = 0
     """Looks of this run in which neither eye saw the board."""
     outlook: Outlook | None = None
-    """What the recording would tell; None while that is unknown."""
+    """Preliminary calibration from the recording; None while there is none."""
 
     def frames(self) -> HeadFrames:
-        """All frames in their order."""
+        """All frames in the order of time."""
         return in_order(Gathered(self.target, self.sights, self.places, ()).frames())
 
 
@@ -102,19 +102,19 @@ def collect(
     progress: Callable[[float], None] = lambda fraction: None,
     judged: Callable[[Collected], None] = lambda found: None,
 ) -> Collected:
-    """Make a recording, or go on with one.
+    """Make a recording, or continue one.
 
     Args:
-        looker: the head before the board.
-        folder: of the recording; logs are added to those that are in it.
-        options: how much.
-        facts: what else the log is of.
-        progress: called with the share of the poses done.
-        judged: called each time that it is known what the recording would tell.
+        looker: the head in front of the board.
+        folder: folder of the recording; a new log joins the logs in it.
+        options: options of the collection.
+        facts: further facts to store in the log.
+        progress: called with the fraction of the poses done.
+        judged: called after each evaluation of the recording.
 
     Raises:
-        VergenceError: there is no board, it has been moved, or the head fails; frames that were
-            taken before are kept.
+        VergenceError: there is no board, it has been moved, or the head fails; earlier frames are
+            kept.
     """
     if not looker.head.actuation.count:
         raise ConfigurationError(
@@ -133,7 +133,7 @@ def collect(
 
 
 def _earlier(looker: Looker, folder: Path, moved: bool, looks: str) -> tuple[Collected, int]:
-    """What a folder holds already, and the number of its next log."""
+    """Read the recording that a folder already holds, and number its next log."""
     if folder.exists() and not folder.is_dir():
         raise ConfigurationError(f"{folder}: expected a folder, got a file")
     logs = logs_in(folder) if any(folder.glob(f"*{SUFFIX}")) else []
@@ -178,10 +178,10 @@ class _Run:
             if place == found.placement
         ]
         self._plan = Plan(self._rng, _DITHER_RAD, np.array(used).reshape(-1, 7))
-        # where the board was seen before is where it will be seen again
+        # the board is most likely visible again from an earlier posture
         self._first = self._last = find_board(looker, [looker.head.rest(), *used[-1:]])
         self._refuse_moved(self._last)
-        # a looker's clock begins anew, and the frames of this run come after all others
+        # a looker's clock restarts, but the frames of this run come after all others
         ended_s = max((sight.time_s for sight in found.sights), default=0.0)
         self._later_s = ended_s + 1.0 - float(self._last.time_s[0])
 
@@ -191,7 +191,7 @@ class _Run:
         progress: Callable[[float], None],
         judged: Callable[[Collected], None],
     ) -> None:
-        """See `collect`."""
+        """Record poses until there are enough, see `collect`."""
         looker, options, found = self._looker, self._options, self._found
         facts = {
             TARGET: str(looker.target), PLACEMENT: str(found.placement), AT_REST: str(True), **facts
@@ -215,7 +215,7 @@ class _Run:
                     )
 
     def _pose(self, log: LogWriter) -> bool:
-        """Look from the next posture; whether the board was there."""
+        """Record the next pose; return True if the board was seen."""
         own = self._looker.head.actuation
         base = own.actuators_of(self._plan.next(self._scene()))
         moves = own.upper > own.lower
@@ -233,18 +233,18 @@ class _Run:
                 break
         self._found.sights += [one._replace(time_s=one.time_s + self._later_s) for one in kept]
         self._found.places += [self._found.placement] * len(kept)
-        self._last = self._first  # where nothing was, what was seen last was another thing
+        self._last = self._first  # the last detection may have been a wrong one
         if kept:
             self._last = Gathered(self._looker.target, kept, [0] * len(kept), ()).frames()
         return bool(kept)
 
     def _scene(self) -> Scene:
-        """Where the board stands: as all frames tell, or else as the last ones do."""
+        """Estimate the board's position by the fit to all frames, or else from the last frames."""
         fitted = self._fitted()
         return scene_of(self._looker.head, self._last) if fitted is None else fitted
 
     def _fitted(self) -> Scene | None:
-        """Where a fit to all frames has the board; None without one of this place."""
+        """Get the board's position by the fit to all frames; None if this placement has none."""
         found = self._found
         here = np.unique(found.places).tolist()
         if found.outlook is None or found.placement not in here:
@@ -262,12 +262,12 @@ class _Run:
         found.outlook = known if known is not None else found.outlook
 
     def _refuse_moved(self, frame: HeadFrames) -> None:
-        """Refuse a board that is not where the earlier frames of its place have it."""
+        """Refuse a board that is not where earlier frames of its placement show it."""
         fitted, looker = self._fitted(), self._looker
         if fitted is None:
             return
         expected, looks = fitted.pixels(frame.positions[0]), frame.pixels[:, 0]
-        # a board that looks the same when it is turned may be read in any of its orders
+        # a rotationally symmetric board may be detected in any of its corner orders
         orders = orders_alike(looker.target)
         away = min(float(np.nanmax(np.abs(looks[:, order] - expected))) for order in orders)
         if away > _MOVED * looker.head.cameras.size.max():
@@ -278,10 +278,10 @@ class _Run:
 
 
 def _keep(log: LogWriter, sight: Sight) -> None:
-    """Put a sight on disk.
+    """Write a sight to the log and to disk.
 
     Raises:
-        ConfigurationError: that could not be done.
+        ConfigurationError: writing failed.
     """
     nothing, unknown = np.empty((0, 2)), np.full(2, np.nan)
     for eye, name in enumerate(EYE_NAMES):

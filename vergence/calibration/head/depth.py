@@ -1,4 +1,4 @@
-"""Depth errors of a calibrated head that looks at points, by direction and distance."""
+"""Predicted depth errors of a calibrated head that fixates points, by direction and distance."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,44 +11,47 @@ from vergence.models.parts import FloatArray
 from vergence.triangulation import triangulate_views
 
 _STEP: Final = 1e-3
-"""Of a central difference, in deviations of a number as it was believed: far above rounding, and
-its square far below 1."""
+"""Step of a central difference, in prior standard deviations of a parameter: far above rounding,
+with a square far below 1 (numerical)."""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthErrors:
-    """Errors of points that both eyes fixate; nan where they cannot, or would not see them."""
+    """Errors of points that both eyes fixate; nan for points out of reach or not visible.
+
+    Depth is measured along the line from midway between the eyes to the point.
+    """
 
     distance_m: FloatArray
-    """(n,) from midway between the eyes, along which depth is counted."""
+    """(n,) distance from midway between the eyes."""
     before_m: FloatArray
-    """(n,) of depth, by the head as its file has it where the calibrated one is right; positive
-    where it sees too far."""
+    """(n,) depth error of the nominal head if the calibrated head is true; positive if too far."""
     before_vector_m: FloatArray
-    """(n,) the length of the same error in space."""
+    """(n,) length of the same error in space."""
     sigma_m: FloatArray
-    """(n,) standard deviation of depth by what the calibration leaves unsure."""
+    """(n,) standard deviation of depth from the uncertainty of the calibration."""
     floor_m: FloatArray
-    """(n,) that of a single settled fixation by the head's own pixels and encoders."""
+    """(n,) standard deviation of depth of a single settled fixation from the noise of pixels and
+    encoders."""
 
     @property
     def before_percent(self) -> FloatArray:
-        """(n,) of the distance."""
+        """(n,) depth error of the nominal head, percent of the distance."""
         return np.asarray(1e2 * self.before_m / self.distance_m)
 
     @property
     def sigma_percent(self) -> FloatArray:
-        """(n,) of the distance."""
+        """(n,) standard deviation of depth from the calibration, percent of the distance."""
         return np.asarray(1e2 * self.sigma_m / self.distance_m)
 
 
 def ahead(distance_m: FloatArray) -> FloatArray:
-    """(n, 3) straight ahead, m."""
+    """(n, 3) points straight ahead, m."""
     return np.asarray(distance_m[:, None] * np.array([0.0, 0.0, 1.0]))
 
 
 def aside(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:
-    """(n, 3) at angles (n,) to the right and then down, m."""
+    """(n, 3) points at angles (n,) to the right and then down, m."""
     return np.asarray(
         distance_m
         * np.column_stack(
@@ -64,12 +67,13 @@ def aside(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> Flo
 def depth_errors(found: HeadCalibration, from_eyes: FloatArray) -> DepthErrors:
     """Predict the errors of depth before and after a calibration.
 
-    Each point is looked at and triangulated, with the same joint angles and pixels by each head. To
-    first order in the calibrated head's numbers, whose derivatives are central differences.
+    The calibrated head fixates each point; the nominal and the calibrated head triangulate it from
+    the same joint angles and pixels. The uncertainty is to first order in the head's parameters,
+    with derivatives by central differences.
 
     Args:
         found: the calibration.
-        from_eyes: (n, 3) points from midway between the eyes, in N with the neck at rest, m.
+        from_eyes: (n, 3) points relative to midway between the eyes, in N with the neck at rest, m.
     """
     head = found.head
     points = centre_of(head) + from_eyes

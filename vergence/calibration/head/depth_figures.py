@@ -16,14 +16,15 @@ from vergence.eval.reporting.text import format_fixed
 from vergence.models.parts import FloatArray
 
 _WIDE: Final = 11.2
-"""Of a figure across the page, inches."""
+"""Width of a figure across the page, inches (chosen)."""
 _DISTANCES_M: Final = (0.3, 3.0)
+"""Range of distances of the figures, m (chosen: the range of use)."""
 _ANGLES_DEG: Final = np.arange(-30.0, 31.0, 10.0)
-"""Of a map: to either side, and up and down."""
+"""Angles of a map to either side, and up and down, degrees (chosen)."""
 
 
 def depth_by_distance(found: HeadCalibration) -> Figure:
-    """Depth errors straight ahead: before, after, and the least of a single fixation."""
+    """Plot depth errors straight ahead: before, after, and the noise of a single fixation."""
     depth = depth_errors(found, ahead(np.geomspace(*_DISTANCES_M, 60)))
     lines: tuple[tuple[FloatArray, str, dict[str, Any]], ...] = (
         (np.abs(depth.before_m), "before: by the file", {"color": ORANGE, "linestyle": "--"}),
@@ -47,21 +48,21 @@ def depth_by_distance(found: HeadCalibration) -> Figure:
 
 
 def map_points(distance_m: float) -> FloatArray:
-    """(n, 3) the points of a map by direction, row by row from above, from midway between the eyes.
+    """(n, 3) points of a map, m, row by row from above, relative to midway between the eyes.
 
     Args:
-        distance_m: of all of them.
+        distance_m: distance of all points.
     """
     right, down = np.meshgrid(np.radians(_ANGLES_DEG), np.radians(_ANGLES_DEG))
     return aside(distance_m, right.ravel(), down.ravel())
 
 
 def depth_map(found: HeadCalibration, distance_m: float) -> Figure:
-    """Depth errors by direction, before and after, in percent of the distance.
+    """Draw maps of depth errors by direction, before and after, in percent of the distance.
 
     Args:
         found: the calibration.
-        distance_m: from midway between the eyes.
+        distance_m: distance from midway between the eyes.
     """
     depth = depth_errors(found, map_points(distance_m))
     with styled():
@@ -73,7 +74,7 @@ def depth_map(found: HeadCalibration, distance_m: float) -> Figure:
 
 
 def _table(panel: Axes, percent: FloatArray, title: str, signed: bool = False) -> None:
-    """Numbers by direction, darker the farther they are from 0."""
+    """Draw a table of numbers by direction; colours get darker away from 0."""
     count = len(_ANGLES_DEG)
     grid = percent.reshape(count, count)
     most = max(float(np.nanmax(np.abs(grid), initial=0.0)), 1e-9)

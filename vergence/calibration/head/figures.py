@@ -1,4 +1,4 @@
-"""Figures of what a head's calibration saw and leaves."""
+"""Figures of a head's calibration: residuals, coverage, joint angles, correlations."""
 
 from typing import Any, Final
 
@@ -30,21 +30,22 @@ from vergence.models.joints import EYE_NAMES, NECK
 from vergence.models.parts import FloatArray
 
 _WIDE: Final = 11.2
-"""Of a figure across the page, inches."""
+"""Width of a figure across the page, inches (chosen)."""
 _CLIPPED: Final = 2.5
-"""So many times the median of the kept views an axis of residuals reaches."""
+"""Range of a residual axis in medians of the kept views, unless a kept view exceeds it (chosen)."""
 _STRONG: Final = 0.9
-"""Correlations from which on two numbers are hardly told apart."""
+"""Absolute correlation from which on two parameters are hardly separable (chosen)."""
 _MOST_NAMES: Final = 24
-"""Of a matrix that can be read."""
+"""Most parameters in a correlation matrix (chosen: more are unreadable)."""
 _TOLD: Final = 0.5
-"""Of the variance of an error that images leave, for the error to be one that they tell."""
+"""Ratio of posterior to prior variance of a reading error below which images determine it
+(chosen)."""
 _BINS: Final = (6, 30)
-"""Of a histogram, as there are readings."""
+"""Fewest and most bins of a histogram, which grow with the readings (chosen)."""
 
 
 def residuals_over_time(found: HeadCalibration) -> Figure:
-    """What each view leaves over time, also by heads that did not know it."""
+    """Plot each view's residuals over time, also those by heads calibrated without it."""
     rms = view_rms(found)
     held_out = np.sqrt(found.held_out)
     usual = rms[found.views]
@@ -73,13 +74,13 @@ def residuals_over_time(found: HeadCalibration) -> Figure:
 
 
 def view_rms(found: HeadCalibration) -> FloatArray:
-    """(2, f) what each view leaves, over sigma: of its kept corners, or of all if none was kept.
+    """(2, f) rms residual of each view in units of sigma: of its kept corners, or of all if none.
 
     Args:
         found: the calibration.
 
     Returns:
-        nan for a view without corners, inf for one with corners that belong behind the camera.
+        nan for a view without corners, inf for a view with corners predicted behind the camera.
     """
     counted = judged(found)
     squares = np.nan_to_num(found.solution.squares, nan=np.inf)
@@ -90,7 +91,7 @@ def view_rms(found: HeadCalibration) -> FloatArray:
 
 
 def judged(found: HeadCalibration) -> NDArray[np.bool_]:
-    """(2, f, n) the kept corners of each view, or all where none was kept.
+    """(2, f, n) True for the kept corners of each view, or for all found ones if none was kept.
 
     Args:
         found: the calibration.
@@ -99,7 +100,7 @@ def judged(found: HeadCalibration) -> NDArray[np.bool_]:
 
 
 def residuals_px(found: HeadCalibration) -> FloatArray:
-    """(2, f, n, 2) projected minus measured, px; nan for corners that do not count.
+    """(2, f, n, 2) residuals projected minus measured, px; nan for corners that were not kept.
 
     Args:
         found: the calibration.
@@ -109,22 +110,22 @@ def residuals_px(found: HeadCalibration) -> FloatArray:
 
 
 def coverage(found: HeadCalibration, eye: int) -> Figure:
-    """Where in an eye's images the corners were that the calibration goes by.
+    """Draw the kept corners over an eye's image.
 
     Args:
         found: the calibration.
-        eye: 0 for left.
+        eye: 0 for left, 1 for right.
     """
     views = np.where(found.kept[eye][..., None], found.frames.pixels[eye], np.nan)
     return corners_seen(views, _size(found, eye), EYE_NAMES[eye], EYE_STYLES[eye]["color"])
 
 
 def residual_field(found: HeadCalibration, eye: int) -> Figure:
-    """Residuals over an eye's images as magnified arrows.
+    """Draw residuals over an eye's image as magnified arrows.
 
     Args:
         found: the calibration.
-        eye: 0 for left.
+        eye: 0 for left, 1 for right.
     """
     kept = found.kept[eye]
     return residual_arrows(
@@ -139,14 +140,14 @@ def _size(found: HeadCalibration, eye: int) -> tuple[int, int]:
 
 
 def actuator_names(found: HeadCalibration) -> list[str]:
-    """Names of the neck's joints and the eyes' actuators; empty for those that do not exist."""
+    """List the names of the neck's joints and the eyes' actuators; empty for missing ones."""
     about = found.about
     names = [*about.joints[NECK], *about.actuation.names]
     return names + [""] * (7 - len(names))
 
 
 def joint_angles(found: HeadCalibration) -> Figure:
-    """Where the joints were: all actuators between their limits, and both eyes' angles."""
+    """Plot the angles of all actuators between their limits, and both eyes' joint angles."""
     about, own = found.about, found.about.actuation
     used = np.flatnonzero(found.views.any(axis=0))
     _, first = np.unique(found.frames.pose[used], return_index=True)
@@ -158,7 +159,7 @@ def joint_angles(found: HeadCalibration) -> Figure:
     with styled():
         figure = new_figure(_WIDE, 4.6)
         strips, eyes = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
-        # one below the other in the order of the recording
+        # dots one below the other in the order of the recording
         height = np.linspace(-0.32, 0.32, len(q)) if len(q) > 1 else np.zeros(1)
         for row, k in enumerate(moves):
             low, high = limits[:, k]
@@ -192,7 +193,7 @@ def joint_angles(found: HeadCalibration) -> Figure:
 
 
 def _tilt_and_pan(names: tuple[str, ...]) -> tuple[int, int]:
-    """Which of an eye's two joints is up the page, and which across."""
+    """Choose the eye joints for the vertical and the horizontal axis of the figure."""
     return (1, 0) if "pan" in names[0] and "pan" not in names[1] else (0, 1)
 
 
@@ -201,7 +202,7 @@ def _common(left: str, right: str) -> str:
 
 
 def strong_correlations(found: HeadCalibration) -> NDArray[np.intp]:
-    """The estimated numbers that are strongly correlated with others, the strongest if many.
+    """Find the estimated parameters with strong correlations, the strongest if there are many.
 
     Args:
         found: the calibration.
@@ -220,10 +221,10 @@ def _correlation(found: HeadCalibration) -> FloatArray:
 
 
 def correlations(found: HeadCalibration) -> Figure:
-    """Correlations between the numbers that the recording hardly tells apart.
+    """Draw the correlations between parameters that the recording hardly separates.
 
     Args:
-        found: a calibration that has such, see `strong_correlations`.
+        found: a calibration with such parameters, see `strong_correlations`.
     """
     chosen = strong_correlations(found)
     names = [found.about.parameters().names[k] for k in chosen]
@@ -248,7 +249,7 @@ def correlations(found: HeadCalibration) -> Figure:
 
 
 def read_errors(found: HeadCalibration) -> dict[str, FloatArray]:
-    """(n,) errors of the angles that were read, rad, by actuator, where images tell them.
+    """(n,) by actuator, errors of single readings that the images determine, rad.
 
     Args:
         found: the calibration.
@@ -263,10 +264,10 @@ def read_errors(found: HeadCalibration) -> dict[str, FloatArray]:
 
 
 def misreadings(found: HeadCalibration) -> Figure:
-    """Errors of the angles that were read, by actuator, against the even ones within a step.
+    """Draw histograms of reading errors by actuator, with the uniform density of quantisation.
 
     Args:
-        found: a calibration in which angles have errors of their own, see `read_errors`.
+        found: a calibration with errors of single readings, see `read_errors`.
     """
     errors, names = read_errors(found), actuator_names(found)
     columns = min(len(errors), 4)

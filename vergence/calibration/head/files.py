@@ -1,4 +1,4 @@
-"""The head file of a calibrated head."""
+"""Head file of a calibrated head."""
 
 from dataclasses import replace
 from typing import Final
@@ -11,19 +11,19 @@ from vergence.models.head import HeadModel
 
 _VERSIONED: Final = ("vergence", "numpy", "scipy", "opencv-python-headless")
 _MEASURED: Final = ("links", "eyes", "joints.origin_m", "joints.rpy_rad", "joints.axis", "frame")
-"""Beginnings of the keys of assumptions that a calibration has put numbers in the place of."""
+"""Prefixes of the keys of assumptions that a calibration replaces by estimates."""
 
 
 def calibrated_head(found: HeadCalibration, sha256: str, name: str) -> HeadModel:
-    """A calibrated head, with the origin and the uncertainty of its numbers.
+    """Make a calibrated head with the origin and the uncertainty of its parameters.
 
     Args:
         found: the calibration.
-        sha256: of what was measured.
-        name: of the head.
+        sha256: digest of the measurements.
+        name: name of the head.
 
     Raises:
-        HeadFileError: the name cannot be one.
+        HeadFileError: the name is not valid.
     """
     check_name(name)
     names, spreads = found.about.parameters().names, found.solution.problem.spreads
@@ -50,5 +50,5 @@ def calibrated_head(found: HeadCalibration, sha256: str, name: str) -> HeadModel
 
 
 def head_text(found: HeadCalibration, sha256: str, name: str) -> str:
-    """The file of `calibrated_head`, as TOML."""
+    """Write the head file of `calibrated_head` as TOML text."""
     return head_to_toml(calibrated_head(found, sha256, name))

@@ -1,4 +1,4 @@
-"""The best head from frames of a board, and the corners and readings that go with it."""
+"""Robust fit of a head to frames of a board: outlier corners, views and readings are left out."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -14,49 +14,61 @@ from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 
 _OUTLYING: Final = 5.0
-"""Deviations beyond which a corner, or an angle that was read, is wrong."""
+"""Gate on a corner's residual or a reading's error, in standard deviations (chosen)."""
 _HALF: Final = 0.5
-"""Share of a view's corners that have to be right for any of them to count."""
+"""Fraction of a view's corners that have to be inliers for the view to be kept (chosen)."""
 _FITS: Final = 6
+"""Largest number of rounds of selecting corners and fitting (numerical)."""
 _NOISIER: Final = 1.3
-"""Times their deviation by steps and play that readings must scatter before it counts."""
+"""Ratio of the readings' scatter to its expectation by quantisation and backlash above which their
+standard deviation is enlarged (chosen)."""
 _SAME_SCATTER: Final = 0.05
-"""Relative change of a scatter that changes nothing."""
+"""Relative change of a scatter that needs no further fit (numerical)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A head, and the corners that go with it."""
+    """A head, and its inlier corners."""
 
     solution: HeadSolution
     kept: NDArray[np.bool_]
-    """(2, f, n)"""
+    """(2, f, n) True for kept corners, the inliers."""
 
 
 def fitted(
     problem: HeadAdjustment, boards: Poses, agree: NDArray[np.bool_], near: State | None = None
 ) -> Fit:
-    """The best head, and the corners that go with it."""
+    """Fit a head robustly, first to the views that agree on the board's pose.
+
+    Args:
+        problem: the adjustment problem.
+        boards: (b) initial poses of the board in frame 0.
+        agree: (2, f) True for views that agree on these.
+        near: initial parameters and bend; None for the nominal head.
+
+    Raises:
+        LinAlgError: no views agree, or the start is behind a camera.
+    """
     enough = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
     begin = problem.start(boards)
     if near is not None:
         begin = begin._replace(values=near.values, bend=near.bend)
     first = Weights.of(enough & agree[..., None])
     solution = solved(problem, begin, first, usual=FIRST_USUAL)
-    if not agree[enough.any(axis=-1)].all():  # those that lay elsewhere through the head's file
+    if not agree[enough.any(axis=-1)].all():  # views that disagreed by the nominal head
         usual = solution.weights.usual
         solution = solved(problem, solution.state, Weights.of(enough), usual=usual)
     return settled(solution)
 
 
 def settled(solution: HeadSolution) -> Fit:
-    """The head of the corners and readings that go together, each weighed by how it scatters.
+    """Refine a head on its inliers, with readings weighted by their scatter.
 
     Args:
-        solution: near by, of corners most of which are right.
+        solution: initial solution, from mostly correct corners.
 
     Raises:
-        LinAlgError: no views go together.
+        LinAlgError: no views agree.
     """
     problem = solution.problem
     enough = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
@@ -77,7 +89,7 @@ def settled(solution: HeadSolution) -> Fit:
 def _going_together(
     solution: HeadSolution, enough: NDArray[np.bool_], noisier: FloatArray
 ) -> NDArray[np.bool_]:
-    """(2, f, n) the corners that fit, of views most of whose corners and whose angles do."""
+    """(2, f, n) True for inlier corners of views with mostly inliers and plausible readings."""
     usual = _usual(solution, enough)
     fit = enough & (np.nan_to_num(solution.squares, nan=np.inf) < _OUTLYING**2 * usual)
     already = solution.problem.noisier
@@ -88,22 +100,25 @@ def _going_together(
         joints = moved[[3 + 2 * eye, 4 + 2 * eye]].any(axis=0)
         fit[eye] &= ~np.asarray((wrong & joints).any(axis=1))[:, None]
     most = fit.sum(axis=-1) >= np.maximum(_HALF * enough.sum(axis=-1), LEAST_CORNERS)
-    # a wrong view of one eye pulls at the neck, too
+    # a wrong neck reading drops both views, unless one of them is wrong already and may explain it
     most &= ~(most.all(axis=0) & np.asarray(wrong[:, NECK].any(axis=1)))
     return np.asarray(fit & np.asarray(most)[..., None])
 
 
 def _usual(solution: HeadSolution, enough: NDArray[np.bool_]) -> float:
-    """Mean square of the residuals of a usual corner, in units of sigma; 1 at least.
+    """Typical mean square of a corner's residuals, in units of sigma^2; at least 1.
 
-    With most of the views wrong, a robust fit knows better than their median.
+    If most views are wrong, the robust fit's value is smaller than their median, and is taken.
     """
     counted = enough & (solution.weights.corners > 0.0)
     return min(max(float(np.median(solution.squares[counted])), 1.0), solution.weights.usual)
 
 
 def scatter_of(solution: HeadSolution) -> FloatArray:
-    """(7,) how many times what steps and play say the readings of each actuator scatter; >= 1."""
+    """(7,) ratio of each actuator's reading scatter to its expectation, at least 1.
+
+    The expectation comes from quantisation and backlash.
+    """
     own, already = solution.problem.joints, solution.problem.noisier
     known = np.ones(7) if already is None else already
     found = np.ones(7)
@@ -114,14 +129,14 @@ def scatter_of(solution: HeadSolution) -> FloatArray:
         squares = solution.misread[used, joint] ** 2
         if len(squares) < _LEAST_READINGS:
             continue
-        # of a normal or an even distribution, a few wrong readings left out
+        # for a normal or a uniform distribution, without a few wrong readings
         usual = np.mean(squares[squares <= _OUTLYING**2 * max(float(np.median(squares)), 1e-12)])
         expected = max(float(np.mean(1.0 - solution.angle_left[used, joint])), 0.1)
         times = float(np.sqrt(usual / expected)) * known[joint]
-        # noise of the corners makes readings look wrong as well
+        # noise of the corners enlarges the estimated reading errors as well
         found[joint] = times if times > _NOISIER * np.sqrt(usual_corner) else 1.0
     return found
 
 
 _LEAST_READINGS: Final = 20
-"""Of an actuator, to tell how they scatter."""
+"""Fewest readings of an actuator from which a scatter is estimated (chosen)."""

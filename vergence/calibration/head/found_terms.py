@@ -1,4 +1,4 @@
-"""Optional terms that a calibration has found: their numbers, and what a person should know."""
+"""Reading-error terms found by a calibration: their parameters, and remarks for the user."""
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -10,30 +10,30 @@ from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 
 _SURELY: Final = 2.0
-"""Standard deviations from which on a number is there."""
+"""Standard deviations above which a parameter is significant (chosen)."""
 
 
 class Term(NamedTuple):
-    """A number of a rule that readings follow."""
+    """A parameter of a reading-error term."""
 
     name: str
-    """Such as `left_pan.play`."""
+    """Name such as `left_pan.play`."""
     value: float
     sigma: float
     unit: str
 
     @property
     def surely(self) -> bool:
-        """Whether it is not zero by chance."""
+        """True if it differs significantly from zero."""
         return abs(self.value) > _SURELY * self.sigma
 
 
 def found_terms(solution: HeadSolution, covariance: FloatArray) -> tuple[Term, ...]:
-    """The numbers of a solution's rules.
+    """List the parameters of a solution's reading-error terms.
 
     Args:
-        solution: a head.
-        covariance: of its numbers, see `head_covariance`.
+        solution: solution of a head.
+        covariance: covariance of its parameters, see `head_covariance`.
     """
     p = len(solution.problem.nominal)
     sigma = np.sqrt(np.diagonal(covariance)[p:]).tolist()
@@ -42,7 +42,7 @@ def found_terms(solution: HeadSolution, covariance: FloatArray) -> tuple[Term, .
 
 
 def found_play(solution: HeadSolution, terms: Sequence[Term]) -> FloatArray:
-    """(7,) play by actuator, rad; 0 for what may be chance."""
+    """(7,) backlash by actuator, rad; 0 if not significant."""
     out = np.zeros(7)
     for term, joint, plays in zip(
         terms, solution.problem.terms.joint, solution.problem.terms.plays, strict=True
@@ -53,7 +53,7 @@ def found_play(solution: HeadSolution, terms: Sequence[Term]) -> FloatArray:
 
 
 def term_remarks(solution: HeadSolution, terms: Sequence[Term]) -> list[str]:
-    """Lines on terms, and on what the head's file has no place for."""
+    """Remark on the terms found, and on those that the head's file cannot hold."""
     rules, about = solution.problem.terms, solution.problem.about
     names = [*about.joints[:3], *about.actuation.names]
     lines = []
@@ -74,7 +74,7 @@ def term_remarks(solution: HeadSolution, terms: Sequence[Term]) -> list[str]:
 
 
 def harmonics_remark(solution: HeadSolution) -> str:
-    """By how much harmonics make readings wrong."""
+    """Remark on the size of the encoder harmonics."""
     rules, about = solution.problem.terms, solution.problem.about
     waves = rules.at(np.where(rules.plays, 0.0, solution.state.terms))[0]
     names = [*about.joints[:3], *about.actuation.names]

@@ -1,4 +1,4 @@
-"""What a moving head saw of a board: frames of both eyes, with the joint angles read for each."""
+"""Frames of a board by both eyes of a moving head, with the joint angles read for each."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,20 +15,20 @@ from vergence.triangulation import Noise
 
 IntArray = NDArray[np.intp]
 POSE_RAD: Final = 0.026
-"""Frames of one pose differ by less than this in every joint, rad: 1.5 degrees. Dither is some
-tenths of a degree, poses lie degrees apart."""
+"""Bound on the difference of frames of one pose in every joint, rad (chosen: 1.5 degrees, between
+the dither of some tenths of a degree and the distance of poses of some degrees)."""
 _STILL_SHARE: Final = 0.8
-"""Share of the poses in which a joint's reading must not change for it to count as one that does
-not dither."""
+"""Fraction of the poses in which a joint's reading must not change for the joint to count as one
+without dither (chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeadFrames:
-    """Frames of a head before a board, in the order of time."""
+    """Frames of a head in front of a board, in the order of time."""
 
     target: PlanarTarget
     time_s: FloatArray
-    """(f,) of the exposures, s."""
+    """(f,) times of the exposures, s."""
     positions: FloatArray
     """(f, 7) joint angles that were read, rad."""
     pixels: FloatArray
@@ -36,10 +36,11 @@ class HeadFrames:
     sigma: FloatArray
     """(2, f, n, 2) their standard deviations, px."""
     placement: IntArray
-    """(f,) number of the board's place in frame 0, from 0 on: it moved where this changes."""
+    """(f,) number of the board's placement in frame 0, from 0 on: a change means that the board was
+    moved."""
 
     def of(self, frames: NDArray[np.bool_] | IntArray) -> "HeadFrames":
-        """Some of the frames."""
+        """Select some of the frames."""
         return HeadFrames(
             target=self.target, time_s=self.time_s[frames], positions=self.positions[frames],
             pixels=self.pixels[:, frames], sigma=self.sigma[:, frames],
@@ -48,13 +49,13 @@ class HeadFrames:
 
     @cached_property
     def corners(self) -> FloatArray:
-        """(n, 3) the board's corners in its frame, metres, from their middle."""
+        """(n, 3) the board's corners relative to their middle, metres."""
         flat = np.column_stack([self.target.corners_m, np.zeros(len(self.target.corners_m))])
         return np.asarray(flat - flat.mean(axis=0))
 
     @cached_property
     def seen(self) -> NDArray[np.bool_]:
-        """(2, f, n) which corners were found."""
+        """(2, f, n) True for corners that were found."""
         return np.asarray(np.isfinite(self.pixels).all(axis=-1))
 
     @cached_property
@@ -73,31 +74,32 @@ class HeadFrames:
 
 @dataclass(frozen=True, eq=False)
 class JointErrors:
-    """Which true angles are unknown, and which frames share one.
+    """Unknown reading errors of the joints, for single frames or shared by several.
 
-    An encoder's reading is off by up to half a step. A joint that moves between frames is off
-    by another amount in each. One that rests is off by the same amount as long as it rests, and a
-    neck that rests before one place of the board moves the board's unknown pose only.
+    An encoder's reading is wrong by up to half a quantisation step. A joint that moves between
+    frames has an independent error in each. A resting joint has the same error while it rests. An
+    error of a neck joint that rests throughout each placement of the board only shifts the board's
+    unknown poses and needs no unknown of its own.
     """
 
     angles: FloatArray
-    """(f, 7) the actuators' angles that were read, rad; of resting joints the mean reading."""
+    """(f, 7) actuator angles that were read, rad; the mean reading for resting joints."""
     sigma: FloatArray
-    """(7,) deviation of a reading, rad."""
+    """(7,) standard deviation of a reading, rad."""
     own: NDArray[np.bool_]
-    """(f, 7) which angles have an error of their own frame."""
+    """(f, 7) True for angles with an error of the single frame."""
     run: IntArray
-    """(f, 7) the number of the error that frames share; -1 for none."""
+    """(f, 7) index of the error that frames share; -1 for none."""
     runs: IntArray
-    """(r,) the actuator of each shared error."""
+    """(r,) actuator of each shared error."""
 
     @classmethod
     def of(cls, head: HeadModel, frames: HeadFrames) -> "JointErrors":
-        """The unknown angles of frames.
+        """Find the unknown reading errors of frames.
 
         Args:
-            head: whose steps and play count.
-            frames: in the order of time.
+            head: the head whose quantisation and backlash apply.
+            frames: frames in the order of time.
         """
         own = head.actuation
         angles = own.actuators_of(frames.positions)
@@ -113,10 +115,10 @@ class JointErrors:
             if joint < NECK.stop and all(
                 np.ptp(angles[place, joint]) <= step[joint] for place in places
             ):
-                free[:, joint] = False  # what it is off by moves the board's unknown pose alone
+                free[:, joint] = False  # its error only shifts the board's unknown pose
             elif _rests(angles[:, joint], frames.pose, step[joint]):
                 resting.append(joint)
-        # a joint whose reading happens to stay when others move has moved within a step
+        # a joint whose reading stays while others change may have moved within its step
         stretches = _stretches(angles[:, resting], step[resting], frames.placement)
         for joint in resting:
             free[:, joint] = False
@@ -128,7 +130,7 @@ class JointErrors:
 
 
 def _rests(angles: FloatArray, pose: IntArray, step: float) -> bool:
-    """Whether a joint's reading stays within a step in most of the poses."""
+    """Return True if a joint's reading stays within a step in most poses."""
     spans = [
         np.ptp(angles[pose == each])
         for each, count in zip(*np.unique(pose, return_counts=True), strict=True)
@@ -138,7 +140,7 @@ def _rests(angles: FloatArray, pose: IntArray, step: float) -> bool:
 
 
 def _stretches(angles: FloatArray, step: FloatArray, placement: IntArray) -> list[tuple[int, int]]:
-    """Frames one after the other in which all readings stay within a step."""
+    """Split the frames into runs in which all readings stay within a step."""
     found, begin = [], 0
     for frame in range(1, len(angles) + 1):
         if frame < len(angles) and placement[frame] == placement[begin]:
@@ -151,4 +153,5 @@ def _stretches(angles: FloatArray, step: FloatArray, placement: IntArray) -> lis
 
 
 _SAME: Final = 1.01
-"""Steps within which a reading is the same: rounding, and an angle on the edge of a step."""
+"""Steps (quantisation or backlash) within which readings count as equal: one, for an angle at the
+edge of a step, and rounding (numerical)."""

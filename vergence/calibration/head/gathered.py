@@ -1,4 +1,4 @@
-"""Sights that were read of a recording, before they are put in order."""
+"""Sights read from a recording, not yet sorted."""
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -10,27 +10,27 @@ from vergence.models.boards import PlanarTarget
 from vergence.recording.looking import Sight
 
 MOST_PLACES: Final = 1000
-"""Of a board: larger numbers are no places, but times or names."""
+"""Bound on the numbers of the board's placements (chosen: larger ones are times or names)."""
 
 
 class Gathered(NamedTuple):
-    """Content of a recording as it was read."""
+    """Content of a recording as read."""
 
     target: PlanarTarget
     """The board."""
     sights: Sequence[Sight]
-    """(f) in any order of time."""
+    """(f) sights in any order."""
     placement: Sequence[int]
-    """(f) numbers of the board's places."""
+    """(f) number of the board's placement for each sight."""
     files: tuple[str, ...]
     """Names of the files that were read."""
     remarks: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()
     looks: str = ""
-    """The head that looked, where the logs tell one from another of the same file."""
+    """Identity of the head that looked, if the logs distinguish heads with the same file."""
 
     def frames(self) -> HeadFrames:
-        """The sights in arrays; a corner without a pixel or a deviation was not found."""
+        """Pack the sights into arrays; corners without a pixel or a sigma count as not found."""
         count, corners = len(self.sights), len(self.target.corners_m)
         pixels = np.full((2, count, corners, 2), np.nan)
         sigma = np.full((2, count, corners, 2), np.nan)

@@ -1,31 +1,32 @@
-r"""Head-eye calibration alone: where either camera is in the last link of its eye.
+r"""Head-eye calibration alone: the pose of each camera in the last link of its eye.
 
-All that the joints carry is believed here, lengths and offsets and the cameras' lenses; an error of
-those is made up for as far as head-eye transforms can. Frame by frame, the joint angles give
-T_N_6, T_N_9 and the neck's T_0_N, and the images give the board's pose T_C_B in either camera.
+The kinematics (lengths, joint offsets) and the cameras' lenses are taken as known here; the
+head-eye transforms compensate for their errors as far as they can. In each frame, the joint angles
+give T_N_6, T_N_9 and the neck's T_0_N, and the images give the board's pose T_C_B in each camera.
 
-One eye by itself (`single_eye`), with the board anywhere at rest, is hand-eye calibration,
+A single eye (`single_eye`), with the board at rest anywhere, is a hand-eye calibration,
 
     (T_0_N T_N_6)_i X_l = T_0_B inv(T_Cl_B)_i.
 
-Both at once (`both_eyes`) is ITPC-style, reconstructed, see `vergence.triangulation`: with
+Both eyes at once (`both_eyes`) are ITPC-style, reconstructed, see `vergence.triangulation`: with
 B_i = inv(T_N_6) T_N_9 and C_i = T_Cl_B inv(T_Cr_B) of frame i,
 
     B_i X_r = X_l C_i.
 
-Two of them give (B_2 B_1^-1) X_l = X_l (C_2 C_1^-1) and (B_1^-1 B_2) X_r = X_r (C_1^-1 C_2), which
-say nothing else. Neither the neck nor where the board stands is in it, and the board may move. It
-can see only what changes B. Of its 12 numbers, motions of the article's head leave unseen:
+Two such frames give (B_2 B_1^-1) X_l = X_l (C_2 C_1^-1) and (B_1^-1 B_2) X_r = X_r (C_1^-1 C_2),
+which add no information. The equation contains neither the neck nor the board's position, and the
+board may move. It observes only motions that change B. Of its 12 unknowns, the motions of the
+article's head leave unobservable:
 
-- a common tilt of both eyes: 6, as B stays as it is;
-- a common pan (version): 3, a shift of both cameras together;
-- opposite pans (vergence), and any exact fixation, as both eyes tilt about one line: 1, a shift of
-  both along the axis of pan.
+- a common tilt of both eyes: 6, as B does not change;
+- a common pan (version): 3, a translation of both cameras together;
+- opposite pans (vergence), and any exact fixation, as both eyes tilt about one line: 1, a
+  translation of both cameras along the pan axis.
 
-From the last two, rotations follow only by the translation of B, a baseline that turns. A closed
-form that begins with rotations cannot use it: where B turns about no axis or one, it is refused. So
-the eyes must tilt against each other, too, and look beside the board; those with one common tilt
-cannot.
+For the last two, the rotations follow only from the translation of B, a baseline that rotates. A
+closed form that begins with rotations cannot use it, so that motions in which B rotates about fewer
+than two axes are refused. Therefore the eyes must also tilt against each other and look beside the
+board; eyes with a common tilt cannot.
 """
 
 from typing import Final, NamedTuple
@@ -51,23 +52,24 @@ from vergence.models.parts import FloatArray
 from vergence.perception.located import orders_alike
 
 _TURN_RAD: Final = 1.0
+"""Prior standard deviation of a head-eye rotation, rad (chosen: too large to matter)."""
 _SHIFT_M: Final = 0.5
-"""Deviations of the head-eye transforms from the start, so large that they do not matter."""
+"""Prior standard deviation of a head-eye translation, m (chosen: too large to matter)."""
 
 
 class HeadEye(NamedTuple):
-    """Head-eye transforms, and how well they fit."""
+    """Head-eye transforms, and their residuals."""
 
     head_eye: FloatArray
     """(2, 4, 4) T_6_Cl and T_9_Cr, see `HeadModel.head_eye`."""
     rms_px: float
-    """Root mean square distance of the kept views' corners from where the transforms have them."""
+    """Root mean square reprojection error of the kept views' corners, px."""
     kept: BoolArray
-    """(2, f) the views that went in."""
+    """(2, f) True for kept views, the inliers."""
 
 
 class _Views(NamedTuple):
-    """Poses of the eyes and of the board before them."""
+    """Poses of the eyes, and of the board in their cameras."""
 
     frames: HeadFrames
     links: FloatArray
@@ -77,7 +79,7 @@ class _Views(NamedTuple):
     boards: FloatArray
     """(2, f, 4, 4) T_Cl_B and T_Cr_B."""
     seen: BoolArray
-    """(2, f) which views show the board."""
+    """(2, f) True for views that show the board."""
 
     @classmethod
     def of(cls, head: HeadModel, frames: HeadFrames) -> "_Views":
@@ -92,7 +94,7 @@ class _Views(NamedTuple):
         return cls(frames, links, head.base_pose(q), boards, seen)
 
     def rms_px(self, head: HeadModel, predicted: FloatArray, kept: BoolArray) -> float:
-        """Corners against measured ones, by the board's predicted poses (2, f, 4, 4)."""
+        """Compute the rms reprojection error of the board's predicted poses (2, f, 4, 4)."""
         points = self.frames.corners @ np.swapaxes(predicted[..., :3, :3], -1, -2)
         points = points + predicted[..., None, :3, 3]
         residuals = np.full(self.frames.pixels.shape, np.nan)
@@ -104,14 +106,14 @@ class _Views(NamedTuple):
 
 
 def single_eye(head: HeadModel, frames: HeadFrames) -> HeadEye:
-    """Find each eye's transform by itself, in closed form, robust to bad views.
+    """Find each eye's transform separately, in closed form, robust to bad views.
 
     Args:
-        head: as its file has it; its own head-eye transforms do not matter.
-        frames: what it saw.
+        head: the nominal head; its own head-eye transforms are not used.
+        frames: frames of the board.
 
     Raises:
-        ConfigurationError: too few views of an eye show the board, or its eye does not turn about
+        ConfigurationError: too few views of an eye show the board, or the eye does not turn about
             two axes between them.
     """
     views = _Views.of(head, frames)
@@ -131,8 +133,8 @@ def both_eyes(head: HeadModel, frames: HeadFrames) -> HeadEye:
     """Find both transforms at once, in closed form, robust to bad views: ITPC-style, reconstructed.
 
     Args:
-        head: as its file has it; its own head-eye transforms do not matter.
-        frames: what it saw; only those count that show the board to both eyes.
+        head: the nominal head; its own head-eye transforms are not used.
+        frames: frames of the board; only frames in which both eyes see it are used.
 
     Raises:
         ConfigurationError: too few frames show the board to both eyes, or the eyes do not turn
@@ -153,17 +155,17 @@ def both_eyes(head: HeadModel, frames: HeadFrames) -> HeadEye:
 
 
 def by_reprojection(head: HeadModel, frames: HeadFrames, start: HeadEye) -> HeadEye:
-    """Refine both transforms, and nothing else of the head, on the corners of all views.
+    """Refine both transforms, and no other parameter of the head, on the corners of all views.
 
-    The board's pose in frame 0 and the joint angles within the encoders' errors are found along.
+    The board's pose in frame 0 and the encoders' reading errors are estimated too.
 
     Args:
-        head: as its file has it.
-        frames: what it saw.
-        start: transforms near by, from which rotations are counted.
+        head: the nominal head, from its file.
+        frames: frames of the board.
+        start: initial transforms; rotations are relative to them.
 
     Raises:
-        ConfigurationError: the frames do not tell where the board is.
+        LinAlgError: the frames do not determine the board's pose, or do not agree.
     """
     about = head.replace(head_eye=start.head_eye)
     parameters = about.parameters()

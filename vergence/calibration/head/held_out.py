@@ -1,4 +1,4 @@
-"""Views by heads that were found without their poses."""
+"""Cross-validation of a head: views judged by heads that were calibrated without their poses."""
 
 from dataclasses import replace
 from typing import Final, NamedTuple
@@ -11,30 +11,32 @@ from vergence.calibration.head.solution import HeadSolution, solved
 from vergence.models.parts import FloatArray
 
 FOLDS: Final = 5
+"""Folds of the cross-validation (chosen: more take longer)."""
 _FOLD_TOLERANCE: Final = 1.0
-"""Change of the cost below which a fold's head is near enough."""
+"""Change of the cost below which a fold's fit ends (numerical)."""
 
 
 class HeldOut(NamedTuple):
-    """Errors of what heads did not know."""
+    """Cross-validation errors."""
 
     views: FloatArray
-    """(2, f) mean squares of the corners, over sigma; nan without."""
+    """(2, f) mean square of the corners in units of sigma^2; nan for views without kept corners."""
     poses: FloatArray
-    """(poses) mean square of the corners plus that of the readings' errors, over sigma; nan
-    without. One reading counts for many corners, which are what tells its error."""
+    """(poses) mean square of the corners plus mean square of the reading errors, in units of
+    sigma^2; nan for poses without kept corners. One reading weighs as much as many corners, as its
+    error is estimated from them."""
 
 
 def held_out(
     solution: HeadSolution, kept: NDArray[np.bool_], noisier: FloatArray | None = None
 ) -> HeldOut:
-    """Judge views, and the angles read for them, by heads that were found without their poses.
+    """Judge views and their joint readings by heads that were calibrated without their poses.
 
     Args:
-        solution: of all.
-        kept: (2, f, n) the corners that count.
-        noisier: (7,) how readings are believed to scatter when they are judged, see
-            `HeadAdjustment`; None for what the solution says.
+        solution: solution of all frames.
+        kept: (2, f, n) True for the corners that count.
+        noisier: (7,) ratio of reading scatter to its expectation, for judging readings, see
+            `HeadAdjustment`; None for the solution's.
     """
     problem, pose = solution.problem, solution.problem.frames.pose
     views = np.full(kept.shape[:2], np.nan)
@@ -49,7 +51,7 @@ def held_out(
             values=solution.state.values, bend=solution.state.bend, terms=solution.state.terms
         )
         found = solved(trained, start, Weights.of(kept[:, ~out]), tolerance=_FOLD_TOLERANCE)
-        # only the board and the angles of the frames are found anew
+        # fit only the board and the reading errors of these frames again
         judged = replace(
             problem.of(out),
             about=found.head,

@@ -1,4 +1,4 @@
-"""One recording's calibration as a job: by itself, in a process of its own, or on a cluster."""
+"""Calibration from one recording as a job: in this process, in another one, or on a cluster."""
 
 import tempfile
 from collections.abc import Callable, Mapping
@@ -17,18 +17,18 @@ from vergence.models.head import HeadModel
 
 @dataclass(frozen=True, kw_only=True)
 class HeadOutcome:
-    """What came of a recording."""
+    """Result of a calibration job."""
 
     text: str
-    """The head file; empty where there is no head."""
+    """The head file; empty if the recording was refused."""
     document: Mapping[str, Any]
     """The result as plain values."""
     unseen: tuple[Unseen, ...]
-    """What the recording does not tell."""
+    """Unobservable directions of the recording."""
     files: Mapping[str, bytes]
     """The run folder's files by name."""
     refused: str
-    """Why there is no head; empty where there is one."""
+    """Reason of a refusal; empty if there is a head."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,13 +36,13 @@ class HeadJob:
     """The calibration of a head from one recording.
 
     Attributes:
-        head: as its file has it.
-        recorded: what it saw.
-        cameras: whether the cameras may be otherwise than the file says, too.
+        head: the nominal head, from its file.
+        recorded: its recording.
+        cameras: True to estimate the cameras too.
         terms: see `calibrate_head`.
-        name: of the calibrated head.
-        file: name of the file that is to be written.
-        path: of the recording.
+        name: name of the calibrated head.
+        file: name of the head file to write.
+        path: path of the recording.
     """
 
     head: HeadModel
@@ -54,7 +54,7 @@ class HeadJob:
     path: str
 
     def __call__(self, progress: Callable[[float], None] | None = None) -> HeadOutcome:
-        """Calibrate.
+        """Calibrate the head and make its files.
 
         Args:
             progress: called with the fraction done.

@@ -1,4 +1,4 @@
-"""Sights out of robots' logs: detections of both eyes that belong together, of a head at rest."""
+"""Sights from robots' logs: simultaneous detections of both eyes while the head is at rest."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,29 +19,31 @@ from vergence.recording.looking import Sight
 from vergence.recording.schema import LoggedDetection
 
 AT_REST: Final = "at_rest"
-"""Fact of a log of which every image was taken at rest; it is `True` then."""
+"""Name of a log's fact that is `True` if every image was taken at rest."""
 LOOKS: Final = "looks"
-"""Names the fact that tells one head from another where the same file is of both."""
+"""Name of a log's fact that distinguishes heads with the same file."""
 PLACEMENT: Final = "placement"
-"""Fact with the number of the board's place."""
+"""Name of a log's fact with the number of the board's placement."""
 TARGET: Final = "target"
-"""Fact with the board, as `parse_target` takes it."""
+"""Name of a log's fact with the board, in the form of `parse_target`."""
 SUFFIX: Final = ".mcap"
+"""File suffix of a log."""
 _BETWEEN_S: Final = 1.0
-"""From the last frame of a log to the first of the next one: clocks may have been set meanwhile."""
+"""Time from the last frame of a log to the first of the next one, s (chosen: clocks may have been
+set between them, so that their own times cannot be used)."""
 _NEAR_S: Final = 0.15
-"""Before and after an exposure, in which a joint at rest must not move: play and brackets have
-come to rest then."""
+"""Time before and after an exposure in which a joint at rest must not move, s (chosen: backlash and
+brackets have settled then)."""
 _STILL_RAD_S: Final = 0.02
-"""Speed of a joint below which it counts as at rest. With 5 ms between an image and its angles it
-is 0.1 mrad, a fifteenth of a 12-bit encoder's step."""
+"""Speed of a joint up to which it counts as at rest, rad/s (chosen: with 5 ms between an image and
+its angles it causes 0.1 mrad, a fifteenth of a 12-bit encoder's step)."""
 
 
 def logs_in(path: Path) -> list[Path]:
-    """A log, or the logs right in a folder, in the order of their names.
+    """List a log, or the logs directly in a folder, in the order of their names.
 
     Args:
-        path: of the log or the folder.
+        path: path of the log or the folder.
 
     Raises:
         ConfigurationError: there is none in the folder.
@@ -63,16 +65,16 @@ def read_logs(
     target: PlanarTarget | None,
     progress: Callable[[float], None] | None = None,
 ) -> Gathered:
-    """The sights of logs, one log after the other.
+    """Read the sights of logs, one log after the other.
 
     Args:
-        paths: of the logs.
-        head: the head as its file has it.
-        target: the board; None for that of the logs.
+        paths: paths of the logs.
+        head: the nominal head, from its file.
+        target: the board; None for the board named in the logs.
         progress: called with the fraction done.
 
     Raises:
-        VergenceError: none can be read, or one is of another board or another kind of head.
+        VergenceError: none can be read, or one has another board or another kind of head.
     """
     sights: list[Sight] = []
     placement: list[int] = []
@@ -123,7 +125,7 @@ def read_logs(
 
 
 def _target_of(log: Log, target: PlanarTarget | None) -> PlanarTarget:
-    """The board of a log, which must be the one that is expected."""
+    """Get the board of a log; refuse one that differs from the expected board."""
     text = log.facts.get(TARGET, "")
     if not text and target is None:
         raise ConfigurationError(
@@ -164,7 +166,7 @@ def _refuse_other_joints(log: Log, head: HeadModel) -> None:
 
 
 def _sights(log: Log, head: HeadModel, target: PlanarTarget) -> tuple[list[Sight], int]:
-    """The sights of a log in the order of time, from zero on, and how many images moved."""
+    """Read a log's sights in the order of time, from zero on, and count images in motion."""
     count = len(target.corners_m)
     eyes: list[list[LoggedDetection]] = [[], []]
     moving = 0
@@ -190,7 +192,7 @@ def _sights(log: Log, head: HeadModel, target: PlanarTarget) -> tuple[list[Sight
 
 
 class _Still:
-    """Measured joint angles of a log, by which a head rests or moves."""
+    """Test for rest by the measured joint angles of a log."""
 
     def __init__(self, log: Log, head: HeadModel) -> None:
         self._trusted = log.facts.get(AT_REST) == str(True)
@@ -205,9 +207,9 @@ class _Still:
         self._angles = self._own.actuators_of(angles[known][order])
 
     def at(self, time_s: float, positions: FloatArray) -> bool:
-        """Whether all joints rest about a time at which they stood so.
+        """Return True if all joints rest around a time at which they had these positions.
 
-        A reading on the edge of two steps is no motion.
+        A reading that alternates between two quantisation steps is no motion.
         """
         if self._trusted:
             return True
@@ -220,7 +222,7 @@ class _Still:
 def _paired(
     eyes: Sequence[Sequence[LoggedDetection]], tolerance_s: float
 ) -> list[tuple[LoggedDetection | None, LoggedDetection | None]]:
-    """Detections of both eyes that are each other's nearest in time, and those of one eye alone."""
+    """Pair detections of both eyes that are mutually nearest in time; keep unpaired ones too."""
     left, right = (_once(each) for each in eyes)
     partner: dict[int, int] = {}
     if left and right:
@@ -237,7 +239,7 @@ def _paired(
 
 
 def _once(detections: Sequence[LoggedDetection]) -> list[LoggedDetection]:
-    """What an eye saw, each image once: what was logged twice is the same to the last bit."""
+    """Remove detections logged twice, which are equal to the last bit; refuse unequal ones."""
     by_time: dict[float, LoggedDetection] = {}
     for one in detections:
         other = by_time.setdefault(one.exposed_s, one)

@@ -1,8 +1,8 @@
-"""A board that was moved meanwhile: another place of it.
+"""Detection of a board that was moved during a recording: another placement of it.
 
-If it was moved far, its views are left out of the fit, and agree with each other on another place.
-If it was moved by a little, the fit bends the head to suit both places; then a step of the board's
-pose at one moment would make the sum of squares smaller by far more than chance does.
+After a large motion, views are left out of the fit, but agree with each other on another placement.
+After a small motion, the fit distorts the head to suit both placements; then a step of the board's
+pose at one moment reduces the sum of squares by far more than chance does.
 """
 
 from dataclasses import replace
@@ -17,38 +17,38 @@ from vergence.calibration.head.solution import HeadSolution
 from vergence.calibration.head.start import LEAST_CORNERS, started
 
 _LEAST_POSES: Final = 3
-"""In which the board has to stand elsewhere: fewer are wrong detections."""
+"""Fewest poses with the board at another placement (chosen: fewer are wrong detections)."""
 _IN_A_ROW: Final = 0.5
-"""Share of the frames from the first to the last of a place that show it there: a moved board stays
-where it is, and wrong detections that happen to agree lie here and there."""
+"""Least fraction of the frames between the first and the last of a placement that show the board
+there (chosen: a moved board stays, while wrong detections that happen to agree are scattered)."""
 _TOGETHER: Final = 0.05
-"""Of the board's size: views of one place agree on its corners by less, through a head that is
-calibrated but for what the first place alone did not tell."""
+"""Largest spread of the corners among views of one placement, in board sizes (chosen: the head is
+calibrated then, except for parameters that the first placement alone did not determine)."""
 
 
 _SURELY: Final = 80.0
-"""Decrease of the sum of squares by a step of the board's pose, six numbers, from which on it was
-moved: chance brings 40 once in a million moments, play and what else is wrong of a head some more.
-"""
+"""Decrease of the sum of squares by a step of the board's pose (six parameters) from which on the
+board was moved (chosen: 40 occur by chance once in a million moments, and backlash and other model
+errors add to it)."""
 
 
 class AnotherPlace(NamedTuple):
-    """The frames with one place of the board more."""
+    """The frames with one more placement of the board."""
 
     frames: HeadFrames
     boards: Poses
-    """(b + 1) in frame 0."""
+    """(b + 1) poses of the board in frame 0."""
     agree: NDArray[np.bool_]
-    """(2, f) the views that go with their place."""
+    """(2, f) True for views that agree with their placement."""
     remark: str
 
 
 def another_place(solution: HeadSolution, kept: NDArray[np.bool_]) -> AnotherPlace | None:
-    """Find a place of the board on which views agree that were left out.
+    """Find a placement of the board on which left-out views agree.
 
     Args:
-        solution: of the views that were kept.
-        kept: (2, f, n) their corners.
+        solution: solution of the kept views.
+        kept: (2, f, n) True for their corners.
     """
     frames = solution.problem.frames
     views = np.asarray(kept.any(axis=-1))
@@ -86,14 +86,14 @@ def another_place(solution: HeadSolution, kept: NDArray[np.bool_]) -> AnotherPla
 
 
 def step_between(solution: HeadSolution) -> AnotherPlace | None:
-    """Find the moment at which the board was moved, if one step of it explains much.
+    """Find the moment of a small motion of the board, if one step of its pose explains much.
 
     Args:
-        solution: of all that goes together.
+        solution: solution of all inliers.
 
     Returns:
-        The frames with another place from that moment on, whose board and views have to be found
-        anew.
+        The frames with another placement from that moment on, with initial poses of the board;
+        None if no step explains enough.
     """
     problem = solution.problem
     frames = problem.frames
@@ -135,4 +135,4 @@ def step_between(solution: HeadSolution) -> AnotherPlace | None:
 
 
 _RANK: Final = 1e-9
-"""Relative: steps of the board that a few frames do not tell."""
+"""Relative cutoff of singular values: a few frames may not determine a step fully (numerical)."""

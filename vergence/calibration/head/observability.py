@@ -1,14 +1,14 @@
-"""Directions in which a recording does not tell a head's numbers, in words, and what would.
+"""Unobservable directions of a head's parameters in a recording, in words, with a remedy for each.
 
-In units of what was believed, each number over its deviation, the information of a recording has
-eigenvalues: one below 1 is of a direction that the recording tells worse than the file did. Such
-directions are held by what was believed. They are of three kinds:
+The information matrix of a recording is scaled by the prior standard deviations. An eigenvalue
+below 1 belongs to a direction that the recording determines worse than the prior; the prior holds
+such directions. They are of three kinds:
 
-- some combinations of numbers describe one and the same head, such as the offset of a pan and the
-  head-eye rotation about it: nothing depends on them, and no data can tell them;
-- both eyes may move together as a rigid body in the neck's frame, which a head whose neck rests
-  cannot see;
-- what is left is named by the numbers that it moves most.
+- some combinations of parameters describe one and the same head, such as the offset of a pan joint
+  and the head-eye rotation about its axis: nothing depends on them, and no data determine them;
+- both eyes may move together as a rigid body in the neck's frame, which is not observable while the
+  neck rests;
+- remaining directions are named by the parameters with the largest components.
 """
 
 from typing import Final, NamedTuple
@@ -22,15 +22,16 @@ from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 
 _TOLD: Final = 1.0
-"""Information, in units of what was believed, from which on a direction counts as told."""
+"""Information relative to the prior's from which on a direction counts as observed (chosen)."""
 _NOTHING_PX: Final = 0.02
-"""Pixels, rms, that a deviation of a direction moves at most if no image depends on it: what is
-linear of it is zero."""
+"""Largest rms effect of one prior standard deviation along a direction on which no image depends,
+px; to first order it is zero (numerical)."""
 _ALIKE: Final = 0.1
-"""Share of its pixels in which a direction may differ from a rigid motion to be one."""
+"""Fraction of its pixel effect by which a direction may differ from a rigid motion (chosen)."""
 _DIRECTIONS: Final = ((0.0, 0.0), (0.35, 0.0), (-0.35, 0.0), (0.0, 0.3), (0.0, -0.3), (0.3, 0.3))
-"""Slopes x/z and y/z of the points by which directions are judged."""
+"""Slopes x/z and y/z of the fixated points at which effects are evaluated (chosen)."""
 _DISTANCES_M: Final = (0.5, 1.0, 2.5)
+"""Distances z of the fixated points, m (chosen: the range of use)."""
 _RIGID: Final = (
     ("tilt of both eyes in common", "rad"),
     ("turn of both eyes in common about the vertical", "rad"),
@@ -39,26 +40,26 @@ _RIGID: Final = (
     ("shift of both eyes up or down", "m"),
     ("shift of both eyes forward", "m"),
 )
-"""Rigid motions of the eyes in N, about and along x, y and z."""
+"""Rigid motions of the eyes in N, about and along x, y and z, with units."""
 
 _NO_NECK: Final = "none without a neck: N is where the file has it"
 
 
 class Unseen(NamedTuple):
-    """Something that a recording does not tell."""
+    """A direction that a recording does not determine, in words."""
 
     what: str
     cure: str
-    """What a recording would need; empty where nothing helps, nor needs to."""
+    """Remedy, to be recorded; empty if nothing helps and nothing depends on it."""
     cost: str
-    """What it costs if the head's file is a deviation off."""
+    """Effect of an error of one prior standard deviation in the head's file."""
 
 
 def unseen(solution: HeadSolution) -> tuple[Unseen, ...]:
-    """What a recording does not tell, in words.
+    """Describe the directions that a recording does not determine.
 
     Args:
-        solution: the head that was found.
+        solution: solution of the head.
     """
     spreads = solution.problem.spreads
     free = np.flatnonzero(spreads > 0.0)
@@ -72,7 +73,7 @@ def unseen(solution: HeadSolution) -> tuple[Unseen, ...]:
     if not dark.shape[1]:
         return ()
     moved, rigid = _effects(solution)
-    effect = moved[:, free] * S @ dark  # px by a deviation of each direction
+    effect = moved[:, free] * S @ dark  # px per prior standard deviation along each direction
     size = np.sqrt(len(moved))
     _, strength, turns = np.linalg.svd(effect, full_matrices=False)
     found: list[Unseen] = []
@@ -107,14 +108,14 @@ def unseen(solution: HeadSolution) -> tuple[Unseen, ...]:
 
 
 def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
-    """Pixels at fixations all over, by the head's numbers and by rigid motions of the eyes in N."""
+    """Jacobians of pixels at various fixations, by head parameters and by rigid motions in N."""
     head = solution.head
     chain = Chain(solution.problem.about, solution.state.values)
     points = np.array(
         [[z * x, z * y, z] for z in _DISTANCES_M for x, y in _DIRECTIONS], dtype=np.float64
     )
     q = head.fixate(points, head.rest()[:3], warn=False)
-    # to see the whole image, each eye looks beside the point as well
+    # each eye looks beside the point, so that all parts of the image are covered
     beside = np.zeros((len(q), 7))
     beside[:, 3:] = (
         0.15 * np.array([[1, 1, 1, 1], [-1, 1, -1, 1], [1, -1, -1, -1]])[np.arange(len(q)) % 3]
@@ -133,17 +134,17 @@ def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
         rows[:, :, chain.columns[eye]] = seen.by_head[:, 0]
         visible = np.isfinite(seen.pixels[:, 0]).all(axis=-1)
         moved.append(rows[visible].reshape(-1, rows.shape[-1]))
-        # the eyes move one way where the world moves the other
+        # a motion of the eyes is the opposite motion of the world
         rigid.append(-(seen.by_board[visible, 0] @ into_n).reshape(-1, 6))
     return np.concatenate(moved), np.concatenate(rigid)
 
 
 def _share_of_rigid(moved: FloatArray, rigid: FloatArray) -> FloatArray | None:
-    """How much of each direction makes a rigid motion; None if they do not make it.
+    """(m,) combination of directions that makes a rigid motion; None if there is none.
 
     Args:
-        moved: (r, m) pixels by directions that are not told, px by a deviation.
-        rigid: (r,) pixels by the rigid motion, px/rad or px/m.
+        moved: (r, m) effects of unobserved directions, px per prior standard deviation.
+        rigid: (r,) effects of the rigid motion, px/rad or px/m.
     """
     if not moved.shape[1]:
         return None

@@ -1,4 +1,4 @@
-"""How surely a head that is being calibrated would tell depth by now."""
+"""Preliminary calibration during a recording, and the depth uncertainty it would give."""
 
 from typing import Final, NamedTuple
 
@@ -17,35 +17,35 @@ from vergence.models.parts import FloatArray
 from vergence.triangulation import triangulate_views
 
 DEPTHS_M: Final = (1.0, 2.5)
-"""Distances of the points straight ahead whose depth is judged."""
+"""Distances straight ahead at which depth is judged, m (chosen: the range of use)."""
 _STEP: Final = 1e-3
-"""Of finite differences, in standard deviations of each number."""
+"""Step of finite differences, in standard deviations of each parameter (numerical)."""
 
 
 class Outlook(NamedTuple):
-    """A head as a recording says that it is so far."""
+    """Preliminary calibration from the recording so far."""
 
     head: HeadModel
-    """The head that fits best, near enough."""
+    """The fitted head."""
     values: FloatArray
-    """(p,) its numbers, see `HeadModel.parameters`."""
+    """(p,) its parameters, see `HeadModel.parameters`."""
     boards: Poses
-    """(b) in frame 0."""
+    """(b) poses of the board in frame 0."""
     depth_percent: FloatArray
-    """(2,) standard deviation of the depth of points `DEPTHS_M` ahead that comes from the head's
-    numbers, in per cent of it."""
+    """(2,) standard deviation of depth at `DEPTHS_M` ahead that comes from the head's parameters,
+    in per cent of the depth."""
 
 
 def outlook(head: HeadModel, frames: HeadFrames, before: Outlook | None = None) -> Outlook | None:
-    """Fit a head to some frames, as a quick look before the calibration.
+    """Fit a head to the frames so far, as a preview of the calibration.
 
     Args:
-        head: as its file has it.
-        frames: what it saw so far, in the order of time, places numbered without gaps.
-        before: what fewer of them told, to begin with.
+        head: the nominal head, from its file.
+        frames: frames so far, in the order of time, placements numbered without gaps.
+        before: result of fewer of these frames, as a start.
 
     Returns:
-        What it would tell; None where the frames give no head yet.
+        The preliminary calibration; None if the frames do not determine a head yet.
     """
     try:
         begin = started(head, frames)
@@ -65,14 +65,14 @@ def outlook(head: HeadModel, frames: HeadFrames, before: Outlook | None = None) 
 
 
 def depth_sigma(about: HeadModel, values: FloatArray, covariance: FloatArray) -> FloatArray:
-    """How surely a head at rest tells the depth of points that its eyes look at.
+    """Compute the depth uncertainty of fixated points from the head's parameters alone.
 
-    Pixels and joint angles are taken as exact: what is left are the head's own numbers.
+    Pixels and joint angles are taken as exact; the neck is at rest.
 
     Args:
-        about: the head from which rotations are counted.
+        about: the head to which rotations are relative.
         values: (p,) see `HeadModel.parameters`.
-        covariance: (p, p) of the values.
+        covariance: (p, p) covariance of the values.
 
     Returns:
         (2,) standard deviations of the distances along N's z axis of points `DEPTHS_M` ahead, m.

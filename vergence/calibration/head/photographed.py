@@ -1,4 +1,4 @@
-"""Sights out of photographs of both eyes, with a table of their joint angles."""
+"""Sights from photographs of both eyes, with a table of joint angles."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,13 +18,13 @@ from vergence.perception.photographs import some_of
 from vergence.recording.looking import Sight
 
 TABLES: Final = ("joints.csv", "joints.json", "joints.toml")
-"""Names of the table of joint angles."""
+"""File names of the table of joint angles."""
 _TIME: Final = "time_s"
 _PLACEMENT: Final = "placement"
 
 
 def is_photographed(path: Path) -> bool:
-    """Whether a folder holds photographs, not logs."""
+    """Return True if a folder holds photographs, not logs."""
     return path.is_dir() and any((path / eye).is_dir() for eye in EYE_NAMES)
 
 
@@ -34,18 +34,18 @@ def read_photographs(
     target: PlanarTarget | None,
     progress: Callable[[float], None] | None = None,
 ) -> Gathered:
-    """The sights of a folder's photographs.
+    """Read the sights of a folder's photographs.
 
     Args:
-        path: with the folders `left` and `right`, whose images are named alike, and one of
+        path: folder with the folders `left` and `right`, whose images are named alike, and one of
             `TABLES`.
-        head: the head as its file has it.
+        head: the nominal head, from its file.
         target: the board.
         progress: called with the fraction done.
 
     Raises:
         ConfigurationError: the board is not known or in no image, a table or a row of it is
-            missing, or images have another size than the head's.
+            missing, or images do not have the size of the head's.
     """
     if target is None:
         raise ConfigurationError(
@@ -103,7 +103,7 @@ class _Taken(NamedTuple):
     positions: FloatArray
     """(7,) joint angles, rad."""
     placement: int
-    """Number of the board's place."""
+    """Number of the board's placement."""
     time_s: float | None
 
 

@@ -1,4 +1,4 @@
-"""Postures in which a head sees all of a board, each as far from the others as can be."""
+"""Planning of postures in which both eyes see the whole board, each as different as possible."""
 
 from typing import Final, NamedTuple
 
@@ -12,33 +12,35 @@ from vergence.models.joints import EYES, NECK
 from vergence.models.parts import FloatArray
 
 _CANDIDATES: Final = 400
+"""Random postures from which the next one is chosen (chosen: more take longer)."""
 _MARGINS: Final = (0.1, 0.05, 0.02)
-"""Room about the board, by the image's width: a head that is not yet calibrated may look some
-degrees beside, each of which is about 9 px of 640."""
+"""Margins around the board in the image, in image widths, tried in this order (chosen: a head that
+is not yet calibrated may look some degrees beside, each about 9 px of 640)."""
 _KNOWN_MARGINS: Final = (0.025, 0.015)
-"""The same once the head is known well: room that a detector needs."""
+"""Margins once the head is known well, in image widths (chosen: room for the detector)."""
 _FARTHEST_NECK_RAD: Final = 0.6
-"""From rest: what the eyes can make up for, and what a body at rest likes."""
+"""Largest angle of a neck joint from rest, rad (chosen: the eyes can compensate for it, and it is
+moderate for a resting body)."""
 _APART_RAD: Final = 0.1
-"""By how much each actuator of the eyes differs at most from where both look at one point."""
+"""Largest random offset of an eye actuator from the fixation of one point, rad (chosen)."""
 _LIMIT_RAD: Final = 1e-3
-"""Distance that joints keep to their limits, beyond the dither."""
+"""Distance of actuators to their limits, beyond the dither, rad (chosen)."""
 _NECK_WEIGHT: Final = 0.5
-"""What the neck's whole range counts beside a board that crosses the whole image."""
+"""Weight of the neck's whole range relative to the board crossing the whole image (chosen)."""
 
 
 class Scene(NamedTuple):
-    """Where a board stands, as far as one knows."""
+    """Estimated position of a board."""
 
     head: HeadModel
-    """The head as it is believed to be."""
+    """The estimated head."""
     corners: FloatArray
-    """(2, n, 3) the board's corners in frame 0, m, as either eye sees them through that head."""
+    """(2, n, 3) the board's corners in frame 0, m, as seen by each eye of that head."""
     known: bool
-    """Whether head and corners come from a fit to many views."""
+    """True if head and corners come from a fit to many views."""
 
     def pixels(self, q: FloatArray) -> FloatArray:
-        """(..., 2, n, 2) where the corners appear to the eyes at joint angles (..., 7), px."""
+        """(..., 2, n, 2) predicted corners in both eyes at joint angles (..., 7), px."""
         T_0_N = self.head.base_pose(q)[..., None, :, :]
         found = []
         for eye in range(2):
@@ -48,14 +50,14 @@ class Scene(NamedTuple):
 
 
 def scene_of(head: HeadModel, frames: HeadFrames) -> Scene:
-    """Where the last view of either eye has the board, through the head as its file has it.
+    """Estimate the board's position by the last view of each eye, through the nominal head.
 
-    What an eye is off by shows again in its next view, so that each has the board where its own
-    view had it; an eye that has not seen it has that of the other one.
+    An eye's error recurs in its next view. Therefore each eye keeps the position by its own view;
+    an eye without a view takes the other eye's.
 
     Args:
-        head: as its file has it.
-        frames: at least one view of four corners.
+        head: the nominal head, from its file.
+        frames: frames with at least one view of four corners.
     """
     enough = frames.seen.sum(axis=-1) >= 4
     T_0_N = head.base_pose(frames.positions)
@@ -73,11 +75,11 @@ def scene_of(head: HeadModel, frames: HeadFrames) -> Scene:
 
 
 class Plan:
-    """Chooses one posture after the other.
+    """Chooser of postures, one after the other.
 
     Args:
         rng: the source of randomness.
-        dither_rad: by how much each actuator will be moved about a posture, rad.
+        dither_rad: amplitude of each actuator's dither about a posture, rad.
         used: (k, 7) joint angles of earlier postures.
     """
 
@@ -86,16 +88,16 @@ class Plan:
         self._used = list(used)
 
     def next(self, scene: Scene) -> FloatArray:
-        """The next posture: of many in which both images hold the board, the one least like others.
+        """Choose the posture most different from earlier ones with the board inside both images.
 
         Args:
-            scene: where the board stands.
+            scene: estimated position of the board.
 
         Returns:
             (7,) joint angles, rad.
 
         Raises:
-            ConfigurationError: there is none.
+            ConfigurationError: no candidate has the board inside both images.
         """
         size = scene.head.cameras.size
         q = self._candidates(scene)
@@ -114,7 +116,7 @@ class Plan:
         )
 
     def _candidates(self, scene: Scene) -> FloatArray:
-        """(k, 7) joint angles with the board somewhere near both images."""
+        """(k, 7) random joint angles with the board somewhere near both images."""
         rng, head = self._rng, scene.head
         own, rest = head.actuation, head.rest()
         neck = np.clip(
@@ -135,13 +137,13 @@ class Plan:
         return self._held(head, q)
 
     def _held(self, head: HeadModel, actuators: FloatArray) -> FloatArray:
-        """Joint angles of actuators that keep off their limits; what does not move rests."""
+        """Clip actuators off their limits, and return joint angles."""
         own = head.actuation
         keep = np.minimum(self._keep, 0.5 * (own.upper - own.lower))
         return own.joints_of(np.clip(actuators, own.lower + keep, own.upper - keep))
 
     def _farthest(self, scene: Scene, q: FloatArray) -> FloatArray:
-        """The posture that is least like those that were used."""
+        """Choose the posture farthest from the nearest used one, by `_features`."""
         if not self._used:
             return np.asarray(q[0])
         away = _features(scene, q)[:, None] - _features(scene, np.array(self._used))
@@ -150,7 +152,7 @@ class Plan:
 
 
 def _features(scene: Scene, q: FloatArray) -> FloatArray:
-    """(k, 7) what postures are compared by: the board's places in both images, and the neck."""
+    """(k, 7) features to compare postures: the board's position in both images, and the neck."""
     places = np.nan_to_num(scene.pixels(q).mean(axis=-2) / scene.head.cameras.size)
     neck = _NECK_WEIGHT / (2.0 * _FARTHEST_NECK_RAD) * q[:, NECK]
     return np.concatenate([places.reshape(len(q), -1), neck], axis=-1)

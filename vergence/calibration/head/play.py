@@ -1,4 +1,4 @@
-"""The play of a head's actuators in its model: left out, or as it was found."""
+"""Backlash (play) of the actuators in a head model: removed, or set as calibrated."""
 
 from typing import Any
 
@@ -10,17 +10,17 @@ from vergence.models.parts import FloatArray
 
 
 def without_play(head: HeadModel) -> HeadModel:
-    """A head whose readings are taken to be off by their steps alone."""
+    """Remove the backlash: readings have only quantisation errors."""
     return with_play(head, np.zeros(7))
 
 
 def with_play(head: HeadModel, play_rad: FloatArray) -> HeadModel:
-    """A head with play between the motors, whose angles are read, and what they move.
+    """Set the backlash between the motors, whose angles are read, and the joints.
 
     Args:
         head: any head.
-        play_rad: (7,) whole widths by actuator. Those of the neck have no place in a head. Where
-            each joint of the eyes has a motor of its own, the greatest of theirs counts for all.
+        play_rad: (7,) whole width of the backlash by actuator. A head model cannot hold the neck's.
+            If each joint of the eyes has its own motor, the largest width applies to all.
     """
     eyes = play_rad[EYES][: head.actuation.count]
     one = head.actuators is None

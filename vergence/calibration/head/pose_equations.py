@@ -1,18 +1,18 @@
-r"""Two unknown transforms X and Y in closed form, from poses with A_i X = Y B_i.
+r"""Closed-form solution for two unknown transforms X and Y, from poses with A_i X = Y B_i.
 
-Rotations come first. As unit quaternions they obey a_i x = y b_i up to sign, so that those which
-fit best in the sense of least squares make
+Rotations come first. As unit quaternions they obey a_i x = y b_i up to sign, so that the
+least-squares rotations maximise
 
-    y^T K x,    K = sum_i R(b_i)^T L(a_i),    (L(p) q = p q = R(q) p)
+    y^T K x,    K = sum_i R(b_i)^T L(a_i),    (L(p) q = p q = R(q) p),
 
-greatest: the first pair of singular vectors of a 4x4 matrix. Where Y is another one in each group
-of poses, x is the first eigenvector of the sum of K^T K / n over groups of n poses. With known
-rotations, the translations of A_i X = Y B_i are linear. Every pose counts once, and all pairs of
-poses are in it: Y eliminated from two of them leaves (A_j^-1 A_i) X = X (B_j^-1 B_i), the equation
-of hand-eye calibration.
+which gives the first pair of singular vectors of a 4x4 matrix. If each group of poses has its own
+Y, x is the first eigenvector of the sum of K^T K / n over groups of n poses. With known rotations,
+A_i X = Y B_i is linear in the translations. Every pose counts once, and all pairs of poses are
+used: eliminating Y from two of them gives (A_j^-1 A_i) X = X (B_j^-1 B_i), the equation of hand-eye
+calibration.
 
-The A_i must turn against each other about at least two axes. If all turn about one, X and Y may
-turn about it and move along it together.
+The A_i must rotate relative to each other about at least two axes. If all rotate about one axis, X
+and Y may rotate about it and move along it together.
 """
 
 from typing import Final, NamedTuple
@@ -28,39 +28,40 @@ from vergence.models.parts import FloatArray
 IntArray = NDArray[np.intp]
 BoolArray = NDArray[np.bool_]
 LEAST_TURN_RAD: Final = np.deg2rad(0.5).item()
-"""Root mean square rotation about the second axis, rad. Measured: a board's pose in an image is off
-by some 0.1 degrees, an encoder's reading by 0.03."""
+"""Least root mean square rotation about the second axis, rad (chosen: 0.5 degrees, as errors are
+about 0.1 degrees for a board's pose in an image and 0.03 degrees for an encoder's reading)."""
 _LEAST_POSES: Final = 3
-"""Two rotations against each other, about two axes."""
+"""Fewest poses (physical: geometry, they have two relative rotations, about two axes)."""
 _OUTLYING: Final = 4.0
-"""Times the median error from which on a pose is left out: one normal error of three coordinates
-in 10^9 is so large."""
+"""Ratio of a pose's error to the median above which it is an outlier (chosen: only one normally
+distributed error of three coordinates in 10^9 is so large)."""
 _NUMERICAL: Final = 1e-7
-"""Rounding of angles between quaternions, rad."""
+"""Rounding of angles between quaternions, rad (numerical)."""
 _UNRELATED_RAD: Final = 0.1
-"""Median error of the rotations from which on A and B do not belong to each other."""
+"""Median mismatch of rotations above which A and B do not belong together, rad (chosen)."""
 _MOST_ROUNDS: Final = 20
+"""Largest number of rounds of fitting and selecting poses (numerical)."""
 
 
 class Solved(NamedTuple):
-    """The transforms, and how well they fit."""
+    """The transforms, and the poses that were used."""
 
     X: FloatArray
-    """(4, 4)."""
+    """(4, 4) X."""
     Y: FloatArray
-    """(g, 4, 4) by group."""
+    """(g, 4, 4) Y of each group."""
     kept: BoolArray
-    """(n,) which poses went in."""
+    """(n,) True for kept poses, the inliers."""
 
 
 def solve_poses(A: FloatArray, B: FloatArray, group: IntArray, what: str) -> Solved:
-    """Find X and Y with A_i X = Y B_i for most i, whatever the others are.
+    """Find X and Y with A_i X = Y B_i for most i, robust to outliers.
 
     Args:
         A: (n, 4, 4) poses from joint angles, metres.
-        B: (n, 4, 4) poses from images.
-        group: (n,) number of the Y of each.
-        what: what turns, for messages.
+        B: (n, 4, 4) poses from images, metres.
+        group: (n,) group of each pose, the index of its Y.
+        what: name of the rotating part, for messages.
 
     Raises:
         ConfigurationError: there are too few poses, they do not turn about two axes, or A and B do
@@ -95,9 +96,9 @@ def solve_poses(A: FloatArray, B: FloatArray, group: IntArray, what: str) -> Sol
 
 
 def _mismatch(a: Rotation, b: Rotation, group: IntArray) -> FloatArray:
-    """(n,) median difference of each pose's angles to others, by A and by B, rad.
+    """(n,) by pose, median difference between its rotation angles to others by A and by B, rad.
 
-    The angle between two A is that between two B whatever X and Y are.
+    For any X and Y, the angle between two A equals the angle between the two B.
     """
     angles = [
         2.0 * np.arccos(np.clip(np.abs(q @ q.T), 0.0, 1.0)) for q in (a.as_quat(), b.as_quat())
@@ -124,7 +125,7 @@ def _refuse_still(a: Rotation, group: IntArray, kept: BoolArray, what: str) -> N
 def _fitted(
     A: FloatArray, B: FloatArray, turns: tuple[Rotation, Rotation], group: IntArray, kept: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """X and Y by least squares: rotations, then translations."""
+    """Fit X and Y by least squares: rotations, then translations."""
     groups = int(group.max()) + 1
     x, y = _rotations(turns[0].as_quat(), turns[1].as_quat(), group, kept, groups)
     X, Y = np.eye(4), np.tile(np.eye(4), (groups, 1, 1))
@@ -148,12 +149,12 @@ def _fitted(
 def _rotations(
     a: FloatArray, b: FloatArray, group: IntArray, kept: BoolArray, groups: int
 ) -> tuple[Rotation, Rotation]:
-    """The rotations of X, and of Y by group, from quaternions x, y, z, w (n, 4)."""
+    """Fit the rotations of X, and of Y by group, to quaternions x, y, z, w (n, 4)."""
     K, count = np.zeros((groups, 4, 4)), np.ones(groups)
     for each in np.unique(group[kept]):
         mine = kept & (group == each)
         p, q = a[mine], b[mine]
-        # q and -q are one rotation: of two poses, the products of both signs must be alike
+        # q and -q are the same rotation: choose signs so that relative quaternions agree in A and B
         signs = np.sign(p @ p[0]) * np.sign(q @ q[0])
         K[each] = np.einsum("n,nji,njk->ik", signs, _right(q), _left(p))
         count[each] = mine.sum()

@@ -1,4 +1,4 @@
-"""How far a head's numbers may be from what its file says, before anything is measured."""
+"""Prior of a head's parameters: standard deviations from its file, before any measurement."""
 
 from typing import Final
 
@@ -9,29 +9,34 @@ from vergence.models.parts import FloatArray
 from vergence.models.perturbation import ModelErrors, standard_deviations
 
 PRIOR: Final = ModelErrors(
-    # what a ruler and a drawing leave
+    # errors of lengths from a ruler and a drawing
     link_m=0.003,
     head_eye_m=0.005,
-    # brackets that are bent or printed
+    # bent or printed brackets
     coaxiality_rad=np.deg2rad(1.0).item(),
-    # a horn sits on its spline by steps of 15 degrees; what is left after it was set by eye
+    # a servo horn fits its spline in steps of 15 degrees; the error after it was set by eye
     joint_offset_rad=np.deg2rad(3.0).item(),
     head_eye_rad=np.deg2rad(3.0).item(),
     focal_relative=0.05,
     principal_px=20.0,
     distortion=0.1,
 )
-"""Standard deviations. They matter only for what the recording does not tell."""
+"""Prior standard deviations (chosen: they matter only for directions that the recording does not
+determine)."""
 _COEFFICIENTS: Final = {"p1": 0.005, "p2": 0.005}
+"""Prior standard deviations of lens coefficients, by name (chosen)."""
 _OTHER_COEFFICIENTS: Final = 0.1
+"""Prior standard deviation of other lens coefficients (chosen)."""
 
 
 def spreads_of(head: HeadModel, cameras: bool = True) -> FloatArray:
-    """(p,) deviations of a head's numbers from its file, in the order of `HeadModel.parameters`.
+    """(p,) prior standard deviations of a head's parameters, see `HeadModel.parameters`.
+
+    Camera parameters take them from the head's calibration record, if it has them.
 
     Args:
-        head: the head.
-        cameras: whether the cameras may be otherwise, too; if not, theirs are 0.
+        head: the nominal head.
+        cameras: True to estimate the cameras too; else their deviations are 0.
     """
     names = head.parameters().names
     spreads = standard_deviations(head.geometry, PRIOR)

@@ -1,11 +1,12 @@
-"""Errors of joint angles' readings that follow a rule: play, and encoder discs off their axes.
+"""Reading-error terms, systematic errors of joint readings: backlash, eccentric encoder discs.
 
-    true angle = reading + error + sum_k rule_k(readings; y_k)
+    true angle = reading + error + sum_k term_k(readings; y_k)
 
-with a number y each, in rad, of an actuator. With play the joint stays behind the motor, whose
-angle is read, until the motor has crossed it: y is its whole width. An encoder disc that is
-not centred reads an angle q wrong by harmonics, y cos(q), y sin(q), y cos(2q) and y sin(2q), of the
-eyes less its mean over the recording, which is a joint's offset. (The neck's joints have none.)
+Each term belongs to an actuator and has one parameter y, in rad. With backlash (play), the joint
+lags behind the motor, whose angle is read, until the motor has crossed the gap: y is its whole
+width. An eccentric encoder disc causes harmonics of the angle q: y cos(q), y sin(q), y cos(2q) and
+y sin(2q). The eyes' harmonics have zero mean over the recording, as a mean is a joint's offset.
+(The neck's joints have no offset among the parameters.)
 """
 
 from collections.abc import Collection
@@ -22,42 +23,42 @@ from vergence.models.parts import FloatArray
 
 IntArray = NDArray[np.intp]
 _SPREADS: Final = {"play": np.deg2rad(0.5), "harmonics": np.deg2rad(0.3)}
-"""Deviations of the numbers before any image, rad: gears of hobby servos, a disc of 20 mm that is
-0.05 mm off its axis."""
+"""Prior standard deviations of the parameters, rad (chosen: gears of hobby servos, and a disc of
+20 mm that is 0.05 mm off its axis)."""
 RULES: Final = tuple(_SPREADS)
-"""Kinds of rules."""
+"""Kinds of reading-error terms."""
 _HARMONICS: Final = {"cos1": (1, np.cos), "sin1": (1, np.sin), "cos2": (2, np.cos),
                      "sin2": (2, np.sin)}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReadingTerms:
-    """Rules of some frames' readings, and what is known of their numbers."""
+    """Reading-error terms of some frames, and the prior of their parameters."""
 
     names: tuple[str, ...] = ()
-    """(t,) such as `left_pan.play` and `left_pan.cos1`."""
+    """(t,) names such as `left_pan.play` and `left_pan.cos1`."""
     joint: IntArray
-    """(t,) the actuator of each, of the neck's three joints and the eyes' four actuators."""
+    """(t,) actuator of each term, of the neck's three joints and the eyes' four actuators."""
     nominal: FloatArray
-    """(t,) the numbers as they were believed, rad."""
+    """(t,) prior means of the parameters, rad."""
     sigma: FloatArray
-    """(t,) their deviations, rad; 0 for those that are held."""
+    """(t,) prior standard deviations of the parameters, rad; 0 for fixed ones."""
     readings: FloatArray
     """(F, 7) the actuators' angles, rad, in all frames in the order of time."""
     frames: IntArray
-    """(f,) those in question."""
+    """(f,) indices of the selected frames."""
     centre: FloatArray
-    """(t,) the mean of each harmonic of the eyes; 0 for others."""
+    """(t,) mean of each harmonic of the eyes over all frames; 0 for other terms."""
 
     @classmethod
     def of_frames(
         cls, head: HeadModel, frames: HeadFrames, kinds: Collection[str]
     ) -> "ReadingTerms":
-        """Rules of all actuators that move.
+        """Make terms for all actuators that move.
 
         Args:
-            head: whose actuators.
-            frames: in the order of time.
+            head: the head with the actuators.
+            frames: frames in the order of time.
             kinds: some of `RULES`.
         """
         readings = head.actuation.actuators_of(frames.positions)
@@ -65,7 +66,7 @@ class ReadingTerms:
         return replace(NO_TERMS, readings=readings, frames=every).with_rules(head, kinds)
 
     def with_rules(self, head: HeadModel, kinds: Collection[str]) -> "ReadingTerms":
-        """Other rules of the same readings, see `of_frames`."""
+        """Make other terms for the same readings, see `of_frames`."""
         own, readings = head.actuation, self.readings
         moves = (own.upper > own.lower) & (np.ptp(readings, axis=0) > POSE_RAD)
         names, joint, sigma = [], [], []
@@ -87,30 +88,31 @@ class ReadingTerms:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """(t,) of `RULES`."""
+        """(t,) kind of each term, one of `RULES`."""
         return tuple("play" if name.endswith(".play") else "harmonics" for name in self.names)
 
     @property
     def plays(self) -> NDArray[np.bool_]:
-        """(t,) which numbers are plays."""
+        """(t,) True for backlash."""
         return np.array([kind == "play" for kind in self.kinds], dtype=np.bool_)
 
     def of(self, frames: NDArray[np.bool_]) -> "ReadingTerms":
-        """Those of some of the frames."""
+        """Select some of the frames."""
         return self if self is NO_TERMS else replace(self, frames=self.frames[frames])
 
     def held(self, values: FloatArray) -> "ReadingTerms":
-        """With numbers (t,) that stay what they are."""
+        """Fix the parameters at values (t,)."""
         return replace(self, nominal=values, sigma=np.zeros(len(values)))
 
     def at(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What the rules add to the readings.
+        """Evaluate the terms, which add to the readings.
 
         Args:
-            values: (t,) their numbers, rad.
+            values: (t,) their parameters, rad.
 
         Returns:
-            (f, 7) rad by actuator, and its derivatives (f, t) by the number, each of its actuator.
+            (f, 7) sum of the terms by actuator, rad, and (f, t) derivative of each term's actuator
+            angle by its parameter.
         """
         angles = self.readings[:, self.joint]
         by = np.zeros_like(angles)
@@ -121,7 +123,7 @@ class ReadingTerms:
         return added[self.frames] @ np.eye(7)[self.joint], by[self.frames]
 
     def tangent(self, values: FloatArray, others: FloatArray) -> FloatArray:
-        """(f, 7) what the rules add with other numbers, to first order from given ones."""
+        """(f, 7) sum of the terms with other parameters, linearised at given ones."""
         added, by = self.at(values)
         return added + (by * (others - values)) @ np.eye(7)[self.joint]
 
@@ -133,15 +135,15 @@ NO_TERMS: Final = ReadingTerms(
 
 
 def _harmonic(name: str, angles: FloatArray) -> FloatArray:
-    """(F,) the harmonic of angles (F,) that a number is the factor of; 0 for play."""
+    """(F,) harmonic of angles (F,) that a parameter multiplies; 0 for backlash."""
     order, function = _HARMONICS.get(name.rpartition(".")[2], (0, np.sin))
     return np.asarray(function(order * angles))
 
 
 def _behind(angles: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(F, k) how far joints are from motors (F, k) with play (k,), and the derivatives by it.
+    """(F, k) offsets of joints from motors (F, k) with backlash (k,), and the derivatives by it.
 
-    In the middle of it at first. A width below 0 is that above 0 the other way round.
+    The first frame is in the middle of the backlash. A negative width reverses the offset's sign.
     """
     half = 0.5 * np.abs(width)
     away, by = np.zeros_like(angles), np.zeros_like(angles)

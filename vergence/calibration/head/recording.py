@@ -1,4 +1,4 @@
-"""Recordings of a head before a board: logs of a robot, or photographs with joint angles."""
+"""Recordings of a head in front of a board: logs of a robot, or photographs with joint angles."""
 
 import hashlib
 from collections.abc import Callable
@@ -18,24 +18,24 @@ from vergence.models.head import HeadModel
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recorded:
-    """A recording, its frames in the order of time."""
+    """A recording, with frames in the order of time."""
 
     frames: HeadFrames
-    """At least one. Places of the board are numbered without gaps."""
+    """At least one frame. Placements of the board are numbered without gaps."""
     files: tuple[str, ...]
     """Names of the files that it was read from."""
     remarks: tuple[str, ...]
-    """What was left out, and what does not quite fit, a line each."""
+    """Remarks on data that was left out or does not quite fit, a line each."""
     failures: tuple[str, ...]
     """Files that could not be read, a line each."""
 
     @property
     def sha256(self) -> str:
-        """Digest of board, corners and joint angles, rounded to 1e-6 px and 1e-9 rad."""
+        """Digest of board, corners, joint angles and placements; rounded to 1e-6 px, 1e-9 rad."""
         frames = self.frames
         sha = hashlib.sha256(str(frames.target).encode())
         for values, digits in ((frames.pixels, 6), (frames.sigma, 6), (frames.positions, 9)):
-            # no zero has a sign
+            # adding 0 makes -0 positive
             rounded = np.round(np.nan_to_num(values, nan=-1.0), digits) + 0.0
             sha.update(rounded.astype("<f8").tobytes())
         sha.update(frames.placement.astype("<i8").tobytes())
@@ -48,14 +48,14 @@ def read_recording(
     target: PlanarTarget | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Recorded:
-    """Read a recording of a head before a board.
+    """Read a recording of a head in front of a board.
 
     Args:
         path: a robot's log, a folder of such logs, which follow each other in the order of their
             names, or a folder with the photographs of both eyes in `left` and `right` and their
             joint angles in `joints.csv`, `.json` or `.toml`.
-        head: the head as its file has it.
-        target: the board; None for that of the logs.
+        head: the nominal head, from its file.
+        target: the board; None for the board named in the logs.
         progress: called with the fraction done.
 
     Raises:
@@ -92,7 +92,7 @@ def read_recording(
 
 
 def in_order(frames: HeadFrames) -> HeadFrames:
-    """Tidy frames, see `tidy`, with places of the board that are numbered without gaps."""
+    """Tidy frames, see `tidy`, and number the board's placements without gaps."""
     frames = tidy(frames)
     places = np.unique(frames.placement, return_inverse=True)[1]
     return replace(frames, placement=places.astype(np.intp))

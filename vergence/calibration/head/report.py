@@ -1,4 +1,4 @@
-"""The run folder of a calibrated head: its tables, and its report for a person."""
+"""Run folder of a calibrated head: head file, tables and HTML report."""
 
 import csv
 from collections.abc import Mapping, Sequence
@@ -23,24 +23,26 @@ from vergence.models.joints import EYE_NAMES
 from vergence.plain import column, plain
 
 DEPTHS_M: Final = (0.3, 0.5, 1.0, 2.0, 2.5, 3.0)
-"""Distances of the table of depth."""
+"""Distances of the table of depth, m (chosen: the range of use)."""
 _HEADLINE_M: Final = (0.5, 1.0, 2.5)
+"""Distances of the summary at the top of the report, m (chosen)."""
 _MAPS_M: Final = (1.0, 2.5)
+"""Distances of the maps of depth errors, m (chosen)."""
 _SHOWN: Final[dict[str, tuple[float, str, int]]] = {
     "rad": (180.0 / np.pi, "°", 4),
     "m": (1e3, "mm", 3),
     "px": (1.0, "px", 2),
     "1": (1.0, "", 5),
 }
-"""How a unit is shown in the table of numbers: a factor, its name, and digits."""
+"""Format of each unit in the table of parameters: factor, name, and digits."""
 
 
 _MOST_ROWS: Final = 40
-"""Of the table of views left out; the others are in views.csv."""
+"""Most rows of the table of views left out (chosen: a page's worth; the rest is in views.csv)."""
 
 
 class LeftOut(NamedTuple):
-    """A view that did not go in."""
+    """A view that was left out."""
 
     time_s: float
     eye: str
@@ -58,12 +60,12 @@ def write_run(
     """Write a calibration's head file, its tables and its report.
 
     Args:
-        folder: where to.
+        folder: the run folder.
         found: the calibration.
-        unseen: what the recording did not tell.
-        content: of the head file that it makes.
-        name: of that file.
-        recording: facts on where the frames are from, by name.
+        unseen: unobservable directions of the recording.
+        content: content of the head file.
+        name: name of that file.
+        recording: facts on the origin of the frames, by name.
     """
     (folder / name).write_text(content, encoding="utf-8")
     names, units, before = found.about.parameters()
@@ -95,11 +97,11 @@ def write_run(
 
 
 def document(found: HeadCalibration, unseen: Sequence[Unseen]) -> dict[str, Any]:
-    """The result as plain values for JSON.
+    """Convert the result to plain values for JSON.
 
     Args:
         found: the calibration.
-        unseen: what the recording did not tell.
+        unseen: unobservable directions of the recording.
     """
     depth = depth_errors(found, ahead(np.array(DEPTHS_M)))
     table = {
@@ -131,13 +133,13 @@ def document(found: HeadCalibration, unseen: Sequence[Unseen]) -> dict[str, Any]
 
 
 def _heldout(found: HeadCalibration) -> float:
-    """Root mean square, over sigma, of views by heads that did not know them; nan without any."""
+    """Root mean square cross-validation error in units of sigma; nan without any view."""
     known = np.isfinite(found.held_out)
     return float(np.sqrt(np.mean(found.held_out[known]))) if known.any() else float("nan")
 
 
 def left_out(found: HeadCalibration) -> list[LeftOut]:
-    """The views that show corners and did not go in, in the order of time.
+    """List the views that show corners and were left out, in the order of time.
 
     Args:
         found: the calibration.
@@ -164,7 +166,7 @@ def left_out(found: HeadCalibration) -> list[LeftOut]:
 
 
 def _write_views(path: Path, found: HeadCalibration) -> None:
-    """A row for each frame and eye; empty where there is no number."""
+    """Write a row for each frame and eye; missing numbers are empty."""
     frames = found.frames
     residuals = found.solution.normal.residuals * frames.sigma
     counted = figures.judged(found)
@@ -199,14 +201,14 @@ def write_report(
     name: str,
     recording: Mapping[str, str],
 ) -> None:
-    """Write calibration.html, whole by itself.
+    """Write calibration.html, which is self-contained.
 
     Args:
-        folder: where to.
+        folder: the run folder.
         found: the calibration.
-        unseen: what the recording did not tell.
-        name: of the head file that the calibration makes.
-        recording: facts on where the frames are from, by name.
+        unseen: unobservable directions of the recording.
+        name: name of the calibration's head file.
+        recording: facts on the origin of the frames, by name.
     """
     drawn = _figures(found).items()
     depth = depth_errors(found, ahead(np.array(_HEADLINE_M)))
@@ -232,7 +234,7 @@ def write_report(
 
 
 def _headline(depth: DepthErrors) -> list[tuple[str, str, str]]:
-    """Distance, error before, and deviation after, of the distances that the eyes reach."""
+    """Format distance, error before, and deviation after, for distances that the eyes reach."""
     return [
         (f"{distance:g}", format_number(abs(before)), format_number(after))
         for distance, before, after in zip(
@@ -244,7 +246,7 @@ def _headline(depth: DepthErrors) -> list[tuple[str, str, str]]:
 
 
 def _figures(found: HeadCalibration) -> dict[str, Figure]:
-    """All figures by name."""
+    """Draw all figures, by name."""
     drawn = {"depth": depth_figures.depth_by_distance(found)}
     for distance in _MAPS_M:
         drawn[f"map-{distance:g}"] = depth_figures.depth_map(found, distance)
@@ -261,7 +263,7 @@ def _figures(found: HeadCalibration) -> dict[str, Figure]:
 
 
 def _number_rows(found: HeadCalibration) -> list[list[str]]:
-    """Rows of the table of the head's numbers."""
+    """Format the rows of the table of head parameters."""
     own, rows = found.solution.problem, []
     for name, unit, before, after, sigma, spread in zip(
         *found.about.parameters()[:2], own.nominal.tolist(), found.solution.state.values.tolist(),

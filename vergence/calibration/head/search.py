@@ -1,4 +1,4 @@
-"""Search for a board that a head does not see from where it rests."""
+"""Search for a board that the head does not see at rest."""
 
 from collections.abc import Iterator, Sequence
 from itertools import product
@@ -15,36 +15,39 @@ from vergence.models.parts import FloatArray
 from vergence.recording.looking import Looker, Sight
 
 _AZIMUTHS: Final = np.deg2rad((-50.0, -25.0, 0.0, 25.0, 50.0))
+"""Azimuths to look at, rad (chosen: common cameras have 50 to 60 degrees field of view)."""
 _ELEVATIONS: Final = np.deg2rad((-25.0, 0.0, 25.0))
-"""Directions in which the eyes look: common cameras see 50 to 60 degrees."""
+"""Elevations to look at, rad (chosen, see `_AZIMUTHS`)."""
 _NECK_SHARES: Final = (0.0, -0.6, 0.6)
-"""Of the way from rest to a limit of the neck's first and last joint."""
+"""Fractions of the way from rest to a limit for the neck's first and last joint (chosen)."""
 _SAME_RAD: Final = 0.02
+"""Largest joint difference of two postures that count as equal, rad (chosen)."""
 _AHEAD_M: Final = 1.0
+"""Forward distance of the fixated points, m (chosen)."""
 
 
 def one_frame(looker: Looker, sight: Sight) -> HeadFrames:
-    """A sight as a recording of one frame."""
+    """Convert a sight to a recording of one frame."""
     return Gathered(looker.target, [sight], [0], ()).frames()
 
 
 def sees(looker: Looker, sight: Sight) -> int:
-    """Number of eyes that see enough of the board."""
+    """Count the eyes that see at least four corners of the board."""
     return int((one_frame(looker, sight).seen.sum(axis=-1) >= 4).sum())
 
 
 def find_board(looker: Looker, first: Sequence[FloatArray] = ()) -> HeadFrames:
-    """Look about until the board is there, and then at it.
+    """Look around until an eye sees the board, then turn both eyes to it.
 
     Args:
         looker: the head.
-        first: (7,) joint angles at which to look before all others.
+        first: (7,) joint angles to try first.
 
     Returns:
-        One frame, of both eyes where they can both look there.
+        One frame, of both eyes if they can both look there.
 
     Raises:
-        ConfigurationError: it is nowhere.
+        ConfigurationError: the board was found nowhere.
     """
     looks = 0
     for q in (*first, *_directions(looker.head)):
@@ -64,7 +67,7 @@ def find_board(looker: Looker, first: Sequence[FloatArray] = ()) -> HeadFrames:
 
 
 def _towards(head: HeadModel, frame: HeadFrames) -> FloatArray:
-    """(7,) joint angles with which both eyes look at a board that one of them has seen."""
+    """(7,) joint angles that turn both eyes to a board that one of them has seen."""
     T_0_N = head.base_pose(frame.positions[0])
     middle = scene_of(head, frame).corners.mean(axis=(0, 1))
     inside = T_0_N[:3, :3].T @ (middle - T_0_N[:3, 3])
@@ -77,7 +80,7 @@ def _within(head: HeadModel, q: FloatArray) -> FloatArray:
 
 
 def _directions(head: HeadModel) -> Iterator[FloatArray]:
-    """(7,) joint angles of all directions, those next to rest first."""
+    """Generate (7,) joint angles for all directions, nearest to rest first."""
     own, rest = head.actuation, head.rest()
     found = [rest]
     for yaw, pitch in product(_NECK_SHARES, _NECK_SHARES):

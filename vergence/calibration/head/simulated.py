@@ -1,4 +1,4 @@
-"""Frames that a drawn head sees of a board while it moves, without drawing images."""
+"""Simulated recordings of a head in front of a board: projected corners with noise, no images."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -16,41 +16,43 @@ from vergence.models.parts import FloatArray
 from vergence.vision import parse_target
 
 BORDER_PX: Final = 5.0
-"""Least distance of a corner to the image's border."""
+"""Least distance of a corner to the image's border, px (chosen)."""
 _MOST_TRIES: Final = 200
-"""Postures drawn for one in which both eyes see the board whole."""
+"""Average random postures per pose with the whole board visible to both eyes, before an error
+(numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """What a head saw, and what is true about it."""
+    """A simulated recording, and its ground truth."""
 
     frames: HeadFrames
     true_q: FloatArray
-    """(f, 7) rad."""
+    """(f, 7) true joint angles, rad."""
     boards: Poses
-    """(b) in frame 0."""
+    """(b) true poses of the board in frame 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Faults:
-    """Errors of the readings besides their steps, by actuator."""
+    """Systematic errors of the readings by actuator, besides quantisation."""
 
     play_rad: FloatArray = field(default_factory=lambda: np.zeros(7))
-    """(7,) whole widths between the motors, whose angles are read, and the joints."""
+    """(7,) whole widths of the backlash between the motors, whose angles are read, and the
+    joints."""
     harmonics_rad: FloatArray = field(default_factory=lambda: np.zeros((7, 4)))
-    """(7, 4) by how much an angle q is more than was read: factors of cos(q), sin(q), cos(2q) and
+    """(7, 4) harmonics of true minus read angle q: factors of cos(q), sin(q), cos(2q) and
     sin(2q)."""
 
     def true(self, motors: FloatArray, before: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where motors bring the joints, one frame after the other.
+        """Compute the actuators' output angles, one frame after the other.
 
         Args:
-            motors: (f, 7) rad.
-            before: (7,) behind their play, rad.
+            motors: (f, 7) motor angles, rad.
+            before: (7,) previous output angles behind the backlash, rad.
 
         Returns:
-            (f, 7) angles of the actuators' output, and (7,) the last ones behind their play, rad.
+            (f, 7) output angles, and (7,) the last ones behind the backlash without harmonics, rad.
         """
         behind = []
         for motor in motors:
@@ -75,21 +77,21 @@ def record(
     dither_rad: float = np.deg2rad(0.3).item(),
     faults: Faults | None = None,
 ) -> Recorded:
-    """Let a true head look about in front of boards.
+    """Simulate a recording of boards by a true head.
 
     Args:
-        head: the head that reads the joints.
-        true: the head that looks.
+        head: the nominal head, which reads the joints.
+        true: the true head, which looks.
         rng: the source of randomness.
         target: the board.
-        poses: how many postures.
-        frames: of each, every one moved a little.
-        noise_px: of each corner.
-        distances_m: where the board stands, one place after the other.
-        neck: whether the neck moves as well.
-        off_axis: how far the eyes look beside the board, 0 to fixate it.
-        dither_rad: by how much frames of a pose differ at most.
-        faults: of the readings, besides their steps.
+        poses: number of poses.
+        frames: frames per pose, each with all joints dithered.
+        noise_px: standard deviation of each coordinate of a corner.
+        distances_m: distances of the board, one placement after the other.
+        neck: True to move the neck as well.
+        off_axis: scale of the random gaze offsets from the board; 0 to fixate it.
+        dither_rad: amplitude of the dither about a pose.
+        faults: systematic errors of the readings, besides quantisation.
 
     Raises:
         ConfigurationError: the target has no corners of its own, or is hardly ever whole in both
@@ -169,7 +171,7 @@ def record(
 
 
 def quantised(head: HeadModel, q: FloatArray) -> FloatArray:
-    """Joint angles as the head's encoders read them."""
+    """Quantise joint angles as the head's encoders do."""
     own = head.actuation
     angles, step = own.actuators_of(q), own.angle_step
     whole = np.where(step > 0.0, step, 1.0)

@@ -1,4 +1,4 @@
-"""A simulated head before a board that stands still: exact pixels with noise, or drawn images."""
+"""Simulated head in front of a fixed board: exact projections with noise, or rendered images."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -17,22 +17,22 @@ from vergence.recording.looking import Sight
 from vergence.vision import EyeCamera, TargetDrawing, make_detector
 
 _LOOK_S: Final = 1.0
-"""Time that a look takes, s."""
+"""Simulated time per look, s (chosen)."""
 _TILT: Final = (0.25, -0.2, 0.1)
-"""Of a board that nobody has set up exactly: a rotation vector in its frame, rad."""
+"""Rotation vector of the board from upright, in its frame, rad (chosen: as if set up by hand)."""
 _BORDER_PX: Final = 3.0
-"""Room that a detector needs around a board, px."""
+"""Least distance of corners to the image's border, px (chosen: room for a detector)."""
 _LEAST_SIGMA_PX: Final = 1e-3
-"""Of a corner whose detector is exact: no corner has a deviation of zero."""
+"""Least standard deviation of a corner, px, as an adjustment needs one above zero (numerical)."""
 
 
 def board_ahead(head: HeadModel, target: PlanarTarget, distance_m: float) -> FloatArray:
-    """The pose of a board before the eyes of a head at rest, upright but for some degrees.
+    """Place a board in front of a head at rest, upright to some degrees.
 
     Args:
         head: the head that looks.
-        target: the board, whose middle stands there.
-        distance_m: from the middle between both cameras, m.
+        target: the board; its middle is straight ahead.
+        distance_m: distance from midway between the cameras, m.
 
     Returns:
         (4, 4) T_0_T.
@@ -48,19 +48,20 @@ def board_ahead(head: HeadModel, target: PlanarTarget, distance_m: float) -> Flo
 
 
 class SimulatedLooker:
-    """A `Looker` of a simulated head; its encoders and its play are those of the kinematic plant.
+    """`Looker` of a simulated head, with encoders and backlash of the kinematic plant.
 
     Args:
-        head: the model that is known of it.
+        head: the nominal head model.
         target: the board.
-        pose: (4, 4) where the board stands, T_0_T.
+        pose: (4, 4) pose of the board, T_0_T.
         rng: the source of all noise.
-        true_head: the head that really looks; None for the model itself.
-        drawn: whether a detector looks for the board in drawn images; else its corners are
-            projected and scatter as the head's sensor says.
+        true_head: the true head; None for the nominal one.
+        drawn: True to detect the board in rendered images; else its corners are projected, with the
+            detection noise of the head's sensor.
 
     Attributes:
-        images: of the last look, (height, width) grey levels by eye, where they are drawn.
+        images: rendered images of the last look by eye, (height, width) grey levels; empty if
+            `drawn` is False.
     """
 
     def __init__(
@@ -94,7 +95,7 @@ class SimulatedLooker:
             TrialStart(
                 ids=np.arange(1),
                 seeds=self._seed,
-                trials=np.array([self._looks], dtype=np.uint64),  # the play lies anew each time
+                trials=np.array([self._looks], dtype=np.uint64),  # new backlash state per look
                 positions=np.array(q)[None],
                 motions=motion_rows(np.array([[0.0, 0.0, 1.0]])),
             )

@@ -1,4 +1,4 @@
-"""The head that fits best: the least sum of squares, by Levenberg and Marquardt."""
+"""Levenberg-Marquardt solver of a head's bundle adjustment."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,24 +13,27 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _MOST_STEPS: Final = 60
+"""Largest number of Levenberg-Marquardt steps (numerical)."""
 _SAME_COST: Final = 1e-3
-"""Change of the cost below which the adjustment ends: a number that is a standard deviation beside
-the best one changes it by 1."""
+"""Change of the cost below which the adjustment ends; an error of one standard deviation in one
+parameter changes the cost by 1 (numerical)."""
 _ROUNDING: Final = 1e-9
-"""Relative change of the cost that is rounding."""
+"""Relative change of the cost that counts as rounding (numerical)."""
 _ROUGH: Final = 1e-3
-"""Relative change of the cost of a robust fit that is no news: a fit of what is right follows."""
+"""Relative change of the cost below which a robust fit ends, as a fit to the inliers follows
+(numerical)."""
 FIRST_USUAL: Final = 1e4
-"""Mean square of a usual corner's residuals over sigma through the head's file: degrees of error.
-"""
+"""Typical mean square of a corner's residuals with the nominal head, in units of sigma^2 (chosen:
+it corresponds to errors of degrees)."""
 _LESS: Final = 0.7
-"""Share by which it has to fall to be used."""
+"""Ratio to its old value below which the typical mean square replaces it (chosen)."""
 _MOST_DAMPING: Final = 1e9
+"""Damping above which the adjustment ends (numerical)."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeadSolution:
-    """The head that fits best, and how surely."""
+    """The head that fits best, and the normal equations there."""
 
     problem: HeadAdjustment
     state: State
@@ -39,35 +42,35 @@ class HeadSolution:
 
     @cached_property
     def head(self) -> HeadModel:
-        """The head that was found."""
+        """The fitted head."""
         return self.problem.about.with_parameters(self.state.values)
 
     @cached_property
     def squares(self) -> FloatArray:
-        """(2, f, n) mean square of each corner's residuals over sigma; nan if it was not found."""
+        """(2, f, n) mean square of each corner's residuals, in sigma^2; nan if not found."""
         seen = self.problem.frames.seen
         return np.where(seen, 0.5 * (self.normal.residuals**2).sum(axis=-1), np.nan)
 
     @cached_property
     def misread(self) -> FloatArray:
-        """(f, 7) errors of the angles over their deviation; 0 where frames share one."""
+        """(f, 7) reading errors of single frames over their prior sigma; 0 for shared ones."""
         own = self.problem.joints
         sigma = np.where(own.sigma > 0.0, own.sigma, 1.0)
         return np.where(own.own, self.state.errors / sigma, 0.0)
 
     @cached_property
     def noise(self) -> float:
-        """How many times sigma the residuals are: 1 where the detector's sigma is right."""
+        """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
         counted: NDArray[np.bool_] = self.problem.frames.seen & (self.weights.corners > 0.0)
         own = self.problem.joints.own & np.asarray(counted.any(axis=(0, 2)))[:, None]
-        # what a number of its own takes up of the measurements, those of angles by their share
+        # effective number of parameters: a reading error counts by its reduction of variance
         taken = float((own * (1.0 - self.angle_left)).sum()) + self.problem.size
         measured = 2.0 * float(counted.sum())
         return float(np.sqrt(2.0 * self.squares[counted].sum() / max(measured - taken, 1.0)))
 
     @cached_property
     def angle_left(self) -> FloatArray:
-        """(f, 7) variance of each angle's error, over what it was before any image."""
+        """(f, 7) ratio of posterior to prior variance of the reading errors, shared ones fixed."""
         sigma = self.problem.joints.sigma
         inner = np.diagonal(np.linalg.inv(self.normal.inner), axis1=1, axis2=2)
         return np.asarray(inner / np.where(sigma > 0.0, sigma, 1.0) ** 2)
@@ -81,18 +84,18 @@ def solved(
     usual: float = np.inf,
     tolerance: float = _SAME_COST,
 ) -> HeadSolution:
-    """The unknowns with the least sum of squares, by Levenberg and Marquardt.
+    """Find the unknowns with the least sum of squares, by Levenberg and Marquardt.
 
     Args:
-        problem: a head, and what it saw.
-        start: near by.
-        weights: of corners and angles; 0 leaves one out.
-        usual: mean square, over sigma, of a usual corner's residuals at the start: corners and
-            angles that fit much worse than others count for less; inf for least squares.
-        tolerance: change of the cost below which it ends.
+        problem: the adjustment problem.
+        start: initial values of the unknowns.
+        weights: weights of corners and angles; 0 leaves one out.
+        usual: typical mean square of a corner's residuals at the start, in sigma^2: corners and
+            angles that fit much worse count for less (Cauchy's loss); inf for least squares.
+        tolerance: change of the cost below which the adjustment ends.
 
     Raises:
-        LinAlgError: the start is behind a camera, or leads nowhere.
+        LinAlgError: the start is behind a camera, or the normal matrix is not positive definite.
     """
     robust = np.isfinite(usual)
     weights = weights._replace(usual=usual)
@@ -102,8 +105,8 @@ def solved(
     damping = 0.0
     for _ in range(_MOST_STEPS):
         larger = now.matrix.copy()
-        # by what is known beforehand: a step along what the frames hardly tell is not held
-        # back by what they tell well
+        # damping in units of the prior: it does not hold back steps along directions that the
+        # frames hardly determine because they determine others well
         larger[np.diag_indices(problem.size)] += damping * problem.precision
         step = -cho_solve(cho_factor(larger), now.slope)
         moved = problem.moved(state, now, step)
@@ -129,6 +132,6 @@ def solved(
 
 
 def _usual(problem: HeadAdjustment, now: Normal, weights: Weights) -> float:
-    """Mean square of the residuals of a usual corner, in units of sigma; 1 at least."""
+    """Typical (median) mean square of a corner's residuals, in units of sigma^2; at least 1."""
     counted = problem.frames.seen & (weights.corners > 0.0)
     return max(0.5 * float(np.median((now.residuals[counted] ** 2).sum(axis=-1))), 1.0)

@@ -1,4 +1,4 @@
-"""Where the board stands, to begin with: each view says so through the head as it is believed."""
+"""Initial poses of the board: each view gives one through the nominal head, and most agree."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,13 +16,13 @@ from vergence.models.parts import FloatArray
 from vergence.perception.located import orders_alike
 
 LEAST_CORNERS: Final = 4
-"""Of a view: fewer do not tell where the board is."""
+"""Fewest corners of a view (physical: geometry, fewer do not determine the board's pose)."""
 _MOST_CANDIDATES: Final = 300
-"""Views that are compared with each other, of one place of the board."""
+"""Most views of one placement that are compared pairwise (numerical)."""
 
 
 def camera_rig(head: HeadModel, eye: int) -> Rig:
-    """One eye's camera by itself."""
+    """Make a rig of one eye's camera."""
     cameras = head.cameras
     lens = cameras.lens[eye]
     count = len(camera_values(lens)) - 4
@@ -31,7 +31,7 @@ def camera_rig(head: HeadModel, eye: int) -> Rig:
 
 
 def board_in_cameras(head: HeadModel, frames: HeadFrames) -> list[Poses]:
-    """The board's pose in either camera, frame by frame; without it one that means nothing."""
+    """Find the board's pose in each camera, frame by frame; a placeholder without the board."""
     found = []
     for eye in range(2):
         only = slice(eye, eye + 1)
@@ -42,32 +42,33 @@ def board_in_cameras(head: HeadModel, frames: HeadFrames) -> list[Poses]:
 
 
 class Start(NamedTuple):
-    """Where the board stands by itself, as most views have it."""
+    """Initial poses of the board, on which most views agree."""
 
     frames: HeadFrames
-    """With the corners of all views in one order: a board may look the same when it is turned."""
+    """Frames with the corners of rotationally symmetric boards in one order."""
     boards: Poses
-    """(b) in frame 0."""
+    """(b) poses of the board in frame 0."""
     agree: NDArray[np.bool_]
-    """(2, f) the views that have it about there."""
+    """(2, f) True for views that agree with these poses."""
     spread_m: float
-    """By how much half of these views have its corners elsewhere."""
+    """Median rms distance of these views' corners from the poses' corners; median over
+    placements."""
 
 
 def started(head: HeadModel, frames: HeadFrames) -> Start:
-    """Find where most views have the board, through the head as it is believed to be.
+    """Find the poses of the board on which most views agree, through a given head.
 
     Args:
-        head: as it is believed to be.
-        frames: what it saw.
+        head: the head, nominal or estimated.
+        frames: frames of the board.
 
     Raises:
-        LinAlgError: no view tells where the board is.
+        LinAlgError: a placement has no view that determines the board's pose.
     """
     places, turns, shifts = board_in_base(head, frames)
     orders = orders_alike(frames.target)
     enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
-    enough &= np.isfinite(places).all(axis=(-2, -1))  # not what no lens can have brought there
+    enough &= np.isfinite(places).all(axis=(-2, -1))  # pixels outside the lens's range
     rotations, translations, spreads = [], [], []
     pixels, sigma = frames.pixels.copy(), frames.sigma.copy()
     agree = np.zeros(enough.shape, dtype=bool)
@@ -93,11 +94,11 @@ def started(head: HeadModel, frames: HeadFrames) -> Start:
 
 
 def board_in_base(head: HeadModel, frames: HeadFrames) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where each view by itself has the board in frame 0.
+    """Compute the board's pose in frame 0 from each single view.
 
     Returns:
-        (2, f, n, 3) its corners, m; (2, f, 3, 3) and (2, f, 3) its pose. They mean nothing where
-        the board is not seen.
+        (2, f, n, 3) its corners, m; (2, f, 3, 3) and (2, f, 3) its pose. They are placeholders for
+        views without the board.
     """
     T_0_C = head.base_pose(frames.positions)[:, None] @ head.camera_poses(frames.positions)
     places, turns, shifts = [], [], []
@@ -114,12 +115,12 @@ def board_in_base(head: HeadModel, frames: HeadFrames) -> tuple[FloatArray, Floa
 def _middle(
     places: FloatArray, here: NDArray[np.intp], orders: Sequence[NDArray[np.intp]]
 ) -> tuple[tuple[int, int], FloatArray, NDArray[np.intp]]:
-    """The view nearest to all others, how far these are from it, and in which order.
+    """Find the medoid view, the views' distances to it, and their corner orders.
 
     Args:
         places: (2, f, n, 3) see `board_in_base`.
-        here: (v, 2) eye and frame of the views in question.
-        orders: in which the corners may come.
+        here: (v, 2) eye and frame of the views to compare.
+        orders: possible orders of the corners.
     """
     some = here[:: -(-len(here) // _MOST_CANDIDATES)]
     sets = places[some[:, 0], some[:, 1]]

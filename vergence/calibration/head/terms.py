@@ -1,9 +1,9 @@
-"""Optional terms of a head: which of them its recording calls for.
+"""Selection of optional terms of a head model that its recording calls for.
 
-The numbers of a head's file leave out that its actuators have play, that its encoders' discs are
-off their axes, and, by D-H numbers, that a joint is not parallel to the one before. Each is a term
-that a calibration may have. It is tried where a step of its numbers alone would make the sum of
-squares smaller than chance does, and taken if it predicts poses surely better that it has not seen.
+The parameters of a head's file leave out backlash of the actuators, eccentricity of the encoder
+discs, and, in D-H form, some misalignments of a joint to the one before. Each is an optional term
+of a calibration. A term is tried if a step of its parameters alone reduces the sum of squares by
+more than chance, and accepted if it predicts held-out poses significantly better.
 """
 
 from collections.abc import Collection
@@ -31,24 +31,25 @@ from vergence.models.parts import FloatArray
 AUTO: Final = "auto"
 TERMS: Final = (*RULES, "axes")
 _CHANCE: Final = 1e-3
-"""Probability that a term is tried that is not there, if all errors are independent."""
+"""Probability that an absent term is tried, if all errors are independent (chosen)."""
 _LEAST_GAIN: Final = 0.02
-"""Of the logarithm of what is held against a pose, see `HeldOut`: less is not worth a term."""
+"""Least gain of a term in the mean logarithm of the poses' cross-validation errors, see `HeldOut`
+(chosen: less is not worth a term)."""
 _LEAST_GAIN_OF_PLAY: Final = 0.15
-"""The same of play where readings scatter with it, too: an error of a reading is an error of its
-change from the one before, by whose sign some of it is told, as if by play. With readings that
-scatter by 0.1 degrees, four times their steps, that is 0.06."""
+"""Least gain of backlash if readings scatter even with it. A reading error also changes the
+difference to the previous reading, whose sign then predicts some of the error, just as with
+backlash (chosen: readings that scatter by 0.1 degrees, four times their steps, gain 0.06 so)."""
 _WORTH: Final = 0.5 * _LEAST_GAIN
-"""Share of the mean square of corners and readings, 2 together, that a first step has to take up
-for the term to be tried: all that it takes up in the end may be more."""
+"""Fraction of the mean squares of corners and readings, 2 together, by which a first step has to
+reduce them for the term to be tried (chosen: the final reduction may be larger)."""
 _MOST_FRAMES: Final = 200
-"""By which terms are tried."""
+"""Approximate number of frames on which terms are tried (chosen: more take longer)."""
 _SURELY: Final = 2.0
-"""Standard errors of its mean over the poses."""
+"""Standard errors by which the mean gain over the poses has to exceed zero (chosen)."""
 
 
 def parse_terms(text: str) -> tuple[str, ...]:
-    """Terms from a word: `none`, `auto`, or some of `TERMS` with commas between them.
+    """Parse terms: `none`, `auto`, or some of `TERMS` with commas between them.
 
     Raises:
         ConfigurationError: it is none of these.
@@ -62,7 +63,7 @@ def parse_terms(text: str) -> tuple[str, ...]:
 
 
 def described(head: HeadModel, terms: Collection[str]) -> HeadModel:
-    """A head in the form that has the numbers of its terms."""
+    """Convert a head to the form that its terms need."""
     head = as_axes(head) if "axes" in terms else head
     return without_play(head) if "play" in terms else head
 
@@ -71,18 +72,18 @@ class Chosen(NamedTuple):
     """The head with the terms that its recording calls for."""
 
     fit: Fit
-    """With those that a head's file has a place for: harmonics have none, and without them the
-    other numbers are best as they are without them."""
+    """Fit with the accepted terms that a head's file can hold. Harmonics are not among these:
+    readings are not corrected by them, so that the other parameters are best without them."""
     suspected: HeadSolution | None
-    """With harmonics, of some of the frames, where these are called for, too."""
+    """Solution with harmonics, of some of the frames, if these are called for too; else None."""
 
 
 def choose_terms(fit: Fit, cameras: bool) -> Chosen:
-    """Add the terms that a recording calls for, most telling first.
+    """Add the terms that a recording calls for, most significant first.
 
     Args:
-        fit: of the head without any.
-        cameras: whether the cameras are free, see `spreads_of`.
+        fit: fit of the head without terms.
+        cameras: True if the cameras are estimated, see `spreads_of`.
     """
     chosen: tuple[str, ...] = ()
     left, some = set(TERMS), _thinned(fit)
@@ -92,7 +93,7 @@ def choose_terms(fit: Fit, cameras: bool) -> Chosen:
             break
         best = max(gains, key=lambda term: gains[term])
         left.discard(best)
-        with suppress(np.linalg.LinAlgError):  # a term that leads nowhere
+        with suppress(np.linalg.LinAlgError):  # the fit with this term fails
             richer = _richer(some, (*chosen, best), cameras)
             scatters = np.any(richer.solution.problem.noisier != 1.0)
             least = _LEAST_GAIN_OF_PLAY if best == "play" and scatters else _LEAST_GAIN
@@ -106,7 +107,7 @@ def choose_terms(fit: Fit, cameras: bool) -> Chosen:
 
 
 def _thinned(fit: Fit) -> Fit:
-    """The fit of some of the frames of each pose, which tell terms as well in less time."""
+    """Fit some of the frames of each pose, which select terms as well in less time."""
     own, state = fit.solution.problem, fit.solution.state
     frames = len(own.frames.time_s)
     some = np.arange(frames) % -(-frames // _MOST_FRAMES) == 0
@@ -120,9 +121,9 @@ def _thinned(fit: Fit) -> Fit:
 
 
 def _richer(fit: Fit, terms: Collection[str], cameras: bool) -> Fit:
-    """The fit with terms."""
+    """Fit the head with terms."""
     problem, start = _extended(fit.solution, terms, cameras)
-    # how readings scatter is found anew: a term may explain it
+    # estimate the scatter of the readings again, as a term may explain it
     problem = replace(problem, noisier=None)
     return settled(solved(problem, start, Weights.of(fit.kept)))
 
@@ -130,7 +131,7 @@ def _richer(fit: Fit, terms: Collection[str], cameras: bool) -> Fit:
 def _extended(
     solution: HeadSolution, terms: Collection[str], cameras: bool
 ) -> tuple[HeadAdjustment, State]:
-    """The same problem with terms, and the same head in it."""
+    """Extend a problem by terms; start from the same head."""
     own, state = solution.problem, solution.state
     about = described(own.about, terms)
     rules = own.terms.with_rules(about, terms)
@@ -152,9 +153,9 @@ def _extended(
 def _gains(
     solution: HeadSolution, chosen: tuple[str, ...], left: Collection[str], cameras: bool
 ) -> dict[str, float]:
-    """By how many times chance a step of each term's numbers makes the sum of squares smaller.
+    """Compute each term's reduction of the sum of squares by one step, relative to chance.
 
-    Only of terms with which it is more than chance does.
+    Only terms with a larger reduction than chance, and worth a trial, are returned.
     """
     gains: dict[str, float] = {}
     chance: dict[str, float] = {}
@@ -177,7 +178,7 @@ def _gains(
         chance["axes"] = _chance(len(problem.about.links.parameters))
         gains["axes"] = _gain(normal, every, ~every) / chance["axes"]
     noise = max(solution.noise, 1.0) ** 2
-    # readings that scatter by an error that a term explains are believed less until it is there
+    # while a term is missing, its error enlarges the readings' sigma and so reduces the gain
     own, noisier = solution.problem.joints.own, solution.problem.noisier
     belief = 1.0 if noisier is None else float(noisier.max()) ** 2
     worth = _WORTH * 2.0 * own.sum() / belief
@@ -189,7 +190,7 @@ def _gains(
 
 
 def _gain(normal: Normal, mine: NDArray[np.bool_], others: NDArray[np.bool_]) -> float:
-    """How much smaller the sum of squares is if some numbers move and others follow."""
+    """Predict the reduction of the sum of squares if some unknowns move and others follow."""
     M, slope = normal.matrix, normal.slope
     across = np.linalg.solve(M[np.ix_(others, others)], M[np.ix_(others, mine)])
     own = M[np.ix_(mine, mine)] - M[np.ix_(mine, others)] @ across
@@ -198,14 +199,17 @@ def _gain(normal: Normal, mine: NDArray[np.bool_], others: NDArray[np.bool_]) ->
 
 
 def _chance(numbers: int) -> float:
-    """The sum of squares that so many numbers take up by chance at most; inf for none."""
+    """Bound on the reduction of the sum of squares by chance; inf without parameters."""
     return float(chi2.ppf(1.0 - _CHANCE, numbers)) if numbers else np.inf
 
 
 def _predicts_better(richer: Fit, simpler: Fit, least: float) -> bool:
-    """Whether a head with a term surely does better on poses that it does not know, by so much."""
+    """Return True if a head with a term predicts held-out poses significantly better.
+
+    The mean gain in the logarithm of a pose's error has to reach `least`.
+    """
     kept = richer.kept & simpler.kept
-    # readings are judged alike: as surely as the richer head takes them
+    # judge the readings of both heads by the richer head's sigma
     rich, simple = richer.solution.problem, simpler.solution.problem
     noisier = np.ones(7) if simple.noisier is None else simple.noisier
     known = simple.joints.sigma > 0.0

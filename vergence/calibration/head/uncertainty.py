@@ -1,7 +1,8 @@
-"""How surely a head's numbers are known: by what each pose has to say of them.
+"""Covariance of a head's parameters, robust to errors that are correlated within a pose.
 
-The errors of the frames of a pose go together, where the board is not as it is believed to be or a
-joint gives way, so poses are what is counted, as views are in `vergence.calibration.uncertainty`.
+The errors of the frames of a pose are correlated if the board is not as modelled or a joint gives
+way. Therefore the groups of measurements are poses, as they are views in
+`vergence.calibration.uncertainty`.
 """
 
 import numpy as np
@@ -13,10 +14,10 @@ from vergence.models.parts import FloatArray
 
 
 def head_covariance(solution: HeadSolution) -> FloatArray:
-    """(p + t, p + t) covariance of the numbers of `HeadModel.parameters`, then the readings' rules.
+    """(p + t, p + t) covariance of `HeadModel.parameters`, then of the reading-error terms.
 
     Args:
-        solution: the head and how it was found.
+        solution: solution of the head.
     """
     problem = solution.problem
     normal = problem.linearised(solution.state, solution.weights, by_frame=True)
@@ -25,7 +26,7 @@ def head_covariance(solution: HeadSolution) -> FloatArray:
     p, rules = len(problem.nominal), np.arange(len(problem.nominal) + BEND, problem.common)
     kept = np.concatenate([np.arange(p), rules])
     rest = np.setdiff1d(np.arange(problem.size), kept)
-    # the board and the joints at rest follow the others
+    # eliminate the boards and the errors of resting joints
     reduced = np.zeros((problem.size + 1, len(kept)))
     reduced[kept] = np.eye(len(kept))
     reduced[rest] = -np.linalg.solve(

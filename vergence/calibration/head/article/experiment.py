@@ -1,4 +1,4 @@
-"""The cure that the article leaves to future work: its head calibrated from its own movements."""
+"""The article's future work as an experiment: its head calibrated from its own movements."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""The figure of the twin's calibration."""
+"""Figure of the physical twin's calibration."""
 
 from typing import Any, Final
 
@@ -30,7 +30,7 @@ _PANELS: Final = {"exact": "joints read exactly", "encoders": "joints read by th
 
 
 def draw(table: pd.DataFrame, config: HeadEyeConfig) -> dict[str, Figure]:
-    """All figures by name."""
+    """Draw all figures, by name."""
     del config
     depth = np.unique(table["truth_z_mm"].to_numpy()) / 1000.0
     with styled():

@@ -1,4 +1,4 @@
-"""What calibration of the physical twin found: summary rows, and the text's numbers."""
+"""Results of the physical twin's calibration: summary rows, and numbers for the text."""
 
 from typing import Final
 
@@ -12,7 +12,7 @@ from vergence.models.parts import FloatArray
 
 NAME: Final = "head-eye"
 ARTICLE_PERCENT: Final = 6.98
-"""The article's largest depth error by ITPC, percent of depth, at 2.5 m."""
+"""Largest depth error by ITPC at 2.5 m, percent of depth (measured: reported by the article)."""
 
 
 def percent(table: pd.DataFrame, stage: str, reading: str = "exact") -> FloatArray:
@@ -29,7 +29,7 @@ def most(table: pd.DataFrame, stage: str, reading: str = "exact") -> float:
 
 
 def summarise(table: pd.DataFrame, config: HeadEyeConfig) -> list[SummaryRow]:
-    """Rows of the summary: the largest depth error of each stage; the article has no such cure."""
+    """Summarise the largest depth error of each stage; the article has no such values."""
     del config
     return [
         SummaryRow.of(NAME, f"largest depth error, {stage}, joints read {how}", "itpc", "z",
@@ -40,7 +40,7 @@ def summarise(table: pd.DataFrame, config: HeadEyeConfig) -> list[SummaryRow]:
 
 
 def numbers(table: pd.DataFrame, config: HeadEyeConfig) -> Numbers:
-    """The numbers of the text."""
+    """Collect the numbers for the text."""
     values = {"heads": float(config.heads), "article_percent": ARTICLE_PERCENT}
     for stage in STAGES:
         name = stage.replace(" ", "_")

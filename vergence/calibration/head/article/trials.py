@@ -1,4 +1,4 @@
-"""The twin's heads before and after calibration, at Table 5's points."""
+"""Depth errors of the twin's heads at Table 5's points, before and after calibration."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -21,43 +21,43 @@ from vergence.models.perturbation import ModelErrors
 from vergence.triangulation import triangulate_views
 
 STAGES = ("before", "closed form", "reprojection", "whole head")
-"""What is known of a head: nothing, head-eye transforms by ITPC-style closed form and refined, and
-all of its numbers."""
+"""Stages of calibration: none, head-eye transforms by ITPC-style closed form, the same refined by
+reprojection, and all parameters of the head."""
 READINGS = ("exact", "encoders")
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeadEyeConfig:
-    """What the calibration of the physical twin is."""
+    """Settings of the physical twin's calibration."""
 
     head: str = "physical"
-    """One of the article's, simulated or physical: the nominal head."""
+    """Nominal head, one of the article's: simulated or physical."""
     heads: int = 16
-    """How many true heads are drawn."""
+    """Number of true heads drawn."""
     errors: ModelErrors = TWIN_ERRORS
     """Standard deviations of the true heads from the nominal one."""
     poses: int = 60
-    """In which each head looks at the board."""
+    """Number of poses in which each head looks at the board."""
     frames: int = 4
-    """Of each pose, with the joints moved a little."""
+    """Frames per pose, with the joints moved a little."""
     noise_px: float = 0.05
-    """Of each corner of the board, each coordinate."""
+    """Standard deviation of each coordinate of a corner of the board, px."""
     boards_m: tuple[float, ...] = (0.5, 1.0)
-    """How far ahead the board stands, m, one place after the other; two tell twice as much of
-    depth at 2.5 m as one."""
+    """Distances of the board straight ahead, m, one placement after the other; two determine depth
+    at 2.5 m twice as well as one."""
 
 
 def run(config: HeadEyeConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     """Calibrate every head of a population.
 
     Args:
-        config: what to run.
+        config: settings of the experiment.
         seed: seed of heads, movements and noise.
-        mapper: runs the jobs, one a head.
+        mapper: runs the jobs, one per head.
 
     Returns:
-        A row a head, stage (see `STAGES`), reading of the joints during the fixation (exact, or by
-        the encoders) and point of Table 5, with the depth's error in mm.
+        A row per head, stage (see `STAGES`), joint reading during the fixation (exact, or by the
+        encoders) and point of Table 5, with the depth error in mm.
     """
     nominal = load_head(config.head)
     heads = draw_heads(nominal, config.errors, config.heads, seed)
@@ -80,7 +80,7 @@ def _calibrated(
 
 
 def _stages(nominal: HeadModel, frames: HeadFrames) -> tuple[HeadModel, ...]:
-    """The head as `STAGES` has it."""
+    """Calibrate the head in each of `STAGES`."""
     closed = both_eyes(nominal, frames)
     refined = by_reprojection(nominal, frames, closed)
     return (
@@ -92,7 +92,7 @@ def _stages(nominal: HeadModel, frames: HeadFrames) -> tuple[HeadModel, ...]:
 
 
 def _at_points(found: HeadModel, true: HeadModel, number: int, stage: str) -> pd.DataFrame:
-    """Depth errors where the true head fixates Table 5's points exactly."""
+    """Compute depth errors while the true head fixates Table 5's points exactly."""
     points = static_points("physical")
     q = true.fixate(points)
     pixels = true.project(q, points)
