@@ -43,8 +43,8 @@ from numpy.typing import NDArray
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.adjustment import Poses, Rig, cross_matrices, rms
-from vergence.calibration.cameras import Fit, first_fit, fit_camera
+from vergence.calibration.adjustment import CameraRig, Poses, cross_matrices, rms
+from vergence.calibration.cameras import CameraFit, first_fit, fit_camera
 from vergence.calibration.observations import Observations
 from vergence.calibration.projection import project
 from vergence.calibration.stereo import fit_pair
@@ -81,7 +81,7 @@ _NORMAL_MEDIAN: Final = 0.6745
 class Truth(NamedTuple):
     """What the cameras are, and where the board is in each view."""
 
-    rig: Rig
+    rig: CameraRig
     poses: Poses
 
     def pixels(self, target: PlanarTarget) -> FloatArray:
@@ -101,7 +101,7 @@ class Truth(NamedTuple):
         return np.where(np.asarray(inside.all(axis=(-1, -2)))[..., None, None], pixels, np.nan)
 
 
-def drawn_rig(lens: str, rng: np.random.Generator) -> Rig:
+def drawn_rig(lens: str, rng: np.random.Generator) -> CameraRig:
     """Two such cameras some 100 mm apart, a few degrees from parallel."""
     focal, coefficients = LENSES[lens]
     values = tuple(
@@ -115,10 +115,12 @@ def drawn_rig(lens: str, rng: np.random.Generator) -> Rig:
         for _ in range(2)
     )
     turn = Rotation.from_rotvec(np.radians(rng.uniform(-3.0, 3.0, 3))).as_matrix()
-    return Rig((lens, lens), values, turn, np.array([-0.1, 0.002, 0.003]), np.zeros(3))
+    return CameraRig((lens, lens), values, turn, np.array([-0.1, 0.002, 0.003]), np.zeros(3))
 
 
-def drawn_pose(rig: Rig, camera: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def drawn_pose(
+    rig: CameraRig, camera: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
     """A board's pose in the left camera's frame whose middle is anywhere in one of the images."""
     eye = eye_camera(rig, camera)
     ray = np.append(eye.rays(rng.uniform((0.0, 0.0), SIZE)[None])[0], 1.0)
@@ -156,7 +158,7 @@ def drawn_truth(lens: str, target: PlanarTarget, rng: np.random.Generator) -> Tr
     return Truth(rig, Poses(np.array(rotations), np.array(translations)))
 
 
-def eye_camera(rig: Rig, camera: int) -> EyeCamera:
+def eye_camera(rig: CameraRig, camera: int) -> EyeCamera:
     """One of the cameras, to draw with."""
     f_u, f_v, u_0, v_0, *coefficients = rig.values[camera].tolist()
     return EyeCamera(
@@ -210,7 +212,7 @@ def noisy_corners(target: PlanarTarget, truth: Truth, rng: np.random.Generator) 
     return observed(target, pixels, np.where(np.isfinite(true), CORNER_NOISE_PX, np.nan))
 
 
-def calibrated(seen: Observations, lens: str) -> Fit:
+def calibrated(seen: Observations, lens: str) -> CameraFit:
     """The pair, as `vergence.calibration.calibrate` finds it once the lens is chosen."""
     alone = [fit_camera(seen.camera(i), lens, first_fit(seen.camera(i))) for i in range(2)]
     return fit_pair(seen, *alone)[1]
@@ -224,7 +226,7 @@ def nees(error: FloatArray, covariance: FloatArray) -> float:
     return float((error / scale) @ np.linalg.solve(correlation, error / scale)) / len(error)
 
 
-def likelihood_ratio(fit: Fit, truth: Truth) -> float:
+def likelihood_ratio(fit: CameraFit, truth: Truth) -> float:
     """The truth's sum of squares above the least one, over its expectation."""
     solution = fit.solution
     _, linear = solution.problem.posed(truth.rig, truth.poses.of(fit.kept))
@@ -232,7 +234,7 @@ def likelihood_ratio(fit: Fit, truth: Truth) -> float:
     return more / solution.noise**2 / len(truth.rig.packed())
 
 
-def direction_ratio(fit: Fit, truth: Rig, covariance: FloatArray) -> float:
+def direction_ratio(fit: CameraFit, truth: CameraRig, covariance: FloatArray) -> float:
     """Error of the left camera's directions over their sigma, all over what it saw; rms."""
     found, lens = fit.solution.rig, truth.lenses[0]
     u, v = np.meshgrid(*(np.linspace(0.1, 0.9, 9) * length for length in SIZE))
@@ -252,7 +254,7 @@ def direction_ratio(fit: Fit, truth: Rig, covariance: FloatArray) -> float:
     return float(np.sqrt(np.mean((error / sigma[:, None]) ** 2)))
 
 
-def measured(fit: Fit, truth: Truth) -> dict[str, float]:
+def measured(fit: CameraFit, truth: Truth) -> dict[str, float]:
     """What one data set came to."""
     rig, covariance = fit.solution.rig, covariance_of(fit.solution)
     error = rig.packed() - truth.rig.packed()

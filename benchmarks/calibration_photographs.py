@@ -39,7 +39,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Adjustment, Rig, Solution
+from vergence.calibration.adjustment import Adjustment, CameraRig, Solution
 from vergence.calibration.cameras import first_fit, fit_camera, pose_views
 from vergence.calibration.observations import Observations, observe, parse_board
 from vergence.calibration.stereo import fit_pair
@@ -115,7 +115,7 @@ def opencv_corners(
     return pixels
 
 
-def opencv_calibrated(board: FloatArray, corners: Corners, lens: str) -> Rig:
+def opencv_calibrated(board: FloatArray, corners: Corners, lens: str) -> CameraRig:
     """A camera or a pair by OpenCV's procedure."""
     lists = [
         [
@@ -131,7 +131,7 @@ def opencv_calibrated(board: FloatArray, corners: Corners, lens: str) -> Rig:
     ]
     values = tuple(np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *np.ravel(d)]) for k, d in alone)
     if len(alone) == 1:
-        return Rig.single(lens, values[0])
+        return CameraRig.single(lens, values[0])
     boards, left, right = [], [], []
     for one, other in zip(*corners.pixels, strict=True):
         there = np.isfinite(one).all(axis=-1) & np.isfinite(other).all(axis=-1)
@@ -151,7 +151,7 @@ def opencv_calibrated(board: FloatArray, corners: Corners, lens: str) -> Rig:
         found = cv2.stereoCalibrate(
             boards, left, right, k1, d1, k2, d2, corners.sizes[0], flags=cv2.CALIB_FIX_INTRINSIC
         )
-    return Rig((lens, lens), values, np.asarray(found[5]), np.ravel(found[6]), np.zeros(3))
+    return CameraRig((lens, lens), values, np.asarray(found[5]), np.ravel(found[6]), np.zeros(3))
 
 
 def _opencv_camera(
@@ -179,7 +179,7 @@ def _opencv_camera(
     return found[1], np.ravel(found[2])[: 8 if rational else 5]
 
 
-def our_calibrated(seen: Observations, lens: str) -> Rig:
+def our_calibrated(seen: Observations, lens: str) -> CameraRig:
     """A camera or a pair by the package, without the board's curvature, which is the views' own."""
     alone = [
         fit_camera(seen.camera(i), lens, first_fit(seen.camera(i))) for i in range(len(seen.sizes))
@@ -188,7 +188,7 @@ def our_calibrated(seen: Observations, lens: str) -> Rig:
     return fit.solution.rig._replace(bend=np.zeros(3))
 
 
-def judged(board: FloatArray, rig: Rig, corners: Corners, *, bent: bool) -> FloatArray:
+def judged(board: FloatArray, rig: CameraRig, corners: Corners, *, bent: bool) -> FloatArray:
     """(v) root mean square of what the board's best pose in each view leaves, px.
 
     Args:
@@ -198,7 +198,9 @@ def judged(board: FloatArray, rig: Rig, corners: Corners, *, bent: bool) -> Floa
         bent: whether the judge finds the board's curvature as well, one for all views.
     """
     problem = Adjustment(board, corners.pixels, np.ones_like(corners.pixels))
-    start = pose_views(problem.one(0), Rig.single(rig.lenses[0], rig.values[0]), corners.sizes[0])
+    start = pose_views(
+        problem.one(0), CameraRig.single(rig.lenses[0], rig.values[0]), corners.sizes[0]
+    )
     rig = rig._replace(bend=np.zeros(3))
     poses, linear = problem.posed(rig, start)
     for _ in range(_BENDINGS if bent else 0):
@@ -239,7 +241,7 @@ def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str
             for each in corners.values()
         ]
     )
-    ways: dict[str, Callable[[NDArray[np.bool_]], Rig]] = {
+    ways: dict[str, Callable[[NDArray[np.bool_]], CameraRig]] = {
         "opencv_ours": lambda views: opencv_calibrated(points, ours.of(views), lens),
         "ours": lambda views: our_calibrated(seen.of(views), lens),
     }

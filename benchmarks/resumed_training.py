@@ -30,20 +30,20 @@ class StopsAfter:
         self._done = 0
 
     def begin(self, baselines: Any, unit: str) -> None:
-        """See `vergence.training.listener.Listener`."""
+        """See `vergence.training.listener.TrainingListener`."""
 
     def going_on(self, done: int) -> None:
-        """See `vergence.training.listener.Listener`."""
+        """See `vergence.training.listener.TrainingListener`."""
 
     def step(self, done: int, total: int) -> None:
-        """See `vergence.training.listener.Listener`."""
+        """See `vergence.training.listener.TrainingListener`."""
         self._done = done
 
     def row(self, row: Any) -> None:
-        """See `vergence.training.listener.Listener`."""
+        """See `vergence.training.listener.TrainingListener`."""
 
     def stopping(self) -> bool:
-        """See `vergence.training.listener.Listener`."""
+        """See `vergence.training.listener.TrainingListener`."""
         return self._done >= self._steps
 
 

@@ -32,7 +32,7 @@ from vergence.models.boards import TagFamily
 from vergence.vision import as_grey, parse_target
 from vergence.vision.image import read_pixels
 from vergence.vision.tags.detector import TagDetector
-from vergence.vision.tags.report import Fit
+from vergence.vision.tags.report import TagFit
 
 _LIBRARY = ("pyapriltags", "pyapriltags+sharpening")
 _NEAR_EDGES = 0.5
@@ -44,7 +44,7 @@ class RecordingDetector(TagDetector):
 
     def __init__(self, target: TagFamily) -> None:
         super().__init__(target)
-        self.fits: list[tuple[int, NDArray[np.float64], Fit]] = []
+        self.fits: list[tuple[int, NDArray[np.float64], TagFit]] = []
         """Of the last image: the number, about where its middle is, px, and the fit."""
 
     def _fit(self, image: Any, corners: Any, identity: int, *others: Any) -> Any:
@@ -61,7 +61,7 @@ class RecordingDetector(TagDetector):
             if not isinstance(each.target, TagFamily)
         ]
 
-    def best_fit(self, tag: Found) -> Fit | None:
+    def best_fit(self, tag: Found) -> TagFit | None:
         """The best of the fits of the last image that tried a tag; None where none did."""
         reach = _NEAR_EDGES * edge(tag.corners_px)
         tried = [
@@ -82,7 +82,7 @@ class Seen:
     ours: bool
     library: tuple[bool, ...]
     """Without its sharpening, and with it."""
-    fit: Fit | None = None
+    fit: TagFit | None = None
     """The best of ours, where only the library finds it."""
 
     @property

@@ -10,8 +10,8 @@ from benchmarks.tag_images.methods import Found, Method
 from benchmarks.tag_images.rates import RecordingDetector, cells, main, seen_in
 from tests.benchmarks.test_tag_images import photograph_of_a_tag
 from vergence.vision import parse_target
-from vergence.vision.tags.reading import Reading
-from vergence.vision.tags.report import Fit
+from vergence.vision.tags.reading import CellReading
+from vergence.vision.tags.report import TagFit
 
 PHOTOGRAPH = photograph_of_a_tag(pixels=10)
 IMAGE = cv2.GaussianBlur(PHOTOGRAPH.image, (0, 0), 0.7)
@@ -57,10 +57,10 @@ def test_what_ours_never_tried_has_no_fit(ours) -> None:
 
 
 def test_the_best_fit_of_a_tag_is_the_one_that_explains_most_of_it(ours) -> None:
-    middle, reading = found(5).centre_px, Reading(0, 0, 0.0)
+    middle, reading = found(5).centre_px, CellReading(0, 0, 0.0)
 
-    def fit(explained: float) -> Fit:
-        return Fit(100.0, explained, reading, 0.1, 0.05, 1.0)
+    def fit(explained: float) -> TagFit:
+        return TagFit(100.0, explained, reading, 0.1, 0.05, 1.0)
 
     ours.fits[:] = [
         (5, middle, fit(0.3)),

@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.adjustment import Adjustment, Poses, Rig, Solution
+from vergence.calibration.adjustment import Adjustment, CameraRig, Poses, Solution
 from vergence.calibration.calibrate import Calibration
-from vergence.calibration.cameras import Fit, judge_views
+from vergence.calibration.cameras import CameraFit, judge_views
 from vergence.calibration.observations import Observations
 from vergence.calibration.uncertainty import covariance_of
 from vergence.vision import parse_target
@@ -24,7 +24,7 @@ def make_rig(lens="brown-conrady", focal=520.0):
     left = np.array([focal, focal + 2.0, 322.0, 237.0, *COEFFICIENTS[lens]])
     right = np.array([focal + 5.0, focal + 6.0, 315.0, 244.0, *COEFFICIENTS[lens]])
     turn = Rotation.from_euler("xyz", [0.5, -2.0, 0.3], degrees=True).as_matrix()
-    return Rig((lens, lens), (left, right), turn, np.array([-0.1, 0.002, 0.003]), np.zeros(3))
+    return CameraRig((lens, lens), (left, right), turn, np.array([-0.1, 0.002, 0.003]), np.zeros(3))
 
 
 def make_poses(rng, views, board=BOARD, wide=1.0):
@@ -65,7 +65,7 @@ def as_calibrated(rig, poses, seen, dropped=()):
     out = np.isin(np.arange(views), dropped)
     alone = []
     for camera in range(cameras):
-        single = Rig.single(rig.lenses[camera], rig.values[camera])._replace(bend=rig.bend)
+        single = CameraRig.single(rig.lenses[camera], rig.values[camera])._replace(bend=rig.bend)
         mine = poses
         if camera:
             turned = rig.rotation @ poses.rotation
@@ -89,4 +89,6 @@ def as_calibrated(rig, poses, seen, dropped=()):
 def _fit(problem, rig, poses, kept):
     views = judge_views(problem, problem.linearised(rig, poses))
     one = problem.of(kept)
-    return Fit(Solution(one, rig, poses.of(kept), one.linearised(rig, poses.of(kept))), kept, views)
+    return CameraFit(
+        Solution(one, rig, poses.of(kept), one.linearised(rig, poses.of(kept))), kept, views
+    )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vergence import load_head
-from vergence.controllers.outlier_gate import BRIDGED_S, MOST_HELD, OutlierGate, Sight
+from vergence.controllers.outlier_gate import BRIDGED_S, MOST_HELD, GatedDetections, OutlierGate
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.head import HeadModel
 
@@ -23,7 +23,7 @@ def pass_on(
     speed_rad_s: float = 0.0,
     every: int = 1,
     head: HeadModel = HEAD,
-) -> list[Sight]:
+) -> list[GatedDetections]:
     """What the gate lets through of a series of (2, 2) errors.
 
     Args:
@@ -50,7 +50,7 @@ def pass_on(
     return found
 
 
-def shown(found: list[Sight]) -> np.ndarray:
+def shown(found: list[GatedDetections]) -> np.ndarray:
     """(steps, 2, 2) the errors let through."""
     return np.array([one.pixel_error for one in found])
 

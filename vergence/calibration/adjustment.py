@@ -82,7 +82,7 @@ class Poses(NamedTuple):
         return Poses(turns @ self.rotation, self.translation + steps[:, 3:])
 
 
-class Rig(NamedTuple):
+class CameraRig(NamedTuple):
     """One camera, or two and their relative pose: `x_right = R x_left + T`."""
 
     lenses: tuple[str, ...]
@@ -97,7 +97,7 @@ class Rig(NamedTuple):
     """(3,) curvatures b_xx, b_yy, b_xy of the board, 1/m."""
 
     @classmethod
-    def single(cls, lens: str, values: FloatArray) -> "Rig":
+    def single(cls, lens: str, values: FloatArray) -> "CameraRig":
         """Make a rig of one camera and a flat board."""
         return cls((lens,), (values,), np.eye(3), np.zeros(3), np.zeros(3))
 
@@ -113,7 +113,7 @@ class Rig(NamedTuple):
         between = [Rotation.from_matrix(self.rotation).as_rotvec(), self.translation]
         return np.concatenate([*self.values, *(between if len(self.values) > 1 else ()), self.bend])
 
-    def unpacked(self, row: FloatArray) -> "Rig":
+    def unpacked(self, row: FloatArray) -> "CameraRig":
         """Make a rig from a packed array."""
         *cameras, between, bend = (row[block] for block in self.blocks)
         rig = self._replace(values=tuple(cameras), bend=bend)
@@ -164,7 +164,7 @@ class Linearised(NamedTuple):
     """(v, m, 6) Jacobian by a small rotation of the board in the left camera's frame, and a
     translation."""
     by_rig: FloatArray
-    """(v, m, p) Jacobian by the parameters of `Rig.packed`."""
+    """(v, m, p) Jacobian by the parameters of `CameraRig.packed`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,15 +198,15 @@ class Adjustment:
         x, y = (self.board[:, :2] - self.board[:, :2].mean(axis=0)).T
         return np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
 
-    def points(self, rig: Rig, poses: Poses) -> FloatArray:
+    def points(self, rig: CameraRig, poses: Poses) -> FloatArray:
         """(v, n, 3) the board's corners in the left camera's frame, metres."""
         return self._turned(rig, poses) + poses.translation[:, None]
 
-    def _turned(self, rig: Rig, poses: Poses) -> FloatArray:
+    def _turned(self, rig: CameraRig, poses: Poses) -> FloatArray:
         bent = self.board + (self._bending @ rig.bend)[:, None] * np.array([0.0, 0.0, 1.0])
         return np.asarray(bent @ poses.rotation.transpose(0, 2, 1))
 
-    def linearised(self, rig: Rig, poses: Poses, *, by_rig: bool = True) -> Linearised:
+    def linearised(self, rig: CameraRig, poses: Poses, *, by_rig: bool = True) -> Linearised:
         """Compute residuals and Jacobians at given cameras and poses.
 
         Args:
@@ -248,7 +248,7 @@ class Adjustment:
             parts[2].append((weight[..., None] * jacobian).reshape(views, weight[0].size, -1))
         return Linearised(*(np.concatenate(part, axis=1) for part in parts))
 
-    def posed(self, rig: Rig, start: Poses) -> tuple[Poses, Linearised]:
+    def posed(self, rig: CameraRig, start: Poses) -> tuple[Poses, Linearised]:
         """Fit the board's pose in each view to given cameras, by Levenberg and Marquardt.
 
         Args:
@@ -285,7 +285,7 @@ class Adjustment:
                 break
         return poses, now
 
-    def solved(self, start: Rig, poses: Poses, tolerance: float = _TOLERANCE) -> "Solution":
+    def solved(self, start: CameraRig, poses: Poses, tolerance: float = _TOLERANCE) -> "Solution":
         """Find the cameras and poses with the least sum of squares.
 
         Args:
@@ -334,7 +334,7 @@ class _Near(NamedTuple):
     """The last linearisation, from which the poses at other cameras are predicted."""
 
     row: FloatArray
-    """(p) see `Rig.packed`."""
+    """(p) see `CameraRig.packed`."""
     poses: Poses
     following: FloatArray | None
     """(v, 6, p) see `_following`; None before the first linearisation."""
@@ -377,7 +377,7 @@ class Solution:
     """The cameras that fit best, and the residuals and Jacobians there."""
 
     problem: Adjustment
-    rig: Rig
+    rig: CameraRig
     poses: Poses
     linear: Linearised
     """Residuals divided by sigma and Jacobians, at the solution."""

@@ -9,10 +9,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Rig, Solution, rms
+from vergence.calibration.adjustment import CameraRig, Solution, rms
 from vergence.calibration.cameras import (
     FOLDS,
-    Fit,
+    CameraFit,
     ViewFit,
     choose_lens,
     first_fit,
@@ -55,12 +55,12 @@ class Calibration:
     """Calibration of one camera or of a pair."""
 
     seen: Observations
-    alone: tuple[Fit, ...]
+    alone: tuple[CameraFit, ...]
     """(c) fit of each camera alone."""
-    fit: Fit
+    fit: CameraFit
     """Fit of all cameras together; for one camera its own fit."""
     covariance: FloatArray
-    """(p, p) covariance of the parameters of `Rig.packed`."""
+    """(p, p) covariance of the parameters of `CameraRig.packed`."""
     held_out_px: FloatArray
     """(c, v, n, 2) cross-validation residuals of the kept views: each by cameras that were
     calibrated without it."""
@@ -73,13 +73,13 @@ class Calibration:
     """Files that could not be read, a line each."""
 
     @property
-    def rig(self) -> Rig:
+    def rig(self) -> CameraRig:
         """The cameras."""
         return self.fit.solution.rig
 
     @cached_property
     def sigma(self) -> FloatArray:
-        """(p) standard deviations of the parameters of `Rig.packed`."""
+        """(p) standard deviations of the parameters of `CameraRig.packed`."""
         return np.sqrt(np.diagonal(self.covariance))
 
     @property
@@ -255,7 +255,7 @@ def calibrate_views(
 class _Trial(NamedTuple):
     """The fit of one camera alone with one lens model."""
 
-    fit: Fit
+    fit: CameraFit
     errors: FloatArray
     """(v) see `unseen_errors`."""
 
@@ -293,7 +293,7 @@ def _errors(trials: Mapping[str, Sequence[_Trial]]) -> dict[str, FloatArray]:
     }
 
 
-def _first(seen: Observations, camera: int, cameras: int) -> Fit:
+def _first(seen: Observations, camera: int, cameras: int) -> CameraFit:
     """Make the first fit of a camera; report parameters that no view determines."""
     try:
         return first_fit(seen)
@@ -301,7 +301,7 @@ def _first(seen: Observations, camera: int, cameras: int) -> Fit:
         raise _unsure(camera, cameras, "none at all") from None
 
 
-def _tried(lens: str, seen: Observations, first: Fit, tick: Callable[[], None]) -> _Trial:
+def _tried(lens: str, seen: Observations, first: CameraFit, tick: Callable[[], None]) -> _Trial:
     fit = fit_camera(seen, lens, first)
     tick()
     errors = unseen_errors(fit, seen.problem)
@@ -324,7 +324,7 @@ def _refuse_unsure(solution: Solution, camera: int, cameras: int) -> None:
         raise _unsure(camera, cameras, known)
 
 
-def _refuse_torn(fit: Fit, alone: Sequence[Fit]) -> None:
+def _refuse_torn(fit: CameraFit, alone: Sequence[CameraFit]) -> None:
     """Refuse pairs of images that two cameras fixed to each other cannot have taken."""
     together = float(np.median(fit.views.rms_px[fit.kept]))
     apart = float(np.median([np.median(one.views.rms_px[one.kept]) for one in alone]))

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import (
     Adjustment,
+    CameraRig,
     Linearised,
     Poses,
-    Rig,
     Solution,
     residuals_of,
 )
@@ -80,7 +80,7 @@ class ViewFit:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class CameraFit:
     """Cameras found from the views that agree."""
 
     solution: Solution
@@ -116,7 +116,7 @@ def pack_values(lens: str, values: FloatArray, size: tuple[int, int]) -> FloatAr
     return np.asarray(pack_camera(size, values[:2], values[2:4], lens, values[4:]))
 
 
-def pose_views(problem: Adjustment, rig: Rig, size: tuple[int, int]) -> Poses:
+def pose_views(problem: Adjustment, rig: CameraRig, size: tuple[int, int]) -> Poses:
     """Find the board's pose in each view of one camera, without a start (`cv2.solvePnP`).
 
     Args:
@@ -210,7 +210,7 @@ def _fisheye_starts(problem: Adjustment, size: tuple[int, int]) -> list[FloatArr
     return []
 
 
-def first_fit(seen: Observations) -> Fit:
+def first_fit(seen: Observations) -> CameraFit:
     """Find the photographs of a camera that agree with each other, and fit a camera to them.
 
     Starts come from all views and from random samples of a few; the start that most views fit is
@@ -267,7 +267,7 @@ class _Start(NamedTuple):
 
     noise: float
     """Noise at the `_TRUSTED` quantile of the views."""
-    rig: Rig
+    rig: CameraRig
     poses: Poses
 
 
@@ -280,7 +280,7 @@ def _best_start(
 ) -> _Start | None:
     """Choose the start that most views fit, among lenses with parameters and an earlier start."""
     for lens, values in starts:
-        rig = Rig.single(lens, values)
+        rig = CameraRig.single(lens, values)
         poses = pose_views(problem, rig, size)
         linear = problem.linearised(rig, poses, by_rig=False)
         noise = np.nan_to_num(judge_views(problem, linear).noise[views], nan=np.inf)
@@ -290,7 +290,7 @@ def _best_start(
     return best
 
 
-def fit_camera(seen: Observations, lens: str, first: Fit) -> Fit:
+def fit_camera(seen: Observations, lens: str, first: CameraFit) -> CameraFit:
     """Find a camera with a given lens from the views that agree.
 
     Args:
@@ -326,7 +326,7 @@ def fit_camera(seen: Observations, lens: str, first: Fit) -> Fit:
     )
 
 
-def _turned_into(lens: str, rig: Rig) -> list[FloatArray]:
+def _turned_into(lens: str, rig: CameraRig) -> list[FloatArray]:
     """Convert a camera to another lens as its start; empty if the models are not related."""
     values, own = rig.values[0], rig.lenses[0]
     if own == lens:
@@ -346,14 +346,16 @@ def _solutions(
     """Solve from each start; leave out starts that fail."""
     found = []
     for values in starts:
-        rig = Rig.single(lens, values)
+        rig = CameraRig.single(lens, values)
         poses = pose_views(problem, rig, size)
         with suppress(np.linalg.LinAlgError):
             found.append(problem.of(kept).solved(rig, poses.of(kept)))
     return found
 
 
-def settle(problem: Adjustment, solution: Solution, kept: NDArray[np.bool_], poses: Poses) -> Fit:
+def settle(
+    problem: Adjustment, solution: Solution, kept: NDArray[np.bool_], poses: Poses
+) -> CameraFit:
     """Leave out outlier views, and weight the others by their residuals.
 
     A view whose residuals, in units of sigma, are r > 1.2 times the median has too small a sigma,
@@ -381,7 +383,7 @@ def settle(problem: Adjustment, solution: Solution, kept: NDArray[np.bool_], pos
             break
         kept = chosen
         solution = weighted.of(kept).solved(solution.rig, poses.of(kept))
-    return Fit(solution, kept, views)
+    return CameraFit(solution, kept, views)
 
 
 def folds_of(views: int) -> list[NDArray[np.bool_]]:
@@ -412,7 +414,7 @@ def held_out(solution: Solution, progress: Callable[[], None] | None = None) -> 
     return residuals
 
 
-def unseen_errors(fit: Fit, problem: Adjustment) -> FloatArray:
+def unseen_errors(fit: CameraFit, problem: Adjustment) -> FloatArray:
     """(v) mean square cross-validation error of each view, in units of sigma^2.
 
     Kept views have the residuals of `held_out`; others have the residuals of the fit, or

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.adjustment import Rig, rms
+from vergence.calibration.adjustment import CameraRig, rms
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.depth import pixel_noise_px
 from vergence.calibration.projection import camera_values
@@ -87,7 +87,7 @@ def record_of(found: Calibration) -> CalibrationRecord:
     )
 
 
-def place_covariance(rig: Rig, covariance: FloatArray) -> FloatArray:
+def place_covariance(rig: CameraRig, covariance: FloatArray) -> FloatArray:
     """Compute the covariance of the right camera's pose in the left camera's frame.
 
     Args:

@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Adjustment, Poses, Rig
-from vergence.calibration.cameras import LEAST_VIEWS, Fit, pose_views, settle
+from vergence.calibration.adjustment import Adjustment, CameraRig, Poses
+from vergence.calibration.cameras import LEAST_VIEWS, CameraFit, pose_views, settle
 from vergence.calibration.observations import Observations
 from vergence.errors import ConfigurationError
 from vergence.models.files.stereo import GREATEST_BASELINE_M, LEAST_BASELINE_M
@@ -23,7 +23,9 @@ _TRUSTED: Final = 3.0
 """Ratio of a pair's reprojection error to the median up to which the first fit uses it (chosen)."""
 
 
-def fit_pair(seen: Observations, left: Fit, right: Fit) -> tuple[Observations, Fit]:
+def fit_pair(
+    seen: Observations, left: CameraFit, right: CameraFit
+) -> tuple[Observations, CameraFit]:
     """Find both cameras and their relative pose from the views that agree.
 
     The relative pose starts from the single pair with which most others agree.
@@ -50,13 +52,13 @@ def fit_pair(seen: Observations, left: Fit, right: Fit) -> tuple[Observations, F
     by_left = pose_views(seen.problem.one(0), alone[0], seen.sizes[0])
     orders = orders_alike(seen.target)
     turned = [_turned(seen, order, both) for order in orders]
-    best: tuple[float, Rig, FloatArray] | None = None
+    best: tuple[float, CameraRig, FloatArray] | None = None
     for one in turned:
         by_right = pose_views(one.problem.one(1), alone[1], seen.sizes[1])
         turns = by_right.rotation @ by_left.rotation.transpose(0, 2, 1)
         shifts = by_right.translation - np.einsum("vij,vj->vi", turns, by_left.translation)
         for view in np.flatnonzero(both):
-            rig = Rig(
+            rig = CameraRig(
                 (alone[0].lenses[0], alone[1].lenses[0]),
                 (alone[0].values[0], alone[1].values[0]),
                 turns[view],
@@ -98,7 +100,7 @@ def fit_pair(seen: Observations, left: Fit, right: Fit) -> tuple[Observations, F
     return seen, fit
 
 
-def _check_place(rig: Rig) -> None:
+def _check_place(rig: CameraRig) -> None:
     """Refuse an implausible position of the right camera."""
     place = -rig.rotation.T @ rig.translation
     length = float(np.linalg.norm(place))
@@ -122,9 +124,9 @@ def _turned(seen: Observations, order: NDArray[np.intp], views: NDArray[np.bool_
     return replace(seen, pixels=pixels, sigma=sigma)
 
 
-def _missed_px(problem: Adjustment, rig: Rig, poses: Poses) -> FloatArray:
+def _missed_px(problem: Adjustment, rig: CameraRig, poses: Poses) -> FloatArray:
     """(v) rms reprojection error in the right camera, px; nan without corners."""
-    right = Rig.single(rig.lenses[1], rig.values[1])._replace(bend=rig.bend)
+    right = CameraRig.single(rig.lenses[1], rig.values[1])._replace(bend=rig.bend)
     moved = Poses(
         rig.rotation @ poses.rotation, poses.translation @ rig.rotation.T + rig.translation
     )

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from vergence._jit import kernel
 from vergence.controllers.ibvs import as_depth, servo, speed_limits
 from vergence.controllers.image_law import ImageLaw
-from vergence.controllers.outlier_gate import Sight
+from vergence.controllers.outlier_gate import GatedDetections
 from vergence.controllers.tied import reducible
 from vergence.envs.fields import at_least_zero
 from vergence.envs.layout import ObservationLayout
@@ -82,7 +82,7 @@ class AdaptiveIBVS(ImageLaw):
         gains = self.gains(reducible(self.head, q, error, self._depth))
         return servo(self.head, q, error, gains, self._depth, self._limit)
 
-    def _law(self, sight: Sight, own: FloatArray) -> FloatArray:
+    def _law(self, sight: GatedDetections, own: FloatArray) -> FloatArray:
         return self.command(sight.positions_at_exposure, sight.pixel_error)
 
 

@@ -9,7 +9,7 @@ from abc import abstractmethod
 import numpy as np
 
 from vergence.controllers.command_steps import CommandSteps
-from vergence.controllers.outlier_gate import OutlierGate, Sight
+from vergence.controllers.outlier_gate import GatedDetections, OutlierGate
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.actuation import SLOTS
@@ -37,7 +37,7 @@ class ImageLaw(StatefulController):
         return np.zeros(0)
 
     @abstractmethod
-    def _law(self, sight: Sight, own: FloatArray) -> FloatArray:
+    def _law(self, sight: GatedDetections, own: FloatArray) -> FloatArray:
         """(..., 4) velocities of the eyes' actuators, rad/s; changes `own` (..., S) in place."""
 
     def _initial(self) -> FloatArray:

@@ -52,7 +52,7 @@ _JUMPED: Final = 2
 """Verdict: accepted as a jump of the target (numerical)."""
 
 
-class Sight(NamedTuple):
+class GatedDetections(NamedTuple):
     """Detections that a law acts on."""
 
     pixel_error: FloatArray
@@ -141,7 +141,7 @@ class OutlierGate:
         """(S,) the state at a trial's start."""
         return make_row(GATE_STATE, image_age_s=AGE_S)
 
-    def update(self, seen: Observation, state: FloatArray) -> Sight:
+    def update(self, seen: Observation, state: FloatArray) -> GatedDetections:
         """Update the gate and return the detections to act on.
 
         Args:
@@ -156,7 +156,7 @@ class OutlierGate:
             seen.velocities,
             self._law,
         )
-        return Sight(error, at, fresh, jumped)
+        return GatedDetections(error, at, fresh, jumped)
 
 
 @device
@@ -203,7 +203,7 @@ def pass_gate(
     fresh: FloatArray,
     jumped: FloatArray,
 ) -> None:
-    """Compute the updated state and the fields of `Sight`."""
+    """Compute the updated state and the fields of `GatedDetections`."""
     for k in range(_SIZE):
         after[k] = before[k]
     s: GateState = named(after, GATE_STATE)

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from vergence._jit import device, kernel
 from vergence.controllers.ibvs import as_depth, as_gains, joints_of_image
 from vergence.controllers.image_law import ImageLaw
-from vergence.controllers.outlier_gate import Sight
+from vergence.controllers.outlier_gate import GatedDetections
 from vergence.controllers.rows import make_row, named, row_layout, row_size
 from vergence.controllers.tied import actuators_of_image, reducible
 from vergence.envs.fields import at_least_zero
@@ -126,7 +126,7 @@ class PID(ImageLaw):
     def _own_initial(self) -> FloatArray:
         return make_row(PID_STATE)
 
-    def _law(self, sight: Sight, own: FloatArray) -> FloatArray:
+    def _law(self, sight: GatedDetections, own: FloatArray) -> FloatArray:
         error, q = sight.pixel_error, sight.positions_at_exposure
         own[...], command = self._ask(
             own,
@@ -156,8 +156,8 @@ def take_in(
         s: the state.
         law: the constants.
         error: (2, 2) removable pixel errors by eye and image axis, px; nan where not visible.
-        fresh: (2,) see `Sight`.
-        jumped: (2,) see `Sight`.
+        fresh: (2,) see `GatedDetections`.
+        jumped: (2,) see `GatedDetections`.
 
     Returns:
         Time since each eye's previous detection, s; zero if no new one has arrived.

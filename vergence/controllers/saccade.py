@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
 from vergence.controllers.pole_placement import placed_command
-from vergence.controllers.prediction.joints import RIG, RIG_SIZE, Rig
+from vergence.controllers.prediction.joints import RIG, RIG_SIZE, PredictorModel
 from vergence.controllers.prediction.swinging import MANY, calm_rate
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import named
@@ -162,12 +162,12 @@ def saccade_command(
         sure: (7,) ratio of the accelerations to the model's; standard deviations of its logarithm,
             of the latency, s, and of a detection, rad; misfit of the response; count of half
             swings; build-up of the lag. See `SURE`.
-        rig_row: a row of `vergence.controllers.prediction.joints.Rig`.
+        rig_row: a row of `vergence.controllers.prediction.joints.PredictorModel`.
         law: options `braking` and `caution`, the angle of a joint below which the soft law acts,
             rad, and its rate, 1/s.
         out: (4,) result: the commands, rad/s.
     """
-    rig: Rig = named(rig_row, RIG)
+    rig: PredictorModel = named(rig_row, RIG)
     period = rig.period_s
     unsure = min(sure[1] + sure[2] / period, 1.0)
     swings, unexplained, builds_up = sure[5] > MANY, sure[4] > _UNEXPLAINED, sure[6] > 0.0

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
 from vergence.controllers.pole_placement import placed_command
-from vergence.controllers.prediction.joints import RIG, RIG_SIZE, Rig
+from vergence.controllers.prediction.joints import RIG, RIG_SIZE, PredictorModel
 from vergence.controllers.prediction.predictor import Prediction
 from vergence.controllers.prediction.swinging import calm_rate
 from vergence.controllers.predictive import PredictiveController
@@ -74,7 +74,7 @@ def linear_command(now: Prediction, rig: FloatArray, law: ArrayLike) -> FloatArr
 
     Args:
         now: the prediction.
-        rig: the head's packed `vergence.controllers.prediction.joints.Rig`.
+        rig: the head's packed `vergence.controllers.prediction.joints.PredictorModel`.
         law: (2,) the options `gain` and `damping`.
 
     Returns:
@@ -114,11 +114,11 @@ def feedback_command(
         follows: (2,) lag in the head's timing, s, and its build-up.
         gain: (4,) ratios of velocity to command.
         swings: () decayed count of half swings of oscillation.
-        rig_row: a row of `vergence.controllers.prediction.joints.Rig`.
+        rig_row: a row of `vergence.controllers.prediction.joints.PredictorModel`.
         law: the options `gain` and `damping`.
         out: (4,) result: the commands, rad/s.
     """
-    rig: Rig = named(rig_row, RIG)
+    rig: PredictorModel = named(rig_row, RIG)
     k = calm_rate(law[0], swings[0])
     for j in range(4):
         out[j] = 0.0

@@ -37,7 +37,7 @@ _HEADER: Final = """\
 """
 
 
-class Key(NamedTuple):
+class TunedKey(NamedTuple):
     """Lookup key of an entry."""
 
     controller: str
@@ -68,12 +68,12 @@ class Tuned:
     """Options of the controller."""
 
     @property
-    def key(self) -> Key:
+    def key(self) -> TunedKey:
         """Lookup key of this entry."""
-        return Key(self.controller, self.scenario, self.digest)
+        return TunedKey(self.controller, self.scenario, self.digest)
 
 
-Table = dict[Key, Tuned]
+Table = dict[TunedKey, Tuned]
 """Entries by their keys."""
 
 
@@ -196,7 +196,7 @@ def find_tuned(name: str, scenario: str, head: HeadModel) -> Tuned | None:
     """
     if name == "ibvs":
         return None
-    key = Key(law_of(name), scenario, head.digest)
+    key = TunedKey(law_of(name), scenario, head.digest)
     own = user_table().get(key) or shipped().get(key)
     if own is not None:
         return own

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from vergence.controllers.ibvs import IBVS
 from vergence.controllers.image_law import ImageLaw
-from vergence.controllers.outlier_gate import Sight
+from vergence.controllers.outlier_gate import GatedDetections
 from vergence.controllers.tuned import find_tuned, is_for, shipped
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import UnknownNameError
@@ -66,5 +66,5 @@ class TunedIBVS(ImageLaw):
         """Compute the law's velocities, see `IBVS.command`."""
         return self.law.command(q, pixel_error)
 
-    def _law(self, sight: Sight, own: FloatArray) -> FloatArray:
+    def _law(self, sight: GatedDetections, own: FloatArray) -> FloatArray:
         return self.law.command(sight.positions_at_exposure, sight.pixel_error)

@@ -23,7 +23,7 @@ from vergence.hardware.safety.motion import HELD
 from vergence.hardware.safety.supervisor import State, Supervisor
 from vergence.hardware.servos import HeadServos
 from vergence.models.parts import FloatArray
-from vergence.recording.listener import Listener
+from vergence.recording.listener import RobotListener
 from vergence.recording.schema import Asked, LoggedCommand
 
 _LOG: Final = logging.getLogger(__name__)
@@ -65,7 +65,7 @@ class Drive(threading.Thread):
         supervisor: Supervisor,
         history: JointHistory,
         *,
-        log: Listener | None = None,
+        log: RobotListener | None = None,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:

@@ -15,7 +15,7 @@ from vergence.hardware.pairing import Counts, Pairing, Sight, Sights
 from vergence.models.boards import Target
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
-from vergence.recording.listener import Listener
+from vergence.recording.listener import RobotListener
 from vergence.recording.schema import LoggedDetection
 from vergence.vision.image import silent_opencv
 
@@ -39,7 +39,7 @@ class Eyes:
         self,
         config: HardwareConfig,
         history: JointHistory,
-        log: Listener | None,
+        log: RobotListener | None,
         clock: Callable[[], float],
     ) -> None:
         self.threads: list[EyeThread] = []
@@ -107,7 +107,7 @@ class Eyes:
             newest = sights
         return newest
 
-    def _keep(self, log: Listener, eye: int, sight: Sight) -> None:
+    def _keep(self, log: RobotListener, eye: int, sight: Sight) -> None:
         """Log what an eye has seen."""
         found, nothing = sight.detection, np.empty((0, 2))
         log.detection(

@@ -14,8 +14,8 @@ from vergence.hardware.plant import HardwarePlant
 from vergence.models.boards import PlanarTarget
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
-from vergence.recording.listener import Listener
-from vergence.recording.looking import Sight
+from vergence.recording.listener import RobotListener
+from vergence.recording.looking import BoardView
 from vergence.recording.schema import LoggedDetection
 
 _GAIN: Final = 6.0
@@ -63,7 +63,7 @@ class RobotLooker:
         self._plant = HardwarePlant(self.head, config=hardware, log=self._heard)
         self._plant.prepare()
 
-    def look(self, q: FloatArray) -> Sight:
+    def look(self, q: FloatArray) -> BoardView:
         """Bring the head to rest near some joint angles and look once.
 
         Args:
@@ -83,7 +83,7 @@ class RobotLooker:
                 f"{_TIMEOUT_S:g} s, got none"
             )
         pair = seen[0]
-        return Sight(
+        return BoardView(
             time_s=0.5 * (pair[0].exposed_s + pair[1].exposed_s),
             positions=0.5 * (pair[0].positions + pair[1].positions),
             corners_px=(_shown(pair[0].corners_px), _shown(pair[1].corners_px)),
@@ -127,7 +127,7 @@ class RobotLooker:
         self._plant.close()
 
 
-class _Heard(Listener):
+class _Heard(RobotListener):
     """The newest joint angles, and what the eyes have seen since the last `clear`."""
 
     def __init__(self) -> None:
@@ -139,11 +139,11 @@ class _Heard(Listener):
         self._seen: dict[str, list[LoggedDetection]] = {name: [] for name in EYE_NAMES}
 
     def joints(self, clock_s: float, positions: FloatArray, velocities: FloatArray) -> None:
-        """See `Listener.joints`."""
+        """See `RobotListener.joints`."""
         self.clock_s, self.positions, self.velocities = clock_s, positions, velocities
 
     def detection(self, found: LoggedDetection) -> None:
-        """See `Listener.detection`."""
+        """See `RobotListener.detection`."""
         self._seen[found.eye].append(found)
 
     def pairs(self, since_s: float, apart_s: float) -> list[Pair]:

@@ -48,7 +48,7 @@ from vergence.hardware.still import StillServos
 from vergence.models.boards import AprilTag, Target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.recording.listener import Listener
+from vergence.recording.listener import RobotListener
 
 _LOG: Final = logging.getLogger(__name__)
 _FIRST_IMAGES_S: Final = 1.0
@@ -91,7 +91,7 @@ class HardwarePlant(Plant):
         num: int = 1,
         *,
         config: str | HardwareConfig,
-        log: Listener | None = None,
+        log: RobotListener | None = None,
         moves: bool = True,
         appears: bool = False,
         clock: Callable[[], float] = time.monotonic,
@@ -311,7 +311,7 @@ class HardwarePlant(Plant):
             self._truth = self._open.world.truth(self.head, float(self._reading.time_s[0]))
         return self._truth
 
-    def _keep(self, log: Listener) -> None:
+    def _keep(self, log: RobotListener) -> None:
         """Log the present."""
         log.reading(self._reading, self.begun_s)
         truth = self.truth()

@@ -17,7 +17,7 @@ from vergence.models.calibrated import CalibrationRecord
 from vergence.models.cameras import Cameras
 from vergence.models.digest import digest_of
 from vergence.models.links import Links
-from vergence.models.mistaken import Bounds, warn_of_point
+from vergence.models.mistaken import FixationBounds, warn_of_point
 from vergence.models.parameters import Geometry, Parameters, geometry_with, parameters_of
 from vergence.models.parts import (
     FloatArray,
@@ -276,10 +276,10 @@ class HeadModel:
         return q
 
     @cached_property
-    def _bounds(self) -> Bounds:
+    def _bounds(self) -> FixationBounds:
         left, right = self.camera_poses(self.rest())[:, :3, 3]
         baseline, focal = float(np.linalg.norm(right - left)), float(self.cameras.focal.max())
-        return Bounds.of(self.joints, self.limits, self.actuation, baseline, focal)
+        return FixationBounds.of(self.joints, self.limits, self.actuation, baseline, focal)
 
     def perturbed(
         self,

@@ -22,7 +22,7 @@ _ROUNDING_RAD: Final = 1e-9
 """Tolerance for angles at their limits, rad (numerical)."""
 
 
-class Bounds(NamedTuple):
+class FixationBounds(NamedTuple):
     """Limits of the points passed to `HeadModel.fixate`, and of the joint angles it returns.
 
     They are Python floats: comparing eight of these takes less time than one NumPy call.
@@ -47,7 +47,7 @@ class Bounds(NamedTuple):
         actuation: Actuation,
         baseline_m: float,
         focal_px: float,
-    ) -> "Bounds":
+    ) -> "FixationBounds":
         """Bounds of one head, from its limits, its baseline at rest and its focal length."""
         return cls(
             baseline_m * focal_px / _UNSEEN_PX,
@@ -59,7 +59,7 @@ class Bounds(NamedTuple):
         )
 
 
-def warn_of_point(bounds: Bounds, point: ArrayLike, q: FloatArray) -> None:
+def warn_of_point(bounds: FixationBounds, point: ArrayLike, q: FloatArray) -> None:
     """Warn the caller's caller if a point seems to be in millimetres or is beyond the limits.
 
     A point of at least 1000 x `bounds.far_m`, such as a star, is not taken for millimetres: it

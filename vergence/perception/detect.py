@@ -9,7 +9,7 @@ from vergence.errors import ConfigurationError, VergenceError
 from vergence.models.parts import FloatArray
 from vergence.perception.board_centre import centre_px
 from vergence.perception.photographs import photographs_of
-from vergence.perception.spotting import Photograph, Sought, Spotter, number_of
+from vergence.perception.spotting import Photograph, Spotter, UnseenTargets, number_of
 from vergence.plain import plain
 from vergence.vision import Detection
 
@@ -82,7 +82,7 @@ def detect(
     read: list[Path] = []
     sightings: list[Sighting] = []
     failures: list[str] = []
-    sought = Sought(spotter.targets)
+    sought = UnseenTargets(spotter.targets)
     for number, path in enumerate(every, 1):
         try:
             photograph = spotter.spot_in(path)

@@ -22,7 +22,7 @@ from vergence.perception.located import Located, locate_target
 from vergence.perception.pairing import pair_up
 from vergence.perception.photographs import some_of
 from vergence.perception.spacing import Spacing, spacing
-from vergence.perception.spotting import Photograph, Sought, Spotter, identity, parse_targets
+from vergence.perception.spotting import Photograph, Spotter, UnseenTargets, identity, parse_targets
 from vergence.triangulation import Noise
 from vergence.vision import Detection, EyeCamera
 
@@ -193,7 +193,7 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
     located: list[Located] = []
     missed: list[Missed] = []
     failures: list[str] = []
-    sought = Sought(targets)
+    sought = UnseenTargets(targets)
     shown: Shown | None = None
     rank = -1
     for number, pair in enumerate(pairs, 1):

@@ -81,7 +81,7 @@ def is_clipped(image: NDArray[np.uint8], detection: Detection) -> bool:
     return bool((image[v0:v1, u0:u1] >= _CLIPPED_GREY).mean() > _MUCH_CLIPPED)
 
 
-class Sought:
+class UnseenTargets:
     """Keeps track of targets that no image has shown so far, and of images with clipped white.
 
     Args:

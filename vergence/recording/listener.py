@@ -5,7 +5,7 @@ from vergence.models.parts import FloatArray
 from vergence.recording.schema import LoggedCommand, LoggedDetection
 
 
-class Listener:
+class RobotListener:
     """Receives all events of a running robot and ignores them; subclasses override some methods.
 
     Attributes:

@@ -7,7 +7,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 
-class Sight(NamedTuple):
+class BoardView(NamedTuple):
     """One view of a board by both eyes of a head at rest."""
 
     time_s: float
@@ -29,7 +29,7 @@ class Looker(Protocol):
     target: PlanarTarget
     """The board."""
 
-    def look(self, q: FloatArray) -> Sight:
+    def look(self, q: FloatArray) -> BoardView:
         """Bring the head to rest near some joint angles and look once.
 
         Args:

@@ -24,7 +24,7 @@ from vergence.models.files.head_toml import head_to_toml
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording import schema
-from vergence.recording.listener import Listener
+from vergence.recording.listener import RobotListener
 from vergence.recording.messages import encode, stamp
 from vergence.recording.schema import LoggedCommand, LoggedDetection, LoggedJoints, Topic
 
@@ -39,7 +39,7 @@ _LEVELS: Final = ((50, 5), (40, 4), (30, 3), (20, 2), (10, 1))
 """Pairs of Python's logging level and Foxglove's (physical: defined by both)."""
 
 
-class LogWriter(Listener):
+class LogWriter(RobotListener):
     """A robot's log, written from its opening to `close`; use it in a `with` statement.
 
     It also keeps messages of the package's loggers from level INFO.

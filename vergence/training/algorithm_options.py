@@ -11,7 +11,7 @@ LARGEST: Final = 1e30
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bounds:
+class OptionRange:
     """Bounds of a numeric option."""
 
     low: float = 0.0
@@ -36,22 +36,22 @@ class Bounds:
 
 _MANY: Final = 2**31
 """Largest count, beyond any practical one (numerical)."""
-_SHARE: Final = Bounds(high=1.0)
-_COUNT: Final = Bounds(low=1, high=_MANY, whole=True)
-_POSITIVE: Final = Bounds(above=True)
+_SHARE: Final = OptionRange(high=1.0)
+_COUNT: Final = OptionRange(low=1, high=_MANY, whole=True)
+_POSITIVE: Final = OptionRange(above=True)
 
-_OPTIONS: Final[dict[str, Bounds | None]] = {
+_OPTIONS: Final[dict[str, OptionRange | None]] = {
     "learning_rate": _POSITIVE,
     "n_steps": _COUNT,
-    "batch_size": Bounds(low=2, high=_MANY, whole=True),
+    "batch_size": OptionRange(low=2, high=_MANY, whole=True),
     "n_epochs": _COUNT,
     "gamma": _SHARE,
     "gae_lambda": _SHARE,
     "clip_range": _POSITIVE,
     "clip_range_vf": _POSITIVE,
     "normalize_advantage": None,
-    "ent_coef": Bounds(),
-    "vf_coef": Bounds(),
+    "ent_coef": OptionRange(),
+    "vf_coef": OptionRange(),
     "max_grad_norm": _POSITIVE,
     "target_kl": _POSITIVE,
 }

@@ -10,7 +10,7 @@ Row = dict[str, Any]
 """One evaluation, by the columns of `vergence.training.curve`."""
 
 
-class Listener(Protocol):
+class TrainingListener(Protocol):
     """Callbacks that receive a run's progress and may stop it."""
 
     def begin(self, baselines: dict[str, Score], unit: str) -> None:

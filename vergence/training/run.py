@@ -17,7 +17,7 @@ from vergence.training.config import PACKAGES, TrainConfig, begin_run, check_new
 from vergence.training.curve import draw_curve, write_curve
 from vergence.training.learner import Learner
 from vergence.training.learner_state import state_of, surroundings_of
-from vergence.training.listener import Listener, Result, Row
+from vergence.training.listener import Result, Row, TrainingListener
 from vergence.training.logs import make_logger
 from vergence.training.run_checkpoints import RunCheckpoints
 from vergence.training.validation import Validation
@@ -27,7 +27,7 @@ def train(
     folder: Path,
     config: TrainConfig,
     head: HeadModel,
-    listener: Listener,
+    listener: TrainingListener,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Result:
     """Train in a new run folder.
@@ -57,7 +57,7 @@ def train(
 
 def resume(
     folder: Path,
-    listener: Listener,
+    listener: TrainingListener,
     steps: int | None = None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Result:
@@ -135,7 +135,7 @@ class _Run(BaseCallback):
         self,
         folder: Path,
         learner: Learner,
-        listener: Listener,
+        listener: TrainingListener,
         clock: Callable[[], float],
         rows: list[Row],
     ) -> None:

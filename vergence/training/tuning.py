@@ -26,19 +26,19 @@ class _Silent:
     """A listener that does nothing."""
 
     def begin(self, baselines: Any, unit: str) -> None:
-        """See `vergence.training.listener.Listener`."""
+        """See `vergence.training.listener.TrainingListener`."""
 
     def going_on(self, done: int) -> None:
-        """See `vergence.training.listener.Listener`."""
+        """See `vergence.training.listener.TrainingListener`."""
 
     def step(self, done: int, total: int) -> None:
-        """See `vergence.training.listener.Listener`."""
+        """See `vergence.training.listener.TrainingListener`."""
 
     def row(self, row: Any) -> None:
-        """See `vergence.training.listener.Listener`."""
+        """See `vergence.training.listener.TrainingListener`."""
 
     def stopping(self) -> bool:
-        """See `vergence.training.listener.Listener`."""
+        """See `vergence.training.listener.TrainingListener`."""
         return False
 
 

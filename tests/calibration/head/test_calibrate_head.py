@@ -7,7 +7,7 @@ import pytest
 
 import vergence
 from vergence.calibration.head.calibrate_head import calibrate_head
-from vergence.calibration.head.chain import Chain, board_points
+from vergence.calibration.head.chain import ParametricHead, board_points
 from vergence.calibration.head.observability import unseen
 from vergence.calibration.head.simulated import record
 from vergence.errors import ConfigurationError
@@ -144,7 +144,7 @@ def test_a_board_that_was_moved_by_two_millimetres_is_another_place():
     later = np.arange(len(q)) >= len(q) // 2
     boards = seen.boards.moved(np.array([[0.0, 0.0, 0.0, 0.001, -0.001, 0.0014]]))
     points, turned = board_points(frames.corners, boards, np.zeros(later.sum(), dtype=int))
-    pixels, chain = frames.pixels.copy(), Chain(true, true.parameters().values)
+    pixels, chain = frames.pixels.copy(), ParametricHead(true, true.parameters().values)
     for eye in range(2):
         there = chain.seen(eye, q[later], points, turned).pixels
         pixels[eye, later] = there + 0.05 * rng.standard_normal(there.shape)

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import vergence
 from vergence.calibration.adjustment import Poses
-from vergence.calibration.head.chain import Chain, board_points
+from vergence.calibration.head.chain import ParametricHead, board_points
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 
 FRAMES = 4
@@ -51,7 +51,7 @@ def assert_derivative(exact, differences):
 @pytest.mark.parametrize("eye", [0, 1])
 def test_pixels_and_derivatives_are_those_of_the_head(case, eye):
     about, values, q, corners, boards = case
-    chain = Chain(about, values)
+    chain = ParametricHead(about, values)
     points, turned = board_points(corners, boards, np.zeros(len(q), dtype=int))
     seen = chain.seen(eye, q, points, turned)
     np.testing.assert_allclose(

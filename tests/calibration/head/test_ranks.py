@@ -9,7 +9,7 @@ import numpy as np
 
 import vergence
 from vergence.calibration.head.adjust import HeadAdjustment, Weights
-from vergence.calibration.head.chain import Chain
+from vergence.calibration.head.chain import ParametricHead
 from vergence.calibration.head.simulated import record
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.models.joints import EYE_NAMES
@@ -50,7 +50,7 @@ def gaps(seed):
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(-0.3, 0.3, (60, 2)), rng.uniform(0.4, 2.5, 60)])
     q = HEAD.fixate(points)
-    chain = Chain(HEAD, HEAD.parameters().values)
+    chain = ParametricHead(HEAD, HEAD.parameters().values)
     T_0_N = HEAD.base_pose(np.zeros(7))
     there = (points @ T_0_N[:3, :3].T + T_0_N[:3, 3])[:, None]
     by_head, by_point = np.zeros((60, 4, len(SPREADS))), np.zeros((60, 4, 3))

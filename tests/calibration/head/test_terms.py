@@ -12,7 +12,7 @@ from vergence.calibration.head.files import head_text
 from vergence.calibration.head.play import with_play
 from vergence.calibration.head.prior import spreads_of
 from vergence.calibration.head.reading_terms import ReadingTerms
-from vergence.calibration.head.simulated import Faults, record
+from vergence.calibration.head.simulated import JointReadingErrors, record
 from vergence.calibration.head.terms import AUTO, parse_terms
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
@@ -24,8 +24,10 @@ from vergence.triangulation import triangulate_views
 STEP = 1e-6
 HEAD = vergence.load_head("physical")
 TRUE = HEAD.perturbed(np.random.default_rng(5), TWIN_ERRORS)
-PLAY = Faults(play_rad=np.deg2rad([0.2, 0.1, 0.2, 0.2, 0.3, 0.2, 0.1]))
-WAVES = Faults(harmonics_rad=np.deg2rad(0.2) * np.random.default_rng(8).standard_normal((7, 4)))
+PLAY = JointReadingErrors(play_rad=np.deg2rad([0.2, 0.1, 0.2, 0.2, 0.3, 0.2, 0.1]))
+WAVES = JointReadingErrors(
+    harmonics_rad=np.deg2rad(0.2) * np.random.default_rng(8).standard_normal((7, 4))
+)
 POINTS = np.array([[x, y, 1.0] for x in (-0.2, 0.2) for y in (-0.2, 0.2)])
 
 

@@ -12,7 +12,7 @@ from vergence.eval.comparison.contestant_job import Failure
 from vergence.eval.comparison.contestants import contestants
 from vergence.eval.comparison.options import GivenOptions
 from vergence.eval.robot.judge import RobotJob
-from vergence.eval.robot.sessions import Entry, Recorded
+from vergence.eval.robot.sessions import Entry, RecordedTrial
 from vergence.eval.trials.run import periods
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.recording.log import read_log
@@ -55,7 +55,7 @@ def as_recorded(trial, stopped=""):
         scenario=SCENARIO.name, controller="state-feedback", trial=trial.number - 1, log="run.mcap",
         number=trial.number, point_m=None, controller_sha256="", options="{}", stopped=stopped,
     )  # fmt: skip
-    return Recorded(entry=entry, trial=trial)
+    return RecordedTrial(entry=entry, trial=trial)
 
 
 def first(trial, steps):

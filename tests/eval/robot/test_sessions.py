@@ -4,7 +4,7 @@ import pytest
 
 from tests.recording.logged import STEPS, log_trials
 from vergence.errors import ConfigurationError
-from vergence.eval.robot.sessions import Entry, Key, Sessions
+from vergence.eval.robot.sessions import Entry, Sessions, TrialKey
 
 pytest.importorskip("mcap")
 
@@ -30,9 +30,9 @@ def test_trials_are_found_again_by_another_process(sessions, tmp_path):
     assert again.asked == {"controllers": ["ibvs"]}
     assert again.new_log().name == "trials-2.mcap"
     whole = again.whole(lambda scenario: STEPS)
-    assert list(whole) == [Key("webcam", "ibvs", 0), Key("webcam", "ibvs", 1)]
+    assert list(whole) == [TrialKey("webcam", "ibvs", 0), TrialKey("webcam", "ibvs", 1)]
     assert [one.trial.number for one in whole.values()] == [1, 2]
-    assert whole[Key("webcam", "ibvs", 1)].point.tolist() == [0.1, 0.2, 1.0]
+    assert whole[TrialKey("webcam", "ibvs", 1)].point.tolist() == [0.1, 0.2, 1.0]
 
 
 def test_a_trial_whose_log_has_lost_its_end_does_not_count(sessions):

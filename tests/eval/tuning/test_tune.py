@@ -23,7 +23,7 @@ from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.objective import controller_objective
 from vergence.eval.tuning.spaces import SEARCH_SPACES, Span
-from vergence.eval.tuning.study import Search, run_search
+from vergence.eval.tuning.study import SearchSpec, run_search
 from vergence.eval.tuning.study_storage import opened_study, without_password
 from vergence.models.files.head_file import load_head, save_head
 
@@ -46,7 +46,7 @@ def search(tmp_path, attempts=12, **changes):
         "seed": 0,
         "grid": False,
     }
-    return Search(**{**options, **changes})
+    return SearchSpec(**{**options, **changes})
 
 
 @pytest.mark.slow

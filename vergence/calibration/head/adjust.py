@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import Poses
-from vergence.calibration.head.chain import Chain, board_points
+from vergence.calibration.head.chain import ParametricHead, board_points
 from vergence.calibration.head.frames import HeadFrames, JointErrors
 from vergence.calibration.head.reading_terms import NO_TERMS, ReadingTerms
 from vergence.models.head import HeadModel
@@ -38,7 +38,7 @@ _ROBUST: Final = 3.0
 (chosen)."""
 
 
-class State(NamedTuple):
+class HeadUnknowns(NamedTuple):
     """Values of all unknowns."""
 
     values: FloatArray
@@ -181,7 +181,7 @@ class HeadAdjustment:
         run = np.where(run >= 0, common + 6 * self.boards + run, -1)
         return np.concatenate([head, board, run], axis=1)
 
-    def angles(self, state: State) -> FloatArray:
+    def angles(self, state: HeadUnknowns) -> FloatArray:
         """(f, 7) true joint angles, rad."""
         own = self.joints
         errors = np.where(own.own, state.errors, 0.0)
@@ -189,13 +189,15 @@ class HeadAdjustment:
             errors = errors + np.where(own.run >= 0, state.shared[own.run], 0.0)
         return self.about.actuation.joints_of(own.angles + errors + self.terms.at(state.terms)[0])
 
-    def corners(self, state: State) -> FloatArray:
+    def corners(self, state: HeadUnknowns) -> FloatArray:
         """(n, 3) the bent board's corners, metres."""
         out = self.frames.corners.copy()
         out[:, 2] += self._heights @ state.bend
         return out
 
-    def linearised(self, state: State, weights: Weights, *, by_frame: bool = False) -> Normal:
+    def linearised(
+        self, state: HeadUnknowns, weights: Weights, *, by_frame: bool = False
+    ) -> Normal:
         """Assemble the normal equations at a state.
 
         Args:
@@ -203,7 +205,7 @@ class HeadAdjustment:
             weights: weights of corners and angles.
             by_frame: True to return each frame's contributions as well.
         """
-        chain, q = Chain(self.about, state.values), self.angles(state)
+        chain, q = ParametricHead(self.about, state.values), self.angles(state)
         points, turned = board_points(self.corners(state), state.boards, self.frames.placement)
         f, own = len(q), self.joints
         residuals = np.zeros(self.frames.pixels.shape)
@@ -279,7 +281,7 @@ class HeadAdjustment:
         cost += float((self.precision * away**2).sum())
         return Normal(cost, matrix, slope, back, offset, inner, residuals, parts)
 
-    def _away(self, state: State) -> FloatArray:
+    def _away(self, state: HeadUnknowns) -> FloatArray:
         """(s,) deviation of the shared unknowns from the prior's mean."""
         away = np.zeros(self.size)
         p = len(self.nominal)
@@ -289,7 +291,7 @@ class HeadAdjustment:
             away[-len(self.joints.runs) :] = state.shared
         return away
 
-    def moved(self, state: State, now: Normal, step: FloatArray) -> State:
+    def moved(self, state: HeadUnknowns, now: Normal, step: FloatArray) -> HeadUnknowns:
         """Apply a step of the shared unknowns; the frames' own errors follow."""
         p, c, b = len(self.nominal), self.common, 6 * self.boards
         padded = np.append(step, 0.0)
@@ -297,7 +299,7 @@ class HeadAdjustment:
         terms = state.terms + step[p + BEND : c]
         # the true angles take the linearised step although backlash is not linear
         follow += self.terms.at(terms)[0] - self.terms.tangent(state.terms, terms)
-        return State(
+        return HeadUnknowns(
             state.values + step[:p],
             state.bend + step[p : p + BEND],
             state.boards.moved(step[c : c + b].reshape(-1, 6)),
@@ -310,13 +312,13 @@ class HeadAdjustment:
         """Restrict the problem to some of the frames."""
         return replace(self, frames=self.frames.of(frames), terms=self.terms.of(frames))
 
-    def start(self, boards: Poses) -> State:
+    def start(self, boards: Poses) -> HeadUnknowns:
         """Make the initial state: the nominal head in front of given boards.
 
         Args:
             boards: (b or more) poses of the board in frame 0.
         """
-        return State(
+        return HeadUnknowns(
             self.nominal.copy(),
             np.zeros(BEND),
             boards.of(np.arange(self.boards)),

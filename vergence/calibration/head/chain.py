@@ -44,7 +44,7 @@ class Seen(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class ParametricHead:
     """Kinematic chains of a head with given parameters.
 
     Args:

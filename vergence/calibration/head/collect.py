@@ -19,7 +19,7 @@ from vergence.calibration.head.logged import (
     read_logs,
 )
 from vergence.calibration.head.outlook import Outlook, outlook
-from vergence.calibration.head.plan import Plan, Scene, scene_of
+from vergence.calibration.head.plan import BoardScene, Plan, scene_of
 from vergence.calibration.head.recording import in_order
 from vergence.calibration.head.search import find_board, sees
 from vergence.errors import ConfigurationError
@@ -27,7 +27,7 @@ from vergence.locks import locked
 from vergence.models.boards import PlanarTarget
 from vergence.models.joints import EYE_NAMES
 from vergence.perception.located import orders_alike
-from vergence.recording.looking import Looker, Sight
+from vergence.recording.looking import BoardView, Looker
 from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter
 
@@ -78,7 +78,7 @@ class Collected:
     target: PlanarTarget
     placement: int
     """Number of the board's present placement."""
-    sights: list[Sight] = field(default_factory=list)
+    sights: list[BoardView] = field(default_factory=list)
     places: list[int] = field(default_factory=list)
     """Number of the board's placement for each sight."""
     poses: int = 0
@@ -219,7 +219,7 @@ class _Run:
         own = self._looker.head.actuation
         base = own.actuators_of(self._plan.next(self._scene()))
         moves = own.upper > own.lower
-        kept: list[Sight] = []
+        kept: list[BoardView] = []
         for number in range(self._options.frames):
             dither = self._rng.uniform(-_DITHER_RAD, _DITHER_RAD, 7) * moves
             q = own.joints_of(np.clip(base + dither, own.lower, own.upper))
@@ -238,12 +238,12 @@ class _Run:
             self._last = Gathered(self._looker.target, kept, [0] * len(kept), ()).frames()
         return bool(kept)
 
-    def _scene(self) -> Scene:
+    def _scene(self) -> BoardScene:
         """Estimate the board's position by the fit to all frames, or else from the last frames."""
         fitted = self._fitted()
         return scene_of(self._looker.head, self._last) if fitted is None else fitted
 
-    def _fitted(self) -> Scene | None:
+    def _fitted(self) -> BoardScene | None:
         """Get the board's position by the fit to all frames; None if this placement has none."""
         found = self._found
         here = np.unique(found.places).tolist()
@@ -254,7 +254,7 @@ class _Run:
             return None
         boards = found.outlook.boards
         corners = self._last.corners @ boards.rotation[place].T + boards.translation[place]
-        return Scene(found.outlook.head, np.stack([corners, corners]), True)
+        return BoardScene(found.outlook.head, np.stack([corners, corners]), True)
 
     def _judge(self) -> None:
         found = self._found
@@ -277,7 +277,7 @@ class _Run:
             )
 
 
-def _keep(log: LogWriter, sight: Sight) -> None:
+def _keep(log: LogWriter, sight: BoardView) -> None:
     """Write a sight to the log and to disk.
 
     Raises:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import Poses
-from vergence.calibration.head.adjust import HeadAdjustment, State, Weights
+from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, Weights
 from vergence.calibration.head.solution import FIRST_USUAL, HeadSolution, solved
 from vergence.calibration.head.start import LEAST_CORNERS
 from vergence.models.joints import NECK
@@ -27,7 +27,7 @@ _SAME_SCATTER: Final = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class HeadFit:
     """A head, and its inlier corners."""
 
     solution: HeadSolution
@@ -36,8 +36,11 @@ class Fit:
 
 
 def fitted(
-    problem: HeadAdjustment, boards: Poses, agree: NDArray[np.bool_], near: State | None = None
-) -> Fit:
+    problem: HeadAdjustment,
+    boards: Poses,
+    agree: NDArray[np.bool_],
+    near: HeadUnknowns | None = None,
+) -> HeadFit:
     """Fit a head robustly, first to the views that agree on the board's pose.
 
     Args:
@@ -61,7 +64,7 @@ def fitted(
     return settled(solution)
 
 
-def settled(solution: HeadSolution) -> Fit:
+def settled(solution: HeadSolution) -> HeadFit:
     """Refine a head on its inliers, with readings weighted by their scatter.
 
     Args:
@@ -83,7 +86,7 @@ def settled(solution: HeadSolution) -> Fit:
             raise np.linalg.LinAlgError("expected views that go together, got none")
         problem = replace(problem, noisier=noisier)
         solution = solved(problem, solution.state, Weights.of(kept))
-    return Fit(solution, kept)
+    return HeadFit(solution, kept)
 
 
 def _going_together(

@@ -7,7 +7,7 @@ import numpy as np
 
 from vergence.calibration.head.frames import HeadFrames
 from vergence.models.boards import PlanarTarget
-from vergence.recording.looking import Sight
+from vergence.recording.looking import BoardView
 
 MOST_PLACES: Final = 1000
 """Bound on the numbers of the board's placements (chosen: larger ones are times or names)."""
@@ -18,7 +18,7 @@ class Gathered(NamedTuple):
 
     target: PlanarTarget
     """The board."""
-    sights: Sequence[Sight]
+    sights: Sequence[BoardView]
     """(f) sights in any order."""
     placement: Sequence[int]
     """(f) number of the board's placement for each sight."""

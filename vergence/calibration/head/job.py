@@ -9,7 +9,7 @@ from typing import Any
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.files import head_text
 from vergence.calibration.head.observability import Unseen, unseen
-from vergence.calibration.head.recording import Recorded
+from vergence.calibration.head.recording import HeadRecording
 from vergence.calibration.head.report import document, write_run
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -46,7 +46,7 @@ class HeadJob:
     """
 
     head: HeadModel
-    recorded: Recorded
+    recorded: HeadRecording
     cameras: bool
     terms: tuple[str, ...]
     name: str

@@ -15,7 +15,7 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 from vergence.perception.photographs import in_order
 from vergence.recording.log import Log, read_log
-from vergence.recording.looking import Sight
+from vergence.recording.looking import BoardView
 from vergence.recording.schema import LoggedDetection
 
 AT_REST: Final = "at_rest"
@@ -76,7 +76,7 @@ def read_logs(
     Raises:
         VergenceError: none can be read, or one has another board or another kind of head.
     """
-    sights: list[Sight] = []
+    sights: list[BoardView] = []
     placement: list[int] = []
     files, remarks, failures = [], [], []
     looked: dict[str, str] = {}
@@ -165,7 +165,7 @@ def _refuse_other_joints(log: Log, head: HeadModel) -> None:
         )
 
 
-def _sights(log: Log, head: HeadModel, target: PlanarTarget) -> tuple[list[Sight], int]:
+def _sights(log: Log, head: HeadModel, target: PlanarTarget) -> tuple[list[BoardView], int]:
     """Read a log's sights in the order of time, from zero on, and count images in motion."""
     count = len(target.corners_m)
     eyes: list[list[LoggedDetection]] = [[], []]
@@ -255,10 +255,10 @@ def _times(detections: Sequence[LoggedDetection]) -> FloatArray:
     return np.array([one.exposed_s for one in detections])
 
 
-def _sight(pair: tuple[LoggedDetection | None, LoggedDetection | None]) -> Sight:
+def _sight(pair: tuple[LoggedDetection | None, LoggedDetection | None]) -> BoardView:
     there = [one for one in pair if one is not None]
     left, right = pair
-    return Sight(
+    return BoardView(
         float(np.mean([one.exposed_s for one in there])),
         np.mean([one.positions for one in there], axis=0),
         (None if left is None else left.corners_px, None if right is None else right.corners_px),

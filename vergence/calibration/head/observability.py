@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence.calibration.adjustment import Poses
-from vergence.calibration.head.chain import Chain, board_points
+from vergence.calibration.head.chain import ParametricHead, board_points
 from vergence.calibration.head.solution import HeadSolution
 from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
@@ -110,7 +110,7 @@ def unseen(solution: HeadSolution) -> tuple[Unseen, ...]:
 def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
     """Jacobians of pixels at various fixations, by head parameters and by rigid motions in N."""
     head = solution.head
-    chain = Chain(solution.problem.about, solution.state.values)
+    chain = ParametricHead(solution.problem.about, solution.state.values)
     points = np.array(
         [[z * x, z * y, z] for z in _DISTANCES_M for x, y in _DIRECTIONS], dtype=np.float64
     )

@@ -15,7 +15,7 @@ from vergence.perception.joint_angles import angles_of_row, as_number, rows_of_p
 from vergence.perception.joint_rows import Row
 from vergence.perception.pairing import pair_up
 from vergence.perception.photographs import some_of
-from vergence.recording.looking import Sight
+from vergence.recording.looking import BoardView
 
 TABLES: Final = ("joints.csv", "joints.json", "joints.toml")
 """File names of the table of joint angles."""
@@ -74,7 +74,7 @@ def read_photographs(
     )
     _refuse_other_sizes(path, head, seen)
     sights = [
-        Sight(
+        BoardView(
             float(view) if one.time_s is None else one.time_s,
             one.positions,
             (seen.pixels[0, view], seen.pixels[1, view]),

@@ -29,7 +29,7 @@ _NECK_WEIGHT: Final = 0.5
 """Weight of the neck's whole range relative to the board crossing the whole image (chosen)."""
 
 
-class Scene(NamedTuple):
+class BoardScene(NamedTuple):
     """Estimated position of a board."""
 
     head: HeadModel
@@ -49,7 +49,7 @@ class Scene(NamedTuple):
         return np.stack(found, axis=-3)
 
 
-def scene_of(head: HeadModel, frames: HeadFrames) -> Scene:
+def scene_of(head: HeadModel, frames: HeadFrames) -> BoardScene:
     """Estimate the board's position by the last view of each eye, through the nominal head.
 
     An eye's error recurs in its next view. Therefore each eye keeps the position by its own view;
@@ -71,7 +71,7 @@ def scene_of(head: HeadModel, frames: HeadFrames) -> Scene:
     there = [
         one if one is not None else other for one, other in zip(corners, corners[::-1], strict=True)
     ]
-    return Scene(head, np.array(there, dtype=np.float64), False)
+    return BoardScene(head, np.array(there, dtype=np.float64), False)
 
 
 class Plan:
@@ -87,7 +87,7 @@ class Plan:
         self._rng, self._keep = rng, dither_rad + _LIMIT_RAD
         self._used = list(used)
 
-    def next(self, scene: Scene) -> FloatArray:
+    def next(self, scene: BoardScene) -> FloatArray:
         """Choose the posture most different from earlier ones with the board inside both images.
 
         Args:
@@ -115,7 +115,7 @@ class Plan:
             "the head turns: put it farther away, or before the middle of the head"
         )
 
-    def _candidates(self, scene: Scene) -> FloatArray:
+    def _candidates(self, scene: BoardScene) -> FloatArray:
         """(k, 7) random joint angles with the board somewhere near both images."""
         rng, head = self._rng, scene.head
         own, rest = head.actuation, head.rest()
@@ -142,7 +142,7 @@ class Plan:
         keep = np.minimum(self._keep, 0.5 * (own.upper - own.lower))
         return own.joints_of(np.clip(actuators, own.lower + keep, own.upper - keep))
 
-    def _farthest(self, scene: Scene, q: FloatArray) -> FloatArray:
+    def _farthest(self, scene: BoardScene, q: FloatArray) -> FloatArray:
         """Choose the posture farthest from the nearest used one, by `_features`."""
         if not self._used:
             return np.asarray(q[0])
@@ -151,7 +151,7 @@ class Plan:
         return np.asarray(q[int(nearest.argmax())])
 
 
-def _features(scene: Scene, q: FloatArray) -> FloatArray:
+def _features(scene: BoardScene, q: FloatArray) -> FloatArray:
     """(k, 7) features to compare postures: the board's position in both images, and the neck."""
     places = np.nan_to_num(scene.pixels(q).mean(axis=-2) / scene.head.cameras.size)
     neck = _NECK_WEIGHT / (2.0 * _FARTHEST_NECK_RAD) * q[:, NECK]

@@ -17,7 +17,7 @@ from vergence.models.head import HeadModel
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Recorded:
+class HeadRecording:
     """A recording, with frames in the order of time."""
 
     frames: HeadFrames
@@ -47,7 +47,7 @@ def read_recording(
     head: HeadModel,
     target: PlanarTarget | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Recorded:
+) -> HeadRecording:
     """Read a recording of a head in front of a board.
 
     Args:
@@ -83,7 +83,7 @@ def read_recording(
             f"{len(every.time_s) - len(frames.time_s)} of {len(every.time_s)} frames left out: "
             "they show no board, or another one again"
         )
-    return Recorded(
+    return HeadRecording(
         frames=frames,
         files=found.files,
         remarks=tuple(remarks),

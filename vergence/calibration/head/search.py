@@ -12,7 +12,7 @@ from vergence.calibration.head.plan import scene_of
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.recording.looking import Looker, Sight
+from vergence.recording.looking import BoardView, Looker
 
 _AZIMUTHS: Final = np.deg2rad((-50.0, -25.0, 0.0, 25.0, 50.0))
 """Azimuths to look at, rad (chosen: common cameras have 50 to 60 degrees field of view)."""
@@ -26,12 +26,12 @@ _AHEAD_M: Final = 1.0
 """Forward distance of the fixated points, m (chosen)."""
 
 
-def one_frame(looker: Looker, sight: Sight) -> HeadFrames:
+def one_frame(looker: Looker, sight: BoardView) -> HeadFrames:
     """Convert a sight to a recording of one frame."""
     return Gathered(looker.target, [sight], [0], ()).frames()
 
 
-def sees(looker: Looker, sight: Sight) -> int:
+def sees(looker: Looker, sight: BoardView) -> int:
     """Count the eyes that see at least four corners of the board."""
     return int((one_frame(looker, sight).seen.sum(axis=-1) >= 4).sum())
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.calibration.adjustment import Poses
-from vergence.calibration.head.chain import Chain, board_points
+from vergence.calibration.head.chain import ParametricHead, board_points
 from vergence.calibration.head.frames import HeadFrames
 from vergence.errors import ConfigurationError
 from vergence.models.boards import TagFamily
@@ -23,7 +23,7 @@ _MOST_TRIES: Final = 200
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recorded:
+class SimulatedRecording:
     """A simulated recording, and its ground truth."""
 
     frames: HeadFrames
@@ -34,7 +34,7 @@ class Recorded:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Faults:
+class JointReadingErrors:
     """Systematic errors of the readings by actuator, besides quantisation."""
 
     play_rad: FloatArray = field(default_factory=lambda: np.zeros(7))
@@ -75,8 +75,8 @@ def record(
     neck: bool = True,
     off_axis: float = 1.0,
     dither_rad: float = np.deg2rad(0.3).item(),
-    faults: Faults | None = None,
-) -> Recorded:
+    faults: JointReadingErrors | None = None,
+) -> SimulatedRecording:
     """Simulate a recording of boards by a true head.
 
     Args:
@@ -116,9 +116,9 @@ def record(
         ),
         np.array([T_0_N[:3, :3] @ point + T_0_N[:3, 3] for point in ahead]),
     )  # fmt: skip
-    chain = Chain(true, true.parameters().values)
+    chain = ParametricHead(true, true.parameters().values)
     size = true.cameras.size[0]
-    faults = Faults() if faults is None else faults
+    faults = JointReadingErrors() if faults is None else faults
     behind = own.actuators_of(head.rest())
     angles: list[FloatArray] = []
     read: list[FloatArray] = []
@@ -156,7 +156,7 @@ def record(
             f"expected a board that both eyes see whole, got {target} at {distances_m} m"
         )
     true_q = np.concatenate(angles)
-    return Recorded(
+    return SimulatedRecording(
         frames=HeadFrames(
             target=board,
             time_s=0.1 * np.arange(len(true_q), dtype=np.float64),

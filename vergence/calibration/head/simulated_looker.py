@@ -13,7 +13,7 @@ from vergence.envs.targets.motion import motion_rows
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.recording.looking import Sight
+from vergence.recording.looking import BoardView
 from vergence.vision import EyeCamera, TargetDrawing, make_detector
 
 _LOOK_S: Final = 1.0
@@ -88,7 +88,7 @@ class SimulatedLooker:
             make_detector(target, EyeCamera.of(head, eye)) for eye in range(2 if drawn else 0)
         ]
 
-    def look(self, q: FloatArray) -> Sight:
+    def look(self, q: FloatArray) -> BoardView:
         """See `Looker.look`."""
         self._looks += 1
         reading = self._plant.begin(
@@ -102,7 +102,7 @@ class SimulatedLooker:
         )
         true_q = self._plant.truth().positions[0]
         found = self._drawn(true_q) if self._drawings else self._projected(true_q)
-        return Sight(
+        return BoardView(
             _LOOK_S * self._looks,
             reading.positions[0].copy(),
             (found[0][0], found[1][0]),

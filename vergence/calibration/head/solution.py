@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from vergence.calibration.head.adjust import HeadAdjustment, Normal, State, Weights
+from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, Normal, Weights
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -36,7 +36,7 @@ class HeadSolution:
     """The head that fits best, and the normal equations there."""
 
     problem: HeadAdjustment
-    state: State
+    state: HeadUnknowns
     normal: Normal
     weights: Weights
 
@@ -78,7 +78,7 @@ class HeadSolution:
 
 def solved(
     problem: HeadAdjustment,
-    start: State,
+    start: HeadUnknowns,
     weights: Weights,
     *,
     usual: float = np.inf,

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Adjustment, Poses, Rig
+from vergence.calibration.adjustment import Adjustment, CameraRig, Poses
 from vergence.calibration.cameras import pose_views
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.projection import camera_values
@@ -21,13 +21,13 @@ _MOST_CANDIDATES: Final = 300
 """Most views of one placement that are compared pairwise (numerical)."""
 
 
-def camera_rig(head: HeadModel, eye: int) -> Rig:
+def camera_rig(head: HeadModel, eye: int) -> CameraRig:
     """Make a rig of one eye's camera."""
     cameras = head.cameras
     lens = cameras.lens[eye]
     count = len(camera_values(lens)) - 4
     values = [cameras.focal[eye], cameras.principal[eye], cameras.distortion[eye][:count]]
-    return Rig.single(lens, np.concatenate(values))
+    return CameraRig.single(lens, np.concatenate(values))
 
 
 def board_in_cameras(head: HeadModel, frames: HeadFrames) -> list[Poses]:

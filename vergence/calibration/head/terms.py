@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from vergence.calibration.head.adjust import HeadAdjustment, Normal, State, Weights
-from vergence.calibration.head.fit import Fit, settled
+from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, Normal, Weights
+from vergence.calibration.head.fit import HeadFit, settled
 from vergence.calibration.head.held_out import held_out
 from vergence.calibration.head.play import without_play
 from vergence.calibration.head.prior import spreads_of
@@ -71,14 +71,14 @@ def described(head: HeadModel, terms: Collection[str]) -> HeadModel:
 class Chosen(NamedTuple):
     """The head with the terms that its recording calls for."""
 
-    fit: Fit
+    fit: HeadFit
     """Fit with the accepted terms that a head's file can hold. Harmonics are not among these:
     readings are not corrected by them, so that the other parameters are best without them."""
     suspected: HeadSolution | None
     """Solution with harmonics, of some of the frames, if these are called for too; else None."""
 
 
-def choose_terms(fit: Fit, cameras: bool) -> Chosen:
+def choose_terms(fit: HeadFit, cameras: bool) -> Chosen:
     """Add the terms that a recording calls for, most significant first.
 
     Args:
@@ -106,7 +106,7 @@ def choose_terms(fit: Fit, cameras: bool) -> Chosen:
     )
 
 
-def _thinned(fit: Fit) -> Fit:
+def _thinned(fit: HeadFit) -> HeadFit:
     """Fit some of the frames of each pose, which select terms as well in less time."""
     own, state = fit.solution.problem, fit.solution.state
     frames = len(own.frames.time_s)
@@ -117,10 +117,10 @@ def _thinned(fit: Fit) -> Fit:
     start = problem.start(state.boards)._replace(
         values=state.values, bend=state.bend, errors=state.errors[some]
     )
-    return Fit(solved(problem, start, Weights.of(kept)), kept)
+    return HeadFit(solved(problem, start, Weights.of(kept)), kept)
 
 
-def _richer(fit: Fit, terms: Collection[str], cameras: bool) -> Fit:
+def _richer(fit: HeadFit, terms: Collection[str], cameras: bool) -> HeadFit:
     """Fit the head with terms."""
     problem, start = _extended(fit.solution, terms, cameras)
     # estimate the scatter of the readings again, as a term may explain it
@@ -130,7 +130,7 @@ def _richer(fit: Fit, terms: Collection[str], cameras: bool) -> Fit:
 
 def _extended(
     solution: HeadSolution, terms: Collection[str], cameras: bool
-) -> tuple[HeadAdjustment, State]:
+) -> tuple[HeadAdjustment, HeadUnknowns]:
     """Extend a problem by terms; start from the same head."""
     own, state = solution.problem, solution.state
     about = described(own.about, terms)
@@ -203,7 +203,7 @@ def _chance(numbers: int) -> float:
     return float(chi2.ppf(1.0 - _CHANCE, numbers)) if numbers else np.inf
 
 
-def _predicts_better(richer: Fit, simpler: Fit, least: float) -> bool:
+def _predicts_better(richer: HeadFit, simpler: HeadFit, least: float) -> bool:
     """Return True if a head with a term predicts held-out poses significantly better.
 
     The mean gain in the logarithm of a pose's error has to reach `least`.

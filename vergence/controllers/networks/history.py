@@ -26,7 +26,7 @@ from vergence.controllers.networks.resolutions import (
     clip,
     log_scaled,
 )
-from vergence.controllers.outlier_gate import Sight
+from vergence.controllers.outlier_gate import GatedDetections
 from vergence.controllers.rows import make_row, named, row_layout, row_size
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.models.head import HeadModel
@@ -138,7 +138,7 @@ class History:
     def update(
         self,
         seen: Observation,
-        sight: Sight,
+        sight: GatedDetections,
         asked: FloatArray,
         state: FloatArray,
         shape: FloatArray,

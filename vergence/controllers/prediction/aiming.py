@@ -4,8 +4,8 @@ from math import exp, nan
 from typing import Final
 
 from vergence._jit import device
-from vergence.controllers.prediction.joints import Rig
-from vergence.controllers.prediction.memory import Memory
+from vergence.controllers.prediction.joints import PredictorModel
+from vergence.controllers.prediction.memory import PredictorState
 from vergence.controllers.prediction.moving import ahead_of, slow_share
 from vergence.controllers.prediction.response import answer_of
 from vergence.models.kinematics import eye_frames, point_in_eye
@@ -15,15 +15,15 @@ from vergence.models.pose import out_of
 _SURE: Final = 0.9
 """Probability of rest above which a target is treated as resting (chosen)."""
 _CLEARLY: Final = 0.5
-"""Fraction of the motion-blur speed limit (`Rig.sees`) that an eye may reach relative to its target
-(chosen: margin for exposure against speed of pursuit)."""
+"""Fraction of the motion-blur speed limit (`PredictorModel.sees`) that an eye may reach relative to
+its target (chosen: margin for exposure against speed of pursuit)."""
 _GRACE_S: Final = 0.03
 """Time after the next image is due during which an eye keeps following the extrapolated motion, s
 (chosen: tolerates late frames)."""
 
 
 @device
-def aim_ahead(memory: Memory, rig: Rig, tick: float) -> None:
+def aim_ahead(memory: PredictorState, rig: PredictorModel, tick: float) -> None:
     """Extrapolate the targets to a time in periods: their angles `aims` and angular rates `rates`.
 
     `later_rates` are the rates when that command shows in the motion, a lag and half a period
@@ -55,7 +55,7 @@ def aim_ahead(memory: Memory, rig: Rig, tick: float) -> None:
 
 @device
 def present_error(
-    memory: Memory, p: PackedHead, eye: int, first: float, second: float
+    memory: PredictorState, p: PackedHead, eye: int, first: float, second: float
 ) -> tuple[float, float]:
     """Predict the pixel error of one eye at given joint angles.
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from vergence._jit import subroutine
 from vergence.controllers.prediction.dating import HYPOTHESES, SPACING_S, add_misfit
-from vergence.controllers.prediction.joints import Rig
-from vergence.controllers.prediction.memory import Memory, angle_at
+from vergence.controllers.prediction.joints import PredictorModel
+from vergence.controllers.prediction.memory import PredictorState, angle_at
 from vergence.models.parts import FloatArray
 
 _SWING_RAD_S2: Final = 4.0
@@ -29,8 +29,8 @@ which an image carries evidence on the delay (chosen: 4 sigma)."""
 
 @subroutine
 def compare_delays(
-    memory: Memory,
-    rig: Rig,
+    memory: PredictorState,
+    rig: PredictorModel,
     came: float,
     low: int,
     high: int,

@@ -21,14 +21,14 @@ from typing import Final
 import numpy as np
 
 from vergence._jit import device, subroutine
-from vergence.controllers.prediction.joints import Rig
+from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.response import (
     ANSWERS,
     BUILDING,
     PLAIN,
     SPEEDS,
-    Answer,
     Response,
+    ResponseModel,
     advance,
     answer_of,
     command_at,
@@ -101,19 +101,19 @@ _REMEMBERED: Final = 0.7
 
 
 @device
-def _mean_step(rig: Rig, j: int) -> float:
+def _mean_step(rig: PredictorModel, j: int) -> float:
     """Standard deviation that encoder quantisation adds to a mean velocity, rad/s."""
     return 0.4 * float(rig.angle_step[j]) / rig.period_s
 
 
 @device
-def _last_to_act(rig: Rig) -> int:
+def _last_to_act(rig: PredictorModel) -> int:
     """Largest number of periods before a command acts."""
     return int(longest_latency(rig) / rig.period_s) + 1
 
 
 @device
-def _is_moving(response: Response, rig: Rig, tick: int) -> bool:
+def _is_moving(response: Response, rig: PredictorModel, tick: int) -> bool:
     """True if any actuator moves, or a command that may still act is not zero."""
     for j in range(4):
         if abs(speed_at(response, tick, j)) > _MOVING_RAD_S:
@@ -125,7 +125,7 @@ def _is_moving(response: Response, rig: Rig, tick: int) -> bool:
 
 
 @device
-def _is_excited(response: Response, rig: Rig, first: int, tick: int, j: int) -> bool:
+def _is_excited(response: Response, rig: PredictorModel, first: int, tick: int, j: int) -> bool:
     """True if the commands of an actuator have changed enough to identify its response."""
     begin, most = speed_at(response, first, j), 0.0
     for i in range(first - _last_to_act(rig), tick):
@@ -136,8 +136,8 @@ def _is_excited(response: Response, rig: Rig, first: int, tick: int, j: int) -> 
 @subroutine
 def _misfit(
     response: Response,
-    answer: Answer,
-    rig: Rig,
+    answer: ResponseModel,
+    rig: PredictorModel,
     tick: int,
     latency: float,
     ratio: float,
@@ -174,7 +174,7 @@ def _misfit(
 
 
 @subroutine
-def _try_others(response: Response, answer: Answer, rig: Rig, tick: int) -> None:
+def _try_others(response: Response, answer: ResponseModel, rig: PredictorModel, tick: int) -> None:
     """Restart the fit at other parameter values where these explain the window better."""
     known, free = answer.found, answer.variance[0] > _SURE_S**2
     best = _misfit(response, answer, rig, tick, known[0], known[1], known[2]) - _BETTER
@@ -216,7 +216,7 @@ def _solve(matrix: FloatArray, right: FloatArray, out: FloatArray) -> None:
 
 
 @subroutine
-def _fit(response: Response, answer: Answer, rig: Rig, tick: int) -> None:
+def _fit(response: Response, answer: ResponseModel, rig: PredictorModel, tick: int) -> None:
     """Take one Gauss-Newton step on the window."""
     first, period = int(response.begun), rig.period_s
     builds_up = answer.found[3] > 0.0
@@ -316,7 +316,9 @@ def _choose(response: Response, lasted_s: float, ends: bool) -> None:
 
 
 @subroutine
-def _replay(response: Response, answer: Answer, rig: Rig, tick: int, out: FloatArray) -> None:
+def _replay(
+    response: Response, answer: ResponseModel, rig: PredictorModel, tick: int, out: FloatArray
+) -> None:
     """(4,) accelerations at the end of the window, simulated with an answer, rad/s^2."""
     first = int(response.begun)
     for j in range(4):
@@ -326,7 +328,7 @@ def _replay(response: Response, answer: Answer, rig: Rig, tick: int, out: FloatA
 
 
 @device
-def learn_response(response: Response, rig: Rig, tick: int) -> None:
+def learn_response(response: Response, rig: PredictorModel, tick: int) -> None:
     """Update the response model with the readings of a period.
 
     Args:

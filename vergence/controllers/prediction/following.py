@@ -5,9 +5,9 @@ from typing import Final
 import numpy as np
 
 from vergence._jit import device
-from vergence.controllers.prediction.joints import Rig
+from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.measuring import JITTER_S
-from vergence.controllers.prediction.memory import Memory, angle_at
+from vergence.controllers.prediction.memory import PredictorState, angle_at
 from vergence.controllers.prediction.moving import MODELS, carry_on, mix, rate_of, switch
 from vergence.models.parts import FloatArray
 
@@ -24,7 +24,7 @@ third more in the loop of scenario `hardware`, by two thirds more with the head 
 
 
 @device
-def carry_motions(memory: Memory, rig: Rig, exposed: float) -> None:
+def carry_motions(memory: PredictorState, rig: PredictorModel, exposed: float) -> None:
     """Predict the target motion models to the exposure of an image (IMM mixing and time update).
 
     Args:
@@ -44,8 +44,8 @@ def carry_motions(memory: Memory, rig: Rig, exposed: float) -> None:
 
 @device
 def slip_variances(
-    memory: Memory,
-    rig: Rig,
+    memory: PredictorState,
+    rig: PredictorModel,
     exposed: float,
     variance: FloatArray,
     spread: FloatArray,

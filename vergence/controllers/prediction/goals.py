@@ -31,14 +31,14 @@ from vergence.controllers.prediction.dating import (
     take_misfits,
     weigh,
 )
-from vergence.controllers.prediction.joints import RING, Rig
+from vergence.controllers.prediction.joints import RING, PredictorModel
 from vergence.controllers.prediction.jumps import has_jumped
 from vergence.controllers.prediction.measuring import (
     date_image,
     measure_goals,
     variance_of,
 )
-from vergence.controllers.prediction.memory import Memory, angle_at
+from vergence.controllers.prediction.memory import PredictorState, angle_at
 from vergence.controllers.prediction.moving import (
     WEIGHTS,
     Motions,
@@ -78,7 +78,7 @@ _MOST_NOISE_PX: Final = 3.0
 
 
 @device
-def _mix(memory: Memory, low: int, high: int, weights: FloatArray) -> None:
+def _mix(memory: PredictorState, low: int, high: int, weights: FloatArray) -> None:
     """Compute the mean of the goals over the delay hypotheses, and their variance `doubt`."""
     for eye in range(2):
         for joint in range(2):
@@ -93,7 +93,7 @@ def _mix(memory: Memory, low: int, high: int, weights: FloatArray) -> None:
 
 
 @device
-def _widen(memory: Memory, low: int, high: int) -> None:
+def _widen(memory: PredictorState, low: int, high: int) -> None:
     """Initialise the goals of delays that are considered again with the current mean goals."""
     for i in range(low, high):
         if memory.low <= i < memory.high:
@@ -105,7 +105,9 @@ def _widen(memory: Memory, low: int, high: int) -> None:
 
 
 @device
-def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn: bool) -> None:
+def take_image(
+    memory: PredictorState, rig: PredictorModel, error: FloatArray, p: PackedHead, learn: bool
+) -> None:
     """Update the goals with a new image.
 
     Args:
@@ -149,7 +151,7 @@ def take_image(memory: Memory, rig: Rig, error: FloatArray, p: PackedHead, learn
 
 @device
 def _begin(
-    memory: Memory,
+    memory: PredictorState,
     eye: int,
     low: int,
     high: int,
@@ -169,7 +171,7 @@ def _begin(
 
 
 @device
-def _keep(memory: Memory, came: float, goals: FloatArray, then: FloatArray) -> None:
+def _keep(memory: PredictorState, came: float, goals: FloatArray, then: FloatArray) -> None:
     """Store an image as the last one."""
     memory.images[1] = memory.images[0]
     image = memory.images[0]
@@ -180,7 +182,7 @@ def _keep(memory: Memory, came: float, goals: FloatArray, then: FloatArray) -> N
 
 
 @device
-def _learn_noise(memory: Memory, rig: Rig, scatter: float, count: int) -> None:
+def _learn_noise(memory: PredictorState, rig: PredictorModel, scatter: float, count: int) -> None:
     """Update the detection variance with an image's squared deviations: their sum and number."""
     least, most = _LEAST_NOISE_PX * rig.pixel_rad, _MOST_NOISE_PX * rig.pixel_rad
     found = min(scatter / count, 9.0 * memory.noise)
@@ -190,7 +192,7 @@ def _learn_noise(memory: Memory, rig: Rig, scatter: float, count: int) -> None:
 
 @device
 def _filter_joint(
-    memory: Memory,
+    memory: PredictorState,
     eye: int,
     joint: int,
     low: int,
@@ -233,8 +235,8 @@ def _filter_joint(
 
 @device
 def _filter(
-    memory: Memory,
-    rig: Rig,
+    memory: PredictorState,
+    rig: PredictorModel,
     came: float,
     exposed: float,
     low: int,

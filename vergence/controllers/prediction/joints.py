@@ -25,7 +25,7 @@ _KEPT_S: Final = 0.45
 """Least time that the ring buffer covers, s (numerical: longer than every delay hypothesis)."""
 
 
-class Rig:
+class PredictorModel:
     """Timing, sensors and actuators of a head, as its controller knows them.
 
     Arrays of four are by actuator of the eyes unless stated otherwise; where each of the four eye
@@ -84,14 +84,14 @@ class Rig:
     0."""
 
 
-RIG: Final = row_layout(Rig)
+RIG: Final = row_layout(PredictorModel)
 RIG_SIZE: Final = row_size(RIG)
 _SQUARE: Final = 0.1
 """Largest cosine between two axes that count as at right angles (chosen)."""
 
 
 def joint_rig(head: HeadModel, moving: bool = True) -> FloatArray:
-    """Pack the `Rig` of a head into a row.
+    """Pack the `PredictorModel` of a head into a row.
 
     Args:
         head: the model of the head.

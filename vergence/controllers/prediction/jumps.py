@@ -4,8 +4,8 @@ from typing import Final
 
 from vergence._jit import device
 from vergence.controllers.prediction.comparing import EXACT_RAD
-from vergence.controllers.prediction.joints import Rig
-from vergence.controllers.prediction.memory import Memory
+from vergence.controllers.prediction.joints import PredictorModel
+from vergence.controllers.prediction.memory import PredictorState
 from vergence.models.parts import FloatArray
 
 ELSEWHERE: Final = 36.0
@@ -22,7 +22,7 @@ _DOUBTED_S: Final = 0.1
 
 @device
 def how_far(
-    memory: Memory, eye: int, goals: FloatArray, variance: FloatArray, spread: FloatArray
+    memory: PredictorState, eye: int, goals: FloatArray, variance: FloatArray, spread: FloatArray
 ) -> float:
     """Squared Mahalanobis distance of an image's goals of one eye from the filtered ones.
 
@@ -47,8 +47,8 @@ def how_far(
 
 @device
 def has_jumped(
-    memory: Memory,
-    rig: Rig,
+    memory: PredictorState,
+    rig: PredictorModel,
     eye: int,
     goals: FloatArray,
     variance: FloatArray,

@@ -5,8 +5,8 @@ from typing import Final
 
 from vergence._jit import device
 from vergence.controllers.prediction.dating import SPACING_S
-from vergence.controllers.prediction.joints import Rig
-from vergence.controllers.prediction.memory import Memory, angle_at
+from vergence.controllers.prediction.joints import PredictorModel
+from vergence.controllers.prediction.memory import PredictorState, angle_at
 from vergence.models.fixation import fixate_step
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import PackedHead
@@ -29,8 +29,8 @@ _NEWTON: Final = 10
 
 @device
 def date_image(
-    memory: Memory,
-    rig: Rig,
+    memory: PredictorState,
+    rig: PredictorModel,
     came: float,
     low: int,
     high: int,
@@ -77,7 +77,7 @@ def date_image(
 
 @device
 def measure_goals(
-    memory: Memory,
+    memory: PredictorState,
     p: PackedHead,
     then: FloatArray,
     error: FloatArray,
@@ -148,7 +148,7 @@ def measure_goals(
 
 @device
 def variance_of(
-    memory: Memory, rig: Rig, exposed: float, eye: int, joint: int, turn: float
+    memory: PredictorState, rig: PredictorModel, exposed: float, eye: int, joint: int, turn: float
 ) -> float:
     """Variance of a measured goal for a known delay, rad^2.
 

@@ -11,7 +11,7 @@ import numpy as np
 from vergence._jit import device
 from vergence.controllers.prediction.dating import HYPOTHESES, first_delay, first_misfits
 from vergence.controllers.prediction.fitting import learn_response
-from vergence.controllers.prediction.joints import RIG, RING, Rig
+from vergence.controllers.prediction.joints import RIG, RING, PredictorModel
 from vergence.controllers.prediction.moving import MODELS, WEIGHTS, EyeMotion
 from vergence.controllers.prediction.observer import Observer, begin_comparison, is_prompt, observe
 from vergence.controllers.prediction.response import (
@@ -51,7 +51,7 @@ class Image:
     """Joint angles at the exposure, from which the goals were computed, rad."""
 
 
-class Memory:
+class PredictorState:
     """State of the predictor for one head."""
 
     count: float
@@ -76,8 +76,8 @@ class Memory:
     play: Annotated[FloatArray, 2, 2]
     """Variance that the backlash found so far adds to a measured goal, rad^2."""
     angles: Annotated[FloatArray, RING, 2, 2]
-    """Ring buffer of joint angles, one entry every `Rig.keep_every` periods, rad; entry k is at
-    index k modulo `RING`."""
+    """Ring buffer of joint angles, one entry every `PredictorModel.keep_every` periods, rad;
+    entry k is at index k modulo `RING`."""
     first_delay_s: float
     """Delay of hypothesis 0, s."""
     misfit: Annotated[FloatArray, HYPOTHESES]
@@ -132,7 +132,7 @@ class Memory:
     """Depth of each eye's target once it is on the optical axis, m."""
 
 
-MEMORY: Final = row_layout(Memory)
+MEMORY: Final = row_layout(PredictorState)
 SIZE: Final = row_size(MEMORY)
 """Length of the packed state."""
 
@@ -143,12 +143,12 @@ def initial_row(
     """(SIZE,) state before the first observation.
 
     Args:
-        rig_row: packed `Rig`, see `vergence.controllers.prediction.joints.joint_rig`.
+        rig_row: packed `PredictorModel`, see `vergence.controllers.prediction.joints.joint_rig`.
         stamped: True if the camera stamps exposures.
         learn_delay: True to estimate the delay of images on line.
         learn_response: True to identify the actuators' response on line.
     """
-    rig: Rig = rig_row.view(RIG)[0]
+    rig: PredictorModel = rig_row.view(RIG)[0]
     response = np.zeros(1, dtype=MEMORY["response"])
     response["begun"] = -1.0
     for name, value in first_answers(rig.response_s, rig.lag_s, learn_response).items():
@@ -175,12 +175,12 @@ def initial_row(
 
 
 @device
-def angle_at(memory: Memory, every: float, tick: float, eye: int, joint: int) -> float:
+def angle_at(memory: PredictorState, every: float, tick: float, eye: int, joint: int) -> float:
     """Interpolate a joint's angle at a time by the cubic through the four stored angles around it.
 
     Args:
         memory: the predictor's state.
-        every: see `Rig.keep_every`.
+        every: see `PredictorModel.keep_every`.
         tick: the time, in periods.
         eye: index of the eye.
         joint: index of its joint.
@@ -201,8 +201,8 @@ def angle_at(memory: Memory, every: float, tick: float, eye: int, joint: int) ->
 
 @device
 def track(
-    memory: Memory,
-    rig: Rig,
+    memory: PredictorState,
+    rig: PredictorModel,
     p: PackedHead,
     positions: FloatArray,
     velocities: FloatArray,

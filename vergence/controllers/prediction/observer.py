@@ -21,7 +21,7 @@ from math import exp, sqrt
 from typing import Annotated, Final
 
 from vergence._jit import device
-from vergence.controllers.prediction.joints import Rig, within
+from vergence.controllers.prediction.joints import PredictorModel, within
 from vergence.controllers.prediction.response import (
     Response,
     answer_of,
@@ -117,7 +117,7 @@ def _delay_sd(observer: Observer) -> float:
 
 
 @device
-def _compare(observer: Observer, rig: Rig, j: int, angle: float, rate: float) -> None:
+def _compare(observer: Observer, rig: PredictorModel, j: int, angle: float, rate: float) -> None:
     """Update the delay of the velocities with a reading."""
     period = rig.period_s
     observer.summed[j] += 0.5 * period * (rate + observer.read[j])
@@ -164,7 +164,7 @@ def _unsure(response: Response, period: float) -> float:
 def observe(
     observer: Observer,
     response: Response,
-    rig: Rig,
+    rig: PredictorModel,
     tick: int,
     j: int,
     before: float,

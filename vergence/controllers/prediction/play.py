@@ -11,8 +11,8 @@ keeps its direction.
 from typing import Final
 
 from vergence._jit import device
-from vergence.controllers.prediction.joints import Rig
-from vergence.controllers.prediction.memory import Memory
+from vergence.controllers.prediction.joints import PredictorModel
+from vergence.controllers.prediction.memory import PredictorState
 from vergence.controllers.prediction.moving import MODELS, Motions
 from vergence.models.packed import PackedHead, joint_per_actuator
 from vergence.models.parts import FloatArray
@@ -35,7 +35,7 @@ _FORGET: Final = 0.98
 
 
 @device
-def cross_play(memory: Memory, p: PackedHead, command: FloatArray) -> None:
+def cross_play(memory: PredictorState, p: PackedHead, command: FloatArray) -> None:
     """Increase the variance of goals whose motors are about to reverse and cross their backlash.
 
     Args:
@@ -64,7 +64,13 @@ def cross_play(memory: Memory, p: PackedHead, command: FloatArray) -> None:
 
 @device
 def play_variance(
-    memory: Memory, rig: Rig, exposed: float, eye: int, joint: int, goal: float, rests: bool
+    memory: PredictorState,
+    rig: PredictorModel,
+    exposed: float,
+    eye: int,
+    joint: int,
+    goal: float,
+    rests: bool,
 ) -> float:
     """Update the backlash estimate with a measured goal; return its contribution to the variance.
 

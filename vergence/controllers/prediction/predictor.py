@@ -27,8 +27,8 @@ from vergence.controllers.freshness import is_fresh
 from vergence.controllers.prediction.aim import aim
 from vergence.controllers.prediction.aiming import aim_ahead, present_error
 from vergence.controllers.prediction.goals import take_image
-from vergence.controllers.prediction.joints import RIG, Rig, joint_rig
-from vergence.controllers.prediction.memory import MEMORY, SIZE, Memory, initial_row, track
+from vergence.controllers.prediction.joints import RIG, PredictorModel, joint_rig
+from vergence.controllers.prediction.memory import MEMORY, SIZE, PredictorState, initial_row, track
 from vergence.controllers.prediction.play import cross_play
 from vergence.controllers.prediction.response import answer_of, longest_latency, when_next_acts
 from vergence.controllers.prediction.swinging import forget, watch
@@ -233,7 +233,12 @@ class Predictor:
 
 @device
 def _see(
-    memory: Memory, rig: Rig, age_s: float, error: FloatArray, p: PackedHead, learn_delay: bool
+    memory: PredictorState,
+    rig: PredictorModel,
+    age_s: float,
+    error: FloatArray,
+    p: PackedHead,
+    learn_delay: bool,
 ) -> None:
     """Update with the newest image if it is new; drop goals not seen for longer than `HOLD_S`."""
     fresh = is_fresh(age_s, memory.image_age_s, rig.period_s)
@@ -253,7 +258,7 @@ def _see(
 
 
 @device
-def _tell(memory: Memory, rig: Rig, p: PackedHead, present: _Present) -> None:
+def _tell(memory: PredictorState, rig: PredictorModel, p: PackedHead, present: _Present) -> None:
     """Fill in the prediction: the state and the angles left to turn when the next command acts."""
     response, direct = memory.response, is_direct(p)
     answer = answer_of(response)
@@ -309,9 +314,9 @@ def _update(
     learn_response: bool,
     present_rows: FloatArray,
 ) -> None:
-    rig: Rig = named(rig_row, RIG)
+    rig: PredictorModel = named(rig_row, RIG)
     for n in range(rows.shape[0]):
-        memory: Memory = named(rows[n][:SIZE], MEMORY)
+        memory: PredictorState = named(rows[n][:SIZE], MEMORY)
         track(memory, rig, p, positions[n], velocities[n], command[n], learn_response)
         _see(memory, rig, age_s[n], error[n], p, learn_delay)
         cross_play(memory, p, command[n])
@@ -327,11 +332,11 @@ def _update(
 @compiled
 def _aim(rows: FloatArray, rig_row: FloatArray, p: PackedHead, present_rows: FloatArray) -> None:
     """Compute the angles left to turn where actuators couple the eyes' joints."""
-    rig: Rig = named(rig_row, RIG)
+    rig: PredictorModel = named(rig_row, RIG)
     goals, then, jacobian = np.zeros(4), np.zeros(4), np.zeros((2, 2, 2))
     later, shown = np.zeros((2, 2)), np.zeros(4)
     for n in range(rows.shape[0]):
-        memory: Memory = named(rows[n][:SIZE], MEMORY)
+        memory: PredictorState = named(rows[n][:SIZE], MEMORY)
         present: _Present = named(present_rows[n], _PRESENT)
         left, right = present.known[0] > 0.5, present.known[1] > 0.5
         if not (left or right):

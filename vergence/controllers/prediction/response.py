@@ -19,7 +19,7 @@ from typing import Annotated, Final
 import numpy as np
 
 from vergence._jit import device
-from vergence.controllers.prediction.joints import Rig
+from vergence.controllers.prediction.joints import PredictorModel
 from vergence.models.joint_pace import follow_pace, pace_of
 from vergence.models.parts import FloatArray
 
@@ -52,7 +52,7 @@ _LEAST_LAG_S: Final = 0.004
 """Lower bound of the prior lag, s (chosen)."""
 
 
-class Answer:
+class ResponseModel:
     """One fitted model of the actuators' response.
 
     Arrays of four that hold parameters are: latency in s, log acceleration ratio, log lag (of s),
@@ -82,7 +82,7 @@ class Answer:
 class Response:
     """State of the identification of a head's response."""
 
-    answers: Annotated[list[Answer], ANSWERS]
+    answers: Annotated[list[ResponseModel], ANSWERS]
     chosen: float
     """Index of the answer in use."""
     evidence: float
@@ -131,13 +131,13 @@ def first_answers(latency_s: float, lag_s: float, learn: bool) -> dict[str, obje
 
 
 @device
-def answer_of(response: Response) -> Answer:
+def answer_of(response: Response) -> ResponseModel:
     """Return the answer in use."""
     return response.answers[np.intp(response.chosen)]
 
 
 @device
-def longest_latency(rig: Rig) -> float:
+def longest_latency(rig: PredictorModel) -> float:
     """Longest latency of commands plus readings that is considered, s.
 
     The ring buffer holds the commands of a window of readings and of this latency before it.
@@ -167,7 +167,7 @@ def mean_at(response: Response, tick: int, j: int) -> float:
 
 
 @device
-def sent(rig: Rig, command: float) -> float:
+def sent(rig: PredictorModel, command: float) -> float:
     """Quantise a command to the motors' resolution; one single step counts as zero."""
     if rig.command_step == 0.0:
         return command
@@ -178,8 +178,8 @@ def sent(rig: Rig, command: float) -> float:
 @device
 def advance(
     response: Response,
-    answer: Answer,
-    rig: Rig,
+    answer: ResponseModel,
+    rig: PredictorModel,
     tick: int,
     j: int,
     q: float,
@@ -200,7 +200,7 @@ def advance(
 
 @device
 def when_next_acts(
-    response: Response, rig: Rig, tick: int, j: int, q: float, v: float, latency: float
+    response: Response, rig: PredictorModel, tick: int, j: int, q: float, v: float, latency: float
 ) -> tuple[float, float, float]:
     """Predict an actuator's state at the time the next command begins to act.
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from vergence._jit import device
 from vergence.controllers.prediction.dating import HYPOTHESES, add_misfit, unlikely
 from vergence.controllers.prediction.following import carry_motions, slip_variances
-from vergence.controllers.prediction.joints import Rig
+from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.jumps import BESIDE, ELSEWHERE, how_far
-from vergence.controllers.prediction.memory import Memory
+from vergence.controllers.prediction.memory import PredictorState
 from vergence.controllers.prediction.moving import (
     WEIGHTS,
     EyeMotion,
@@ -37,8 +37,8 @@ _UNEVEN: Final = 0.5
 
 @device
 def expect_motion(
-    memory: Memory,
-    rig: Rig,
+    memory: PredictorState,
+    rig: PredictorModel,
     exposed: float,
     goals: FloatArray,
     direct: NDArray[np.bool_],
@@ -71,8 +71,8 @@ def expect_motion(
 
 @device
 def tell_apart(
-    memory: Memory,
-    rig: Rig,
+    memory: PredictorState,
+    rig: PredictorModel,
     goals: FloatArray,
     direct: NDArray[np.bool_],
     variance: FloatArray,
@@ -119,7 +119,7 @@ def tell_apart(
 
 
 @device
-def likely_model(memory: Memory) -> int:
+def likely_model(memory: PredictorState) -> int:
     """Index of the motion model with the largest probability."""
     likely = 1
     for m in range(2, WEIGHTS):
@@ -129,8 +129,8 @@ def likely_model(memory: Memory) -> int:
 
 @device
 def follow(
-    memory: Memory,
-    rig: Rig,
+    memory: PredictorState,
+    rig: PredictorModel,
     eye: int,
     low: int,
     high: int,
@@ -191,7 +191,10 @@ def follow(
 
 @device
 def sees_directly(
-    memory: Memory, goals: FloatArray, inferred: NDArray[np.bool_], direct: NDArray[np.bool_]
+    memory: PredictorState,
+    goals: FloatArray,
+    inferred: NDArray[np.bool_],
+    direct: NDArray[np.bool_],
 ) -> None:
     """Set `direct` (2,): True for an eye with a goal (2, 2) of its own and a known target."""
     for eye in range(2):

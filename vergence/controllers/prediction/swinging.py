@@ -11,7 +11,7 @@ from math import exp2, pi, sqrt
 from typing import Annotated, Final
 
 from vergence._jit import device
-from vergence.controllers.prediction.joints import Rig
+from vergence.controllers.prediction.joints import PredictorModel
 from vergence.models.parts import FloatArray
 
 _LEAST_RAD: Final = 0.003
@@ -95,7 +95,13 @@ def begin_watch(swinging: Swinging, eye: int, joint: int, angle: float) -> None:
 
 @device
 def watch(
-    swinging: Swinging, rig: Rig, eye: int, joint: int, angle: float, aim: float, noise: float
+    swinging: Swinging,
+    rig: PredictorModel,
+    eye: int,
+    joint: int,
+    angle: float,
+    aim: float,
+    noise: float,
 ) -> None:
     """Update the detection of oscillation with one eye joint's angle and goal.
 

@@ -26,7 +26,7 @@ from vergence.eval.reporting.section import (
 from vergence.locks import locked
 
 
-class Listener(Protocol):
+class ReproduceListener(Protocol):
     """Callbacks for the progress of a run."""
 
     def begin(self, name: str) -> Progress:
@@ -69,7 +69,7 @@ class _Silent:
 
 
 def reproduce(
-    config: ReproduceConfig, listener: Listener | None = None, mapper: Mapper | None = None
+    config: ReproduceConfig, listener: ReproduceListener | None = None, mapper: Mapper | None = None
 ) -> list[Section]:
     """Run the experiments that are not finished yet, and write tables, figures and report.
 

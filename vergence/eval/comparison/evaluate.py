@@ -15,7 +15,7 @@ from vergence.errors import ConfigurationError, ControllerError
 from vergence.eval.comparison.config import ROBOT, EvaluateConfig
 from vergence.eval.comparison.contestant_job import Failure
 from vergence.eval.comparison.contestants import BASELINE, BOUND
-from vergence.eval.comparison.evaluation import Evaluation, Outcome, row_fields
+from vergence.eval.comparison.evaluation import Evaluation, EvaluationResult, row_fields
 from vergence.eval.comparison.job import EvaluationJob
 from vergence.eval.comparison.lineup import Lineup, line_up
 from vergence.eval.jobs import Mapper, SerialMapper
@@ -25,7 +25,7 @@ __all__ = [
     "BOUND",
     "EvaluateConfig",
     "Evaluation",
-    "Outcome",
+    "EvaluationResult",
     "evaluate",
     "row_fields",
 ]
@@ -72,7 +72,7 @@ def complete(
     config: EvaluateConfig,
     lineup: Lineup,
     mapper: Mapper,
-    found: Sequence[Outcome] = (),
+    found: Sequence[EvaluationResult] = (),
     failed: Sequence[Failure] = (),
     *,
     keep_going: bool,
@@ -97,7 +97,7 @@ def complete(
         for one, fitted in lineup.able[scenario.name]
     ]  # fmt: skip
     results = mapper(jobs)
-    outcomes = [one for one in (*results, *found) if isinstance(one, Outcome)]
+    outcomes = [one for one in (*results, *found) if isinstance(one, EvaluationResult)]
     failures = [one for one in (*results, *failed) if isinstance(one, Failure)]
     if failures and {one.controller for one in outcomes} <= {BASELINE}:
         raise ControllerError(failures[0].message)

@@ -54,7 +54,7 @@ def row_fields(band_px: float) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class EvaluationResult:
     """Results of one controller in one scenario on one plant."""
 
     scenario: str
@@ -86,7 +86,7 @@ class Evaluation:
     """All outcomes."""
 
     config: EvaluateConfig
-    outcomes: list[Outcome]
+    outcomes: list[EvaluationResult]
     notes: list[str] = field(default_factory=list)
     """Notes on controllers and plants that are left out, and on untuned controllers."""
     failures: list[str] = field(default_factory=list)
@@ -127,9 +127,9 @@ class Evaluation:
                 rows.append(limit | {"head": group[0].head.name})
         return rows
 
-    def groups(self) -> dict[tuple[str, str], list[Outcome]]:
+    def groups(self) -> dict[tuple[str, str], list[EvaluationResult]]:
         """Outcomes by scenario and plant."""
-        found: dict[tuple[str, str], list[Outcome]] = {}
+        found: dict[tuple[str, str], list[EvaluationResult]] = {}
         for one in self.outcomes:
             found.setdefault((one.scenario, one.plant), []).append(one)
         return found

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vergence.eval.comparison.contestants import BASELINE, BOUND
-from vergence.eval.comparison.evaluation import Evaluation, Outcome
+from vergence.eval.comparison.evaluation import Evaluation, EvaluationResult
 from vergence.eval.comparison.statistics import median
 from vergence.eval.comparison.style import controller_styles, draw_line, shared_legend
 from vergence.eval.comparison.summary import counted, of_bound
@@ -87,7 +87,7 @@ def _height(entries: int, panel: float) -> float:
     return panel + 0.27 * math.ceil(entries / 4)
 
 
-def _draw_settle_times(group: list[Outcome], where: str) -> Figure:
+def _draw_settle_times(group: list[EvaluationResult], where: str) -> Figure:
     """Cumulative distribution of settle times, to the trial's end; a marker for the unsettled."""
     styles = controller_styles([*(one.controller for one in group), BOUND])
     duration, band = group[0].duration_s, Band(group[0].band_px)
@@ -124,7 +124,7 @@ def _draw_settle_times(group: list[Outcome], where: str) -> Figure:
     return figure
 
 
-def _draw_errors(group: list[Outcome], where: str) -> Figure:
+def _draw_errors(group: list[EvaluationResult], where: str) -> Figure:
     """The worse eye's error over time: median and 95th percentile of the trials."""
     styles = controller_styles([one.controller for one in group])
     figure = new_figure(9.0, _height(len(styles), 4.2))
@@ -149,18 +149,18 @@ def _draw_errors(group: list[Outcome], where: str) -> Figure:
     return figure
 
 
-def _last_s(group: list[Outcome]) -> float:
+def _last_s(group: list[EvaluationResult]) -> float:
     """Last time of a group's curves, s."""
     return max(float(one.curves["time_s"].iloc[-1]) for one in group)
 
 
-def _least_late_error(group: list[Outcome]) -> float:
+def _least_late_error(group: list[EvaluationResult]) -> float:
     """The least median error of any controller in the later half of the trials, px."""
     late = [one.curves[one.curves["time_s"] > 0.5 * _last_s(group)] for one in group]
     return max(1e-3, min(float(curve["error_p50_px"].min()) for curve in late))
 
 
-def _draw_gains(group: list[Outcome], where: str) -> Figure:
+def _draw_gains(group: list[EvaluationResult], where: str) -> Figure:
     """Effective gain of each controller, by image error and by time."""
     styles = controller_styles([one.controller for one in group])
     figure = new_figure(9.0, _height(len(styles), 4.2))
@@ -182,7 +182,7 @@ def _draw_gains(group: list[Outcome], where: str) -> Figure:
     return figure
 
 
-def _draw_delays(group: list[Outcome], where: str) -> Figure:
+def _draw_delays(group: list[EvaluationResult], where: str) -> Figure:
     """Settled fraction and median settle time by the true delay of the trials."""
     styles = controller_styles([one.controller for one in group])
     figure = new_figure(9.0, _height(len(styles), 4.2))
@@ -228,7 +228,7 @@ def _by_delay(trials: pd.DataFrame, band_px: float) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["latency_s", "settled", "settle_s"])
 
 
-def _draw_triangulation(group: list[Outcome], where: str) -> Figure:
+def _draw_triangulation(group: list[EvaluationResult], where: str) -> Figure:
     """Distance of the gaze fix from the target over time."""
     styles = controller_styles([one.controller for one in group])
     figure = new_figure(9.0, _height(len(styles), 4.0))

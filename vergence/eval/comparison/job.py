@@ -10,7 +10,7 @@ from vergence.controllers.ibvs import IBVS
 from vergence.controllers.tuned_ibvs import TunedIBVS
 from vergence.eval.comparison.contestant_job import ContestantJob, Made
 from vergence.eval.comparison.contestants import BASELINE
-from vergence.eval.comparison.evaluation import Outcome
+from vergence.eval.comparison.evaluation import EvaluationResult
 from vergence.eval.comparison.summary import summarise
 from vergence.eval.trials.curves import effective_gains, error_curves, single_predict_us
 from vergence.eval.trials.results import Trials
@@ -22,7 +22,7 @@ head (chosen: memory against samples)."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvaluationJob(ContestantJob[Outcome]):
+class EvaluationJob(ContestantJob[EvaluationResult]):
     """Run and summarise all trials of one controller in one scenario on one plant.
 
     A thousand trials take seconds, and the result is small. Smaller jobs would not balance the load
@@ -30,7 +30,7 @@ class EvaluationJob(ContestantJob[Outcome]):
     controller in one process.
     """
 
-    def _find(self, made: Made) -> Outcome:
+    def _find(self, made: Made) -> EvaluationResult:
         controller, options, head, layout = made
         if self.contestant.source in ("ibvs", BASELINE):
             options |= _gain_of(controller)
@@ -49,7 +49,7 @@ class EvaluationJob(ContestantJob[Outcome]):
             "predict_us": trials.predict_us,
             "predict_one_us": single_predict_us(controller, trials.observation),
         }
-        return Outcome(
+        return EvaluationResult(
             scenario=self.scenario.name,
             plant=self.plant,
             controller=self.contestant.label,

@@ -5,7 +5,7 @@ from operator import itemgetter
 from typing import Any, Final
 
 from vergence.eval.comparison.contestants import BASELINE, BOUND
-from vergence.eval.comparison.evaluation import Evaluation, Outcome
+from vergence.eval.comparison.evaluation import Evaluation, EvaluationResult
 from vergence.eval.comparison.options import UNTUNED
 from vergence.eval.comparison.summary import SWINGING
 from vergence.eval.head_summary import LEAST_RESIDUAL_PX
@@ -67,7 +67,7 @@ def tables(evaluation: Evaluation) -> list[ReportTable]:
     return found
 
 
-def _columns(group: list[Outcome]) -> list[str]:
+def _columns(group: list[EvaluationResult]) -> list[str]:
     """Column titles; the column of ratios says if the baseline is untuned or has given options."""
     columns = list(MOVING_COLUMNS if group[0].moving else SETTLING_COLUMNS)
     if not group[0].moving and group[0].band_px != 1.0:
@@ -82,12 +82,12 @@ def _columns(group: list[Outcome]) -> list[str]:
     return [ratios.get(column, column) for column in columns]
 
 
-def has_residual(group: list[Outcome]) -> bool:
+def has_residual(group: list[EvaluationResult]) -> bool:
     """True if a target at rest has a residual: a least error that the head can reach above 0."""
     return bool((group[0].trials["residual_px"] >= LEAST_RESIDUAL_PX).any())
 
 
-def _mark_of_baseline(group: list[Outcome]) -> str:
+def _mark_of_baseline(group: list[EvaluationResult]) -> str:
     """Mark of the baseline's options: given or untuned; empty otherwise."""
     baseline = next((one for one in group if one.controller == BASELINE), None)
     if baseline is None:
@@ -97,12 +97,12 @@ def _mark_of_baseline(group: list[Outcome]) -> str:
     return UNTUNED if baseline.tuned is False else ""
 
 
-def _named_baseline(group: list[Outcome]) -> str:
+def _named_baseline(group: list[EvaluationResult]) -> str:
     mark = _mark_of_baseline(group)
     return f"{BASELINE}, {mark}," if mark else BASELINE
 
 
-def _settling_row(row: dict[str, Any], group: list[Outcome]) -> list[str]:
+def _settling_row(row: dict[str, Any], group: list[EvaluationResult]) -> list[str]:
     band = Band(group[0].band_px)
     return [
         _label(row),

@@ -6,7 +6,7 @@ from typing import Any, Final
 from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.eval.margins.config import MarginsConfig
 from vergence.eval.margins.measure import Point
-from vergence.eval.margins.ranges import Range
+from vergence.eval.margins.ranges import SearchInterval
 from vergence.models.head import HeadModel
 
 ENDS: Final = ("settles_low", "settles_high", "doubles_low", "doubles_high")
@@ -26,7 +26,7 @@ class Margin:
     controller: str
     scenario: str
     imperfection: str
-    range: Range
+    range: SearchInterval
     """Searched range."""
     settles_low: float | None
     """Low end of the range in which 99 % of the trials that settle in the unmodified scenario still

@@ -37,7 +37,7 @@ SEARCHED: Final = {
 An imperfection that each actuator has of its own gets the same value for all of them."""
 
 
-class Range(NamedTuple):
+class SearchInterval(NamedTuple):
     """Search range of one imperfection's margins in one scenario, with the expected value."""
 
     low: float
@@ -47,7 +47,7 @@ class Range(NamedTuple):
     high: float
 
 
-def range_of(name: str, scenario: Scenario, head: HeadModel) -> Range:
+def range_of(name: str, scenario: Scenario, head: HeadModel) -> SearchInterval:
     """Search range of an imperfection's margins, widened to hold the expected value.
 
     Args:
@@ -60,7 +60,7 @@ def range_of(name: str, scenario: Scenario, head: HeadModel) -> Range:
     if drawn is not None:
         expected = min(max(expected, drawn[0]), drawn[1])
     searched = SEARCHED[name]
-    return Range(min(searched.least, expected), expected, max(searched.most, expected))
+    return SearchInterval(min(searched.least, expected), expected, max(searched.most, expected))
 
 
 def matters(name: str, scenario: Scenario) -> bool:

@@ -17,13 +17,13 @@ from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, ControllerError, HardwareError
 from vergence.eval.comparison.config import ROBOT
 from vergence.eval.comparison.contestant_job import Failure
-from vergence.eval.comparison.evaluation import Outcome
+from vergence.eval.comparison.evaluation import EvaluationResult
 from vergence.eval.comparison.lineup import Lineup
 from vergence.eval.reporting.runs import versions
 from vergence.eval.robot.controller import RobotController
 from vergence.eval.robot.judge import RobotJob, missed_periods
-from vergence.eval.robot.sessions import Entry, Key, Recorded, Sessions
-from vergence.eval.robot.stage import Stage
+from vergence.eval.robot.sessions import Entry, RecordedTrial, Sessions, TrialKey
+from vergence.eval.robot.stage import TargetStage
 from vergence.eval.trials.run import periods
 from vergence.eval.trials.scenarios import Scenario
 from vergence.hardware.config import HardwareConfig
@@ -38,7 +38,7 @@ class RobotRun:
 
     lineup: Lineup
     hardware: HardwareConfig
-    stage: Stage
+    stage: TargetStage
     """Places the targets."""
     sessions: Sessions
     """The record of logs and completed trials."""
@@ -85,7 +85,7 @@ class RobotRun:
             check(self.hardware)
         progress(len(done), total)
 
-        def one_more(key: Key) -> None:
+        def one_more(key: TrialKey) -> None:
             done.add(key)
             progress(len(done), total)
 
@@ -96,7 +96,7 @@ class RobotRun:
         return failed
 
     def _ready(
-        self, scenario: Scenario, recorded: dict[Key, Recorded]
+        self, scenario: Scenario, recorded: dict[TrialKey, RecordedTrial]
     ) -> dict[str, RobotController]:
         """Make the controllers, by label; refuse one that differs from its earlier trials."""
         found = {}
@@ -117,7 +117,7 @@ class RobotRun:
             found[contestant.label] = made
         return found
 
-    def recorded(self) -> dict[Key, Recorded]:
+    def recorded(self) -> dict[TrialKey, RecordedTrial]:
         """Read the completed trials of this run."""
         head = self.hardware.head
         steps = {one.name: periods(one, head, simulated=False)[1] for one in self.scenarios}
@@ -130,8 +130,8 @@ class RobotRun:
         return {key: one for key, one in found.items() if key.trial < self.episodes}
 
     def outcomes(
-        self, recorded: Mapping[Key, Recorded], failed: list[Failure], *, keep_going: bool
-    ) -> list[Outcome]:
+        self, recorded: Mapping[TrialKey, RecordedTrial], failed: list[Failure], *, keep_going: bool
+    ) -> list[EvaluationResult]:
         """Judge the trials of all controllers that have not failed.
 
         Args:
@@ -145,7 +145,7 @@ class RobotRun:
             for contestant, fitted in self.lineup.able[scenario.name]:
                 if (scenario.name, contestant.label) in without:
                     continue
-                keys = (Key(scenario.name, contestant.label, i) for i in range(self.episodes))
+                keys = (TrialKey(scenario.name, contestant.label, i) for i in range(self.episodes))
                 job = RobotJob(
                     contestant=contestant, fitted=fitted, scenario=scenario, plant=ROBOT,
                     head=self.hardware.head, episodes=self.episodes, seed=self.seed,
@@ -159,7 +159,7 @@ class RobotRun:
                     found.append(outcome)
         return found
 
-    def note(self, recorded: Mapping[Key, Recorded]) -> str:
+    def note(self, recorded: Mapping[TrialKey, RecordedTrial]) -> str:
         """Note for the report: the robot, its bound, missed control periods, stopped trials."""
         hardware = self.hardware
         logged = [one.trial for one in recorded.values()]
@@ -197,12 +197,12 @@ class _Connection:
         self._run, self._scenario, self._ready = run, scenario, ready
         self._failed, self._keep_going = failed, keep_going
 
-    def run(self, done: set[Key], one_more: Callable[[Key], None]) -> None:
+    def run(self, done: set[TrialKey], one_more: Callable[[TrialKey], None]) -> None:
         """Run the missing trials."""
         run, name = self._run, self._scenario.name
         todo = []
         for trial in range(run.episodes):
-            keys = [Key(name, label, trial) for label in self._ready]
+            keys = [TrialKey(name, label, trial) for label in self._ready]
             missing = [key for key in keys if key not in done]
             # if a target cannot be placed again, all controllers repeat the trial
             todo += keys if missing and not run.stage.repeatable else missing
@@ -225,7 +225,11 @@ class _Connection:
                 self._go(task, todo, log, one_more)
 
     def _go(
-        self, task: GazeTask, todo: list[Key], log: LogWriter, one_more: Callable[[Key], None]
+        self,
+        task: GazeTask,
+        todo: list[TrialKey],
+        log: LogWriter,
+        one_more: Callable[[TrialKey], None],
     ) -> None:
         run = self._run
         assert isinstance(task.plant, HardwarePlant)

@@ -14,7 +14,7 @@ from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.eval.comparison.job import EvaluationJob
 from vergence.eval.comparison.own_code import blamed
-from vergence.eval.robot.sessions import Recorded
+from vergence.eval.robot.sessions import RecordedTrial
 from vergence.eval.robot.stage import REST
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.results import Trials, join
@@ -40,7 +40,7 @@ class RobotJob(EvaluationJob):
     """Job for the outcome of one controller in one scenario, from trials in a robot's logs."""
 
     hardware: HardwareConfig
-    recorded: tuple[Recorded, ...]
+    recorded: tuple[RecordedTrial, ...]
     """The recorded trials, in order of their numbers."""
 
     def _trials(self, controller: Controller, scenario: Scenario, *, observed: int = 0) -> Trials:

@@ -27,7 +27,7 @@ _ASKED: Final = "asked.json"
 _JOURNAL: Final = "journal.jsonl"
 
 
-class Key(NamedTuple):
+class TrialKey(NamedTuple):
     """Identity of a trial in an evaluation."""
 
     scenario: str
@@ -75,13 +75,13 @@ class Entry:
             raise TypeError(f"a point of {len(point)} numbers")
 
     @property
-    def key(self) -> Key:
+    def key(self) -> TrialKey:
         """Identity of the trial."""
-        return Key(self.scenario, self.controller, self.trial)
+        return TrialKey(self.scenario, self.controller, self.trial)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recorded:
+class RecordedTrial:
     """A completed trial: its journal entry and its log."""
 
     entry: Entry
@@ -173,7 +173,7 @@ class Sessions:
         """Number of completed trials."""
         return len({entry.key for entry in self._entries()})
 
-    def whole(self, steps: Callable[[str], int]) -> dict[Key, Recorded]:
+    def whole(self, steps: Callable[[str], int]) -> dict[TrialKey, RecordedTrial]:
         """Read the completed trials, by their identity.
 
         Args:
@@ -195,7 +195,7 @@ class Sessions:
             logged = [one for one in trials(entry.log) if one.number == entry.number]
             # after a kill the journal may have a trial that the log lacks
             if logged and logged[0].steps >= (1 if entry.stopped else steps(entry.scenario)):
-                found[entry.key] = Recorded(entry=entry, trial=logged[0])
+                found[entry.key] = RecordedTrial(entry=entry, trial=logged[0])
         return found
 
     def _entries(self) -> Iterator[Entry]:

@@ -29,7 +29,7 @@ REST: Final = {"kind": "static", "point": (0.0, 0.0, 1.0)}
 """The task's target for a robot; it only makes trials begin at rest."""
 
 
-class Stage(ABC):
+class TargetStage(ABC):
     """Provides the target of each trial."""
 
     name: str
@@ -75,7 +75,7 @@ class Stage(ABC):
         """
 
 
-class EmulatorStage(Stage):
+class EmulatorStage(TargetStage):
     """Stage of an emulated head, in whose world the task's own targets appear."""
 
     name = "emulator"
@@ -83,7 +83,7 @@ class EmulatorStage(Stage):
     emulated = True
 
     def target(self, scenario: Assignment) -> Mapping[str, Any]:
-        """See `Stage.target`."""
+        """See `TargetStage.target`."""
         kind = str(scenario.target.get("kind"))
         if kind in _JUMPS:
             raise ConfigurationError(
@@ -93,11 +93,11 @@ class EmulatorStage(Stage):
         return scenario.target
 
     def place(self, plant: Plant, trial: int) -> FloatArray:
-        """See `Stage.place`; the plant does it as the trial begins."""
+        """See `TargetStage.place`; the plant does it as the trial begins."""
         return np.full(3, np.nan)
 
 
-class PlacesStage(Stage):
+class PlacesStage(TargetStage):
     """Tags at measured places, another one in each trial.
 
     Args:
@@ -115,7 +115,7 @@ class PlacesStage(Stage):
         self._order = np.random.default_rng(seed).permutation(len(places))
 
     def place(self, plant: Plant, trial: int) -> FloatArray:
-        """See `Stage.place`."""
+        """See `TargetStage.place`."""
         assert isinstance(plant, HardwarePlant)
         place = self._places[self._order[trial % len(self._order)]]
         plant.look_for(place.target)
@@ -123,7 +123,7 @@ class PlacesStage(Stage):
         return point
 
 
-class HandStage(Stage):
+class HandStage(TargetStage):
     """A target that a person moves.
 
     Args:
@@ -138,18 +138,18 @@ class HandStage(Stage):
         self._ask = ask
 
     def check(self) -> None:
-        """See `Stage.check`."""
+        """See `TargetStage.check`."""
         if not _watched():
             raise ConfigurationError("stage: expected a terminal for --stage hand, got none")
 
     def place(self, plant: Plant, trial: int) -> FloatArray:
-        """See `Stage.place`."""
+        """See `TargetStage.place`."""
         plant.prepare()
         self._ask(f"trial {trial + 1}: move the target, then press Enter ")
         return np.full(3, np.nan)
 
 
-class StillStage(Stage):
+class StillStage(TargetStage):
     """A target that stands still."""
 
     name = "still"
@@ -158,11 +158,11 @@ class StillStage(Stage):
     )
 
     def place(self, plant: Plant, trial: int) -> FloatArray:
-        """See `Stage.place`."""
+        """See `TargetStage.place`."""
         return np.full(3, np.nan)
 
 
-def make_stage(name: str | None, hardware: HardwareConfig, seed: int = 0) -> Stage:
+def make_stage(name: str | None, hardware: HardwareConfig, seed: int = 0) -> TargetStage:
     """Make the stage before a robot.
 
     Args:

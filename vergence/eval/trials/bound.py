@@ -87,7 +87,7 @@ def settle_bound(
         slack,
         np.ascontiguousarray(moved.actuators_of(truth.positions)[:, EYES]),
         np.ascontiguousarray(truth.motors[:, EYES]),
-        bare(Motors.of(moved)),
+        bare(MotorLimits.of(moved)),
         bare(Able.of(conditions)),
         period,
         motion_s,
@@ -103,7 +103,7 @@ def settle_bound(
     return np.where(inside, 0.0, settled * period - simulation.onset_s())
 
 
-class Motors(NamedTuple):
+class MotorLimits(NamedTuple):
     """Motion limits of the eyes' actuators, (4,) each."""
 
     lower: FloatArray
@@ -118,7 +118,7 @@ class Motors(NamedTuple):
     """Lags, as ratios to the head's lag."""
 
     @classmethod
-    def of(cls, actuation: Actuation) -> "Motors":
+    def of(cls, actuation: Actuation) -> "MotorLimits":
         """Take the limits of a head's eye actuators."""
         return cls(
             *(
@@ -169,7 +169,7 @@ def _motion_times(
     slack: FloatArray,
     start: FloatArray,
     begin: FloatArray,
-    motors: Motors,
+    motors: MotorLimits,
     able: Able,
     period: float,
     times: FloatArray,
@@ -181,12 +181,12 @@ def _motion_times(
         slack: (n, 4) largest deviations from the goals, rad.
         start: (n, 4) present angles of the actuators, rad.
         begin: (n, 4) present angles of their motors, within the backlash, rad.
-        motors: `Motors`, made `bare`.
+        motors: `MotorLimits`, made `bare`.
         able: `Able`, made `bare`.
         period: the control period, s.
         times: (n,) result, s.
     """
-    motors, able = Motors(*motors), Able(*able)
+    motors, able = MotorLimits(*motors), Able(*able)
     for n in range(times.shape[0]):
         times[n] = 0.0
         for k in range(SLOTS):

@@ -30,7 +30,7 @@ MOST_POINTS: Final = 5000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Search:
+class SearchSpec:
     """The search space, settings and storage of a study.
 
     Raises:
@@ -84,7 +84,7 @@ class Search:
 
 
 def run_search(
-    search: Search,
+    search: SearchSpec,
     objective: Objective,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Attempt]:
@@ -126,7 +126,7 @@ def run_search(
 
 def _fill(
     study: Study,
-    search: Search,
+    search: SearchSpec,
     objective: Objective,
     progress: Callable[[int, int], None],
 ) -> VergenceError | None:
@@ -168,7 +168,7 @@ def _count(study: Study) -> int:
     return len(points) if study.user_attrs.get("grid") else len(trials)
 
 
-def _check_setting(study: Study, search: Search) -> None:
+def _check_setting(study: Study, search: SearchSpec) -> None:
     """Refuse to resume a study with different settings."""
     setting = {**search.setting, "grid": search.grid, "seed": search.seed}
     setting["spans"] = {name: list(span) for name, span in search.spans.items()}

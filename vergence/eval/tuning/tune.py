@@ -16,7 +16,7 @@ from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.figures import draw_search
 from vergence.eval.tuning.objective import Attempt, Objective
 from vergence.eval.tuning.spaces import Span, first_point, is_grid
-from vergence.eval.tuning.study import Search, run_search
+from vergence.eval.tuning.study import SearchSpec, run_search
 from vergence.eval.tuning.study_storage import without_password
 from vergence.files import whole_files
 from vergence.locks import locked
@@ -73,7 +73,7 @@ def tune(
     )
     keys = ("controller", "scenario", "plant", "episodes", "steps")
     band = {} if scenario.moving else {"band_px": scenario.band_px}
-    search = Search(
+    search = SearchSpec(
         name=config.name,
         storage=config.storage_in(folder),
         spans=spans,

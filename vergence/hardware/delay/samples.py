@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vergence.models.parts import FloatArray
-from vergence.recording.listener import Listener
+from vergence.recording.listener import RobotListener
 from vergence.recording.schema import Asked, LoggedCommand, LoggedDetection
 
 
@@ -32,7 +32,7 @@ class Samples(NamedTuple):
     """(k,) from an image's receipt to the end of the search in it, s."""
 
 
-class Collector(Listener):
+class Collector(RobotListener):
     """Keeps what happens from its making on.
 
     Args:
@@ -48,17 +48,17 @@ class Collector(Listener):
         self._detections: list[LoggedDetection] = []
 
     def command(self, command: LoggedCommand) -> None:
-        """See `Listener.command`."""
+        """See `RobotListener.command`."""
         self._commands.append(command)
 
     def joints(self, clock_s: float, positions: FloatArray, velocities: FloatArray) -> None:
-        """See `Listener.joints`."""
+        """See `RobotListener.joints`."""
         self._joints.append((clock_s, positions))
         self._answered_s.append(self._clock() - clock_s)
         self._newest = positions
 
     def detection(self, found: LoggedDetection) -> None:
-        """See `Listener.detection`."""
+        """See `RobotListener.detection`."""
         self._detections.append(found)
 
     @property

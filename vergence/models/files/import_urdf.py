@@ -15,8 +15,8 @@ from vergence.models.files.joints_toml import frame_between
 from vergence.models.files.robot_description.actuators import (
     Coupling,
     EyeJoint,
+    MotionLimits,
     Motor,
-    Range,
     motors,
 )
 from vergence.models.files.robot_description.camera_axes import (
@@ -221,7 +221,7 @@ def _turned(rotation: FloatArray) -> FloatArray:
 def _motors(
     chains: HeadChains,
     eyes: Sequence[EyeAtZero],
-    ranges: Mapping[str, Range],
+    ranges: Mapping[str, MotionLimits],
     couplings: Sequence[Coupling],
 ) -> list[Motor]:
     """Motors of the eyes; empty if each joint has its own."""

@@ -1,7 +1,7 @@
 """Actuators of the eyes for a simulator that has only joints and tendons.
 
 An actuator turns one joint of its own, or several, as a version does. If the eyes have fewer
-actuators than joints, some joints follow others; a `Tie` describes such a coupled joint.
+actuators than joints, some joints follow others; a `JointCoupling` describes such a coupled joint.
 """
 
 from collections.abc import Sequence

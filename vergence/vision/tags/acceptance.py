@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from vergence.models.tag_families import CORRECTED_BITS, TagFamilyCode
 from vergence.vision.tags.decoding import decode
 from vergence.vision.tags.library import FoundSquare
-from vergence.vision.tags.report import Fit
+from vergence.vision.tags.report import TagFit
 
 LEAST_EDGE_PX: Final = 8.0
 """Shortest edge of a tag that is read, px (chosen: smaller tags against clutter)."""
@@ -41,7 +41,7 @@ _BENT_UNCLEAR: Final = 0.25
 as many tags with a covered side)."""
 
 
-def reads_as_tag(fit: Fit, code: TagFamilyCode) -> bool:
+def reads_as_tag(fit: TagFit, code: TagFamilyCode) -> bool:
     """Check that a fit is the tag that was asked for.
 
     Args:
@@ -60,7 +60,7 @@ def reads_as_tag(fit: Fit, code: TagFamilyCode) -> bool:
     return fit.rim >= _LEAST_RIM
 
 
-def may_be_bent(fit: Fit) -> bool:
+def may_be_bent(fit: TagFit) -> bool:
     """Check if a refused fit may be of a tag on bent paper.
 
     Args:

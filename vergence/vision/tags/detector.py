@@ -23,7 +23,7 @@ from vergence.vision.tags.acceptance import (
 from vergence.vision.tags.decoding import decode
 from vergence.vision.tags.fit import fit_tag
 from vergence.vision.tags.library import FoundSquare, find_squares
-from vergence.vision.tags.report import Fit
+from vergence.vision.tags.report import TagFit
 
 _OPENCV: Final = {
     "36h11": cv2.aruco.DICT_APRILTAG_36h11,
@@ -269,7 +269,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         steps: tuple[int, int, int],
         most: tuple[int, int],
         quiet: float = 1.0,
-    ) -> tuple[Detection | None, Fit]:
+    ) -> tuple[Detection | None, TagFit]:
         """Fit a tag once; the tag if it reads as one, and the fit."""
         code = self._code
         points, sigmas = np.empty((5, 2)), np.empty((5, 2))

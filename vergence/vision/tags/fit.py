@@ -37,15 +37,15 @@ from vergence.models.parts import FloatArray
 from vergence.vision.plane import View, ideal_of, look_along, ray_at
 from vergence.vision.tags.bend import size_of_bend, usual_bow
 from vergence.vision.tags.normal import variance_of_blocks
-from vergence.vision.tags.report import NOTHING, Fit, report
-from vergence.vision.tags.stages import ALL, BEND, NARROW, WIDE, Stage, begin_stage, scale_of
+from vergence.vision.tags.report import NOTHING, TagFit, report
+from vergence.vision.tags.stages import ALL, BEND, NARROW, WIDE, FitStage, begin_stage, scale_of
 from vergence.vision.tags.steps import Compared, begin_steps, compare, improve
 from vergence.vision.tags.workspace import (
     BOWS,
     SPREAD,
     UNKNOWNS,
-    Sight,
-    Sought,
+    FitState,
+    SearchRegion,
     TagPrint,
     make_room,
     sides_of,
@@ -109,7 +109,7 @@ def fit_tag(
     start: FloatArray,
     points: FloatArray,
     sigmas: FloatArray,
-) -> Fit:
+) -> TagFit:
     """Fit a tag's edges, and read its cells.
 
     Args:
@@ -136,7 +136,7 @@ def fit_tag(
         return NOTHING
     camera, tag = camera_at(row, 0), TagPrint(cells, border, quiet)
     sight = _look(image, light, rays, camera, border, start)
-    sought = Sought(
+    sought = FitState(
         np.empty((4, 2)), np.empty((3, 3)), np.empty((3, 3)), np.empty(2),
         np.zeros(UNKNOWNS - SPREAD),
     )  # fmt: skip
@@ -145,7 +145,7 @@ def fit_tag(
         sought.corners[k, 0], sought.corners[k, 1] = u, v
     scale = scale_of(sought.corners, border, most[1])
     room = make_room(max(most[0], most[1]), scale.along * scale.along)
-    stage, left = Stage(0, 0, False), Compared(0.0, 0.0, 0.0)
+    stage, left = FitStage(0, 0, False), Compared(0.0, 0.0, 0.0)
     far = variance = bow = 0.0
     used = BOWS
     for which in range(4):
@@ -211,7 +211,7 @@ def _look(
     camera: CameraRow,
     border: int,
     start: FloatArray,
-) -> Sight:
+) -> SearchRegion:
     """Image region around the corners, and an undistorted plane across the rays to them."""
     view = View(len(rays) > 0, np.empty((3, 3)), np.empty((3, 3)))
     if view.lens:
@@ -225,7 +225,7 @@ def _look(
         left, right = min(left, start[k, 0]), max(right, start[k, 0])
         top, bottom = min(top, start[k, 1]), max(bottom, start[k, 1])
     margin = _BOUNDS_PX + max(right - left, bottom - top) / border
-    return Sight(
+    return SearchRegion(
         image, light, rays, view,
         int(left - margin), int(right + margin), int(top - margin), int(bottom + margin),
     )  # fmt: skip

@@ -6,7 +6,7 @@ from typing import Final
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import through
-from vergence.vision.tags.workspace import Sight, Sought, TagPrint, sides_of
+from vergence.vision.tags.workspace import FitState, SearchRegion, TagPrint, sides_of
 
 _LEAST_SCALE: Final = 0.4
 """Lower bound of the image scale at the far end of an edge, as a fraction of the mean scale of the
@@ -26,9 +26,9 @@ against objects behind the zone)."""
 
 @subroutine
 def gather_pixels(
-    sight: Sight,
+    sight: SearchRegion,
     tag: TagPrint,
-    sought: Sought,
+    sought: FitState,
     reach_px: float,
     unseen_px: float,
     whole: bool,

@@ -32,7 +32,7 @@ _EDGE_BLURS: Final = 1.4
 above)."""
 
 
-class Reading(NamedTuple):
+class CellReading(NamedTuple):
     """Counts of a print's cells that are read wrong or not clearly."""
 
     wrong: int
@@ -61,7 +61,7 @@ def read_cells(
     ring: int,
     ring_counts: bool,
     greys: FloatArray,
-) -> Reading:
+) -> CellReading:
     """Compare the cells in the image with the print.
 
     Args:
@@ -149,4 +149,4 @@ def read_cells(
     most = 0.0
     for k in range(4):
         most = max(most, unclear[k] / max(compared[k], 1.0))
-    return Reading(wrong, frame, most)
+    return CellReading(wrong, frame, most)

@@ -11,28 +11,28 @@ from vergence.models.parts import FloatArray
 from vergence.vision.plane import View, grey_at, seen_at, through
 from vergence.vision.tags.bend import bend_at
 from vergence.vision.tags.cholesky import solve
-from vergence.vision.tags.reading import Reading, read_cells
+from vergence.vision.tags.reading import CellReading, read_cells
 from vergence.vision.tags.stages import Scale
 from vergence.vision.tags.steps import Compared
 from vergence.vision.tags.workspace import (
     UNKNOWNS,
     Blocks,
+    FitState,
     Room,
-    Sight,
-    Sought,
+    SearchRegion,
     TagPrint,
     place_of,
 )
 
 
-class Fit(NamedTuple):
+class TagFit(NamedTuple):
     """Quality of a fit."""
 
     contrast: float
     """Mean contrast of all blocks, grey levels of light; 0 if nothing was fitted."""
     explained: float
     """Fraction of the variance near the edges that the print explains."""
-    reading: Reading
+    reading: CellReading
     moved_px: float
     """Largest distance, along u or v, of a corner from its expected position."""
     sigma_px: float
@@ -42,7 +42,7 @@ class Fit(NamedTuple):
     sharp print, 0 if the border is wider than the square."""
 
 
-NOTHING: Final = Fit(0.0, 0.0, Reading(0, 0, 0.0), 0.0, 0.0, 0.0)
+NOTHING: Final = TagFit(0.0, 0.0, CellReading(0, 0, 0.0), 0.0, 0.0, 0.0)
 """Result of a fit that failed (numerical)."""
 _BEFORE_CELLS: Final = 0.5
 """Distance inside a side at which light is sampled, cells (chosen: the middle of the border)."""
@@ -53,11 +53,11 @@ cell is still white there (chosen: such zones against blur)."""
 
 @subroutine
 def report(
-    sight: Sight,
+    sight: SearchRegion,
     camera: CameraRow,
     tag: TagPrint,
     scale: Scale,
-    sought: Sought,
+    sought: FitState,
     room: Room,
     last: Compared,
     number: int,
@@ -67,7 +67,7 @@ def report(
     start: FloatArray,
     points: FloatArray,
     sigmas: FloatArray,
-) -> Fit:
+) -> TagFit:
     """Report a fit that has converged.
 
     Args:
@@ -110,11 +110,13 @@ def report(
     reading = _read(sight, camera, tag, scale, sought)
     share = explained / (explained + last.unexplained)
     rim = _step_across_sides(sight, camera, tag, sought) / last.contrast
-    return Fit(last.contrast, share, reading, moved, largest, rim)
+    return TagFit(last.contrast, share, reading, moved, largest, rim)
 
 
 @subroutine
-def _step_across_sides(sight: Sight, camera: CameraRow, tag: TagPrint, sought: Sought) -> float:
+def _step_across_sides(
+    sight: SearchRegion, camera: CameraRow, tag: TagPrint, sought: FitState
+) -> float:
     """Mean step of the light across the square's sides, positive if its sign is as printed."""
     first, cell = (len(tag.cells) - tag.border) // 2, 2.0 / tag.border
     before, beyond = 1.0 - _BEFORE_CELLS * cell, 1.0 + _BEYOND_CELLS * cell
@@ -131,7 +133,9 @@ def _step_across_sides(sight: Sight, camera: CameraRow, tag: TagPrint, sought: S
 
 
 @subroutine
-def _light_at(sight: Sight, camera: CameraRow, sought: Sought, x: float, y: float) -> float:
+def _light_at(
+    sight: SearchRegion, camera: CameraRow, sought: FitState, x: float, y: float
+) -> float:
     """Light at a point of the tag's plane, half edges; 0 outside of the image."""
     dx, dy = bend_at(sought.bent, x, y)
     u, v = through(sought.H, x - dx, y - dy)
@@ -153,13 +157,15 @@ def _explained(blocks: Blocks, number: int) -> float:
 
 
 @subroutine
-def _read(sight: Sight, camera: CameraRow, tag: TagPrint, scale: Scale, sought: Sought) -> Reading:
+def _read(
+    sight: SearchRegion, camera: CameraRow, tag: TagPrint, scale: Scale, sought: FitState
+) -> CellReading:
     """Read a tag's cells; without the quiet zone's levels if fewer cells are wrong without."""
     cells, border = tag.cells, float(tag.border)
     offset = 0.5 * (len(cells) - tag.border)
     ring, greys = 1 if len(cells) == tag.border + 2 else 0, np.empty(cells.shape)
     blur = max(sought.blurs[0], sought.blurs[1]) / scale.cell_px
-    reading = Reading(0, 0, 0.0)
+    reading = CellReading(0, 0, 0.0)
     for way in range(2):
         other = read_cells(
             sight.image, sought.H, sought.bent, camera, sight.plane, cells, blur, offset, offset,

@@ -6,7 +6,7 @@ from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import plane_of
 from vergence.vision.tags.pixels import gather_pixels, without_clipped
-from vergence.vision.tags.workspace import Room, Sight, Sought, TagPrint, sides_of
+from vergence.vision.tags.workspace import FitState, Room, SearchRegion, TagPrint, sides_of
 
 WIDE, NARROW, ALL, BEND = range(4)
 """Stages: a wide band along the outer edges, a narrow one, the edges of all cells, and a bend."""
@@ -74,7 +74,7 @@ def scale_of(corners: FloatArray, border: int, most: int) -> Scale:
     return Scale(shortest, cell_px, along, min(max(_MOST_BLUR_CELLS * cell_px, 0.5), _MOST_BLUR_PX))
 
 
-class Stage(NamedTuple):
+class FitStage(NamedTuple):
     """Numbers of pixels and blocks that take part in a stage."""
 
     pixels: int
@@ -88,13 +88,13 @@ class Stage(NamedTuple):
 def begin_stage(
     which: int,
     blurred: bool,
-    sight: Sight,
+    sight: SearchRegion,
     tag: TagPrint,
     scale: Scale,
-    sought: Sought,
+    sought: FitState,
     room: Room,
     most: int,
-) -> Stage:
+) -> FitStage:
     """Begin a stage other than `BEND`, with the homography through the corners.
 
     Args:
@@ -122,4 +122,4 @@ def begin_stage(
     )  # fmt: skip
     if which == ALL:
         count = without_clipped(room.places, count, sight.light)
-    return Stage(count, along, count < gathered)
+    return FitStage(count, along, count < gathered)

@@ -10,7 +10,7 @@ from vergence.vision.tags.cholesky import factorise, solve
 from vergence.vision.tags.levels import block_levels, block_weights
 from vergence.vision.tags.normal import hold_near, normal_equations
 from vergence.vision.tags.slopes import evaluate_print
-from vergence.vision.tags.workspace import SPREAD, UNKNOWNS, Room, Sought, TagPrint, place_of
+from vergence.vision.tags.workspace import SPREAD, UNKNOWNS, FitState, Room, TagPrint, place_of
 
 _LEAST_BLUR_PX: Final = 0.3
 """Smallest blur of a fit, px (chosen: sharp images against edges that few pixels show)."""
@@ -34,7 +34,7 @@ class Compared(NamedTuple):
 
 
 @subroutine
-def compare(sought: Sought, tag: TagPrint, room: Room, count: int, along: int) -> Compared:
+def compare(sought: FitState, tag: TagPrint, room: Room, count: int, along: int) -> Compared:
     """Compare the print with the pixels, by blocks.
 
     Args:
@@ -68,7 +68,7 @@ def begin_steps(room: Room) -> None:
 
 @subroutine
 def improve(
-    sought: Sought,
+    sought: FitState,
     room: Room,
     count: int,
     number: int,
@@ -142,7 +142,7 @@ def _move_plane(G: FloatArray, step: FloatArray) -> None:
 
 
 @subroutine
-def _move_corners(sought: Sought) -> float:
+def _move_corners(sought: FitState) -> float:
     """Update H and the corners from G; return the largest move of a corner, px."""
     corners, H = sought.corners, sought.H
     back_of(sought.G, H)

@@ -22,7 +22,7 @@ COLUMNS: Final = 3 + UNKNOWNS
 """Columns of a pixel: its light, its block, the print, and the derivatives (numerical)."""
 
 
-class Sight(NamedTuple):
+class SearchRegion(NamedTuple):
     """The image that a tag is searched in, and the region of the search."""
 
     image: NDArray[np.uint8]
@@ -51,7 +51,7 @@ class TagPrint(NamedTuple):
     """Assumed width of the quiet zone around the square, cells."""
 
 
-class Sought(NamedTuple):
+class FitState(NamedTuple):
     """The unknowns of a fit: a tag's pose, blurs, spread and bend."""
 
     corners: FloatArray

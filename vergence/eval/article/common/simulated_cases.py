@@ -16,7 +16,7 @@ from vergence.models.perturbation import ModelErrors
 _DRAW: Final = "simulated-rig"
 
 
-class Rig(NamedTuple):
+class NominalAndTrueHead(NamedTuple):
     """The controller's model of a head, and the true head."""
 
     known: HeadModel
@@ -41,7 +41,7 @@ class Case:
 
     title: str
     """Short title for figures."""
-    make: Callable[[HeadModel, ModelErrors, int], Rig]
+    make: Callable[[HeadModel, ModelErrors, int], NominalAndTrueHead]
     """Function from (the preset, the errors' standard deviations, the run's seed) to the rig."""
 
 
@@ -69,16 +69,16 @@ def true_principal(preset: HeadModel) -> HeadModel:
     return preset.replace(cameras={"principal": (preset.cameras.size - 1) / 2.0})
 
 
-def _exact(preset: HeadModel, errors: ModelErrors, seed: int) -> Rig:
-    return Rig(preset, preset)
+def _exact(preset: HeadModel, errors: ModelErrors, seed: int) -> NominalAndTrueHead:
+    return NominalAndTrueHead(preset, preset)
 
 
-def _principal(preset: HeadModel, errors: ModelErrors, seed: int) -> Rig:
-    return Rig(preset, true_principal(preset))
+def _principal(preset: HeadModel, errors: ModelErrors, seed: int) -> NominalAndTrueHead:
+    return NominalAndTrueHead(preset, true_principal(preset))
 
 
-def _drawn(preset: HeadModel, errors: ModelErrors, seed: int) -> Rig:
-    return Rig(preset, preset.perturbed(job_rng(seed, _DRAW, 0), errors))
+def _drawn(preset: HeadModel, errors: ModelErrors, seed: int) -> NominalAndTrueHead:
+    return NominalAndTrueHead(preset, preset.perturbed(job_rng(seed, _DRAW, 0), errors))
 
 
 CASES: Final[dict[str, Case]] = {
@@ -89,7 +89,7 @@ CASES: Final[dict[str, Case]] = {
 """The cases by name, in the order of the figures."""
 
 
-def make_rig(case: str, errors: ModelErrors, seed: int) -> Rig:
+def make_rig(case: str, errors: ModelErrors, seed: int) -> NominalAndTrueHead:
     """Make the simulated rig under a case's model errors.
 
     Args:

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from vergence.eval.article.gain_sweep.findings import ARTICLE_GAIN, Findings, find, sweep
+from vergence.eval.article.gain_sweep.findings import ARTICLE_GAIN, GainSweepFindings, find, sweep
 from vergence.eval.article.gain_sweep.loop_delay import critical_lag
 from vergence.eval.article.gain_sweep.trials import PLANE_STEPS, GainSweepConfig
 from vergence.eval.reporting.style import (
@@ -114,7 +114,7 @@ def _draw_plane(table: pd.DataFrame) -> Figure:
     return figure
 
 
-def _draw_loops(found: Findings, config: GainSweepConfig) -> Figure:
+def _draw_loops(found: GainSweepFindings, config: GainSweepConfig) -> Figure:
     with styled():
         figure = new_figure(6.4, 4.6)
         axes = figure.subplots()
@@ -140,7 +140,7 @@ def _draw_loops(found: Findings, config: GainSweepConfig) -> Figure:
     return figure
 
 
-def _draw_families(axes: Axes, found: Findings, config: GainSweepConfig) -> None:
+def _draw_families(axes: Axes, found: GainSweepFindings, config: GainSweepConfig) -> None:
     level = 100.0 * config.onset_fraction
     for family, color, style in zip(found.families, (BLUE, GREEN), ("-", "--"), strict=True):
         delays = np.append(family.delays_frames, family.longest_delay_frames)

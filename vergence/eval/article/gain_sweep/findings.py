@@ -90,7 +90,7 @@ def families(table: pd.DataFrame, config: GainSweepConfig) -> list[LoopFamily]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Findings:
+class GainSweepFindings:
     """Results used by the figures, the summary and the text."""
 
     onset: dict[str, float]
@@ -115,7 +115,7 @@ class Findings:
         return [family.delay_with(self.lag_s) for family in self.families]
 
 
-def find(table: pd.DataFrame, config: GainSweepConfig) -> Findings:
+def find(table: pd.DataFrame, config: GainSweepConfig) -> GainSweepFindings:
     """Derive the results from the table."""
     timing = load_head(config.head).timing
     settle, beyond = [0.0], [0.0]
@@ -125,7 +125,7 @@ def find(table: pd.DataFrame, config: GainSweepConfig) -> Findings:
             apart.extend((both[f"{column}_x"] - both[f"{column}_y"]).abs())
     down, up = (sweep(table, step)["settle_1px_s"].to_numpy() for step in ("+y", "-y"))
     directions = np.abs(down - up)
-    return Findings(
+    return GainSweepFindings(
         onset=onsets(table, config),
         families=families(table, config),
         period_s=timing.period_s,

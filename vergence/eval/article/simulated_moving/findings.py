@@ -39,7 +39,7 @@ def select(table: pd.DataFrame, case: str, method: str, noise: str = IMAGES) -> 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Errors:
+class SampleErrors:
     """Errors of one case and method over the samples, by axis, mm."""
 
     mean_absolute: dict[str, float]
@@ -47,10 +47,10 @@ class Errors:
     deviation: dict[str, float]
 
     @staticmethod
-    def of(samples: pd.DataFrame) -> "Errors":
+    def of(samples: pd.DataFrame) -> "SampleErrors":
         """The errors of some samples."""
         columns = {axis: samples[f"error_{axis}_mm"] for axis in "xyz"}
-        return Errors(
+        return SampleErrors(
             mean_absolute={axis: float(column.abs().mean()) for axis, column in columns.items()},
             mean={axis: float(column.mean()) for axis, column in columns.items()},
             deviation={axis: float(column.std()) for axis, column in columns.items()},
@@ -63,14 +63,14 @@ class Errors:
         return float(sum(square) ** 0.5)
 
 
-Cases = dict[tuple[str, str, str], Errors]
+Cases = dict[tuple[str, str, str], SampleErrors]
 """Errors by case, method and noise."""
 
 
 def errors_by_case(table: pd.DataFrame) -> Cases:
     """The errors of all cases of a table."""
     return {
-        (str(case), str(method), str(noise)): Errors.of(samples)
+        (str(case), str(method), str(noise)): SampleErrors.of(samples)
         for (case, method, noise), samples in table.groupby(["case", "method", "noise"])
     }
 

@@ -52,7 +52,7 @@ def select(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Errors:
+class MeanFixErrors:
     """Absolute errors of the mean fixes of some rows, over points and methods."""
 
     low_mm: dict[str, float]
@@ -65,7 +65,7 @@ class Errors:
     """Greatest error of an ITPC mean, in standard errors from the scatter of its single fixes."""
 
     @staticmethod
-    def of(rows: pd.DataFrame) -> "Errors":
+    def of(rows: pd.DataFrame) -> "MeanFixErrors":
         """The errors of some rows."""
         absolute = rows["error_mm"].abs()
         by_axis = absolute.groupby(rows["axis"])
@@ -73,7 +73,7 @@ class Errors:
         share = 100.0 * absolute[deep] / rows["depth_mm"][deep]
         itpc = rows[rows["method"] == "itpc"]
         errors = itpc["error_mm"].abs() * np.sqrt(itpc["n"]) / itpc["standard_deviation_mm"]
-        return Errors(
+        return MeanFixErrors(
             low_mm={axis: float(by_axis.min()[axis]) for axis in "xyz"},
             high_mm={axis: float(by_axis.max()[axis]) for axis in "xyz"},
             z_percent=(float(share.min()), float(share.median()), float(share.max())),
@@ -81,15 +81,15 @@ class Errors:
         )
 
 
-def errors_by_case(table: pd.DataFrame) -> dict[str, Errors]:
+def errors_by_case(table: pd.DataFrame) -> dict[str, MeanFixErrors]:
     """Errors of the still fixations of each case in the table."""
     still = {case: select(table, case) for case in CASES}
-    return {case: Errors.of(rows) for case, rows in still.items() if len(rows)}
+    return {case: MeanFixErrors.of(rows) for case, rows in still.items() if len(rows)}
 
 
-def dithered_errors(table: pd.DataFrame) -> Errors:
+def dithered_errors(table: pd.DataFrame) -> MeanFixErrors:
     """Errors of the exact model's dithered fixations."""
-    return Errors.of(select(table, "exact", "dithered"))
+    return MeanFixErrors.of(select(table, "exact", "dithered"))
 
 
 def numbers(table: pd.DataFrame, config: SimulatedStaticConfig) -> Numbers:
@@ -247,7 +247,7 @@ def _reported(row: Reported, case: pd.DataFrame) -> SummaryRow:
     return _row(row.quantity, row.method, row.axis, (row.low, row.high), (low, high))
 
 
-def _case_errors(title: str, errors: Errors) -> list[SummaryRow]:
+def _case_errors(title: str, errors: MeanFixErrors) -> list[SummaryRow]:
     rows = []
     for axis in "xyz":
         theirs = None if axis == "z" else reported("absolute error", axis).span
@@ -256,13 +256,13 @@ def _case_errors(title: str, errors: Errors) -> list[SummaryRow]:
     return rows
 
 
-def _depth_share(title: str, errors: Errors) -> SummaryRow:
+def _depth_share(title: str, errors: MeanFixErrors) -> SummaryRow:
     low, _, high = errors.z_percent
     quantity, theirs = f"absolute error over depth, {title}", (None, ARTICLE_Z_PERCENT)
     return _row(quantity, "both", "z", theirs, (low, high), unit="%")
 
 
-def _targets(title: str, errors: Errors, factor: float) -> list[SummaryRow]:
+def _targets(title: str, errors: MeanFixErrors, factor: float) -> list[SummaryRow]:
     """Summary rows on our own targets for a case."""
     _, median, worst = errors.z_percent
     return [

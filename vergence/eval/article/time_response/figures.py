@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 
-from vergence.eval.article.time_response.findings import Findings, find, held_by, mapped
+from vergence.eval.article.time_response.findings import TimeResponseFindings, find, held_by, mapped
 from vergence.eval.article.time_response.trials import ARTICLE_S, TimeResponseConfig
 from vergence.eval.reporting.style import (
     ARTICLE_STYLE,
@@ -30,7 +30,7 @@ def draw(table: pd.DataFrame, config: TimeResponseConfig) -> dict[str, Figure]:
     }
 
 
-def _draw_trace(table: pd.DataFrame, found: Findings) -> Figure:
+def _draw_trace(table: pd.DataFrame, found: TimeResponseFindings) -> Figure:
     trace = table[table["case"] == "trace"]
     styles: dict[str, dict[str, Any]] = {
         "left": {"color": BLUE},
@@ -67,7 +67,9 @@ def _draw_trace(table: pd.DataFrame, found: Findings) -> Figure:
     return figure
 
 
-def _draw_map(table: pd.DataFrame, config: TimeResponseConfig, found: Findings) -> Figure:
+def _draw_map(
+    table: pd.DataFrame, config: TimeResponseConfig, found: TimeResponseFindings
+) -> Figure:
     lags = list(dict.fromkeys((found.lag_s, 0.0)))
     edges = np.arange(0.35, 1.26, 0.1)
     with styled():
@@ -99,7 +101,7 @@ def _draw_map(table: pd.DataFrame, config: TimeResponseConfig, found: Findings) 
     return figure
 
 
-def _mark(axes: Axes, found: Findings, lag_s: float) -> None:
+def _mark(axes: Axes, found: TimeResponseFindings, lag_s: float) -> None:
     """Mark the pairs of delay and threshold that should give the article's time, and our rig."""
     for pair in found.pairs:
         if pair.lag_s == lag_s and np.isfinite(pair.settle_s):

@@ -29,7 +29,7 @@ class NamedPair:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Findings:
+class TimeResponseFindings:
     """Results used by the figures, the summary and the text."""
 
     delay_frames: int
@@ -50,7 +50,7 @@ class Findings:
     """Initial pixel error of the left and the right eye, px."""
 
 
-def find(table: pd.DataFrame) -> Findings:
+def find(table: pd.DataFrame) -> TimeResponseFindings:
     """Derive the results from the table."""
     rig = table[table["case"] == "rig"]
     delay, lag = int(rig["delay_frames"].iloc[0]), float(rig["lag_s"].iloc[0])
@@ -63,7 +63,7 @@ def find(table: pd.DataFrame) -> Findings:
     miss = np.abs((initial["article_px"] - initial["nominal_px"]).to_numpy())
     trace = table[table["case"] == "trace"]
     first = trace[trace["time_s"] == 0.0]["error_px"].to_numpy()
-    return Findings(
+    return TimeResponseFindings(
         delay_frames=delay,
         lag_s=lag,
         settle_s=settle,

@@ -19,7 +19,7 @@ against the range of version)."""
 
 
 @dataclass(frozen=True)
-class Range:
+class MotionLimits:
     """Limits of a joint or a motor: rad, rad, rad/s, rad/s^2."""
 
     lower: float
@@ -27,15 +27,15 @@ class Range:
     velocity: float
     acceleration: float
 
-    def through(self, tie: Tie) -> "Range":
+    def through(self, tie: Tie) -> "MotionLimits":
         """Limits that a joint with these ones sets its master, `joint = m master + offset`."""
         ends = [(end - tie.offset) / tie.multiplier for end in (self.lower, self.upper)]
         size = abs(tie.multiplier)
-        return Range(min(ends), max(ends), self.velocity / size, self.acceleration / size)
+        return MotionLimits(min(ends), max(ends), self.velocity / size, self.acceleration / size)
 
-    def within(self, other: "Range") -> "Range":
+    def within(self, other: "MotionLimits") -> "MotionLimits":
         """Intersection of both limits."""
-        return Range(
+        return MotionLimits(
             max(self.lower, other.lower),
             min(self.upper, other.upper),
             min(self.velocity, other.velocity),
@@ -59,7 +59,7 @@ class Motor:
     name: str
     joints: Mapping[str, float]
     offsets: Mapping[str, float]
-    range: Range
+    range: MotionLimits
     reason: str = ""
     assumed: Sequence[str] = ("lower_rad", "upper_rad")
 
@@ -78,7 +78,7 @@ class EyeJoint:
     name: str
     part: str
     axis: FloatArray
-    range: Range
+    range: MotionLimits
 
     @property
     def pans(self) -> bool:

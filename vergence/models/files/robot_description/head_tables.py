@@ -7,7 +7,7 @@ import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.models.files.head_rules import LENGTH
-from vergence.models.files.robot_description.actuators import Motor, Range
+from vergence.models.files.robot_description.actuators import MotionLimits, Motor
 from vergence.models.files.robot_description.head_chains import HeadChains
 from vergence.models.parts import FloatArray
 
@@ -49,7 +49,7 @@ def joint_fields(chains: HeadChains, name: str) -> dict[str, Any]:
     }
 
 
-def limit_fields(limits: Range) -> dict[str, float]:
+def limit_fields(limits: MotionLimits) -> dict[str, float]:
     """Fields of the limits of a joint or an actuator."""
     return {
         "lower_rad": float(limits.lower),

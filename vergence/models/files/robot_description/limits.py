@@ -7,7 +7,7 @@ import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.models.files.head_rules import ACCELERATION, RADIANS, SPEED
-from vergence.models.files.robot_description.actuators import Range
+from vergence.models.files.robot_description.actuators import MotionLimits
 from vergence.models.files.robot_description.given import Given, given_by_joint
 from vergence.models.files.robot_description.mechanism import Joint
 
@@ -18,7 +18,7 @@ the weight of a small camera)."""
 
 def joint_ranges(
     joints: Sequence[Joint], speed: Sequence[str], acceleration: Sequence[str]
-) -> tuple[dict[str, Range], dict[str, str]]:
+) -> tuple[dict[str, MotionLimits], dict[str, str]]:
     """Determine the limits of the moving joints.
 
     Args:
@@ -37,7 +37,7 @@ def joint_ranges(
     speeds = given_by_joint("speed", speed, names, *SPEED)
     accelerations = given_by_joint("acceleration", acceleration, names, *ACCELERATION)
     _refuse_without_speed(joints, speeds)
-    ranges: dict[str, Range] = {}
+    ranges: dict[str, MotionLimits] = {}
     assumed: dict[str, str] = {}
     for joint in joints:
         key = f"joints.{joint.name}"
@@ -52,7 +52,7 @@ def joint_ranges(
         velocity, why = _velocity(joint, speeds)
         if why:
             assumed[f"{key}.velocity_rad_s"] = why
-        ranges[joint.name] = Range(
+        ranges[joint.name] = MotionLimits(
             lower, upper, velocity, ASSUMED_ACCELERATION if given is None else given
         )
     return ranges, assumed
