@@ -76,7 +76,7 @@ class Scene:
         return np.asarray(self._renderer.render())
 
     def _turn_upright(self) -> None:
-        """Move camera and headlight from the upright to the model's frame: MuJoCo takes z for up."""
+        """Move camera and headlight from upright to model frame: MuJoCo takes z for up."""
         assert self._renderer is not None
         if np.array_equal(self._upright, np.eye(4)):
             return
