@@ -1,8 +1,8 @@
-"""How kernels write and read observations: where each number lies, and what it is divided by.
+"""Encoding and decoding of observations in kernels: index and scale of each number.
 
-An observation of a head whose eyes have m actuators has 11 + 4 m numbers: eleven of the images,
-then four groups of one number an actuator. Actuators' angles and velocities come from those of
-the joints, whose readings the actuators' encoders made, so this loses nothing.
+An observation of a head with m eye actuators has 11 + 4 m numbers: eleven from the images, then
+four groups of one number per actuator. Actuator angles and velocities are computed from the joint
+readings. These were made from the actuators' encoders, so nothing is lost.
 """
 
 from math import isfinite, nan
@@ -21,24 +21,27 @@ from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 
 FINE_PX: Final = 16.0
-"""Pixel error at which the fine channel saturates."""
+"""Pixel error at which the fine channel saturates, px (chosen: resolution against range)."""
 AGE_S: Final = 0.5
-"""Image age at which its channel saturates."""
+"""Image age at which its channel saturates, s (chosen: resolution against range)."""
 ANGLE_MARGIN_RAD: Final = 0.05
-"""How far beyond an actuator's limits its channel reaches: a simulated stop gives a little."""
+"""Range of an angle channel beyond the actuator's limits, rad, as simulated stops give a little
+(chosen: resolution against range)."""
 SPEED_MARGIN: Final = 1.1
-"""How far beyond an actuator's greatest command its velocity channel reaches, as a factor."""
+"""Full scale of a velocity channel as a ratio to the actuator's velocity limit (chosen: resolution
+against range)."""
 
+# first index of each field in an observation (numerical)
 COARSE: Final = 0
 FINE: Final = 4
 VISIBLE: Final = 8
 AGE: Final = 10
 OF_ACTUATORS: Final = 11
-"""Where the numbers of the actuators begin."""
+"""First index of the actuators' numbers."""
 
 
 def fields_of(actuators: int) -> dict[str, slice]:
-    """Where each field lies in an observation of a head with so many actuators of the eyes."""
+    """Slice of each field in an observation, for a head with this many eye actuators."""
     groups = ("positions", "positions_at_exposure", "velocities", "last_action")
     starts = [OF_ACTUATORS + actuators * i for i in range(len(groups) + 1)]
     return {
@@ -53,7 +56,8 @@ def fields_of(actuators: int) -> dict[str, slice]:
 FIELDS: Final = fields_of(SLOTS)
 """The fields of a head whose eyes have four actuators."""
 
-# the row of numbers that kernels scale by; groups of four have one number a slot
+# packed indices of the scaling array of kernels (numerical); groups of four have one number per
+# actuator slot
 WIDTH: Final = 0
 CENTRE: Final = 1
 HALF: Final = 5
@@ -66,11 +70,11 @@ TO_JOINTS: Final = 22
 OFFSET: Final = 38
 TO_ACTUATORS: Final = 42
 SCALING: Final = 58
-"""Length of that row."""
+"""Length of the scaling array."""
 
 
 def scaling_of(head: HeadModel) -> FloatArray:
-    """(SCALING,) what kernels scale a head's observations by, its neck held at rest."""
+    """(SCALING,) packed scale factors of a head's observations, with its neck held at rest."""
     row = np.zeros(SCALING)
     own = head.actuation
     row[WIDTH], row[RIGHT_WIDTH] = head.cameras.size[:, 0]
@@ -88,18 +92,18 @@ def scaling_of(head: HeadModel) -> FloatArray:
 
 
 def as_observation(observation: ArrayLike, size: int) -> NDArray[np.floating[Any]]:
-    """Observations as an array.
+    """Check observations and return them as an array.
 
     Args:
         observation: (..., size).
-        size: how many numbers one has.
+        size: length of one observation.
 
     Returns:
-        The same numbers.
+        The same numbers as an array.
 
     Raises:
-        ConfigurationError: they have another length, are no floating-point numbers, or not all
-            of them are finite.
+        ConfigurationError: the length is wrong, or the numbers are not floating-point or not all
+            finite.
     """
     try:
         array = np.asarray(observation)
@@ -113,7 +117,7 @@ def as_observation(observation: ArrayLike, size: int) -> NDArray[np.floating[Any
         raise ConfigurationError(
             f"observation: expected floating-point numbers, got an array of {array.dtype}"
         )
-    # a product with itself is nan or inf if one number is: the cheapest test of all of them
+    # the sum of squares is nan or inf if any number is: the cheapest test of all of them
     if not isfinite(np.vdot(array, array)):
         raise ConfigurationError("observation: expected finite numbers, got nan or inf")
     return array
@@ -132,7 +136,7 @@ def _width(scaling: FloatArray, eye: int) -> float:
 
 @subroutine
 def _actuators(scaling: FloatArray, k: int, joints: FloatArray, offset: float) -> float:
-    """What an actuator does where a head's joints (7,) do this; offset 1.0 for angles, else 0.0."""
+    """Angle (offset 1.0) or velocity (offset 0.0) of actuator k, from that of the joints (7,)."""
     own = 0.0
     for j in range(SLOTS):
         beyond = joints[3 + j] - offset * scaling[OFFSET + j]
@@ -150,16 +154,16 @@ def encode(
     action: FloatArray,
     tied: PackedHead | None,
 ) -> None:
-    """Write the observation of one place.
+    """Write the observation of one environment.
 
     Args:
         out: (11 + 4 m,) result.
-        scaling: (SCALING,) the layout's constants.
+        scaling: (SCALING,) see `scaling_of`.
         error: (2, 2) measured pixel errors, px.
-        reading: of the batch.
-        n: the place.
-        action: (m,) the action that holds.
-        tied: the head where actuators tie its eye joints.
+        reading: readings of the batch.
+        n: environment index.
+        action: (m,) action of the present period.
+        tied: the packed head if its eye joints are coupled, else None.
     """
     for eye in range(2):
         seen = reading.visible[n, eye]
@@ -188,22 +192,22 @@ def encode(
 
 
 _SHAPES: Final = (np.zeros(2), np.zeros(7), np.zeros(4))
-"""They name dimensions that `_decode` has only in its results."""
+"""Dummy operands: they name dimensions that `_decode` has only in its results (numerical)."""
 
 
 def decode(observation: ArrayLike, size: int, scaling: FloatArray) -> tuple[NDArray[Any], ...]:
-    """The fields of observations in physical units.
+    """Decode observations to physical units.
 
     Args:
         observation: (..., size).
-        size: how many numbers one has.
-        scaling: (SCALING,) the layout's constants.
+        size: length of one observation.
+        scaling: (SCALING,) see `scaling_of`.
 
     Returns:
         The fields of `vergence.envs.layout.Observation`.
 
     Raises:
-        ConfigurationError: they are no observations.
+        ConfigurationError: the array does not hold observations.
     """
     numbers = as_observation(observation, size).astype(np.float64, copy=False)
     fields: tuple[NDArray[Any], ...] = _decode(numbers, scaling, *_SHAPES)
@@ -228,9 +232,9 @@ def _decode(
     velocities: FloatArray,
     command: FloatArray,
 ) -> None:
-    """The fields of `Observation`; the three after `scaling` are `_SHAPES`.
+    """Compute the fields of `Observation`; the three arguments after `scaling` are `_SHAPES`.
 
-    It reads at least `OF_ACTUATORS` numbers, and so is called where their count is checked alone.
+    At least `OF_ACTUATORS` numbers are read, so callers must have checked the length.
     """
     for eye in range(2):
         seen = obs[VISIBLE + eye] > 0.5

@@ -1,4 +1,4 @@
-"""Checks of what a user gives to environments, targets and controllers: numbers, and the head."""
+"""Validation of user input to environments, targets and controllers: numbers, and the head."""
 
 from typing import Any
 
@@ -13,13 +13,13 @@ from vergence.operands import as_operand
 
 
 def numbers(name: str, value: object, size: int, above_zero: bool = False) -> object:
-    """Finite numbers: a tuple, or one that is not negative.
+    """Check finite numbers and return them: a tuple, or a single one that is not negative.
 
     Args:
-        name: what a message calls them.
-        value: what was given.
-        size: how many, 0 for one number instead of a tuple.
-        above_zero: whether the one number may not be zero.
+        name: name for error messages.
+        value: the user's value.
+        size: number of elements; 0 for a single number instead of a tuple.
+        above_zero: True if the single number must not be zero.
 
     Raises:
         ConfigurationError: the value is something else.
@@ -33,11 +33,11 @@ def numbers(name: str, value: object, size: int, above_zero: bool = False) -> ob
 
 
 def finite_above_zero(name: str, value: object) -> None:
-    """Refuse what is not a finite number above zero.
+    """Refuse a value that is not a finite number above zero.
 
     Args:
-        name: what a message calls it.
-        value: what was given.
+        name: name for error messages.
+        value: the user's value.
 
     Raises:
         ConfigurationError: it is not.
@@ -47,18 +47,18 @@ def finite_above_zero(name: str, value: object) -> None:
 
 
 def at_least_zero(name: str, value: object) -> None:
-    """The same for zero and above."""
+    """Refuse a value that is not a finite number of at least zero; see `finite_above_zero`."""
     if number(name, value) < 0.0:
         raise ConfigurationError(f"{name}: expected a number of at least 0, got {value!r}")
 
 
 def count(name: str, value: object, *, least: int = 1) -> int:
-    """A whole number above zero, or of at least another one.
+    """Check a whole number of at least `least` and return it.
 
     Args:
-        name: what a message calls it.
-        value: what was given.
-        least: the least that it may be.
+        name: name for error messages.
+        value: the user's value.
+        least: smallest valid value.
 
     Raises:
         ConfigurationError: the value is something else.
@@ -70,7 +70,7 @@ def count(name: str, value: object, *, least: int = 1) -> int:
 
 
 def number(name: str, value: object) -> float:
-    """One finite number, see `numbers`."""
+    """Check one finite number and return it, see `numbers`."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         raise ConfigurationError(f"{name}: expected a number, got {value!r}")
     one = float(value)
@@ -80,7 +80,7 @@ def number(name: str, value: object) -> float:
 
 
 def float_array(value: ArrayLike) -> FloatArray:
-    """Real numbers as an array; numpy would also take text and truth values for numbers.
+    """Convert real numbers to an array; unlike NumPy, refuse text and booleans.
 
     Args:
         value: a number, or numbers in lists, tuples or an array.
@@ -100,10 +100,10 @@ def float_array(value: ArrayLike) -> FloatArray:
 
 
 def as_numbers(action: ArrayLike) -> NDArray[Any]:
-    """An action as an array, its numbers in the type that they came in.
+    """Convert an action to an array without changing the type of its numbers.
 
     Raises:
-        ConfigurationError: something in it is no real number, or its rows differ in length.
+        ConfigurationError: an element is not a real number, or its rows differ in length.
     """
     if isinstance(action, np.ndarray) and action.dtype.kind in "biuf":
         return action

@@ -29,51 +29,54 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ## Description
     A robot head with two eyes, by default each with a tilt and a pan joint, sees a target
     in both images. The task is to turn the eyes until the target lies on the principal point
-    of both cameras: there its position in space is the crossing of the two optical axes. The
-    neck holds. The images are old when they arrive (8 frames at 120 Hz by default), the joints
-    follow their commands with a lag: what makes the task hard is real delay.
+    of both cameras: its position in space is then the intersection of the two optical axes. The
+    neck is held. The difficulty is realistic delay: images arrive late (8 frames at 120 Hz by
+    default), and the joints follow their commands with a lag.
 
     ## Action space
     `Box(-1, 1, (4,), float32)`: the velocities of left tilt, left pan, right tilt, right pan,
-    by their limits (6 rad/s by default). An action holds for one control period. A head whose
-    eyes have m other actuators takes m numbers, `layout.action_names`.
+    as fractions of their limits (6 rad/s by default). An action holds for one control period. A
+    head with m other eye actuators takes m numbers, named in `layout.action_names`.
 
     ## Observation space
     `Box` of 27 numbers, float32; 11 + 4 m for m actuators. `ObservationLayout`
     (`env.unwrapped.layout`) names them and decodes them to pixels, radians and seconds.
 
     ## Rewards
-    Per step in which both eyes see the target, from measured pixel errors e, on average over the
-    eyes: `(10 / (10 + e) + 100 / (100 + e)) / 3` (tracking) and `1 / (1 + e) / 3` (precision),
-    less a hundredth of that times the mean square action (effort); 0 where an eye does not see it;
-    -25 when the target is lost (lost). So the best gaze earns 1 a step, nothing costs but losing
-    the target, and that never pays. `info["reward_terms"]` has the parts.
+    With e the measured pixel error of an eye, a step in which both eyes see the target earns the
+    means over the eyes of `(10 / (10 + e) + 100 / (100 + e)) / 3` (tracking) and of
+    `1 / (1 + e) / 3` (precision), minus a hundredth of their sum times the mean square action
+    (effort). A step in which an eye does not see the target earns 0. Losing the target costs 25
+    (lost). So the best gaze earns 1 per step, and only a lost target has a negative reward, so
+    that losing it never pays. `info["reward_terms"]` has the terms.
 
     ## Starting state
-    Drawn by the target from the trial's random stream, keyed by (seed, trial): `reset(seed=s)`
-    begins trial 0 of seed s, each further `reset()` the next, and `options={"trial": k}` trial k.
+    The target draws it from the trial's random stream, keyed by (seed, trial). `reset(seed=s)`
+    begins trial 0 of seed s, each further `reset()` the next trial, and `options={"trial": k}`
+    trial k.
 
     ## Episode end
     Terminated when the target is lost: when it was seen and has not been seen by both eyes for
     0.5 s, or when no eye has seen it 1.5 s after the start. Truncated after `duration_s` of the
-    head's time, in which periods that a real head has missed count too, and after 240 steps (2 s)
-    by `gymnasium.make`; and when a robot has been stopped: `info["fault"]` says why in words, and
+    head's time (periods that a real head has missed count too), after 240 steps (2 s)
+    by `gymnasium.make`, and when a robot has been stopped: `info["fault"]` gives the reason, and
     `env.unwrapped.task.plant.release()` lets the next `reset` begin anew. Episodes continue after a
-    success; `info["is_success"]` is true while both errors have been below 1 px for 0.1 s; of a
-    head that cannot look straight at all targets, the part of them that its actuators can reduce.
+    success; `info["is_success"]` is true while both errors have been below 1 px for 0.1 s. If a
+    head cannot look straight at all targets, only the part of the errors that its actuators can
+    reduce counts for this and for precision.
 
     ## Arguments
     See `vergence.envs.task.GazeTask`: `head`, `target`, `model_errors`, `model_seed`, `variation`,
     `info`, `plant_options`, and `plant` (`hardware`, `kinematic`, `mujoco`, `rendered`, or
-    `module:class` of one's own); and `render_mode` and `duration_s` (None for no end).
+    `module:class` of a user's plant); and `render_mode` and `duration_s` (None for no end).
 
     ## Version history
     * v0: the first.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 120}  # noqa: RUF012
-    """Gymnasium's: of the class, what it can do, at the default head's control rate; of an
-    environment, what it can do here, at its own head's."""
+    """Gymnasium's metadata. The class lists all render modes, at the default head's control rate;
+    an environment lists the modes that work on this machine, at its own head's rate."""
     task_type: ClassVar[type[GazeTask]] = GazeTask
 
     def __init__(
@@ -91,8 +94,8 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.task = self.task_type(1, **checked_arguments(type(self), options))
         self.metadata = {**type(self).metadata, "render_fps": control_rate(self.task)}
         if window_missing() is not None:
-            # with "human" gone from the class, `make` would wrap it in a window of Gymnasium's,
-            # which asks for an extra of Gymnasium's
+            # not removed from the class: `make` would then wrap the environment in a window of
+            # Gymnasium's, which needs an extra of Gymnasium
             self.metadata["render_modes"] = [mode for mode in modes if mode != "human"]
         self.observation_space, self.action_space = self.task.spaces()
         self._seed: int | None = None
@@ -139,7 +142,7 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(
         self, action: ArrayLike
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Take an action, limited to [-1, 1], for one control period.
+        """Apply an action, limited to [-1, 1], for one control period.
 
         Raises:
             ResetNeeded: nothing has been reset yet.
@@ -156,7 +159,7 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             task.observation[0].copy(),
             float(task.reward[0]),
             bool(task.lost[0]),
-            # a sum of periods is rounded
+            # half a period of tolerance for rounding of the time
             bool(
                 task.plant.fault
                 or task.reading.time_s[0] + 0.5 * task.head.timing.period_s >= self._duration_s

@@ -26,13 +26,13 @@ from vergence.errors import ConfigurationError
 
 
 class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
-    """Many heads at once: the same task as `GazeEnv`, one plant, one batch.
+    """A vector environment of many heads: the task of `GazeEnv`, as one batch of one plant.
 
     Environment i of a vector that is reset with seed s runs the trials that `GazeEnv` runs
     with seed s + i.
 
     Args:
-        num_envs: how many heads.
+        num_envs: number of heads.
         max_episode_steps: steps after which an episode is truncated; None for never.
         autoreset_mode: `NextStep`, `SameStep` or `Disabled`, see `gymnasium.vector.AutoresetMode`.
         render_mode: None or `rgb_array`.
@@ -78,10 +78,10 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._begun = self._staggered = False
 
     def stagger(self) -> None:
-        """Let the first episodes of the next `reset` be cut short, place by place.
+        """Shorten the first episodes of the next `reset`, each environment's by another length.
 
-        The episodes of a vector begin together and, with a limit of steps, end together for
-        ever; after this their ends spread evenly, as a learner needs it.
+        The episodes of a vector begin together and, with a step limit, would end together forever.
+        Staggering spreads their ends evenly, as a learner needs.
         """
         self._staggered = True
 
@@ -94,7 +94,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         """Begin trials, of all heads or of some.
 
         Args:
-            seed: s begins trial 0 of seeds s, s + 1, ...; a sequence names a seed for each,
+            seed: s begins trial 0 of seeds s, s + 1, ...; a sequence gives a seed for each,
                 None for those that go on to their next trial.
             options: `{"trial": k}` or a sequence begins these trials; `{"reset_mask": mask}`
                 resets only where the mask of shape (num_envs,) is True.
@@ -103,7 +103,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
             The observations of all heads, and the info.
 
         Raises:
-            ConfigurationError: an option is unknown or cannot be, or a seed is no whole number.
+            ConfigurationError: an option is unknown or invalid, or a seed is not a whole number.
         """
         options = checked_options(options, ("trial", "reset_mask"))
         mask = _reset_mask(options.get("reset_mask"), self.num_envs)
@@ -128,7 +128,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         return self.task.observation.copy(), self._info()
 
     def _info(self, has: NDArray[np.bool_] | None = None) -> dict[str, Any]:
-        """The info in Gymnasium's form; `has` tells of which heads it is, None for all."""
+        """The info in Gymnasium's form; `has` marks the heads with an entry, None for all."""
         everywhere = np.ones(self.num_envs, dtype=np.bool_)
         return _with_masks(self.task.info(), everywhere if has is None else has)
 
@@ -157,7 +157,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
     ) -> tuple[
         NDArray[np.float32], NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
     ]:
-        """Take actions, limited to [-1, 1], for one control period.
+        """Apply actions, limited to [-1, 1], for one control period.
 
         Returns:
             Observations, rewards, terminations, truncations, info. In `SameStep` mode, info
@@ -181,7 +181,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._elapsed += 1
         resets = np.flatnonzero(ended)
         if resets.size:
-            # in NextStep mode an ended episode's action is not taken: the step resets it
+            # in NextStep mode this step resets an ended episode and ignores its action
             self._next_trials(resets)
             task.reward[resets] = 0.0
             task.lost[resets] = False
@@ -207,28 +207,28 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         return task.observation.copy(), reward, terminated, truncated, info
 
     def state(self) -> SavedState:
-        """All that the running episodes go on from, in arrays of its own.
+        """Copy the complete state of the running episodes.
 
         Raises:
-            ConfigurationError: the plant is no simulation, or its state cannot be saved.
+            ConfigurationError: the plant is not a simulation, or its state cannot be saved.
         """
         return {"episodes": copied(self._arrays()), **self.task.state()}
 
     def restore(self, state: SavedState) -> None:
-        """Put the episodes back to where `state` was called: what follows is the same, bit by bit.
+        """Restore the episodes from a result of `state`; they then repeat bit by bit.
 
         Args:
-            state: that of an environment with the same arguments.
+            state: the state of an environment with the same arguments.
 
         Raises:
-            ConfigurationError: the state is that of another environment.
+            ConfigurationError: the state belongs to another environment.
         """
         put_back(self._arrays(), state["episodes"])
         self.task.restore(state)
         self._begun, self._staggered = True, False
 
     def _arrays(self) -> Arrays:
-        """The arrays that hold the state, beside the task's."""
+        """State arrays of this class, without those of the task."""
         return {
             "seeds": self._seeds,
             "trials": self._trials,
@@ -251,7 +251,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
 
 def _pick(observations: NDArray[np.float32], done: NDArray[np.bool_]) -> NDArray[np.object_]:
-    """Gymnasium's form of final observations: an array of objects, None where none ended."""
+    """Final observations in Gymnasium's form: an array of objects, None where none ended."""
     out = np.full(len(done), None, dtype=np.object_)
     for i in np.flatnonzero(done):
         out[i] = observations[i]
@@ -259,7 +259,7 @@ def _pick(observations: NDArray[np.float32], done: NDArray[np.bool_]) -> NDArray
 
 
 def _with_masks(info: dict[str, Any], has: NDArray[np.bool_]) -> dict[str, Any]:
-    """An info with Gymnasium's masks: beside each key k, `_k` with the heads that have it."""
+    """Add Gymnasium's masks to an info: for each key k, `_k` marks the heads that have it."""
     out: dict[str, Any] = {}
     for key, value in info.items():
         out[key] = _with_masks(value, has) if isinstance(value, dict) else value

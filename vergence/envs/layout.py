@@ -1,4 +1,4 @@
-"""The layout of observations and actions, and the way back to physical units."""
+"""The layout of observations and actions, and their conversion to and from physical units."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -36,24 +36,24 @@ class Observation(NamedTuple):
     """An observation in physical units."""
 
     pixel_error: FloatArray
-    """(..., 2, 2) undistorted pixel of the target less the principal point, px; nan unseen."""
+    """(..., 2, 2) undistorted target pixel minus the principal point, px; nan if not visible."""
     visible: BoolArray
-    """(..., 2) whether each eye saw the target in the newest image."""
+    """(..., 2) True if the eye saw the target in the newest image."""
     image_age_s: FloatArray
-    """(...) age of the newest image: time since its exposure, as the reading dates it."""
+    """(...) age of the newest image, s: time since its exposure as dated by the reading."""
     positions: FloatArray
-    """(..., 7) present joint angles, rad; the neck's are those it is held at."""
+    """(..., 7) present joint angles, rad; the neck's are its rest angles, at which it is held."""
     positions_at_exposure: FloatArray
     """(..., 7) joint angles at the exposure of the newest image, rad."""
     velocities: FloatArray
     """(..., 7) present joint velocities, rad/s; the neck's are zero."""
     last_command: FloatArray
-    """(..., 4) the actuators' velocities commanded last, rad/s; 0 beyond those that there are."""
+    """(..., 4) actuator velocities commanded last, rad/s; 0 in unused slots."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ObservationLayout:
-    """What each number of an observation and an action means for one head.
+    """Meaning of each number of an observation and of an action, for one head.
 
     | index | field | what it is | 1.0 stands for | range |
     | --- | --- | --- | --- | --- |
@@ -66,23 +66,23 @@ class ObservationLayout:
     | 19:23 | `velocities` | velocities | 1.1 greatest commands, rad/s | -1 to 1 |
     | 23:27 | `last_action` | the action that holds | the greatest commands, rad/s | -1 to 1 |
 
-    Pixels are undistorted, (u, v) of the left, then the right eye; an unseen target's errors are
-    0, and the age is 1 before the first image. Angles and velocities are those of the actuators
-    that move the eyes: where each eye joint has its own motor, left tilt, left pan, right tilt,
-    right pan. The table is that of four actuators; with m of them each of the last four fields
+    Pixels are undistorted, (u, v) of the left, then of the right eye. The errors of an eye that
+    does not see the target are 0, and the age is 1 before the first image. Angles and velocities
+    are those of the eye actuators: left tilt, left pan, right tilt, right pan if each eye joint has
+    its own motor. The table is for four actuators; with m actuators, each of the last four fields
     has m numbers, and an observation 11 + 4 m.
 
-    An action is one number an actuator: its velocity by its greatest command, -1 to 1.
+    An action has one number per actuator: the ratio of its velocity to its limit, -1 to 1.
     """
 
     scaling: FloatArray
-    """(SCALING,) see `vergence.envs.encoding`."""
+    """(SCALING,) packed scale factors, see `vergence.envs.encoding`."""
     action_names: tuple[str, ...]
-    """(m,) the actuators: what each number of an action moves."""
+    """(m,) names of the actuators, in the order of an action."""
     latency_s: float
-    """The nominal latency of an image."""
+    """Nominal latency of an image, s."""
     period_s: float
-    """The control period."""
+    """Control period, s."""
 
     @classmethod
     def of(cls, head: HeadModel) -> "ObservationLayout":
@@ -95,7 +95,7 @@ class ObservationLayout:
         )
 
     def __eq__(self, other: object) -> bool:
-        """Whether observations and actions mean the same in both."""
+        """True if observations and actions have the same meaning in both layouts."""
         if not isinstance(other, ObservationLayout):
             return NotImplemented
         return self.to_dict() == other.to_dict()
@@ -105,7 +105,7 @@ class ObservationLayout:
 
     @property
     def count(self) -> int:
-        """Length of an action: how many actuators move the eyes."""
+        """Length of an action: number of eye actuators."""
         return len(self.action_names)
 
     @property
@@ -115,12 +115,12 @@ class ObservationLayout:
 
     @property
     def fields(self) -> dict[str, slice]:
-        """Where each field lies in an observation."""
+        """Slice of each field in an observation."""
         return fields_of(self.count)
 
     @property
     def action_limits(self) -> FloatArray:
-        """(4,) the actuators' velocities that an action of 1 commands, rad/s; 0 beyond m."""
+        """(4,) actuator velocities that an action of 1 commands, rad/s; 0 beyond the first m."""
         return self.scaling[LIMIT:RESTING_NECK]
 
     def low(self) -> NDArray[np.float32]:
@@ -134,7 +134,7 @@ class ObservationLayout:
         return np.ones(self.size, dtype=np.float32)
 
     def decode(self, observation: ArrayLike) -> Observation:
-        """An observation in physical units.
+        """Decode an observation to physical units.
 
         Args:
             observation: (..., size).
@@ -143,15 +143,15 @@ class ObservationLayout:
             The observation; errors of at most 16 px come from the fine channel.
 
         Raises:
-            ConfigurationError: they are no observations.
+            ConfigurationError: the array does not hold observations.
         """
         return Observation(*decode(observation, self.size, self.scaling))
 
     def action(self, velocity: ArrayLike) -> NDArray[np.float32]:
-        """The action that commands the actuators' velocities, limited to [-1, 1].
+        """Compute the action that commands given actuator velocities, limited to [-1, 1].
 
         Args:
-            velocity: (..., 4) rad/s, of which the first m count.
+            velocity: (..., 4) rad/s; only the first m are used.
 
         Returns:
             (..., m) actions.
@@ -164,8 +164,8 @@ class ObservationLayout:
     def to_dict(self) -> dict[str, Any]:
         """The layout as plain numbers and names, for a manifest.
 
-        What came after the first heads is left out where it says nothing: the right image's width
-        that is the left's, and the joints' angles where each has its own motor.
+        Entries that were added later are omitted if they carry no information: the right image's
+        width if it equals the left's, and the joint coupling if each joint has its own motor.
         """
         row = self.scaling
         one_width = row[WIDTH] == row[RIGHT_WIDTH]

@@ -1,7 +1,7 @@
-"""Whether MuJoCo can draw here through OpenGL, and why not.
+"""Check of MuJoCo's OpenGL rendering on this machine, with the reason for a failure.
 
-MuJoCo reads `MUJOCO_GL` when it is imported, and cannot be imported at all where the library that
-is named there is missing.
+MuJoCo reads the variable `MUJOCO_GL` when it is imported. The import fails if the library named
+there is missing.
 """
 
 import functools
@@ -17,15 +17,16 @@ _VARIABLE: Final = "MUJOCO_GL"
 _HARMLESS: Final = ("", "glfw", "disable", "disabled", "off", "false", "0")
 """Values with which MuJoCo can be imported anywhere."""
 _TIMEOUT_S: Final = 30
+"""Time limit of a trial process, s (chosen: patience with slow machines against a long wait)."""
 
 _switched_off: str | None = None
 
 
 def switch_off_what_fails() -> str | None:
-    """Go on without OpenGL where MuJoCo could not be imported with it; call before its import.
+    """Disable OpenGL if MuJoCo cannot be imported with it; call before importing MuJoCo.
 
     Returns:
-        Why, where it is switched off, for this process and those that it starts.
+        The reason if OpenGL is disabled, for this process and its child processes; else None.
     """
     global _switched_off
     chosen = os.environ.get(_VARIABLE, "").strip().lower()
@@ -39,7 +40,7 @@ def switch_off_what_fails() -> str | None:
 
 @functools.cache
 def opengl_failure() -> str | None:
-    """Why MuJoCo's renderer cannot draw here; None where it can."""
+    """Reason why MuJoCo's renderer does not work on this machine; None if it works."""
     if find_spec("OpenGL") is None:
         return f"PyOpenGL is not installed: {how_to_install('render')}"
     return _switched_off or _failure(
@@ -49,7 +50,7 @@ def opengl_failure() -> str | None:
 
 
 def _failure(code: str) -> str | None:
-    """Why some Python fails; it runs in a process of its own, as OpenGL may abort."""
+    """Reason why Python code fails, else None; run in a separate process, as OpenGL may abort."""
     try:
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=_TIMEOUT_S)
     except subprocess.TimeoutExpired:

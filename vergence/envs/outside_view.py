@@ -14,11 +14,12 @@ from vergence.models.mujoco.posture import posture_of
 from vergence.models.parts import FloatArray
 
 EYE_COLOURS: Final = ((31, 119, 180), (214, 96, 30))
-"""RGB of the left and the right eye's axis."""
+"""RGB of the left and the right eye's axis (chosen: easy to tell apart)."""
 
 
 _SLIM_M: Final = 0.15
-"""A head with its eyes no farther apart is in view with the target."""
+"""Baseline above which the camera moves back to keep the head in view, m (chosen: room around wide
+heads against the size of the picture)."""
 
 
 class Scene:
@@ -47,10 +48,10 @@ class Scene:
 
         Args:
             positions: (7,) joint angles, rad.
-            target: (3,) what to have in view, in N, m; nan for nothing.
+            target: (3,) point to keep in view, in N, m; nan for none.
             width: px.
             height: px.
-            board: whether the target's board is there; a robot's world is not known.
+            board: True to draw the target's board; in front of a robot it is not known.
 
         Returns:
             (height, width, 3) RGB.
@@ -75,7 +76,7 @@ class Scene:
         return np.asarray(self._renderer.render())
 
     def _turn_upright(self) -> None:
-        """Look from where the camera is in the upright frame: MuJoCo takes z for up."""
+        """Move camera and headlight from upright to model frame: MuJoCo takes z for up."""
         assert self._renderer is not None
         if np.array_equal(self._upright, np.eye(4)):
             return
@@ -88,7 +89,7 @@ class Scene:
                 light.pos, light.dir = turn @ light.pos + origin, turn @ light.dir
 
     def _add_axes(self, here: FloatArray, positions: FloatArray, target: FloatArray) -> None:
-        """The optical axes of both eyes, a tenth beyond the target."""
+        """Draw the optical axes of both eyes, to 1.1 times the target's distance."""
         assert self._renderer is not None
         scene, reach = self._renderer.scene, 1.1 * _reach(target)
         for pose, colour in zip(
@@ -111,12 +112,12 @@ class Scene:
 
 
 def outside_camera(here: FloatArray, target: FloatArray, width_m: float = 0.0) -> mujoco.MjvCamera:
-    """A camera behind the right shoulder that has both the head and the target in view.
+    """Place a camera behind the right shoulder, with both the head and the target in view.
 
     Args:
-        here: (4, 4) where the neck has carried N, in the upright frame of the head.
-        target: (3,) in N, m; nan where there is none.
-        width_m: the distance of the eyes.
+        here: (4, 4) present pose of N, which the neck moves, in the head's upright frame.
+        target: (3,) in N, m; nan for none.
+        width_m: baseline of the eyes, m.
     """
     camera, reach = mujoco.MjvCamera(), _reach(target)
     towards = target if np.isfinite(target).all() else np.array([0.0, 0.0, reach])
@@ -127,5 +128,5 @@ def outside_camera(here: FloatArray, target: FloatArray, width_m: float = 0.0) -
 
 
 def _reach(target: FloatArray) -> float:
-    """How far the target is from N, m; half a metre where there is none."""
+    """Distance of the target from N's origin, m; 0.5 m without a target."""
     return float(np.linalg.norm(target)) if np.isfinite(target).all() else 0.5

@@ -1,4 +1,4 @@
-"""What moves heads and reports what their sensors saw, and the registry of such plants."""
+"""Interface of plants, which move heads and report sensor readings, and their registry."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -15,65 +15,65 @@ from vergence.models.parts import FloatArray
 
 
 class Plant(ABC):
-    """A batch of heads that move, simulated or real; it paces itself.
+    """A batch of moving heads, simulated or real; it keeps the pace of the control periods itself.
 
-    Tasks and controllers use its `Reading` and nothing else. A class that derives from this one
-    looks at the world, without images and without truth, unless it says otherwise.
+    Tasks and controllers use only its `Reading`. By default a plant places no targets and has
+    neither images nor ground truth; subclasses override this.
     """
 
     head: HeadModel
-    """The model that a controller knows."""
+    """Head model that a controller knows."""
     num: int
-    """How many heads move side by side."""
+    """Number of heads in the batch."""
     workspace_options: ClassVar[Mapping[str, Any]] = {}
-    """Options that fit targets which are drawn anywhere in a workspace; a user's go over them."""
+    """Default options for targets drawn anywhere in a workspace; a user's options override them."""
     most: ClassVar[int | None] = None
-    """How many heads can move side by side at most; None for any number."""
+    """Largest number of heads in a batch; None for no limit."""
     places_targets: bool = False
-    """Whether `show` places targets, as before an emulated head; a real one looks at the world."""
+    """True if `show` places targets, as for an emulated head; a real head looks at the world."""
 
     @property
     def board(self) -> Board:
-        """What a target looks like to the eyes, which have to see all of it."""
+        """Shape of the targets; the eyes must see all of it."""
         return POINT
 
     @property
     def fault(self) -> str:
-        """Reason in words for which the heads have been stopped; empty while they have not."""
+        """Reason why the heads have been stopped, in words; empty if they have not."""
         return ""
 
     def release(self) -> None:
-        """Let heads that a fault has stopped be opened anew by the next `reset`."""
+        """Allow the next `reset` to reopen heads that a fault has stopped."""
         return None
 
     def rest(self, reason: str) -> None:
-        """Stop for a reason that lies outside, such as a command that is none; see `fault`."""
+        """Stop the heads for an external reason, such as an invalid command; see `fault`."""
         return None
 
     def prepare(self) -> None:
-        """Compile and check all that a trial calls, before motors have torque."""
+        """Compile and check everything that a trial calls, before motors have torque."""
         return None
 
     def show(self, ids: IntArray, motions: FloatArray) -> None:
-        """Place the targets of the next trials of some heads, where `places_targets`.
+        """Place the targets of the next trials of some heads, if `places_targets`.
 
         Args:
-            ids: (m,) the places.
-            motions: (m, MOTION or more) how the targets move from `reset` on, see
+            ids: (m,) environment indices.
+            motions: (m, MOTION or more) motions of the targets from `reset` on, see
                 `vergence.envs.targets.motion`.
         """
         return None
 
     @abstractmethod
     def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
-        """Bring some heads to rest and begin their time anew; the others go on as they were.
+        """Bring some heads to rest and restart their time; the others continue.
 
         Args:
-            ids: (m,) the places.
-            positions: (m, 7) joint angles to begin at, rad.
+            ids: (m,) environment indices.
+            positions: (m, 7) initial joint angles, rad.
 
         Returns:
-            What the sensors report at time zero, in arrays that the plant reuses.
+            The sensor readings at time zero, in arrays that the plant reuses.
         """
 
     @abstractmethod
@@ -81,12 +81,12 @@ class Plant(ABC):
         """Hold a command for one control period.
 
         Args:
-            command: (n, 7) velocities of the neck's three joints and of the actuators of the eyes,
-                zeros beyond those that there are, rad/s; clipped to their speeds. Where each eye
-                joint has its own motor, this is the order of the joints.
+            command: (n, 7) velocities of the neck's three joints and of the eye actuators, 0 in
+                unused slots, rad/s; clipped to their limits. If each eye joint has its own motor,
+                this is the order of the joints.
 
         Returns:
-            What the sensors report at the end of the period, in arrays that the plant reuses.
+            The sensor readings at the end of the period, in arrays that the plant reuses.
 
         Raises:
             ConfigurationError: a command is nan.
@@ -96,19 +96,19 @@ class Plant(ABC):
         """The newest images of both eyes of a head, in arrays that the plant reuses.
 
         Args:
-            place: which head of the batch.
+            place: environment index.
 
         Returns:
-            Left and right image, (height, width) grey levels; None where there are none.
+            Left and right image, (height, width) grey levels; None for a plant without images.
         """
         return None
 
     def truth(self) -> Truth | None:
-        """What is known about the present without delay or noise; None for a real head."""
+        """Ground truth of the present, without delay or noise; None for a real head."""
         return None
 
     def diagnostics(self) -> dict[str, int]:
-        """Counts of what went wrong in the loop since `prepare`, by name; a robot's has some."""
+        """Counts of faults in the control loop since `prepare`, by name; only robots have some."""
         return {}
 
     @abstractmethod
@@ -122,18 +122,18 @@ PLANTS: Final[dict[str, str]] = {
     "mujoco": "vergence.envs.plants.mujoco:MujocoPlant",
     "rendered": "vergence.envs.plants.rendered:RenderedPlant",
 }
-"""Entry points of the plants by name, `module:class`; add to it to bring another."""
+"""Entry points of the plants by name, `module:class`; add entries to register other plants."""
 
 
 def plant_type(name: str) -> type[Plant]:
     """The class of a plant.
 
     Args:
-        name: one of `PLANTS`, or `module:class` of a plant of one's own.
+        name: one of `PLANTS`, or `module:class` of a user's plant.
 
     Raises:
         UnknownNameError: there is no such plant.
-        ConfigurationError: the module cannot be imported, or what it has is no plant.
+        ConfigurationError: the module cannot be imported, or its object is not a plant.
     """
     if name in list(PLANTS):  # a list takes what has no hash, too
         module, _, attribute = PLANTS[name].partition(":")
@@ -158,9 +158,9 @@ def make_plant(name: str, head: HeadModel, num: int = 1, **kwargs: Any) -> Plant
     """Make a plant by name.
 
     Args:
-        name: one of `PLANTS`, or `module:class` of a plant of one's own.
+        name: one of `PLANTS`, or `module:class` of a user's plant.
         head: the model that a controller knows.
-        num: how many heads move side by side.
+        num: number of heads.
         **kwargs: the plant's own options.
 
     Returns:
@@ -168,7 +168,7 @@ def make_plant(name: str, head: HeadModel, num: int = 1, **kwargs: Any) -> Plant
 
     Raises:
         UnknownNameError: there is no such plant.
-        ConfigurationError: it has no such option, or it is a user's own and no plant.
+        ConfigurationError: an option is unknown, or a user's class is not a plant.
     """
     make = plant_type(name)
     known = accepted_arguments(make)

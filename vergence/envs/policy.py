@@ -1,4 +1,4 @@
-"""What chooses actions: the signature of Stable-Baselines3, batched."""
+"""Interface of policies, which choose actions: the `predict` of Stable-Baselines3, batched."""
 
 from typing import Any, Protocol
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 class Policy(Protocol):
-    """Anything with Stable-Baselines3's `predict`: a law, a network, a person's own."""
+    """Any object with Stable-Baselines3's `predict`: a control law, a network, a user's class."""
 
     def predict(
         self,
@@ -20,9 +20,9 @@ class Policy(Protocol):
 
         Args:
             observation: (num, size) the observations.
-            state: what the last call returned; None at the start.
-            episode_start: (num,) whether a trial has just begun.
-            deterministic: whether to take the most likely action.
+            state: state returned by the last call; None at the start.
+            episode_start: (num,) True where a trial has just begun.
+            deterministic: True to choose the most likely action.
 
         Returns:
             (num, m) actions of m actuators, and the state for the next call.

@@ -1,4 +1,4 @@
-"""What a head's sensors report, and the truth behind it, which no real head knows."""
+"""Sensor readings of heads, and their ground truth, which no real head knows."""
 
 from typing import Any, NamedTuple
 
@@ -14,40 +14,40 @@ Image = NDArray[np.uint8]
 
 
 class Reading(NamedTuple):
-    """What the sensors of a batch of heads saw; the same from a simulation and from hardware.
+    """Sensor readings of a batch of heads, in one form for simulations and hardware.
 
-    A plant reuses the arrays: they change with its next step. `copy` keeps them.
+    A plant reuses the arrays: its next step changes them. Call `copy` to keep a reading.
     """
 
     time_s: FloatArray
-    """(n,) the present, since the trial's start, on the grid of the schedule: a whole number of
-    control periods, also where the step was late; a missed period is skipped. Laws tell a new
-    image by its age, which a clock's jitter would change as a new image does."""
+    """(n,) present time since the trial's start, s: always a whole number of control periods, even
+    if the step was late; a missed period is skipped. Control laws recognise a new image by its
+    age, which jitter of a clock would change as a new image does."""
     frame: NDArray[np.int64]
-    """(n,) how many images have come in this trial; a new one has come when it changes."""
+    """(n,) number of images received in this trial; a change means a new image."""
     pixels: FloatArray
-    """(n, 2, 2) raw pixels of the target in the newest image; nan where an eye does not see it."""
+    """(n, 2, 2) raw pixels of the target in the newest image; nan if the eye does not see it."""
     visible: BoolArray
-    """(n, 2) whether each eye saw the target in the newest image."""
+    """(n, 2) True if the eye saw the target in the newest image."""
     exposure_s: FloatArray
-    """(n,) when the newest image was exposed: measured where the cameras stamp it, else its
-    receipt less the nominal latency; nan before the first. Eyes that expose at different times
-    have a time between them, as of which both pixels are given."""
+    """(n,) exposure time of the newest image, s: measured if the cameras stamp it, else its receipt
+    minus the nominal latency; nan before the first image. If the eyes expose at different times,
+    it is a time between the exposures, and both pixels are given for this time."""
     received_s: FloatArray
-    """(n,) when the newest image became readable, which may be between two periods; nan before
-    the first."""
+    """(n,) time at which the newest image became readable, s, possibly between two periods; nan
+    before the first image."""
     joints_s: FloatArray
-    """(n,) when the joints were measured: the present less the nominal latency of the feedback."""
+    """(n,) measurement time of the joints, s: the present minus the nominal feedback latency."""
     positions_at_exposure: FloatArray
-    """(n, 7) joint angles at the exposure of the newest image, as it is dated, rad: between two
-    readings of the joints they are interpolated."""
+    """(n, 7) joint angles at the newest image's `exposure_s`, rad, interpolated between joint
+    readings."""
     positions: FloatArray
-    """(n, 7) joint angles as they were read last, rad."""
+    """(n, 7) joint angles read last, rad."""
     velocities: FloatArray
-    """(n, 7) joint velocities as they were read last, rad/s."""
+    """(n, 7) joint velocities read last, rad/s."""
     command: FloatArray
-    """(n, 7) the velocities of the neck's joints and of the actuators of the eyes that were really
-    sent for the last period, rad/s; see `vergence.envs.plant.Plant.step`."""
+    """(n, 7) velocities of the neck's joints and of the eye actuators actually sent for the last
+    period, rad/s; see `vergence.envs.plant.Plant.step`."""
 
     @classmethod
     def empty(cls, num: int) -> "Reading":
@@ -68,17 +68,17 @@ class Reading(NamedTuple):
 
     @classmethod
     def of(cls, told: object, num: int) -> "Reading":
-        """The reading that a plant has returned, in arrays that kernels can read.
+        """Check a plant's reading, and convert its arrays to types that kernels can read.
 
         Args:
-            told: what came.
-            num: how many heads it is of.
+            told: object returned by the plant.
+            num: expected number of heads.
 
         Returns:
-            The same reading where its arrays have the types of one, else one of copies.
+            The same object if its arrays already have these types, else one with copies.
 
         Raises:
-            ConfigurationError: it is no reading of so many heads.
+            ConfigurationError: the object is not a reading of this many heads.
         """
         if not isinstance(told, Reading):
             raise ConfigurationError(f"plant: expected to return a Reading, got {told!r:.80}")
@@ -94,34 +94,34 @@ class Reading(NamedTuple):
         return told if same else cls(*arrays)
 
     def copy(self) -> "Reading":
-        """The same values in arrays of their own."""
+        """Copy the reading and its arrays."""
         return self._replace(**{name: array.copy() for name, array in self._asdict().items()})
 
 
 class Truth(NamedTuple):
-    """What is known about the present without delay or noise, in a simulation above all."""
+    """Ground truth of the present, without delay or noise; mostly known in simulation only."""
 
     time_s: FloatArray
-    """(n,) since the trial's start."""
+    """(n,) time since the trial's start, s."""
     positions: FloatArray
     """(n, 7) joint angles, rad."""
     velocities: FloatArray
     """(n, 7) joint velocities, rad/s."""
     motors: FloatArray
-    """(n, 7) angles of the neck's motors and of those of the eyes' actuators, rad; what they move
-    is within half their play of them."""
+    """(n, 7) motor angles of the neck and of the eye actuators, rad; their outputs differ by up to
+    half the backlash."""
     target: FloatArray
     """(n, 3) the target in the present N, m."""
     pixels: FloatArray
-    """(n, 2, 2) raw pixels of the target, nan behind a camera, not clipped to the image."""
+    """(n, 2, 2) raw pixels of the target; nan behind a camera, not clipped to the image."""
     pixel_error: FloatArray
-    """(n, 2, 2) those pixels undistorted as the controller does, less its principal points."""
+    """(n, 2, 2) these pixels undistorted by the controller's model, minus its principal points."""
     image_visible: BoolArray
-    """(n, 2) whether the target lies inside each image."""
+    """(n, 2) True if the target lies inside the image."""
 
     @classmethod
     def unknown(cls, num: int) -> "Truth":
-        """The truth about heads of which nobody knows it: nan, and nothing in view."""
+        """The truth of heads for which it is unknown: nan, and nothing visible."""
         return cls(
             time_s=np.full(num, np.nan),
             positions=np.full((num, 7), np.nan),

@@ -1,8 +1,9 @@
-r"""The part of measured pixel errors that a head's actuators can take away.
+r"""The reducible part of pixel errors: the part that a head's actuators can remove.
 
-With e the errors of both images, J the eyes' image Jacobian and A the joints' angles per actuator
-angle, it is `J A (J A)^+ e`. What is left of e, no motion can reduce: where actuators tie joints,
-that is the residual of the gaze that `HeadModel.fixate` calls best, at which this part is zero.
+With e the errors of both images, J the eyes' image Jacobian and A the joint angles per actuator
+angle, the reducible part is `J A (J A)^+ e`. No motion can reduce the rest of e. For coupled
+joints, the best gaze (`HeadModel.fixate`) has this rest as its residual, and a reducible part of
+zero.
 """
 
 from math import isfinite, nan
@@ -29,17 +30,17 @@ def image_jacobians(
     right: bool,
     jacobian: FloatArray,
 ) -> None:
-    """The image Jacobians of the eyes that see the target, where their images show it.
+    """Compute the image Jacobians of the eyes that see the target, at its pixels.
 
     Args:
         p: a packed head.
         q: (7,) joint angles at the exposure, rad.
-        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan unseen.
-        constant: the target's depth, m; nan for the triangulated one.
-        left: whether the left eye sees the target.
-        right: whether the right one does.
-        jacobian: (2, 2, 2) result by eye, image axis and joint of that eye, px/rad; that of an eye
-            that does not see is left as it is.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
+        constant: the target's depth, m; nan to triangulate it.
+        left: True if the left eye sees the target.
+        right: True if the right eye sees the target.
+        jacobian: (2, 2, 2) result by eye, image axis and joint of this eye, px/rad; unchanged for
+            an eye that does not see the target.
     """
     eyes = (eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6]))
     depth_l = depth_r = constant
@@ -65,15 +66,15 @@ def reducible_part(
     right: bool,
     out: FloatArray,
 ) -> None:
-    """The part of pixel errors that the actuators can take away, by given image Jacobians.
+    """Compute the reducible part of pixel errors from given image Jacobians.
 
     Args:
         p: a packed head.
-        jacobian: (2, 2, 2) by eye, image axis and joint of that eye, px/rad.
-        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan unseen.
-        left: whether the left eye sees the target; its errors count for nothing else.
-        right: whether the right one does.
-        out: (2, 2) result, px; nan for an eye that does not see.
+        jacobian: (2, 2, 2) by eye, image axis and joint of this eye, px/rad.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
+        left: True if the left eye sees the target; else its errors are ignored.
+        right: True if the right eye sees the target; else its errors are ignored.
+        out: (2, 2) result, px; nan for an eye that does not see the target.
     """
     share = np.zeros(SLOTS)
     share_of_actuators(p, jacobian, error, left, right, share)
@@ -87,15 +88,15 @@ def reducible_part(
 def reducible_error(
     p: PackedHead, q: FloatArray, error: FloatArray, left: bool, right: bool, out: FloatArray
 ) -> None:
-    """The part of pixel errors that the actuators can take away, at the triangulated depth.
+    """Compute the reducible part of pixel errors at the triangulated depth.
 
     Args:
         p: a packed head.
         q: (7,) joint angles at the exposure, rad.
-        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan unseen.
-        left: whether the left eye sees the target; its errors count for nothing else.
-        right: whether the right one does.
-        out: (2, 2) result, px; nan for an eye that does not see.
+        error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
+        left: True if the left eye sees the target; else its errors are ignored.
+        right: True if the right eye sees the target; else its errors are ignored.
+        out: (2, 2) result, px; nan for an eye that does not see the target.
     """
     jacobian = np.zeros((2, 2, 2))
     image_jacobians(p, q, error, nan, left, right, jacobian)

@@ -1,4 +1,4 @@
-r"""Observation, reward and termination of the gaze task, from readings alone.
+r"""Observation, reward and termination of the gaze task, computed from readings alone.
 
 Per step, with e the norm of an eye's measured pixel error:
 
@@ -7,18 +7,17 @@ Per step, with e the norm of an eye's measured pixel error:
     effort    = -(tracking + precision) / 100 times the mean square of the action
     lost      = -25, once, when the episode ends for a lost target
 
-The sum is the reward: at most 1. A step in which some eye does not see the target earns 0.
+The reward is their sum, at most 1. A step in which an eye does not see the target earns 0.
 
-A target counts as lost once it has been seen and then some eye has not seen it for half a second,
-and where no eye has seen it 1.5 s after the trial's start. Success is both eyes' error below 1 px
-for a tenth of a second.
+A target is lost if it has been seen, but not by both eyes at once for half a second, or if no eye
+has seen it 1.5 s after the trial's start. The gaze is a success if both eyes' errors have been
+below 1 px for a tenth of a second.
 
-No step costs anything but the one that ends a lost trial. So whatever a trial has come to, going on
-earns at least 0 and ending it costs 25, whatever the discount: losing the target cannot pay.
+Only the step that ends a lost trial has a negative reward. In any state, continuing earns at least
+0 and losing the target costs 25, whatever the discount, so losing the target never pays.
 
-Where actuators tie the joints of the eyes, precision and success take the part of the errors that
-the actuators can still take away, see `vergence.envs.reducible`: no head can do better than its
-best.
+If the eye joints are coupled, precision and success use the reducible part of the errors, see
+`vergence.envs.reducible`: a head is not judged by errors that its actuators cannot remove.
 """
 
 from math import sqrt
@@ -40,37 +39,47 @@ from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 
 TERMS: Final = ("tracking", "precision", "effort", "lost")
-"""The reward's terms, in the order of their array."""
+"""Names of the reward's terms, in the order of their array."""
 LOST_AFTER_S: Final = 0.5
-"""How long some eye may not see a target that has been seen."""
+"""Time without both eyes seeing a target that has been seen, after which it is lost, s (chosen:
+tolerance of dropped frames and turns against steps without a target)."""
 FIRST_SEEN_WITHIN_S: Final = 1.5
-"""How long after a trial's start no eye may have seen the target: twice the 0.75 s that a target
-which appears after 0.6 s needs to be seen, with an image delay of 0.13 s and a few lost frames."""
+"""Time after a trial's start at which a target that no eye has seen is lost, s (chosen: twice the
+0.75 s until a target that appears after 0.6 s is seen, with an image delay of 0.13 s and a few
+dropped frames)."""
 SUCCESS_AFTER_S: Final = 0.1
+"""Time with both errors below `SETTLED_PX` that makes a success, s (chosen: a settled gaze against
+one that passes the target)."""
 SETTLED_PX: Final = 1.0
-# errors at which a part of the reward has fallen to half: while turning, braking, holding still
+"""Bound of the band of settled pixel errors, px (chosen: precision against detection noise)."""
+
+# pixel errors that halve a part of the reward: while turning, while braking, at rest (chosen: a
+# gradient at every distance)
 _FAR_PX: Final = 100.0
 _NEAR_PX: Final = 10.0
 _PRECISE_PX: Final = 1.0
+
 _EFFORT: Final = 0.01
+"""Weight of the effort term (chosen: calm actions against fast turns)."""
 _LOST: Final = 25.0
+"""Cost of a lost target (chosen: weight of a loss against the reward of a trial)."""
 
 
 class Rules(NamedTuple):
-    """When a target counts as lost and a gaze as a success, in whole control periods."""
+    """Time limits for a lost target and for a success, rounded to whole control periods."""
 
     lost_after_s: float
-    """Time without seeing after which a target that has been seen is lost."""
+    """Time without both eyes seeing a target that has been seen, after which it is lost, s."""
     first_seen_within_s: float
-    """Time after which a target that has never been seen is lost."""
+    """Time after which a target that no eye has seen is lost, s."""
     success_after_s: float
-    """Time within the band after which the gaze is a success."""
+    """Time with both errors in the band after which the gaze is a success, s."""
     period_s: float
-    """The control period."""
+    """Control period, s."""
 
     @classmethod
     def of(cls, head: HeadModel) -> "Rules":
-        """Those of a head's control rate."""
+        """The rules at a head's control rate."""
         rate, period_s = head.timing.control_rate_hz, head.timing.period_s
         limits = (LOST_AFTER_S, FIRST_SEEN_WITHIN_S, SUCCESS_AFTER_S)
         lost, first, success = (period_s * max(1, round(limit * rate)) for limit in limits)
@@ -78,45 +87,47 @@ class Rules(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """What trials have come to so far."""
+    """Progress of the running trials: visibility and settling of the target so far."""
 
     seen: BoolArray
-    """(n,) whether the target has been seen."""
+    """(n,) True once an eye has seen the target."""
     seen_s: FloatArray
-    """(n,) when both eyes have seen it last; the period before one eye was the first to see it."""
+    """(n,) last time at which both eyes saw the target, s; at first one period before the first eye
+    saw it."""
     unsettled_s: FloatArray
-    """(n,) when both errors have not been in the band last; the period before the trial's start."""
+    """(n,) last time at which not both errors were in the band, s; at first one period before the
+    trial's start."""
 
     @classmethod
     def empty(cls, num: int) -> "Progress":
-        """Room for that of some trials, which `begin` fills."""
+        """Arrays for `num` trials, to be initialised by `begin`."""
         return cls(np.zeros(num, dtype=np.bool_), np.zeros(num), np.zeros(num))
 
     def begin(self, ids: IntArray, period_s: float) -> None:
-        """Begin the trials of some places, (m,)."""
+        """Begin trials in the environments with indices `ids`, (m,)."""
         self.seen[ids] = False
         self.seen_s[ids] = self.unsettled_s[ids] = -period_s
 
 
 class Outcome(NamedTuple):
-    """What a step gives."""
+    """Result of a step."""
 
     observation: NDArray[np.float32]
     """(n, size) see `vergence.envs.layout.ObservationLayout`."""
     error: FloatArray
-    """(n, 2, 2) measured pixel errors of the newest images, px; nan where not seen."""
+    """(n, 2, 2) measured pixel errors of the newest images, px; nan if not visible."""
     terms: FloatArray
-    """(n, 4) the parts of the reward, see `TERMS`."""
+    """(n, 4) terms of the reward, in the order of `TERMS`."""
     reward: FloatArray
-    """(n,) their sum."""
+    """(n,) sum of the terms."""
     success: BoolArray
-    """(n,) whether both errors have been in the band for long enough."""
+    """(n,) True if both errors have been in the band for long enough."""
     lost: BoolArray
-    """(n,) whether the target is lost."""
+    """(n,) True if the target is lost."""
 
     @classmethod
     def empty(cls, num: int, size: int) -> "Outcome":
-        """Room for that of some heads, whose observations have this size."""
+        """Arrays for `num` heads with observations of this size."""
         return cls(
             observation=np.zeros((num, size), dtype=np.float32),
             error=np.full((num, 2, 2), np.nan),
@@ -144,19 +155,19 @@ def assess(
     outcome: Outcome,
     tied: PackedHead | None,
 ) -> None:
-    """Make observations, rewards and terminations of some places of a batch.
+    """Compute observations, rewards and terminations of some environments of a batch.
 
     Args:
-        ids: (m,) the places.
+        ids: (m,) environment indices.
         head: (PACKED,) the head that the controller knows.
-        scaling: the layout's constants.
-        rules: `bare`, as are all named tuples here.
-        reading: what the sensors report.
-        action: (n, m) the actions taken.
-        progress: brought up to date.
+        scaling: (SCALING,) see `vergence.envs.encoding`.
+        rules: time limits; `bare`, as are all named tuples here.
+        reading: sensor readings.
+        action: (n, m) the actions applied.
+        progress: updated in place.
         outcome: the result.
-        tied: the head again where actuators tie its eye joints: what that needs is compiled where
-            it is needed alone.
+        tied: the packed head again if its eye joints are coupled, else None; code for coupled
+            joints is then not compiled.
     """
     rules, reading = Rules(*rules), Reading(*reading)
     progress, outcome = Progress(*progress), Outcome(*outcome)
@@ -190,7 +201,7 @@ def assess(
             square += action[n, j] * action[n, j]
         first = (left or right) and not progress.seen[n]
         progress.seen[n] = progress.seen[n] or first
-        # by half a period later, so that no rounding of a sum of periods counts
+        # half a period of tolerance, so that rounding of the times does not matter
         now_s, later_s = reading.time_s[n], reading.time_s[n] + 0.5 * rules.period_s
         if both:
             progress.seen_s[n] = now_s
@@ -210,7 +221,7 @@ def assess(
 
 
 def compile_assess() -> None:
-    """Compile `assess` for heads whose eye joints have a motor each, by a call for no place."""
+    """Compile `assess` for heads with one motor per eye joint, by a call for no environment."""
     head = load_head("simulated")
     layout, reading = ObservationLayout.of(head), bare(Reading.empty(1))
     progress, outcome = bare(Progress.empty(1)), bare(Outcome.empty(1, layout.size))

@@ -1,4 +1,4 @@
-"""Rollouts: begin trials, let a controller act step by step, record, and always close."""
+"""Rollouts: begin trials, let a controller act step by step, record, and always close the task."""
 
 from collections.abc import Callable
 
@@ -20,9 +20,9 @@ def rollout(
     seed: int = 0,
     first_trial: int = 0,
 ) -> None:
-    """Run one trial at each place of a task, and close the task whatever happens.
+    """Run one trial in each environment of a task, and close the task in any case.
 
-    Unless the plant is a simulation, all is compiled before the heads move, see
+    Unless the plant is a simulation, all code is compiled before the heads move, see
     `GazeTask.prepare`. For the arguments and errors see `run_trial`.
     """
     try:
@@ -42,18 +42,18 @@ def run_trial(
     seed: int = 0,
     first_trial: int = 0,
 ) -> None:
-    """Run one trial at each place of a task, which stays open for the next one.
+    """Run one trial in each environment of a task, and leave the task open for the next one.
 
     Args:
-        task: what to run.
-        policy: what chooses the actions.
-        steps: how many control periods.
-        record: called with 0 when the trials have begun, and with k after step k.
+        task: the task to run.
+        policy: the policy that chooses the actions.
+        steps: number of control periods.
+        record: callback, called with 0 when the trials have begun, and with k after step k.
         seed: seed of all trials.
-        first_trial: number of the first place's trial; the others follow it.
+        first_trial: trial number of the first environment; the others count up from it.
 
     Raises:
-        VergenceError: the trials cannot begin, or an action has another shape or is nan.
+        VergenceError: the trials cannot begin, or an action has the wrong shape or is nan.
         HardwareError: a robot has been stopped by a fault.
         Exception: whatever the policy or `record` raises.
     """

@@ -1,4 +1,4 @@
-"""The state of a running simulation: arrays by name, copied out and put back bit by bit."""
+"""The state of a running simulation: arrays by name, copied and restored bit by bit."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -11,28 +11,28 @@ from vergence.errors import ConfigurationError
 Arrays = dict[str, NDArray[Any]]
 """Arrays by name."""
 SavedState = dict[str, Arrays]
-"""What a simulation goes on from: the arrays of each of its parts."""
+"""Complete state of a simulation: the arrays of each of its parts."""
 
 
 def named(**parts: Mapping[str, NDArray[Any]]) -> Arrays:
-    """The arrays of several parts, each named `part.name`."""
+    """Join the arrays of several parts, each named `part.name`."""
     return {f"{part}.{name}": a for part, arrays in parts.items() for name, a in arrays.items()}
 
 
 def copied(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
-    """The same values in arrays of their own."""
+    """Copy all arrays."""
     return {name: array.copy() for name, array in arrays.items()}
 
 
 def put_back(arrays: Mapping[str, NDArray[Any]], saved: Mapping[str, NDArray[Any]]) -> None:
-    """Give arrays the values that they had.
+    """Restore the saved values of arrays.
 
     Args:
-        arrays: written to in place.
-        saved: what `copied` returned.
+        arrays: updated in place.
+        saved: a result of `copied`.
 
     Raises:
-        ConfigurationError: the values are those of a simulation of another form.
+        ConfigurationError: names, shapes or types differ, as for another simulation.
     """
     forms = [{name: (a.shape, a.dtype) for name, a in part.items()} for part in (arrays, saved)]
     if forms[0] != forms[1]:

@@ -2,10 +2,10 @@ r"""Random streams keyed by (seed, trial), so that a trial is the same wherever 
 
 Philox-4x64-10 (Salmon, Moraes, Dror and Shaw 2011, "Parallel random numbers: as easy as 1, 2,
 3") turns a key of two words and a counter of four into four random words. Here the key is
-(seed, trial) and the counter is (lane - 1, 0, purpose, block), so any part of any trial's
-randomness can be drawn at any time, in any order, alone or among a thousand others, and comes
-out the same. `Streams` does this with NumPy's generator; `random_words` makes the same words in
-compiled code, without state and without memory. (NumPy increments the counter before use.)
+(seed, trial) and the counter is (lane - 1, 0, purpose, block). So any random number of any trial
+can be drawn at any time, in any order, alone or among a thousand others, and is always the same.
+`Streams` does this with NumPy's generator; `random_words` computes the same words in compiled
+code, without a generator's state or memory. (NumPy increments the counter before use.)
 """
 
 from enum import IntEnum
@@ -24,6 +24,8 @@ IntArray = NDArray[np.int64]
 KeyArray = NDArray[np.uint64]
 Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 
+# Philox-4x64-10: multipliers, increments of the key, number of rounds; then the factor and the
+# shift that make a double of a word's upper 53 bits, and the mask of its lowest bit (numerical)
 _MULTIPLIERS: Final = (np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157))
 _WEYL: Final = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B))
 _ROUNDS: Final = 10
@@ -35,7 +37,7 @@ _COSINE: Final = tuple((-1.0) ** k / factorial(2 * k) for k in range(8))
 
 
 class Purpose(IntEnum):
-    """What a stream is for; each has its own numbers."""
+    """Purpose of a random stream; each purpose has its own numbers."""
 
     TASK = 0
     SENSOR = 1
@@ -47,7 +49,7 @@ class Purpose(IntEnum):
 
 
 class Keys(NamedTuple):
-    """The keys of a batch of trials' random numbers."""
+    """Keys of the random streams of a batch of trials."""
 
     seeds: KeyArray
     """(n,) the trials' seeds."""
@@ -56,7 +58,7 @@ class Keys(NamedTuple):
 
 
 class Key(NamedTuple):
-    """The key of one trial's random numbers."""
+    """Key of one trial's random stream."""
 
     seed: np.uint64
     trial: np.uint64
@@ -66,7 +68,7 @@ class Streams:
     """The random streams of a batch of trials.
 
     Args:
-        num: the number of trials that run side by side.
+        num: number of trials in the batch.
     """
 
     def __init__(self, num: int) -> None:
@@ -76,7 +78,7 @@ class Streams:
 
     @property
     def keys(self) -> "Keys":
-        """The keys of the batch's random numbers, in arrays that the next trials change."""
+        """Keys of the batch, in arrays that the start of other trials changes."""
         return Keys(self.seeds, self.trials)
 
     def _make_generator(self) -> None:
@@ -92,10 +94,10 @@ class Streams:
         self._make_generator()
 
     def start(self, ids: IntArray, seeds: KeyArray, trials: KeyArray) -> None:
-        """Key the streams of some places anew.
+        """Set the keys of some environments.
 
         Args:
-            ids: (n,) the places.
+            ids: (n,) environment indices.
             seeds: (n,) their seeds.
             trials: (n,) their trials.
         """
@@ -103,12 +105,12 @@ class Streams:
         self.trials[ids] = trials
 
     def at(self, place: int, purpose: Purpose, block: int = 0) -> np.random.Generator:
-        """The generator of one place, purpose and block, valid until the next call.
+        """The generator of one environment, purpose and block, valid until the next call.
 
         Args:
-            place: which trial of the batch.
-            purpose: what the numbers are for.
-            block: which block of the purpose's numbers.
+            place: environment index.
+            purpose: purpose of the numbers.
+            block: index of a block of the purpose's numbers.
 
         Returns:
             A generator at the block's first number.
@@ -125,14 +127,14 @@ class Streams:
 
 
 def as_seed(value: object, what: str = "seed") -> int:
-    """A seed, or a trial, as a number from 0 to 2**64 - 1.
+    """Check a seed or a trial number, and return it as an integer from 0 to 2**64 - 1.
 
     Args:
-        value: what a person gave.
-        what: what a message calls it.
+        value: the user's value.
+        what: name for error messages.
 
     Raises:
-        ConfigurationError: it is no whole number or out of range.
+        ConfigurationError: the value is not a whole number or out of range.
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise ConfigurationError(f"{what}: expected a whole number, got {value!r}")
@@ -157,7 +159,7 @@ _high_word: Any = intrinsic(_multiply)
 
 @device
 def random_words(seed: np.uint64, trial: np.uint64, purpose: int, block: int, lane: int) -> Words:
-    """Four random words: the lane-th four, from 1, of a block."""
+    """Four random words of a block; `lane` numbers its groups of four, from 1."""
     k0, k1 = seed, trial
     c0, c1, c2, c3 = np.uint64(lane), np.uint64(0), np.uint64(purpose), np.uint64(block)
     for _ in range(_ROUNDS):
@@ -171,17 +173,17 @@ def random_words(seed: np.uint64, trial: np.uint64, purpose: int, block: int, la
 
 @device
 def to_uniform(word: np.uint64) -> float:
-    """A number from 0 to below 1."""
+    """Convert a word to a uniform number in [0, 1)."""
     return (word >> _ELEVEN) * _TO_DOUBLE
 
 
 @device
 def to_normals(first: np.uint64, second: np.uint64) -> tuple[float, float]:
-    """Two independent standard normal numbers (Box and Muller 1958).
+    """Convert two words to two independent standard normal numbers (Box and Muller 1958).
 
     The angle is drawn within 45 degrees of an axis, where short series give sine and cosine to
-    the last digit, and two bits say which axis: a processor cannot foresee the branches that
-    library functions take for random arguments.
+    the last digit, and two bits choose the axis. This avoids library functions, whose branches a
+    processor cannot predict for random arguments.
     """
     radius = sqrt(-2.0 * log(((first >> _ELEVEN) + 0.5) * _TO_DOUBLE))
     x = 0.5 * pi * (to_uniform(second) - 0.5)

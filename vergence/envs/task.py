@@ -1,4 +1,4 @@
-"""The gaze task, written once for any number of heads: a single environment is a batch of one."""
+"""The gaze task for any number of heads; a single environment is a batch of one."""
 
 from collections.abc import Collection, Mapping
 from typing import Any, Final
@@ -28,17 +28,17 @@ from vergence.models.perturbation import ModelErrors, as_model_errors
 from vergence.triangulation import Fix, triangulate_gaze, triangulate_views
 
 INFO: Final = ("fixes", "truth")
-"""What `info` can hold beyond the reward's terms and `is_success`, on request."""
+"""Optional entries of `info`, besides the reward's terms and `is_success`."""
 
 
 @compiled
 def _command(
     action: NDArray[Any], limits: FloatArray, taken: FloatArray, command: FloatArray
 ) -> bool:
-    """Limit actions and hand them to the eyes' actuators; the neck's joints stay as they are.
+    """Limit actions and convert them to commands of the eye actuators; the neck's are unchanged.
 
     Returns:
-        Whether all actions were numbers.
+        True if no action is nan.
     """
     numbers = True
     for n in range(action.shape[0]):
@@ -53,25 +53,25 @@ def _command(
 
 
 class GazeTask:
-    """Heads that have to look at targets: trials, observations, rewards, terminations.
+    """The task of looking at targets, for a batch of heads: trials, observations, rewards, ends.
 
     Args:
-        num: how many heads.
+        num: number of heads.
         head: the model that the controller knows: a preset's name, a TOML path or a model.
-        plant: what moves the heads: a name, see `vergence.envs.plant.PLANTS`, or `module:class`
-            of a plant of one's own.
-        target: what they look at, see `vergence.envs.targets.registry.make_target`; a real head
-            looks at the world, and has the start of its trials from it.
-        model_errors: standard deviations by which the true heads differ from the model, a
-            mapping of `ModelErrors`' fields; each head of the batch is another draw.
+        plant: the plant that moves the heads: a name, see `vergence.envs.plant.PLANTS`, or
+            `module:class` of a user's plant.
+        target: the target to look at, see `vergence.envs.targets.registry.make_target`; a real head
+            looks at the world, and takes only the start of its trials from this target.
+        model_errors: standard deviations of the true heads from the model, as a mapping of
+            `ModelErrors`' fields; each head of the batch is a separate draw.
         model_seed: seed of that draw; head i of the batch is drawn with model_seed + i.
-        variation: what each trial draws anew, hidden from the controller: delay, lag, noise,
-            dropped frames, model errors; the fields of `vergence.envs.plants.variation.Variation`.
-        info: what `info` holds beyond the reward's terms and `is_success`: `truth`, `fixes`.
+        variation: conditions that each trial draws anew, hidden from the controller: delay, lag,
+            noise, dropped frames, model errors; see `vergence.envs.plants.variation.Variation`.
+        info: optional entries of `info`: `truth`, `fixes`.
         plant_options: the plant's own options.
 
     Raises:
-        VergenceError: an argument cannot be.
+        VergenceError: an argument is invalid.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class GazeTask:
         self.head = head if isinstance(head, HeadModel) else load_head(head)
         refuse_fixed_pair(self.head)
         self.target = make_target(target)
-        """What draws the trials' targets and starts."""
+        """Target that draws the trials' motions and starts."""
         self.layout = ObservationLayout.of(self.head)
         for name in info:
             if name not in INFO:
@@ -108,7 +108,7 @@ class GazeTask:
             if "true_head" in options:
                 raise ConfigurationError("expected either model_errors or true_head, got both")
             errors = as_model_errors(model_errors, "model_errors")
-            # place i is what a single environment with model_seed + i runs
+            # environment i is the same as a single environment with model_seed + i
             heads = [
                 self.head.perturbed(np.random.default_rng(as_seed(model_seed) + i), errors)
                 for i in range(num)
@@ -140,16 +140,16 @@ class GazeTask:
         self._result = (self._action, bare(self._progress), bare(self._outcome))
 
     def prepare(self, policy: Policy) -> None:
-        """Compile all that trials call, before the first of them moves anything.
+        """Compile all code that trials call, before anything moves.
 
-        A real head must not wait for a compiler while it moves. So the plant prepares itself,
-        the policy is asked once, as at a trial's start, and its answer goes nowhere.
+        A real head must not wait for a compiler while it moves. So the plant prepares itself, and
+        the policy is called once, as at a trial's start; its action is discarded.
 
         Args:
-            policy: what will choose the actions.
+            policy: the policy that will choose the actions.
 
         Raises:
-            ConfigurationError: the policy's actions have another shape.
+            ConfigurationError: the policy's actions have the wrong shape.
         """
         self.plant.prepare()
         self._assess(self._all)
@@ -164,10 +164,10 @@ class GazeTask:
         self.fixes()
 
     def begin(self, ids: IntArray, seeds: KeyArray, trials: KeyArray) -> None:
-        """Begin trials at some places; the others go on as they were.
+        """Begin trials in some environments; the others continue.
 
         Args:
-            ids: (m,) the places.
+            ids: (m,) environment indices.
             seeds: (m,) the trials' seeds.
             trials: (m,) the trials' numbers.
         """
@@ -186,10 +186,10 @@ class GazeTask:
         self._assess(ids)
 
     def step(self, action: NDArray[Any]) -> None:
-        """Take actions and bring observation, reward, success and loss up to date.
+        """Apply actions, and update observation, reward, success and loss.
 
         Args:
-            action: (num, m) of the m actuators, limited to [-1, 1].
+            action: (num, m) for the m actuators, limited to [-1, 1].
 
         Raises:
             ConfigurationError: an action is nan.
@@ -201,7 +201,7 @@ class GazeTask:
         self._assess(self._all)
 
     def _take(self, told: Reading) -> None:
-        """Keep a plant's reading; the package's own plants return the same one each time."""
+        """Keep a plant's reading; the package's own plants return the same object each time."""
         if told is not self.reading:
             self.reading = Reading.of(told, self.num)
 
@@ -209,27 +209,27 @@ class GazeTask:
         assess(ids, *self._judged, bare(self.reading), *self._result, self._tied)
 
     def state(self) -> SavedState:
-        """All that the running trials go on from, in arrays of its own.
+        """Copy the complete state of the running trials.
 
         Raises:
-            ConfigurationError: the plant is no simulation, or its state cannot be saved.
+            ConfigurationError: the plant is not a simulation, or its state cannot be saved.
         """
         return {"task": copied(self._arrays()), "plant": simulation_of(self.plant).state()}
 
     def restore(self, state: SavedState) -> None:
-        """Put the running trials back to where `state` was called, to the last bit.
+        """Restore the running trials from a result of `state`, bit by bit.
 
         Args:
-            state: that of a task with the same options.
+            state: the state of a task with the same options.
 
         Raises:
-            ConfigurationError: the state is that of another task.
+            ConfigurationError: the state belongs to another task.
         """
         put_back(self._arrays(), state["task"])
         self._take(simulation_of(self.plant).restore(state["plant"]))
 
     def _arrays(self) -> Arrays:
-        """The arrays that hold the state, beside the plant's."""
+        """State arrays of the task, without those of the plant."""
         return named(
             keys=self._streams.keys._asdict(),
             progress=self._progress._asdict(),
@@ -239,20 +239,20 @@ class GazeTask:
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """(m,) what the numbers of an action are for: the actuators."""
+        """(m,) names of the actuators, in the order of an action."""
         return self.layout.action_names
 
     def spaces(self) -> tuple[Any, Any]:
-        """The spaces of one head's observations and actions."""
+        """Observation space and action space of one head."""
         return Box(self.layout.low(), self.layout.high()), Box(
             -1.0, 1.0, (len(self.action_names),), np.float32
         )
 
     def as_action(self, action: ArrayLike) -> NDArray[Any]:
-        """Actions of all heads as an array (num, m), one number for each of `action_names`.
+        """Check actions of all heads, and return an array (num, m) in the order of `action_names`.
 
         Raises:
-            ConfigurationError: they have another shape.
+            ConfigurationError: the shape is wrong.
         """
         array = as_numbers(action)
         if array.shape != (self.num, len(self.action_names)):
@@ -264,20 +264,20 @@ class GazeTask:
 
     @property
     def pixel_error(self) -> FloatArray:
-        """(num, 2, 2) measured pixel errors of the newest images, px; nan where not seen."""
+        """(num, 2, 2) measured pixel errors of the newest images, px; nan if not visible."""
         return self._outcome.error
 
     @property
     def command(self) -> FloatArray:
-        """(num, 7) velocities that the last actions asked for, rad/s; see `Plant.step`."""
+        """(num, 7) velocities commanded by the last actions, rad/s; see `Plant.step`."""
         return self._command
 
     def truth(self) -> Truth | None:
-        """What the plant knows about the present, see `vergence.envs.plant.Plant.truth`."""
+        """Ground truth of the present, see `vergence.envs.plant.Plant.truth`."""
         return self.plant.truth()
 
     def fixes(self) -> tuple[Fix, Fix]:
-        """The target triangulated by gaze from the present angles, and from the newest images."""
+        """Triangulate the target by gaze from the present angles, and from the newest images."""
         reading = self.reading
         return (
             triangulate_gaze(self.head, reading.positions),

@@ -1,4 +1,4 @@
-"""What the environments of the gaze task, single and vector, offer beyond Gymnasium's interface."""
+"""Common part of the gaze task's single and vector environments, beyond Gymnasium's interface."""
 
 import dataclasses
 import json
@@ -24,11 +24,11 @@ from vergence.models.perturbation import ModelErrors
 
 
 def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
-    """A render mode that is known, or None.
+    """Check a render mode, which may be None, and return it.
 
     Raises:
-        ConfigurationError: the mode is another.
-        RenderingUnavailableError: it needs a window, and pygame is not installed.
+        ConfigurationError: the mode is unknown.
+        RenderingUnavailableError: the mode needs a window, and pygame is not installed.
     """
     if mode is not None and mode not in known:
         raise ConfigurationError(
@@ -41,10 +41,10 @@ def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
 
 
 def checked_options(options: Mapping[str, Any] | None, known: Sequence[str]) -> dict[str, Any]:
-    """The options of a call of `reset`.
+    """Check the options of a call of `reset`, and return them as a dictionary.
 
     Raises:
-        ConfigurationError: one is unknown.
+        ConfigurationError: an option is unknown.
     """
     if options is None:
         return {}
@@ -55,10 +55,10 @@ def checked_options(options: Mapping[str, Any] | None, known: Sequence[str]) -> 
 
 
 def checked_arguments(env: "type[TaskEnv]", arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Arguments of an environment that its task takes.
+    """Check that an environment's task takes the arguments, and return them.
 
     Raises:
-        ConfigurationError: one is unknown.
+        ConfigurationError: an argument is unknown.
     """
     of_task = accepted_arguments(env.task_type)
     if of_task is None or arguments.keys() <= of_task - {"num"}:
@@ -73,7 +73,7 @@ def checked_arguments(env: "type[TaskEnv]", arguments: Mapping[str, Any]) -> Map
 
 
 def control_rate(task: GazeTask) -> int:
-    """Steps a second, as Gymnasium takes frames a second: a whole number."""
+    """Control periods per second, rounded to a whole number as Gymnasium's frames per second."""
     return max(1, round(task.head.timing.control_rate_hz))
 
 
@@ -83,7 +83,7 @@ def reset_needed(call: str) -> ResetNeeded:
 
 
 class TaskSpec(EnvSpec):
-    """A Gymnasium specification that says which of its arguments JSON cannot hold."""
+    """A Gymnasium specification whose errors name the argument that JSON cannot hold."""
 
     def to_json(self) -> str:
         """See `EnvSpec.to_json`.
@@ -96,7 +96,7 @@ class TaskSpec(EnvSpec):
 
 
 def _plain(name: str, value: object) -> Any:
-    """An argument in JSON's types, which `GazeTask` takes as well."""
+    """Convert an argument to JSON's types, which `GazeTask` accepts as well."""
 
     def plain(part: object) -> object:
         if isinstance(part, ModelErrors | Variation):
@@ -119,7 +119,7 @@ def _plain(name: str, value: object) -> Any:
 
 
 class TaskEnv:
-    """An environment around a task: one head is a batch of one."""
+    """Base class of environments around a `GazeTask`; a single head is a batch of one."""
 
     task_type: ClassVar[type[GazeTask]]
     task: GazeTask
@@ -142,25 +142,25 @@ class TaskEnv:
 
     @property
     def layout(self) -> ObservationLayout:
-        """What each number of an observation and an action means."""
+        """Meaning of each number of an observation and of an action."""
         return self.task.layout
 
     @property
     def head(self) -> HeadModel:
-        """The model that controllers know."""
+        """Head model that controllers know."""
         return self.task.head
 
     @property
     def reading(self) -> Reading:
-        """What the sensors report at present, a row a head."""
+        """Present sensor readings, one row per head."""
         return self.task.reading
 
     def truth(self) -> Truth | None:
-        """What the plant knows about the present, a row a head; None for real heads."""
+        """Ground truth of the present, one row per head; None for real heads."""
         return self.task.truth()
 
     def _view(self) -> Viewer | None:
-        """What draws the pictures, made for the first of them; None if none are wanted."""
+        """The viewer, made at the first call; None without a render mode."""
         if self._viewer is None and self.render_mode is not None:
             self._viewer = Viewer(self.task, self.render_mode, self.metadata["render_fps"])
         return self._viewer

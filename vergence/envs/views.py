@@ -27,20 +27,20 @@ _MARK = (0, 150, 60)
 
 
 def opengl_works() -> bool:
-    """Whether MuJoCo's renderer can draw here, see `vergence.envs.opengl`."""
+    """True if MuJoCo's renderer works on this machine, see `vergence.envs.opengl`."""
     return opengl_failure() is None
 
 
 def posture(task: GazeTask, place: int) -> tuple[FloatArray, FloatArray]:
-    """Where one head's joints and its target are, as well as is known.
+    """Best known joint angles and target position of one head.
 
     Args:
         task: the task.
-        place: which head of it.
+        place: environment index.
 
     Returns:
-        (7,) joint angles, rad, and (3,) the target in N, m: the truth where it is known, else
-        what the encoders and the gaze say.
+        (7,) joint angles, rad, and (3,) the target in N, m: the ground truth if it is known, else
+        encoder angles and the fix by gaze.
     """
     truth = task.truth()
     if truth is not None:
@@ -50,15 +50,15 @@ def posture(task: GazeTask, place: int) -> tuple[FloatArray, FloatArray]:
 
 
 def eye_images(task: GazeTask, place: int) -> tuple[Image, Image] | None:
-    """What one head's eyes see at present.
+    """Present images of one head's eyes.
 
     Args:
         task: the task.
-        place: which head of it.
+        place: environment index.
 
     Returns:
-        Left and right image, (height, width) grey levels: the plant's own, or drawn for the
-        present posture without noise where a simulation has none; None for a robot without.
+        Left and right image, (height, width) grey levels: the plant's own, or, for a simulation
+        without images, drawn noise-free at the present posture; None for a robot without images.
     """
     frames = task.plant.frames(place)
     if frames is not None:
@@ -80,9 +80,9 @@ class Viewer:
     """Draws the heads of a task.
 
     Args:
-        task: what to draw.
+        task: the task whose heads are drawn.
         mode: `rgb_array` or `human`.
-        fps: greatest number of pictures a second in the window.
+        fps: largest number of pictures per second in the window.
     """
 
     def __init__(self, task: GazeTask, mode: str, fps: int) -> None:
@@ -104,7 +104,7 @@ class Viewer:
         """The picture of one head.
 
         Args:
-            place: which head of the task.
+            place: environment index.
 
         Returns:
             (height, width, 3) RGB.
@@ -168,7 +168,7 @@ def schematic(
         target: (3,) in N, m.
         width: px.
         height: px.
-        known: whether that is the truth, a circle; a cross for the fix by gaze.
+        known: True to draw the target as ground truth, a circle; else as a fix by gaze, a cross.
 
     Returns:
         (height, width, 3) RGB.
@@ -212,7 +212,7 @@ def schematic(
 
 
 def window_missing() -> str | None:
-    """What to install for a window, pygame being an optional dependency; None where it is there."""
+    """Hint to install pygame, an optional dependency that windows need; None if it is installed."""
     if find_spec("pygame") is not None:
         return None
     return f'render_mode="human": expected pygame, got none: {how_to_install("render")}'
@@ -256,7 +256,7 @@ class Window:
 
 
 def _padded(image: Image, height: int) -> Image:
-    """A picture with paper below it, as high as the other eye's."""
+    """Pad a picture at the bottom with background, to the height of the other eye's."""
     below = ((0, height - len(image)), (0, 0), (0, 0))
     return np.pad(image, below, constant_values=_PAPER)
 

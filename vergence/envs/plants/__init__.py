@@ -1,1 +1,1 @@
-"""Simulated heads: how they move, what their sensors report, what each trial draws anew."""
+"""Simulated heads: motion, sensors, and the conditions that each trial draws anew."""

@@ -1,9 +1,10 @@
-r"""From a command to the motors: its steps, those too small to move, its latency and its losses.
+r"""Commands on their way to the motors: quantisation, dead band, latency and losses.
 
-A command holds for a period, which begins for the motors one command latency after the command was
-given. So a period is divided: until `latency modulo T` the command before counts, then the next.
+A command holds for one period. For the motors, this period begins one command latency after the
+command was given. A control period T is therefore split: until `latency modulo T` the earlier
+command applies, then the next one.
 
-Where a command is lost, or the loop stalls, the command of the period before stands in its place.
+If a command is lost or the loop stalls, the command of the period before stays in force.
 """
 
 from math import ceil
@@ -18,31 +19,32 @@ from vergence.envs.streams import IntArray, Key, Purpose, random_words, to_unifo
 from vergence.models.parts import FloatArray
 
 _ROUNDING: Final = 1e-9
+"""Rounding tolerance, as a fraction of a limit or of a period (numerical)."""
 _COMMAND: Final = int(Purpose.COMMAND)
 
 
 class Commands(NamedTuple):
-    """The commands that were given last; that of step k lies at k modulo C."""
+    """Ring buffers of the last commands; the command of step k lies at k modulo C."""
 
     given: FloatArray
-    """(n, C, 7) as they reach the motors: within the limits and in steps, rad/s; zero where a step
-    moves nothing."""
+    """(n, C, 7) commands as they reach the motors, limited and quantised, rad/s; zero in the dead
+    band of one quantisation step."""
     limit: FloatArray
-    """(7,) greatest commands, rad/s."""
+    """(7,) velocity limits, rad/s."""
     step: float
-    """Step of the commands, rad/s; 0 for exact."""
+    """Quantisation step of the commands, rad/s; 0 for exact."""
 
     @classmethod
     def empty(
         cls, num: int, limit: FloatArray, step: float, longest_s: float, period_s: float
     ) -> "Commands":
-        """Room for those that have not all taken effect, none of which moves anything.
+        """Buffers of zero commands, long enough for all commands that have not taken effect yet.
 
         Args:
-            num: how many heads.
-            limit: (7,) rad/s.
-            step: rad/s.
-            longest_s: the greatest command latency, s.
+            num: number of heads.
+            limit: (7,) velocity limits, rad/s.
+            step: quantisation step, rad/s.
+            longest_s: the largest command latency, s.
             period_s: the control period.
         """
         size = ring_size(ceil(longest_s / period_s) + 2)
@@ -50,18 +52,19 @@ class Commands(NamedTuple):
 
 
 RESUMES: Final = 0
-"""Column of a loop's row: the period in which it goes on, or went on, after its last stall."""
+"""Column of a loop's state row: period in which the loop resumes after its last stall
+(numerical)."""
 LOST: Final = 1
-"""Whether the present period's command never reaches the motors."""
+"""Column: nonzero if the present period's command never reaches the motors (numerical)."""
 READ: Final = 2
-"""The step at which joints were read last."""
+"""Column: step at which the joints were read last (numerical)."""
 LOOP_STATE: Final = 3
-"""Numbers of a row that says how a control loop stands."""
+"""Length of the state row of a control loop (numerical)."""
 
 
 @device
 def is_lost(loop: Loop, key: Key, step: int) -> bool:
-    """Whether a period's command never reaches the motors."""
+    """True if a period's command never reaches the motors."""
     chance = loop.lost_command_probability
     if chance == 0.0:
         return False
@@ -70,16 +73,16 @@ def is_lost(loop: Loop, key: Key, step: int) -> bool:
 
 @device
 def stalled_until(loop: Loop, key: Key, step: int, period_s: float, resumes: int) -> int:
-    """The period in which the loop goes on: `step` itself or an earlier one where it runs.
+    """Compute the period in which the loop resumes: `step` or an earlier one if it is running.
 
-    Two stalls have a period between them in which the loop runs.
+    Between two stalls the loop runs for at least one period.
 
     Args:
         loop: the trial's conditions.
-        key: that of its random numbers.
-        step: the period, which follows on the one that was asked for before.
-        period_s: how long one is.
-        resumes: the answer of the period before.
+        key: key of the trial's random stream.
+        step: number of the period, one more than in the last call.
+        period_s: the control period, s.
+        resumes: result of the last call.
     """
     chance = loop.stall_probability
     if chance == 0.0 or step == 0 or step <= resumes:
@@ -98,15 +101,15 @@ def take_commands(
     step: IntArray,
     sent: FloatArray,
 ) -> bool:
-    """Take the commands of a period.
+    """Take the commands of a period into the ring buffers.
 
     Args:
         command: (n, 7) velocity commands, rad/s.
-        commands: `bare`, brought up to date.
-        loops: (n, LOOP_STATE) which loops stall, and which lose the command.
-        step: (n,) the period's number.
-        sent: (n, 7) result: what was sent to the motors, rad/s; a stalled loop has sent nothing,
-            and what it sent last stays.
+        commands: `bare`, updated in place.
+        loops: (n, LOOP_STATE) states of the control loops: stalls and lost commands.
+        step: (n,) number of the period.
+        sent: (n, 7) result: commands sent to the motors, rad/s; a stalled loop sends nothing and
+            keeps its last value.
 
     Returns:
         False if any command is nan.
@@ -140,25 +143,25 @@ def take_commands(
 
 
 class Hold(NamedTuple):
-    """Which commands a period has for the motors."""
+    """Ring positions of the commands that apply to the motors within a period."""
 
     first: np.uintp
-    """Where the one lies that counts at its beginning."""
+    """Position of the command that applies at the period's beginning."""
     then: np.uintp
-    """Where the one lies that counts from the change on."""
+    """Position of the command that applies from the change on."""
     change_s: float
-    """When it changes, since the period's beginning, s."""
+    """Time of the change since the period's beginning, s."""
 
 
 @device
 def hold_of(late_s: float, step: int, ring: int, period_s: float) -> Hold:
-    """What counts in a period.
+    """Find the commands that apply within a period.
 
     Args:
         late_s: the command latency, s.
-        step: the period's number.
-        ring: C, see `Commands`.
-        period_s: the period.
+        step: number of the period.
+        ring: C, length of the ring buffers of `Commands`.
+        period_s: the control period, s.
     """
     mask = ring - 1
     if late_s == 0.0:

@@ -1,4 +1,4 @@
-"""What trials really run with: by name for people, in rows for kernels."""
+"""Actual conditions of trials: by name for Python code, in packed arrays for kernels."""
 
 from collections import namedtuple
 from collections.abc import Iterator
@@ -13,14 +13,15 @@ from vergence.envs.plants.imperfections import OWN, SCALARS, Imperfections
 from vergence.models.parts import FloatArray
 
 Place = int | np.unsignedinteger[Any]
-"""A place in the batch; unsigned where no index has to be counted from the end."""
+"""Environment index; unsigned to spare kernels the check for a negative index."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Conditions(Imperfections[FloatArray]):
-    """What the trials of a batch of heads really run with, hidden from the controller.
+    """Actual conditions of the trials of a batch, hidden from the controller.
 
-    The fields but the last are (n,) each, or (n, 7) by the neck's joints and the eyes' actuators.
+    All fields but `heads` have the shape (n,), or (n, 7) for the neck's joints and the eye
+    actuators.
     """
 
     heads: FloatArray
@@ -31,30 +32,31 @@ class Conditions(Imperfections[FloatArray]):
 
 
 class Drawn(NamedTuple):
-    """The same as kernels take it, for whom few arrays are quick to hand on."""
+    """`Conditions` packed into three arrays, the form kernels take."""
 
     loop: FloatArray
-    """(n, LOOP) a row of `Loop` for each trial."""
+    """(n, LOOP) one row of `Loop` per trial."""
     own: FloatArray
-    """(n, OWN, 7) speed gains, and backlashes in rad."""
+    """(n, OWN, 7) speed gains, and backlashes in rad, per actuator."""
     heads: FloatArray
-    """(n or 1, PACKED)."""
+    """(n or 1, PACKED) the true heads."""
 
 
 if TYPE_CHECKING:
 
     class Loop(Imperfections[float]):
-        """The conditions of one trial of which it has one number each."""
+        """The scalar conditions of one trial."""
 
         frame_s: float
-        """From one exposure to the next, by the rate and the clock's drift."""
+        """Time from one frame to the next, s, from frame rate and clock drift."""
 
         def __init__(self, *numbers: float) -> None: ...
 
-else:  # kernels know named tuples
+else:  # kernels take named tuples, but no dataclasses
     Loop = namedtuple("Loop", (*SCALARS, "frame_s"))
 
 LOOP: Final = len(SCALARS) + 1
+"""Length of a row of `Loop` (numerical)."""
 _loop_run = run_of(LOOP)
 GAIN: Final = OWN.index("speed_gain")
 BACKLASH: Final = OWN.index("backlash_rad")
@@ -62,5 +64,5 @@ BACKLASH: Final = OWN.index("backlash_rad")
 
 @device
 def loop_of(drawn: Drawn, n: Place) -> Loop:
-    """The conditions of one trial."""
+    """Unpack the scalar conditions of one trial."""
     return Loop(*_loop_run(drawn.loop[n], 0))

@@ -1,4 +1,4 @@
-"""What a head's eyes see of a board: both cameras' images, drawn."""
+"""Rendered images of a board in both eyes of a head."""
 
 from typing import Final, Literal, NamedTuple
 
@@ -17,39 +17,40 @@ from vergence.vision.optics import EyeCamera
 
 
 class CellSize(NamedTuple):
-    """How wide, in px of the image, the cells of a board are that the detector finds."""
+    """Image widths of a board's cells at which the detector finds the board, px."""
 
     fit: float
-    """That of a board that fits: well found, and small."""
+    """Width for boards of width `fit`: reliably found, yet small."""
     least: float
-    """Below it some images of a still board show nothing to the detector."""
+    """Least width; below it the detector misses a still board in some images."""
     most: float
 
 
 CELL_SIZES: Final[dict[type[PlanarTarget], CellSize]] = {
     AprilTag: CellSize(6.0, 2.5, np.inf),
-    # OpenCV's search for the squares asks for larger cells
+    # OpenCV's search for the squares needs larger cells
     Checkerboard: CellSize(11.0, 10.0, np.inf),
 }
 BOARD_BORDER_PX: Final = 3.0
-"""Room that the detector needs around a board, px."""
+"""Clear border that the detector needs around a board, px (chosen: detection against room for
+targets)."""
 
 
 class EyeViews:
-    """The images of both eyes of a head that looks at a board.
+    """Renderer of both eyes' images of a board.
 
     Args:
-        head: the head that really looks, one head.
+        head: the true head, a single one.
         target: the board.
-        width_rad: how wide the board is by its distance, rim included: one that looks equally
-            large near and far. `fit`: as wide as the detector finds it well with the model's
-            cameras; None: its own size at any distance.
-        facing: where the board looks, see `board_pose`.
-        model: the head that a controller knows, whose grey levels the images have; None for the
-            same head.
+        width_rad: ratio of the board's width, rim included, to its distance, so that it looks
+            equally large near and far. `fit`: a width that the detector finds reliably with the
+            model's cameras; None: the board's own size at any distance.
+        facing: orientation of the board, see `board_pose`.
+        model: the head that a controller knows, which sets the images' grey levels; None for
+            `head`.
 
     Raises:
-        ConfigurationError: an option has a value that cannot be.
+        ConfigurationError: an option has an invalid value.
     """
 
     def __init__(
@@ -74,17 +75,17 @@ class EyeViews:
 
     @property
     def frames(self) -> tuple[Image, Image]:
-        """Left and right image, (height, width) grey levels, which the next drawing changes."""
+        """Left and right image, (height, width) grey levels; the next drawing overwrites them."""
         return self._left.frame, self._right.frame
 
     @property
     def shown(self) -> tuple[bool, bool]:
-        """Whether each image has any of the board; else it is plain background."""
+        """True for each image that shows any of the board; else it is plain background."""
         return self._left.region is not None, self._right.region is not None
 
     @property
     def board(self) -> Board:
-        """What a target looks like to the eyes, which have to see all of it."""
+        """Shape of the target; the eyes must see all of it."""
         corners = outline_m(self._target)
         # between the corners a lens may bend an edge outwards
         halves = 0.5 * (corners + np.roll(corners, -1, axis=0))
@@ -107,15 +108,15 @@ class EyeViews:
         point_velocity: ArrayLike = (0.0, 0.0, 0.0),
         axes: ArrayLike | None = None,
     ) -> tuple[Image, Image]:
-        """Draw what the eyes see in the middle of an exposure.
+        """Draw both eyes' images for the middle of an exposure.
 
         Args:
             q: (7,) joint angles, rad.
             v: (7,) joint velocities, rad/s.
-            point: (3,) the board's measured point in the present N, m; nan where there is none.
-            rng: generator of the noise; None for images without.
-            point_velocity: (3,) its velocity in the world, by the axes of the present N, m/s.
-            axes: (3, 3) the board's axes in the present N, as columns; None where it faces as ever.
+            point: (3,) the board's measured point in the present N, m; nan for no board.
+            rng: generator of the noise; None for noise-free images.
+            point_velocity: (3,) its velocity in the world, in the axes of the present N, m/s.
+            axes: (3, 3) the board's axes in the present N, as columns; None for those of `facing`.
 
         Returns:
             Left and right image, see `frames`.
@@ -135,13 +136,13 @@ class EyeViews:
     def _smear_px(
         self, q: FloatArray, v: FloatArray, point: FloatArray, point_velocity: ArrayLike
     ) -> FloatArray:
-        """(2, 2) the way of the point's images from an exposure's beginning to its end, px."""
+        """(2, 2) displacement of the point's images from an exposure's beginning to its end, px."""
         half_s = 0.5 * self._head.timing.exposure_s
         if half_s == 0.0:
             return np.zeros((2, 2))
         ends_s = half_s * np.array([[-1.0], [1.0]])
         angles, points = q + ends_s * v, point + ends_s * np.asarray(point_velocity)
-        # a point stays in the world while the neck carries N
+        # the point belongs to the world, while N moves with the neck
         T_N_now = np.linalg.inv(self._head.base_pose(angles)) @ self._head.base_pose(q)
         points = np.einsum("eij,ej->ei", T_N_now[:, :3, :3], points) + T_N_now[:, :3, 3]
         begin, end = self._head.project(angles, points)
@@ -153,18 +154,19 @@ class EyeViews:
         rng: np.random.Generator | None = None,
         smear_px: ArrayLike = ((0.0, 0.0), (0.0, 0.0)),
     ) -> tuple[Image, Image]:
-        """Draw the board at ready poses; one behind a camera leaves plain background.
+        """Draw the board at given poses; a board behind a camera leaves plain background.
 
         Args:
-            T_C_T: (2, 4, 4) a board's poses in the cameras, its measured point where it really is.
-            rng: generator of the noise; None for images without.
-            smear_px: (2, 2) the way of the board's images during the exposure, px.
+            T_C_T: (2, 4, 4) the board's poses in the cameras, with its measured point at its true
+                position.
+            rng: generator of the noise; None for noise-free images.
+            smear_px: (2, 2) displacement of the board's images during the exposure, px.
 
         Returns:
             Left and right image, see `frames`.
         """
         if self._natural_m is not None:
-            # a board s times as large looks as this one does at 1/s of the way
+            # a board scaled by s looks like the original one at 1/s of the distance
             away = np.linalg.norm(T_C_T[:, :3, 3], axis=-1).mean()
             T_C_T = T_C_T.copy()
             T_C_T[:, :3, 3] *= self._natural_m / away
@@ -177,7 +179,7 @@ class EyeViews:
 def _natural_m(
     head: HeadModel, target: PlanarTarget, width_rad: float | Literal["fit"] | None
 ) -> float | None:
-    """Where a board of this width has its own size, m; None for one that always has it."""
+    """Distance at which a board of this width has its own size, m; None if it always has it."""
     if width_rad is None:
         return None
     if width_rad == "fit":

@@ -1,4 +1,4 @@
-"""What a head says of its joints: encoders on one side of the play, late, noisy, in steps."""
+"""Joint feedback: encoders on one side of the backlash, with latency, noise and quantisation."""
 
 from math import ceil
 from typing import Final, NamedTuple
@@ -20,35 +20,35 @@ _FEEDBACK: Final = int(Purpose.FEEDBACK)
 
 
 class Feedback(NamedTuple):
-    """The encoders, and what they measured and told in the last periods.
+    """The encoders, and ring buffers of their measurements and readings.
 
-    Step k lies at k modulo the ring.
+    In a ring buffer, step k lies at k modulo its length R or L.
     """
 
     measured: FloatArray
-    """(n, R, 2, 7) angles, rad, and speeds, rad/s, of what the encoders sit on."""
+    """(n, R, 2, 7) angles, rad, and speeds, rad/s, on the encoders' side of the backlash."""
     told: FloatArray
-    """(n, L, 7) joint angles as they were read, rad."""
+    """(n, L, 7) joint angles as reported, rad."""
     loops: IntArray
-    """(n, LOOP_STATE) how the control loops stand, see `vergence.envs.plants.commands`."""
+    """(n, LOOP_STATE) states of the control loops, see `vergence.envs.plants.commands`."""
     filtered: FloatArray
-    """(n, 2, 7) the speeds that servos' filters put out last, and those that went in, rad/s."""
+    """(n, 2, 7) last outputs and last inputs of the servos' speed filters, rad/s."""
     angle_step: FloatArray
-    """(7,) resolution of the encoders, rad; 0 for exact."""
+    """(7,) quantisation of the encoder angles, rad; 0 for exact."""
     speed_step: FloatArray
-    """(7,) resolution of their speeds, rad/s."""
+    """(7,) quantisation of the encoder speeds, rad/s; 0 for exact."""
     on_output: bool
-    """Whether the encoders sit on the output's side of the play."""
+    """True if the encoders sit on the output side of the backlash."""
 
     @classmethod
     def of(cls, head: HeadModel, num: int, longest_s: float, oldest_s: float) -> "Feedback":
-        """Those of heads.
+        """Feedback of a batch of heads, with empty buffers.
 
         Args:
-            head: whose encoders they are.
-            num: how many heads.
-            longest_s: the greatest latency of the feedback, speeds included, s.
-            oldest_s: how far back angles are asked for, s.
+            head: head model with the encoders.
+            num: number of heads.
+            longest_s: the largest feedback latency, that of speeds included, s.
+            oldest_s: the greatest age of angles that are looked up, s.
         """
         period_s, own = head.timing.period_s, head.actuation
         return cls(
@@ -63,12 +63,12 @@ class Feedback(NamedTuple):
 
 
 STATE: Final = ("measured", "told", "loops", "filtered")
-"""The fields of `Feedback` that a trial changes."""
+"""Fields of `Feedback` that are part of a trial's state."""
 
 
 @device
 def quantise(value: float, step: float) -> float:
-    """A value as a sensor of some resolution reports it; 0 for exact."""
+    """Round a value to a sensor's quantisation step; 0 for exact."""
     return step * np.rint(value / step) if step > 0.0 else value
 
 
@@ -76,17 +76,18 @@ def quantise(value: float, step: float) -> float:
 def between(
     q0: float, v0: float, q1: float, v1: float, share: float, time_s: float
 ) -> tuple[float, float]:
-    """Angle and velocity between two times, by the cubic through both angles and velocities.
+    """Interpolate angle and velocity between two times.
 
-    The velocity is the straight line's: exact at both ends, and without the cubic's overshoot.
+    The angle follows the cubic through both angles and velocities. The velocity is linear: exact
+    at both ends, and without the cubic's overshoot.
 
     Args:
         q0: the angle at the first time, rad.
         v0: the velocity then, rad/s.
         q1: the angle at the second time, rad.
         v1: the velocity then, rad/s.
-        share: where between them, from 0 to 1.
-        time_s: how far they lie apart, s.
+        share: fraction of the interval, from 0 to 1.
+        time_s: length of the interval, s.
     """
     s, r = share, 1.0 - share
     angle = r * r * ((1.0 + 2.0 * s) * q0 + s * time_s * v0)
@@ -96,7 +97,7 @@ def between(
 
 @device
 def noise_of(key: Key, step: int, lane: int, sigma: float) -> tuple[float, float, float, float]:
-    """White noise of the encoders of the eyes' actuators at a step."""
+    """White noise of the eye actuators' encoders at a step."""
     words = random_words(key.seed, key.trial, _FEEDBACK, step, lane)
     a, b = to_normals(words[0], words[1])
     c, d = to_normals(words[2], words[3])
@@ -104,22 +105,22 @@ def noise_of(key: Key, step: int, lane: int, sigma: float) -> tuple[float, float
 
 
 class Between(NamedTuple):
-    """Where a time lies among steps that are kept."""
+    """Ring positions of two neighbouring steps, and a fraction of the way between them."""
 
     first: np.uintp
     second: np.uintp
     share: float
-    """How far from the first to the second; 0 for at the first."""
+    """Fraction of the way from `first` to `second`; 0 at `first`."""
 
 
 @device
 def ago(periods: float, step: int, ring: int) -> Between:
-    """Between which measurements a time before the newest one lies: the later one is the first.
+    """Find the measurements around a time before the newest one; `first` is the later of them.
 
     Args:
-        periods: how long ago, in periods.
-        step: that of the newest measurement.
-        ring: how many are kept.
+        periods: age in periods.
+        step: step of the newest measurement.
+        ring: length of the ring buffer.
     """
     whole, mask = int(periods + SAME_S), ring - 1
     rest = periods - whole
@@ -129,26 +130,26 @@ def ago(periods: float, step: int, ring: int) -> Between:
 
 @device
 def low_pass(out: float, before: float, now: float, left: float, ramp: float) -> float:
-    """A period of a filter of first order whose input goes straight from one value to another.
+    """Advance a first-order low-pass filter by a period in which its input changes linearly.
 
     Args:
         out: the filter's output at the period's beginning.
-        before: its input then.
+        before: its input at the period's beginning.
         now: its input at the period's end.
-        left: share of the output that is left then, exp(-T/tau).
-        ramp: what it gives out of a ramp from 0 to 1, 1 - (1 - exp(-T/tau)) tau/T.
+        left: fraction of the output that remains after the period, exp(-T/tau).
+        ramp: its response to a ramp from 0 to 1, 1 - (1 - exp(-T/tau)) tau/T.
     """
     return left * out + (1.0 - left - ramp) * before + ramp * now
 
 
 @device
 def told_at(periods: float, step: int, ring: int) -> Between:
-    """Between which readings of the joints a time lies: at most at the newest.
+    """Find the joint readings around a time, which is clamped to those in the ring buffer.
 
     Args:
-        periods: the time in periods, by which the readings are dated.
-        step: that of the newest reading.
-        ring: how many are kept.
+        periods: the time in periods, on the clock that dates the readings.
+        step: step of the newest reading.
+        ring: length of the ring buffer.
     """
     at = min(max(periods, step - ring + 1.0), float(step))
     first = int(np.floor(at + SAME_S))
@@ -170,21 +171,21 @@ def sense_joints(
     feedback: Feedback,
     reading: Reading,
 ) -> None:
-    """Measure some places' joints, and read what was measured one latency ago.
+    """Measure the joints of some environments, and read the measurement of one latency ago.
 
-    Servos measure and filter while the control loop stalls. What would have been read meanwhile is
-    taken to lie on a straight line between the readings before and after.
+    Servos measure and filter even while the control loop stalls. Readings missed during a stall are
+    interpolated linearly between the readings before and after it.
 
     Args:
-        ids: (m,) the places.
-        period_s: the control period.
-        drawn: what the trials run with.
-        keys: those of the trials' random numbers.
+        ids: (m,) environment indices.
+        period_s: the control period, s.
+        drawn: conditions of the trials.
+        keys: keys of the trials' random streams.
         steps: (n,) control periods since the trials' start.
         motors: the motors.
-        tied: what they move; None where each eye joint has its own.
-        feedback: brought up to date.
-        reading: its positions and velocities are the result.
+        tied: coupling of the eye joints; None if each has its own motor.
+        feedback: updated in place.
+        reading: result: its positions and velocities.
     """
     measured, told, loops, filtered, angle_step, speed_step, on_output = feedback
     angles, speeds, driven, own = motors.angles, motors.speeds, motors.driven, drawn.own

@@ -1,12 +1,12 @@
-r"""The cameras' clock: when frames are exposed, which of them come, and when.
+r"""The cameras' clock: times of exposure and arrival of frames, and their faults.
 
-Frame f of a trial is exposed about the time `(phase + f) (1 + drift) / rate`, by the cameras' own
-clock, which knows nothing of the control period. It becomes readable after the latency and a
-jitter of its own, but never before one that was exposed earlier; a dropped frame never does. What
-a frame has, its faults, is a function of the trial and of f.
+The middle of the exposure of frame f of a trial is at `(phase + f) (1 + drift) / rate`, on the
+cameras' own clock, which is independent of the control period. The frame becomes readable after the
+latency and a jitter of its own, but never before an earlier frame; a dropped frame never does. The
+faults of a frame depend only on the trial and on f.
 
-Where the right eye is exposed after the left, by the trial's skew, a frame has two exposures: those
-of frame f are numbers 2 f and 2 f + 1. Elsewhere both eyes share number f.
+If the right eye is exposed after the left, by the trial's skew, frame f has two exposures, numbers
+2 f and 2 f + 1. Otherwise both eyes share exposure number f.
 """
 
 from math import ceil, cos, pi, sin
@@ -29,48 +29,48 @@ from vergence.envs.streams import (
 from vergence.models.parts import FloatArray
 
 SAME_S: Final = 1e-9
-"""Times that differ by less are one: what rounding leaves of sums of periods."""
+"""Difference below which two times are equal: rounding of sums of periods, s (numerical)."""
 _SENSOR: Final = int(Purpose.SENSOR)
 _BEFORE: Final = int(Purpose.BEFORE)
 
 
 def ring_size(least: int) -> int:
-    """The length of a ring for at least so many: a power of two, so that a mask finds a place."""
+    """Length of a ring buffer for `least` items or more: a power of two, so a mask is modulo."""
     return 1 << (least - 1).bit_length()
 
 
 class Frames(NamedTuple):
-    """The frames that have been exposed and may not have come yet: frame f lies at f modulo F.
+    """Ring buffers of exposed frames that may not have arrived yet: frame f lies at f modulo F.
 
-    F is a power of two, as the length of every ring here.
+    F is a power of two, as is the length of every ring buffer here.
     """
 
     pixels: FloatArray
-    """(n, F, 2, 2) what the detector made of both eyes' frames, px."""
+    """(n, F, 2, 2) detections in both eyes' frames, px."""
     visible: BoolArray
-    """(n, F, 2) whether it saw the target."""
+    """(n, F, 2) True if the target was detected."""
     dropped: BoolArray
-    """(n, F) whether the frame never comes."""
+    """(n, F) True if the frame never arrives."""
     exposed_s: FloatArray
-    """(n, F) the middle of the exposure, since the trial's start."""
+    """(n, F) middle of the exposure since the trial's start, s."""
     comes_s: FloatArray
-    """(n, F) when it becomes readable."""
+    """(n, F) time at which the frame becomes readable, s."""
     next: IntArray
-    """(n,) the exposure that comes next, see `frame_of`."""
+    """(n,) number of the next exposure, see `frame_of`."""
     pending: IntArray
-    """(n,) the first one that has not come."""
+    """(n,) number of the first frame that has not arrived."""
     latest_s: FloatArray
-    """(n,) when the last one of those exposed becomes readable."""
+    """(n,) time at which the last exposed frame becomes readable, s."""
 
     @classmethod
     def empty(cls, num: int, longest_s: float, most_hz: float) -> "Frames":
-        """Rings without frames.
+        """Ring buffers without frames.
 
         Args:
-            num: how many heads.
+            num: number of heads.
             longest_s: the longest time from an exposure to the end of the period in which it is
                 read, s.
-            most_hz: the greatest frame rate.
+            most_hz: the highest frame rate, Hz.
         """
         size = ring_size(ceil(longest_s * most_hz) + 2)
         return cls(
@@ -86,12 +86,12 @@ class Frames(NamedTuple):
 
 
 class Exposures(NamedTuple):
-    """The exposures that fall into the present period, and how the heads stand then."""
+    """The exposures within the present period, and the joints at their times."""
 
     taken: IntArray
-    """(n,) how many."""
+    """(n,) number of exposures."""
     time_s: FloatArray
-    """(n, E) the middle of each exposure, since the trial's start."""
+    """(n, E) middle of each exposure since the trial's start, s."""
     positions: FloatArray
     """(n, E, 7) joint angles, rad."""
     velocities: FloatArray
@@ -99,7 +99,7 @@ class Exposures(NamedTuple):
 
     @classmethod
     def empty(cls, num: int, period_s: float, most_hz: float, each: int = 1) -> "Exposures":
-        """Room for those of a period at the greatest frame rate, so many a frame."""
+        """Arrays for a period at the highest frame rate, with `each` exposures per frame."""
         size = each * (ceil(period_s * most_hz) + 1)
         return cls(
             taken=np.zeros(num, dtype=np.int64),
@@ -110,34 +110,34 @@ class Exposures(NamedTuple):
 
 
 class Faults(NamedTuple):
-    """What chance does to one pair of frames; numbers from 0 to below 1 decide."""
+    """Random faults of one pair of frames."""
 
     dropped: bool
     late_s: float
-    """By how much it comes later than the latency."""
+    """Delay beyond the latency, s."""
     missed_left: bool
     missed_right: bool
 
 
 @device
 def frame_time(loop: Loop, frame: int) -> float:
-    """When a frame is exposed, since the trial's start, s."""
+    """Time of a frame's (first) exposure since the trial's start, s."""
     return (loop.frame_phase + frame) * loop.frame_s
 
 
 class FrameOf(NamedTuple):
-    """What an exposure belongs to."""
+    """Frame and eyes of an exposure."""
 
     frame: int
     first_eye: int
-    """The first of the eyes that are exposed."""
+    """Index of the first exposed eye."""
     end_eye: int
-    """The eye after the last one."""
+    """One past the index of the last exposed eye."""
 
 
 @device
 def frame_of(loop: Loop, exposure: int) -> FrameOf:
-    """The frame of an exposure, and which eyes are exposed."""
+    """Find the frame of an exposure, and the eyes that it exposes."""
     if loop.skew_s == 0.0:
         return FrameOf(exposure, 0, 2)
     eye = exposure & 1
@@ -152,13 +152,13 @@ def first_exposure(loop: Loop, frame: int) -> int:
 
 @device
 def skew_of(loop: Loop) -> float:
-    """How long the right eye is exposed after the left, s."""
+    """Delay of the right eye's exposure after the left's, at most one frame time, s."""
     return min(loop.skew_s, loop.frame_s)
 
 
 @device
 def exposure_time(loop: Loop, exposure: int) -> float:
-    """When an exposure is, since the trial's start, s."""
+    """Time of an exposure since the trial's start, s."""
     if loop.skew_s == 0.0:
         return frame_time(loop, exposure)
     return frame_time(loop, exposure >> 1) + (exposure & 1) * skew_of(loop)
@@ -166,7 +166,7 @@ def exposure_time(loop: Loop, exposure: int) -> float:
 
 @device
 def _words(key: Key, frame: int, lane: int) -> Words:
-    """The lane-th four random words of a frame; lane 1 is that of the detection noise."""
+    """Four random words of a frame; lane 1 is used for the detection noise."""
     if frame >= 0:
         return random_words(key.seed, key.trial, _SENSOR, frame, lane)
     return random_words(key.seed, key.trial, _BEFORE, -frame, lane)
@@ -174,7 +174,7 @@ def _words(key: Key, frame: int, lane: int) -> Words:
 
 @device
 def faults_of(loop: Loop, key: Key, frame: int) -> Faults:
-    """The faults of a frame."""
+    """Draw the faults of a frame."""
     drop, jitter = loop.dropped_frame_probability, loop.jitter_s
     miss = loop.missed_detection_probability
     if drop + jitter + miss == 0.0:
@@ -190,7 +190,7 @@ def faults_of(loop: Loop, key: Key, frame: int) -> Faults:
 
 @device
 def pixel_noise(loop: Loop, key: Key, frame: int) -> tuple[float, float, float, float]:
-    """The detections' errors in one pair of frames: u and v left, u and v right."""
+    """Detection noise in one pair of frames, px: u and v left, u and v right."""
     sigma = loop.detection_noise_px
     if sigma == 0.0:
         return 0.0, 0.0, 0.0, 0.0
@@ -202,14 +202,14 @@ def pixel_noise(loop: Loop, key: Key, frame: int) -> tuple[float, float, float, 
 
 @device
 def _beside(most_px: float, size: np.uint64, direction: np.uint64) -> tuple[float, float]:
-    """An offset that is uniform in size and direction, px."""
+    """Random offset, uniform in length and direction, px."""
     length, around = most_px * to_uniform(size), 2.0 * pi * to_uniform(direction)
     return length * cos(around), length * sin(around)
 
 
 @device
 def outlier(loop: Loop, key: Key, frame: int, eye: int) -> tuple[float, float]:
-    """How far an eye's detection is beside the target by a fault, px; nothing for most."""
+    """Offset of an eye's detection from the target if it is an outlier, px; mostly zero."""
     probability = loop.outlier_probability
     if probability == 0.0 or not to_uniform(_words(key, frame, 3)[eye]) < probability:
         return 0.0, 0.0
@@ -219,9 +219,9 @@ def outlier(loop: Loop, key: Key, frame: int, eye: int) -> tuple[float, float]:
 
 @subroutine
 def false_detection(loop: Loop, key: Key, frame: int, eye: int) -> tuple[float, float]:
-    """How far what an eye takes for the target is beside it, px; nothing for most.
+    """Offset of an eye's false detection from the target, px; mostly zero.
 
-    What began last replaces what is taken for the target already.
+    A false detection that begins replaces one that is already under way.
     """
     probability = loop.false_detection_probability
     frames = loop.false_detection_s / loop.frame_s
@@ -231,7 +231,7 @@ def false_detection(loop: Loop, key: Key, frame: int, eye: int) -> tuple[float, 
             continue
         if age >= max(int(np.rint(frames * to_uniform(words[1]))), 1):
             continue
-        # the left eye, the right, both, both by the same
+        # 0, 1: left eye; 2, 3: right eye; 4: both; 5: both with the same offset
         kind = int(6.0 * to_uniform(words[2]))
         if (kind < 2 and eye == 1) or (2 <= kind < 4 and eye == 0):
             continue
@@ -244,12 +244,12 @@ def false_detection(loop: Loop, key: Key, frame: int, eye: int) -> tuple[float, 
 
 @device
 def comes_at(loop: Loop, exposed_s: float, late_s: float, latest_s: float) -> float:
-    """When a frame becomes readable: never before one that was exposed earlier, s.
+    """Time at which a frame becomes readable, never before an earlier frame, s.
 
     Args:
         loop: the trial's conditions.
-        exposed_s: when its first eye was exposed, s.
-        late_s: by how much it is later than the latency, s.
-        latest_s: when the frame before becomes readable, s.
+        exposed_s: exposure time of its first eye, s.
+        late_s: delay beyond the latency, s.
+        latest_s: time at which the frame before becomes readable, s.
     """
     return max(exposed_s + skew_of(loop) + loop.latency_s + late_s, latest_s)

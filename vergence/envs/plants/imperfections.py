@@ -1,8 +1,9 @@
-"""What a robot's loop has otherwise than its model says: one table.
+"""Imperfections of the control loop: differences of a robot from its model, in one table.
 
-A simulated plant's options, what a variation draws for each trial, the rows of kernels, what
-margins are measured in and the tables of the docs are made of it. Kernels are compiled with the
-order of its rows, so it belongs to `_jit`, whose cache goes stale with all modules that name it.
+The table defines the options of simulated plants, the quantities that a variation draws, the rows
+of kernels, the quantities of margins, and the tables of the docs. Kernels are compiled with the
+order of its rows. So a change here must invalidate the cache of `_jit`, which depends on all
+modules that contain this name.
 """
 
 from dataclasses import dataclass, field, fields
@@ -14,43 +15,43 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 PARTS: Final = ("camera", "encoders", "motors", "target")
-"""The parts of the loop, in the order of margins' tables and figures."""
+"""Parts of the loop, in the order of the margins' tables and figures."""
 
 
 class Imperfection(NamedTuple):
-    """One quantity of the loop."""
+    """Description of one imperfect quantity of the loop."""
 
     part: str
-    """Which of `PARTS` has it."""
+    """Part of the loop, one of `PARTS`."""
     label: str
     """Its name in tables and figures."""
     what: str
-    """One line about it for the docs."""
+    """One-line description for the docs."""
     unit: str
     least: float
     most: float
-    """The greatest value; times end before it."""
+    """Upper limit of valid values; for times it is excluded."""
     searched: tuple[float, float]
-    """Between which values margins are looked for. This goes beyond what robots that people own
-    do, and ends where nothing more is to be learned."""
+    """Range in which margins are searched. It exceeds the values of existing robots, and ends where
+    nothing more can be learned."""
     of_head: str = ""
-    """Path of the head's own value, which holds where nothing is said; empty for `otherwise`."""
+    """Attribute path of the head's own value, which is the default; empty for `otherwise`."""
     otherwise: float = 0.0
     by_actuator: bool = False
-    """Whether each actuator has its own."""
+    """True if each actuator has its own value."""
     of_chance: str = ""
-    """The probability without which nothing follows from it; empty where it always matters."""
+    """Name of the probability that must be above 0 for an effect; empty if there always is one."""
     shown: tuple[str, float] = ("", 1.0)
-    """The unit in which people see it, empty for a ratio, and how many of them its own unit is."""
+    """Unit for display, empty for a ratio, and the factor from `unit` to it."""
 
     def nominal(self, head: HeadModel) -> float | FloatArray:
-        """The value where nothing is said.
+        """Default value for a head.
 
         Args:
             head: the model.
 
         Returns:
-            A number; what each actuator has of its own may be (7,).
+            A number; possibly (7,) if each actuator has its own value.
         """
         if not self.of_head:
             return self.otherwise
@@ -61,7 +62,8 @@ class Imperfection(NamedTuple):
 Value = TypeVar("Value", covariant=True)
 
 _LATE_S: Final = 1.0
-"""What every delay and lag is shorter than, s."""
+"""Upper limit of every delay and lag, excluded, s (chosen: above those of robots, yet low enough to
+catch values in milliseconds)."""
 _MS: Final = ("ms", 1e3)
 _MRAD: Final = ("mrad", 1e3)
 _PERCENT: Final = ("%", 100.0)
@@ -76,7 +78,7 @@ def _one(
     searched: tuple[float, float],
     **others: Any,
 ) -> Any:
-    """A field of `Imperfections`."""
+    """Define a field of `Imperfections`."""
     one = Imperfection(part, label, what, unit, *span, searched, **others)
     return field(default=None, metadata={"imperfection": one})
 
@@ -84,9 +86,9 @@ def _one(
 # fmt: off
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Imperfections(Generic[Value]):
-    """Something of each quantity of the loop: a range, or the numbers of a batch.
+    """One value per imperfection of the loop: a range, or the numbers of a batch.
 
-    A trial draws them in this order: what comes later is appended.
+    A trial draws them in this order, so new ones must be appended.
     """
 
     latency_s: Value = _one(
@@ -95,7 +97,7 @@ class Imperfections(Generic[Value]):
         "s", (0.0, _LATE_S), (0.0, 0.3), of_head="timing.latency_s", shown=_MS,
     )
     lag_s: Value = _one(
-        # margins: a joint without lag is no dynamics
+        # margins exclude 0: a joint without lag has no dynamics
         "motors", "joint lag", "time constant of the motors' response; above 0 for dynamics; an "
         "actuator with a lag of its own keeps its ratio to the head's",
         "s", (0.0, _LATE_S), (0.001, 0.2), of_head="timing.lag_s", shown=_MS,
@@ -249,15 +251,15 @@ class Imperfections(Generic[Value]):
 IMPERFECTIONS: Final[dict[str, Imperfection]] = {
     one.name: one.metadata["imperfection"] for one in fields(Imperfections)
 }
-"""The table by name, in the order in which a trial draws them."""
+"""Descriptions by name, in the order in which a trial draws the imperfections."""
 SCALARS: Final = tuple(name for name, one in IMPERFECTIONS.items() if not one.by_actuator)
-"""Those of which a trial has one number."""
+"""Names of the imperfections with one number per trial."""
 OWN: Final = tuple(name for name, one in IMPERFECTIONS.items() if one.by_actuator)
-"""Those of which each actuator has its own."""
+"""Names of the imperfections with one number per actuator."""
 
 
 def expected(name: str) -> str:
-    """What a message says of the values that an imperfection may have."""
+    """Valid values of an imperfection, in words for an error message."""
     one = IMPERFECTIONS[name]
     if one.unit == "s":
         return f"seconds from {one.least:g} to below {one.most:g} (is it in milliseconds?)"
@@ -267,6 +269,6 @@ def expected(name: str) -> str:
 
 
 def is_within(name: str, low: float, high: float) -> bool:
-    """Whether an imperfection may have all values of a range."""
+    """True if an imperfection may have all values from `low` to `high`."""
     one = IMPERFECTIONS[name]
     return one.least <= low and (high < one.most if one.unit == "s" else high <= one.most)

@@ -1,4 +1,4 @@
-"""The kinematic plant: motors follow their commands by the exact lag, without masses."""
+"""The kinematic plant: motors follow their commands with an exactly solved lag, without masses."""
 
 import numpy as np
 
@@ -25,9 +25,9 @@ from vergence.models.joint_response import share_left
 
 
 class KinematicPlant(SimulatedPlant):
-    """Heads without masses: each motor is the preset's lag with its acceleration limit.
+    """Heads without masses: each motor has the preset's lag and acceleration limit.
 
-    Options: those of `SimulatedPlant`.
+    The options are those of `SimulatedPlant`.
     """
 
     def _place(self, ids: IntArray) -> None:
@@ -52,21 +52,21 @@ def drive(
     frames: Frames,
     exposures: Exposures,
 ) -> None:
-    """Move all motors through a period, and stop on the way where a frame is exposed.
+    """Move all motors through a period, and record the joints at each exposure on the way.
 
     Args:
-        period_s: the period.
-        drawn: `bare`, as are the following; what the trials run with.
-        scene: at the period's beginning; its joints are brought up to date.
-        motors: brought up to date.
-        tied: what they move; None where each eye joint has its own.
-        commands: those of the period are taken.
-        frames: which frames come next.
+        period_s: the control period, s.
+        drawn: `bare`, as are the following; conditions of the trials.
+        scene: heads at the period's beginning; the joints are updated in place.
+        motors: updated in place.
+        tied: coupling of the eye joints; None if each has its own motor.
+        commands: ring buffers with the commands of the period.
+        frames: numbers of the next exposures.
         exposures: the result.
     """
     drawn, scene, motors = Drawn(*drawn), Scene(*scene), Motors(*motors)
     commands, frames, exposures = Commands(*commands), Frames(*frames), Exposures(*exposures)
-    # taken out of their groups once: in the loop, numba counts references at each access
+    # unpacked once, as numba would count references at each access in the loop
     heads, _motions, _necks, steps, positions, velocities = scene
     angles, speeds, rates, driven, lower, upper, top, acceleration, lag_ratio = motors
     given, own, many = commands.given, drawn.own, np.uintp(heads.shape[0] > 1)
@@ -79,7 +79,7 @@ def drive(
         hold = hold_of(loop.command_latency_s, step, ring, period_s)
         slot, done, count = hold.first, 0.0, np.uintp(0)
         due = exposure_time(loop, frame) - begin_s
-        neck = 0.0  # what rests all the period need not be looked at
+        neck = 0.0  # motion of the neck; at rest it is skipped
         for k in range(3):
             neck += (
                 abs(speeds[n, k])

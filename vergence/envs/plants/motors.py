@@ -1,16 +1,16 @@
-r"""The motors of a batch of heads: how they follow commands, and the joints that they turn.
+r"""The motors of a batch of heads: their response to commands, and the joints that they drive.
 
-A motor follows its command by its own lag and acceleration limit and stops at its own limits. It
-moves the joints through a play of width b, with friction: what it drives stays where it is while
-the motor crosses the play, and is then pushed along,
+A motor follows its command with its own lag and acceleration limit and stops at its own limits. It
+drives the joints through backlash (play) of width b, with friction: its output stays in place while
+the motor crosses the backlash, and is then pushed along,
 
     driven = clip(driven, motor - b / 2, motor + b / 2),   joints = A driven + offset
 
-so a joint stands still for a moment whenever its motor turns round. The encoder sits on the
-motor's side of the play, or on the output's. Where a joint's stop is nearer than its motors' are,
-all motors that push against it stop, each giving way by its share of the push.
+so a joint stands still for a moment whenever its motor reverses. The encoder sits on the motor's
+side of the backlash, or on the output's. If a joint reaches its own stop before its motors reach
+theirs, all motors that push it stop, each giving way by its share of the push.
 
-Where each eye joint has its own motor, A is the unit matrix: what a motor drives is its joint.
+If each eye joint has its own motor, A is the unit matrix, and a motor's output is its joint.
 """
 
 from typing import Final, NamedTuple
@@ -34,44 +34,45 @@ from vergence.models.packed import PackedHead, joint_at, joint_per_actuator, joi
 from vergence.models.parts import FloatArray
 
 _CONTACT_RAD = 1e-12
-"""What rounding may leave between a motor's flank and what it pushes."""
+"""Rounding tolerance of contact between a motor and its output, rad (numerical)."""
 _PASSES = 4
+"""Passes over the joints that move motors back from the joints' stops (numerical)."""
 _SHORT = 0.125
-"""A step of a servo of second order by its time constant; within one, play and stops are not seen.
-Numerical."""
+"""Largest step of a second-order servo as a fraction of its time constant; backlash and stops are
+applied only between steps (numerical)."""
 
 
 class Motors(NamedTuple):
-    """The motors of a batch of heads; (7,) are the neck's joints and four actuators of the eyes."""
+    """The motors of a batch of heads; arrays of 7 hold the neck's joints and four eye actuators."""
 
     angles: FloatArray
-    """(n, 7) rad."""
+    """(n, 7) motor angles, rad."""
     speeds: FloatArray
-    """(n, 7) rad/s."""
+    """(n, 7) motor speeds, rad/s."""
     accelerations: FloatArray
-    """(n, 7) rad/s^2, of servos of second order; 0 for others."""
+    """(n, 7) accelerations of second-order servos, rad/s^2; 0 for others."""
     driven: FloatArray
-    """(n, 7) where what they move is, within half their play of them, rad; where each eye joint
-    has its own motor, these are the joints."""
+    """(n, 7) angles of the motors' outputs, within half the backlash of the motors, rad; if each
+    eye joint has its own motor, these are the joint angles."""
     lower: FloatArray
-    """(7,) least angles, rad."""
+    """(7,) lower angle limits, rad."""
     upper: FloatArray
-    """(7,) greatest angles, rad."""
+    """(7,) upper angle limits, rad."""
     velocity: FloatArray
-    """(7,) greatest speeds, rad/s."""
+    """(7,) speed limits, rad/s."""
     acceleration: FloatArray
-    """(7,) greatest accelerations, rad/s^2."""
+    """(7,) acceleration limits, rad/s^2."""
     lag_ratio: FloatArray
-    """(7,) lags by those of the conditions."""
+    """(7,) ratios of the motors' lags to the conditions' `lag_s`."""
 
     @classmethod
     def of(cls, head: HeadModel, true_head: HeadModel, num: int) -> "Motors":
-        """Those of heads.
+        """Motors of a batch of heads, at rest.
 
         Args:
             head: the model that a controller knows.
-            true_head: whose limits the motors have.
-            num: how many heads.
+            true_head: the head that sets the motors' limits.
+            num: number of heads.
         """
         own = true_head.actuation
         rest = np.tile(own.actuators_of(head.rest()), (num, 1))
@@ -89,24 +90,24 @@ class Motors(NamedTuple):
 
 
 MOVING: Final = ("angles", "speeds", "accelerations", "driven")
-"""The fields of `Motors` that a trial changes."""
+"""Fields of `Motors` that are part of a trial's state."""
 
 
 class Tied(NamedTuple):
-    """What else there is where motors move several joints."""
+    """Coupling of the eye joints, for heads whose motors move several joints."""
 
     joint_lower: FloatArray
-    """(4,) least angles of the eyes' joints, rad."""
+    """(4,) lower angle limits of the eye joints, rad."""
     joint_upper: FloatArray
-    """(4,) greatest angles of the eyes' joints, rad."""
+    """(4,) upper angle limits of the eye joints, rad."""
     head: PackedHead
-    """(PACKED,) the head that the controller knows: by it, encoders' angles become joints'."""
+    """(PACKED,) the head that the controller knows; it converts encoder angles to joint angles."""
     room: FloatArray
-    """(4,) for numbers by actuator that kernels need for a moment."""
+    """(4,) scratch array of kernels, one number per actuator."""
 
     @classmethod
     def of(cls, head: HeadModel, true_head: HeadModel) -> "Tied | None":
-        """That of a head; None where each eye joint has its own motor."""
+        """Coupling of a head; None if each eye joint has its own motor."""
         if head.actuation.direct:
             return None
         limits = true_head.limits
@@ -114,36 +115,36 @@ class Tied(NamedTuple):
 
 
 class Motor(NamedTuple):
-    """How one motor stands."""
+    """State of one motor."""
 
     angle: float
     speed: float
     driven: float
-    """Where what it moves is."""
+    """Angle of its output, rad."""
 
 
 class Drive(NamedTuple):
-    """What one motor can do in a trial."""
+    """Parameters of one motor in a trial."""
 
     lag_s: float
     acceleration: float
     fade: float
-    """What its speed takes of the acceleration, per rad/s."""
+    """Fraction of the acceleration that is lost per rad/s of speed."""
     lower: float
     upper: float
     play: float
-    """Whole width, rad."""
+    """Backlash, whole width, rad."""
 
 
 @device
 def pushed(driven: float, angle: float, play: float) -> float:
-    """Where what a motor moves is once the motor is at an angle."""
+    """Angle of a motor's output once the motor has moved to `angle`."""
     return min(max(driven, angle - 0.5 * play), angle + 0.5 * play)
 
 
 @device
 def driven_speed(motor: Motor, play: float) -> float:
-    """The velocity of what a motor moves: the motor's while it pushes, else none."""
+    """Velocity of a motor's output: the motor's own while it pushes, else 0."""
     behind, half = motor.angle - motor.driven, 0.5 * play - _CONTACT_RAD
     pushes = behind >= half if motor.speed > 0.0 else -behind >= half
     return motor.speed if pushes else 0.0
@@ -151,20 +152,22 @@ def driven_speed(motor: Motor, play: float) -> float:
 
 @device
 def moved(motor: Motor, drive: Drive, command: float, time_s: float, decay: float) -> Motor:
-    """A motor a time later; what it moves has been brought to where the motor turned round.
+    """Advance a motor by a time; its output is pushed only up to a reversal of the motor.
+
+    Callers push the output on with `pushed`.
 
     Args:
-        motor: how it stands.
-        drive: what it can do.
-        command: what holds, rad/s, its speed gain included.
-        time_s: how long, s.
+        motor: its state.
+        drive: its parameters.
+        command: velocity command, rad/s, with the speed gain applied.
+        time_s: duration, s.
         decay: `share_left(time_s, drive.lag_s)`.
     """
     q, v, driven = motor.angle, motor.speed, motor.driven
     tau, a = drive.lag_s, drive.acceleration
     if drive.play > 0.0 and v * command < 0.0:
         turn = time_to_turn(v, command, tau, a)
-        if turn < time_s:  # what is pushed stays at the turning point
+        if turn < time_s:  # the output stays at the turning point
             farthest, _rest = follow_joint(q, v, command, tau, a, turn, share_left(turn, tau))
             driven = pushed(driven, min(max(farthest, drive.lower), drive.upper), drive.play)
     if drive.fade > 0.0:
@@ -182,15 +185,15 @@ def moved(motor: Motor, drive: Drive, command: float, time_s: float, decay: floa
 def swung(
     motor: Motor, acceleration: float, drive: Drive, command: float, time_s: float, overshoot: float
 ) -> tuple[Motor, float]:
-    """A motor of second order a time later, and its acceleration; otherwise as `moved`.
+    """Advance a second-order servo by a time; return it and its acceleration, else as `moved`.
 
     Args:
-        motor: how it stands.
-        acceleration: and what it accelerates by, rad/s^2.
-        drive: what it can do; its lag is above 0.
-        command: what holds, rad/s, its speed gain included.
-        time_s: how long, s.
-        overshoot: share by which its speed overshoots a step, above 0.
+        motor: its state.
+        acceleration: its acceleration, rad/s^2.
+        drive: its parameters; the lag is above 0.
+        command: velocity command, rad/s, with the speed gain applied.
+        time_s: duration, s.
+        overshoot: fraction by which its speed overshoots a step of the command, above 0.
     """
     q, v, w, driven = motor.angle, motor.speed, acceleration, motor.driven
     zeta, steps = damping_ratio(overshoot), int(np.ceil(time_s / (_SHORT * drive.lag_s)))
@@ -208,13 +211,13 @@ def swung(
 
 @subroutine
 def stop_at_joints(motors: Motors, tied: Tied, p: PackedHead, n: Place) -> None:
-    """Let one head's motors give way where they push a joint against its own stop.
+    """Move one head's motors back where they push a joint beyond its own stop.
 
     Args:
-        motors: the angles and speeds, changed in place.
-        tied: what they move.
+        motors: their angles and speeds are updated in place.
+        tied: coupling of the eye joints, with their limits.
         p: the true head.
-        n: which head.
+        n: environment index.
     """
     own = tied.room
     for _ in range(_PASSES):
@@ -239,10 +242,10 @@ def stop_at_joints(motors: Motors, tied: Tied, p: PackedHead, n: Place) -> None:
 
 @subroutine
 def tie(room: FloatArray, p: PackedHead, positions: FloatArray, velocities: FloatArray) -> None:
-    """Turn angles and velocities (7,) of actuators into those of joints, in place.
+    """Convert angles and velocities (7,) of actuators to those of joints, in place.
 
     Args:
-        room: (4,) for a moment.
+        room: (4,) scratch array.
         p: a packed head.
         positions: rad.
         velocities: rad/s.

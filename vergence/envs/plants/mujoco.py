@@ -1,4 +1,4 @@
-"""The mujoco plant: the head's dynamics, a batch of simulations stepped together in C."""
+"""The mujoco plant: the heads' dynamics, in a batch of simulations stepped together in C."""
 
 import dataclasses
 from typing import Any, Literal
@@ -23,18 +23,19 @@ from vergence.models.mujoco.servos import servo_rate
 class MujocoPlant(SimulatedPlant):
     """Heads with masses, servos and joint limits, see `vergence.models.mujoco.model`.
 
-    MuJoCo moves the joints; where the eyes look is then the true heads' own kinematics, so a
-    population of true heads shares one model of masses. The acceleration limit is the servos'
-    torque limit, the load's inertia times the preset's acceleration. Where actuators turn several
-    joints, their angles are taken from MuJoCo's and the joints follow from these, exactly tied.
+    MuJoCo moves the joints. The gaze follows from the joint angles by each true head's own
+    kinematics, so a population of true heads shares one model of masses. The acceleration limit is
+    the servos' torque limit: the load's inertia times the preset's acceleration. If actuators move
+    several joints, the actuator angles are computed from MuJoCo's joints and the joint angles from
+    these, so that the coupling is exact.
 
     Args:
         head: the model that a controller knows.
-        num: how many heads move side by side.
+        num: number of heads.
         neck: `servo` moves and holds the neck by its servos, `welded` holds it rigidly at
             the trial's start, which is faster.
         nthread: threads that step the simulations; 0 for all processors.
-        **options: those of `SimulatedPlant`.
+        **options: options of `SimulatedPlant`.
     """
 
     def __init__(
@@ -60,7 +61,7 @@ class MujocoPlant(SimulatedPlant):
         true, whole = self._true_heads.given, self._true_heads
         moved = dataclasses.replace(head, limits=true.limits, actuators=true.actuators)
         self._model = compile_model(moved, neck=neck, target=None, visuals=False)
-        # the plant limits commands itself; an actuator's gain may carry it further
+        # the plant limits commands itself; an actuator's speed gain may exceed the limit
         self._model.actuator_ctrllimited[:] = 0
         addresses = addresses_of(self._model, head)
         self._joints, self._rotors = addresses.joints, addresses.rotors
@@ -73,8 +74,8 @@ class MujocoPlant(SimulatedPlant):
         self._motors_apart = self._plays or self._tied is not None
         self._fades = whole.greatest("torque_falloff") > 0.0
         self._forces_vary = self._fades or self._varies_at_all("acceleration_ratio", 1.0)
-        # a period is one piece unless something happens within it: what has play is pushed along
-        # at every step, so that it does not miss where motors turn
+        # a period is one piece unless something happens within it; outputs behind backlash are
+        # pushed at every step, so that they do not miss the motors' turning points
         rate = head.timing.control_rate_hz / whole.greatest("frame_rate_hz")
         within = (
             self._plays
@@ -95,7 +96,7 @@ class MujocoPlant(SimulatedPlant):
         self._start_batch()
 
     def _varies_at_all(self, name: str, plain: float) -> bool:
-        """Whether an imperfection is, or may become, another than this."""
+        """True if an imperfection differs from `plain` in some trial, or may do so later."""
         variation = self._true_heads.variation
         drawn = variation is not None and getattr(variation, name) is not None
         return drawn or bool((getattr(self.conditions, name) != plain).any())
@@ -105,7 +106,7 @@ class MujocoPlant(SimulatedPlant):
         self._qpos = self._batch.bind("qpos")
         self._qvel = self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
-        # a simulation is its row of the state, and this is one that has not begun
+        # the state row of a simulation that has not begun; a row is a whole simulation
         self._unstarted = self._batch.state[0].copy()
         if self._lags_vary or (self.conditions.lag_s != self.head.timing.lag_s).any():
             self._gain = self._batch.expand("actuator_gainprm")
@@ -118,7 +119,7 @@ class MujocoPlant(SimulatedPlant):
             self._most_force = self._force[0, :, 1].copy()
 
     def _set_lags(self, ids: IntArray) -> None:
-        """Give the servos of some places the gains of their lags."""
+        """Set the servo gains of some environments from their lags."""
         step = self._model.opt.timestep
         # the gain is the inertia times the rate of the discretised lag
         ratio = np.array(
@@ -161,7 +162,7 @@ class MujocoPlant(SimulatedPlant):
         )
 
     def _limit_forces(self) -> None:
-        """Give the servos the limits of their trials, at the speeds that they have."""
+        """Set the servos' force limits from their trials' conditions and their present speeds."""
         most = self.conditions.acceleration_ratio[:, None] * self._most_force
         top = self.conditions.speed_gain[:, self._slots] * self._motors.velocity[self._slots]
         fade = self.conditions.torque_falloff[:, None] / top

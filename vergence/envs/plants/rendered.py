@@ -1,4 +1,4 @@
-"""The rendered plant: MuJoCo's dynamics, drawn images, and a real detector that looks at them."""
+"""The rendered plant: MuJoCo's dynamics, rendered images, and a real detector that reads them."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
@@ -38,23 +38,23 @@ from vergence.vision.tracking import Tracker
 
 
 class RenderedPlant(MujocoPlant):
-    """Heads whose eyes see drawn images, in which a detector finds the target.
+    """Heads whose eyes see rendered images, in which a detector finds the target.
 
-    Detection noise is the detector's own; the grey levels' noise is the preset's rendering. A
-    variation cannot draw it, nor a skew of the eyes, nor the head, whose lenses are prepared once
-    for all images. Missed detections, outliers and false detections come on top of the detector's
-    own.
+    Detection noise is the detector's own; the preset's rendering sets the noise of the grey levels.
+    A variation cannot draw detection noise, a skew of the eyes, or the head, whose lenses are
+    prepared once for all images. Missed detections, outliers and false detections are added to the
+    detector's own.
 
     Args:
         head: the model that a controller knows.
-        num: how many heads move side by side.
-        board: what the target shows: `tag` (AprilTag 36h11) or `checkerboard`.
-        facing: where the board looks, `head` or `forward`, see `EyeViews`.
-        width_rad: how wide the board is by its distance, see `EyeViews`.
-        **options: those of `MujocoPlant`.
+        num: number of heads.
+        board: pattern of the target: `tag` (AprilTag 36h11) or `checkerboard`.
+        facing: orientation of the board, `head` or `forward`, see `EyeViews`.
+        width_rad: ratio of the board's width to its distance, see `EyeViews`.
+        **options: options of `MujocoPlant`.
 
     Raises:
-        ConfigurationError: an option has a value that cannot be.
+        ConfigurationError: an option has an invalid value.
     """
 
     workspace_options: ClassVar[Mapping[str, Any]] = {"width_rad": "fit"}
@@ -100,7 +100,7 @@ class RenderedPlant(MujocoPlant):
 
     @property
     def board(self) -> Board:
-        """What a target looks like to the eyes, see `Plant.board`."""
+        """Shape of the targets, see `Plant.board`."""
         return self._views[0].board
 
     def frames(self, place: int = 0) -> tuple[Image, Image]:
@@ -132,7 +132,7 @@ class RenderedPlant(MujocoPlant):
         )
 
     def _photograph(self, place: int, frame: int, i: int) -> None:
-        """Take both eyes' frames, the i-th of the period, and keep what is found."""
+        """Take both eyes' frames of the period's i-th exposure, and keep the detections."""
         there = view(
             place,
             i,
@@ -145,11 +145,11 @@ class RenderedPlant(MujocoPlant):
             self._smear_px,
         )
         if not there:
-            self._T_C_T[:, 2, 3] = -1.0  # nothing to see behind a camera
-        # as the joints tell a controller of the head that it knows
+            self._T_C_T[:, 2, 3] = -1.0  # behind the cameras, where nothing is visible
+        # camera poses by the head model that a controller knows
         positions = self._exposures.positions[place, i]
         T_0_C = self.head.base_pose(positions) @ self.head.camera_poses(positions)
-        # the frames before time zero have the odd blocks, as many as there are
+        # frames before time zero have the odd blocks, later ones the even blocks
         rng = self._streams.at(place, Purpose.IMAGE, 2 * frame if frame >= 0 else -2 * frame - 1)
         views = self._views[place]
         frames = views.draw_poses(self._T_C_T, rng, self._smear_px)
@@ -171,16 +171,16 @@ def take_detections(
     found: FloatArray,
     seen: BoolArray,
 ) -> None:
-    """Take what the detectors found in some places' frames into their rings.
+    """Store the detections of some environments in the frames' ring buffers.
 
     Args:
-        ids: (m,) the places.
-        drawn: `bare`, as are the following three; what the trials run with.
-        keys: those of the trials' random numbers.
-        exposures: when the frames were taken.
-        frames: the rings, brought up to date.
-        found: (n, E, 2, 2) px.
-        seen: (n, E, 2) whether anything was found.
+        ids: (m,) environment indices.
+        drawn: `bare`, as are the following three; conditions of the trials.
+        keys: keys of the trials' random streams.
+        exposures: times of the exposures.
+        frames: ring buffers, updated in place.
+        found: (n, E, 2, 2) detections, px.
+        seen: (n, E, 2) True if the target was detected.
     """
     drawn, keys = Drawn(*drawn), Keys(*keys)
     exposures, frames = Exposures(*exposures), Frames(*frames)
@@ -221,22 +221,22 @@ def view(
     T_C_T: FloatArray,
     smear_px: FloatArray,
 ) -> bool:
-    """Where both cameras see the board, and how far its image moves.
+    """Compute the board's poses in both cameras, and the motion blur of its images.
 
     Args:
-        n: the place whose eyes look.
-        i: which exposure of the period.
-        half_s: half the time that the shutter is open.
-        facing_head: whether the board is square to the line from N's origin, see
+        n: environment index.
+        i: index of the exposure within the period.
+        half_s: half the exposure time, s.
+        facing_head: True if the board is square to the line from N's origin, see
             `vergence.models.boards.board_pose`.
         scene: `bare`.
         exposures: `bare`.
-        onset_s: when the target's own time begins.
+        onset_s: start of the target's own time, s.
         T_C_T: (2, 4, 4) result, the board's poses in the cameras.
-        smear_px: (2, 2) result, the way of the target's image while the shutter is open, px.
+        smear_px: (2, 2) result, displacement of the target's image during the exposure, px.
 
     Returns:
-        Whether there is a target at that time.
+        True if there is a target at this time.
     """
     scene, exposures = Scene(*scene), Exposures(*exposures)
     p, time_s = head_of(scene, n), exposures.time_s[n, i]

@@ -1,4 +1,4 @@
-"""What the eyes of a moving head see of a moving target, without delay and noise."""
+"""Projection of moving targets into the eyes of moving heads, without delay or noise."""
 
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ class Scene(NamedTuple):
     heads: FloatArray
     """(n or 1, PACKED) the true heads, see `vergence.models.kinematics`."""
     motions: FloatArray
-    """(n, MOTION) the targets, see `vergence.envs.targets.motion`."""
+    """(n, MOTION) motions of the targets, see `vergence.envs.targets.motion`."""
     necks: FloatArray
     """(n, 3) the neck's angles at the trials' start, rad."""
     step: IntArray
@@ -35,7 +35,7 @@ class Scene(NamedTuple):
 
 @device
 def head_of(scene: Scene, n: Place) -> PackedHead:
-    """(PACKED,) the true head of a place."""
+    """(PACKED,) true head of an environment."""
     head: PackedHead = scene.heads[np.uintp(n) * np.uintp(scene.heads.shape[0] > 1)]
     return head
 
@@ -44,7 +44,7 @@ def head_of(scene: Scene, n: Place) -> PackedHead:
 def target_in_n(
     p: PackedHead, motion: Motion, neck_at_start: FloatArray, neck: FloatArray | Vector, t: float
 ) -> Vector:
-    """The target in the present N at its own time: it belongs to the world, N to the neck."""
+    """The target in the present N at its own time `t`; it moves in the world, N with the neck."""
     x, y, z = position_at(motion, t)
     if neck[0] == neck_at_start[0] and neck[1] == neck_at_start[1] and neck[2] == neck_at_start[2]:
         return x, y, z
@@ -55,7 +55,7 @@ def target_in_n(
 
 @device
 def eye_pixel(p: PackedHead, eye: int, q: FloatArray, point: Vector) -> tuple[float, float]:
-    """Where an eye sees a point of N, distorted px."""
+    """Pixel of a point of N in an eye's image, distorted, px."""
     x, y, z = point_in_eye(p, eye, q[3 + 2 * eye], q[4 + 2 * eye], point[0], point[1], point[2])
     return point_to_pixel(p, eye, x, y, z, True)
 
@@ -71,20 +71,20 @@ def image_motion(
     time_s: float,
     half_s: float,
 ) -> tuple[float, float]:
-    """How far the target's image moves while the shutter is open, px.
+    """Displacement of the target's image while the shutter is open, px.
 
-    A jump is no motion: the frame shows where the target is in the middle of the exposure, so
-    the first frame at or after a jump shows it after the jump, sharp.
+    A jump is not motion: a frame shows the target where it is in the middle of the exposure. So the
+    first frame at or after a jump shows the target after the jump, without blur.
 
     Args:
         p: the true head.
-        motion: the target's.
+        motion: the target's motion.
         neck: (3,) the neck's angles at the trial's start, rad.
-        eye: which eye.
+        eye: index of the eye.
         q: (7,) joint angles in the middle of the exposure, rad.
         v: (7,) joint velocities then, rad/s.
-        time_s: the middle of the exposure in the target's own time.
-        half_s: half the time that the shutter is open.
+        time_s: the middle of the exposure in the target's own time, s.
+        half_s: half the exposure time, s.
     """
     tilt, pan = q[3 + 2 * eye], q[4 + 2 * eye]
     dt, dp = v[3 + 2 * eye] * half_s, v[4 + 2 * eye] * half_s
@@ -108,7 +108,7 @@ def image_motion(
 def look(
     nominal: PackedHead, period_s: float, own_time_s: FloatArray, scene: Scene, truth: Truth
 ) -> None:
-    """Bring the truth up to date.
+    """Update the ground truth.
 
     Args:
         nominal: (PACKED,) the head that the controller knows.

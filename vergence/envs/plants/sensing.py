@@ -1,14 +1,14 @@
-r"""The sensor model of every simulated plant: what is seen of each frame, and what is read when.
+r"""Sensor model of simulated plants: detections in each frame, and the time of their reading.
 
-`expose` takes the frames of the last period, each with the posture at its own instant, and puts
-what the detector makes of them into a ring; `report` gives out the newest frame that has become
-readable, and the joints' feedback. While the control loop stalls nothing is read: a reading has the
-time of the present, and all else as it was before.
+`expose` takes the frames of the last period, each with the joint angles at its own exposure, and
+stores the detections in ring buffers. `report` reads the newest frame that has become readable, and
+the joint feedback. While the control loop stalls nothing is read: a reading then has the present
+time and is otherwise unchanged.
 
-A reading dates its image by the camera's stamp where it has one; else by the receipt less the
-nominal latency, as a robot does that knows when an image arrived. Where a plant's own latency
-differs, the angles "at exposure" are those of the date in the reading, and the error is the
-controller's to bear.
+A reading dates its image by the camera's stamp if there is one, else by the receipt minus the
+nominal latency, as does a robot that only knows when an image arrived. If the actual latency
+differs, the angles "at exposure" are those at the date in the reading, and the controller has to
+cope with the error.
 """
 
 from math import hypot, nan
@@ -41,27 +41,28 @@ from vergence.models.camera import inside_image
 from vergence.models.head import HeadModel
 
 _NONE: Final = -(2**62)
+"""Frame number that stands for no frame (numerical)."""
 
 
 class Sensor(NamedTuple):
-    """The clock and the sensors that a batch of heads has in common, as their model says."""
+    """Clock and sensors common to all heads of a batch, by their model."""
 
     period_s: float
-    """The control period."""
+    """Control period, s."""
     latency_s: float
-    """The latency by which a reading dates its image."""
+    """Nominal latency by which a reading dates its image, s."""
     feedback_latency_s: float
-    """That by which it dates the joints."""
+    """Nominal latency by which a reading dates the joints, s."""
     stamped: bool
-    """Whether the cameras tell when a frame was exposed."""
+    """True if the cameras stamp the exposure of a frame."""
     exposure_s: float
-    """How long the shutter is open."""
+    """Exposure time, s."""
     max_smear_px: float
-    """Motion in the image during an exposure beyond which the target is not seen."""
+    """Image motion during an exposure above which the target is not detected, px."""
 
     @classmethod
     def of(cls, head: HeadModel) -> "Sensor":
-        """Those of a head."""
+        """The sensors of a head model."""
         timing = head.timing
         return cls(
             period_s=timing.period_s,
@@ -83,20 +84,20 @@ def expose(
     exposures: Exposures,
     frames: Frames,
 ) -> None:
-    """Take the frames of some places' last period into their rings.
+    """Take the last period's frames of some environments into their ring buffers.
 
     Args:
-        ids: (m,) the places whose eyes look.
+        ids: (m,) environment indices.
         sensor: `bare`, as are the following.
-        drawn: what the trials run with.
-        keys: those of the trials' random numbers.
-        scene: what there is to see.
-        exposures: when the frames were taken, and how the heads stood.
-        frames: the rings, brought up to date.
+        drawn: conditions of the trials.
+        keys: keys of the trials' random streams.
+        scene: the true heads and their targets.
+        exposures: times of the exposures, and the joints at these times.
+        frames: ring buffers, updated in place.
     """
     sensor, drawn, keys = Sensor(*sensor), Drawn(*drawn), Keys(*keys)
     scene, exposures, frames = Scene(*scene), Exposures(*exposures), Frames(*frames)
-    # taken out of their groups once: in the loop, numba counts references at each access
+    # unpacked once, as numba would count references at each access in the loop
     heads, motions, necks, _steps, _positions, _velocities = scene
     counts, times, then_q, then_v = exposures
     pixels, visible, dropped, exposed_s, comes_s, following, _pending, latest_s = frames
@@ -119,7 +120,7 @@ def expose(
                 continue
             if first_eye == 0:
                 comes_s[n, slot] = latest_s[n] = comes_at(loop, time_s, faults.late_s, latest_s[n])
-            # a frame at a jump shows what is there after it
+            # a frame at a jump shows the target after the jump
             own_time_s = time_s - loop.onset_s + SAME_S
             if not is_shown(motion, own_time_s):
                 continue
@@ -159,19 +160,19 @@ def report(
     frames: Frames,
     reading: Reading,
 ) -> None:
-    """Give out the newest readable frames and the joints' feedback.
+    """Read the newest available frames and the joint feedback of some environments.
 
     Args:
-        ids: (m,) the places that are read.
+        ids: (m,) environment indices.
         sensor: `bare`, as are all but the steps and `tied`.
-        drawn: what the trials run with.
-        keys: those of the trials' random numbers.
+        drawn: conditions of the trials.
+        keys: keys of the trials' random streams.
         steps: (n,) control periods since the trials' start.
         motors: the motors.
-        tied: what they move; None where each eye joint has its own.
-        feedback: the encoders, brought up to date, and whether the loops run.
-        frames: the rings.
-        reading: the result; it keeps what it has of an image where no new frame came.
+        tied: coupling of the eye joints; None if each has its own motor.
+        feedback: the encoders and the states of the control loops, updated in place.
+        frames: ring buffers.
+        reading: the result; its image fields are unchanged if no new frame has arrived.
     """
     sensor, drawn, keys = Sensor(*sensor), Drawn(*drawn), Keys(*keys)
     frames, reading = Frames(*frames), Reading(*reading)
@@ -186,7 +187,7 @@ def report(
         reading,
     )  # fmt: skip
     told = Feedback(*feedback).told
-    # taken out of their groups once: in the loop, numba counts references at each access
+    # unpacked once, as numba would count references at each access in the loop
     pixels, visible, dropped, exposed_s, comes_s, following, pending, _latest_s = frames
     time_s, frame, read_pixels, read_visible = (
         reading.time_s,
@@ -206,7 +207,7 @@ def report(
             continue
         joints_s[n] = now_s - sensor.feedback_latency_s
         newest, f, loop = _NONE, pending[n], loop_of(drawn, n)
-        # of the last frame the right eye may not be exposed yet: it has not come then
+        # a frame whose right eye is still to be exposed has not arrived
         while first_exposure(loop, f) < following[n]:
             slot = np.uintp(f & mask)
             if not dropped[n, slot]:

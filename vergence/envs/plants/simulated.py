@@ -1,4 +1,4 @@
-"""What all simulated plants share: true heads, targets, the loop, the random streams."""
+"""Common part of all simulated plants: true heads, targets, control loop, random streams."""
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
@@ -32,11 +32,11 @@ from vergence.models.parts import FloatArray
 
 _Init = TypeVar("_Init", bound=Callable[..., None])
 _AHEAD: Final = (0.0, 0.0, 1.0)
-"""Where the targets are until trials are drawn, in N, m."""
+"""Position of the targets until trials are drawn, in N, m (chosen: straight ahead)."""
 
 
 class _Bare(NamedTuple):
-    """What every step hands to kernels, `bare`: made once."""
+    """Arguments of the kernels of every step, `bare`: made once."""
 
     sensor: Sensor
     drawn: Drawn
@@ -51,7 +51,7 @@ class _Bare(NamedTuple):
 
 
 def _named(init: _Init) -> _Init:
-    """Give `**loop` its names in the signature, by which options are checked and shown."""
+    """Name the options `**loop` in the signature, which is used to check and show options."""
     own = signature(init)
     names = [
         Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=ArrayLike | None)
@@ -65,23 +65,23 @@ class SimulatedPlant(Simulation):
     """A batch of simulated heads.
 
     Args:
-        head: the model that a controller knows; its timing and sensors are the plant's
-            unless overridden.
-        num: how many heads move side by side.
-        true_head: the heads that really move, with their own limits: one, or a population of shape
-            (num,). None for the model itself.
-        variation: what each trial draws anew instead of the following, see
+        head: the model that a controller knows; it also sets the plant's timing and sensors unless
+            they are overridden.
+        num: number of heads.
+        true_head: the true heads, with their own limits: one, or a population of shape (num,).
+            None for the model itself.
+        variation: conditions that each trial draws anew, in place of the following, see
             `vergence.envs.plants.variation`.
-        **loop: what the loop has otherwise than the model says, by the names of
-            `vergence.envs.plants.imperfections`, such as `latency_s`: numbers or (num,) arrays;
-            (num, m) by actuator of the eyes for what each of them has of its own.
+        **loop: imperfections of the loop by the names of `vergence.envs.plants.imperfections`, such
+            as `latency_s`: numbers or (num,) arrays; also (num, m) over the eye actuators for
+            imperfections of which each actuator has its own.
 
     Raises:
-        ConfigurationError: an argument has a shape or value that cannot be.
+        ConfigurationError: an argument has an invalid shape or value.
     """
 
     _varies: ClassVar[frozenset[str]] = frozenset((*RANGES, "model_errors"))
-    """The fields of a variation that this plant can follow."""
+    """Fields of a variation that this plant supports."""
 
     @_named
     def __init__(
@@ -128,7 +128,7 @@ class SimulatedPlant(Simulation):
             heads.greatest("command_latency_s"),
             period_s,
         )
-        # a reading of an image asks for angles as old as its date
+        # the reading of an image looks up joint angles as old as its date
         oldest_s = max(late_s, timing.latency_s) + 1.0 / most_hz + timing.feedback_latency_s
         oldest_s = max(oldest_s, heads.greatest("speed_span_s"))
         feedback_s = heads.greatest("feedback_latency_s") + heads.greatest("speed_latency_s")
@@ -166,33 +166,33 @@ class SimulatedPlant(Simulation):
 
     @property
     def true_head(self) -> HeadModel:
-        """The heads that really move: one, or a population of shape (num,)."""
+        """The true heads: one, or a population of shape (num,)."""
         return self._true_heads.model
 
     @property
     def conditions(self) -> Conditions:
-        """What the running trials run with, in arrays that the next trials change."""
+        """Conditions of the running trials, in arrays that the next trials change."""
         return self._true_heads.conditions
 
     @abstractmethod
     def _place(self, ids: IntArray) -> None:
-        """Put the joints of some heads at rest where scene and motors say."""
+        """Put the joints of some heads at rest, at the angles in scene and motors."""
 
     @abstractmethod
     def _move(self) -> None:
-        """Move motors and joints through a period, and say how they stand at its exposures."""
+        """Move motors and joints through a period, and record the joints at its exposures."""
 
     def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
-        """Put heads at rest and begin their last trials anew, see `Plant.reset`."""
+        """Put heads at rest and restart their last trials, see `Plant.reset`."""
         keys = self._streams.keys
         motions = self._scene.motions[ids]
         return self.begin(TrialStart(ids, keys.seeds[ids], keys.trials[ids], positions, motions))
 
     def begin(self, start: TrialStart) -> Reading:
-        """Begin trials at some places; the others go on as they were.
+        """Begin trials in some environments; the others continue.
 
         Args:
-            start: the places and how their trials begin.
+            start: environment indices, and the starts of their trials.
 
         Returns:
             The reading at time zero.
@@ -238,9 +238,9 @@ class SimulatedPlant(Simulation):
         return self.reading
 
     def truth(self) -> Truth:
-        """The present without delay and noise."""
+        """Ground truth of the present, without delay or noise."""
         own_time_s = self._scene.step * self.head.timing.period_s - self.conditions.onset_s
-        # a jump at a control step has happened then
+        # a jump at the time of a control step counts as done
         own_time_s[np.abs(own_time_s) < SAME_S] = 0.0
         return self._look(own_time_s)
 
@@ -249,7 +249,7 @@ class SimulatedPlant(Simulation):
         return self._look(last_jump(self._scene.motions))
 
     def _look(self, own_time_s: FloatArray) -> Truth:
-        """The present, with the targets at times of their own."""
+        """Ground truth of the present, with the targets at given own times."""
         truth = Truth.unknown(self.num)
         period_s = self.head.timing.period_s
         look(self.head.packed, period_s, own_time_s, self._bare.scene, bare(truth))
@@ -275,7 +275,7 @@ class SimulatedPlant(Simulation):
         return copied(self._arrays())
 
     def _make_room(self, width: int) -> None:
-        """Let the rows of the targets' motions be so long."""
+        """Lengthen the rows of the targets' motions to `width` if they are shorter."""
         rows = self._scene.motions
         if width > rows.shape[1]:
             wider = np.zeros((self.num, width))
@@ -290,9 +290,9 @@ class SimulatedPlant(Simulation):
         return self.reading
 
     def _arrays(self) -> Arrays:
-        """The arrays that hold the state."""
+        """State arrays, by name."""
         scene = self._scene._asdict()
-        del scene["heads"]  # those of the conditions
+        del scene["heads"]  # part of the conditions
         motors = self._motors
         return named(
             conditions=self._true_heads.arrays(),
@@ -315,12 +315,12 @@ class SimulatedPlant(Simulation):
         self._place(self._all)
 
     def _expose(self, ids: IntArray) -> None:
-        """Take the last period's frames of some places."""
+        """Take the last period's frames of some environments."""
         own = self._bare
         expose(ids, own.sensor, own.drawn, own.keys, own.scene, own.exposures, own.frames)
 
     def _report(self, ids: IntArray) -> None:
-        """Read the sensors of some places."""
+        """Read the sensors of some environments."""
         own = self._bare
         report(
             ids, own.sensor, own.drawn, own.keys, self._scene.step, own.motors, self._tied,

@@ -1,4 +1,4 @@
-"""What a simulated plant can do beyond any plant: draw trials, tell the truth, go back."""
+"""Interface of simulated plants: trials drawn from seeds, ground truth, saved states."""
 
 from abc import abstractmethod
 from typing import NamedTuple
@@ -14,58 +14,58 @@ from vergence.models.parts import FloatArray
 
 
 class TrialStart(NamedTuple):
-    """How the trials of some places of a batch begin, in a simulation."""
+    """Starts of the trials of some environments of a batch, in a simulation."""
 
     ids: IntArray
-    """(m,) the places."""
+    """(m,) environment indices."""
     seeds: KeyArray
     """(m,) the trials' seeds."""
     trials: KeyArray
     """(m,) the trials' numbers."""
     positions: FloatArray
-    """(m, 7) joint angles, rad; the joints are at rest."""
+    """(m, 7) initial joint angles, rad; the joints are at rest."""
     motions: FloatArray
     """(m, MOTION) the targets' motions, see `vergence.envs.targets.motion`."""
 
 
 class Simulation(Plant):
-    """A plant that is simulated: it draws trials from seeds, and knows all about them."""
+    """A simulated plant: it draws trials from seeds, and knows their ground truth."""
 
     @property
     @abstractmethod
     def true_head(self) -> HeadModel:
-        """The heads that really move: one, or a population of shape (num,)."""
+        """The true heads: one, or a population of shape (num,)."""
 
     @property
     @abstractmethod
     def conditions(self) -> Conditions:
-        """What the running trials run with, in arrays that the next trials change."""
+        """Conditions of the running trials, in arrays that the next trials change."""
 
     @abstractmethod
     def begin(self, start: TrialStart) -> Reading:
-        """Begin trials at some places, see `Plant.reset`; the others go on as they were."""
+        """Begin trials in some environments, see `Plant.reset`; the others continue."""
 
     @abstractmethod
     def truth(self) -> Truth:
-        """The present without delay and noise."""
+        """Ground truth of the present, without delay or noise."""
 
     @abstractmethod
     def truth_at_rest(self) -> Truth:
-        """The present, with the targets where they are from their last jump on."""
+        """Ground truth of the present, with the targets where they are after their last jump."""
 
     @abstractmethod
     def onset_s(self) -> FloatArray:
-        """(n,) when the targets jump for the last time, or their motion begins.
+        """(n,) times of the targets' last jump, or of the beginning of their motion.
 
         In seconds since the trials' start.
         """
 
     @abstractmethod
     def first_sights(self) -> tuple[FloatArray, FloatArray]:
-        """When trials at time zero read the first images in which either eye finds the target.
+        """Reading times of the first images in which an eye finds the target.
 
-        Of a target that was there before, those after its onset count. The eyes are taken to rest
-        until then.
+        Call it while the trials are at time zero. For a target that was there before, only images
+        after its onset count. The eyes are assumed to rest until then.
 
         Returns:
             (n,) seconds since the trial's start, of the first image of the target, and of the
@@ -74,19 +74,19 @@ class Simulation(Plant):
 
     @abstractmethod
     def state(self) -> Arrays:
-        """All that the running trials go on from, in arrays of its own."""
+        """Copy the complete state of the running trials."""
 
     @abstractmethod
     def restore(self, state: Arrays) -> Reading:
-        """Put the running trials back to where `state` was called, to the last bit.
+        """Restore the running trials from a result of `state`, bit by bit.
 
         Raises:
-            ConfigurationError: the state is that of another simulation.
+            ConfigurationError: the state belongs to another simulation.
         """
 
 
 def is_simulated(name: str) -> bool:
-    """Whether a plant is a simulation, as a robot is not.
+    """True if a plant is a simulation, not a robot.
 
     Args:
         name: see `vergence.envs.plant.plant_type`.
@@ -98,10 +98,10 @@ def is_simulated(name: str) -> bool:
 
 
 def simulation_of(plant: Plant) -> Simulation:
-    """A plant as a simulation, for what cannot do without.
+    """Check that a plant is a simulation, and return it.
 
     Raises:
-        ConfigurationError: it is none.
+        ConfigurationError: the plant is not a simulation.
     """
     if not isinstance(plant, Simulation):
         raise ConfigurationError(f"plant: expected a simulated one, got {type(plant).__name__}")

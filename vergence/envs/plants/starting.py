@@ -1,4 +1,4 @@
-"""How trials of a simulated plant start: joints at rest, cameras that have been running before."""
+"""Start of trials in simulated plants: joints at rest, cameras that are already running."""
 
 from math import floor, nan
 from typing import Final
@@ -32,12 +32,13 @@ from vergence.models.parts import FloatArray
 
 _VARIATION: Final = int(Purpose.VARIATION)
 _LONGEST_S: Final = 10.0
-"""What nobody has seen for so long is never seen."""
+"""Time without a sight after which a target counts as never seen, s (chosen: length of the search
+against late sights)."""
 
 
 @device
 def first_frame(loop: Loop) -> int:
-    """The first frame to be exposed in a trial: so early that it has come by time zero."""
+    """First frame to be exposed in a trial, early enough to have arrived by time zero."""
     oldest = -(loop.latency_s + loop.jitter_s + skew_of(loop)) / loop.frame_s
     return floor(oldest - loop.frame_phase - SAME_S)
 
@@ -57,23 +58,23 @@ def begin(
     frames: Frames,
     reading: Reading,
 ) -> None:
-    """Bring starting trials to time zero, their joints at rest and their rings empty.
+    """Set starting trials to time zero, with joints at rest and empty ring buffers.
 
-    The first frame to be exposed is so early that it has come by time zero.
+    The first frame to be exposed is early enough to have arrived by time zero.
 
     Args:
-        ids: (m,) the trials that start.
-        positions: (m, 7) where their joints are, rad.
-        motions: (m, MOTION) their targets.
-        drawn: `bare`, as are the following; what the trials run with.
-        keys: those of the trials' random numbers.
-        scene: the result, with the following.
+        ids: (m,) environment indices of the starting trials.
+        positions: (m, 7) initial joint angles, rad.
+        motions: (m, MOTION) motions of their targets.
+        drawn: `bare`, as are the following; conditions of the trials.
+        keys: keys of the trials' random streams.
+        scene: result, as are the following.
         motors: the motors.
-        tied: what they move; None where each eye joint has its own.
-        commands: none is under way.
+        tied: coupling of the eye joints; None if each has its own motor.
+        commands: set to none under way.
         feedback: the encoders.
-        frames: the rings.
-        reading: the reading of heads that have seen nothing yet.
+        frames: ring buffers.
+        reading: set to the reading of heads that have seen nothing yet.
     """
     drawn, keys, scene = Drawn(*drawn), Keys(*keys), Scene(*scene)
     motors, commands, feedback = Motors(*motors), Commands(*commands), Feedback(*feedback)
@@ -98,7 +99,7 @@ def begin(
             for k in range(SLOTS):
                 motors.angles[n, 3 + k] = actuator_at(tied.head, k, positions[m, 3:])
         for k in range(7):
-            # anywhere in its play
+            # the output is anywhere within the backlash
             offset = drawn.own[n, BACKLASH, k] * (share[k] - 0.5)
             motors.driven[n, k] = scene.positions[n, k] = motors.angles[n, k] + offset
             scene.velocities[n, k] = reading.command[n, k] = 0.0
@@ -132,17 +133,17 @@ def begin(
 
 @compiled
 def still(ids: IntArray, drawn: Drawn, scene: Scene, frames: Frames, exposures: Exposures) -> bool:
-    """The next frames of starting trials until time zero, as many as there is room for.
+    """Expose the next frames of starting trials up to time zero, as many as there is room for.
 
     Args:
-        ids: (m,) the trials that start.
+        ids: (m,) environment indices of the starting trials.
         drawn: `bare`, as are the following.
         scene: their heads at rest.
-        frames: the rings.
+        frames: ring buffers.
         exposures: the result.
 
     Returns:
-        Whether there are some.
+        True if there are any.
     """
     drawn, scene = Drawn(*drawn), Scene(*scene)
     frames, exposures = Frames(*frames), Exposures(*exposures)
@@ -167,17 +168,17 @@ def still(ids: IntArray, drawn: Drawn, scene: Scene, frames: Frames, exposures: 
 def first_sights(
     drawn: Drawn, keys: Keys, scene: Scene, since_s: FloatArray, sights_s: FloatArray
 ) -> None:
-    """When the first image of the target from some moment on is read.
+    """Find the time at which the first image of the target exposed from some moment on is read.
 
-    That is the first of those in which either eye's detector finds it, with the frames' faults as
-    chance has them; the eyes are taken to rest until then.
+    It is the first image in which either eye's detector finds the target, with the random faults of
+    the frames; the eyes are assumed to rest until then.
 
     Args:
-        drawn: `bare`, as are the following two; what the trials run with.
-        keys: those of the trials' random numbers.
+        drawn: `bare`, as are the following two; conditions of the trials.
+        keys: keys of the trials' random streams.
         scene: trials at time zero.
-        since_s: (n,) the moments, in the targets' own time.
-        sights_s: (n,) result, since the trial's start; inf for never.
+        since_s: (n,) the moments, in the targets' own time, s.
+        sights_s: (n,) result, s since the trial's start; inf for never.
     """
     drawn, keys, scene = Drawn(*drawn), Keys(*keys), Scene(*scene)
     for n in range(len(sights_s)):

@@ -1,7 +1,7 @@
-"""A period in pieces: commands that change within it, and frames that fall between its ends.
+"""Control periods in pieces, for commands that change and frames that are exposed within a period.
 
-What a physics engine steps is held by a mean command for each piece, and read at the piece's end;
-where the joints stand when a frame is exposed follows from both ends of its piece.
+For each piece, a physics engine is given a mean command, and its state is read at the end. The
+joint angles at the exposure of a frame are interpolated between both ends of its piece.
 """
 
 from typing import NamedTuple
@@ -22,7 +22,7 @@ from vergence.models.parts import FloatArray
 
 
 class Track(NamedTuple):
-    """How the joints have stood in a period: at its beginning and at the end of each piece."""
+    """Joint states within a period: at its beginning and at the end of each piece."""
 
     positions: FloatArray
     """(n, pieces + 1, 7) rad."""
@@ -31,13 +31,13 @@ class Track(NamedTuple):
 
     @classmethod
     def empty(cls, num: int, pieces: int) -> "Track":
-        """Room for it."""
+        """Arrays for `num` heads."""
         return cls(*np.zeros((2, num, pieces + 1, 7)))
 
 
 @compiled
 def start_track(scene: Scene, track: Track) -> None:
-    """Begin a period's track with the joints as they are; both `bare`."""
+    """Begin a period's track with the present joint states; both arguments are `bare`."""
     scene, track = Scene(*scene), Track(*track)
     for n in range(scene.step.shape[0]):
         for j in range(7):
@@ -57,20 +57,20 @@ def hold_commands(
     slots: IntArray,
     control: FloatArray,
 ) -> None:
-    """The servos' controls for a piece of a period: the mean of what counts in it.
+    """Compute the servos' controls for a piece of a period: the mean of its commands.
 
-    A servo of second order is one of first order with another control: that by which its speed at
-    the piece's end is what the lag of second order makes of its speed at the beginning.
+    A second-order servo is simulated as a first-order one with another control: the control that
+    leads to the speed of the second-order response at the piece's end.
 
     Args:
-        piece: which piece.
-        pieces: how many a period has.
-        period_s: the period.
-        drawn: `bare`, what the trials run with.
-        steps: (n,) the periods' numbers.
-        commands: `bare`, those of the period are taken.
-        motors: `bare`, their accelerations are brought up to date.
-        slots: (nu,) the places of the servos in an array of the neck's joints and the actuators.
+        piece: index of the piece.
+        pieces: number of pieces per period.
+        period_s: the control period, s.
+        drawn: `bare`, conditions of the trials.
+        steps: (n,) numbers of the periods.
+        commands: `bare`, ring buffers with the commands of the period.
+        motors: `bare`, their accelerations are updated in place.
+        slots: (nu,) indices of the servos in an array of the neck's joints and the actuators.
         control: (n, nu) result, rad/s.
     """
     drawn, given, motors = Drawn(*drawn), Commands(*commands).given, Motors(*motors)
@@ -110,29 +110,30 @@ def take(
     tied: Tied | None,
     track: Track,
 ) -> None:
-    """Angles and velocities of motors and joints at the end of a piece.
+    """Read angles and velocities of motors and joints at the end of a piece.
 
-    Semi-implicit integration leaves the angle half a step ahead of the velocity.
+    Semi-implicit integration leaves the angle half a step ahead of the velocity; this is corrected.
 
     Args:
-        piece: which piece of the period has ended.
+        piece: index of the piece that has ended.
         qpos: (n, nq) MuJoCo's angles.
         qvel: (n, nv) MuJoCo's velocities.
-        half_step: half a time step, s.
-        addresses: (7,) where the joints' numbers lie; -1 for one that does not move.
+        half_step: half a time step of the simulation, s.
+        addresses: (7,) indices of the joints in `qpos` and `qvel`; -1 for a joint that does not
+            move.
         head: (PACKED,) the head that the controller knows.
-        drawn: `bare`, as are the following; what the trials run with.
-        scene: its joints are brought up to date.
-        motors: brought up to date: where MuJoCo's joints are nearest to.
-        tied: what they move; None where each eye joint has its own.
-        track: brought up to date.
+        drawn: `bare`, as are the following; conditions of the trials.
+        scene: its joints are updated in place.
+        motors: updated in place, to the motor angles nearest to MuJoCo's joints.
+        tied: coupling of the eye joints; None if each has its own motor.
+        track: updated in place.
     """
     drawn, scene, motors, track = Drawn(*drawn), Scene(*scene), Motors(*motors), Track(*track)
     angles, rates = np.zeros(7), np.zeros(7)
     for n in range(motors.angles.shape[0]):
         for j in range(7):
             i = addresses[j]
-            # one that does not move stays
+            # a joint that does not move keeps its angle
             rates[j] = qvel[n, i] if i >= 0 else 0.0
             angles[j] = qpos[n, i] - half_step * rates[j] if i >= 0 else motors.angles[n, j]
             if tied is not None and i < 0:
@@ -163,14 +164,14 @@ def expose_on_track(
     track: Track,
     exposures: Exposures,
 ) -> None:
-    """The frames of a period, with the joints between the ends of its pieces.
+    """Expose the frames of a period, with the joints interpolated within its pieces.
 
     Args:
-        period_s: the period.
-        drawn: `bare`, what the trials run with.
-        steps: (n,) the periods' numbers.
-        frames: `bare`, which frames come next.
-        track: `bare`, how the joints have stood.
+        period_s: the control period, s.
+        drawn: `bare`, conditions of the trials.
+        steps: (n,) numbers of the periods.
+        frames: `bare`, with the numbers of the next exposures.
+        track: `bare`, joint states within the period.
         exposures: `bare`, the result.
     """
     drawn, frames = Drawn(*drawn), Frames(*frames)

@@ -1,4 +1,4 @@
-"""The heads of a batch as they really are: as given, or drawn anew for each trial."""
+"""True heads of a batch: as given, or drawn anew for each trial."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -20,15 +20,15 @@ from vergence.models.perturbation import DEVIATES
 
 
 class HeadsAhead:
-    """True heads of trials to come: a few cost as much to make as a thousand.
+    """True heads of coming trials, made in advance: a few cost as much as a thousand.
 
-    Places of a batch mostly go on to their next trials one by one. When one of them needs a head
-    that is not there yet, those of the next trials of all places are made with it.
+    The environments of a batch usually go on to their next trials one by one. When one of them
+    needs a head that is not made yet, the heads of all environments' next trials are made with it.
 
     Args:
-        variation: how the heads differ from their model.
+        variation: variation that draws the heads' model errors.
         head: the model.
-        num: how many places there are.
+        num: number of environments.
     """
 
     def __init__(self, variation: Variation, head: HeadModel, num: int) -> None:
@@ -40,11 +40,11 @@ class HeadsAhead:
         self._there = np.zeros(num, dtype=np.bool_)
 
     def take(self, streams: Streams, ids: IntArray) -> tuple[FloatArray, FloatArray]:
-        """The heads of the trials of some places.
+        """Take the heads of the trials of some environments.
 
         Args:
             streams: the trials' random streams.
-            ids: (m,) the places.
+            ids: (m,) environment indices.
 
         Returns:
             (m, DEVIATES) the deviates, and (m, PACKED) the heads.
@@ -56,7 +56,7 @@ class HeadsAhead:
         if hit.all():
             return deviates, packed
         missed = ~hit
-        # a batch that begins as a whole may never go on
+        # none in advance if the whole batch begins: it may have no next trials
         later = np.flatnonzero(~self._there) if len(ids) < len(self._there) else ids[:0]
         next_seeds, next_trials = streams.seeds[later], streams.trials[later] + np.uint64(1)
         made = self._make(
@@ -75,17 +75,17 @@ class HeadsAhead:
 
 
 class TrueHeads:
-    """The heads of a batch as they really are, and what their running trials run with.
+    """True heads of a batch, and the conditions of their running trials.
 
     Args:
         head: the model that a controller knows.
-        num: how many.
-        true_head: see `vergence.envs.plants.simulated.SimulatedPlant`, as are the rest.
-        given: what the loop has otherwise than the model says, by name.
-        variation: what each trial draws.
+        num: number of heads.
+        true_head: see `vergence.envs.plants.simulated.SimulatedPlant`, as for the rest.
+        given: imperfections of the loop, by name.
+        variation: conditions that each trial draws.
 
     Raises:
-        ConfigurationError: an argument has a shape or value that cannot be.
+        ConfigurationError: an argument has an invalid shape or value.
     """
 
     def __init__(
@@ -117,23 +117,23 @@ class TrueHeads:
         self._head = head
         self._ahead: HeadsAhead | None = None
         self.given = true_head
-        """The heads before model errors are drawn; the limits are theirs."""
+        """True heads before model errors are drawn; they set the limits."""
         heads = np.ascontiguousarray(true_head.packed.reshape(-1, PACKED))
         if variation is not None and self._heads_vary:
             heads = np.repeat(heads, num, axis=0)
             self._deviates = np.zeros((num, DEVIATES))
             self._ahead = HeadsAhead(variation, true_head, num)
         self.drawn = Drawn(np.empty((num, LOOP)), np.empty((num, len(OWN), 7)), heads)
-        """In arrays that the next trials change."""
+        """Conditions of the running trials, in packed arrays that the next trials change."""
         self.conditions = _by_name(self.drawn)
-        """The same by name: views."""
+        """Conditions by name: views of the packed arrays."""
         for name in IMPERFECTIONS:
             getattr(self.conditions, name)[:] = _values(num, name, given.get(name), true_head)
         self._derive()
 
     def __getstate__(self) -> dict[str, Any]:
         state = vars(self).copy()
-        del state["conditions"]  # views of arrays are arrays of their own in a copy
+        del state["conditions"]  # a copy would have separate arrays in place of views
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -141,24 +141,24 @@ class TrueHeads:
         self.conditions = _by_name(self.drawn)
 
     def _derive(self) -> None:
-        """Bring up to date what follows from the rest."""
+        """Update the time between frames, which follows from clock drift and frame rate."""
         now = self.conditions
         self.drawn.loop[:, len(SCALARS)] = (1.0 + now.clock_drift) / now.frame_rate_hz
 
     @property
     def model(self) -> HeadModel:
-        """The heads that really move: one, or a population of shape (num,)."""
+        """The true heads: one, or a population of shape (num,)."""
         if self.variation is not None and self._heads_vary:
             return self.variation.heads(self.given, self._deviates)
         return self.given
 
     def greatest(self, name: str) -> float:
-        """The greatest value of an imperfection in any trial."""
+        """Largest value of an imperfection in any trial."""
         given = float(getattr(self.conditions, name).max())
         return given if self.variation is None else self.variation.greatest(name, given)
 
     def arrays(self) -> Arrays:
-        """What the running trials run with, in the arrays that hold it."""
+        """Conditions of the running trials, as state arrays."""
         arrays: Arrays = self.drawn._asdict()
         if self._heads_vary:
             arrays["deviates"] = self._deviates
@@ -167,11 +167,11 @@ class TrueHeads:
         return arrays
 
     def draw(self, streams: Streams, ids: IntArray) -> None:
-        """Draw what the trials of some places run with, where that varies.
+        """Draw the varying conditions of the trials of some environments.
 
         Args:
             streams: the trials' random streams.
-            ids: (m,) the places.
+            ids: (m,) environment indices.
         """
         variation = self.variation
         if variation is None:
@@ -191,20 +191,20 @@ class TrueHeads:
 
 
 def _by_name(drawn: Drawn) -> Conditions:
-    """Views of what trials run with."""
+    """View packed conditions by name."""
     views = {name: drawn.loop[:, i] for i, name in enumerate(SCALARS)}
     views |= {name: drawn.own[:, i] for i, name in enumerate(OWN)}
     return Conditions(**views, heads=drawn.heads)
 
 
 def _only_eyes(backlash: FloatArray, head: HeadModel) -> None:
-    """Leave no play where there is no actuator, nor in the neck, which holds."""
+    """Set the backlash to zero in unused slots and in the neck, which is held."""
     backlash[:, :3] = 0.0
     backlash[:, 3 + head.actuation.count :] = 0.0
 
 
 def _values(num: int, name: str, given: ArrayLike | None, head: HeadModel) -> FloatArray:
-    """(num,) or (num, 7) numbers: as given, or the head's own."""
+    """(num,) or (num, 7) values of an imperfection: as given, or the head's own."""
     one = IMPERFECTIONS[name]
     if given is None:
         return np.broadcast_to(one.nominal(head), (num, 7) if one.by_actuator else num)

@@ -1,8 +1,8 @@
-"""What differs from trial to trial, hidden from the controller: the loop's times, faults, the head.
+"""Variation from trial to trial, hidden from the controller: latencies, lags, faults, the head.
 
-A robot's loop is never quite the one its model describes, and not the same one every day. A
-variation draws it anew for each trial from the trial's own stream, so that a trial is the same
-alone, in a vector and after other trials.
+A robot's loop never quite equals its model, and changes from day to day. A variation draws the loop
+anew for each trial from the trial's own random stream, so that a trial is the same alone, in a
+vector and after other trials.
 """
 
 import dataclasses
@@ -40,20 +40,20 @@ Range = tuple[float, float]
 
 _VARIATION: Final = int(Purpose.VARIATION)
 RANGES: Final = tuple(IMPERFECTIONS)
-"""The fields of `Variation` that are ranges."""
+"""Fields of `Variation` that are ranges."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Variation(Imperfections[Range | None]):
     """Ranges from which each trial draws its own conditions, uniformly; None for no variation.
 
-    The ranges are by the names of `vergence.envs.plants.imperfections`, such as
-    `latency_s=(0.03, 0.13)`; what belongs to actuators each of them draws by itself. The head's
-    preset, or the plant's option, holds where nothing is drawn.
+    The ranges have the names of `vergence.envs.plants.imperfections`, such as
+    `latency_s=(0.03, 0.13)`. An imperfection of actuators is drawn for each actuator separately.
+    Without a range, the plant's option or the head's preset holds.
     """
 
     model_errors: ModelErrors | None = None
-    """Standard deviations by which the true head differs from its model."""
+    """Standard deviations of the true head from its model."""
 
     def __post_init__(self) -> None:
         for name in RANGES:
@@ -65,28 +65,28 @@ class Variation(Imperfections[Range | None]):
             object.__setattr__(self, "model_errors", errors)
 
     def greatest(self, name: str, given: float) -> float:
-        """The greatest value of one of `RANGES` in any trial.
+        """Largest value of one of `RANGES` in any trial.
 
         Args:
-            name: which.
-            given: what it is where nothing is drawn.
+            name: one of `RANGES`.
+            given: the value if it is not drawn.
         """
         span: Range | None = getattr(self, name)
         return given if span is None else span[1]
 
     def draw(self, streams: Streams, ids: IntArray) -> "Draws":
-        """Draw for the trials of some places all but their heads.
+        """Draw the conditions of the trials of some environments, except their heads.
 
         Args:
             streams: the trials' random streams.
-            ids: (m,) the places.
+            ids: (m,) environment indices.
         """
         drawn = Draws(np.empty((len(ids), len(SCALARS))), np.empty((len(ids), len(OWN), 7)))
         _draw(streams.seeds, streams.trials, ids, *drawn)
         return drawn
 
     def deviates(self, seeds: KeyArray, trials: KeyArray) -> FloatArray:
-        """Draw for the heads of trials.
+        """Draw the random numbers of the true heads of trials.
 
         Args:
             seeds: (m,) the trials' seeds.
@@ -100,10 +100,10 @@ class Variation(Imperfections[Range | None]):
         return numbers
 
     def heads(self, head: HeadModel, deviates: FloatArray) -> HeadModel:
-        """The true heads of trials.
+        """Make the true heads of trials.
 
         Args:
-            head: the model they differ from.
+            head: the model that they differ from.
             deviates: (m, DEVIATES) standard normal numbers.
 
         Returns:
@@ -116,22 +116,22 @@ class Variation(Imperfections[Range | None]):
 
 
 class Draws(NamedTuple):
-    """The random numbers of m trials."""
+    """Random numbers of m trials."""
 
     shares: FloatArray
-    """(m, len(SCALARS)) from 0 to below 1."""
+    """(m, len(SCALARS)) uniform in [0, 1)."""
     own: FloatArray
-    """(m, len(OWN), 7) from 0 to below 1, of the neck's joints and the eyes' actuators."""
+    """(m, len(OWN), 7) uniform in [0, 1), for the neck's joints and the eye actuators."""
 
 
 def make_variation(variation: Mapping[str, Any] | Variation | None) -> Variation | None:
-    """A variation from its fields.
+    """Make a variation from its fields.
 
     Args:
-        variation: such as `{"latency_s": (0.03, 0.13)}`; `model_errors` may be a mapping too.
+        variation: fields, as `{"latency_s": (0.03, 0.13)}`; `model_errors` may be a mapping too.
 
     Raises:
-        ConfigurationError: a field is unknown or has a value that cannot be.
+        ConfigurationError: a field is unknown or has an invalid value.
     """
     if variation is None or isinstance(variation, Variation):
         return variation
@@ -161,7 +161,7 @@ def _range(name: str, value: Any) -> Range:
 def _draw(
     seeds: KeyArray, trials: KeyArray, ids: IntArray, shares: FloatArray, own: FloatArray
 ) -> None:
-    """Fill a row for each place: numbers of the trial, and those by actuator."""
+    """Fill one row per environment: numbers of the trial, and numbers per actuator."""
     count, numbers = shares.shape[1], own.shape[1] * own.shape[2]
     for m in range(ids.shape[0]):
         seed, trial = seeds[ids[m]], trials[ids[m]]
@@ -180,7 +180,7 @@ def _draw(
 
 @compiled
 def _draw_normals(seeds: KeyArray, trials: KeyArray, numbers: FloatArray) -> None:
-    """Fill a row of normal numbers for each trial."""
+    """Fill one row of standard normal numbers per trial."""
     size = numbers.shape[1]
     for m in range(seeds.shape[0]):
         for lane in range((size + 3) // 4):

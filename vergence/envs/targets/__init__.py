@@ -1,1 +1,1 @@
-"""What there is to look at: where each trial's target is, as a function of time."""
+"""Targets to look at: the position of each trial's target as a function of time."""

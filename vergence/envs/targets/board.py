@@ -1,4 +1,4 @@
-"""What a target looks like to the eyes: a point, or a board that they have to see whole."""
+"""Shape of a target: a point, or a board that both eyes must see completely."""
 
 from math import hypot, inf, nan, sqrt
 from typing import Final, NamedTuple
@@ -16,15 +16,15 @@ Axes = tuple[Vector, Vector, Vector]
 
 
 class Board(NamedTuple):
-    """A planar target as kernels take it: what of it must lie in an image for it to be found."""
+    """A planar target in the form kernels take, with the conditions for its detection."""
 
     outline: FloatArray
     """(k, 2) points round the board's edge in its own frame, m; none for a mere point."""
     natural_m: float
     """Distance at which a board that looks equally large near and far has its own size, m; nan
-    for one that always has it."""
+    for a board of constant size."""
     facing_head: bool
-    """Whether it is square to the line from N's origin, or parallel to N's xy plane."""
+    """True if it is square to the line from N's origin, False if parallel to N's xy plane."""
     border_px: float
     """Least distance of the outline from the images' edges, px."""
     least_px: float
@@ -34,11 +34,11 @@ class Board(NamedTuple):
 
 
 POINT: Final = Board(np.empty((0, 2)), nan, True, 0.0, 0.0, inf)
-"""A target of which only the measured point counts."""
+"""A target without a board: only its measured point must be visible."""
 
 
 def wholly(board: Board) -> str:
-    """What a message adds to "see" for targets with a board."""
+    """Words that error messages add to "see" for targets with a board."""
     if not len(board.outline):
         return ""
     return (
@@ -52,7 +52,7 @@ def board_axes(point: Vector, facing_head: bool) -> Axes:
     """The axes of a board's frame in N: right, down, and into the board.
 
     Args:
-        point: where its measured point is, in N, m.
+        point: position of its measured point in N, m.
         facing_head: see `Board`.
     """
     if not facing_head:
@@ -67,7 +67,7 @@ def board_axes(point: Vector, facing_head: bool) -> Axes:
 
 @device
 def distance_from_eyes(p: PackedHead, angles: FloatArray, point: Vector) -> float:
-    """The mean distance of a point from both cameras, m.
+    """Mean distance of a point from both cameras, m.
 
     Args:
         p: a packed head.
@@ -86,14 +86,15 @@ def distance_from_eyes(p: PackedHead, angles: FloatArray, point: Vector) -> floa
 def in_view(
     p: PackedHead, angles: FloatArray, point: Vector, border_px: float, board: Board
 ) -> bool:
-    """Whether both eyes see a target: its point, and all of its board, neither small nor huge.
+    """True if both eyes see a target: its point, and all of its board at a detectable size.
 
     Args:
         p: a packed head.
         angles: (4,) the eyes' angles, rad.
         point: in N, m.
-        border_px: least distance from the images' edges, px; that of the board comes to it.
-        board: what it looks like.
+        border_px: least distance from the images' edges, px; for the outline of a board, the
+            board's own border is added.
+        board: shape of the target.
     """
     k = len(board.outline)
     size = 1.0

@@ -17,23 +17,24 @@ from vergence.models.parts import FloatArray
 
 _TASK: Final = int(Purpose.TASK)
 _SECONDS: Final = 100
+"""Candidates for the second point per first point (numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DoubleStepTarget(RandomTarget):
     """A target that appears as `RandomTarget` does, and soon jumps to another point.
 
-    What holds for the first point holds for the second: both eyes can fixate it with the margin,
-    and turn to it from the first by `shift` or more. Both see it (the whole board, where the plant
-    shows one) from where they begin and when they fixate the first point, and so most likely
-    wherever they are on their way.
+    The second point meets the conditions of the first: both eyes can fixate it with the margin,
+    and turn to it from the first point by `shift` or more. Both eyes see it (the whole board, if
+    the plant shows one) from their start and while they fixate the first point, and so most likely
+    at all times in between.
     """
 
     kind: ClassVar[str] = "double-step"
     second_after: tuple[float, float] = (0.1, 0.2)
-    """Shortest and longest time from the first jump to the second, s. Longer than most images are
-    old, so that the eyes have set off, and shorter than that and their turn together, so that they
-    have not arrived: what they were told to do has to be told anew."""
+    """Shortest and longest time from the first jump to the second, s. Longer than the age of most
+    images, so that the eyes have set off, yet shorter than this age plus the turn, so that they
+    have not arrived and must change their goal on the way."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -42,7 +43,7 @@ class DoubleStepTarget(RandomTarget):
     def draw(
         self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
-        """See `Target.draw`; candidates are drawn until one is fit."""
+        """See `Target.draw`; candidates are drawn until one is valid."""
         n = len(ids)
         first, second, q = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 7))
         keys = Keys(streams.seeds[ids], streams.trials[ids])
@@ -66,19 +67,19 @@ def choose_double_steps(
     second: FloatArray,
     q: FloatArray,
 ) -> bool:
-    """Draw pairs of points for each trial until one is fit.
+    """Draw pairs of points for each trial until one is valid.
 
     Args:
-        keys: `bare`, those of the n trials' random numbers.
-        gaze: `bare`, the head that has to look.
-        space: `bare`.
-        board: `bare`, what the target looks like.
-        first: (n, 3) result: where the target appears, in N, m.
-        second: (n, 3) result: where it jumps to, in N, m.
+        keys: `bare`, keys of the n trials' random streams.
+        gaze: `bare`, the head that looks.
+        space: `bare`, the workspace.
+        board: `bare`, shape of the target.
+        first: (n, 3) result: first position of the target, in N, m.
+        second: (n, 3) result: position after the second jump, in N, m.
         q: (n, 7) result: joint angles at the start, rad.
 
     Returns:
-        False if some trial has no fit candidate.
+        False if some trial has no valid candidate.
     """
     keys, gaze, space, board = Keys(*keys), Gaze(*gaze), Workspace(*space), Board(*board)
     eye = between_eyes(gaze.head, gaze.rest)

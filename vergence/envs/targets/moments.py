@@ -1,4 +1,4 @@
-"""When something happens to a target: one moment a trial, drawn from the trial's stream."""
+"""Random moments of a target's events: one per trial, drawn from the trial's stream."""
 
 from typing import Final
 
@@ -10,7 +10,7 @@ from vergence.envs.targets.placement import between
 from vergence.models.parts import FloatArray
 
 _TASK: Final = int(Purpose.TASK)
-# the first four lanes are those of places and speeds
+# lane of the random words (numerical); the first four are used for positions and speeds
 _LANE: Final = 5
 
 
@@ -19,7 +19,7 @@ def draw_moments(streams: Streams, ids: IntArray, earliest: float, latest: float
 
     Args:
         streams: the trials' random streams.
-        ids: (n,) the places.
+        ids: (n,) environment indices.
         earliest: the range's beginning, s.
         latest: its end, s.
 

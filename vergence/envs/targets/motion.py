@@ -1,14 +1,14 @@
-r"""How a target moves, as one row of numbers per trial that a compiled kernel can follow.
+r"""Motion of a target, as one row of numbers per trial that compiled kernels can follow.
 
     P(t) = before                                                        t < t_jump
     P(t) = anchor + velocity min(t - t_jump, duration)
                   + cosine cos(omega t) + sine sin(omega t)              t >= t_jump
 
-in frame N as it stands at the trial's start, metres and seconds; t is counted from the moment at
-which the scene begins to change, and may be negative. At a second jump another anchor takes the
-first one's place, and all the rest goes on. A row with a path is longer, and follows the path
-(`vergence.envs.targets.path`) from the jump on. There is nothing to see while a target is hidden,
-nor before the jump of one that was not there. Each kind of target in
+in frame N as it is at the trial's start, in metres and seconds. The time t is counted from the
+moment at which the scene begins to change, and may be negative. At a second jump, another anchor
+replaces the first one, and the rest of the motion goes on. A row with a path is longer, and the
+target follows the path (`vergence.envs.targets.path`) from the jump on. A target cannot be seen
+while it is hidden, nor before the jump if it has no position `before`. Each kind of target in
 `vergence.envs.targets.registry` is a choice of these numbers.
 """
 
@@ -24,6 +24,7 @@ from vergence.envs.targets.path import LEAST_PATH, point_on
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
+# indices of the fields in a motion's row (numerical)
 BEFORE: Final = slice(0, 3)
 ANCHOR: Final = slice(3, 6)
 VELOCITY: Final = slice(6, 9)
@@ -57,24 +58,24 @@ def motion_rows(
     hidden_until: ArrayLike = inf,
     path: FloatArray | None = None,
 ) -> FloatArray:
-    """Rows of motions.
+    """Make rows of motions.
 
     Args:
-        anchor: (n, 3) where the target is at rest, or the centre of its motion, m.
-        before: (n, 3) where it stands until the jump, m; None if it was not there, so that
-            the images before time zero show nothing.
-        velocity: (n, 3) or a scalar, m/s, from the jump on.
-        duration: (n,) or a scalar, how long it moves with that velocity, s.
+        anchor: (n, 3) position of the target at rest, or centre of its motion, m.
+        before: (n, 3) position until the jump, m; None if the target was not there, so that the
+            images before time zero show nothing.
+        velocity: (n, 3) or a scalar, velocity from the jump on, m/s.
+        duration: (n,) or a scalar, duration of the motion with this velocity, s.
         cosine: (n, 3) or a scalar, amplitude of the motion in phase with cos(omega t), m.
         sine: (n, 3) or a scalar, amplitude of the motion in phase with sin(omega t), m.
         omega: (n,) or a scalar, rad/s.
-        jump: (n,) or a scalar, when the target leaves `before`, s.
-        second_jump: (n,) or a scalar, when it jumps again, not before `jump`, s.
-        second_anchor: (n, 3) what takes the place of `anchor` then, m; None for the same.
-        hidden_from: (n,) or a scalar, from when on it is not to be seen, s.
-        hidden_until: (n,) or a scalar, when it is to be seen again, s.
-        path: (n, p) paths, see `vergence.envs.targets.path`, that begin at `anchor`; None for
-            targets without.
+        jump: (n,) or a scalar, time at which the target leaves `before`, s.
+        second_jump: (n,) or a scalar, time of a second jump, not before `jump`, s.
+        second_anchor: (n, 3) position that replaces `anchor` then, m; None for the same.
+        hidden_from: (n,) or a scalar, time from which the target is hidden, s.
+        hidden_until: (n,) or a scalar, time from which it is visible again, s.
+        path: (n, p) paths that begin at `anchor`, see `vergence.envs.targets.path`; None for
+            targets without a path.
 
     Returns:
         (n, MOTION), or (n, MOTION + p) with paths.
@@ -100,7 +101,7 @@ def motion_rows(
 
 
 def last_jump(rows: ArrayLike) -> FloatArray:
-    """When targets jump for the last time: those that rest between jumps rest from then on.
+    """Times of the targets' last jumps; targets that rest between jumps rest from then on.
 
     Args:
         rows: (..., MOTION or more) motions.
@@ -130,7 +131,7 @@ class Motion(NamedTuple):
     hidden_from: float
     hidden_until: float
     path: FloatArray
-    """(0,) for a target without."""
+    """(p,) path; (0,) for a target without one."""
 
 
 _motion_run = run_of(MOTION)
@@ -138,7 +139,7 @@ _motion_run = run_of(MOTION)
 
 @device
 def motion_of(row: FloatArray) -> Motion:
-    """The fields of a motion's row, in the order of the constants above."""
+    """Unpack a motion's row, in the order of the constants above."""
     m = _motion_run(row, 0)
     return Motion(
         (m[0], m[1], m[2]),
@@ -160,7 +161,7 @@ def motion_of(row: FloatArray) -> Motion:
 
 @device
 def position_at(motion: Motion, t: float) -> Vector:
-    """Where a target is, in N at the trial's start."""
+    """Position of a target at time `t`, in N as it was at the trial's start."""
     if t < motion.jump:
         return motion.before
     if len(motion.path):
@@ -180,7 +181,7 @@ def position_at(motion: Motion, t: float) -> Vector:
 
 @device
 def is_shown(motion: Motion, t: float) -> bool:
-    """Whether there is a target to see, in an image or not."""
+    """True if the target exists and is not hidden at time `t`, in view or not."""
     if t < motion.jump and not motion.seen_before:
         return False
     return not motion.hidden_from <= t < motion.hidden_until
@@ -195,10 +196,10 @@ def _positions(row: FloatArray, t: FloatArray, shape: FloatArray, out: FloatArra
 
 
 def target_position(rows: ArrayLike, time_s: ArrayLike) -> FloatArray:
-    """Where targets are.
+    """Positions of targets.
 
     Args:
-        rows: (..., MOTION or more) motions; a row of a length that none has is nowhere, nan.
+        rows: (..., MOTION or more) motions; a row of invalid length gives nan.
         time_s: (...) seconds since the scene begins to change.
 
     Returns:

@@ -1,4 +1,4 @@
-"""A target on an ellipse that is gone for a while and comes back on its way."""
+"""A target on an ellipse that disappears for a while and reappears further along."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -14,17 +14,17 @@ from vergence.models.parts import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class OccludedTarget(OrbitTarget):
-    """A target that runs the ellipse of `OrbitTarget` and cannot be seen for a part of it.
+    """A target that moves on the ellipse of `OrbitTarget` and is hidden for a part of it.
 
-    It moves on while it is gone and comes back elsewhere, where eyes look that have gone on with
-    it. In the same trial, `orbit` with the same options runs the same ellipse.
+    It moves on while hidden and reappears elsewhere, where the eyes look if they have moved on with
+    it. In the same trial, `orbit` with the same options has the same ellipse.
     """
 
     kind: ClassVar[str] = "occluded"
     gone_after: tuple[float, float] = (0.8, 2.5)
-    """Earliest and latest time at which it goes, s."""
+    """Earliest and latest time at which it disappears, s."""
     gone_s: float = 0.3
-    """How long it is gone, s."""
+    """Duration of its absence, s."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,4 +1,4 @@
-"""A target on an ellipse anywhere in a workspace that eyes can follow, drawn for each trial."""
+"""A target on an ellipse anywhere in a workspace, which the eyes can follow, drawn per trial."""
 
 from dataclasses import dataclass
 from math import cos, pi, sin, sqrt, tan
@@ -21,19 +21,23 @@ from vergence.models.pose import Vector
 
 _TASK: Final = int(Purpose.TASK)
 _PHASES: Final = 48
+"""Points of an ellipse at which fixation and the actuators' limits are checked (numerical)."""
 _FINE_PHASES: Final = 256
-# what a target asks of an actuator leaves the other half for catching up with it
+"""Points of an ellipse among which its peak angular speed is sought (numerical)."""
+
+# largest fraction of an actuator's limits that following a target needs; the rest is left for
+# catching up with it (chosen: fast targets against this reserve)
 _SHARE_OF_LIMITS: Final = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class OrbitTarget(Target):
-    """A target on an ellipse of any place, plane and shape, at the speed that a trial draws.
+    """A target on an ellipse of random position, plane and shape, at a speed drawn by the trial.
 
-    Both eyes can fixate the whole ellipse with some degrees to spare and then see the whole board,
-    where the plant shows one; following it asks for at most half of their actuators' speed and
-    acceleration. Until time zero the target stands
-    at its beginning. Flat ellipses are sweeps back and forth, steep ones are motions in depth.
+    Both eyes can fixate the whole ellipse with a margin of some degrees, and then see the whole
+    board if the plant shows one. Following the target needs at most half of the actuators' speed
+    and acceleration. Until time zero the target rests at its starting point. Flat ellipses are
+    sweeps back and forth, steep ones are motions in depth.
     """
 
     kind: ClassVar[str] = "orbit"
@@ -44,13 +48,13 @@ class OrbitTarget(Target):
     eccentricity: float = 0.4
     """Greatest angle of the centre from straight ahead, seen from between the eyes, rad."""
     radius: tuple[float, float] = (0.1, 0.35)
-    """Least and greatest half of the long axis, as an angle at the centre's depth, rad."""
+    """Least and greatest semi-major axis, as an angle at the centre's depth, rad."""
     speed: tuple[float, float] = (0.3490658503988659, 1.0471975511965976)
-    """Range of the greatest angular speed of a trial, seen from between the eyes, rad/s."""
+    """Range of a trial's peak angular speed, seen from between the eyes, rad/s."""
     turns: float = 1.25
-    """Most turns per second."""
+    """Largest number of turns per second."""
     margin: float = 0.03490658503988659
-    """Least distance of the fixating angles from the actuators' limits, rad."""
+    """Least distance of the angles at fixation from the actuators' limits, rad."""
     start: Literal["rest", "fixation"] = "fixation"
 
     def __post_init__(self) -> None:
@@ -63,7 +67,7 @@ class OrbitTarget(Target):
     def draw(
         self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
-        """See `Target.draw`; candidates are drawn until one is fit."""
+        """See `Target.draw`; candidates are drawn until one is valid."""
         n = len(ids)
         orbits = Orbits(np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n))
         ranges = Ranges(
@@ -90,7 +94,7 @@ class OrbitTarget(Target):
 
 
 class Ranges(NamedTuple):
-    """The fields of an `OrbitTarget`, as the kernel takes them."""
+    """The fields of an `OrbitTarget`, in the form kernels take."""
 
     near: float
     far: float
@@ -104,7 +108,7 @@ class Ranges(NamedTuple):
 
 
 class Orbits(NamedTuple):
-    """Ellipses `centre + cosine cos(omega t) + sine sin(omega t)`, one a trial."""
+    """Ellipses `centre + cosine cos(omega t) + sine sin(omega t)`, one per trial."""
 
     centre: FloatArray
     """(n, 3) in N, m."""
@@ -118,7 +122,7 @@ class Orbits(NamedTuple):
 
 @device
 def _peak_rate(centre: Vector, first: Vector, second: Vector, eye: Vector) -> float:
-    """Greatest angular speed, seen from `eye`, of an ellipse that is run with 1 rad/s."""
+    """Peak angular speed, seen from `eye`, of an ellipse at an omega of 1 rad/s."""
     peak = 0.0
     for k in range(_FINE_PHASES):
         c, s = cos(2.0 * pi * k / _FINE_PHASES), sin(2.0 * pi * k / _FINE_PHASES)
@@ -145,9 +149,10 @@ def _can_follow(
     angles: FloatArray,
     own: FloatArray,
 ) -> bool:
-    """Whether both eyes can look at the whole ellipse, and turn as fast as it asks.
+    """True if both eyes can fixate the whole ellipse, and turn as fast as it needs.
 
-    The last two are room for (_PHASES, 4) angles of the eyes' joints, and of their actuators.
+    The last two arguments are scratch arrays (_PHASES, 4) for angles of the eye joints and of the
+    actuators.
     """
     direct = is_direct(gaze.head)
     for k in range(_PHASES):
@@ -159,7 +164,7 @@ def _can_follow(
             return False
         if not can_fixate(gaze, ranges.margin, (x, y, z), angles[k]):
             return False
-        # a point that is fixated is seen
+        # a fixated point is visible, but a board may be cut
         if len(board.outline) and not in_view(gaze.head, angles[k], (x, y, z), 0.0, board):
             return False
         for i in range(SLOTS):
@@ -182,14 +187,14 @@ def choose_orbits(keys: Keys, gaze: Gaze, ranges: Ranges, board: Board, orbits: 
     """Draw ellipses for each trial until the eyes can follow one.
 
     Args:
-        keys: `bare`, those of the n trials' random numbers.
-        gaze: `bare`, the head that has to look.
-        ranges: `bare`.
-        board: `bare`, what the target looks like.
+        keys: `bare`, keys of the n trials' random streams.
+        gaze: `bare`, the head that looks.
+        ranges: `bare`, the target's fields.
+        board: `bare`, shape of the target.
         orbits: `bare`, the result.
 
     Returns:
-        False if some trial has no fit candidate.
+        False if some trial has no valid candidate.
     """
     keys, gaze = Keys(*keys), Gaze(*gaze)
     ranges, board, orbits = Ranges(*ranges), Board(*board), Orbits(*orbits)
@@ -197,7 +202,7 @@ def choose_orbits(keys: Keys, gaze: Gaze, ranges: Ranges, board: Board, orbits: 
     angles, own = np.empty((_PHASES, 4)), np.empty((_PHASES, SLOTS))
     for n in range(len(orbits.omega)):
         seed, trial = keys.seeds[n], keys.trials[n]
-        # one draw of the speed for all candidates, or those that can be followed would be slower
+        # one speed for all candidates, else the selection would favour slow targets
         speed = between(random_words(seed, trial, _TASK, 0, 4)[0], ranges.slowest, ranges.fastest)
         found = False
         for attempt in range(ATTEMPTS):

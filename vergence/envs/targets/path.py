@@ -1,16 +1,16 @@
-r"""Paths with corners: from knot to knot at one angular speed, seen from one point, in N.
+r"""Paths with corners: from knot to knot at constant angular speed, seen from one point, in N.
 
-A path is a flat array of fours: first (speed, x, y, z), rad/s and the point E that it is seen
-from, m, then one (t, x, y, z) a knot, s and m, the first at time zero. From the knot A to the
-knot B, a time T later, the line of sight from E turns along a great circle and the inverse of the
-distance changes, both at a constant rate. With u the unit vectors to the knots, r their distances,
-and s the time since A,
+A path is a flat array of groups of four. The first group is (speed, x, y, z): the angular speed,
+rad/s, and the viewpoint E, m. Each knot adds a group (t, x, y, z), s and m, the first at time zero.
+From knot A to knot B, a time T later, the line of sight from E turns along a great circle and the
+inverse of the distance changes, both at a constant rate. With u the unit vectors from E to the
+knots, r their distances, and s the time since A,
 
     u(s) = (sin(speed (T - s)) u_A + sin(speed s) u_B) / sin(speed T)
     1 / r(s) = (1 - s / T) / r_A + (s / T) / r_B
 
-so u_A and u_B have to be speed T apart, less than pi. After the last knot the way leads back, and
-from the first one forth again.
+so the angle between u_A and u_B must be speed T, less than pi. After the last knot the target goes
+back along the path, and from the first knot forth again.
 """
 
 from math import sin, sqrt
@@ -21,17 +21,17 @@ from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
 LEAST_PATH: Final = 12
-"""Length of a path of two knots."""
+"""Length of a path of two knots (numerical)."""
 
 
 @device
 def on_stretch(path: FloatArray, knot: int, t: float) -> Vector:
-    """A point between two knots.
+    """Position between two knots.
 
     Args:
         path: (4 + 4 k,) see above.
-        knot: that before the point, from 1.
-        t: from this knot's time to that of the next, s.
+        knot: number of the knot before the position, from 1.
+        t: time, between those of this knot and the next, s.
     """
     a, b = 4 * knot, 4 * knot + 4
     x, y, z = path[1], path[2], path[3]
@@ -50,11 +50,11 @@ def on_stretch(path: FloatArray, knot: int, t: float) -> Vector:
 
 @subroutine
 def point_on(path: FloatArray, t: float) -> Vector:
-    """Where a path is at a time.
+    """Position on a path at a time.
 
     Args:
         path: (4 + 4 k,) see above.
-        t: not negative, s.
+        t: time, not negative, s.
     """
     low, high = 1, len(path) // 4 - 1
     end = path[4 * high]

@@ -1,4 +1,4 @@
-"""Drawing the points of a workspace, and asking whether both eyes can fixate them."""
+"""Random points of a workspace, and the check that both eyes can fixate them."""
 
 from math import cos, pi, sin, tan
 from typing import Final, NamedTuple
@@ -18,32 +18,32 @@ from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
 ATTEMPTS: Final = 1000
-"""Candidates that are tried for a trial."""
+"""Candidates tried for a trial (numerical)."""
 _ROUNDING_RAD: Final = 1e-9
-"""What rounding may leave beyond a limit that is reached exactly."""
+"""Rounding tolerance beyond an angle limit that is reached exactly, rad (numerical)."""
 
 
 class Gaze(NamedTuple):
-    """The head that has to look, and what its actuators and joints can do."""
+    """The head that looks, with the limits of its actuators and joints."""
 
     head: PackedHead
     """(PACKED,) see `vergence.models.kinematics`."""
     rest: FloatArray
     """(7,) joint angles at rest, rad."""
     lower: FloatArray
-    """(4,) least angles of the actuators of the eyes, rad."""
+    """(4,) lower angle limits of the eye actuators, rad."""
     upper: FloatArray
-    """(4,) their greatest angles, rad."""
+    """(4,) upper angle limits of the eye actuators, rad."""
     velocity: FloatArray
-    """(4,) their greatest speeds, rad/s."""
+    """(4,) speed limits of the eye actuators, rad/s."""
     acceleration: FloatArray
-    """(4,) their greatest accelerations, rad/s^2."""
+    """(4,) acceleration limits of the eye actuators, rad/s^2."""
     joints: tuple[FloatArray, FloatArray] | None
-    """(4,) each, least and greatest angles of the eyes' joints, rad, where actuators tie them."""
+    """(4,) each, lower and upper angle limits of the eye joints, rad; None if each has a motor."""
 
     @classmethod
     def of(cls, head: HeadModel) -> "Gaze":
-        """That of a head model."""
+        """The `Gaze` of a head model."""
         own, limits = head.actuation, head.limits
         return cls(
             head.packed,
@@ -58,13 +58,13 @@ class Gaze(NamedTuple):
 
 @device
 def between(word: np.uint64, low: float, high: float) -> float:
-    """A number that is uniform in a range, from a random word."""
+    """Uniform number in a range, from a random word."""
     return low + to_uniform(word) * (high - low)
 
 
 @device
 def between_eyes(p: PackedHead, rest: FloatArray) -> Vector:
-    """The point in the middle of both eyes of a head at rest, in N, m."""
+    """Midpoint between both eyes of a head at rest, in N, m."""
     left = eye_frames(p, 0, rest[3], rest[4]).camera
     right = eye_frames(p, 1, rest[5], rest[6]).camera
     return 0.5 * (left.x + right.x), 0.5 * (left.y + right.y), 0.5 * (left.z + right.z)
@@ -72,11 +72,11 @@ def between_eyes(p: PackedHead, rest: FloatArray) -> Vector:
 
 @device
 def place(words: Words, eye: Vector, near: float, far: float, eccentricity: float) -> Vector:
-    """A point from three random words: uniform in 1 / depth and in the angle from straight ahead.
+    """Point from three random words: uniform in 1 / depth and in the angle from straight ahead.
 
     Args:
         words: at least three.
-        eye: where the angle is seen from, in N, m.
+        eye: viewpoint of the angle, in N, m.
         near: least z, m.
         far: greatest z, m.
         eccentricity: greatest angle, rad.
@@ -92,16 +92,16 @@ def place(words: Words, eye: Vector, near: float, far: float, eccentricity: floa
 
 @device
 def can_fixate(gaze: Gaze, margin: float, point: Vector, angles: FloatArray) -> bool:
-    """Whether both eyes can look at a point with a margin to their limits.
+    """True if both eyes can fixate a point with a margin to their limits.
 
-    Where actuators tie the joints, the angles are those of the least pixel errors, and both eyes
-    have to see the point then.
+    For coupled joints, the angles are those of the least pixel errors, and both eyes must see the
+    point then.
 
     Args:
-        gaze: the head that has to look.
-        margin: of the actuators, rad.
+        gaze: the head that looks.
+        margin: least distance of the actuators from their limits, rad.
         point: in N, m.
-        angles: (4,) result: the eyes' angles, rad; whole if they can.
+        angles: (4,) result: angles of the eye joints, rad; complete only if both eyes can.
     """
     return _can_fixate(gaze, gaze.joints, margin, point, angles)
 
@@ -114,7 +114,7 @@ def _can_fixate(
     point: Vector,
     angles: FloatArray,
 ) -> bool:
-    if joints is not None:  # what that needs is compiled where it is needed alone
+    if joints is not None:  # a function of its own, compiled only for coupled joints
         return _can_fixate_tied(gaze, joints, margin, point, angles)
     for eye in range(2):
         k = 2 * eye

@@ -1,4 +1,4 @@
-"""Targets that do the same in every trial: at rest, a jump, a circle, a line."""
+"""Targets with the same motion in every trial: at rest, a jump, a circle, a line."""
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -18,27 +18,27 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Prescribed(Target):
-    """A target without chance: one motion, which all trials share."""
+    """A target without randomness: one motion for all trials."""
 
     seen_first: ClassVar[str]
-    """The field, or what a message calls the place, where it is at time zero."""
+    """Name of its position at time zero, for error messages."""
     stays: ClassVar[bool] = False
-    """Whether it stays there."""
+    """True if it stays at this position."""
 
     @abstractmethod
     def _motion(self) -> FloatArray:
-        """(1, MOTION) see `motion_rows`."""
+        """(1, MOTION) row of the motion, see `motion_rows`."""
 
     @abstractmethod
     def _held(self) -> Point | FloatArray:
-        """(3,) what the eyes hold at time zero if they begin fixating, in N, m."""
+        """(3,) point that the eyes fixate at time zero for `start="fixation"`, in N, m."""
 
     def _first(self) -> Point | FloatArray:
-        """(3,) where the target is at time zero, in N, m."""
+        """(3,) position of the target at time zero, in N, m."""
         return self._held()
 
     def check(self, head: HeadModel) -> None:
-        """See `Target.check`: an eye sees it at time zero, and both can look where it stays."""
+        """See `Target.check`: an eye must see the first point, both must reach a lasting one."""
         (q,) = self._begin(head, np.array([self._held()]))
         first = np.array(self._first())
         refuse_unseen(head, self.seen_first, first, q)
@@ -62,7 +62,7 @@ class StaticTarget(Prescribed):
     seen_first: ClassVar[str] = "point"
     stays: ClassVar[bool] = True
     point: Point = (0.0, -0.1, 1.0)
-    """Where, in N, m."""
+    """Position in N, m."""
 
     def _held(self) -> Point:
         return self.point
@@ -73,16 +73,16 @@ class StaticTarget(Prescribed):
 
 @dataclass(frozen=True, kw_only=True)
 class StepTarget(Prescribed):
-    """A target that both eyes hold until it jumps at time zero: the article's gain sweep."""
+    """A target that both eyes fixate until it jumps at time zero: the article's gain sweep."""
 
     kind: ClassVar[str] = "step"
     metres: ClassVar[tuple[str, ...]] = ("before", "after")
     seen_first: ClassVar[str] = "point after the step"
     stays: ClassVar[bool] = True
     before: Point = (0.0, -0.1, 1.0)
-    """Where it was, in N, m."""
+    """Position before the jump, in N, m."""
     after: Point = (0.0, -0.2, 1.0)
-    """Where it jumps to, in N, m."""
+    """Position after the jump, in N, m."""
     start: Literal["rest", "fixation"] = "fixation"
 
     def _held(self) -> Point:
@@ -103,11 +103,11 @@ class CircleTarget(Prescribed):
     metres: ClassVar[tuple[str, ...]] = ("centre", "radius")
     seen_first: ClassVar[str] = "beginning of the circle"
     centre: Point = (0.0, -0.1, 1.0)
-    """The circle's centre, in N, m."""
+    """Centre of the circle, in N, m."""
     radius: float = 0.1
-    """Its radius, m."""
+    """Radius of the circle, m."""
     period: float = 62.83185307179586
-    """Time of a turn, s."""
+    """Duration of a turn, s."""
     start: Literal["rest", "fixation"] = "fixation"
 
     def _held(self) -> FloatArray:
@@ -133,11 +133,11 @@ class LineTarget(Prescribed):
     metres: ClassVar[tuple[str, ...]] = ("origin", "end", "speed")
     seen_first: ClassVar[str] = "beginning of the line"
     origin: Point = (-0.27860, -0.02313, 0.95784)
-    """Where it begins, in N, m."""
+    """Start of the line, in N, m."""
     end: Point = (-0.39002, -0.03039, 1.11191)
-    """Where it ends, in N, m."""
+    """End of the line, in N, m."""
     speed: float = 0.01
-    """m/s."""
+    """Speed along the line, m/s."""
     start: Literal["rest", "fixation"] = "fixation"
 
     def _held(self) -> Point:

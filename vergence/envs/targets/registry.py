@@ -41,7 +41,7 @@ def make_target(target: "str | Mapping[str, Any] | Target") -> Target:
 
     Raises:
         UnknownNameError: there is no such kind.
-        ConfigurationError: a field is unknown or has a value that cannot be.
+        ConfigurationError: a field is unknown or has an invalid value.
     """
     if isinstance(target, Target):
         return target

@@ -1,4 +1,4 @@
-"""What every target of the gaze task is: a motion and a start for each trial."""
+"""Base class of the gaze task's targets: a motion and a start for each trial."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from vergence.models.parts import FloatArray
 
 _ABOVE_ZERO: Final = ("period", "speed", "turns", "gone_s")
 FARTHEST_M: Final = 100.0
-"""What every length of a target is less than, m: no robot's eyes look so far, and a person who
-takes millimetres for metres writes at least this."""
+"""Upper limit of every length of a target, m (chosen: farther than any robot's eyes look, yet low
+enough to catch most values in millimetres)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,12 +26,12 @@ class Target(ABC):
 
     kind: ClassVar[str]
     anywhere: ClassVar[bool] = False
-    """Whether trials draw it anywhere in a workspace, near and far."""
+    """True if trials draw it anywhere in a workspace, near and far."""
     metres: ClassVar[tuple[str, ...]] = ()
-    """The fields that are lengths or coordinates."""
+    """Names of the fields that are lengths or coordinates."""
 
     start: Literal["rest", "fixation"] = "rest"
-    """Where the eyes are at time zero: at rest, or fixating where the target is (or was)."""
+    """Gaze at time zero: at rest, or fixating the target where it is (or was)."""
 
     def __post_init__(self) -> None:
         if self.start not in ("rest", "fixation"):
@@ -52,7 +52,7 @@ class Target(ABC):
                 object.__setattr__(self, name, checked)
 
     def _refuse_unordered(self, *names: str) -> None:
-        """Refuse fields that are no ranges of numbers above zero."""
+        """Refuse fields that are not ranges of numbers above zero."""
         for name in names:
             low, high = getattr(self, name)
             if not 0.0 < low <= high:
@@ -61,26 +61,26 @@ class Target(ABC):
                 )
 
     def check(self, head: HeadModel) -> None:
-        """Refuse what these eyes could never find or reach, whatever the trial.
+        """Refuse a target that a head's eyes could not find or reach in any trial.
 
         Args:
-            head: the model of the head that has to look.
+            head: the model of the head that looks.
 
         Raises:
-            ConfigurationError: the eyes cannot.
+            ConfigurationError: the eyes cannot find or reach it.
         """
 
     @abstractmethod
     def draw(
         self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
-        """Draw the trials of some places.
+        """Draw motions and starts for the trials of some environments.
 
         Args:
             head: the model of the head, one head.
             streams: the trials' random streams.
-            ids: (n,) the places.
-            board: what the target looks like to the eyes.
+            ids: (n,) environment indices.
+            board: shape of the target.
 
         Returns:
             (n, MOTION or more) motions and (n, 7) joint angles at the start, rad.
@@ -93,24 +93,24 @@ class Target(ABC):
 
 
 def fixating(head: HeadModel, what: str, points: FloatArray) -> FloatArray:
-    """The joint angles that put points on both optical axes, or as near as actuators can.
+    """Compute joint angles that put points on both optical axes, or as near as actuators can.
 
     Args:
         head: the model of the head.
-        what: what a message calls the points, such as `point`.
+        what: name of the points for error messages, such as `point`.
         points: (n, 3) in N, m.
 
     Returns:
         (n, 7) rad.
 
     Raises:
-        ConfigurationError: the limits do not let both eyes look at a point.
+        ConfigurationError: the limits prevent both eyes from looking at a point.
     """
     q = head.fixate(points, head.rest()[:3])
     within = head.reaches(q)
     asked = "fixate within their joints' limits"
     if not head.actuation.direct:
-        # the best that tied joints can do may still have a point outside the images
+        # even the best gaze of coupled joints may leave a point outside the images
         within &= _in_images(head, q, points).all(axis=-1)
         asked = "look at within their limits, and see then"
     if not within.all():
@@ -120,18 +120,18 @@ def fixating(head: HeadModel, what: str, points: FloatArray) -> FloatArray:
 
 
 def _in_images(head: HeadModel, q: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
-    """(..., 2) whether points lie inside each eye's image."""
+    """(..., 2) True if a point lies inside the eye's image."""
     pixels = head.project(q, points)
     inside = (pixels >= -0.5) & (pixels <= head.cameras.size - 0.5)
     return np.asarray(inside.all(axis=-1))
 
 
 def refuse_unseen(head: HeadModel, what: str, point: FloatArray, q: FloatArray) -> None:
-    """Refuse a point that neither eye has in view, as nothing could ever find it.
+    """Refuse a point that neither eye sees, as no controller could ever find it.
 
     Args:
         head: the model of the head.
-        what: what a message calls the point.
+        what: name of the point for error messages.
         point: (3,) in N, m.
         q: (7,) joint angles at the start, rad.
 

@@ -1,4 +1,4 @@
-"""A target that wanders through a workspace and turns when nobody expects it."""
+"""A target that wanders through a workspace and turns at unpredictable times."""
 
 from dataclasses import dataclass
 from math import cos, hypot, pi, sin, sqrt, tan
@@ -22,9 +22,14 @@ from vergence.models.pose import Vector
 
 _TASK: Final = int(Purpose.TASK)
 _STRETCHES: Final = 32
+"""Segments of a path, after which the target goes back (chosen: variety against time to draw)."""
 _TURNS: Final = 50
+"""Candidates tried for a segment (numerical)."""
 _SAMPLES: Final = 4
-# what a target asks of an actuator leaves the other half for catching up with it
+"""Points of a segment at which fixation and the actuators' speeds are checked (numerical)."""
+
+# largest fraction of an actuator's speed limit that following a target needs; the rest is left for
+# catching up with it (chosen: fast targets against this reserve)
 _SHARE_OF_SPEED: Final = 0.5
 
 
@@ -32,31 +37,31 @@ _SHARE_OF_SPEED: Final = 0.5
 class WanderTarget(Target):
     """A random walk: straight on for a while, then on in another direction, near and far.
 
-    Seen from between the eyes the target moves with one angular speed, which the trial draws, and
-    with a rate of 1 / distance that is drawn anew at each turn, as are the direction (uniform) and
-    the time until the next. A stretch that would lead out of the workspace, or anywhere where an
-    eye cannot fixate it with some degrees to spare or then see the whole board, where the plant
-    shows one, is drawn anew. Following it asks for at most half of the actuators' speed, but at
-    its turns for acceleration without end: that is what it is for, as no eye can stay on it
-    there. Until time zero it stands at its beginning. After 32 stretches it goes
-    back along its way, and so never ends.
+    Seen from between the eyes, the target moves at one angular speed, which the trial draws. At
+    each turn it draws a direction (uniform), a rate of 1 / distance, and the time until the next
+    turn. A segment is drawn again if it leaves the workspace, or if somewhere on it an eye cannot
+    fixate the target with a margin of some degrees, or does not see the whole board then, if the
+    plant shows one. Following the target needs at most half of the actuators' speed, but infinite
+    acceleration at its turns: this is the purpose of the target, as no eye can stay on it there.
+    Until time zero it rests at its starting point. After 32 segments it goes back along its path,
+    and so never ends.
     """
 
     kind: ClassVar[str] = "wander"
     anywhere: ClassVar[bool] = True
     metres: ClassVar[tuple[str, ...]] = ("depth",)
     depth: tuple[float, float] = (0.4, 2.5)
-    """Nearest and farthest z, m; the beginning is uniform in 1 / depth."""
+    """Nearest and farthest z, m; the starting point is uniform in 1 / depth."""
     eccentricity: float = 0.7
     """Greatest angle from straight ahead, seen from between the eyes, rad."""
     speed: tuple[float, float] = (0.08726646259971647, 0.6981317007977318)
-    """Range of the angular speed of a trial, seen from between the eyes, rad/s."""
+    """Range of a trial's angular speed, seen from between the eyes, rad/s."""
     approach: float = 1.0
-    """Greatest rate of 1 / distance from between the eyes, to and fro, 1/(m s)."""
+    """Greatest rate of 1 / distance from between the eyes, in both directions, 1/(m s)."""
     turn_after: tuple[float, float] = (0.15, 0.5)
     """Shortest and longest time from one turn to the next, s."""
     margin: float = 0.03490658503988659
-    """Least distance of the fixating angles from the actuators' limits, rad."""
+    """Least distance of the angles at fixation from the actuators' limits, rad."""
     start: Literal["rest", "fixation"] = "fixation"
 
     def __post_init__(self) -> None:
@@ -75,7 +80,7 @@ class WanderTarget(Target):
     def draw(
         self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
-        """See `Target.draw`; stretches are drawn until one is fit."""
+        """See `Target.draw`; segments are drawn until one is valid."""
         paths = np.empty((len(ids), 4 * (_STRETCHES + 2)))
         walk = Walk(
             *self.depth,
@@ -96,7 +101,7 @@ class WanderTarget(Target):
 
 
 class Walk(NamedTuple):
-    """The fields of a `WanderTarget`, as the kernel takes them."""
+    """The fields of a `WanderTarget`, in the form kernels take."""
 
     near: float
     far: float
@@ -111,10 +116,10 @@ class Walk(NamedTuple):
 
 @device
 def _go_on(path: FloatArray, knot: int, words: Words, walk: Walk) -> bool:
-    """Draw the knot after one.
+    """Draw the next knot of a path.
 
     Returns:
-        Whether it lies at a finite distance.
+        True if it lies at a finite distance.
     """
     here, there = 4 * knot, 4 * knot + 4
     ex, ey, ez = path[1], path[2], path[3]
@@ -125,7 +130,7 @@ def _go_on(path: FloatArray, knot: int, words: Words, walk: Walk) -> bool:
     nearness = 1.0 / r + between(words[1], -walk.approach, walk.approach) * span
     if nearness <= 0.0:
         return False
-    # two directions across the line of sight: one level, and one down
+    # two directions orthogonal to the line of sight: one horizontal, one down
     level = hypot(x, z)
     ax, az = z / level, -x / level
     bx, by, bz = y * az, z * ax - x * az, -y * ax
@@ -150,9 +155,9 @@ def _can_look(
     angles: FloatArray,
     own: FloatArray,
 ) -> bool:
-    """Whether a point is in the workspace, and both eyes can look at it.
+    """True if a point is in the workspace, and both eyes can fixate it.
 
-    The last two are results, (4,) angles of the eyes' joints, and of their actuators.
+    The last two arguments are results: (4,) angles of the eye joints, and of the actuators.
     """
     x, y, z = point
     if not walk.near <= z <= walk.far:
@@ -161,7 +166,7 @@ def _can_look(
         return False
     if not can_fixate(gaze, walk.margin, point, angles):
         return False
-    # a point that is fixated is seen
+    # a fixated point is visible, but a board may be cut
     if len(board.outline) and not in_view(gaze.head, angles, point, 0.0, board):
         return False
     direct = is_direct(gaze.head)
@@ -180,10 +185,10 @@ def _can_follow(
     angles: FloatArray,
     own: FloatArray,
 ) -> bool:
-    """Whether both eyes can look along the stretch after a knot, and turn as fast as it asks.
+    """True if both eyes can fixate the whole segment after a knot, and turn as fast as it needs.
 
-    The last two are room for (4,) angles of the eyes' joints, and (_SAMPLES + 1, 4) of their
-    actuators, of which the first are those at the knot.
+    The last two arguments are scratch arrays: (4,) angles of the eye joints, and (_SAMPLES + 1, 4)
+    angles of the actuators, with those at the knot in the first row.
     """
     eye = (path[1], path[2], path[3])
     step = (path[4 * knot + 4] - path[4 * knot]) / _SAMPLES
@@ -199,17 +204,17 @@ def _can_follow(
 
 @compiled
 def choose_paths(keys: Keys, gaze: Gaze, walk: Walk, board: Board, paths: FloatArray) -> bool:
-    """Draw paths for each trial, stretch by stretch, until the eyes can follow one.
+    """Draw paths for each trial, segment by segment, until the eyes can follow one.
 
     Args:
-        keys: `bare`, those of the n trials' random numbers.
-        gaze: `bare`, the head that has to look.
-        walk: `bare`.
-        board: `bare`, what the target looks like.
-        paths: (n, 4 + 4 k) the result with k knots, see `vergence.envs.targets.path`.
+        keys: `bare`, keys of the n trials' random streams.
+        gaze: `bare`, the head that looks.
+        walk: `bare`, the target's fields.
+        board: `bare`, shape of the target.
+        paths: (n, 4 + 4 k) result: paths of k knots, see `vergence.envs.targets.path`.
 
     Returns:
-        False if some trial has no fit candidate.
+        False if some trial has no valid candidate.
     """
     keys, gaze, walk, board = Keys(*keys), Gaze(*gaze), Walk(*walk), Board(*board)
     eye = between_eyes(gaze.head, gaze.rest)
@@ -217,7 +222,7 @@ def choose_paths(keys: Keys, gaze: Gaze, walk: Walk, board: Board, paths: FloatA
     last = paths.shape[1] // 4 - 1
     for n in range(len(paths)):
         seed, trial, path = keys.seeds[n], keys.trials[n], paths[n]
-        # one draw of the speed for all candidates, or those that can be followed would be slower
+        # one speed for all candidates, else the selection would favour slow targets
         path[0] = between(random_words(seed, trial, _TASK, 0, 4)[0], walk.slowest, walk.fastest)
         path[1], path[2], path[3] = eye
         knot = 0

@@ -19,15 +19,16 @@ from vergence.models.pose import Vector
 
 _TASK: Final = int(Purpose.TASK)
 _STARTS: Final = 100
+"""Starts tried for a candidate target (numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RandomTarget(Target):
     """A target that appears anywhere in a workspace, uniform in eccentricity and in 1 / depth.
 
-    Both eyes can fixate it with some degrees to spare, both see it at time zero (the whole board,
-    where the plant shows one), and the eyes have to turn by a least angle. With
-    `start="fixation"` the eyes begin on another point of the workspace.
+    Both eyes can fixate it with a margin of some degrees and see it at time zero (the whole board,
+    if the plant shows one), and the eyes must turn by at least `shift`. With `start="fixation"` the
+    eyes start on another point of the workspace.
     """
 
     kind: ClassVar[str] = "random"
@@ -38,12 +39,12 @@ class RandomTarget(Target):
     eccentricity: float = 0.7
     """Greatest angle from straight ahead, seen from between the eyes, rad."""
     margin: float = 0.03490658503988659
-    """Least distance of the fixating angles from the actuators' limits, rad."""
+    """Least distance of the angles at fixation from the actuators' limits, rad."""
     shift: float = 0.03490658503988659
-    """Least angle that the farther-turning eye has to turn, rad."""
+    """Least turn of the eye that turns farther, rad."""
     border: float = 0.0
-    """Least distance of the target from the images' edges at time zero, px: for true heads that
-    do not see quite what their model says."""
+    """Least distance of the target from the images' edges at time zero, px: a reserve for true
+    heads that differ from their model."""
     start: Literal["rest", "fixation"] = "fixation"
 
     def __post_init__(self) -> None:
@@ -57,7 +58,7 @@ class RandomTarget(Target):
     def draw(
         self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
-        """See `Target.draw`; candidates are drawn until one is fit."""
+        """See `Target.draw`; candidates are drawn until one is valid."""
         points, q = np.empty((len(ids), 3)), np.empty((len(ids), 7))
         keys = Keys(streams.seeds[ids], streams.trials[ids])
         found = choose_targets(
@@ -85,7 +86,7 @@ class RandomTarget(Target):
 
 
 class Workspace(NamedTuple):
-    """The fields of a `RandomTarget`, as the kernel takes them."""
+    """The fields of a `RandomTarget`, in the form kernels take."""
 
     near: float
     far: float
@@ -94,12 +95,12 @@ class Workspace(NamedTuple):
     shift: float
     border: float
     fixating: bool
-    """Whether the eyes begin on a point of the workspace, or at rest."""
+    """True if the eyes start on a point of the workspace, False if at rest."""
 
 
 @device
 def turn_between(begin: FloatArray, goal: FloatArray) -> float:
-    """The angle that the farther-turning eye turns, from (4,) and (4,) angles of the eyes, rad."""
+    """Turn of the eye that turns farther, rad, between angles of the eyes, (4,) and (4,)."""
     left = hypot(goal[0] - begin[0], goal[1] - begin[1])
     return max(left, hypot(goal[2] - begin[2], goal[3] - begin[3]))
 
@@ -116,28 +117,28 @@ def draw_target(
     goal: FloatArray,
     begin: FloatArray,
 ) -> tuple[bool, Vector]:
-    """Draw one candidate for a target, and starts for it until one is fit.
+    """Draw one candidate for a target, and starts for it until one is valid.
 
     Args:
         seed: the trial's seed.
         trial: its number.
-        attempt: which candidate.
-        gaze: the head that has to look.
-        space: where.
-        board: what the target looks like.
+        attempt: number of the candidate.
+        gaze: the head that looks.
+        space: the workspace.
+        board: shape of the target.
         eye: the point between the eyes, in N, m.
         goal: (4,) result: the eyes' angles that fixate the target, rad.
         begin: (4,) result: their angles at the start, rad.
 
     Returns:
-        Whether target and start are fit, and where the target is, in N, m.
+        True if target and start are valid, and the target's position in N, m.
     """
     words = random_words(seed, trial, _TASK, attempt, 1)
     point = place(words, eye, space.near, space.far, space.eccentricity)
     if not can_fixate(gaze, space.margin, point, goal):
         return False, point
-    # one target, many starts: were both drawn anew, few targets aside would be left,
-    # as few of the workspace's points have them in view
+    # many starts for one target: if both were drawn anew, few peripheral targets would be left, as
+    # they are visible from few points of the workspace
     for again in range(_STARTS if space.fixating else 1):
         words = random_words(seed, trial, _TASK, attempt + again, 2)
         other = place(words, eye, space.near, space.far, space.eccentricity)
@@ -161,18 +162,18 @@ def choose_targets(
     points: FloatArray,
     q: FloatArray,
 ) -> bool:
-    """Draw candidates for each trial until one is fit.
+    """Draw candidates for each trial until one is valid.
 
     Args:
-        keys: `bare`, those of the n trials' random numbers.
-        gaze: `bare`, the head that has to look.
-        workspace: `bare`.
-        board: `bare`, what the target looks like.
-        points: (n, 3) result: where the target is, in N, m.
+        keys: `bare`, keys of the n trials' random streams.
+        gaze: `bare`, the head that looks.
+        workspace: `bare`, the workspace.
+        board: `bare`, shape of the target.
+        points: (n, 3) result: positions of the targets, in N, m.
         q: (n, 7) result: joint angles at the start, rad.
 
     Returns:
-        False if some trial has no fit candidate.
+        False if some trial has no valid candidate.
     """
     keys, gaze, space, board = Keys(*keys), Gaze(*gaze), Workspace(*workspace), Board(*board)
     eye = between_eyes(gaze.head, gaze.rest)
