@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vergence.envs.outside_view import EYE_COLOURS, Scene, outside_camera
+from vergence.envs.outside_view import EYE_COLOURS, OutsideView, outside_camera
 from vergence.envs.views import opengl_works
 from vergence.models.files.head_file import load_head
 
@@ -47,7 +47,7 @@ def test_the_view_from_outside_shows_the_target_and_the_head(z, x, y, yaw):
 @pytest.mark.skipif(not opengl_works(), reason="no OpenGL to draw the view with")
 def test_the_board_and_both_axes_are_drawn():
     head, target = load_head("simulated"), np.array([-0.4, -0.3, 1.0])
-    scene = Scene(head)
+    scene = OutsideView(head)
     picture = scene.draw(head.fixate(target), target, 640, 300).astype(int)
     scene.close()
     assert (picture.min(axis=2) > 200).sum() > 50

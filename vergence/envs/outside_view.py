@@ -22,7 +22,7 @@ _SLIM_M: Final = 0.15
 heads against the size of the picture)."""
 
 
-class Scene:
+class OutsideView:
     """The head from outside, drawn by MuJoCo."""
 
     def __init__(self, head: HeadModel) -> None:

@@ -109,7 +109,7 @@ class Progress(NamedTuple):
         self.seen_s[ids] = self.unsettled_s[ids] = -period_s
 
 
-class Outcome(NamedTuple):
+class StepResult(NamedTuple):
     """Result of a step."""
 
     observation: NDArray[np.float32]
@@ -126,7 +126,7 @@ class Outcome(NamedTuple):
     """(n,) True if the target is lost."""
 
     @classmethod
-    def empty(cls, num: int, size: int) -> "Outcome":
+    def empty(cls, num: int, size: int) -> "StepResult":
         """Arrays for `num` heads with observations of this size."""
         return cls(
             observation=np.zeros((num, size), dtype=np.float32),
@@ -152,7 +152,7 @@ def assess(
     reading: Reading,
     action: FloatArray,
     progress: Progress,
-    outcome: Outcome,
+    outcome: StepResult,
     tied: PackedHead | None,
 ) -> None:
     """Compute observations, rewards and terminations of some environments of a batch.
@@ -170,7 +170,7 @@ def assess(
             joints is then not compiled.
     """
     rules, reading = Rules(*rules), Reading(*reading)
-    progress, outcome = Progress(*progress), Outcome(*outcome)
+    progress, outcome = Progress(*progress), StepResult(*outcome)
     error, terms = outcome.error, outcome.terms
     m = action.shape[1]
     for n in ids:
@@ -224,7 +224,7 @@ def compile_assess() -> None:
     """Compile `assess` for heads with one motor per eye joint, by a call for no environment."""
     head = load_head("simulated")
     layout, reading = ObservationLayout.of(head), bare(Reading.empty(1))
-    progress, outcome = bare(Progress.empty(1)), bare(Outcome.empty(1, layout.size))
+    progress, outcome = bare(Progress.empty(1)), bare(StepResult.empty(1, layout.size))
     action = np.zeros((1, layout.count))
     judged = (head.packed, layout.scaling, bare(Rules.of(head)))
     assess(np.arange(0), *judged, reading, action, progress, outcome, None)

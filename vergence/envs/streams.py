@@ -48,7 +48,7 @@ class Purpose(IntEnum):
     COMMAND = 6
 
 
-class Keys(NamedTuple):
+class StreamKeys(NamedTuple):
     """Keys of the random streams of a batch of trials."""
 
     seeds: KeyArray
@@ -57,7 +57,7 @@ class Keys(NamedTuple):
     """(n,) the trials' numbers."""
 
 
-class Key(NamedTuple):
+class StreamKey(NamedTuple):
     """Key of one trial's random stream."""
 
     seed: np.uint64
@@ -77,9 +77,9 @@ class Streams:
         self._make_generator()
 
     @property
-    def keys(self) -> "Keys":
+    def keys(self) -> "StreamKeys":
         """Keys of the batch, in arrays that the start of other trials changes."""
-        return Keys(self.seeds, self.trials)
+        return StreamKeys(self.seeds, self.trials)
 
     def _make_generator(self) -> None:
         self._bits = np.random.Philox(key=0)

@@ -15,7 +15,7 @@ from vergence.envs.plants.simulation import Simulation, TrialStart, simulation_o
 from vergence.envs.plants.variation import Variation, make_variation
 from vergence.envs.policy import Policy
 from vergence.envs.reading import Reading, Truth
-from vergence.envs.reward import TERMS, Outcome, Progress, Rules, assess
+from vergence.envs.reward import TERMS, Progress, Rules, StepResult, assess
 from vergence.envs.saved_state import Arrays, SavedState, copied, named, put_back
 from vergence.envs.streams import IntArray, KeyArray, Streams, as_seed
 from vergence.envs.targets.registry import make_target
@@ -130,7 +130,7 @@ class GazeTask:
         self._action = np.zeros((num, self.layout.count))
         self.reading = Reading.empty(num)
         self._progress = Progress.empty(num)
-        self._outcome = Outcome.empty(num, self.layout.size)
+        self._outcome = StepResult.empty(num, self.layout.size)
         self.encoded = self.observation = self._outcome.observation
         self.reward, self.success = self._outcome.reward, self._outcome.success
         self.lost = self._outcome.lost

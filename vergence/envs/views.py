@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from vergence.envs.opengl import opengl_failure
-from vergence.envs.outside_view import EYE_COLOURS, Scene
+from vergence.envs.outside_view import EYE_COLOURS, OutsideView
 from vergence.envs.plants.eye_views import EyeViews
 from vergence.envs.plants.simulation import Simulation
 from vergence.envs.reading import Image
@@ -89,7 +89,7 @@ class Viewer:
         self._task = task
         self._mode = mode
         self._fps = fps
-        self._scene = Scene(task.head) if opengl_works() else None
+        self._scene = OutsideView(task.head) if opengl_works() else None
         self._window = Window() if mode == "human" else None
 
     def render(self) -> Image | None:

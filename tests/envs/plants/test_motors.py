@@ -9,7 +9,7 @@ from tests.envs.trials import begin, start_of, steps
 from tests.heads import MOVING, head_of, text_of
 from tests.naming import named
 from vergence.envs.plants.kinematic import KinematicPlant
-from vergence.envs.plants.motors import Motors
+from vergence.envs.plants.motors import MotorStates
 from vergence.errors import ConfigurationError
 from vergence.models import HeadModel, parse_head
 from vergence.models.joint_response import follow_joint, share_left
@@ -150,7 +150,7 @@ def test_a_trial_begins_where_the_actuators_can_be() -> None:
             reading = begin(plant, start_of(positions=asked))
             assert plant.truth().positions[0] == pytest.approx(goal, abs=1e-12)
             assert not plant.truth().velocities.any()
-            motors = Motors.of(head, head, 1).angles[0]
+            motors = MotorStates.of(head, head, 1).angles[0]
             assert head.actuation.joints_of(motors) == pytest.approx(head.rest(), abs=1e-12)
             steps_off = np.abs(reading.positions[0] - goal)
             assert steps_off.max() <= 0.00051

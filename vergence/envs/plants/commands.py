@@ -15,7 +15,7 @@ import numpy as np
 from vergence._jit import compiled, device
 from vergence.envs.plants.conditions import Loop
 from vergence.envs.plants.frames import SAME_S, ring_size
-from vergence.envs.streams import IntArray, Key, Purpose, random_words, to_uniform
+from vergence.envs.streams import IntArray, Purpose, StreamKey, random_words, to_uniform
 from vergence.models.parts import FloatArray
 
 _ROUNDING: Final = 1e-9
@@ -63,7 +63,7 @@ LOOP_STATE: Final = 3
 
 
 @device
-def is_lost(loop: Loop, key: Key, step: int) -> bool:
+def is_lost(loop: Loop, key: StreamKey, step: int) -> bool:
     """True if a period's command never reaches the motors."""
     chance = loop.lost_command_probability
     if chance == 0.0:
@@ -72,7 +72,7 @@ def is_lost(loop: Loop, key: Key, step: int) -> bool:
 
 
 @device
-def stalled_until(loop: Loop, key: Key, step: int, period_s: float, resumes: int) -> int:
+def stalled_until(loop: Loop, key: StreamKey, step: int, period_s: float, resumes: int) -> int:
     """Compute the period in which the loop resumes: `step` or an earlier one if it is running.
 
     Between two stalls the loop runs for at least one period.

@@ -12,7 +12,7 @@ from vergence._runs import run_of
 from vergence.envs.plants.imperfections import OWN, SCALARS, Imperfections
 from vergence.models.parts import FloatArray
 
-Place = int | np.unsignedinteger[Any]
+EnvIndex = int | np.unsignedinteger[Any]
 """Environment index; unsigned to spare kernels the check for a negative index."""
 
 
@@ -31,7 +31,7 @@ class Conditions(Imperfections[FloatArray]):
         return iter(vars(self).values())
 
 
-class Drawn(NamedTuple):
+class PackedConditions(NamedTuple):
     """`Conditions` packed into three arrays, the form kernels take."""
 
     loop: FloatArray
@@ -63,6 +63,6 @@ BACKLASH: Final = OWN.index("backlash_rad")
 
 
 @device
-def loop_of(drawn: Drawn, n: Place) -> Loop:
+def loop_of(drawn: PackedConditions, n: EnvIndex) -> Loop:
     """Unpack the scalar conditions of one trial."""
     return Loop(*_loop_run(drawn.loop[n], 0))

@@ -7,11 +7,11 @@ import numpy as np
 
 from vergence._jit import compiled, device
 from vergence.envs.plants.commands import LOOP_STATE, READ, RESUMES
-from vergence.envs.plants.conditions import BACKLASH, Drawn, loop_of
+from vergence.envs.plants.conditions import BACKLASH, PackedConditions, loop_of
 from vergence.envs.plants.frames import SAME_S, ring_size
-from vergence.envs.plants.motors import Motor, Motors, Tied, driven_speed, tie
+from vergence.envs.plants.motors import ActuatorCoupling, MotorState, MotorStates, driven_speed, tie
 from vergence.envs.reading import Reading
-from vergence.envs.streams import IntArray, Key, Keys, Purpose, random_words, to_normals
+from vergence.envs.streams import IntArray, Purpose, StreamKey, StreamKeys, random_words, to_normals
 from vergence.models.head import HeadModel
 from vergence.models.joint_response import share_left
 from vergence.models.parts import FloatArray
@@ -96,7 +96,9 @@ def between(
 
 
 @device
-def noise_of(key: Key, step: int, lane: int, sigma: float) -> tuple[float, float, float, float]:
+def noise_of(
+    key: StreamKey, step: int, lane: int, sigma: float
+) -> tuple[float, float, float, float]:
     """White noise of the eye actuators' encoders at a step."""
     words = random_words(key.seed, key.trial, _FEEDBACK, step, lane)
     a, b = to_normals(words[0], words[1])
@@ -163,11 +165,11 @@ def told_at(periods: float, step: int, ring: int) -> Between:
 def sense_joints(
     ids: IntArray,
     period_s: float,
-    drawn: Drawn,
-    keys: Keys,
+    drawn: PackedConditions,
+    keys: StreamKeys,
     steps: IntArray,
-    motors: Motors,
-    tied: Tied | None,
+    motors: MotorStates,
+    tied: ActuatorCoupling | None,
     feedback: Feedback,
     reading: Reading,
 ) -> None:
@@ -199,7 +201,7 @@ def sense_joints(
             speed = speeds[n, k]
             measured[n, slot, 0, k], measured[n, slot, 1, k] = angles[n, k], speed
             if on_output:
-                motor = Motor(angles[n, k], speed, driven[n, k])
+                motor = MotorState(angles[n, k], speed, driven[n, k])
                 measured[n, slot, 0, k] = motor.driven
                 measured[n, slot, 1, k] = driven_speed(motor, own[n, BACKLASH, k])
         late = loop.feedback_latency_s * rate
@@ -211,7 +213,7 @@ def sense_joints(
             ramp = 1.0 - (1.0 - left) * loop.speed_filter_s * rate
         noise = rates = (0.0, 0.0, 0.0, 0.0)
         if loop.angle_noise_rad > 0.0 or loop.speed_noise_rad_s > 0.0:
-            key = Key(keys.seeds[n], keys.trials[n])
+            key = StreamKey(keys.seeds[n], keys.trials[n])
             noise = noise_of(key, step, 1, loop.angle_noise_rad)
             rates = noise_of(key, step, 2, loop.speed_noise_rad_s)
         stalled = step < loops[n, RESUMES]

@@ -19,8 +19,8 @@ from vergence.envs.plants.conditions import Loop
 from vergence.envs.reading import BoolArray
 from vergence.envs.streams import (
     IntArray,
-    Key,
     Purpose,
+    StreamKey,
     Words,
     random_words,
     to_normals,
@@ -109,7 +109,7 @@ class Exposures(NamedTuple):
         )
 
 
-class Faults(NamedTuple):
+class FrameFaults(NamedTuple):
     """Random faults of one pair of frames."""
 
     dropped: bool
@@ -165,7 +165,7 @@ def exposure_time(loop: Loop, exposure: int) -> float:
 
 
 @device
-def _words(key: Key, frame: int, lane: int) -> Words:
+def _words(key: StreamKey, frame: int, lane: int) -> Words:
     """Four random words of a frame; lane 1 is used for the detection noise."""
     if frame >= 0:
         return random_words(key.seed, key.trial, _SENSOR, frame, lane)
@@ -173,14 +173,14 @@ def _words(key: Key, frame: int, lane: int) -> Words:
 
 
 @device
-def faults_of(loop: Loop, key: Key, frame: int) -> Faults:
+def faults_of(loop: Loop, key: StreamKey, frame: int) -> FrameFaults:
     """Draw the faults of a frame."""
     drop, jitter = loop.dropped_frame_probability, loop.jitter_s
     miss = loop.missed_detection_probability
     if drop + jitter + miss == 0.0:
-        return Faults(False, 0.0, False, False)
+        return FrameFaults(False, 0.0, False, False)
     words = _words(key, frame, 2)
-    return Faults(
+    return FrameFaults(
         to_uniform(words[0]) < drop,
         jitter * to_uniform(words[1]),
         to_uniform(words[2]) < miss,
@@ -189,7 +189,7 @@ def faults_of(loop: Loop, key: Key, frame: int) -> Faults:
 
 
 @device
-def pixel_noise(loop: Loop, key: Key, frame: int) -> tuple[float, float, float, float]:
+def pixel_noise(loop: Loop, key: StreamKey, frame: int) -> tuple[float, float, float, float]:
     """Detection noise in one pair of frames, px: u and v left, u and v right."""
     sigma = loop.detection_noise_px
     if sigma == 0.0:
@@ -208,7 +208,7 @@ def _beside(most_px: float, size: np.uint64, direction: np.uint64) -> tuple[floa
 
 
 @device
-def outlier(loop: Loop, key: Key, frame: int, eye: int) -> tuple[float, float]:
+def outlier(loop: Loop, key: StreamKey, frame: int, eye: int) -> tuple[float, float]:
     """Offset of an eye's detection from the target if it is an outlier, px; mostly zero."""
     probability = loop.outlier_probability
     if probability == 0.0 or not to_uniform(_words(key, frame, 3)[eye]) < probability:
@@ -218,7 +218,7 @@ def outlier(loop: Loop, key: Key, frame: int, eye: int) -> tuple[float, float]:
 
 
 @subroutine
-def false_detection(loop: Loop, key: Key, frame: int, eye: int) -> tuple[float, float]:
+def false_detection(loop: Loop, key: StreamKey, frame: int, eye: int) -> tuple[float, float]:
     """Offset of an eye's false detection from the target, px; mostly zero.
 
     A false detection that begins replaces one that is already under way.

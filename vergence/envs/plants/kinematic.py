@@ -4,13 +4,13 @@ import numpy as np
 
 from vergence._jit import compiled
 from vergence.envs.plants.commands import Commands, hold_of
-from vergence.envs.plants.conditions import BACKLASH, GAIN, Drawn, loop_of
+from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, loop_of
 from vergence.envs.plants.frames import SAME_S, Exposures, Frames, exposure_time
 from vergence.envs.plants.motors import (
-    Drive,
-    Motor,
-    Motors,
-    Tied,
+    ActuatorCoupling,
+    MotorParams,
+    MotorState,
+    MotorStates,
     driven_speed,
     moved,
     pushed,
@@ -44,10 +44,10 @@ class KinematicPlant(SimulatedPlant):
 @compiled
 def drive(
     period_s: float,
-    drawn: Drawn,
+    drawn: PackedConditions,
     scene: Scene,
-    motors: Motors,
-    tied: Tied | None,
+    motors: MotorStates,
+    tied: ActuatorCoupling | None,
     commands: Commands,
     frames: Frames,
     exposures: Exposures,
@@ -64,7 +64,7 @@ def drive(
         frames: numbers of the next exposures.
         exposures: the result.
     """
-    drawn, scene, motors = Drawn(*drawn), Scene(*scene), Motors(*motors)
+    drawn, scene, motors = PackedConditions(*drawn), Scene(*scene), MotorStates(*motors)
     commands, frames, exposures = Commands(*commands), Frames(*frames), Exposures(*exposures)
     # unpacked once, as numba would count references at each access in the loop
     heads, _motions, _necks, steps, positions, velocities = scene
@@ -106,8 +106,8 @@ def drive(
                     fade = 0.0
                     if loop.torque_falloff > 0.0 and a < np.inf:
                         fade = loop.torque_falloff / (own[n, GAIN, k] * top[k])
-                    motor = Motor(angles[n, k], v, driven[n, k])
-                    able = Drive(lag_s, a, fade, lower[k], upper[k], play)
+                    motor = MotorState(angles[n, k], v, driven[n, k])
+                    able = MotorParams(lag_s, a, fade, lower[k], upper[k], play)
                     if loop.overshoot > 0.0 and lag_s > 0.0:
                         motor, rates[n, k] = swung(
                             motor, rates[n, k], able, u, time_s, loop.overshoot
@@ -125,7 +125,7 @@ def drive(
             if exposed:
                 times[n, count] = begin_s + due
                 for k in range(7):
-                    motor = Motor(angles[n, k], speeds[n, k], driven[n, k])
+                    motor = MotorState(angles[n, k], speeds[n, k], driven[n, k])
                     then_q[n, count, k] = motor.driven
                     then_v[n, count, k] = driven_speed(motor, own[n, BACKLASH, k])
                 if tied is not None:
@@ -138,7 +138,7 @@ def drive(
                 slot = hold.then
         counts[n] = count
         for k in range(7):
-            motor = Motor(angles[n, k], speeds[n, k], driven[n, k])
+            motor = MotorState(angles[n, k], speeds[n, k], driven[n, k])
             positions[n, k] = motor.driven
             velocities[n, k] = driven_speed(motor, own[n, BACKLASH, k])
         if tied is not None:

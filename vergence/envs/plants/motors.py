@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence._jit import device, subroutine
-from vergence.envs.plants.conditions import Place
+from vergence.envs.plants.conditions import EnvIndex
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
 from vergence.models.joint_response import (
@@ -42,7 +42,7 @@ _SHORT = 0.125
 applied only between steps (numerical)."""
 
 
-class Motors(NamedTuple):
+class MotorStates(NamedTuple):
     """The motors of a batch of heads; arrays of 7 hold the neck's joints and four eye actuators."""
 
     angles: FloatArray
@@ -66,7 +66,7 @@ class Motors(NamedTuple):
     """(7,) ratios of the motors' lags to the conditions' `lag_s`."""
 
     @classmethod
-    def of(cls, head: HeadModel, true_head: HeadModel, num: int) -> "Motors":
+    def of(cls, head: HeadModel, true_head: HeadModel, num: int) -> "MotorStates":
         """Motors of a batch of heads, at rest.
 
         Args:
@@ -90,10 +90,10 @@ class Motors(NamedTuple):
 
 
 MOVING: Final = ("angles", "speeds", "accelerations", "driven")
-"""Fields of `Motors` that are part of a trial's state."""
+"""Fields of `MotorStates` that are part of a trial's state."""
 
 
-class Tied(NamedTuple):
+class ActuatorCoupling(NamedTuple):
     """Coupling of the eye joints, for heads whose motors move several joints."""
 
     joint_lower: FloatArray
@@ -106,7 +106,7 @@ class Tied(NamedTuple):
     """(4,) scratch array of kernels, one number per actuator."""
 
     @classmethod
-    def of(cls, head: HeadModel, true_head: HeadModel) -> "Tied | None":
+    def of(cls, head: HeadModel, true_head: HeadModel) -> "ActuatorCoupling | None":
         """Coupling of a head; None if each eye joint has its own motor."""
         if head.actuation.direct:
             return None
@@ -114,7 +114,7 @@ class Tied(NamedTuple):
         return cls(limits.lower[EYES], limits.upper[EYES], head.packed, np.empty(SLOTS))
 
 
-class Motor(NamedTuple):
+class MotorState(NamedTuple):
     """State of one motor."""
 
     angle: float
@@ -123,7 +123,7 @@ class Motor(NamedTuple):
     """Angle of its output, rad."""
 
 
-class Drive(NamedTuple):
+class MotorParams(NamedTuple):
     """Parameters of one motor in a trial."""
 
     lag_s: float
@@ -143,7 +143,7 @@ def pushed(driven: float, angle: float, play: float) -> float:
 
 
 @device
-def driven_speed(motor: Motor, play: float) -> float:
+def driven_speed(motor: MotorState, play: float) -> float:
     """Velocity of a motor's output: the motor's own while it pushes, else 0."""
     behind, half = motor.angle - motor.driven, 0.5 * play - _CONTACT_RAD
     pushes = behind >= half if motor.speed > 0.0 else -behind >= half
@@ -151,7 +151,9 @@ def driven_speed(motor: Motor, play: float) -> float:
 
 
 @device
-def moved(motor: Motor, drive: Drive, command: float, time_s: float, decay: float) -> Motor:
+def moved(
+    motor: MotorState, drive: MotorParams, command: float, time_s: float, decay: float
+) -> MotorState:
     """Advance a motor by a time; its output is pushed only up to a reversal of the motor.
 
     Callers push the output on with `pushed`.
@@ -178,13 +180,18 @@ def moved(motor: Motor, drive: Drive, command: float, time_s: float, decay: floa
         q, v = drive.lower, max(v, 0.0)
     elif q > drive.upper:
         q, v = drive.upper, min(v, 0.0)
-    return Motor(q, v, driven)
+    return MotorState(q, v, driven)
 
 
 @subroutine
 def swung(
-    motor: Motor, acceleration: float, drive: Drive, command: float, time_s: float, overshoot: float
-) -> tuple[Motor, float]:
+    motor: MotorState,
+    acceleration: float,
+    drive: MotorParams,
+    command: float,
+    time_s: float,
+    overshoot: float,
+) -> tuple[MotorState, float]:
     """Advance a second-order servo by a time; return it and its acceleration, else as `moved`.
 
     Args:
@@ -206,11 +213,11 @@ def swung(
             q, v, w = drive.lower, max(v, 0.0), max(w, 0.0)
         elif q > drive.upper:
             q, v, w = drive.upper, min(v, 0.0), min(w, 0.0)
-    return Motor(q, v, driven), w
+    return MotorState(q, v, driven), w
 
 
 @subroutine
-def stop_at_joints(motors: Motors, tied: Tied, p: PackedHead, n: Place) -> None:
+def stop_at_joints(motors: MotorStates, tied: ActuatorCoupling, p: PackedHead, n: EnvIndex) -> None:
     """Move one head's motors back where they push a joint beyond its own stop.
 
     Args:

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from vergence._jit import compiled
-from vergence.envs.plants.conditions import Drawn, loop_of
+from vergence.envs.plants.conditions import PackedConditions, loop_of
 from vergence.envs.plants.eye_views import EyeViews
 from vergence.envs.plants.frames import (
     SAME_S,
@@ -23,7 +23,7 @@ from vergence.envs.plants.simulation import TrialStart
 from vergence.envs.plants.variation import RANGES
 from vergence.envs.reading import BoolArray, Image, Reading
 from vergence.envs.saved_state import Arrays
-from vergence.envs.streams import IntArray, Key, Keys, Purpose
+from vergence.envs.streams import IntArray, Purpose, StreamKey, StreamKeys
 from vergence.envs.targets.board import Board, board_axes
 from vergence.envs.targets.motion import is_shown, motion_of
 from vergence.errors import ConfigurationError
@@ -164,8 +164,8 @@ class RenderedPlant(MujocoPlant):
 @compiled
 def take_detections(
     ids: IntArray,
-    drawn: Drawn,
-    keys: Keys,
+    drawn: PackedConditions,
+    keys: StreamKeys,
     exposures: Exposures,
     frames: Frames,
     found: FloatArray,
@@ -182,11 +182,11 @@ def take_detections(
         found: (n, E, 2, 2) detections, px.
         seen: (n, E, 2) True if the target was detected.
     """
-    drawn, keys = Drawn(*drawn), Keys(*keys)
+    drawn, keys = PackedConditions(*drawn), StreamKeys(*keys)
     exposures, frames = Exposures(*exposures), Frames(*frames)
     mask = frames.dropped.shape[1] - 1
     for n in ids:
-        loop, key = loop_of(drawn, n), Key(keys.seeds[n], keys.trials[n])
+        loop, key = loop_of(drawn, n), StreamKey(keys.seeds[n], keys.trials[n])
         for i in range(exposures.taken[n]):
             f, time_s = frames.next[n], exposures.time_s[n, i]
             frames.next[n] = f + 1

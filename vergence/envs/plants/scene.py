@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vergence._jit import compiled, device
-from vergence.envs.plants.conditions import Place
+from vergence.envs.plants.conditions import EnvIndex
 from vergence.envs.reading import Truth
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.motion import Motion, motion_of, position_at
@@ -34,7 +34,7 @@ class Scene(NamedTuple):
 
 
 @device
-def head_of(scene: Scene, n: Place) -> PackedHead:
+def head_of(scene: Scene, n: EnvIndex) -> PackedHead:
     """(PACKED,) true head of an environment."""
     head: PackedHead = scene.heads[np.uintp(n) * np.uintp(scene.heads.shape[0] > 1)]
     return head

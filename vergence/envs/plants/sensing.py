@@ -18,7 +18,7 @@ import numpy as np
 
 from vergence._jit import compiled
 from vergence.envs.plants.commands import LOST, RESUMES, is_lost, stalled_until
-from vergence.envs.plants.conditions import Drawn, loop_of
+from vergence.envs.plants.conditions import PackedConditions, loop_of
 from vergence.envs.plants.feedback import Feedback, sense_joints, told_at
 from vergence.envs.plants.frames import (
     SAME_S,
@@ -32,10 +32,10 @@ from vergence.envs.plants.frames import (
     outlier,
     pixel_noise,
 )
-from vergence.envs.plants.motors import Motors, Tied
+from vergence.envs.plants.motors import ActuatorCoupling, MotorStates
 from vergence.envs.plants.scene import Scene, eye_pixel, image_motion, target_in_n
 from vergence.envs.reading import Reading
-from vergence.envs.streams import IntArray, Key, Keys
+from vergence.envs.streams import IntArray, StreamKey, StreamKeys
 from vergence.envs.targets.motion import is_shown, motion_of
 from vergence.models.camera import inside_image
 from vergence.models.head import HeadModel
@@ -78,8 +78,8 @@ class Sensor(NamedTuple):
 def expose(
     ids: IntArray,
     sensor: Sensor,
-    drawn: Drawn,
-    keys: Keys,
+    drawn: PackedConditions,
+    keys: StreamKeys,
     scene: Scene,
     exposures: Exposures,
     frames: Frames,
@@ -95,7 +95,7 @@ def expose(
         exposures: times of the exposures, and the joints at these times.
         frames: ring buffers, updated in place.
     """
-    sensor, drawn, keys = Sensor(*sensor), Drawn(*drawn), Keys(*keys)
+    sensor, drawn, keys = Sensor(*sensor), PackedConditions(*drawn), StreamKeys(*keys)
     scene, exposures, frames = Scene(*scene), Exposures(*exposures), Frames(*frames)
     # unpacked once, as numba would count references at each access in the loop
     heads, motions, necks, _steps, _positions, _velocities = scene
@@ -107,7 +107,7 @@ def expose(
         n = np.uintp(place)  # unsigned, so that no index is counted from the end
         if counts[n] == 0:
             continue
-        loop, key = loop_of(drawn, n), Key(keys.seeds[n], keys.trials[n])
+        loop, key = loop_of(drawn, n), StreamKey(keys.seeds[n], keys.trials[n])
         p, motion = heads[n * many], motion_of(motions[n])
         for i in range(counts[n]):
             (f, first_eye, end_eye), time_s = frame_of(loop, following[n]), times[n, i]
@@ -151,11 +151,11 @@ def expose(
 def report(
     ids: IntArray,
     sensor: Sensor,
-    drawn: Drawn,
-    keys: Keys,
+    drawn: PackedConditions,
+    keys: StreamKeys,
     steps: IntArray,
-    motors: Motors,
-    tied: Tied | None,
+    motors: MotorStates,
+    tied: ActuatorCoupling | None,
     feedback: Feedback,
     frames: Frames,
     reading: Reading,
@@ -174,16 +174,16 @@ def report(
         frames: ring buffers.
         reading: the result; its image fields are unchanged if no new frame has arrived.
     """
-    sensor, drawn, keys = Sensor(*sensor), Drawn(*drawn), Keys(*keys)
+    sensor, drawn, keys = Sensor(*sensor), PackedConditions(*drawn), StreamKeys(*keys)
     frames, reading = Frames(*frames), Reading(*reading)
     period_s, loops = sensor.period_s, Feedback(*feedback).loops
     for place in ids:
         n = np.uintp(place)
-        loop, key, step = loop_of(drawn, n), Key(keys.seeds[n], keys.trials[n]), steps[n]
+        loop, key, step = loop_of(drawn, n), StreamKey(keys.seeds[n], keys.trials[n]), steps[n]
         loops[n, RESUMES] = stalled_until(loop, key, step, period_s, loops[n, RESUMES])
         loops[n, LOST] = is_lost(loop, key, step)
     sense_joints(
-        ids, period_s, drawn, keys, steps, Motors(*motors), tied, Feedback(*feedback),
+        ids, period_s, drawn, keys, steps, MotorStates(*motors), tied, Feedback(*feedback),
         reading,
     )  # fmt: skip
     told = Feedback(*feedback).told

@@ -12,11 +12,11 @@ from vergence._jit import bare
 from vergence.envs.fields import count
 from vergence.envs.plants import starting
 from vergence.envs.plants.commands import Commands, take_commands
-from vergence.envs.plants.conditions import Conditions, Drawn
+from vergence.envs.plants.conditions import Conditions, PackedConditions
 from vergence.envs.plants.feedback import STATE, Feedback
 from vergence.envs.plants.frames import SAME_S, Exposures, Frames
 from vergence.envs.plants.imperfections import IMPERFECTIONS
-from vergence.envs.plants.motors import MOVING, Motors, Tied
+from vergence.envs.plants.motors import MOVING, ActuatorCoupling, MotorStates
 from vergence.envs.plants.scene import Scene, look
 from vergence.envs.plants.sensing import Sensor, expose, report
 from vergence.envs.plants.simulation import Simulation, TrialStart
@@ -24,7 +24,7 @@ from vergence.envs.plants.true_heads import TrueHeads
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.saved_state import Arrays, copied, named, put_back
-from vergence.envs.streams import IntArray, Keys, Streams
+from vergence.envs.streams import IntArray, StreamKeys, Streams
 from vergence.envs.targets.motion import JUMP, last_jump, motion_rows
 from vergence.errors import ConfigurationError, refuse_unknown
 from vergence.models.head import HeadModel
@@ -39,10 +39,10 @@ class _Bare(NamedTuple):
     """Arguments of the kernels of every step, `bare`: made once."""
 
     sensor: Sensor
-    drawn: Drawn
-    keys: Keys
+    drawn: PackedConditions
+    keys: StreamKeys
     scene: Scene
-    motors: Motors
+    motors: MotorStates
     commands: Commands
     feedback: Feedback
     frames: Frames
@@ -119,8 +119,8 @@ class SimulatedPlant(Simulation):
             stalled_s = max(heads.greatest("stall_s"), period_s) + period_s
         self._frames = Frames.empty(num, late_s + stalled_s + 2.0 * period_s, most_hz)
         self._exposures = Exposures.empty(num, period_s, most_hz, 2 if skew_s > 0.0 else 1)
-        self._motors = Motors.of(head, heads.given, num)
-        self._tied = Tied.of(head, heads.given)
+        self._motors = MotorStates.of(head, heads.given, num)
+        self._tied = ActuatorCoupling.of(head, heads.given)
         self._commands = Commands.empty(
             num,
             heads.given.actuation.velocity,

@@ -7,7 +7,7 @@ import numpy as np
 
 from vergence._jit import compiled, device
 from vergence.envs.plants.commands import LOOP_STATE, Commands
-from vergence.envs.plants.conditions import BACKLASH, Drawn, Loop, loop_of
+from vergence.envs.plants.conditions import BACKLASH, Loop, PackedConditions, loop_of
 from vergence.envs.plants.feedback import Feedback, quantise
 from vergence.envs.plants.frames import (
     SAME_S,
@@ -20,10 +20,10 @@ from vergence.envs.plants.frames import (
     frame_time,
     skew_of,
 )
-from vergence.envs.plants.motors import Motors, Tied, tie
+from vergence.envs.plants.motors import ActuatorCoupling, MotorStates, tie
 from vergence.envs.plants.scene import Scene, eye_pixel, head_of, target_in_n
 from vergence.envs.reading import Reading
-from vergence.envs.streams import IntArray, Key, Keys, Purpose, random_words, to_uniform
+from vergence.envs.streams import IntArray, Purpose, StreamKey, StreamKeys, random_words, to_uniform
 from vergence.envs.targets.motion import is_shown, motion_of
 from vergence.models.actuation import SLOTS
 from vergence.models.camera import inside_image
@@ -48,11 +48,11 @@ def begin(
     ids: IntArray,
     positions: FloatArray,
     motions: FloatArray,
-    drawn: Drawn,
-    keys: Keys,
+    drawn: PackedConditions,
+    keys: StreamKeys,
     scene: Scene,
-    motors: Motors,
-    tied: Tied | None,
+    motors: MotorStates,
+    tied: ActuatorCoupling | None,
     commands: Commands,
     feedback: Feedback,
     frames: Frames,
@@ -76,8 +76,8 @@ def begin(
         frames: ring buffers.
         reading: set to the reading of heads that have seen nothing yet.
     """
-    drawn, keys, scene = Drawn(*drawn), Keys(*keys), Scene(*scene)
-    motors, commands, feedback = Motors(*motors), Commands(*commands), Feedback(*feedback)
+    drawn, keys, scene = PackedConditions(*drawn), StreamKeys(*keys), Scene(*scene)
+    motors, commands, feedback = MotorStates(*motors), Commands(*commands), Feedback(*feedback)
     frames, reading = Frames(*frames), Reading(*reading)
     share = np.full(8, 0.5)
     for m in range(ids.shape[0]):
@@ -132,7 +132,9 @@ def begin(
 
 
 @compiled
-def still(ids: IntArray, drawn: Drawn, scene: Scene, frames: Frames, exposures: Exposures) -> bool:
+def still(
+    ids: IntArray, drawn: PackedConditions, scene: Scene, frames: Frames, exposures: Exposures
+) -> bool:
     """Expose the next frames of starting trials up to time zero, as many as there is room for.
 
     Args:
@@ -145,7 +147,7 @@ def still(ids: IntArray, drawn: Drawn, scene: Scene, frames: Frames, exposures: 
     Returns:
         True if there are any.
     """
-    drawn, scene = Drawn(*drawn), Scene(*scene)
+    drawn, scene = PackedConditions(*drawn), Scene(*scene)
     frames, exposures = Frames(*frames), Exposures(*exposures)
     some = False
     for n in ids:
@@ -166,7 +168,11 @@ def still(ids: IntArray, drawn: Drawn, scene: Scene, frames: Frames, exposures: 
 
 @compiled
 def first_sights(
-    drawn: Drawn, keys: Keys, scene: Scene, since_s: FloatArray, sights_s: FloatArray
+    drawn: PackedConditions,
+    keys: StreamKeys,
+    scene: Scene,
+    since_s: FloatArray,
+    sights_s: FloatArray,
 ) -> None:
     """Find the time at which the first image of the target exposed from some moment on is read.
 
@@ -180,9 +186,9 @@ def first_sights(
         since_s: (n,) the moments, in the targets' own time, s.
         sights_s: (n,) result, s since the trial's start; inf for never.
     """
-    drawn, keys, scene = Drawn(*drawn), Keys(*keys), Scene(*scene)
+    drawn, keys, scene = PackedConditions(*drawn), StreamKeys(*keys), Scene(*scene)
     for n in range(len(sights_s)):
-        loop, key = loop_of(drawn, n), Key(keys.seeds[n], keys.trials[n])
+        loop, key = loop_of(drawn, n), StreamKey(keys.seeds[n], keys.trials[n])
         p, motion = head_of(scene, n), motion_of(scene.motions[n])
         q, neck = scene.positions[n], scene.necks[n]
         frame, latest_s = first_frame(loop), -np.inf

@@ -10,10 +10,17 @@ import numpy as np
 
 from vergence._jit import compiled
 from vergence.envs.plants.commands import Commands, hold_of
-from vergence.envs.plants.conditions import BACKLASH, GAIN, Drawn, loop_of
+from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, loop_of
 from vergence.envs.plants.feedback import between
 from vergence.envs.plants.frames import SAME_S, Exposures, Frames, exposure_time
-from vergence.envs.plants.motors import Motor, Motors, Tied, driven_speed, pushed, tie
+from vergence.envs.plants.motors import (
+    ActuatorCoupling,
+    MotorState,
+    MotorStates,
+    driven_speed,
+    pushed,
+    tie,
+)
 from vergence.envs.plants.scene import Scene, head_of
 from vergence.envs.streams import IntArray
 from vergence.models.joint_response import damping_ratio, follow_swinging_joint, share_left
@@ -50,10 +57,10 @@ def hold_commands(
     piece: int,
     pieces: int,
     period_s: float,
-    drawn: Drawn,
+    drawn: PackedConditions,
     steps: IntArray,
     commands: Commands,
-    motors: Motors,
+    motors: MotorStates,
     slots: IntArray,
     control: FloatArray,
 ) -> None:
@@ -73,7 +80,7 @@ def hold_commands(
         slots: (nu,) indices of the servos in an array of the neck's joints and the actuators.
         control: (n, nu) result, rad/s.
     """
-    drawn, given, motors = Drawn(*drawn), Commands(*commands).given, Motors(*motors)
+    drawn, given, motors = PackedConditions(*drawn), Commands(*commands).given, MotorStates(*motors)
     length = period_s / pieces
     for n in range(len(steps)):
         loop = loop_of(drawn, n)
@@ -104,10 +111,10 @@ def take(
     half_step: float,
     addresses: IntArray,
     head: PackedHead,
-    drawn: Drawn,
+    drawn: PackedConditions,
     scene: Scene,
-    motors: Motors,
-    tied: Tied | None,
+    motors: MotorStates,
+    tied: ActuatorCoupling | None,
     track: Track,
 ) -> None:
     """Read angles and velocities of motors and joints at the end of a piece.
@@ -128,7 +135,12 @@ def take(
         tied: coupling of the eye joints; None if each has its own motor.
         track: updated in place.
     """
-    drawn, scene, motors, track = Drawn(*drawn), Scene(*scene), Motors(*motors), Track(*track)
+    drawn, scene, motors, track = (
+        PackedConditions(*drawn),
+        Scene(*scene),
+        MotorStates(*motors),
+        Track(*track),
+    )
     angles, rates = np.zeros(7), np.zeros(7)
     for n in range(motors.angles.shape[0]):
         for j in range(7):
@@ -147,7 +159,7 @@ def take(
             play = drawn.own[n, BACKLASH, k]
             driven = pushed(motors.driven[n, k], q, play)
             motors.driven[n, k] = scene.positions[n, k] = driven
-            scene.velocities[n, k] = driven_speed(Motor(q, v, driven), play)
+            scene.velocities[n, k] = driven_speed(MotorState(q, v, driven), play)
         if tied is not None:
             tie(tied.room, head_of(scene, n), scene.positions[n], scene.velocities[n])
         for j in range(7):
@@ -158,7 +170,7 @@ def take(
 @compiled
 def expose_on_track(
     period_s: float,
-    drawn: Drawn,
+    drawn: PackedConditions,
     steps: IntArray,
     frames: Frames,
     track: Track,
@@ -174,7 +186,7 @@ def expose_on_track(
         track: `bare`, joint states within the period.
         exposures: `bare`, the result.
     """
-    drawn, frames = Drawn(*drawn), Frames(*frames)
+    drawn, frames = PackedConditions(*drawn), Frames(*frames)
     track, exposures = Track(*track), Exposures(*exposures)
     pieces = track.positions.shape[1] - 1
     length = period_s / pieces

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.envs.fields import float_array
-from vergence.envs.plants.conditions import LOOP, Conditions, Drawn
+from vergence.envs.plants.conditions import LOOP, Conditions, PackedConditions
 from vergence.envs.plants.imperfections import IMPERFECTIONS, OWN, SCALARS, expected, is_within
 from vergence.envs.plants.variation import Variation
 from vergence.envs.saved_state import Arrays
@@ -123,7 +123,7 @@ class TrueHeads:
             heads = np.repeat(heads, num, axis=0)
             self._deviates = np.zeros((num, DEVIATES))
             self._ahead = HeadsAhead(variation, true_head, num)
-        self.drawn = Drawn(np.empty((num, LOOP)), np.empty((num, len(OWN), 7)), heads)
+        self.drawn = PackedConditions(np.empty((num, LOOP)), np.empty((num, len(OWN), 7)), heads)
         """Conditions of the running trials, in packed arrays that the next trials change."""
         self.conditions = _by_name(self.drawn)
         """Conditions by name: views of the packed arrays."""
@@ -190,7 +190,7 @@ class TrueHeads:
             self._deviates[ids], self.conditions.heads[ids] = self._ahead.take(streams, ids)
 
 
-def _by_name(drawn: Drawn) -> Conditions:
+def _by_name(drawn: PackedConditions) -> Conditions:
     """View packed conditions by name."""
     views = {name: drawn.loop[:, i] for i, name in enumerate(SCALARS)}
     views |= {name: drawn.own[:, i] for i, name in enumerate(OWN)}

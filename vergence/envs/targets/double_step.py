@@ -6,11 +6,11 @@ from typing import ClassVar, Final
 import numpy as np
 
 from vergence._jit import bare, compiled
-from vergence.envs.streams import IntArray, Keys, Purpose, Streams, random_words
+from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words
 from vergence.envs.targets.board import POINT, Board, in_view
 from vergence.envs.targets.moments import draw_moments
 from vergence.envs.targets.motion import motion_rows
-from vergence.envs.targets.placement import ATTEMPTS, Gaze, between_eyes, can_fixate, place
+from vergence.envs.targets.placement import ATTEMPTS, GazingHead, between_eyes, can_fixate, place
 from vergence.envs.targets.workspace import RandomTarget, Workspace, draw_target, turn_between
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -46,8 +46,8 @@ class DoubleStepTarget(RandomTarget):
         """See `Target.draw`; candidates are drawn until one is valid."""
         n = len(ids)
         first, second, q = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 7))
-        keys = Keys(streams.seeds[ids], streams.trials[ids])
-        gaze, space = Gaze.of(head), self._workspace()
+        keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
+        gaze, space = GazingHead.of(head), self._workspace()
         found = choose_double_steps(
             bare(keys), bare(gaze), bare(space), bare(board), first, second, q
         )
@@ -59,8 +59,8 @@ class DoubleStepTarget(RandomTarget):
 
 @compiled
 def choose_double_steps(
-    keys: Keys,
-    gaze: Gaze,
+    keys: StreamKeys,
+    gaze: GazingHead,
     space: Workspace,
     board: Board,
     first: FloatArray,
@@ -81,7 +81,12 @@ def choose_double_steps(
     Returns:
         False if some trial has no valid candidate.
     """
-    keys, gaze, space, board = Keys(*keys), Gaze(*gaze), Workspace(*space), Board(*board)
+    keys, gaze, space, board = (
+        StreamKeys(*keys),
+        GazingHead(*gaze),
+        Workspace(*space),
+        Board(*board),
+    )
     eye = between_eyes(gaze.head, gaze.rest)
     begin, goal, last = np.empty(4), np.empty(4), np.empty(4)
     for n in range(len(first)):

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from vergence._jit import bare, compiled
-from vergence.envs.streams import IntArray, Keys, Purpose, Streams, random_words
+from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words
 from vergence.envs.targets.placement import between
 from vergence.models.parts import FloatArray
 
@@ -27,13 +27,13 @@ def draw_moments(streams: Streams, ids: IntArray, earliest: float, latest: float
         (n,) s.
     """
     moments = np.empty(len(ids))
-    _fill(bare(Keys(streams.seeds[ids], streams.trials[ids])), earliest, latest, moments)
+    _fill(bare(StreamKeys(streams.seeds[ids], streams.trials[ids])), earliest, latest, moments)
     return moments
 
 
 @compiled
-def _fill(keys: Keys, earliest: float, latest: float, moments: FloatArray) -> None:
-    keys = Keys(*keys)
+def _fill(keys: StreamKeys, earliest: float, latest: float, moments: FloatArray) -> None:
+    keys = StreamKeys(*keys)
     for n in range(len(moments)):
         words = random_words(keys.seeds[n], keys.trials[n], _TASK, 0, _LANE)
         moments[n] = between(words[0], earliest, latest)

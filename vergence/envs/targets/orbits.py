@@ -7,10 +7,17 @@ from typing import ClassVar, Final, Literal, NamedTuple
 import numpy as np
 
 from vergence._jit import bare, compiled, device
-from vergence.envs.streams import IntArray, Keys, Purpose, Streams, random_words, to_uniform
+from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words, to_uniform
 from vergence.envs.targets.board import POINT, Board, in_view, wholly
 from vergence.envs.targets.motion import motion_rows
-from vergence.envs.targets.placement import ATTEMPTS, Gaze, between, between_eyes, can_fixate, place
+from vergence.envs.targets.placement import (
+    ATTEMPTS,
+    GazingHead,
+    between,
+    between_eyes,
+    can_fixate,
+    place,
+)
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, TargetError
 from vergence.models.actuation import SLOTS
@@ -73,9 +80,9 @@ class OrbitTarget(Target):
         ranges = Ranges(
             *self.depth, self.eccentricity, *self.radius, *self.speed, self.turns, self.margin
         )
-        keys = Keys(streams.seeds[ids], streams.trials[ids])
+        keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
         found = choose_orbits(
-            bare(keys), bare(Gaze.of(head)), bare(ranges), bare(board), bare(orbits)
+            bare(keys), bare(GazingHead.of(head)), bare(ranges), bare(board), bare(orbits)
         )
         if not found:
             raise TargetError(
@@ -139,7 +146,7 @@ def _peak_rate(centre: Vector, first: Vector, second: Vector, eye: Vector) -> fl
 
 @device
 def _can_follow(
-    gaze: Gaze,
+    gaze: GazingHead,
     ranges: Ranges,
     board: Board,
     centre: Vector,
@@ -183,7 +190,9 @@ def _can_follow(
 
 
 @compiled
-def choose_orbits(keys: Keys, gaze: Gaze, ranges: Ranges, board: Board, orbits: Orbits) -> bool:
+def choose_orbits(
+    keys: StreamKeys, gaze: GazingHead, ranges: Ranges, board: Board, orbits: Orbits
+) -> bool:
     """Draw ellipses for each trial until the eyes can follow one.
 
     Args:
@@ -196,7 +205,7 @@ def choose_orbits(keys: Keys, gaze: Gaze, ranges: Ranges, board: Board, orbits: 
     Returns:
         False if some trial has no valid candidate.
     """
-    keys, gaze = Keys(*keys), Gaze(*gaze)
+    keys, gaze = StreamKeys(*keys), GazingHead(*gaze)
     ranges, board, orbits = Ranges(*ranges), Board(*board), Orbits(*orbits)
     eye = between_eyes(gaze.head, gaze.rest)
     angles, own = np.empty((_PHASES, 4)), np.empty((_PHASES, SLOTS))

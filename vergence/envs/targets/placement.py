@@ -23,7 +23,7 @@ _ROUNDING_RAD: Final = 1e-9
 """Rounding tolerance beyond an angle limit that is reached exactly, rad (numerical)."""
 
 
-class Gaze(NamedTuple):
+class GazingHead(NamedTuple):
     """The head that looks, with the limits of its actuators and joints."""
 
     head: PackedHead
@@ -42,8 +42,8 @@ class Gaze(NamedTuple):
     """(4,) each, lower and upper angle limits of the eye joints, rad; None if each has a motor."""
 
     @classmethod
-    def of(cls, head: HeadModel) -> "Gaze":
-        """The `Gaze` of a head model."""
+    def of(cls, head: HeadModel) -> "GazingHead":
+        """The `GazingHead` of a head model."""
         own, limits = head.actuation, head.limits
         return cls(
             head.packed,
@@ -91,7 +91,7 @@ def place(words: Words, eye: Vector, near: float, far: float, eccentricity: floa
 
 
 @device
-def can_fixate(gaze: Gaze, margin: float, point: Vector, angles: FloatArray) -> bool:
+def can_fixate(gaze: GazingHead, margin: float, point: Vector, angles: FloatArray) -> bool:
     """True if both eyes can fixate a point with a margin to their limits.
 
     For coupled joints, the angles are those of the least pixel errors, and both eyes must see the
@@ -108,7 +108,7 @@ def can_fixate(gaze: Gaze, margin: float, point: Vector, angles: FloatArray) -> 
 
 @device
 def _can_fixate(
-    gaze: Gaze,
+    gaze: GazingHead,
     joints: tuple[FloatArray, FloatArray] | None,
     margin: float,
     point: Vector,
@@ -128,7 +128,7 @@ def _can_fixate(
 
 @device
 def _can_fixate_tied(
-    gaze: Gaze,
+    gaze: GazingHead,
     joints: tuple[FloatArray, FloatArray],
     margin: float,
     point: Vector,

@@ -7,11 +7,26 @@ from typing import ClassVar, Final, Literal, NamedTuple
 import numpy as np
 
 from vergence._jit import bare, compiled, device, subroutine
-from vergence.envs.streams import IntArray, Keys, Purpose, Streams, Words, random_words, to_uniform
+from vergence.envs.streams import (
+    IntArray,
+    Purpose,
+    StreamKeys,
+    Streams,
+    Words,
+    random_words,
+    to_uniform,
+)
 from vergence.envs.targets.board import POINT, Board, in_view, wholly
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.path import on_stretch
-from vergence.envs.targets.placement import ATTEMPTS, Gaze, between, between_eyes, can_fixate, place
+from vergence.envs.targets.placement import (
+    ATTEMPTS,
+    GazingHead,
+    between,
+    between_eyes,
+    can_fixate,
+    place,
+)
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, TargetError
 from vergence.models.actuation import SLOTS
@@ -90,8 +105,8 @@ class WanderTarget(Target):
             *self.turn_after,
             self.margin,
         )
-        keys = Keys(streams.seeds[ids], streams.trials[ids])
-        if not choose_paths(bare(keys), bare(Gaze.of(head)), bare(walk), bare(board), paths):
+        keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
+        if not choose_paths(bare(keys), bare(GazingHead.of(head)), bare(walk), bare(board), paths):
             raise TargetError(
                 f"target: expected paths that this head can follow and see{wholly(board)}, "
                 f"got none of {ATTEMPTS} of {self}"
@@ -147,7 +162,7 @@ def _go_on(path: FloatArray, knot: int, words: Words, walk: Walk) -> bool:
 
 @subroutine
 def _can_look(
-    gaze: Gaze,
+    gaze: GazingHead,
     walk: Walk,
     board: Board,
     eye: Vector,
@@ -177,7 +192,7 @@ def _can_look(
 
 @device
 def _can_follow(
-    gaze: Gaze,
+    gaze: GazingHead,
     walk: Walk,
     board: Board,
     path: FloatArray,
@@ -203,7 +218,9 @@ def _can_follow(
 
 
 @compiled
-def choose_paths(keys: Keys, gaze: Gaze, walk: Walk, board: Board, paths: FloatArray) -> bool:
+def choose_paths(
+    keys: StreamKeys, gaze: GazingHead, walk: Walk, board: Board, paths: FloatArray
+) -> bool:
     """Draw paths for each trial, segment by segment, until the eyes can follow one.
 
     Args:
@@ -216,7 +233,7 @@ def choose_paths(keys: Keys, gaze: Gaze, walk: Walk, board: Board, paths: FloatA
     Returns:
         False if some trial has no valid candidate.
     """
-    keys, gaze, walk, board = Keys(*keys), Gaze(*gaze), Walk(*walk), Board(*board)
+    keys, gaze, walk, board = StreamKeys(*keys), GazingHead(*gaze), Walk(*walk), Board(*board)
     eye = between_eyes(gaze.head, gaze.rest)
     angles, own = np.empty(4), np.empty((_SAMPLES + 1, SLOTS))
     last = paths.shape[1] // 4 - 1

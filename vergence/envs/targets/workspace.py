@@ -7,10 +7,10 @@ from typing import ClassVar, Final, Literal, NamedTuple
 import numpy as np
 
 from vergence._jit import bare, compiled, device, subroutine
-from vergence.envs.streams import IntArray, Keys, Purpose, Streams, random_words
+from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words
 from vergence.envs.targets.board import POINT, Board, in_view, wholly
 from vergence.envs.targets.motion import motion_rows
-from vergence.envs.targets.placement import ATTEMPTS, Gaze, between_eyes, can_fixate, place
+from vergence.envs.targets.placement import ATTEMPTS, GazingHead, between_eyes, can_fixate, place
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, TargetError
 from vergence.models.head import HeadModel
@@ -60,9 +60,9 @@ class RandomTarget(Target):
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; candidates are drawn until one is valid."""
         points, q = np.empty((len(ids), 3)), np.empty((len(ids), 7))
-        keys = Keys(streams.seeds[ids], streams.trials[ids])
+        keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
         found = choose_targets(
-            bare(keys), bare(Gaze.of(head)), bare(self._workspace()), bare(board), points, q
+            bare(keys), bare(GazingHead.of(head)), bare(self._workspace()), bare(board), points, q
         )
         if not found:
             raise self._unseen("points", board)
@@ -110,7 +110,7 @@ def draw_target(
     seed: np.uint64,
     trial: np.uint64,
     attempt: int,
-    gaze: Gaze,
+    gaze: GazingHead,
     space: Workspace,
     board: Board,
     eye: Vector,
@@ -155,8 +155,8 @@ def draw_target(
 
 @compiled
 def choose_targets(
-    keys: Keys,
-    gaze: Gaze,
+    keys: StreamKeys,
+    gaze: GazingHead,
     workspace: Workspace,
     board: Board,
     points: FloatArray,
@@ -175,7 +175,12 @@ def choose_targets(
     Returns:
         False if some trial has no valid candidate.
     """
-    keys, gaze, space, board = Keys(*keys), Gaze(*gaze), Workspace(*workspace), Board(*board)
+    keys, gaze, space, board = (
+        StreamKeys(*keys),
+        GazingHead(*gaze),
+        Workspace(*workspace),
+        Board(*board),
+    )
     eye = between_eyes(gaze.head, gaze.rest)
     goal, begin = np.empty(4), np.empty(4)
     for n in range(len(points)):
