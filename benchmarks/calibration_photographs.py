@@ -40,7 +40,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import Adjustment, CameraRig, Solution
-from vergence.calibration.cameras import first_fit, fit_camera, pose_views
+from vergence.calibration.cameras import estimate_board_poses, first_fit, fit_camera
 from vergence.calibration.observations import Observations, observe, parse_board
 from vergence.calibration.stereo import fit_pair
 from vergence.errors import ConfigurationError
@@ -198,7 +198,7 @@ def judged(board: FloatArray, rig: CameraRig, corners: Corners, *, bent: bool) -
         bent: whether the judge finds the board's curvature as well, one for all views.
     """
     problem = Adjustment(board, corners.pixels, np.ones_like(corners.pixels))
-    start = pose_views(
+    start = estimate_board_poses(
         problem.one(0), CameraRig.single(rig.lenses[0], rig.values[0]), corners.sizes[0]
     )
     rig = rig._replace(bend=np.zeros(3))

@@ -24,7 +24,7 @@ from vergence.cli import main
 from vergence.models.boards import Checkerboard
 from vergence.perception.photographs import photographs_in
 from vergence.perception.spacing import distances
-from vergence.perception.spotting import Spotter
+from vergence.perception.spotting import TargetFinder
 from vergence.vision import parse_target
 
 Pixels = NDArray[np.float32]
@@ -152,7 +152,7 @@ def measure(folder: Path, target: str, finder: str = "classic") -> Measured:
 
 def detected(folder: Path, target: str) -> tuple[int, int]:
     """In how many images of a folder the board is found, and how many there are."""
-    spotter, images = Spotter([parse_target(target)]), photographs_in(folder)
+    spotter, images = TargetFinder([parse_target(target)]), photographs_in(folder)
     return sum(len(spotter.spot_in(path).found) == 1 for path in images), len(images)
 
 

@@ -21,7 +21,7 @@ from rich.progress import track
 from vergence import load_head
 from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
 from vergence.hardware.safety.motion import JointMotion
-from vergence.models.joint_response import follow_joint, share_left
+from vergence.models.joint_response import follow_joint, lag_decay
 
 CHUNK = 100
 LATEST = 1.5
@@ -58,7 +58,7 @@ class Joints:
             self.angles[j], self.speeds[j] = follow_joint.py_func(
                 float(self.angles[j]), float(self.speeds[j]), float(acts[j]), lag_s,
                 float(self._acceleration[j]), held_s,
-                share_left.py_func(held_s, lag_s),
+                lag_decay.py_func(held_s, lag_s),
             )  # fmt: skip
 
 

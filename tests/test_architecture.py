@@ -23,7 +23,7 @@ LAYERS = (
         "locks",
         "entry_points",
         "operands",
-        "plain",
+        "json_values",
         "_jit",
         "_runs",
         "_ahead",

@@ -8,12 +8,12 @@ import pytest
 
 from vergence.files import (
     PARTIAL,
+    atomic_file,
+    atomic_files,
+    atomic_folder,
     remove_partial,
     save_folder,
-    whole_file,
-    whole_files,
-    whole_folder,
-    write_whole,
+    write_atomic,
 )
 
 
@@ -25,27 +25,27 @@ def names(folder) -> list[str]:
     ("content", "stored"), [("é\n", "é\n".encode()), (b"\x00\xff", b"\x00\xff")]
 )
 def test_text_and_bytes_are_written_as_they_are(tmp_path, content, stored):
-    write_whole(tmp_path / "file", content)
+    write_atomic(tmp_path / "file", content)
     assert (tmp_path / "file").read_bytes() == stored
     assert names(tmp_path) == ["file"]
 
 
 def test_a_file_has_the_permissions_of_any_new_file(tmp_path):
     (tmp_path / "usual").touch()
-    write_whole(tmp_path / "file", "")
+    write_atomic(tmp_path / "file", "")
     modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("usual", "file")]
     assert modes[0] == modes[1]
 
 
 def test_the_file_being_written_has_the_suffix_of_its_name(tmp_path):
-    with whole_file(tmp_path / "table.csv") as partial:
+    with atomic_file(tmp_path / "table.csv") as partial:
         assert partial.name == "table.csv"
         partial.touch()
 
 
 def test_a_failure_leaves_the_former_file(tmp_path):
-    write_whole(tmp_path / "file", "before")
-    with pytest.raises(TypeError), whole_file(tmp_path / "file") as partial:
+    write_atomic(tmp_path / "file", "before")
+    with pytest.raises(TypeError), atomic_file(tmp_path / "file") as partial:
         partial.write_text(b"no text")
     assert (tmp_path / "file").read_text() == "before"
     assert names(tmp_path) == ["file"]
@@ -57,7 +57,7 @@ def test_the_last_of_several_files_comes_last(tmp_path, monkeypatch):
     monkeypatch.setattr(
         os, "replace", lambda a, b: (order.append(os.path.basename(b)), replace(a, b))
     )
-    with whole_files(tmp_path, last="a.json") as folder:
+    with atomic_files(tmp_path, last="a.json") as folder:
         for name in ("a.json", "b.csv", "c.csv"):
             (folder / name).write_text(name)
     assert order == ["b.csv", "c.csv", "a.json"]
@@ -66,16 +66,16 @@ def test_the_last_of_several_files_comes_last(tmp_path, monkeypatch):
 
 def test_a_folder_replaces_the_former_one_whole(tmp_path):
     for content in ("one", "two"):
-        with whole_folder(tmp_path / "deep" / "run", replace=True) as folder:
+        with atomic_folder(tmp_path / "deep" / "run", replace=True) as folder:
             (folder / content).touch()
     assert names(tmp_path / "deep") == ["run"]
     assert names(tmp_path / "deep" / "run") == ["two"]
 
 
 def test_a_failure_leaves_the_former_folder(tmp_path):
-    with whole_folder(tmp_path / "run") as folder:
+    with atomic_folder(tmp_path / "run") as folder:
         (folder / "one").touch()
-    with pytest.raises(FileNotFoundError), whole_folder(tmp_path / "run") as folder:
+    with pytest.raises(FileNotFoundError), atomic_folder(tmp_path / "run") as folder:
         (folder / "missing" / "two").touch()
     assert names(tmp_path) == ["run"]
     assert names(tmp_path / "run") == ["one"]
@@ -90,7 +90,7 @@ def test_what_a_kill_left_can_be_removed(tmp_path):
 
 def test_a_folder_that_somebody_else_has_filled_meanwhile_is_kept(tmp_path):
     def fill() -> None:
-        with whole_folder(tmp_path / "run"):
+        with atomic_folder(tmp_path / "run"):
             (tmp_path / "run").mkdir()
             (tmp_path / "run" / "theirs").touch()
 
@@ -101,7 +101,7 @@ def test_a_folder_that_somebody_else_has_filled_meanwhile_is_kept(tmp_path):
 
 
 def test_a_folder_that_cannot_take_its_place_gives_it_back(tmp_path, monkeypatch):
-    with whole_folder(tmp_path / "run") as folder:
+    with atomic_folder(tmp_path / "run") as folder:
         (folder / "one").touch()
     replace = os.replace
 
@@ -111,14 +111,14 @@ def test_a_folder_that_cannot_take_its_place_gives_it_back(tmp_path, monkeypatch
         replace(source, target)
 
     monkeypatch.setattr(os, "replace", fail_once)
-    with pytest.raises(PermissionError), whole_folder(tmp_path / "run", replace=True):
+    with pytest.raises(PermissionError), atomic_folder(tmp_path / "run", replace=True):
         pass
     assert names(tmp_path / "run") == ["one"]
 
 
 def test_an_empty_folder_makes_room(tmp_path):
     (tmp_path / "run").mkdir()
-    with whole_folder(tmp_path / "run") as folder:
+    with atomic_folder(tmp_path / "run") as folder:
         (folder / "mine").touch()
     assert names(tmp_path / "run") == ["mine"]
 
@@ -166,7 +166,7 @@ def test_a_folder_that_can_be_saved_nowhere_fails_once(tmp_path, monkeypatch):
 
 
 def test_an_error_without_a_name_gets_that_of_the_folder(tmp_path):
-    with pytest.raises(OSError, match="No space") as full, whole_file(tmp_path / "file"):
+    with pytest.raises(OSError, match="No space") as full, atomic_file(tmp_path / "file"):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert full.value.filename == str(tmp_path)
     assert names(tmp_path) == []
@@ -174,7 +174,7 @@ def test_an_error_without_a_name_gets_that_of_the_folder(tmp_path):
 
 def test_what_a_kill_left_of_one_folder_is_removed_and_nothing_of_others(tmp_path):
     for name in ("mine", "another"):
-        with whole_folder(tmp_path / name) as partial:
+        with atomic_folder(tmp_path / name) as partial:
             hidden = partial.parent
             (tmp_path / f"{hidden.name}left").mkdir()
     remove_partial(tmp_path, "mine")

@@ -43,13 +43,13 @@ except ImportError:  # Windows: no lock, so the first run there should be a sing
 
 __all__ = [
     "Kernel",
-    "bare",
     "cache_folder",
     "compiled",
-    "device",
+    "inlined",
     "kernel",
     "report_to",
     "subroutine",
+    "untyped_tuple",
 ]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -185,7 +185,7 @@ def compiled(function: _Function) -> _Function:
     return cast("_Function", made)
 
 
-def device(function: _Function) -> _Function:
+def inlined(function: _Function) -> _Function:
     """Inline a small helper into the kernels that call it.
 
     It is not cached itself, as its code is part of its callers. Called from Python, it runs as the
@@ -198,7 +198,7 @@ def subroutine(function: _Function) -> _Function:
     """Compile a helper that kernels call, instead of inlining its code at each call.
 
     Use it for long helpers that are called rarely: callers stay small, which decides how long they
-    take to compile. In all other respects it is like `device`.
+    take to compile. In all other respects it is like `inlined`.
     """
     return _helper(function)
 
@@ -236,7 +236,7 @@ class _Device(CPUDispatcher):
         """Do nothing: calls from Python must not reach the compiled code, which has no wrapper."""
 
 
-def bare(group: _Group) -> _Group:
+def untyped_tuple(group: _Group) -> _Group:
     """Convert a named tuple to a plain one, as an argument of a `compiled` function.
 
     At each call, numba recognises the type of a plain tuple four times as fast. The function

@@ -21,7 +21,7 @@ Name = str | os.PathLike[str]
 
 
 @contextmanager
-def whole_files(folder: Name, last: str | None = None) -> Iterator[Path]:
+def atomic_files(folder: Name, last: str | None = None) -> Iterator[Path]:
     """Write several files of a folder to a temporary one, and move them when all are complete.
 
     Args:
@@ -46,7 +46,7 @@ def whole_files(folder: Name, last: str | None = None) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_file(path: Name) -> Iterator[Path]:
+def atomic_file(path: Name) -> Iterator[Path]:
     """Write a file to a temporary folder, and move it to its path when it is complete.
 
     Args:
@@ -59,11 +59,11 @@ def whole_file(path: Name) -> Iterator[Path]:
         OSError: the file cannot be written.
     """
     path = Path(path)
-    with whole_files(path.parent) as beside:
+    with atomic_files(path.parent) as beside:
         yield beside / path.name
 
 
-def write_whole(path: Name, content: str | bytes) -> None:
+def write_atomic(path: Name, content: str | bytes) -> None:
     """Write a file atomically; text as UTF-8.
 
     Args:
@@ -73,12 +73,12 @@ def write_whole(path: Name, content: str | bytes) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    with whole_file(path) as partial:
+    with atomic_file(path) as partial:
         partial.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 @contextmanager
-def whole_folder(path: Name, *, replace: bool = False) -> Iterator[Path]:
+def atomic_folder(path: Name, *, replace: bool = False) -> Iterator[Path]:
     """Write a temporary folder, and rename it to its path when it is complete.
 
     Args:

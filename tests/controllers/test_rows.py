@@ -5,7 +5,7 @@ from typing import Annotated
 import numpy as np
 import pytest
 
-from vergence.controllers.rows import make_row, named, row_layout, row_size
+from vergence.controllers.rows import make_row, record_view, row_layout, row_size
 from vergence.models.parts import FloatArray
 
 
@@ -44,7 +44,7 @@ def test_a_field_that_does_not_exist_is_an_error() -> None:
 
 def test_what_is_written_by_name_is_written_to_the_row() -> None:
     row = np.zeros(16)
-    head = named.py_func(row, HEAD)
+    head = record_view.py_func(row, HEAD)
     head.lag_s = 3.0
     head.left.turn[1, 0] = 5.0
     assert row[0] == 3.0

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vergence import load_head, make_controller
-from vergence._jit import bare
+from vergence._jit import untyped_tuple
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import Reading
 from vergence.envs.reward import TERMS, Progress, Rules, StepResult, assess
@@ -185,8 +185,8 @@ def assessed(script, name="simulated", seed=0):
         )
         action = rng.uniform(-1.0, 1.0, (1, layout.count))
         assess(
-            np.arange(1), head.packed, layout.scaling, bare(Rules.of(head)), bare(reading),
-            action, bare(progress), bare(outcome), tied,
+            np.arange(1), head.packed, layout.scaling, untyped_tuple(Rules.of(head)),
+            untyped_tuple(reading), action, untyped_tuple(progress), untyped_tuple(outcome), tied,
         )  # fmt: skip
         found.append((float(outcome.reward[0]), bool(outcome.lost[0])))
         reading.time_s[0] += head.timing.period_s

@@ -7,8 +7,8 @@ from tests.perception.drawn import Studio, corners_in_space, pose_at
 from vergence import load_head
 from vergence.models.boards import AprilTag, TagFamily
 from vergence.perception.locate import _match
-from vergence.perception.mistaken import mistaken
-from vergence.perception.spotting import Spotter, parse_targets
+from vergence.perception.similar_targets import similar_targets
+from vergence.perception.spotting import TargetFinder, parse_targets
 from vergence.vision import AprilGrid, EyeCamera
 
 HEAD = load_head("simulated")
@@ -19,7 +19,7 @@ def test_a_grid_is_one_target_whose_edges_are_as_stated():
     pose = pose_at([0.0, -0.02, 0.4], [0.2, 0.1, 0.1])
     images = Studio(HEAD, GRID).take(pose, np.random.default_rng(0))
     targets = parse_targets([str(GRID)])
-    found = [Spotter(targets, EyeCamera.of(HEAD, e)).spot(images[e]) for e in range(2)]
+    found = [TargetFinder(targets, EyeCamera.of(HEAD, e)).spot(images[e]) for e in range(2)]
     assert [len(each) for each in found] == [1, 1]
     (one,), _ = _match(HEAD, HEAD.rest(), "a", *found)
     assert one.valid.all()
@@ -36,6 +36,9 @@ def test_what_is_there_in_place_of_a_grid_is_said():
     tag = Studio(HEAD, AprilTag(id=7)).take(pose_at([0.0, 0.0, 0.5]), rng)[0]
     there = "aprilgrid:5x4:30:0.3 (tags, and their gap by their edge) is there"
     for asked in ("aprilgrid:4x5:30:0.3", "aprilgrid:5x4:30:0.2", "aprilgrid:5x3:30:0.3"):
-        assert mistaken(grid, parse_targets([asked])) == there
-    assert mistaken(grid, [TagFamily()]).startswith("aprilgrid:5x4:TAG:0.3")
-    assert mistaken(tag, [GRID]) == "tag:36h11:7 (a single tag, its border one bit wide) is there"
+        assert similar_targets(grid, parse_targets([asked])) == there
+    assert similar_targets(grid, [TagFamily()]).startswith("aprilgrid:5x4:TAG:0.3")
+    assert (
+        similar_targets(tag, [GRID])
+        == "tag:36h11:7 (a single tag, its border one bit wide) is there"
+    )

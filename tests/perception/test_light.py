@@ -8,9 +8,9 @@ import pytest
 
 from tests.vision.poses import pose
 from tests.vision.scenes import levels, rig, scene
-from vergence.models.response import light_of_levels
+from vergence.models.response import light_table
 from vergence.perception.light import ResponseCheck
-from vergence.perception.spotting import Spotter
+from vergence.perception.spotting import TargetFinder
 from vergence.vision import make_planar_target
 
 
@@ -20,12 +20,12 @@ def image_of(name: str, response: str) -> np.ndarray:
     softer = replace(rendering, blur_px=0.9)
     rng = np.random.default_rng(2)
     drawn = scene(camera, make_planar_target(name), pose(0, 0, 0.6, (0.2, 0.3, 0.1)), softer, rng)
-    encoded = np.interp(drawn.image, light_of_levels(response), np.arange(256.0))
+    encoded = np.interp(drawn.image, light_table(response), np.arange(256.0))
     return cv2.cvtColor(levels(encoded), cv2.COLOR_GRAY2BGR)
 
 
 def test_encoded_levels_that_are_taken_for_light_are_noticed():
-    spotter = Spotter([make_planar_target("checkerboard")], response="linear")
+    spotter = TargetFinder([make_planar_target("checkerboard")], response="linear")
     assert spotter.spot(image_of("checkerboard", "srgb"))
     (line,) = spotter.check.notes()
     assert "were srgb, not linear" in line
@@ -42,21 +42,21 @@ def test_a_lens_out_of_focus_is_no_response(radius_px):
     disk = (np.hypot(*np.meshgrid(side, side)) < radius_px).astype(np.float32)
     disk = cv2.resize(disk, (9, 9), interpolation=cv2.INTER_AREA)
     image = levels(cv2.filter2D(drawn.image.astype(np.float32), -1, disk / disk.sum()))
-    spotter = Spotter([target], response="linear")
+    spotter = TargetFinder([target], response="linear")
     assert spotter.spot(image)
     assert spotter.check.notes() == []
 
 
 @pytest.mark.parametrize("response", ["srgb", "linear"])
 def test_nothing_is_said_of_a_response_that_is_stated_rightly(response):
-    spotter = Spotter([make_planar_target("checkerboard")], response=response)
+    spotter = TargetFinder([make_planar_target("checkerboard")], response=response)
     assert spotter.spot(image_of("checkerboard", response))
     assert spotter.check.notes() == []
 
 
 def test_few_edges_tell_nothing():
     check = ResponseCheck()
-    spotter = Spotter([make_planar_target("tag")])
+    spotter = TargetFinder([make_planar_target("tag")])
     image = image_of("tag", "srgb")
     check.add(image, spotter.spot(image), "linear")
     assert check.notes() == []

@@ -8,7 +8,7 @@ from tests.perception.drawn import Studio, corners_in_space, pose_at
 from vergence import load_head
 from vergence.models.boards import AprilTag, Checkerboard
 from vergence.perception.located import locate_target
-from vergence.perception.spotting import Spotter
+from vergence.perception.spotting import TargetFinder
 from vergence.triangulation import Noise
 from vergence.vision import Detection, EyeCamera
 
@@ -90,7 +90,7 @@ def test_points_of_drawn_images_lie_within_their_own_sigma(target):
     head = load_head("physical").replace(sensor={"encoder_resolution_rad": 0.0})
     q = head.fixate([0.0, 0.0, 0.8])
     studio = Studio(head, target, q)
-    spotters = [Spotter([target], EyeCamera.of(head, eye)) for eye in range(2)]
+    spotters = [TargetFinder([target], EyeCamera.of(head, eye)) for eye in range(2)]
     rng = np.random.default_rng(11)
     squares = []
     for _ in range(40):

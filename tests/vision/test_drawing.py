@@ -15,7 +15,7 @@ from vergence import load_head
 from vergence.errors import ConfigurationError
 from vergence.models.boards import board_pose
 from vergence.models.parts import Rendering
-from vergence.models.response import light_of_levels
+from vergence.models.response import light_table
 from vergence.vision import (
     AprilTag,
     EyeCamera,
@@ -78,7 +78,7 @@ def test_pixels_equal_a_ray_cast_through_a_wide_lens(
 
 def test_a_stated_response_encodes_the_light(pinhole: EyeCamera, rendering: Rendering) -> None:
     """Within what levels of 8 bits hold of light: two of 255 where it is bright."""
-    light, target, T_C_T = light_of_levels("srgb"), make_planar_target("tag"), pose(0, 0, 0.8)
+    light, target, T_C_T = light_table("srgb"), make_planar_target("tag"), pose(0, 0, 0.8)
     encoded = TargetDrawing(replace(pinhole, response="srgb"), target, rendering)
     linear = TargetDrawing(
         pinhole,

@@ -11,7 +11,7 @@ from tests.naming import named
 from tests.vision.poses import pose
 from tests.vision.scenes import rig, scene
 from vergence.errors import ConfigurationError, UnreadableFileError
-from vergence.models.response import light_of_levels
+from vergence.models.response import light_table
 from vergence.vision import AprilTag, Checkerboard, as_grey, make_detector, read_image
 from vergence.vision.image import as_taken
 
@@ -121,7 +121,7 @@ def test_a_float_of_any_size_is_taken_without_a_warning():
 
 
 def test_a_response_gives_light():
-    np.testing.assert_allclose(as_grey(GREY, response="srgb"), light_of_levels("srgb")[GREY])
+    np.testing.assert_allclose(as_grey(GREY, response="srgb"), light_table("srgb")[GREY])
     assert as_grey(GREY, response="srgb").dtype == np.float32
 
 

@@ -15,10 +15,10 @@ from vergence.calibration.cameras import (
     CameraFit,
     ViewFit,
     choose_lens,
+    cross_validation_errors,
     first_fit,
     fit_camera,
     held_out,
-    unseen_errors,
 )
 from vergence.calibration.observations import Observations, observe
 from vergence.calibration.stereo import fit_pair
@@ -257,7 +257,7 @@ class _Trial(NamedTuple):
 
     fit: CameraFit
     errors: FloatArray
-    """(v) see `unseen_errors`."""
+    """(v) see `cross_validation_errors`."""
 
 
 def _trials(
@@ -304,7 +304,7 @@ def _first(seen: Observations, camera: int, cameras: int) -> CameraFit:
 def _tried(lens: str, seen: Observations, first: CameraFit, tick: Callable[[], None]) -> _Trial:
     fit = fit_camera(seen, lens, first)
     tick()
-    errors = unseen_errors(fit, seen.problem)
+    errors = cross_validation_errors(fit, seen.problem)
     tick()
     return _Trial(fit, errors)
 

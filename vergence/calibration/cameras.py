@@ -116,7 +116,7 @@ def pack_values(lens: str, values: FloatArray, size: tuple[int, int]) -> FloatAr
     return np.asarray(pack_camera(size, values[:2], values[2:4], lens, values[4:]))
 
 
-def pose_views(problem: Adjustment, rig: CameraRig, size: tuple[int, int]) -> Poses:
+def estimate_board_poses(problem: Adjustment, rig: CameraRig, size: tuple[int, int]) -> Poses:
     """Find the board's pose in each view of one camera, without a start (`cv2.solvePnP`).
 
     Args:
@@ -257,7 +257,7 @@ def first_fit(seen: Observations) -> CameraFit:
             break
         kept = chosen
         solution = problem.of(kept).solved(rig, poses.of(kept))
-        rig, poses = solution.rig, pose_views(problem, solution.rig, size)
+        rig, poses = solution.rig, estimate_board_poses(problem, solution.rig, size)
         noise = judge_views(problem, problem.posed(rig, poses)[1]).noise
     return settle(problem, solution, kept, poses)
 
@@ -281,7 +281,7 @@ def _best_start(
     """Choose the start that most views fit, among lenses with parameters and an earlier start."""
     for lens, values in starts:
         rig = CameraRig.single(lens, values)
-        poses = pose_views(problem, rig, size)
+        poses = estimate_board_poses(problem, rig, size)
         linear = problem.linearised(rig, poses, by_rig=False)
         noise = np.nan_to_num(judge_views(problem, linear).noise[views], nan=np.inf)
         typical = float(np.quantile(noise, _TRUSTED))
@@ -313,7 +313,7 @@ def fit_camera(seen: Observations, lens: str, first: CameraFit) -> CameraFit:
             solutions += _solutions(problem, kept, lens, starts, size)
         if solutions:
             best = min(solutions, key=lambda each: each.noise)
-            poses = pose_views(problem, best.rig, size)
+            poses = estimate_board_poses(problem, best.rig, size)
             found.append(settle(problem, best, kept, poses))
         if first.kept.sum() == seen.usable[0].sum():
             break
@@ -347,7 +347,7 @@ def _solutions(
     found = []
     for values in starts:
         rig = CameraRig.single(lens, values)
-        poses = pose_views(problem, rig, size)
+        poses = estimate_board_poses(problem, rig, size)
         with suppress(np.linalg.LinAlgError):
             found.append(problem.of(kept).solved(rig, poses.of(kept)))
     return found
@@ -414,7 +414,7 @@ def held_out(solution: Solution, progress: Callable[[], None] | None = None) -> 
     return residuals
 
 
-def unseen_errors(fit: CameraFit, problem: Adjustment) -> FloatArray:
+def cross_validation_errors(fit: CameraFit, problem: Adjustment) -> FloatArray:
     """(v) mean square cross-validation error of each view, in units of sigma^2.
 
     Kept views have the residuals of `held_out`; others have the residuals of the fit, or
@@ -439,7 +439,7 @@ def choose_lens(errors: Mapping[str, FloatArray]) -> str:
     errors, whichever is larger. And no single view has a ratio that refutes the model.
 
     Args:
-        errors: by lens, (v) see `unseen_errors`.
+        errors: by lens, (v) see `cross_validation_errors`.
     """
     logs = {lens: np.log(each) for lens, each in errors.items()}
     best = min(logs, key=lambda lens: float(np.mean(logs[lens])))

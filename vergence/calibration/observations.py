@@ -17,8 +17,8 @@ from vergence.models.boards import AprilTag, PlanarTarget, TagFamily
 from vergence.models.parts import FloatArray
 from vergence.models.response import Response
 from vergence.perception.light import ResponseCheck
-from vergence.perception.mistaken import mistaken
 from vergence.perception.photographs import some_of
+from vergence.perception.similar_targets import similar_targets
 from vergence.vision import Detector, make_detector, parse_target, read_image
 from vergence.vision.image import read_pixels
 
@@ -262,7 +262,7 @@ def _refuse_another(
     if any(isinstance(one, _Seen) and one.corners_px is not None for one in seen):
         return
     readable = [p for p, one in zip(files, seen, strict=True) if isinstance(one, _Seen)]
-    there = mistaken(read_image(readable[0]), [target]) if readable else ""
+    there = similar_targets(read_image(readable[0]), [target]) if readable else ""
     if there:
         raise _not_found(target, files, f"; in {readable[0].name} {there}")
 

@@ -23,7 +23,7 @@ from vergence.eval.reporting.report import inline_svg
 from vergence.eval.reporting.runs import versions, write_json
 from vergence.eval.reporting.style import svg_of
 from vergence.eval.reporting.text import environment, format_fixed, format_number, read_template
-from vergence.files import write_whole
+from vergence.files import write_atomic
 from vergence.models.joints import EYE_NAMES
 
 _DEPTHS_M: Final = (0.5, 1.0, 2.0, 2.5)
@@ -82,7 +82,7 @@ def write_report(folder: Path, found: Calibration, name: str) -> None:
         style=read_template("vergence.eval.reporting", "page.css"),
         versions=versions(),
     )
-    write_whole(folder / "calibration.html", text)
+    write_atomic(folder / "calibration.html", text)
 
 
 def _figures(found: Calibration) -> dict[str, Figure]:

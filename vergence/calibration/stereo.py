@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import Adjustment, CameraRig, Poses
-from vergence.calibration.cameras import LEAST_VIEWS, CameraFit, pose_views, settle
+from vergence.calibration.cameras import LEAST_VIEWS, CameraFit, estimate_board_poses, settle
 from vergence.calibration.observations import Observations
 from vergence.errors import ConfigurationError
 from vergence.models.files.stereo import GREATEST_BASELINE_M, LEAST_BASELINE_M
@@ -49,12 +49,12 @@ def fit_pair(
             f"{both.sum()} of {len(both)}"
         )
     alone = [fit.solution.rig for fit in (left, right)]
-    by_left = pose_views(seen.problem.one(0), alone[0], seen.sizes[0])
+    by_left = estimate_board_poses(seen.problem.one(0), alone[0], seen.sizes[0])
     orders = orders_alike(seen.target)
     turned = [_turned(seen, order, both) for order in orders]
     best: tuple[float, CameraRig, FloatArray] | None = None
     for one in turned:
-        by_right = pose_views(one.problem.one(1), alone[1], seen.sizes[1])
+        by_right = estimate_board_poses(one.problem.one(1), alone[1], seen.sizes[1])
         turns = by_right.rotation @ by_left.rotation.transpose(0, 2, 1)
         shifts = by_right.translation - np.einsum("vij,vj->vi", turns, by_left.translation)
         for view in np.flatnonzero(both):
@@ -84,7 +84,7 @@ def fit_pair(
     problem = replace(
         seen.problem, pixels=np.where(kept[..., None, None], seen.problem.pixels, np.nan)
     )
-    by_right = pose_views(problem.one(1), alone[1], seen.sizes[1])
+    by_right = estimate_board_poses(problem.one(1), alone[1], seen.sizes[1])
     back = rig.rotation.T
     poses = Poses(
         np.where(left.kept[:, None, None], by_left.rotation, back @ by_right.rotation),

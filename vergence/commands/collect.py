@@ -17,7 +17,7 @@ from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from vergence.calibration.head.collect import Collected
-    from vergence.calibration.head.outlook import Outlook
+    from vergence.calibration.head.outlook import Preview
     from vergence.models.boards import PlanarTarget
     from vergence.models.head import HeadModel
     from vergence.recording.looking import Looker
@@ -182,7 +182,7 @@ def _judged(found: "Collected", head: "HeadModel") -> str:
     return f"{found.poses} poses: {known}; {left:.0f} and {right:.0f} % of both images covered"
 
 
-def _depth(outlook: "Outlook") -> str:
+def _depth(outlook: "Preview") -> str:
     from vergence.calibration.head.outlook import DEPTHS_M
 
     return " and ".join(

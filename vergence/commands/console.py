@@ -84,7 +84,7 @@ def say_failures(failures: Sequence[str]) -> None:
 
 def make_printable() -> None:
     """Let standard output and error write what their encoding lacks in characters that it has."""
-    codecs.register_error(_PLAIN, _plain)
+    codecs.register_error(_PLAIN, _ascii_replacement)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=_PLAIN)
@@ -97,7 +97,7 @@ _ALIKE = {
 }  # fmt: skip
 
 
-def _plain(error: UnicodeError) -> tuple[str, int]:
+def _ascii_replacement(error: UnicodeError) -> tuple[str, int]:
     """An error handler of codecs: what looks alike in ASCII, or else the character's number."""
     if not isinstance(error, UnicodeEncodeError):
         raise error

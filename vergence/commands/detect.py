@@ -104,8 +104,8 @@ class Detect:
         self, targets: "list[Target]", camera: "EyeCamera | None", response: "Response | None"
     ) -> int:
         from vergence.perception.detect import detect
-        from vergence.perception.mistaken import mistaken
-        from vergence.perception.spotting import Photograph, Spotter
+        from vergence.perception.similar_targets import similar_targets
+        from vergence.perception.spotting import Photograph, TargetFinder
         from vergence.vision import read_image
 
         shown: list[Photograph] = []
@@ -120,7 +120,7 @@ class Detect:
                 shown.append(photograph)
 
         with progress("detect") as report:
-            spotter = Spotter(targets, camera, response)
+            spotter = TargetFinder(targets, camera, response)
             result = detect(self.images, spotter, report, keep if self.figure else None)
         if self.figure is not None:
             from vergence.eval.reporting.detections_figure import draw_photographs
@@ -139,7 +139,7 @@ class Detect:
         if not result.sightings:
             count = len(result.images)
             where = f"any of {count} images" if count > 1 else str(result.images[0])
-            there = mistaken(read_image(result.images[0]), targets, camera)
+            there = similar_targets(read_image(result.images[0]), targets, camera)
             hint = f"; in {result.images[0].name} {there}" if there else ""
             note(f"error: expected {', '.join(self.target)} in {where}, found none{hint}")
         return 2 if result.failures else 0 if result.sightings else 1

@@ -32,7 +32,7 @@ class Emulate:
         if not 0.0 <= self.errors <= 10.0:
             raise ConfigurationError(f"errors: expected a scale, 0 to 10, got {self.errors}")
         from vergence.eval.trials.twin_errors import TWIN_SPREADS
-        from vergence.files import write_whole
+        from vergence.files import write_atomic
         from vergence.hardware.emulator.emulator import emulate
 
         def ready(text: str) -> None:
@@ -40,7 +40,7 @@ class Emulate:
                 print(text, end="", flush=True)
                 note("emulating this head until Ctrl-C: save the lines above as desk.toml")
                 return
-            write_whole(self.out, text)
+            write_atomic(self.out, text)
             note(
                 f"emulating until Ctrl-C: vergence gaze --plant hardware --config {self.out} "
                 "--controller state-feedback"

@@ -91,7 +91,7 @@ class Evaluate:
         require("robot", "mcap")
         from vergence.eval.reporting.runs import check_writable
         from vergence.eval.robot.evaluate import begun, evaluate_on_robot
-        from vergence.files import whole_files
+        from vergence.files import atomic_files
         from vergence.locks import locked
 
         self._check_robot()
@@ -111,7 +111,7 @@ class Evaluate:
             for text in found.notes:
                 note(text)
             result = _as_result(found)
-            with whole_files(run, last="evaluation.json") as folder:
+            with atomic_files(run, last="evaluation.json") as folder:
                 self._write(result, folder)
                 rmtree(run / "figures", ignore_errors=True)  # of a former end
         if self.json:

@@ -66,7 +66,7 @@ def _nothing(result: "LocateResult") -> str:
         return f"no point of {names} has an answer: the lines of sight do not cross"
     count = len(result.pairs)
     pairs = f"in both images of any of {count} pairs" if count > 1 else "in both images of the pair"
-    from vergence.perception.mistaken import mistaken
+    from vergence.perception.similar_targets import similar_targets
     from vergence.perception.spotting import parse_targets
     from vergence.vision import EyeCamera
 
@@ -74,7 +74,7 @@ def _nothing(result: "LocateResult") -> str:
     there = ""
     if not left.found:
         targets = parse_targets(result.config.target)
-        there = mistaken(left.image, targets, EyeCamera.of(result.head, 0))
+        there = similar_targets(left.image, targets, EyeCamera.of(result.head, 0))
     return f"expected {names} {pairs}, found none" + (
         f"; in {left.path.name} {there}" if there else ""
     )

@@ -15,7 +15,7 @@ from vergence.commands.console import note, progress
 from vergence.commands.extras import require
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError, HardwareError
-from vergence.files import whole_file
+from vergence.files import atomic_file
 
 if TYPE_CHECKING:
     from vergence.hardware.delay.measurement import LoopMeasurement
@@ -47,7 +47,7 @@ class MeasureDelay:
 
         hardware = load_hardware(self.hardware)
         if self.write:
-            with self._writing(), whole_file(self.hardware):
+            with self._writing(), atomic_file(self.hardware):
                 pass  # refused before anything moves; nothing is put there
         eyes = EYE_NAMES if self.eye == "both" else (self.eye,)
         for eye in eyes:  # refused before any check of the robot
@@ -61,7 +61,7 @@ class MeasureDelay:
             note(f"{self.hardware} stays as it was")
             raise
         if self.json:
-            print(json.dumps(_plain(found), indent=2, allow_nan=False))
+            print(json.dumps(_as_json(found), indent=2, allow_nan=False))
         else:
             _print(found)
         if self.write:
@@ -82,7 +82,7 @@ class MeasureDelay:
             ) from error
 
 
-def _plain(found: "LoopMeasurement") -> dict[str, object]:
+def _as_json(found: "LoopMeasurement") -> dict[str, object]:
     return {"rows": found.rows(), "untold": found.untold(), "doubts": found.doubts()}
 
 

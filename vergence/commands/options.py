@@ -149,10 +149,10 @@ def output(folder: Path) -> Iterator[Output]:
         ConfigurationError: it cannot be written, or another process is writing to it.
         KeyboardInterrupt: says what is written.
     """
-    from vergence.eval.reporting.runs import claimed
+    from vergence.eval.reporting.runs import locked_run_folder
 
     found = Output(folder)
-    with claimed(found.folder):
+    with locked_run_folder(found.folder):
         try:
             yield found
         except KeyboardInterrupt:

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import kernel
+from vergence.controllers.coupled import reducible
 from vergence.controllers.ibvs import as_depth, servo, speed_limits
 from vergence.controllers.image_law import ImageLaw
 from vergence.controllers.outlier_gate import GatedDetections
-from vergence.controllers.tied import reducible
 from vergence.envs.fields import at_least_zero
 from vergence.envs.layout import ObservationLayout
 from vergence.models.head import HeadModel

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.envs.layout import AGE_S
 
 _TOLERANCE: Final = 0.3
@@ -10,7 +10,7 @@ _TOLERANCE: Final = 0.3
 age, and jitter of the period shifts the age of an old image by as much)."""
 
 
-@device
+@inlined
 def is_fresh(age_s: float, last_age_s: float, period_s: float) -> bool:
     """True if an observation has an image that the observation one period before did not have.
 

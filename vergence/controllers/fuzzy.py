@@ -39,7 +39,7 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence._jit import device, kernel
+from vergence._jit import inlined, kernel
 from vergence.controllers.pid import (
     PID,
     PID_LAW,
@@ -50,7 +50,7 @@ from vergence.controllers.pid import (
     act,
     take_in,
 )
-from vergence.controllers.rows import make_row, named, row_layout, row_size
+from vergence.controllers.rows import make_row, record_view, row_layout, row_size
 from vergence.envs.fields import finite_above_zero, number
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
@@ -191,7 +191,7 @@ class FuzzyPID(PID):
         return np.asarray(infer(error, rate, self._constants, np.zeros(3)))
 
 
-@device
+@inlined
 def _sets(x: float) -> tuple[int, float]:
     """Return the lower of the two sets of a scaled value, and the membership of the upper one."""
     place = 3.0 * (min(max(x, -1.0), 1.0) + 1.0)
@@ -199,7 +199,7 @@ def _sets(x: float) -> tuple[int, float]:
     return lower, place - lower
 
 
-@device
+@inlined
 def _infer(error: float, rate: float, law: FuzzyLaw, gain: int) -> float:
     """Average the four rules that fire, weighted by memberships that add up to 1."""
     row, a = _sets(error / law.error_px)
@@ -219,7 +219,7 @@ def infer(
     error: FloatArray, rate: FloatArray, law_row: FloatArray, shape: FloatArray, out: FloatArray
 ) -> None:
     """Compute the factors of kp, ki and kd from the rules."""
-    law: FuzzyLaw = named(law_row, FUZZY_LAW)
+    law: FuzzyLaw = record_view(law_row, FUZZY_LAW)
     for gain in range(3):
         out[gain] = _infer(error[0], rate[0], law, gain)
 
@@ -244,8 +244,8 @@ def fuzzy_command(
     """Compute the updated state and the velocities of the eyes' actuators."""
     for k in range(_SIZE):
         after[k] = before[k]
-    state: FuzzyState = named(after, FUZZY_STATE)
-    law: FuzzyLaw = named(law_row, FUZZY_LAW)
+    state: FuzzyState = record_view(after, FUZZY_STATE)
+    law: FuzzyLaw = record_view(law_row, FUZZY_LAW)
     s, gains, basic = state.pid, state.gains, law.pid.gains
     elapsed = take_in(s, law.pid, reducible_error, fresh, jumped)
     for eye in range(2):

@@ -9,7 +9,7 @@ so that the pixel error decays as exp(-k t) if the loop has no delay. J belongs 
 computed at the joint angles of the exposure, with the complete interaction matrix, since tilt moves
 the optical centre too. Its depth comes from triangulating the two pixels, or is a constant. If
 actuators couple the joints, both eyes share them by least squares in pixels, see
-`vergence.controllers.tied`.
+`vergence.controllers.coupled`.
 """
 
 from math import isfinite, nan
@@ -18,9 +18,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._jit import device, kernel
+from vergence._jit import inlined, kernel
+from vergence.controllers.coupled import coupled_command
 from vergence.controllers.fitting import fitting_layout
-from vergence.controllers.tied import tied_command
 from vergence.envs.fields import float_array, number
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
@@ -109,7 +109,7 @@ def servo(
     Returns:
         (..., 4) velocities of the eyes' actuators, rad/s.
     """
-    law: Any = ibvs_command if head.actuation.direct else tied_command
+    law: Any = ibvs_command if head.actuation.direct else coupled_command
     return np.asarray(law(q, pixel_error, gain, depth, limit, head.packed))
 
 
@@ -173,7 +173,7 @@ def speed_limits(layout: ObservationLayout, speed_limit: float | None) -> FloatA
     return np.minimum(limit, speed_limit)
 
 
-@device
+@inlined
 def joints_of_image(
     p: PackedHead,
     q: FloatArray,

@@ -1,10 +1,10 @@
 """Smallest effective command of a motor with quantised speed, for laws near their goal."""
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorModel
 
 
-@device
+@inlined
 def least_command(u: float, to_go: float, rig: PredictorModel, gain: float) -> float:
     """Replace a command too small to move the motor by the smallest effective pulse, or by zero.
 

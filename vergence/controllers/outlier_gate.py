@@ -19,9 +19,9 @@ counts as not seeing its target: it has to come to rest to see it again.
 from math import exp, hypot, inf, isfinite, nan
 from typing import Annotated, Final, NamedTuple
 
-from vergence._jit import device, kernel
+from vergence._jit import inlined, kernel
 from vergence.controllers.freshness import is_fresh
-from vergence.controllers.rows import make_row, named, row_layout, row_size
+from vergence.controllers.rows import make_row, record_view, row_layout, row_size
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -159,7 +159,7 @@ class OutlierGate:
         return GatedDetections(error, at, fresh, jumped)
 
 
-@device
+@inlined
 def _judged(g: EyeGate, law: GateLaw, u: float, v: float) -> int:
     """Classify a detection as held back, accepted or a jump; consistent motion raises the speed."""
     if g.sees < 0.5:
@@ -206,8 +206,8 @@ def pass_gate(
     """Compute the updated state and the fields of `GatedDetections`."""
     for k in range(_SIZE):
         after[k] = before[k]
-    s: GateState = named(after, GATE_STATE)
-    law: GateLaw = named(law_row, GATE_LAW)
+    s: GateState = record_view(after, GATE_STATE)
+    law: GateLaw = record_view(law_row, GATE_LAW)
     new = is_fresh(age_s[0], s.image_age_s, law.period_s)
     s.image_age_s = age_s[0]
     for j in range(7):

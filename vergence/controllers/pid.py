@@ -17,7 +17,7 @@ the actuator's lag.
   are. If a detection is missed or held back as an outlier (`vergence.controllers.outlier_gate`),
   the next rate spans two images.
 - Only the part of the error that the head's actuators can remove counts as e
-  (`vergence.controllers.tied`): the rest would wind the integral up.
+  (`vergence.controllers.coupled`): the rest would wind the integral up.
 """
 
 from collections.abc import Callable
@@ -27,12 +27,12 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence._jit import device, kernel
+from vergence._jit import inlined, kernel
+from vergence.controllers.coupled import actuators_of_image, reducible
 from vergence.controllers.ibvs import as_depth, as_gains, joints_of_image
 from vergence.controllers.image_law import ImageLaw
 from vergence.controllers.outlier_gate import GatedDetections
-from vergence.controllers.rows import make_row, named, row_layout, row_size
-from vergence.controllers.tied import actuators_of_image, reducible
+from vergence.controllers.rows import make_row, record_view, row_layout, row_size
 from vergence.envs.fields import at_least_zero
 from vergence.envs.layout import ObservationLayout
 from vergence.models.head import HeadModel
@@ -142,7 +142,7 @@ class PID(ImageLaw):
         return np.asarray(command)
 
 
-@device
+@inlined
 def take_in(
     s: PIDState,
     law: PIDLaw,
@@ -166,7 +166,7 @@ def take_in(
     return left_s, _take_in_eye(s, law, 1, error, fresh[1], jumped[1])
 
 
-@device
+@inlined
 def _take_in_eye(
     s: PIDState, law: PIDLaw, eye: int, error: FloatArray, fresh: float, jumped: float
 ) -> float:
@@ -191,7 +191,7 @@ def _take_in_eye(
     return dt
 
 
-@device
+@inlined
 def _asked(s: PIDState, gains: Gains, eye: int, axis: int) -> float:
     """Image velocity that the three actions ask for, px/s."""
     asked: float = -(
@@ -202,7 +202,7 @@ def _asked(s: PIDState, gains: Gains, eye: int, axis: int) -> float:
     return asked
 
 
-@device
+@inlined
 def act(
     s: PIDState,
     law: PIDLaw,
@@ -264,7 +264,7 @@ def pid_command(
     """Compute the updated state and the velocities of the eyes' actuators."""
     for k in range(_SIZE):
         after[k] = before[k]
-    s: PIDState = named(after, PID_STATE)
-    law: PIDLaw = named(law_row, PID_LAW)
+    s: PIDState = record_view(after, PID_STATE)
+    law: PIDLaw = record_view(law_row, PID_LAW)
     elapsed = take_in(s, law, reducible_error, fresh, jumped)
     act(s, law, law.gains, error, q, elapsed, limit, p, out)

@@ -13,13 +13,13 @@ of the angle. With m = 0 the law reduces to `u = k (to_go - l v)`.
 from math import sqrt
 from typing import Final
 
-from vergence._jit import device
+from vergence._jit import inlined
 
 _DAMPING: Final = 0.8
 """d, least damping ratio of the servo's poles (chosen: oscillation against speed)."""
 
 
-@device
+@inlined
 def placed_command(
     to_go: float, v: float, w: float, rate: float, lag: float, build_up: float
 ) -> float:

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.models.parts import FloatArray
 
 Layout: TypeAlias = np.dtype[np.void]
@@ -66,8 +66,8 @@ def make_row(layout: Layout, **values: Any) -> FloatArray:
     return row.view(np.float64)
 
 
-@device
-def named(row: FloatArray, layout: Layout) -> Any:
+@inlined
+def record_view(row: FloatArray, layout: Layout) -> Any:
     """View a row as a record with named fields, without copying.
 
     Args:

@@ -29,7 +29,7 @@ from vergence.controllers.pole_placement import placed_command
 from vergence.controllers.prediction.joints import RIG, RIG_SIZE, PredictorModel
 from vergence.controllers.prediction.swinging import MANY, calm_rate
 from vergence.controllers.predictive import PredictiveController
-from vergence.controllers.rows import named
+from vergence.controllers.rows import record_view
 from vergence.controllers.time_optimal import fastest_command, joint_timing
 from vergence.envs.fields import at_least_zero, finite_above_zero, number
 from vergence.envs.layout import Observation, ObservationLayout
@@ -167,7 +167,7 @@ def saccade_command(
             rad, and its rate, 1/s.
         out: (4,) result: the commands, rad/s.
     """
-    rig: PredictorModel = named(rig_row, RIG)
+    rig: PredictorModel = record_view(rig_row, RIG)
     period = rig.period_s
     unsure = min(sure[1] + sure[2] / period, 1.0)
     swings, unexplained, builds_up = sure[5] > MANY, sure[4] > _UNEXPLAINED, sure[6] > 0.0

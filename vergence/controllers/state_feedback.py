@@ -25,7 +25,7 @@ from vergence.controllers.prediction.joints import RIG, RIG_SIZE, PredictorModel
 from vergence.controllers.prediction.predictor import Prediction
 from vergence.controllers.prediction.swinging import calm_rate
 from vergence.controllers.predictive import PredictiveController
-from vergence.controllers.rows import named
+from vergence.controllers.rows import record_view
 from vergence.envs.fields import at_least_zero, finite_above_zero
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.head import HeadModel
@@ -118,7 +118,7 @@ def feedback_command(
         law: the options `gain` and `damping`.
         out: (4,) result: the commands, rad/s.
     """
-    rig: PredictorModel = named(rig_row, RIG)
+    rig: PredictorModel = record_view(rig_row, RIG)
     k = calm_rate(law[0], swings[0])
     for j in range(4):
         out[j] = 0.0

@@ -16,7 +16,7 @@ by exactly u T, and the last period stops a velocity v within `v (lag - T e / (1
 from math import exp, inf
 from typing import Final, NamedTuple
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.models.joint_response import follow_joint
 
 _LEAST_LAG_S: Final = 1e-4
@@ -53,7 +53,7 @@ class JointTiming(NamedTuple):
     """Distance moved in a last period from the speed `last`, rad."""
 
 
-@device
+@inlined
 def joint_timing(lag: float, u_max: float, a: float, period: float) -> JointTiming:
     """Compute the timing of one joint from its lag, its limits and the control period."""
     lag = max(lag, _LEAST_LAG_S)
@@ -66,7 +66,7 @@ def joint_timing(lag: float, u_max: float, a: float, period: float) -> JointTimi
     return JointTiming(lag, u_max, a, period, e, smooth, last, per_speed, way)
 
 
-@device
+@inlined
 def stopping_way(v: float, joint: JointTiming) -> float:
     """Shortest signed distance that a joint moves until it rests, in the direction of v, rad."""
     side = 1.0 if v >= 0.0 else -1.0
@@ -86,14 +86,14 @@ def stopping_way(v: float, joint: JointTiming) -> float:
     return side * way
 
 
-@device
+@inlined
 def _end(u: float, to_go: float, v: float, a: float, slow: JointTiming) -> float:
     """Compute how far beyond the goal the joint stops after a period of command u, rad."""
     q, after = follow_joint(0.0, v, u, slow.lag, a, slow.period, slow.decay)
     return q + stopping_way(after, slow) - to_go
 
 
-@device
+@inlined
 def fastest_command(to_go: float, v: float, a: float, slow: JointTiming) -> float:
     """Compute this period's command of the time-optimal motion.
 

@@ -19,7 +19,7 @@ import platformdirs
 import tomli_w
 
 from vergence.errors import ConfigurationError
-from vergence.files import whole_file, write_whole
+from vergence.files import atomic_file, write_atomic
 from vergence.locks import locked
 from vergence.models.head import HeadModel
 
@@ -165,7 +165,7 @@ def check_writable(path: Path) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path):
+        with atomic_file(path):
             pass  # nothing is written
     except OSError as error:
         raise _unwritable(path, error) from error
@@ -231,7 +231,7 @@ def write_tuned(path: Path, entry: Tuned) -> None:
     """
     law = law_of(entry.controller)
     where = f"{law}.{entry.scenario}"
-    options = {key: _plain(f"{where}.{key}", value) for key, value in entry.options.items()}
+    options = {key: _toml_value(f"{where}.{key}", value) for key, value in entry.options.items()}
     entry = dataclasses.replace(entry, controller=law, seed=int(entry.seed), options=options)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -239,7 +239,7 @@ def write_tuned(path: Path, entry: Tuned) -> None:
             table = load_tuned(path) if path.exists() else {}
             table[entry.key] = entry
             content = {"tuned": [_fields(table[key]) for key in sorted(table)]}
-            write_whole(path, _HEADER + "\n" + tomli_w.dumps(content))
+            write_atomic(path, _HEADER + "\n" + tomli_w.dumps(content))
     except OSError as error:
         raise _unwritable(path, error) from error
     shipped.cache_clear()
@@ -249,11 +249,11 @@ def _fields(entry: Tuned) -> dict[str, Any]:
     return {name: value for name, value in vars(entry).items() if value is not False}
 
 
-def _plain(key: str, value: Any) -> Any:
+def _toml_value(key: str, value: Any) -> Any:
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, list | tuple):
-        return [_plain(key, item) for item in value]
+        return [_toml_value(key, item) for item in value]
     if isinstance(value, str | bool | int) or (isinstance(value, float) and math.isfinite(value)):
         return value
     raise ConfigurationError(f"{key}: expected finite numbers, lists or words, got {value!r}")

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._jit import device, kernel, subroutine
+from vergence._jit import inlined, kernel, subroutine
 from vergence.envs.reading import BoolArray, Reading
 from vergence.errors import ConfigurationError
 from vergence.models.actuation import SLOTS
@@ -123,12 +123,12 @@ def as_observation(observation: ArrayLike, size: int) -> NDArray[np.floating[Any
     return array
 
 
-@device
+@inlined
 def _clip(value: float) -> float:
     return min(max(value, -1.0), 1.0)
 
 
-@device
+@inlined
 def _width(scaling: FloatArray, eye: int) -> float:
     width: float = scaling[WIDTH] if eye == 0 else scaling[RIGHT_WIDTH]
     return width
@@ -144,7 +144,7 @@ def _actuators(scaling: FloatArray, k: int, joints: FloatArray, offset: float) -
     return own
 
 
-@device
+@inlined
 def encode(
     out: NDArray[np.float32],
     scaling: FloatArray,

@@ -12,7 +12,7 @@ from vergence.models.parts import FloatArray
 from vergence.operands import as_operand
 
 
-def numbers(name: str, value: object, size: int, above_zero: bool = False) -> object:
+def checked_numbers(name: str, value: object, size: int, above_zero: bool = False) -> object:
     """Check finite numbers and return them: a tuple, or a single one that is not negative.
 
     Args:
@@ -70,7 +70,7 @@ def count(name: str, value: object, *, least: int = 1) -> int:
 
 
 def number(name: str, value: object) -> float:
-    """Check one finite number and return it, see `numbers`."""
+    """Check one finite number and return it, see `checked_numbers`."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         raise ConfigurationError(f"{name}: expected a number, got {value!r}")
     one = float(value)

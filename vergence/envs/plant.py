@@ -27,7 +27,7 @@ class Plant(ABC):
     """Number of heads in the batch."""
     workspace_options: ClassVar[Mapping[str, Any]] = {}
     """Default options for targets drawn anywhere in a workspace; a user's options override them."""
-    most: ClassVar[int | None] = None
+    max_num: ClassVar[int | None] = None
     """Largest number of heads in a batch; None for no limit."""
     places_targets: bool = False
     """True if `show` places targets, as for an emulated head; a real head looks at the world."""

@@ -10,13 +10,13 @@ from math import isfinite, nan
 
 import numpy as np
 
-from vergence._jit import device, subroutine
+from vergence._jit import inlined, subroutine
 from vergence.models.actuation import SLOTS
+from vergence.models.actuator_projection import actuator_least_squares, image_rate
 from vergence.models.jacobian import eye_jacobian
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import PackedHead, camera_of
 from vergence.models.parts import FloatArray
-from vergence.models.projection import image_rate, share_of_actuators
 from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
 
 
@@ -77,14 +77,14 @@ def reducible_part(
         out: (2, 2) result, px; nan for an eye that does not see the target.
     """
     share = np.zeros(SLOTS)
-    share_of_actuators(p, jacobian, error, left, right, share)
+    actuator_least_squares(p, jacobian, error, left, right, share)
     for eye in range(2):
         seen = right if eye else left
         for axis in range(2):
             out[eye, axis] = image_rate(p, jacobian, eye, axis, share) if seen else nan
 
 
-@device
+@inlined
 def reducible_error(
     p: PackedHead, q: FloatArray, error: FloatArray, left: bool, right: bool, out: FloatArray
 ) -> None:

@@ -26,7 +26,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import bare, compiled, device
+from vergence._jit import compiled, inlined, untyped_tuple
 from vergence.envs.encoding import encode
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import BoolArray, Reading
@@ -138,7 +138,7 @@ class StepResult(NamedTuple):
         )
 
 
-@device
+@inlined
 def _norm(u: float, v: float) -> float:
     return sqrt(u * u + v * v)
 
@@ -161,7 +161,7 @@ def assess(
         ids: (m,) environment indices.
         head: (PACKED,) the head that the controller knows.
         scaling: (SCALING,) see `vergence.envs.encoding`.
-        rules: time limits; `bare`, as are all named tuples here.
+        rules: time limits; `untyped_tuple`, as are all named tuples here.
         reading: sensor readings.
         action: (n, m) the actions applied.
         progress: updated in place.
@@ -223,8 +223,11 @@ def assess(
 def compile_assess() -> None:
     """Compile `assess` for heads with one motor per eye joint, by a call for no environment."""
     head = load_head("simulated")
-    layout, reading = ObservationLayout.of(head), bare(Reading.empty(1))
-    progress, outcome = bare(Progress.empty(1)), bare(StepResult.empty(1, layout.size))
+    layout, reading = ObservationLayout.of(head), untyped_tuple(Reading.empty(1))
+    progress, outcome = (
+        untyped_tuple(Progress.empty(1)),
+        untyped_tuple(StepResult.empty(1, layout.size)),
+    )
     action = np.zeros((1, layout.count))
-    judged = (head.packed, layout.scaling, bare(Rules.of(head)))
+    judged = (head.packed, layout.scaling, untyped_tuple(Rules.of(head)))
     assess(np.arange(0), *judged, reading, action, progress, outcome, None)

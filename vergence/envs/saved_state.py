@@ -14,7 +14,7 @@ SavedState = dict[str, Arrays]
 """Complete state of a simulation: the arrays of each of its parts."""
 
 
-def named(**parts: Mapping[str, NDArray[Any]]) -> Arrays:
+def prefixed(**parts: Mapping[str, NDArray[Any]]) -> Arrays:
     """Join the arrays of several parts, each named `part.name`."""
     return {f"{part}.{name}": a for part, arrays in parts.items() for name, a in arrays.items()}
 

@@ -17,7 +17,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.errors import ConfigurationError
 
 IntArray = NDArray[np.int64]
@@ -157,7 +157,7 @@ def _multiply(typing_context: Any, a: Any, b: Any) -> Any:
 _high_word: Any = intrinsic(_multiply)
 
 
-@device
+@inlined
 def random_words(seed: np.uint64, trial: np.uint64, purpose: int, block: int, lane: int) -> Words:
     """Four random words of a block; `lane` numbers its groups of four, from 1."""
     k0, k1 = seed, trial
@@ -171,13 +171,13 @@ def random_words(seed: np.uint64, trial: np.uint64, purpose: int, block: int, la
     return c0, c1, c2, c3
 
 
-@device
+@inlined
 def to_uniform(word: np.uint64) -> float:
     """Convert a word to a uniform number in [0, 1)."""
     return (word >> _ELEVEN) * _TO_DOUBLE
 
 
-@device
+@inlined
 def to_normals(first: np.uint64, second: np.uint64) -> tuple[float, float]:
     """Convert two words to two independent standard normal numbers (Box and Muller 1958).
 

@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._jit import bare, compiled
+from vergence._jit import compiled, untyped_tuple
 from vergence.envs.fields import as_numbers, refuse_fixed_pair
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.plant import make_plant, plant_type
@@ -16,7 +16,7 @@ from vergence.envs.plants.variation import Variation, make_variation
 from vergence.envs.policy import Policy
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.reward import TERMS, Progress, Rules, StepResult, assess
-from vergence.envs.saved_state import Arrays, SavedState, copied, named, put_back
+from vergence.envs.saved_state import Arrays, SavedState, copied, prefixed, put_back
 from vergence.envs.streams import IntArray, KeyArray, Streams, as_seed
 from vergence.envs.targets.registry import make_target
 from vergence.envs.targets.target import Target
@@ -136,8 +136,8 @@ class GazeTask:
         self.lost = self._outcome.lost
         # made once: every step hands them to a kernel
         self._tied = None if self.head.actuation.direct else self.head.packed
-        self._judged = (self.head.packed, self.layout.scaling, bare(Rules.of(self.head)))
-        self._result = (self._action, bare(self._progress), bare(self._outcome))
+        self._judged = (self.head.packed, self.layout.scaling, untyped_tuple(Rules.of(self.head)))
+        self._result = (self._action, untyped_tuple(self._progress), untyped_tuple(self._outcome))
 
     def prepare(self, policy: Policy) -> None:
         """Compile all code that trials call, before anything moves.
@@ -206,7 +206,7 @@ class GazeTask:
             self.reading = Reading.of(told, self.num)
 
     def _assess(self, ids: IntArray) -> None:
-        assess(ids, *self._judged, bare(self.reading), *self._result, self._tied)
+        assess(ids, *self._judged, untyped_tuple(self.reading), *self._result, self._tied)
 
     def state(self) -> SavedState:
         """Copy the complete state of the running trials.
@@ -230,7 +230,7 @@ class GazeTask:
 
     def _arrays(self) -> Arrays:
         """State arrays of the task, without those of the plant."""
-        return named(
+        return prefixed(
             keys=self._streams.keys._asdict(),
             progress=self._progress._asdict(),
             outcome=self._outcome._asdict(),

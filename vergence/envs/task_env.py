@@ -91,11 +91,11 @@ class TaskSpec(EnvSpec):
         Raises:
             ConfigurationError: an argument is an object that JSON cannot hold, such as a head.
         """
-        kwargs = {name: _plain(name, value) for name, value in self.kwargs.items()}
+        kwargs = {name: _json_argument(name, value) for name, value in self.kwargs.items()}
         return EnvSpec.to_json(dataclasses.replace(self, kwargs=kwargs))
 
 
-def _plain(name: str, value: object) -> Any:
+def _json_argument(name: str, value: object) -> Any:
     """Convert an argument to JSON's types, which `GazeTask` accepts as well."""
 
     def plain(part: object) -> object:

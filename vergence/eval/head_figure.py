@@ -12,7 +12,7 @@ from vergence.eval.head_summary import HeadSummary, edge_rays, summarise
 from vergence.eval.image_figure import draw_image
 from vergence.eval.reporting.labels import Labels, page_point
 from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
-from vergence.files import whole_file
+from vergence.files import atomic_file
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.mujoco.posture import posture_of
@@ -94,7 +94,7 @@ def draw_head(head: HeadModel, path: Path, summary: HeadSummary | None = None) -
     """
     with styled():
         figure = compose(head, summary or summarise(head))
-        with whole_file(path) as partial:
+        with atomic_file(path) as partial:
             figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})
 
 

@@ -95,15 +95,15 @@ class HeadSummary:
 
     def document(self) -> dict[str, Any]:
         """The summary for JSON: null for missing values, "inf" for infinite ones."""
-        document: dict[str, Any] = _plain(asdict(self))
+        document: dict[str, Any] = _json_value(asdict(self))
         return document
 
 
-def _plain(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _plain(v) for key, v in value.items()}
+        return {key: _json_value(v) for key, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [_json_value(v) for v in value]
     if isinstance(value, float) and not isfinite(value):
         return None if isnan(value) else "inf"
     if isinstance(value, float):

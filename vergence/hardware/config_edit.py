@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from vergence.errors import UnreadableFileError
-from vergence.files import write_whole
+from vergence.files import write_atomic
 from vergence.hardware.config import ServoConfig
 from vergence.hardware.config_parts import LoopConfig
 
@@ -83,4 +83,4 @@ def _edit(path: str | os.PathLike[str], change: Callable[[Any], None], expected:
     except (TOMLKitError, KeyError, TypeError, ValueError) as error:
         raise UnreadableFileError(str(path), f"changed meanwhile ({error})", expected) from error
     mark = b"\xef\xbb\xbf" if content.startswith(b"\xef\xbb\xbf") else b""
-    write_whole(place, mark + tomlkit.dumps(document).encode())
+    write_atomic(place, mark + tomlkit.dumps(document).encode())

@@ -24,7 +24,7 @@ from vergence.hardware.safety.supervisor import State, Supervisor
 from vergence.hardware.servos import HeadServos
 from vergence.models.parts import FloatArray
 from vergence.recording.listener import RobotListener
-from vergence.recording.schema import Asked, LoggedCommand
+from vergence.recording.schema import CommandOrigin, LoggedCommand
 
 _LOG: Final = logging.getLogger(__name__)
 _OLD: Final = 1.0
@@ -152,7 +152,7 @@ class Drive(threading.Thread):
         )
         sent = line.send(self._supervisor.command(state, wish))
         if self._log is not None:
-            asked = Asked.ROBOT if trial is None else Asked.POLICY
+            asked = CommandOrigin.ROBOT if trial is None else CommandOrigin.POLICY
             verdict = self._supervisor.verdict.value
             self._log.command(LoggedCommand(self._clock(), wish, sent, verdict, asked.value))
         self._wish = sent  # what is kept where the next wish is late

@@ -83,7 +83,7 @@ class HardwarePlant(Plant):
         HeadFileError: the configuration cannot be.
     """
 
-    most = 1
+    max_num = 1
 
     def __init__(
         self,

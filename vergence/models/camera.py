@@ -10,14 +10,14 @@ from math import nan
 from numpy import bool_
 from numpy.typing import NDArray
 
-from vergence._jit import device, kernel
+from vergence._jit import inlined, kernel
 from vergence.models.kinematics import point_in_eye
 from vergence.models.lens import CameraRow, distort, is_distorted, keeps_order, undistort_ray
 from vergence.models.packed import CAMERA, PACKED, PackedHead, camera_at, camera_of
 from vergence.models.parts import FloatArray
 
 
-@device
+@inlined
 def ray_to_pixel(camera: CameraRow, x: float, y: float) -> tuple[float, float]:
     """The pixel of a ray (X / Z, Y / Z), nan beyond the lens model's valid region."""
     if is_distorted(camera):
@@ -28,19 +28,19 @@ def ray_to_pixel(camera: CameraRow, x: float, y: float) -> tuple[float, float]:
     return pinhole_pixel(camera, x, y)
 
 
-@device
+@inlined
 def pinhole_pixel(camera: CameraRow, x: float, y: float) -> tuple[float, float]:
     """The pixel of normalised coordinates, ideal or distorted."""
     return camera.centre_u + camera.focal_u * x, camera.centre_v + camera.focal_v * y
 
 
-@device
+@inlined
 def pinhole_ray(camera: CameraRow, u: float, v: float) -> tuple[float, float]:
     """The normalised coordinates of a pixel, the inverse of `pinhole_pixel`."""
     return (u - camera.centre_u) / camera.focal_u, (v - camera.centre_v) / camera.focal_v
 
 
-@device
+@inlined
 def point_to_pixel(
     p: PackedHead, eye: int, x: float, y: float, z: float, distorted: bool
 ) -> tuple[float, float]:
@@ -53,7 +53,7 @@ def point_to_pixel(
     return pinhole_pixel(camera, x / z, y / z)
 
 
-@device
+@inlined
 def undistort_pixel(p: PackedHead, eye: int, u: float, v: float) -> tuple[float, float]:
     """The ideal pinhole pixel of a raw pixel; nan if the lens model has no inverse there."""
     camera = camera_of(p, eye)
@@ -64,7 +64,7 @@ def undistort_pixel(p: PackedHead, eye: int, u: float, v: float) -> tuple[float,
     return pinhole_pixel(camera, x, y)
 
 
-@device
+@inlined
 def pixel_error(p: PackedHead, eye: int, u: float, v: float) -> tuple[float, float]:
     """Offset of an undistorted raw pixel from the principal point, px."""
     camera = camera_of(p, eye)
@@ -72,7 +72,7 @@ def pixel_error(p: PackedHead, eye: int, u: float, v: float) -> tuple[float, flo
     return u - camera.centre_u, v - camera.centre_v
 
 
-@device
+@inlined
 def inside_image(p: PackedHead, eye: int, u: float, v: float) -> bool:
     """True if a raw pixel lies in the image; pixel centres are at integers."""
     camera = camera_of(p, eye)

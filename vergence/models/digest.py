@@ -56,7 +56,7 @@ def digest_of(head: Any) -> str:
     for part in dataclasses.fields(head):
         if part.name in _WORDS or _is_later(part, getattr(head, part.name)):
             continue
-        for field, value in _numbers(getattr(head, part.name)):
+        for field, value in _hashed_numbers(getattr(head, part.name)):
             if is_names(value) or isinstance(value, str):
                 sha.update(f"{part.name}.{field}{value}".encode())
                 continue
@@ -73,7 +73,7 @@ def _is_later(field: "dataclasses.Field[Any]", value: Any) -> bool:
     return field.default is not dataclasses.MISSING and np.array_equal(value, field.default)
 
 
-def _numbers(part: Any) -> Iterator[tuple[str, Any]]:
+def _hashed_numbers(part: Any) -> Iterator[tuple[str, Any]]:
     """Names and numbers of a part in the form of version 1."""
     if not dataclasses.is_dataclass(part):
         yield "", part

@@ -10,13 +10,13 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import device, kernel, subroutine
+from vergence._jit import inlined, kernel, subroutine
 from vergence.models.actuation import SLOTS
+from vergence.models.actuator_projection import actuator_least_squares
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import PACKED, PackedHead, camera_of, joint_at
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector, into, point_rate
-from vergence.models.projection import share_of_actuators
 
 _STEPS: Final = 60
 """Iteration limit of Newton's method, and half that of Gauss-Newton (numerical)."""
@@ -32,7 +32,7 @@ _SETTLED_RAD: Final = 1e-7
 """Last Gauss-Newton step that is accepted at the iteration limit, rad (numerical)."""
 
 
-@device
+@inlined
 def fixate_step(
     p: PackedHead, eye: int, q1: float, q2: float, x: float, y: float, z: float
 ) -> tuple[float, float]:
@@ -60,7 +60,7 @@ def fixate_step(
     return -(bp * a - ap * b) / det, -(at * b - bt * a) / det
 
 
-@device
+@inlined
 def fixate_eye(p: PackedHead, eye: int, x: float, y: float, z: float) -> tuple[float, float]:
     """Solve for the joint angles of one eye by Newton's method on the bearing, starting at rest.
 
@@ -132,7 +132,7 @@ def _aim_error(
 
 
 @subroutine
-def fixate_tied(p: PackedHead, x: float, y: float, z: float, joints: FloatArray) -> bool:
+def fixate_coupled(p: PackedHead, x: float, y: float, z: float, joints: FloatArray) -> bool:
     """Find the eyes' joint angles that minimise the sum of squared pixel errors, coupled joints.
 
     Args:
@@ -156,7 +156,7 @@ def fixate_tied(p: PackedHead, x: float, y: float, z: float, joints: FloatArray)
             sees = sees and _aim_error(p, eye, joints, (x, y, z), bearings, error, rate)
         if not sees:
             break
-        share_of_actuators(p, rate, error, True, True, step)
+        actuator_least_squares(p, rate, error, True, True, step)
         size = 0.0
         for k in range(SLOTS):
             size = max(size, abs(step[k]))
@@ -196,4 +196,4 @@ def fixate_best(
     """`fixate` for coupled joints: the least-squares solution; nan if there is none."""
     for j in range(3):
         out[j] = neck[j]
-    fixate_tied(p, points[0], points[1], points[2], out[3:])
+    fixate_coupled(p, points[0], points[1], points[2], out[3:])

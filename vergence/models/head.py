@@ -17,7 +17,6 @@ from vergence.models.calibrated import CalibrationRecord
 from vergence.models.cameras import Cameras
 from vergence.models.digest import digest_of
 from vergence.models.links import Links
-from vergence.models.mistaken import FixationBounds, warn_of_point
 from vergence.models.parameters import Geometry, Parameters, geometry_with, parameters_of
 from vergence.models.parts import (
     FloatArray,
@@ -29,6 +28,7 @@ from vergence.models.parts import (
     replaced,
 )
 from vergence.models.perturbation import ModelErrors, perturb_geometry
+from vergence.models.point_warnings import FixationBounds, warn_of_point
 from vergence.operands import as_operand
 
 _TIED_RAD: Final = 1e-9

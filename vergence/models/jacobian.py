@@ -10,7 +10,7 @@ computes each column of the product as the derivative of the projection for a po
 `dP_C/dq_i = -R (z_i x (P - o_i))`.
 """
 
-from vergence._jit import device, kernel
+from vergence._jit import inlined, kernel
 from vergence.models.camera import pinhole_ray
 from vergence.models.kinematics import EyeFrames, eye_frames
 from vergence.models.lens import CameraRow
@@ -19,7 +19,7 @@ from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector, compose, inverse, out_of, point_rate, rotate_z
 
 
-@device
+@inlined
 def pixel_rate(
     camera: CameraRow, x: float, y: float, depth: float, rate: Vector
 ) -> tuple[float, float]:
@@ -30,7 +30,7 @@ def pixel_rate(
     )
 
 
-@device
+@inlined
 def eye_jacobian(
     p: PackedHead, eye: int, frames: EyeFrames, u: float, v: float, depth: float
 ) -> tuple[float, float, float, float]:

@@ -5,15 +5,15 @@ A joint follows its velocity command u with a lag l, whose acceleration may take
     m l^2 dw/dt + l w + v = u,   dv/dt = w,   dq/dt = v,   |w| <= a
 
 For a build-up m of zero this is `vergence.models.joint_response.follow_joint`. Otherwise it is the
-second-order lag of `follow_swinging_joint` there, with the time constant `sqrt(m) l` and the
+second-order lag of `follow_second_order_joint` there, with the time constant `sqrt(m) l` and the
 damping ratio `1 / (2 sqrt(m))`: it overshoots for m above 1/4.
 """
 
 from math import cos, exp, inf, sin, sqrt
 from typing import Final, NamedTuple
 
-from vergence._jit import device
-from vergence.models.joint_response import follow_joint, share_left
+from vergence._jit import inlined
+from vergence.models.joint_response import follow_joint, lag_decay
 
 _LEAST: Final = 0.02
 """Build-up m below which the response is taken as first-order (numerical)."""
@@ -53,7 +53,7 @@ class Pace(NamedTuple):
     """Factor from the gap to the acceleration after a part, 1/s."""
 
 
-@device
+@inlined
 def _shares(lag: float, square: float, t: float) -> tuple[float, float, float, float]:
     """`kept`, `pushed`, `builds` and `drawn` for the time t."""
     decay = 0.5 * lag / square
@@ -68,7 +68,7 @@ def _shares(lag: float, square: float, t: float) -> tuple[float, float, float, f
     return even + decay * odd, odd, even - decay * odd, -odd / square
 
 
-@device
+@inlined
 def pace_of(lag: float, build_up: float, a: float, time: float) -> Pace:
     """Prepare the coefficients.
 
@@ -79,7 +79,7 @@ def pace_of(lag: float, build_up: float, a: float, time: float) -> Pace:
         time: hold time of a command, s.
     """
     if build_up < _LEAST or time <= 0.0:
-        return Pace(lag, 0.0, a, time, 1, share_left(time, lag), 0.0, 0.0, 0.0)
+        return Pace(lag, 0.0, a, time, 1, lag_decay(time, lag), 0.0, 0.0, 0.0)
     square, parts = build_up * lag * lag, 1
     if a < inf:
         parts = min(int(time / (_PART * sqrt(square))) + 1, _MOST_PARTS)
@@ -87,7 +87,7 @@ def pace_of(lag: float, build_up: float, a: float, time: float) -> Pace:
     return Pace(lag, square, a, time / parts, parts, kept, pushed, builds, drawn)
 
 
-@device
+@inlined
 def _free(
     q: float, v: float, w: float, u: float, pace: Pace, t: float
 ) -> tuple[float, float, float]:
@@ -100,7 +100,7 @@ def _free(
     return q, u + after, then
 
 
-@device
+@inlined
 def follow_pace(q: float, v: float, w: float, u: float, pace: Pace) -> tuple[float, float, float]:
     """Move a joint by the hold time of a pace, without position limits.
 

@@ -25,20 +25,20 @@ constant, this response starts later than the first-order lag and settles sooner
 from math import cos, exp, expm1, inf, log, pi, sin, sqrt
 from typing import Final
 
-from vergence._jit import device, subroutine
+from vergence._jit import inlined, subroutine
 
 _SECANTS: Final = 5
 """Secant steps to the time at which the acceleration meets its limit; exact to rounding
 (numerical)."""
 
 
-@device
-def share_left(time: float, tau: float) -> float:
+@inlined
+def lag_decay(time: float, tau: float) -> float:
     """Fraction of the difference between command and velocity that remains after a time."""
     return exp(-time / tau) if tau > 0.0 else 0.0
 
 
-@device
+@inlined
 def follow_joint(
     q: float, v: float, u: float, tau: float, a: float, period: float, decay: float
 ) -> tuple[float, float]:
@@ -51,7 +51,7 @@ def follow_joint(
         tau: time constant, s; 0 for no lag.
         a: greatest acceleration, rad/s^2; inf for no limit.
         period: the period, s.
-        decay: `share_left(period, tau)`; callers compute it once for many joints.
+        decay: `lag_decay(period, tau)`; callers compute it once for many joints.
 
     Returns:
         Angle and velocity, rad and rad/s.
@@ -70,14 +70,14 @@ def follow_joint(
         gap = u - v
         left = decay
         if ramp > 0.0:
-            left = share_left(rest, tau)
+            left = lag_decay(rest, tau)
         q += u * rest - gap * tau * (1.0 - left)
         v = u - gap * left
     return q, v
 
 
-@device
-def time_to_turn(v: float, u: float, tau: float, a: float) -> float:
+@inlined
+def time_to_reversal(v: float, u: float, tau: float, a: float) -> float:
     """Time until a joint reverses, s, if its velocity and command have opposite signs."""
     elapsed = 0.0
     if abs(u - v) > a * tau:
@@ -91,7 +91,7 @@ def time_to_turn(v: float, u: float, tau: float, a: float) -> float:
 
 
 @subroutine
-def follow_fading_joint(
+def follow_torque_limited_joint(
     q: float, v: float, u: float, tau: float, a: float, fade: float, period: float
 ) -> tuple[float, float]:
     """`follow_joint` for a motor whose torque falls with its speed.
@@ -109,13 +109,13 @@ def follow_fading_joint(
         Angle and velocity, rad and rad/s.
     """
     if v * u < 0.0:  # braking first
-        turn = time_to_turn(v, u, tau, a)
+        turn = time_to_reversal(v, u, tau, a)
         if turn >= period:
-            return follow_joint(q, v, u, tau, a, period, share_left(period, tau))
-        q, _rest = follow_joint(q, v, u, tau, a, turn, share_left(turn, tau))
+            return follow_joint(q, v, u, tau, a, period, lag_decay(period, tau))
+        q, _rest = follow_joint(q, v, u, tau, a, turn, lag_decay(turn, tau))
         v, period = 0.0, period - turn
     if abs(u) < abs(v):
-        return follow_joint(q, v, u, tau, a, period, share_left(period, tau))
+        return follow_joint(q, v, u, tau, a, period, lag_decay(period, tau))
     side = 1.0 if u >= 0.0 else -1.0
     v, u = side * v, side * u
     way = 0.0
@@ -130,19 +130,19 @@ def follow_fading_joint(
         way = time / fade + missing * expm1(-rate * time) / rate
         v -= missing * expm1(-rate * time)
         period -= time
-    left = share_left(period, tau) if period > 0.0 else 1.0
+    left = lag_decay(period, tau) if period > 0.0 else 1.0
     way += u * period - (u - v) * tau * (1.0 - left)
     return q + side * way, side * (u - (u - v) * left)
 
 
-@device
+@inlined
 def damping_ratio(overshoot: float) -> float:
     """Damping ratio of a second-order lag with a given overshoot, a fraction in (0, 1)."""
     decrement = -log(overshoot)
     return decrement / sqrt(pi * pi + decrement * decrement)
 
 
-@device
+@inlined
 def _swing(
     q: float, v: float, w: float, u: float, tau: float, zeta: float, time: float
 ) -> tuple[float, float, float]:
@@ -158,7 +158,7 @@ def _swing(
 
 
 @subroutine
-def follow_swinging_joint(
+def follow_second_order_joint(
     q: float,
     v: float,
     w: float,

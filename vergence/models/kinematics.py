@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import device, kernel
+from vergence._jit import inlined, kernel
 from vergence.models.actuation import Actuation
 from vergence.models.cameras import Cameras
 from vergence.models.links import Links
@@ -66,7 +66,7 @@ class EyeFrames(NamedTuple):
     camera: Pose
 
 
-@device
+@inlined
 def eye_frames(p: PackedHead, eye: int, q1: float, q2: float) -> EyeFrames:
     """The frames of one eye in N: after its first joint, after its second, and its camera."""
     first = rotate_z(eye_link(p, eye, 0), q1)
@@ -74,13 +74,13 @@ def eye_frames(p: PackedHead, eye: int, q1: float, q2: float) -> EyeFrames:
     return EyeFrames(first, second, compose(second, eye_link(p, eye, 2)))
 
 
-@device
+@inlined
 def _unrotate_z(x: float, y: float, angle: float) -> tuple[float, float]:
     c, s = cos(angle), sin(angle)
     return c * x + s * y, c * y - s * x
 
 
-@device
+@inlined
 def point_in_eye(
     p: PackedHead, eye: int, q1: float, q2: float, x: float, y: float, z: float
 ) -> Vector:
@@ -92,7 +92,7 @@ def point_in_eye(
     return into(eye_link(p, eye, 2), x, y, z)
 
 
-@device
+@inlined
 def neck_frame(p: PackedHead, q1: float, q2: float, q3: float) -> Pose:
     """T_0_N."""
     m = rotate_z(neck_link(p, 0), q1)

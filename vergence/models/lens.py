@@ -23,7 +23,7 @@ A new model needs its coefficients in `CameraRow`, its names in `cameras.LENSES`
 from math import atan, inf, isfinite, nan, sqrt, tan
 from typing import Final, NamedTuple
 
-from vergence._jit import device, subroutine
+from vergence._jit import inlined, subroutine
 
 PINHOLE: Final = 0.0
 """`CameraRow.lens` of a lens without distortion (numerical)."""
@@ -88,13 +88,13 @@ class Bent(NamedTuple):
     dyy: float
 
 
-@device
+@inlined
 def is_distorted(camera: CameraRow) -> bool:
     """True if the lens differs from a pinhole."""
     return camera.lens != PINHOLE
 
 
-@device
+@inlined
 def distort(camera: CameraRow, x: float, y: float) -> Bent:
     """Distort a ray's ideal normalised coordinates."""
     if camera.lens > POLYNOMIAL:
@@ -102,7 +102,7 @@ def distort(camera: CameraRow, x: float, y: float) -> Bent:
     return _distort_by_polynomial(camera, x, y)
 
 
-@device
+@inlined
 def keeps_order(camera: CameraRow, x: float, y: float, bent: Bent) -> bool:
     """True if the model is invertible at a ray: before the fold, Jacobian positive definite."""
     r2 = x * x + y * y
@@ -113,7 +113,7 @@ def keeps_order(camera: CameraRow, x: float, y: float, bent: Bent) -> bool:
     )
 
 
-@device
+@inlined
 def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float]:
     """Invert the distortion: the ideal coordinates; nan if the lens model has no ray there."""
     if not isfinite(xd + yd):  # no target visible: comparisons with nan would warn
@@ -141,7 +141,7 @@ def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float
     return _search(camera, xd, yd, x, y)
 
 
-@device
+@inlined
 def _distort_by_polynomial(camera: CameraRow, x: float, y: float) -> Bent:
     k1, k2, k3 = camera.k1, camera.k2, camera.k3
     r2 = x * x + y * y
@@ -150,7 +150,7 @@ def _distort_by_polynomial(camera: CameraRow, x: float, y: float) -> Bent:
     return _bend(camera, x, y, r2, radial, slope)
 
 
-@device
+@inlined
 def _bend(camera: CameraRow, x: float, y: float, r2: float, radial: float, slope: float) -> Bent:
     """Combine the radial and tangential terms; slope is the derivative of radial by r^2."""
     p1, p2 = camera.p1, camera.p2

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence._runs import run_of
 from vergence.models.actuation import SLOTS, Actuation
 from vergence.models.cameras import Cameras
@@ -114,45 +114,45 @@ def pack_camera(
 _camera_run = run_of(CAMERA)
 
 
-@device
+@inlined
 def camera_at(row: FloatArray, i: int) -> CameraRow:
     """Read the camera that begins at index i of a row."""
     return CameraRow(*_camera_run(row, i))
 
 
-@device
+@inlined
 def camera_of(p: PackedHead, eye: int) -> CameraRow:
     """The camera of an eye, 0 for left, 1 for right."""
     return camera_at(p, _CAMERAS + eye * CAMERA)
 
 
-@device
+@inlined
 def neck_link(p: PackedHead, link: int) -> Pose:
     """One of the neck's four constants B_0 (before its first joint) to B_3 (after its third)."""
     return pose_at(p, _NECK + link * _POSE)
 
 
-@device
+@inlined
 def eye_link(p: PackedHead, eye: int, link: int) -> Pose:
     """One of an eye's three constants M_0 (before its first joint) to M_2 (after its second)."""
     return pose_at(p, _EYES + eye * _EYE + link * _POSE)
 
 
-@device
+@inlined
 def is_direct(p: PackedHead) -> bool:
     """True if each of the four eye joints has its own motor, in joint order."""
     direct: bool = p[_DIRECT] > 0.5
     return direct
 
 
-@device
+@inlined
 def joint_per_actuator(p: PackedHead, joint: int, actuator: int) -> float:
     """Angle of an eye joint (0 to 3) per angle of an actuator of the eyes (0 to 3)."""
     factor: float = p[_TO_JOINTS + SLOTS * joint + actuator]
     return factor
 
 
-@device
+@inlined
 def joint_at(p: PackedHead, joint: int, actuators: FloatArray) -> float:
     """Angle of an eye joint, rad, from the actuators' angles (4,)."""
     i = _TO_JOINTS + SLOTS * joint
@@ -162,7 +162,7 @@ def joint_at(p: PackedHead, joint: int, actuators: FloatArray) -> float:
     return angle
 
 
-@device
+@inlined
 def joint_rate(p: PackedHead, joint: int, actuators: FloatArray) -> float:
     """Velocity of an eye joint, rad/s, from the actuators' velocities (4,)."""
     i = _TO_JOINTS + SLOTS * joint
@@ -172,7 +172,7 @@ def joint_rate(p: PackedHead, joint: int, actuators: FloatArray) -> float:
     return rate
 
 
-@device
+@inlined
 def actuator_at(p: PackedHead, actuator: int, joints: FloatArray) -> float:
     """Angle of an actuator of the eyes, rad, from the eye joints' angles (4,)."""
     i = _TO_ACTUATORS + SLOTS * actuator
@@ -182,7 +182,7 @@ def actuator_at(p: PackedHead, actuator: int, joints: FloatArray) -> float:
     return angle
 
 
-@device
+@inlined
 def actuator_rate(p: PackedHead, actuator: int, joints: FloatArray) -> float:
     """Velocity of an actuator of the eyes, rad/s, from the eye joints' velocities (4,)."""
     i = _TO_ACTUATORS + SLOTS * actuator

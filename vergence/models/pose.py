@@ -3,7 +3,7 @@
 from math import cos, sin
 from typing import NamedTuple
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence._runs import run_of
 from vergence.models.parts import FloatArray
 
@@ -31,20 +31,20 @@ class Pose(NamedTuple):
 _pose_run = run_of(len(Pose._fields))
 
 
-@device
+@inlined
 def pose_at(row: FloatArray, i: int) -> Pose:
     """Read the pose whose twelve numbers begin at index i of a row."""
     return Pose(*_pose_run(row, i))
 
 
-@device
+@inlined
 def pose_of(matrix: FloatArray) -> Pose:
     """The pose of a (4, 4) matrix."""
     a, b, c = matrix[0], matrix[1], matrix[2]
     return Pose(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3], c[0], c[1], c[2], c[3])
 
 
-@device
+@inlined
 def store_pose(out: FloatArray, m: Pose) -> None:
     """Write a pose to a (4, 4) matrix."""
     out[0, 0], out[0, 1], out[0, 2], out[0, 3] = m.xx, m.xy, m.xz, m.x
@@ -54,7 +54,7 @@ def store_pose(out: FloatArray, m: Pose) -> None:
     out[3, 3] = 1.0
 
 
-@device
+@inlined
 def rotate_z(m: Pose, angle: float) -> Pose:
     """The pose m followed by a rotation about its own z axis."""
     c, s = cos(angle), sin(angle)
@@ -65,7 +65,7 @@ def rotate_z(m: Pose, angle: float) -> Pose:
     )  # fmt: skip
 
 
-@device
+@inlined
 def compose(m: Pose, k: Pose) -> Pose:
     """The product of two poses: T_A_C from T_A_B and T_B_C."""
     return Pose(
@@ -84,7 +84,7 @@ def compose(m: Pose, k: Pose) -> Pose:
     )
 
 
-@device
+@inlined
 def inverse(m: Pose) -> Pose:
     """The inverse of a pose: T_B_A from T_A_B."""
     return Pose(
@@ -94,7 +94,7 @@ def inverse(m: Pose) -> Pose:
     )  # fmt: skip
 
 
-@device
+@inlined
 def turn(m: Pose, x: float, y: float, z: float) -> Vector:
     """Rotate a direction from the pose's own frame to the outer frame."""
     return (
@@ -104,7 +104,7 @@ def turn(m: Pose, x: float, y: float, z: float) -> Vector:
     )
 
 
-@device
+@inlined
 def turn_back(m: Pose, x: float, y: float, z: float) -> Vector:
     """Rotate a direction from the outer frame to the pose's own frame."""
     return (
@@ -114,13 +114,13 @@ def turn_back(m: Pose, x: float, y: float, z: float) -> Vector:
     )
 
 
-@device
+@inlined
 def into(m: Pose, x: float, y: float, z: float) -> Vector:
     """Transform a point from the outer frame to the pose's own frame."""
     return turn_back(m, x - m.x, y - m.y, z - m.z)
 
 
-@device
+@inlined
 def out_of(m: Pose, x: float, y: float, z: float) -> Vector:
     """Transform a point from the pose's own frame to the outer frame."""
     return (
@@ -130,7 +130,7 @@ def out_of(m: Pose, x: float, y: float, z: float) -> Vector:
     )
 
 
-@device
+@inlined
 def point_rate(axis: Pose, camera: Pose, x: float, y: float, z: float) -> Vector:
     """Motion of a fixed point in the camera's frame, per radian about another frame's z axis.
 

@@ -79,7 +79,7 @@ def default_response(*, colour: bool) -> Response:
     return SRGB if colour else LINEAR
 
 
-def light_of(share: ArrayLike, response: Response) -> FloatArray:
+def to_light(share: ArrayLike, response: Response) -> FloatArray:
     """Convert grey levels to light.
 
     Args:
@@ -100,7 +100,7 @@ def light_of(share: ArrayLike, response: Response) -> FloatArray:
 
 
 @lru_cache(maxsize=32)
-def light_of_levels(response: Response) -> FloatArray:
+def light_table(response: Response) -> FloatArray:
     """Light of each grey level of 8 bits.
 
     Args:
@@ -109,6 +109,6 @@ def light_of_levels(response: Response) -> FloatArray:
     Returns:
         (256,) from 0 to 255, read-only.
     """
-    light = 255.0 * light_of(np.linspace(0.0, 1.0, _LEVELS), response)
+    light = 255.0 * to_light(np.linspace(0.0, 1.0, _LEVELS), response)
     light.setflags(write=False)
     return light

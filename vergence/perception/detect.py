@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vergence.errors import ConfigurationError, VergenceError
+from vergence.json_values import json_value
 from vergence.models.parts import FloatArray
 from vergence.perception.board_centre import centre_px
 from vergence.perception.photographs import photographs_of
-from vergence.perception.spotting import Photograph, Spotter, UnseenTargets, number_of
-from vergence.plain import plain
+from vergence.perception.spotting import Photograph, TargetFinder, UnseenTargets, number_of
 from vergence.vision import Detection
 
 
@@ -31,10 +31,10 @@ class Sighting(NamedTuple):
             "image": self.image,
             "target": str(self.detection.target),
             "id": number_of(self.detection.target),
-            "centre_px": plain(self.centre_px),
-            "corners_px": plain(self.detection.corners_px),
-            "sigma_px": plain(self.sigma_px),
-            "corners_sigma_px": plain(self.detection.corners_sigma_px),
+            "centre_px": json_value(self.centre_px),
+            "corners_px": json_value(self.detection.corners_px),
+            "sigma_px": json_value(self.sigma_px),
+            "corners_sigma_px": json_value(self.detection.corners_sigma_px),
         }
 
 
@@ -58,7 +58,7 @@ class DetectResult:
 
 def detect(
     places: Sequence[Path],
-    spotter: Spotter,
+    spotter: TargetFinder,
     progress: Callable[[float], None] | None = None,
     show: Callable[[Photograph], None] | None = None,
 ) -> DetectResult:

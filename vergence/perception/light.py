@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from vergence.models.parts import FloatArray
-from vergence.models.response import LINEAR, SRGB, Response, light_of_levels
+from vergence.models.response import LINEAR, SRGB, Response, light_table
 from vergence.perception.spacing import neighbours
 from vergence.vision import Detection
 from vergence.vision.image import measured_levels
@@ -137,7 +137,7 @@ def _strip(
 
 def _left(away: FloatArray, level: FloatArray, response: Response) -> float:
     """Residual sum of squares of levels after the fit of a blurred step; 0 if it does not fit."""
-    light = light_of_levels(response)
+    light = light_table(response)
     dark, bright = np.interp(np.percentile(level, (10, 90)), np.arange(256), light)
 
     def residuals(values: FloatArray) -> FloatArray:

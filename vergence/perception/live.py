@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.json_values import json_value
 from vergence.models.boards import PlanarTarget, TagFamily, Target
 from vergence.models.parts import FloatArray
 from vergence.perception.finders import Finder
 from vergence.perception.spotting import number_of
-from vergence.plain import plain
 from vergence.vision import Detection
 
 WINDOW_S = 3.0
@@ -49,9 +49,9 @@ class TargetState(NamedTuple):
             "id": number_of(self.target),
             "detection_rate": self.rate,
             "images_without": self.images - self.seen,
-            "point_px": plain(self.point_px),
-            "noise_px": plain(self.noise_px),
-            "sigma_px": plain(self.sigma_px),
+            "point_px": json_value(self.point_px),
+            "noise_px": json_value(self.noise_px),
+            "sigma_px": json_value(self.sigma_px),
         }
 
 
@@ -73,8 +73,8 @@ class LiveState(NamedTuple):
         return {
             "images": self.images,
             "seconds": self.seconds,
-            "frame_rate_hz": plain(self.frame_rate_hz),
-            "detection_ms": plain(self.detection_ms),
+            "frame_rate_hz": json_value(self.frame_rate_hz),
+            "detection_ms": json_value(self.detection_ms),
             "targets": [target.document() for target in self.targets],
         }
 

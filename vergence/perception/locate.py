@@ -22,7 +22,13 @@ from vergence.perception.located import Located, locate_target
 from vergence.perception.pairing import pair_up
 from vergence.perception.photographs import some_of
 from vergence.perception.spacing import Spacing, spacing
-from vergence.perception.spotting import Photograph, Spotter, UnseenTargets, identity, parse_targets
+from vergence.perception.spotting import (
+    Photograph,
+    TargetFinder,
+    UnseenTargets,
+    identity,
+    parse_targets,
+)
 from vergence.triangulation import Noise
 from vergence.vision import Detection, EyeCamera
 
@@ -187,7 +193,7 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
     pairs, alone, single = pair_up(config.left, config.right)
     angles = angles_of_pairs(head, config.joints, [pair.name for pair in pairs])
     spotters = [
-        Spotter(targets, EyeCamera.of(head, eye), response) for eye in range(len(EYE_NAMES))
+        TargetFinder(targets, EyeCamera.of(head, eye), response) for eye in range(len(EYE_NAMES))
     ]
     read: list[str] = []
     located: list[Located] = []

@@ -7,6 +7,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence.json_values import json_value, json_values
 from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -14,7 +15,6 @@ from vergence.perception.board_centre import centre_weights, weighted
 from vergence.perception.edges import Edges, mean_edge_sigma
 from vergence.perception.spacing import MM, Spacing, spacing
 from vergence.perception.spotting import number_of
-from vergence.plain import column, plain
 from vergence.triangulation import Fix, Noise, triangulate_views
 from vergence.vision import Detection
 
@@ -86,16 +86,16 @@ class Located:
             "pair": self.pair,
             "target": str(self.target),
             "id": number_of(self.target),
-            "pixels": plain(self.pixels),
-            "points_mm": plain(MM * self.fix.point),
-            "sigma_mm": plain(MM * self.fix.sigma),
-            "centre_mm": plain(MM * self.centre.point),
-            "centre_sigma_mm": plain(MM * self.centre.sigma),
-            "sigma_px": plain(self.sigma_px),
-            "gap_mm": column(MM * self.fix.gap),
+            "pixels": json_value(self.pixels),
+            "points_mm": json_value(MM * self.fix.point),
+            "sigma_mm": json_value(MM * self.fix.sigma),
+            "centre_mm": json_value(MM * self.centre.point),
+            "centre_sigma_mm": json_value(MM * self.centre.sigma),
+            "sigma_px": json_value(self.sigma_px),
+            "gap_mm": json_values(MM * self.fix.gap),
             "spacing_mm": {
                 **self.spacing.document(),
-                "sigma": column([MM * self.edge_sigma_m])[0],
+                "sigma": json_values([MM * self.edge_sigma_m])[0],
             },
         }
 

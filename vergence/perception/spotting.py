@@ -114,7 +114,7 @@ class UnseenTargets:
         return said
 
 
-class Spotter:
+class TargetFinder:
     """Finds all targets in images of one eye.
 
     Args:

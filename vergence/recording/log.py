@@ -20,7 +20,13 @@ from vergence.recording import schema
 from vergence.recording.jpeg import read_jpeg
 from vergence.recording.messages import decode, printable
 from vergence.recording.records import EXPECTED, records_of
-from vergence.recording.schema import Asked, LoggedCommand, LoggedDetection, LoggedJoints, Topic
+from vergence.recording.schema import (
+    CommandOrigin,
+    LoggedCommand,
+    LoggedDetection,
+    LoggedJoints,
+    Topic,
+)
 
 if TYPE_CHECKING:
     from mcap.records import McapRecord
@@ -237,7 +243,7 @@ class _Parts:
             step = len(self.trials[-1].readings) - 1
             self.trials[-1].truths[step] = Truth(**fields)
         elif topic is schema.COMMAND:
-            if fields["by"] == Asked.POLICY.value:
+            if fields["by"] == CommandOrigin.POLICY.value:
                 self.trials[-1].commands.append(LoggedCommand(**fields))
         elif topic in schema.IMAGES:
             images = self.trials[-1].images[schema.IMAGES.index(topic)]

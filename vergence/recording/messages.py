@@ -20,10 +20,10 @@ _LATEST_S: Final = 2**33
 
 def encode(message: dict[str, Any]) -> bytes:
     """Encode a message of plain values and arrays as JSON."""
-    return json.dumps({name: _plain(value) for name, value in message.items()}).encode()
+    return json.dumps({name: _json_value(value) for name, value in message.items()}).encode()
 
 
-def _plain(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     if isinstance(value, bytes):
         return base64.b64encode(value).decode()
     if isinstance(value, float | np.ndarray | np.generic):

@@ -33,7 +33,7 @@ class ReplayedPlant(Plant):
         ConfigurationError: num is not 1.
     """
 
-    most = 1
+    max_num = 1
 
     def __init__(self, head: HeadModel, num: int = 1, *, trials: Sequence[LoggedTrial]) -> None:
         if num != 1:

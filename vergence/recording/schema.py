@@ -31,7 +31,7 @@ CONFIG_FILE: Final = "hardware.toml"
 """Names of the attachments."""
 
 
-class Asked(Enum):
+class CommandOrigin(Enum):
     """Origin of a command."""
 
     POLICY = "policy"
@@ -53,7 +53,7 @@ class LoggedCommand(NamedTuple):
     """Supervisor's decision, a value of `vergence.hardware.safety.supervisor.Verdict`; `go` sends
     the requested velocities, limited to the bounds."""
     by: str
-    """Origin of the command, a value of `Asked`."""
+    """Origin of the command, a value of `CommandOrigin`."""
 
 
 class LoggedJoints(NamedTuple):

@@ -16,7 +16,7 @@ from typing import Any, Final
 import torch
 
 from vergence.errors import ConfigurationError
-from vergence.files import write_whole
+from vergence.files import write_atomic
 
 FORMAT: Final = 4
 """Version of a checkpoint's content (numerical)."""
@@ -32,7 +32,7 @@ def write_checkpoint(path: Path, content: Mapping[str, Any]) -> None:
         content: tensors, numbers, strings, and lists and dictionaries of these.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, checkpoint_bytes(content))
+    write_atomic(path, checkpoint_bytes(content))
 
 
 def checkpoint_bytes(content: Mapping[str, Any]) -> bytes:

@@ -7,7 +7,7 @@ from typing import Any, Final
 import pandas as pd
 
 from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, new_figure, save_figure, styled
-from vergence.files import whole_file
+from vergence.files import atomic_file
 
 COLUMNS: Final = {
     "step": "control steps learned from",
@@ -28,7 +28,7 @@ COLUMNS: Final = {
 def write_curve(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write `curve.csv` atomically."""
     table = pd.DataFrame(list(rows), columns=list(COLUMNS))
-    with whole_file(folder / "curve.csv") as partial:
+    with atomic_file(folder / "curve.csv") as partial:
         table.to_csv(partial, index=False)
 
 

@@ -14,7 +14,7 @@ from vergence.controllers.networks.bundle import write_bundle
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.manifest import Manifest
 from vergence.errors import ConfigurationError
-from vergence.eval.reporting.runs import plain
+from vergence.eval.reporting.runs import toml_value
 from vergence.training.choices import choose
 from vergence.training.config import TrainConfig
 from vergence.training.learner import load_learner
@@ -63,7 +63,7 @@ def export_run(run: Path, out: Path, checkpoint: str = "best", replace: bool = F
             "seed": config.seed,
             "steps": config.steps,
             "checkpoint": {"name": checkpoint, "step": int(content["steps"])},
-            "config": plain(dataclasses.asdict(config)),
+            "config": toml_value(dataclasses.asdict(config)),
             "versions": tomllib.loads((run / "config.toml").read_text("utf-8"))["versions"],
         },
         metrics={
@@ -102,7 +102,7 @@ def _changes(usual: Mapping[str, Any], wanted: Mapping[str, Any], prefix: str = 
         if isinstance(value, Mapping):
             changes += _changes(usual.get(name, {}), value, f"{prefix}{name}.")
         elif value is not None and value != usual.get(name):
-            text = tomli_w.dumps({"v": plain(value)}).partition("=")[2]
+            text = tomli_w.dumps({"v": toml_value(value)}).partition("=")[2]
             changes.append(f"{prefix}{name}={''.join(text.split())}")
     return changes
 

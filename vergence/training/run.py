@@ -11,7 +11,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from vergence.errors import ConfigurationError, DivergedError
 from vergence.eval.reporting.runs import write_config
-from vergence.files import remove_partial, whole_files
+from vergence.files import atomic_files, remove_partial
 from vergence.models.head import HeadModel
 from vergence.training.config import PACKAGES, TrainConfig, begin_run, check_new, load_run
 from vergence.training.curve import draw_curve, write_curve
@@ -101,7 +101,7 @@ def resume(
         listener.going_on(done)
         with _writing(folder):
             if steps is not None:
-                with whole_files(folder, last="config.toml") as beside:
+                with atomic_files(folder, last="config.toml") as beside:
                     write_config(beside, config, head, PACKAGES)
             return _Run(folder, learner, listener, clock, rows).go_on()
     finally:

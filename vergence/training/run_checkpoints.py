@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from vergence.errors import ConfigurationError
-from vergence.eval.reporting.runs import plain
-from vergence.files import whole_files
+from vergence.eval.reporting.runs import toml_value
+from vergence.files import atomic_files
 from vergence.models.head import HeadModel
 from vergence.training.checkpoint import checkpoint_bytes, read_checkpoint, write_checkpoint
 from vergence.training.config import TrainConfig
@@ -58,7 +58,7 @@ class RunCheckpoints:
                 f"head.toml: expected the head that {path} was trained on (digest "
                 f"{str(recorded.get('head'))[:12]}), got another ({self.head.digest[:12]})"
             )
-        changes = _changes(recorded.get("config", {}), plain(dataclasses.asdict(self.config)))
+        changes = _changes(recorded.get("config", {}), toml_value(dataclasses.asdict(self.config)))
         if changes:
             raise ConfigurationError(
                 f"config.toml: expected the choices that {path} was trained with, "
@@ -81,7 +81,7 @@ class RunCheckpoints:
         folder = self.path("last").parent
         folder.mkdir(exist_ok=True)
         # last.pt comes first: if the process is killed in between, `latest` makes best.pt from it
-        with whole_files(folder, last="best.pt") as beside:
+        with atomic_files(folder, last="best.pt") as beside:
             (beside / "last.pt").write_bytes(checkpoint_bytes(full))
             if best:
                 (beside / "best.pt").write_bytes(checkpoint_bytes(marked))
@@ -115,7 +115,7 @@ class RunCheckpoints:
         return content
 
     def _run(self) -> dict[str, Any]:
-        return {"config": plain(dataclasses.asdict(self.config)), "head": self.head.digest}
+        return {"config": toml_value(dataclasses.asdict(self.config)), "head": self.head.digest}
 
 
 def _has_progress(path: Path) -> bool:

@@ -2,7 +2,7 @@
 
 from typing import Final, NamedTuple
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.models.packed import PackedHead, camera_of
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Pose, out_of
@@ -23,7 +23,7 @@ class Depths(NamedTuple):
     found: bool
 
 
-@device
+@inlined
 def ray_of_error(p: PackedHead, eye: int, camera: Pose, error_u: float, error_v: float) -> Ray:
     """Compute the ray in N of an image's pixel error.
 
@@ -43,7 +43,7 @@ def ray_of_error(p: PackedHead, eye: int, camera: Pose, error_u: float, error_v:
     return Ray(origin, (tip[0] - camera.x, tip[1] - camera.y, tip[2] - camera.z))
 
 
-@device
+@inlined
 def rays_of_image(p: PackedHead, left: Pose, right: Pose, error: FloatArray) -> tuple[Ray, Ray]:
     """Compute the rays in N of both images' pixel errors.
 
@@ -62,7 +62,7 @@ def rays_of_image(p: PackedHead, left: Pose, right: Pose, error: FloatArray) -> 
     )
 
 
-@device
+@inlined
 def depths_on_rays(left: Ray, right: Ray) -> Depths:
     """Triangulate the depths along both rays, clipped to `DEPTH_RANGE_M`; else the default."""
     s, t, found = nearest(left, right)

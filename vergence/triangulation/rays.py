@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 from numpy import bool_
 from numpy.typing import NDArray
 
-from vergence._jit import device, kernel
+from vergence._jit import inlined, kernel
 from vergence.models.camera import pinhole_ray, undistort_pixel
 from vergence.models.kinematics import EyeFrames, eye_frames
 from vergence.models.lens import distort, is_distorted
@@ -47,22 +47,22 @@ class Crossing(NamedTuple):
     t: float
 
 
-@device
+@inlined
 def _dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@device
+@inlined
 def _minus(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@device
+@inlined
 def _cross(a: Vector, b: Vector) -> Vector:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@device
+@inlined
 def _midpoint_rate(crossing: Crossing, eye: int, do: Vector, dd: Vector) -> Vector:
     """Derivative of the midpoint for changes do and dd of one eye's ray origin and direction."""
     (ol, dl), (orr, dr), s, t = crossing
@@ -89,7 +89,7 @@ def _midpoint_rate(crossing: Crossing, eye: int, do: Vector, dd: Vector) -> Vect
     )
 
 
-@device
+@inlined
 def ray_of_pixel(p: PackedHead, eye: int, camera: Pose, u: float, v: float) -> Ray:
     """Compute the ray in N of a raw pixel, with unit z in the camera; nan if the lens has none."""
     u, v = undistort_pixel(p, eye, u, v)
@@ -97,7 +97,7 @@ def ray_of_pixel(p: PackedHead, eye: int, camera: Pose, u: float, v: float) -> R
     return Ray((camera.x, camera.y, camera.z), turn(camera, x, y, 1.0))
 
 
-@device
+@inlined
 def nearest(left: Ray, right: Ray) -> tuple[float, float, bool]:
     """Distances along two rays to their common perpendicular, and True if there is a fix."""
     (ol, dl), (orr, dr) = left, right
@@ -111,14 +111,14 @@ def nearest(left: Ray, right: Ray) -> tuple[float, float, bool]:
     return s, t, 0.0 < s < inf and 0.0 < t < inf
 
 
-@device
+@inlined
 def _add_outer(covariance: FloatArray, e: Vector, sigma: float) -> None:
     for row in range(3):
         for column in range(3):
             covariance[row, column] += sigma * sigma * e[row] * e[column]
 
 
-@device
+@inlined
 def _add_pixel_noise(
     covariance: FloatArray,
     p: PackedHead,
@@ -144,7 +144,7 @@ def _add_pixel_noise(
     _add_outer(covariance, _midpoint_rate(crossing, eye, still, dv), sigma[1])
 
 
-@device
+@inlined
 def _joint_rate(eye: int, axis: Pose, crossing: Crossing) -> Vector:
     """Derivative of the midpoint by an eye's rotation about the z axis of a frame, m/rad."""
     origin, direction = crossing.left if eye == 0 else crossing.right
@@ -153,7 +153,7 @@ def _joint_rate(eye: int, axis: Pose, crossing: Crossing) -> Vector:
     return _midpoint_rate(crossing, eye, _cross(z, arm), _cross(z, direction))
 
 
-@device
+@inlined
 def _add_joint_noise(
     covariance: FloatArray,
     p: PackedHead,

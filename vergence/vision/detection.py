@@ -21,7 +21,7 @@ from vergence.models.packed import pack_camera
 from vergence.models.response import (
     Response,
     default_response,
-    light_of_levels,
+    light_table,
     parse_response,
 )
 from vergence.vision.image import has_colours, measured_levels
@@ -80,7 +80,7 @@ class Detector(ABC, Generic[TargetT]):
         if response is None and camera is not None:
             response = camera.response
         self.response = None if response is None else parse_response(response)
-        self._light = light_of_levels(self.response or default_response(colour=False))
+        self._light = light_table(self.response or default_response(colour=False))
         lens = camera if camera is not None and camera.distorts else None
         self._lens = lens
         self._rays = _NO_RAYS if lens is None else ray_table(lens, 1, 0)
@@ -191,7 +191,7 @@ class Detector(ABC, Generic[TargetT]):
 
     def _grey(self, image: ArrayLike) -> NDArray[np.uint8]:
         """Grey levels of an image; also keeps the light by level for fits in this image."""
-        self._light = light_of_levels(self.response_of(image))
+        self._light = light_table(self.response_of(image))
         return measured_levels(image, self._size)
 
     def _check(self, predicted: Detection) -> None:

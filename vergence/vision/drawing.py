@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget, outline_m, texture
 from vergence.models.parts import Rendering
-from vergence.models.response import LINEAR, light_of_levels
+from vergence.models.response import LINEAR, light_table
 from vergence.vision.blur import gaussian_taps, motion_kernel
 from vergence.vision.noise import NOISE_MEAN, NOISE_UNIT, noise_window
 from vergence.vision.optics import EyeCamera, ray_table
@@ -96,7 +96,7 @@ class TargetDrawing:
         surround = (rendering.background_grey - rendering.black_grey) / self._contrast
         self._encoded: NDArray[np.uint8] | None = None
         if camera.response not in (None, LINEAR):
-            surround, self._encoded = _encoding(rendering, light_of_levels(camera.response))
+            surround, self._encoded = _encoding(rendering, light_table(camera.response))
         self._surround = round(surround)
         self._background = round(rendering.background_grey)
         self.frame: NDArray[np.uint8] = np.full(
@@ -299,7 +299,7 @@ def _encoding(rendering: Rendering, light: NDArray[np.float64]) -> tuple[float, 
 
     Args:
         rendering: the grey levels of black, background and white.
-        light: (256,) light of each grey level, see `light_of_levels`.
+        light: (256,) light of each grey level, see `light_table`.
 
     Returns:
         The fraction of light of the background, and the table, shape (256,).

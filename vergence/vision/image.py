@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError, UnreadableFileError
-from vergence.models.response import Response, light_of, light_of_levels, parse_response
+from vergence.models.response import Response, light_table, parse_response, to_light
 
 _EXPECTED: Final = (
     "expected an array (height, width), or (height, width, 3 or 4) in OpenCV's order BGR(A), of "
@@ -150,9 +150,9 @@ def _in_a_line(image: object) -> str:
 def _light(array: NDArray[Any], response: Response) -> NDArray[np.float32]:
     """Convert levels of any depth to light, 0 to 255."""
     if array.dtype == np.uint8:
-        light = light_of_levels(response)[array]
+        light = light_table(response)[array]
     else:
-        light = 255.0 * light_of(_levels(array) / 255.0, response)
+        light = 255.0 * to_light(_levels(array) / 255.0, response)
     return np.asarray(light, np.float32)
 
 

@@ -8,7 +8,7 @@ import pytest
 import vergence
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.chain import ParametricHead, board_points
-from vergence.calibration.head.observability import unseen
+from vergence.calibration.head.observability import unobservable_directions
 from vergence.calibration.head.simulated import record
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
@@ -201,14 +201,14 @@ def test_a_board_of_nearly_another_size_is_pointed_out(usual):
 
 
 def test_all_but_redundant_directions_are_told_if_the_neck_moves(usual):
-    told = unseen(usual[3].solution)
+    told = unobservable_directions(usual[3].solution)
     assert [one.what.split(" ")[0] for one in told] == ["10"]
     assert told[0].cure == ""
 
 
 def test_without_the_neck_the_eyes_place_in_it_is_not_told():
     head, _, frames = drawn(neck=False)
-    told = unseen(calibrate_head(head, frames).solution)
+    told = unobservable_directions(calibrate_head(head, frames).solution)
     assert [(one.what, one.cure) for one in told[1:]] == [
         ("tilt of both eyes in common", "move the neck"),
         ("roll of both eyes in common", "move the neck"),

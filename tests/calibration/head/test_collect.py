@@ -12,7 +12,7 @@ import vergence
 from vergence.calibration.head.advice import advice, coverage_percent
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.collect import CollectOptions, collect
-from vergence.calibration.head.outlook import DEPTHS_M, depth_sigma, outlook
+from vergence.calibration.head.outlook import DEPTHS_M, depth_sigma, preview_calibration
 from vergence.calibration.head.prior import spreads_of
 from vergence.calibration.head.recording import read_recording
 from vergence.calibration.head.simulated import record
@@ -200,18 +200,20 @@ def test_the_predicted_deviation_of_depth_is_that_of_heads_drawn_from_the_covari
         # of 2000 draws the deviation is known to 1.6 %; at 2.5 m depth is not quite linear
         middle = 0.5 * np.ptp(np.quantile(depths, [0.1587, 0.8413]))
         assert middle == pytest.approx(sigma, rel=0.15)
-    few = outlook(HEAD, frames.of(frames.pose < 6)).depth_percent
-    assert (outlook(HEAD, frames).depth_percent < few).all()
+    few = preview_calibration(HEAD, frames.of(frames.pose < 6)).depth_percent
+    assert (preview_calibration(HEAD, frames).depth_percent < few).all()
 
 
 def test_a_detection_of_something_else_does_not_change_the_prediction(collected):
     frames = collected[2].frames()
     pixels = frames.pixels.copy()
     pixels[0, 3], pixels[1, 20] = pixels[0, 30], 1e14
-    told, usual = (outlook(HEAD, each) for each in (replace(frames, pixels=pixels), frames))
+    told, usual = (
+        preview_calibration(HEAD, each) for each in (replace(frames, pixels=pixels), frames)
+    )
     assert told.depth_percent == pytest.approx(usual.depth_percent, rel=0.2)
     nothing = replace(frames, pixels=np.full(pixels.shape, 50.0))
-    assert outlook(HEAD, nothing) is None
+    assert preview_calibration(HEAD, nothing) is None
 
 
 def test_advice_says_what_would_tell_more(collected):

@@ -12,7 +12,7 @@ from tests.calibration.test_report import Page
 from vergence.calibration.head import report
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.depth import ahead, aside, depth_errors
-from vergence.calibration.head.observability import Unseen
+from vergence.calibration.head.observability import UnobservableDirection
 from vergence.calibration.head.report import document, left_out, write_run
 from vergence.calibration.head.simulated import record
 from vergence.eval.head_reach import centre_of
@@ -23,7 +23,7 @@ from vergence.triangulation import triangulate_gaze, triangulate_views
 
 HEAD = vergence.load_head("physical")
 DISTANCES_M = np.array([0.5, 1.0, 2.5])
-UNSEEN = (Unseen("tilt of both eyes", "move the neck", "17 mm at 1 m"),)
+UNSEEN = (UnobservableDirection("tilt of both eyes", "move the neck", "17 mm at 1 m"),)
 FACTS = {"frames": "frames.npz", "sha256": "0123"}
 WRONG = (0, 5)
 """Eye and frame of a view whose corners are not where they were seen."""

@@ -7,9 +7,9 @@ import pytest
 
 import vergence
 from vergence.calibration.head.adjust import HeadAdjustment, Weights
+from vergence.calibration.head.backlash import with_play
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.files import head_text
-from vergence.calibration.head.play import with_play
 from vergence.calibration.head.prior import spreads_of
 from vergence.calibration.head.reading_terms import ReadingTerms
 from vergence.calibration.head.simulated import JointReadingErrors, record

@@ -12,7 +12,7 @@ from vergence.envs.plants.kinematic import KinematicPlant
 from vergence.envs.plants.motors import MotorStates
 from vergence.errors import ConfigurationError
 from vergence.models import HeadModel, parse_head
-from vergence.models.joint_response import follow_joint, share_left
+from vergence.models.joint_response import follow_joint, lag_decay
 
 PERIOD_S = 1.0 / 120.0
 
@@ -131,7 +131,7 @@ def test_what_a_motor_drives_is_left_where_it_turned_round_within_a_period() -> 
     q, v = motors.angles[0, 3], motors.speeds[0, 3]
     plant.step(command(-0.9)[None])
     path = [
-        follow_joint(q, v, -0.9, 0.01, 80.0, t, share_left(t, 0.01))[0]
+        follow_joint(q, v, -0.9, 0.01, 80.0, t, lag_decay(t, 0.01))[0]
         for t in np.linspace(0.0, PERIOD_S, 2001)
     ]
     assert max(path) > max(path[0], path[-1]) + 1e-5

@@ -13,7 +13,7 @@ from vergence.cli import main
 from vergence.errors import ConfigurationError, ControllerError, HardwareError, VergenceError
 from vergence.eval.comparison.contestants import contestants
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
-from vergence.eval.comparison.own_code import Watched
+from vergence.eval.comparison.own_code import GuardedController
 from vergence.eval.jobs import ProcessMapper
 
 GENTLE = """
@@ -214,7 +214,7 @@ def test_a_robots_fault_is_not_blamed_on_the_controller():
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
             return np.zeros((1, 4)), state
 
-    watched = Watched(Still(), "mine")
+    watched = GuardedController(Still(), "mine")
     watched.predict(np.zeros((1, 1)))
     with pytest.raises(HardwareError, match=r"^the line is gone$"), watched.blamed():
         raise HardwareError("the line is gone")

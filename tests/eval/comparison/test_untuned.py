@@ -12,7 +12,7 @@ from vergence.controllers.tuned import Tuned, find_tuned, load_tuned, write_tune
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.evaluate import BASELINE, EvaluateConfig, evaluate
 from vergence.eval.comparison.folder import write_evaluation
-from vergence.eval.comparison.options import fitted
+from vergence.eval.comparison.options import resolve_options
 from vergence.eval.comparison.tables import RESIDUAL_COLUMN, describe, legend, tables
 from vergence.eval.jobs import ProcessMapper, SerialMapper
 from vergence.eval.trials.scenarios import load_scenario
@@ -277,5 +277,5 @@ def test_a_law_with_one_set_of_options_is_never_untuned(name, mine):
 def test_another_heads_options_are_values_to_begin_with(mine):
     head = load_head(mine)
     entry = find_tuned("state-feedback", "workspace", head)
-    found = fitted("state-feedback", head, "workspace", {})
+    found = resolve_options("state-feedback", head, "workspace", {})
     assert (found.options, found.tuned, found.tuned_for) == (entry.options, False, "simulated")

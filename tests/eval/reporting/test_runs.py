@@ -6,7 +6,13 @@ import pytest
 
 from vergence.errors import ConfigurationError
 from vergence.eval.reporting import runs
-from vergence.eval.reporting.runs import check_free, claimed, run_folder, save_run, write_json
+from vergence.eval.reporting.runs import (
+    check_free,
+    locked_run_folder,
+    run_folder,
+    save_run,
+    write_json,
+)
 
 
 def test_a_folder_appears_when_its_content_is_complete(tmp_path):
@@ -49,12 +55,12 @@ def test_json_never_holds_what_json_has_no_word_for(tmp_path):
 
 
 def claim(folder) -> None:
-    with claimed(folder):
+    with locked_run_folder(folder):
         pass
 
 
 def test_a_folder_is_held_from_before_the_work_to_its_end(tmp_path):
-    with claimed(tmp_path / "run"):
+    with locked_run_folder(tmp_path / "run"):
         with pytest.raises(ConfigurationError, match="is writing"):
             claim(tmp_path / "run")
         save_run(tmp_path / "run", lambda folder: (folder / "x").touch())

@@ -12,7 +12,7 @@ from vergence.eval.comparison.contestant_job import Failure
 from vergence.eval.comparison.contestants import contestants
 from vergence.eval.comparison.options import GivenOptions
 from vergence.eval.robot.judge import RobotJob
-from vergence.eval.robot.sessions import Entry, RecordedTrial
+from vergence.eval.robot.sessions import JournalEntry, RecordedTrial
 from vergence.eval.trials.run import periods
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.recording.log import read_log
@@ -51,7 +51,7 @@ def outcome(*recorded, controller="state-feedback"):
 
 
 def as_recorded(trial, stopped=""):
-    entry = Entry(
+    entry = JournalEntry(
         scenario=SCENARIO.name, controller="state-feedback", trial=trial.number - 1, log="run.mcap",
         number=trial.number, point_m=None, controller_sha256="", options="{}", stopped=stopped,
     )  # fmt: skip

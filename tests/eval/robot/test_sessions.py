@@ -4,13 +4,13 @@ import pytest
 
 from tests.recording.logged import STEPS, log_trials
 from vergence.errors import ConfigurationError
-from vergence.eval.robot.sessions import Entry, Sessions, TrialKey
+from vergence.eval.robot.sessions import JournalEntry, Sessions, TrialKey
 
 pytest.importorskip("mcap")
 
 
 def entry(trial, number, log="trials-1.mcap"):
-    return Entry(
+    return JournalEntry(
         scenario="webcam", controller="ibvs", trial=trial, log=log, number=number,
         point_m=(0.1, 0.2, 1.0), controller_sha256="", options="{}",
     )  # fmt: skip

@@ -17,7 +17,7 @@ from tests.joint_motion import respond
 from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.task import GazeTask
 from vergence.models.head import HeadModel
-from vergence.models.joint_response import follow_fading_joint
+from vergence.models.joint_response import follow_torque_limited_joint
 
 Array = NDArray[np.float64]
 HALVINGS = 40
@@ -39,7 +39,7 @@ def _fading(q, v, u, lag, a, fade, time):
     ends, speeds = np.empty_like(q), np.empty_like(q)
     for n in range(q.shape[0]):
         for k in range(q.shape[1]):
-            ends[n, k], speeds[n, k] = follow_fading_joint(
+            ends[n, k], speeds[n, k] = follow_torque_limited_joint(
                 q[n, k], v[n, k], u[n, k], lag[n, k], a[n, k], fade[n, k], time[n, k]
             )
     return ends, speeds

@@ -22,7 +22,7 @@ from tests.vision.scenes import (
     turned,
 )
 from vergence.models.boards import board_pose
-from vergence.models.response import light_of_levels
+from vergence.models.response import light_table
 from vergence.vision import AprilTag, Detection, EyeCamera, make_detector
 
 TAG = AprilTag()
@@ -302,7 +302,7 @@ def test_edges_are_fitted_in_the_light_that_levels_stand_for():
     camera, rendering = rig("simulated")
     detector = make_detector(TAG, replace(camera, response="srgb"))
     levels_of_light = np.rint(
-        np.interp(np.arange(256), light_of_levels("srgb"), np.arange(256))
+        np.interp(np.arange(256), light_table("srgb"), np.arange(256))
     ).astype(np.uint8)
     errors, sigmas, unaware = [], [], []
     for T_C_T in poses(1.0, 10):

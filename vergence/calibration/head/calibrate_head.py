@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import rms
 from vergence.calibration.head.adjust import HeadAdjustment
+from vergence.calibration.head.backlash import with_play
 from vergence.calibration.head.checks import (
     few_views,
     refuse_exchanged,
@@ -29,7 +30,6 @@ from vergence.calibration.head.found_terms import (
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.held_out import held_out
 from vergence.calibration.head.moved import another_place, step_between
-from vergence.calibration.head.play import with_play
 from vergence.calibration.head.prior import spreads_of
 from vergence.calibration.head.reading_terms import ReadingTerms
 from vergence.calibration.head.solution import HeadSolution

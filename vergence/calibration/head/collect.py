@@ -18,7 +18,7 @@ from vergence.calibration.head.logged import (
     logs_in,
     read_logs,
 )
-from vergence.calibration.head.outlook import Outlook, outlook
+from vergence.calibration.head.outlook import Preview, preview_calibration
 from vergence.calibration.head.plan import BoardScene, Plan, scene_of
 from vergence.calibration.head.recording import in_order
 from vergence.calibration.head.search import find_board, sees
@@ -85,7 +85,7 @@ class Collected:
     """Poses of the present placement, including those of earlier runs."""
     unseen: int = 0
     """Looks of this run in which neither eye saw the board."""
-    outlook: Outlook | None = None
+    outlook: Preview | None = None
     """Preliminary calibration from the recording; None while there is none."""
 
     def frames(self) -> HeadFrames:
@@ -154,7 +154,7 @@ def _earlier(looker: Looker, folder: Path, moved: bool, looks: str) -> tuple[Col
             own = frames.placement == here.index(found.placement)
             found.poses = len(np.unique(frames.pose[own]))
         if len(np.unique(frames.pose)) >= _JUDGED:
-            found.outlook = outlook(looker.head, frames)
+            found.outlook = preview_calibration(looker.head, frames)
     return found, number
 
 
@@ -258,7 +258,7 @@ class _Run:
 
     def _judge(self) -> None:
         found = self._found
-        known = outlook(self._looker.head, found.frames(), found.outlook)
+        known = preview_calibration(self._looker.head, found.frames(), found.outlook)
         found.outlook = known if known is not None else found.outlook
 
     def _refuse_moved(self, frame: HeadFrames) -> None:

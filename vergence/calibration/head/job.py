@@ -8,7 +8,7 @@ from typing import Any
 
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.files import head_text
-from vergence.calibration.head.observability import Unseen, unseen
+from vergence.calibration.head.observability import UnobservableDirection, unobservable_directions
 from vergence.calibration.head.recording import HeadRecording
 from vergence.calibration.head.report import document, write_run
 from vergence.errors import ConfigurationError
@@ -23,7 +23,7 @@ class HeadOutcome:
     """The head file; empty if the recording was refused."""
     document: Mapping[str, Any]
     """The result as plain values."""
-    unseen: tuple[Unseen, ...]
+    unseen: tuple[UnobservableDirection, ...]
     """Unobservable directions of the recording."""
     files: Mapping[str, bytes]
     """The run folder's files by name."""
@@ -71,7 +71,7 @@ class HeadJob:
         except ConfigurationError as error:
             return HeadOutcome(text="", document={}, unseen=(), files={}, refused=str(error))
         text = head_text(found, recorded.sha256, self.name)
-        dark = unseen(found.solution)
+        dark = unobservable_directions(found.solution)
         provenance = {
             "recording": self.path,
             "files": ", ".join(recorded.files),

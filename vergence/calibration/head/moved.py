@@ -32,7 +32,7 @@ board was moved (chosen: 40 occur by chance once in a million moments, and backl
 errors add to it)."""
 
 
-class AnotherPlace(NamedTuple):
+class NewPlacement(NamedTuple):
     """The frames with one more placement of the board."""
 
     frames: HeadFrames
@@ -43,7 +43,7 @@ class AnotherPlace(NamedTuple):
     remark: str
 
 
-def another_place(solution: HeadSolution, kept: NDArray[np.bool_]) -> AnotherPlace | None:
+def another_place(solution: HeadSolution, kept: NDArray[np.bool_]) -> NewPlacement | None:
     """Find a placement of the board on which left-out views agree.
 
     Args:
@@ -73,7 +73,7 @@ def another_place(solution: HeadSolution, kept: NDArray[np.bool_]) -> AnotherPla
     agree[:, lost] = start.agree
     boards = solution.state.boards
     first, last = frames.time_s[agreeing[0]], frames.time_s[agreeing[-1]]
-    return AnotherPlace(
+    return NewPlacement(
         replace(frames, placement=placement, pixels=pixels, sigma=sigma),
         Poses(
             np.concatenate([boards.rotation, start.boards.rotation]),
@@ -85,7 +85,7 @@ def another_place(solution: HeadSolution, kept: NDArray[np.bool_]) -> AnotherPla
     )
 
 
-def step_between(solution: HeadSolution) -> AnotherPlace | None:
+def step_between(solution: HeadSolution) -> NewPlacement | None:
     """Find the moment of a small motion of the board, if one step of its pose explains much.
 
     Args:
@@ -125,7 +125,7 @@ def step_between(solution: HeadSolution) -> AnotherPlace | None:
     placement[later] = placement.max() + 1
     split = replace(frames, placement=placement)
     start = started(problem.about, split)
-    return AnotherPlace(
+    return NewPlacement(
         start.frames,
         start.boards,
         start.agree,

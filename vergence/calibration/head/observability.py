@@ -45,7 +45,7 @@ _RIGID: Final = (
 _NO_NECK: Final = "none without a neck: N is where the file has it"
 
 
-class Unseen(NamedTuple):
+class UnobservableDirection(NamedTuple):
     """A direction that a recording does not determine, in words."""
 
     what: str
@@ -55,7 +55,7 @@ class Unseen(NamedTuple):
     """Effect of an error of one prior standard deviation in the head's file."""
 
 
-def unseen(solution: HeadSolution) -> tuple[Unseen, ...]:
+def unobservable_directions(solution: HeadSolution) -> tuple[UnobservableDirection, ...]:
     """Describe the directions that a recording does not determine.
 
     Args:
@@ -76,11 +76,11 @@ def unseen(solution: HeadSolution) -> tuple[Unseen, ...]:
     effect = moved[:, free] * S @ dark  # px per prior standard deviation along each direction
     size = np.sqrt(len(moved))
     _, strength, turns = np.linalg.svd(effect, full_matrices=False)
-    found: list[Unseen] = []
+    found: list[UnobservableDirection] = []
     redundant = int((strength / size < _NOTHING_PX).sum())
     if redundant:
         found.append(
-            Unseen(
+            UnobservableDirection(
                 f"{redundant} combinations of numbers that describe one and the same head, such as "
                 "a joint's offset against the camera's turn about its axis",
                 "",
@@ -95,7 +95,7 @@ def unseen(solution: HeadSolution) -> tuple[Unseen, ...]:
         if share is not None:
             shares.append(share)
             amount = 1.0 / float(np.linalg.norm(share))
-            found.append(Unseen(name, cure, _cost(axis, unit, amount)))
+            found.append(UnobservableDirection(name, cure, _cost(axis, unit, amount)))
     if shares:
         left = left @ np.linalg.svd(np.array(shares))[2][len(shares) :].T
     names = [solution.problem.about.parameters().names[place] for place in free]
@@ -103,7 +103,7 @@ def unseen(solution: HeadSolution) -> tuple[Unseen, ...]:
         most = np.argsort(-np.abs(direction))[:3]
         named = [names[each] for each in most if abs(direction[each]) > 0.3] or [names[most[0]]]
         px = float(np.sqrt(np.mean((moved[:, free] * S @ direction) ** 2)))
-        found.append(Unseen(" against ".join(named), _cure(named), f"{px:.2g} px"))
+        found.append(UnobservableDirection(" against ".join(named), _cure(named), f"{px:.2g} px"))
     return tuple(found)
 
 

@@ -22,7 +22,7 @@ _STEP: Final = 1e-3
 """Step of finite differences, in standard deviations of each parameter (numerical)."""
 
 
-class Outlook(NamedTuple):
+class Preview(NamedTuple):
     """Preliminary calibration from the recording so far."""
 
     head: HeadModel
@@ -36,7 +36,9 @@ class Outlook(NamedTuple):
     in per cent of the depth."""
 
 
-def outlook(head: HeadModel, frames: HeadFrames, before: Outlook | None = None) -> Outlook | None:
+def preview_calibration(
+    head: HeadModel, frames: HeadFrames, before: Preview | None = None
+) -> Preview | None:
     """Fit a head to the frames so far, as a preview of the calibration.
 
     Args:
@@ -61,7 +63,7 @@ def outlook(head: HeadModel, frames: HeadFrames, before: Outlook | None = None) 
     values = found.state.values
     if not np.isfinite(sigma).all():
         return None
-    return Outlook(found.head, values, found.state.boards, 100.0 * sigma / np.array(DEPTHS_M))
+    return Preview(found.head, values, found.state.boards, 100.0 * sigma / np.array(DEPTHS_M))
 
 
 def depth_sigma(about: HeadModel, values: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -12,15 +12,15 @@ from vergence.calibration.adjustment import rms
 from vergence.calibration.head import depth_figures, figures
 from vergence.calibration.head.calibrate_head import HeadCalibration
 from vergence.calibration.head.depth import DepthErrors, ahead, depth_errors
-from vergence.calibration.head.observability import Unseen
+from vergence.calibration.head.observability import UnobservableDirection
 from vergence.calibration.head.start import LEAST_CORNERS
 from vergence.eval.reporting.report import inline_svg
 from vergence.eval.reporting.runs import versions, write_json
 from vergence.eval.reporting.style import svg_of
 from vergence.eval.reporting.text import environment, format_fixed, format_number, read_template
-from vergence.files import write_whole
+from vergence.files import write_atomic
+from vergence.json_values import json_value, json_values
 from vergence.models.joints import EYE_NAMES
-from vergence.plain import column, plain
 
 DEPTHS_M: Final = (0.3, 0.5, 1.0, 2.0, 2.5, 3.0)
 """Distances of the table of depth, m (chosen: the range of use)."""
@@ -52,7 +52,7 @@ class LeftOut(NamedTuple):
 def write_run(
     folder: Path,
     found: HeadCalibration,
-    unseen: Sequence[Unseen],
+    unseen: Sequence[UnobservableDirection],
     content: str,
     name: str,
     recording: Mapping[str, str],
@@ -96,7 +96,7 @@ def write_run(
     write_report(folder, found, unseen, name, recording)
 
 
-def document(found: HeadCalibration, unseen: Sequence[Unseen]) -> dict[str, Any]:
+def document(found: HeadCalibration, unseen: Sequence[UnobservableDirection]) -> dict[str, Any]:
     """Convert the result to plain values for JSON.
 
     Args:
@@ -113,13 +113,13 @@ def document(found: HeadCalibration, unseen: Sequence[Unseen]) -> dict[str, Any]
         "after_percent": depth.sigma_percent,
         "floor_mm": 1e3 * depth.floor_m,
     }
-    rows = zip(*(column(values) for values in table.values()), strict=True)
+    rows = zip(*(json_values(values) for values in table.values()), strict=True)
     views = found.frames.seen.any(axis=-1)
     return {
         "depth": [dict(zip(table, row, strict=True)) for row in rows],
         "noise": found.solution.noise,
         "rms_px": rms(figures.residuals_px(found)),
-        "rms_heldout_sigma": plain(_heldout(found)),
+        "rms_heldout_sigma": json_value(_heldout(found)),
         "views": int(found.views.sum()),
         "left_out": int((views & ~found.views).sum()),
         "frames": len(found.frames.time_s),
@@ -197,7 +197,7 @@ def _write_views(path: Path, found: HeadCalibration) -> None:
 def write_report(
     folder: Path,
     found: HeadCalibration,
-    unseen: Sequence[Unseen],
+    unseen: Sequence[UnobservableDirection],
     name: str,
     recording: Mapping[str, str],
 ) -> None:
@@ -230,7 +230,7 @@ def write_report(
         style=read_template("vergence.eval.reporting", "page.css"),
         versions=versions(),
     )
-    write_whole(folder / "calibration.html", text)
+    write_atomic(folder / "calibration.html", text)
 
 
 def _headline(depth: DepthErrors) -> list[tuple[str, str, str]]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import Adjustment, CameraRig, Poses
-from vergence.calibration.cameras import pose_views
+from vergence.calibration.cameras import estimate_board_poses
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.projection import camera_values
 from vergence.models.head import HeadModel
@@ -37,7 +37,7 @@ def board_in_cameras(head: HeadModel, frames: HeadFrames) -> list[Poses]:
         only = slice(eye, eye + 1)
         problem = Adjustment(frames.corners, frames.pixels[only], frames.sigma[only])
         width, height = head.cameras.size[eye].tolist()
-        found.append(pose_views(problem, camera_rig(head, eye), (width, height)))
+        found.append(estimate_board_poses(problem, camera_rig(head, eye), (width, height)))
     return found
 
 

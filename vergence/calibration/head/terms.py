@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, Normal, Weights
+from vergence.calibration.head.backlash import without_play
 from vergence.calibration.head.fit import HeadFit, settled
 from vergence.calibration.head.held_out import held_out
-from vergence.calibration.head.play import without_play
 from vergence.calibration.head.prior import spreads_of
 from vergence.calibration.head.reading_terms import RULES
 from vergence.calibration.head.solution import HeadSolution, solved

@@ -89,7 +89,7 @@ class CalibrationOptions:
         from vergence.calibration.observations import parse_board
         from vergence.calibration.report import write_run
         from vergence.commands.calibrating.printed import print_calibration
-        from vergence.files import write_whole
+        from vergence.files import write_atomic
 
         board, response = parse_board(self.target), self.parsed_response()
         with output(self.report or dated_folder("calibrate")) as run:
@@ -99,7 +99,7 @@ class CalibrationOptions:
             run.save(lambda folder: write_run(folder, found, content, out.name))
             self.check(out)  # another process may have written it meanwhile
             out.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(out, content)
+            write_atomic(out, content)
         advised = advice(found)
         if self.json:
             document = {**found.document(), "advice": advised}

@@ -65,7 +65,7 @@ class CalibrateHead:
             raise ConfigurationError("expected a recording, got none: vergence collect makes one")
         outs = self._outs()
         self._check(outs)
-        from vergence.files import write_whole
+        from vergence.files import write_atomic
 
         with output(self.report or dated_folder("calibrate-head")) as run:
             jobs = self._jobs(outs)
@@ -77,7 +77,7 @@ class CalibrateHead:
             for out, outcome in zip(outs, outcomes, strict=True):
                 if outcome.text:
                     out.parent.mkdir(parents=True, exist_ok=True)
-                    write_whole(out, outcome.text)
+                    write_atomic(out, outcome.text)
             self._show(outs, outcomes, run)
         refused = [one for one in outcomes if one.refused or one.document["not_read"]]
         return 0 if run.saved and not refused else 2

@@ -57,10 +57,10 @@ class HeadOutput:
         Raises:
             OSError: a file cannot be written.
         """
-        from vergence.files import write_whole
+        from vergence.files import write_atomic
 
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(self.out, text)
+        write_atomic(self.out, text)
         if self.figure:
             from vergence.eval.head_figure import draw_head
 

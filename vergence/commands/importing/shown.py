@@ -19,7 +19,7 @@ from vergence.eval.head_summary import (
     eye_summaries,
     joint_summaries,
 )
-from vergence.models.files.assumed_values import Assumed, assumed_values, plain
+from vergence.models.files.assumed_values import Assumed, assumed_values, without_unit
 from vergence.models.files.import_urdf import ImportedHead
 from vergence.models.head import HeadModel
 
@@ -87,7 +87,7 @@ def _print_assumed(assumptions: Iterable[Assumed]) -> None:
     groups = _grouped(assumptions, lambda one: _GROUPS.get(one.keys[0].split(".")[0], "others"))
     for group, members in groups.items():
         count = sum(len(one.keys) for one in members)
-        fields = _grouped(members, lambda one: plain(one.keys[0].rpartition(".")[2]))
+        fields = _grouped(members, lambda one: without_unit(one.keys[0].rpartition(".")[2]))
         print(f"assumed, {group} ({count}): {'; '.join(starmap(_values, fields.items()))}")
 
 

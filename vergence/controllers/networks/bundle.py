@@ -20,7 +20,7 @@ from typing import Final
 from vergence.controllers.networks.manifest import NETWORK_PART, Manifest, part_of
 from vergence.controllers.networks.onnx_graph import MAX_NETWORK_BYTES, Network, read_network
 from vergence.errors import BundleError
-from vergence.files import write_whole
+from vergence.files import write_atomic
 
 SUFFIX: Final = ".vgp"
 MAX_BUNDLE_BYTES: Final = 4 * 2**20
@@ -125,7 +125,7 @@ def write_bundle(
         raise BundleError(f"{target}: expected no file of that name, got one")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(target, data)
+        write_atomic(target, data)
     except OSError as error:
         raise BundleError(f"{target}: cannot be written: {error.strerror}") from error
 

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import device, kernel
+from vergence._jit import inlined, kernel
 from vergence.controllers.networks.history import HISTORY_CHANNELS
 from vergence.controllers.networks.resolutions import (
     COARSE_RAD,
@@ -114,7 +114,7 @@ _ERROR_CHANNELS: Final = len(_Error._fields)
 _PRESENT_CHANNELS: Final = len(_Present._fields)
 
 
-@device
+@inlined
 def _coasting(v: float, lag: float, a: float) -> float:
     """Signed angle that an actuator turns until it rests under zero command from now on, rad."""
     speed, least = abs(v), a * lag
@@ -125,7 +125,7 @@ def _coasting(v: float, lag: float, a: float) -> float:
     return turn if v >= 0.0 else -turn
 
 
-@device
+@inlined
 def _present(
     to_go: float, v: float, u: float, limit: float, a: float, lag: float, rate: float,
     later_rate: float, gain: float, sure: FloatArray, known: bool,

@@ -25,7 +25,7 @@ from vergence.controllers.networks.inputs import Inputs
 from vergence.envs import MAX_EPISODE_STEPS
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.gaze_vector import GazeVectorEnv
-from vergence.envs.saved_state import Arrays, named
+from vergence.envs.saved_state import Arrays, prefixed
 from vergence.envs.streams import IntArray
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
@@ -94,7 +94,7 @@ class NetworkTask(GazeTask, ABC):
 
     def _arrays(self) -> Arrays:
         own: Arrays = {"memory": self._memory, "observation": self.observation}
-        return {**super()._arrays(), **named(network=own)}
+        return {**super()._arrays(), **prefixed(network=own)}
 
     @abstractmethod
     def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
@@ -142,7 +142,7 @@ class GainScheduleTask(NetworkTask):
         return self._acting.servo(self.encoded, self._gains, self._memory)
 
     def _arrays(self) -> Arrays:
-        return {**super()._arrays(), **named(law={"gains": self._gains})}
+        return {**super()._arrays(), **prefixed(law={"gains": self._gains})}
 
     def info(self) -> dict[str, Any]:
         """See `GazeTask.info`; `gains` are those of the last step, (num, 2, 2) in 1/s."""

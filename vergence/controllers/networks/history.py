@@ -16,7 +16,7 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from vergence._jit import device, kernel
+from vergence._jit import inlined, kernel
 from vergence.controllers.networks.resolutions import (
     COARSE_RAD,
     FINE_RAD,
@@ -27,7 +27,7 @@ from vergence.controllers.networks.resolutions import (
     log_scaled,
 )
 from vergence.controllers.outlier_gate import GatedDetections
-from vergence.controllers.rows import make_row, named, row_layout, row_size
+from vergence.controllers.rows import make_row, record_view, row_layout, row_size
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead, actuator_at, actuator_rate, is_direct
@@ -173,7 +173,7 @@ class History:
         return np.asarray(out)
 
 
-@device
+@inlined
 def _enter(
     s: HistoryState, j: int, asked: float, seen: float, exposed: float, age_s: float
 ) -> None:
@@ -185,7 +185,7 @@ def _enter(
     s.exposed[0, j], s.age_s[0, j] = exposed, age_s
 
 
-@device
+@inlined
 def _begin_moment(s: HistoryState) -> None:
     """Replace the sums of the first moment by means, and begin another one."""
     for j in range(4):
@@ -209,8 +209,8 @@ def see_history(
     """Compute the updated state and the channels."""
     for i in range(_SIZE):
         after[i] = before[i]
-    s: HistoryState = named(after, _STATE)
-    law: _Law = named(law_row, _LAW)
+    s: HistoryState = record_view(after, _STATE)
+    law: _Law = record_view(law_row, _LAW)
     direct = is_direct(p)
     if s.periods > law.every - 0.5:
         _begin_moment(s)

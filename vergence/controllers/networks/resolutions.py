@@ -10,7 +10,7 @@ resolves every magnitude with the same relative resolution.
 from math import log1p
 from typing import Final
 
-from vergence._jit import device
+from vergence._jit import inlined
 
 COARSE_RAD: Final = 1.5
 """Angle of a coarse channel's value 1, rad (chosen: range of the joints)."""
@@ -24,13 +24,13 @@ LOG_SPEED: Final = 0.005
 """x0 of the logarithmic channel of velocities, as a fraction of the largest command (chosen)."""
 
 
-@device
+@inlined
 def clip(value: float) -> float:
     """Compute a linear channel."""
     return min(max(value, -1.0), 1.0)
 
 
-@device
+@inlined
 def log_scaled(value: float, least: float, most: float) -> float:
     """Compute a logarithmic channel.
 

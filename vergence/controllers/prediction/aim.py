@@ -11,13 +11,13 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import device
+from vergence._jit import inlined
+from vergence.models.actuator_projection import actuator_least_squares
 from vergence.models.jacobian import eye_jacobian, pixel_rate
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import PackedHead, camera_of, joint_at
 from vergence.models.parts import FloatArray
 from vergence.models.pose import into, out_of, point_rate
-from vergence.models.projection import share_of_actuators
 
 _STEPS: Final = 12
 """Iteration limit of Gauss-Newton (numerical)."""
@@ -27,7 +27,7 @@ _NEAR_RAD: Final = 1e-6
 """Convergence tolerance: largest actuator step at which iteration stops, rad (numerical)."""
 
 
-@device
+@inlined
 def aim(
     p: PackedHead,
     goals: FloatArray,
@@ -66,7 +66,7 @@ def aim(
         first = goals[eye, 0] - joint_at(p, 2 * eye, own)
         second = goals[eye, 1] - joint_at(p, 2 * eye + 1, own)
         wanted[eye, 0], wanted[eye, 1] = u1 * first + u2 * second, v1 * first + v2 * second
-    share_of_actuators(p, jacobian, wanted, left, right, step)
+    actuator_least_squares(p, jacobian, wanted, left, right, step)
     for k in range(4):
         out[k] = own[k] + step[k]
     for _ in range(_STEPS):
@@ -86,7 +86,7 @@ def aim(
                 rate = point_rate(axis, frames.camera, x, y, z)
                 u, v = pixel_rate(camera, a, b, cz, rate)
                 jacobian[eye, 0, joint], jacobian[eye, 1, joint] = u, v
-        share_of_actuators(p, jacobian, wanted, left, right, step)
+        actuator_least_squares(p, jacobian, wanted, left, right, step)
         size = 0.0
         for k in range(4):
             size = max(size, abs(step[k]))

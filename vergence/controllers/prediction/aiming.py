@@ -3,7 +3,7 @@
 from math import exp, nan
 from typing import Final
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.memory import PredictorState
 from vergence.controllers.prediction.moving import ahead_of, slow_share
@@ -22,7 +22,7 @@ _GRACE_S: Final = 0.03
 (chosen: tolerates late frames)."""
 
 
-@device
+@inlined
 def aim_ahead(memory: PredictorState, rig: PredictorModel, tick: float) -> None:
     """Extrapolate the targets to a time in periods: their angles `aims` and angular rates `rates`.
 
@@ -53,7 +53,7 @@ def aim_ahead(memory: PredictorState, rig: PredictorModel, tick: float) -> None:
                 memory.later_rates[eye, joint] = rate
 
 
-@device
+@inlined
 def present_error(
     memory: PredictorState, p: PackedHead, eye: int, first: float, second: float
 ) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.models.parts import FloatArray
 
 HYPOTHESES: Final = 32
@@ -71,7 +71,7 @@ def first_misfits(latency_s: float, stamped: bool, learn: bool) -> FloatArray:
     return np.asarray(((delays - latency_s) / (sd if learn else 1e-6)) ** 2)
 
 
-@device
+@inlined
 def in_question(misfit: FloatArray) -> tuple[int, int]:
     """Index of the first delay that is not ruled out, and one past the last."""
     least = misfit[0]
@@ -85,7 +85,7 @@ def in_question(misfit: FloatArray) -> tuple[int, int]:
     return low, high
 
 
-@device
+@inlined
 def weigh(misfit: FloatArray, low: int, high: int, weights: FloatArray) -> None:
     """Compute the normalised weights of the delays from `low` to below `high`."""
     least = misfit[low]
@@ -99,13 +99,13 @@ def weigh(misfit: FloatArray, low: int, high: int, weights: FloatArray) -> None:
         weights[i] /= total
 
 
-@device
+@inlined
 def add_misfit(added: FloatArray, square: float, i: int) -> None:
     """Add a bounded squared normalised innovation to the misfit that an image adds to delay `i`."""
     added[i] += min(square, _WORST)
 
 
-@device
+@inlined
 def unlikely(misfit: FloatArray, low: int, high: int, added: FloatArray) -> float:
     """Negative log-likelihood of an image over all delays, from the misfits that it adds."""
     least, first = misfit[low], added[low]
@@ -119,7 +119,7 @@ def unlikely(misfit: FloatArray, low: int, high: int, added: FloatArray) -> floa
     return surprise
 
 
-@device
+@inlined
 def take_misfits(misfit: FloatArray, low: int, high: int, added: FloatArray) -> None:
     """Add an image's misfits to the accumulated ones; old ones decay as informative images come.
 
@@ -136,7 +136,7 @@ def take_misfits(misfit: FloatArray, low: int, high: int, added: FloatArray) -> 
         misfit[i] = min(misfit[i], _MOST)
 
 
-@device
+@inlined
 def doubt_delays(misfit: FloatArray) -> None:
     """Forget part of the evidence on the delay."""
     for i in range(HYPOTHESES):

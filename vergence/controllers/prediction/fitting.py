@@ -20,7 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import device, subroutine
+from vergence._jit import inlined, subroutine
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.response import (
     ANSWERS,
@@ -100,19 +100,19 @@ _REMEMBERED: Final = 0.7
 """Factor that remains of the evidence of earlier windows (chosen)."""
 
 
-@device
+@inlined
 def _mean_step(rig: PredictorModel, j: int) -> float:
     """Standard deviation that encoder quantisation adds to a mean velocity, rad/s."""
     return 0.4 * float(rig.angle_step[j]) / rig.period_s
 
 
-@device
+@inlined
 def _last_to_act(rig: PredictorModel) -> int:
     """Largest number of periods before a command acts."""
     return int(longest_latency(rig) / rig.period_s) + 1
 
 
-@device
+@inlined
 def _is_moving(response: Response, rig: PredictorModel, tick: int) -> bool:
     """True if any actuator moves, or a command that may still act is not zero."""
     for j in range(4):
@@ -124,7 +124,7 @@ def _is_moving(response: Response, rig: PredictorModel, tick: int) -> bool:
     return False
 
 
-@device
+@inlined
 def _is_excited(response: Response, rig: PredictorModel, first: int, tick: int, j: int) -> bool:
     """True if the commands of an actuator have changed enough to identify its response."""
     begin, most = speed_at(response, first, j), 0.0
@@ -198,7 +198,7 @@ def _try_others(response: Response, answer: ResponseModel, rig: PredictorModel, 
             best, known[1], known[2] = found, ratio, log_lag
 
 
-@device
+@inlined
 def _solve(matrix: FloatArray, right: FloatArray, out: FloatArray) -> None:
     """Solve linear equations with a positive definite matrix by Gaussian elimination."""
     m, y, size = matrix.copy(), right.copy(), right.size
@@ -301,7 +301,7 @@ def _fit(response: Response, answer: ResponseModel, rig: PredictorModel, tick: i
         answer.gain[j] = min(max(gain, -_MOST_GAIN), _MOST_GAIN)
 
 
-@device
+@inlined
 def _choose(response: Response, lasted_s: float, ends: bool) -> None:
     """Select the model that explains the windows better."""
     plain, building = response.answers[PLAIN], response.answers[BUILDING]
@@ -327,7 +327,7 @@ def _replay(
             _q, v, out[j] = advance(response, answer, rig, i, j, 0.0, v, out[j])
 
 
-@device
+@inlined
 def learn_response(response: Response, rig: PredictorModel, tick: int) -> None:
     """Update the response model with the readings of a period.
 

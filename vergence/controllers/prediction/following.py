@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.measuring import JITTER_S
 from vergence.controllers.prediction.memory import PredictorState, angle_at
@@ -23,7 +23,7 @@ third more in the loop of scenario `hardware`, by two thirds more with the head 
 """
 
 
-@device
+@inlined
 def carry_motions(memory: PredictorState, rig: PredictorModel, exposed: float) -> None:
     """Predict the target motion models to the exposure of an image (IMM mixing and time update).
 
@@ -42,7 +42,7 @@ def carry_motions(memory: PredictorState, rig: PredictorModel, exposed: float) -
     memory.moved_at = exposed
 
 
-@device
+@inlined
 def slip_variances(
     memory: PredictorState,
     rig: PredictorModel,

@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.controllers.prediction.comparing import EXACT_RAD, TELLS, compare_delays
 from vergence.controllers.prediction.dating import (
     HYPOTHESES,
@@ -77,7 +77,7 @@ _MOST_NOISE_PX: Final = 3.0
 """Upper bound of the estimated detection noise, px (chosen)."""
 
 
-@device
+@inlined
 def _mix(memory: PredictorState, low: int, high: int, weights: FloatArray) -> None:
     """Compute the mean of the goals over the delay hypotheses, and their variance `doubt`."""
     for eye in range(2):
@@ -92,7 +92,7 @@ def _mix(memory: PredictorState, low: int, high: int, weights: FloatArray) -> No
             memory.doubt[eye, joint] = max(square - mean * mean, 0.0)
 
 
-@device
+@inlined
 def _widen(memory: PredictorState, low: int, high: int) -> None:
     """Initialise the goals of delays that are considered again with the current mean goals."""
     for i in range(low, high):
@@ -104,7 +104,7 @@ def _widen(memory: PredictorState, low: int, high: int) -> None:
     memory.low, memory.high = low, high
 
 
-@device
+@inlined
 def take_image(
     memory: PredictorState, rig: PredictorModel, error: FloatArray, p: PackedHead, learn: bool
 ) -> None:
@@ -149,7 +149,7 @@ def take_image(
     _mix(memory, low, high, weights)
 
 
-@device
+@inlined
 def _begin(
     memory: PredictorState,
     eye: int,
@@ -170,7 +170,7 @@ def _begin(
             memory.goals_by_delay[i, eye, joint] = goals[eye, joint] + off
 
 
-@device
+@inlined
 def _keep(memory: PredictorState, came: float, goals: FloatArray, then: FloatArray) -> None:
     """Store an image as the last one."""
     memory.images[1] = memory.images[0]
@@ -181,7 +181,7 @@ def _keep(memory: PredictorState, came: float, goals: FloatArray, then: FloatArr
             image.goals[eye, joint], image.then[eye, joint] = goals[eye, joint], then[eye, joint]
 
 
-@device
+@inlined
 def _learn_noise(memory: PredictorState, rig: PredictorModel, scatter: float, count: int) -> None:
     """Update the detection variance with an image's squared deviations: their sum and number."""
     least, most = _LEAST_NOISE_PX * rig.pixel_rad, _MOST_NOISE_PX * rig.pixel_rad
@@ -190,7 +190,7 @@ def _learn_noise(memory: PredictorState, rig: PredictorModel, scatter: float, co
     memory.noise = min(max(noise, least * least), most * most)
 
 
-@device
+@inlined
 def _filter_joint(
     memory: PredictorState,
     eye: int,
@@ -233,7 +233,7 @@ def _filter_joint(
     return square
 
 
-@device
+@inlined
 def _filter(
     memory: PredictorState,
     rig: PredictorModel,

@@ -5,7 +5,7 @@ from typing import Annotated, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
 from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.models.head import HeadModel
@@ -155,7 +155,7 @@ def _is_square(packed: FloatArray, eye: int) -> bool:
     return bool(np.abs((axes @ axes.T)[np.triu_indices(3, 1)]).max() < _SQUARE)
 
 
-@device
+@inlined
 def within(value: float, reading: float, step: float) -> float:
     """Clip a value to the interval step / 2 about a quantised reading; step 0 gives the reading."""
     return min(max(value, reading - 0.5 * step), reading + 0.5 * step)

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.controllers.prediction.comparing import EXACT_RAD
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.memory import PredictorState
@@ -20,7 +20,7 @@ _DOUBTED_S: Final = 0.1
 """This time if the other eye does not see its target, or sees it at a third place, s (chosen)."""
 
 
-@device
+@inlined
 def how_far(
     memory: PredictorState, eye: int, goals: FloatArray, variance: FloatArray, spread: FloatArray
 ) -> float:
@@ -45,7 +45,7 @@ def how_far(
     return most
 
 
-@device
+@inlined
 def has_jumped(
     memory: PredictorState,
     rig: PredictorModel,

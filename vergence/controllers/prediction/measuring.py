@@ -3,7 +3,7 @@
 from math import isfinite, nan, sqrt
 from typing import Final
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.controllers.prediction.dating import SPACING_S
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.memory import PredictorState, angle_at
@@ -27,7 +27,7 @@ _NEWTON: Final = 10
 """Iteration limit of Newton's method (numerical)."""
 
 
-@device
+@inlined
 def date_image(
     memory: PredictorState,
     rig: PredictorModel,
@@ -75,7 +75,7 @@ def date_image(
     return delay
 
 
-@device
+@inlined
 def measure_goals(
     memory: PredictorState,
     p: PackedHead,
@@ -146,7 +146,7 @@ def measure_goals(
     return gap
 
 
-@device
+@inlined
 def variance_of(
     memory: PredictorState, rig: PredictorModel, exposed: float, eye: int, joint: int, turn: float
 ) -> float:

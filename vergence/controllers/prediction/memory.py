@@ -8,7 +8,7 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.controllers.prediction.dating import HYPOTHESES, first_delay, first_misfits
 from vergence.controllers.prediction.fitting import learn_response
 from vergence.controllers.prediction.joints import RIG, RING, PredictorModel
@@ -174,7 +174,7 @@ def initial_row(
     )
 
 
-@device
+@inlined
 def angle_at(memory: PredictorState, every: float, tick: float, eye: int, joint: int) -> float:
     """Interpolate a joint's angle at a time by the cubic through the four stored angles around it.
 
@@ -199,7 +199,7 @@ def angle_at(memory: PredictorState, every: float, tick: float, eye: int, joint:
     return angle
 
 
-@device
+@inlined
 def track(
     memory: PredictorState,
     rig: PredictorModel,

@@ -23,7 +23,7 @@ to the target, remains; eyes that follow their target are not disturbed.
 from math import exp, hypot, log
 from typing import Annotated, Any, Final, TypeAlias
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.models.parts import FloatArray
 
 MODELS: Final = 3
@@ -92,14 +92,14 @@ Motions: TypeAlias = Any
 """`EyeMotion` by model; by eye and model where stated."""
 
 
-@device
+@inlined
 def begin_weights(weights: FloatArray) -> None:
     """Initialise the mode probabilities of a new target."""
     for m in range(WEIGHTS):
         weights[m] = _RESTS if m == 0 else (1.0 - _RESTS) / MODELS
 
 
-@device
+@inlined
 def begin_motion(motions: Motions, goals: FloatArray, variance: float) -> None:
     """Initialise an eye's target at rest, at angles (2,) of one variance, rad^2."""
     for m in range(MODELS):
@@ -112,7 +112,7 @@ def begin_motion(motions: Motions, goals: FloatArray, variance: float) -> None:
         c[1] = c[2] = c[4] = 0.0
 
 
-@device
+@inlined
 def switch(weights: FloatArray) -> None:
     """Predict the mode probabilities to the next image with the Markov transition matrix."""
     other = _SWITCHES / MODELS
@@ -120,7 +120,7 @@ def switch(weights: FloatArray) -> None:
         weights[m] = (1.0 - _SWITCHES - other) * weights[m] + other
 
 
-@device
+@inlined
 def mix(motions: Motions, weights: FloatArray, mixed: FloatArray) -> None:
     """Start each model from the mixture of the models that may have switched to it.
 
@@ -170,7 +170,7 @@ def mix(motions: Motions, weights: FloatArray, mixed: FloatArray) -> None:
             motion.covariance[i] = mixed[m, 6 + i]
 
 
-@device
+@inlined
 def carry_on(motions: Motions, time_s: float) -> None:
     """Predict the models by a time; process noise in the limit of times much shorter than T_a."""
     t = time_s
@@ -199,7 +199,7 @@ def carry_on(motions: Motions, time_s: float) -> None:
         c[5] = left * left * p33 + noise * t
 
 
-@device
+@inlined
 def fits(motions: Motions, weights: FloatArray, goals: FloatArray, variance: FloatArray) -> bool:
     """True if measured angles (2,) of given variances pass the gate of a model."""
     for m in range(MODELS):
@@ -213,7 +213,7 @@ def fits(motions: Motions, weights: FloatArray, goals: FloatArray, variance: Flo
     return False
 
 
-@device
+@inlined
 def update(motion: EyeMotion, goals: FloatArray, variance: float) -> None:
     """Kalman update of one model with measured angles (2,) of one variance, rad^2."""
     c = motion.covariance
@@ -232,7 +232,7 @@ def update(motion: EyeMotion, goals: FloatArray, variance: float) -> None:
     c[5] -= k3 * p13
 
 
-@device
+@inlined
 def take_in(
     motions: Motions,
     goals: FloatArray,
@@ -259,7 +259,7 @@ def take_in(
         update(motion, goals, own)
 
 
-@device
+@inlined
 def infer(motions: Motions, goals: FloatArray, variance: FloatArray) -> None:
     """Update an eye's models with angles (2,) inferred from the other eye; `variance` is (2,)."""
     own = 0.5 * (variance[0] + variance[1]) + _INFERRED_RAD * _INFERRED_RAD
@@ -267,13 +267,13 @@ def infer(motions: Motions, goals: FloatArray, variance: FloatArray) -> None:
         update(motions[m], goals, own)
 
 
-@device
+@inlined
 def surprise(off: float, variance: float) -> float:
     """Negative log-likelihood of an innovation of a given variance, with a bounded square."""
     return 0.5 * (min(off * off / variance, _WORST) + log(variance))
 
 
-@device
+@inlined
 def add_surprises(surprises: FloatArray, own: FloatArray) -> None:
     """Add the negative log-likelihoods of one eye (WEIGHTS,), bounded relative to the best mode.
 
@@ -286,7 +286,7 @@ def add_surprises(surprises: FloatArray, own: FloatArray) -> None:
         surprises[m] += min(own[m] - least, _DOUBT)
 
 
-@device
+@inlined
 def weigh_motions(weights: FloatArray, surprises: FloatArray) -> None:
     """Update the mode probabilities with the negative log-likelihoods of an image."""
     rest = _REST if weights[0] > 0.5 else _STOPS
@@ -302,7 +302,7 @@ def weigh_motions(weights: FloatArray, surprises: FloatArray) -> None:
         weights[m] /= total
 
 
-@device
+@inlined
 def rate_of(motions: Motions, weights: FloatArray, joint: int) -> float:
     """Mean rate of an eye's target over the motion models, rad/s."""
     total, rate = 1e-12, 0.0
@@ -312,14 +312,14 @@ def rate_of(motions: Motions, weights: FloatArray, joint: int) -> float:
     return rate / total
 
 
-@device
+@inlined
 def slow_share(motions: Motions, weights: FloatArray, sees: float) -> float:
     """Fraction of the target's speed at which an eye still sees it even if it has reversed."""
     speed = hypot(rate_of(motions, weights, 0), rate_of(motions, weights, 1))
     return min(max((sees - speed) / max(speed, 1e-6), _LEAST_SHARE), 1.0)
 
 
-@device
+@inlined
 def ahead_of(
     motions: Motions,
     weights: FloatArray,

@@ -20,7 +20,7 @@ does not explain the readings.
 from math import exp, sqrt
 from typing import Annotated, Final
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorModel, within
 from vergence.controllers.prediction.response import (
     Response,
@@ -28,7 +28,7 @@ from vergence.controllers.prediction.response import (
     command_at,
     longest_latency,
 )
-from vergence.models.joint_response import share_left
+from vergence.models.joint_response import lag_decay
 from vergence.models.parts import FloatArray
 
 _SHARE: Final = 0.1
@@ -103,7 +103,7 @@ class Observer:
     """Running mean of the squared normalised residual that the delay leaves."""
 
 
-@device
+@inlined
 def begin_comparison(observer: Observer, j: int, angle: float, rate: float) -> None:
     """Start comparing the angles and the velocities of an actuator."""
     observer.first_angle[j], observer.first_speed[j] = angle, rate
@@ -111,12 +111,12 @@ def begin_comparison(observer: Observer, j: int, angle: float, rate: float) -> N
     observer.read[j] = rate
 
 
-@device
+@inlined
 def _delay_sd(observer: Observer) -> float:
     return sqrt(1.0 / (observer.information + 1.0 / _DELAY_SD_S**2))
 
 
-@device
+@inlined
 def _compare(observer: Observer, rig: PredictorModel, j: int, angle: float, rate: float) -> None:
     """Update the delay of the velocities with a reading."""
     period = rig.period_s
@@ -144,13 +144,13 @@ def _compare(observer: Observer, rig: PredictorModel, j: int, angle: float, rate
         begin_comparison(observer, j, angle, rate)
 
 
-@device
+@inlined
 def is_prompt(observer: Observer) -> bool:
     """True if no evidence says that velocities are read with a delay."""
     return observer.delay_s < _PROMPT_S and observer.misfit < _EXPLAINED
 
 
-@device
+@inlined
 def _unsure(response: Response, period: float) -> float:
     """Relative standard deviation of an actuator's predicted acceleration."""
     answer = answer_of(response)
@@ -160,7 +160,7 @@ def _unsure(response: Response, period: float) -> float:
     return min(sqrt(square), 1.0)
 
 
-@device
+@inlined
 def observe(
     observer: Observer,
     response: Response,
@@ -199,7 +199,7 @@ def observe(
     most = rig.acceleration[j] * exp(answer.found[1] + sqrt(max(answer.variance[1], 0.0)))
     sd = _unsure(response, period) * period * min(most, asked / lag)
     noise = sd * sd + _PUSHED_RAD_S * _PUSHED_RAD_S
-    left = share_left(period, lag)
+    left = lag_decay(period, lag)
     c[0] += period * (2.0 * c[1] + period * (c[2] + noise / 3.0))
     c[1] = left * (c[1] + period * c[2]) + 0.5 * period * noise
     c[2] = left * left * c[2] + noise
@@ -214,7 +214,7 @@ def observe(
     _compare(observer, rig, j, angle, rate)
     # measurement update with the reported velocity
     delay = observer.delay_s
-    taken = 1.0 - share_left(period, delay)
+    taken = 1.0 - lag_decay(period, delay)
     expected = observer.told[j] + taken * (v - observer.told[j])
     observer.change[j] = max(0.8 * observer.change[j], abs(v - before) / period)
     doubt = _delay_sd(observer) + _SHAPE * delay

@@ -22,18 +22,18 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import compiled, device
+from vergence._jit import compiled, inlined
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.prediction.aim import aim
 from vergence.controllers.prediction.aiming import aim_ahead, present_error
+from vergence.controllers.prediction.backlash import cross_play
 from vergence.controllers.prediction.goals import take_image
 from vergence.controllers.prediction.joints import RIG, PredictorModel, joint_rig
 from vergence.controllers.prediction.memory import MEMORY, SIZE, PredictorState, initial_row, track
-from vergence.controllers.prediction.play import cross_play
 from vergence.controllers.prediction.response import answer_of, longest_latency, when_next_acts
 from vergence.controllers.prediction.swinging import forget, watch
 from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
-from vergence.controllers.rows import named, row_layout, row_size
+from vergence.controllers.rows import record_view, row_layout, row_size
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -231,7 +231,7 @@ class Predictor:
         return Prediction(**{**told, "known": told["known"] > 0.5})
 
 
-@device
+@inlined
 def _see(
     memory: PredictorState,
     rig: PredictorModel,
@@ -257,7 +257,7 @@ def _see(
             memory.known[eye] = 0.0
 
 
-@device
+@inlined
 def _tell(memory: PredictorState, rig: PredictorModel, p: PackedHead, present: _Present) -> None:
     """Fill in the prediction: the state and the angles left to turn when the next command acts."""
     response, direct = memory.response, is_direct(p)
@@ -314,9 +314,9 @@ def _update(
     learn_response: bool,
     present_rows: FloatArray,
 ) -> None:
-    rig: PredictorModel = named(rig_row, RIG)
+    rig: PredictorModel = record_view(rig_row, RIG)
     for n in range(rows.shape[0]):
-        memory: PredictorState = named(rows[n][:SIZE], MEMORY)
+        memory: PredictorState = record_view(rows[n][:SIZE], MEMORY)
         track(memory, rig, p, positions[n], velocities[n], command[n], learn_response)
         _see(memory, rig, age_s[n], error[n], p, learn_delay)
         cross_play(memory, p, command[n])
@@ -326,18 +326,18 @@ def _update(
                 q = joint_at(p, 2 * eye + joint, memory.actuators)
                 aim = memory.aims[eye, joint]
                 watch(memory.swinging, rig, eye, joint, q, aim, memory.noise)
-        _tell(memory, rig, p, named(present_rows[n], _PRESENT))
+        _tell(memory, rig, p, record_view(present_rows[n], _PRESENT))
 
 
 @compiled
 def _aim(rows: FloatArray, rig_row: FloatArray, p: PackedHead, present_rows: FloatArray) -> None:
     """Compute the angles left to turn where actuators couple the eyes' joints."""
-    rig: PredictorModel = named(rig_row, RIG)
+    rig: PredictorModel = record_view(rig_row, RIG)
     goals, then, jacobian = np.zeros(4), np.zeros(4), np.zeros((2, 2, 2))
     later, shown = np.zeros((2, 2)), np.zeros(4)
     for n in range(rows.shape[0]):
-        memory: PredictorState = named(rows[n][:SIZE], MEMORY)
-        present: _Present = named(present_rows[n], _PRESENT)
+        memory: PredictorState = record_view(rows[n][:SIZE], MEMORY)
+        present: _Present = record_view(present_rows[n], _PRESENT)
         left, right = present.known[0] > 0.5, present.known[1] > 0.5
         if not (left or right):
             continue

@@ -18,7 +18,7 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.models.joint_pace import follow_pace, pace_of
 from vergence.models.parts import FloatArray
@@ -130,13 +130,13 @@ def first_answers(latency_s: float, lag_s: float, learn: bool) -> dict[str, obje
     }
 
 
-@device
+@inlined
 def answer_of(response: Response) -> ResponseModel:
     """Return the answer in use."""
     return response.answers[np.intp(response.chosen)]
 
 
-@device
+@inlined
 def longest_latency(rig: PredictorModel) -> float:
     """Longest latency of commands plus readings that is considered, s.
 
@@ -145,28 +145,28 @@ def longest_latency(rig: PredictorModel) -> float:
     return min(max(LONGEST_S, rig.response_s), rig.period_s * (COMMANDS - SPEEDS))
 
 
-@device
+@inlined
 def command_at(response: Response, tick: int, j: int) -> float:
     """Return an actuator's command in a period, rad/s."""
     command: float = response.commands[np.uintp(tick & (COMMANDS - 1)), j]
     return command
 
 
-@device
+@inlined
 def speed_at(response: Response, tick: int, j: int) -> float:
     """Return an actuator's velocity at the end of a period, rad/s."""
     speed: float = response.speeds[np.uintp(tick & (SPEEDS - 1)), j]
     return speed
 
 
-@device
+@inlined
 def mean_at(response: Response, tick: int, j: int) -> float:
     """Return an actuator's mean velocity in a period, from measured angles, rad/s."""
     speed: float = response.means[np.uintp(tick & (SPEEDS - 1)), j]
     return speed
 
 
-@device
+@inlined
 def sent(rig: PredictorModel, command: float) -> float:
     """Quantise a command to the motors' resolution; one single step counts as zero."""
     if rig.command_step == 0.0:
@@ -175,7 +175,7 @@ def sent(rig: PredictorModel, command: float) -> float:
     return rig.command_step * count if abs(count) > 1.0 else 0.0
 
 
-@device
+@inlined
 def advance(
     response: Response,
     answer: ResponseModel,
@@ -198,7 +198,7 @@ def advance(
     return follow_pace(q, v, w, u, pace_of(lag, answer.found[3], a, time))
 
 
-@device
+@inlined
 def when_next_acts(
     response: Response, rig: PredictorModel, tick: int, j: int, q: float, v: float, latency: float
 ) -> tuple[float, float, float]:

@@ -10,7 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import device
+from vergence._jit import inlined
+from vergence.controllers.prediction.backlash import play_variance
 from vergence.controllers.prediction.dating import HYPOTHESES, add_misfit, unlikely
 from vergence.controllers.prediction.following import carry_motions, slip_variances
 from vergence.controllers.prediction.joints import PredictorModel
@@ -24,7 +25,6 @@ from vergence.controllers.prediction.moving import (
     fits,
     take_in,
 )
-from vergence.controllers.prediction.play import play_variance
 from vergence.models.parts import FloatArray
 
 _UNEVEN_RAD: Final = 0.0004
@@ -35,7 +35,7 @@ _UNEVEN: Final = 0.5
 (chosen)."""
 
 
-@device
+@inlined
 def expect_motion(
     memory: PredictorState,
     rig: PredictorModel,
@@ -69,7 +69,7 @@ def expect_motion(
             play[eye, joint] = play_variance(memory, rig, exposed, eye, joint, goal, rests)
 
 
-@device
+@inlined
 def tell_apart(
     memory: PredictorState,
     rig: PredictorModel,
@@ -118,7 +118,7 @@ def tell_apart(
     return apart
 
 
-@device
+@inlined
 def likely_model(memory: PredictorState) -> int:
     """Index of the motion model with the largest probability."""
     likely = 1
@@ -127,7 +127,7 @@ def likely_model(memory: PredictorState) -> int:
     return likely - 1
 
 
-@device
+@inlined
 def follow(
     memory: PredictorState,
     rig: PredictorModel,
@@ -189,7 +189,7 @@ def follow(
     return scatter
 
 
-@device
+@inlined
 def sees_directly(
     memory: PredictorState,
     goals: FloatArray,

@@ -10,7 +10,7 @@ goal does not count.
 from math import exp2, pi, sqrt
 from typing import Annotated, Final
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.models.parts import FloatArray
 
@@ -69,31 +69,31 @@ class Swinging:
     `MANY`."""
 
 
-@device
+@inlined
 def calm_rate(rate: float, swings: float) -> float:
     """Rate of a linear law, 1/s, halved for each half swing counted beyond `MANY`."""
     return max(rate * exp2(-max(swings - MANY, 0.0)), min(rate, _SLOWEST))
 
 
-@device
+@inlined
 def forgive(swinging: Swinging) -> None:
     """Reduce the count, because the target has jumped."""
     swinging.count *= _JUMP_LEAVES
 
 
-@device
+@inlined
 def forget(swinging: Swinging, period_s: float) -> None:
     """Let the count decay over a period."""
     swinging.count -= swinging.count * min(period_s / swinging.patience_s, 1.0)
 
 
-@device
+@inlined
 def begin_watch(swinging: Swinging, eye: int, joint: int, angle: float) -> None:
     """Initialise a joint at rest at an angle, rad."""
     swinging.turned_at[eye, joint] = swinging.farthest[eye, joint] = angle
 
 
-@device
+@inlined
 def watch(
     swinging: Swinging,
     rig: PredictorModel,

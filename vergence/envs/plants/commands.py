@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled, device
+from vergence._jit import compiled, inlined
 from vergence.envs.plants.conditions import Loop
 from vergence.envs.plants.frames import SAME_S, ring_size
 from vergence.envs.streams import IntArray, Purpose, StreamKey, random_words, to_uniform
@@ -62,7 +62,7 @@ LOOP_STATE: Final = 3
 """Length of the state row of a control loop (numerical)."""
 
 
-@device
+@inlined
 def is_lost(loop: Loop, key: StreamKey, step: int) -> bool:
     """True if a period's command never reaches the motors."""
     chance = loop.lost_command_probability
@@ -71,7 +71,7 @@ def is_lost(loop: Loop, key: StreamKey, step: int) -> bool:
     return to_uniform(random_words(key.seed, key.trial, _COMMAND, step, 1)[0]) < chance
 
 
-@device
+@inlined
 def stalled_until(loop: Loop, key: StreamKey, step: int, period_s: float, resumes: int) -> int:
     """Compute the period in which the loop resumes: `step` or an earlier one if it is running.
 
@@ -153,7 +153,7 @@ class Hold(NamedTuple):
     """Time of the change since the period's beginning, s."""
 
 
-@device
+@inlined
 def hold_of(late_s: float, step: int, ring: int, period_s: float) -> Hold:
     """Find the commands that apply within a period.
 

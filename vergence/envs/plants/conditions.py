@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence._runs import run_of
 from vergence.envs.plants.imperfections import OWN, SCALARS, Imperfections
 from vergence.models.parts import FloatArray
@@ -62,7 +62,7 @@ GAIN: Final = OWN.index("speed_gain")
 BACKLASH: Final = OWN.index("backlash_rad")
 
 
-@device
+@inlined
 def loop_of(drawn: PackedConditions, n: EnvIndex) -> Loop:
     """Unpack the scalar conditions of one trial."""
     return Loop(*_loop_run(drawn.loop[n], 0))

@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled, device
+from vergence._jit import compiled, inlined
 from vergence.envs.plants.commands import LOOP_STATE, READ, RESUMES
 from vergence.envs.plants.conditions import BACKLASH, PackedConditions, loop_of
 from vergence.envs.plants.frames import SAME_S, ring_size
@@ -13,7 +13,7 @@ from vergence.envs.plants.motors import ActuatorCoupling, MotorState, MotorState
 from vergence.envs.reading import Reading
 from vergence.envs.streams import IntArray, Purpose, StreamKey, StreamKeys, random_words, to_normals
 from vergence.models.head import HeadModel
-from vergence.models.joint_response import share_left
+from vergence.models.joint_response import lag_decay
 from vergence.models.parts import FloatArray
 
 _FEEDBACK: Final = int(Purpose.FEEDBACK)
@@ -66,13 +66,13 @@ STATE: Final = ("measured", "told", "loops", "filtered")
 """Fields of `Feedback` that are part of a trial's state."""
 
 
-@device
+@inlined
 def quantise(value: float, step: float) -> float:
     """Round a value to a sensor's quantisation step; 0 for exact."""
     return step * np.rint(value / step) if step > 0.0 else value
 
 
-@device
+@inlined
 def between(
     q0: float, v0: float, q1: float, v1: float, share: float, time_s: float
 ) -> tuple[float, float]:
@@ -95,7 +95,7 @@ def between(
     return angle, r * v0 + s * v1
 
 
-@device
+@inlined
 def noise_of(
     key: StreamKey, step: int, lane: int, sigma: float
 ) -> tuple[float, float, float, float]:
@@ -115,7 +115,7 @@ class Between(NamedTuple):
     """Fraction of the way from `first` to `second`; 0 at `first`."""
 
 
-@device
+@inlined
 def ago(periods: float, step: int, ring: int) -> Between:
     """Find the measurements around a time before the newest one; `first` is the later of them.
 
@@ -130,7 +130,7 @@ def ago(periods: float, step: int, ring: int) -> Between:
     return Between(np.uintp((step - whole) & mask), np.uintp((step - whole - 1) & mask), share)
 
 
-@device
+@inlined
 def low_pass(out: float, before: float, now: float, left: float, ramp: float) -> float:
     """Advance a first-order low-pass filter by a period in which its input changes linearly.
 
@@ -144,7 +144,7 @@ def low_pass(out: float, before: float, now: float, left: float, ramp: float) ->
     return left * out + (1.0 - left - ramp) * before + ramp * now
 
 
-@device
+@inlined
 def told_at(periods: float, step: int, ring: int) -> Between:
     """Find the joint readings around a time, which is clamped to those in the ring buffer.
 
@@ -209,7 +209,7 @@ def sense_joints(
         rest, new, old = at.share, at.first, at.second
         left = ramp = 0.0
         if loop.speed_filter_s > 0.0:
-            left = share_left(period_s, loop.speed_filter_s)
+            left = lag_decay(period_s, loop.speed_filter_s)
             ramp = 1.0 - (1.0 - left) * loop.speed_filter_s * rate
         noise = rates = (0.0, 0.0, 0.0, 0.0)
         if loop.angle_noise_rad > 0.0 or loop.speed_noise_rad_s > 0.0:

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import device, subroutine
+from vergence._jit import inlined, subroutine
 from vergence.envs.plants.conditions import Loop
 from vergence.envs.reading import BoolArray
 from vergence.envs.streams import (
@@ -119,7 +119,7 @@ class FrameFaults(NamedTuple):
     missed_right: bool
 
 
-@device
+@inlined
 def frame_time(loop: Loop, frame: int) -> float:
     """Time of a frame's (first) exposure since the trial's start, s."""
     return (loop.frame_phase + frame) * loop.frame_s
@@ -135,7 +135,7 @@ class FrameOf(NamedTuple):
     """One past the index of the last exposed eye."""
 
 
-@device
+@inlined
 def frame_of(loop: Loop, exposure: int) -> FrameOf:
     """Find the frame of an exposure, and the eyes that it exposes."""
     if loop.skew_s == 0.0:
@@ -144,19 +144,19 @@ def frame_of(loop: Loop, exposure: int) -> FrameOf:
     return FrameOf(exposure >> 1, eye, eye + 1)
 
 
-@device
+@inlined
 def first_exposure(loop: Loop, frame: int) -> int:
     """The first exposure of a frame."""
     return frame if loop.skew_s == 0.0 else 2 * frame
 
 
-@device
+@inlined
 def skew_of(loop: Loop) -> float:
     """Delay of the right eye's exposure after the left's, at most one frame time, s."""
     return min(loop.skew_s, loop.frame_s)
 
 
-@device
+@inlined
 def exposure_time(loop: Loop, exposure: int) -> float:
     """Time of an exposure since the trial's start, s."""
     if loop.skew_s == 0.0:
@@ -164,7 +164,7 @@ def exposure_time(loop: Loop, exposure: int) -> float:
     return frame_time(loop, exposure >> 1) + (exposure & 1) * skew_of(loop)
 
 
-@device
+@inlined
 def _words(key: StreamKey, frame: int, lane: int) -> Words:
     """Four random words of a frame; lane 1 is used for the detection noise."""
     if frame >= 0:
@@ -172,7 +172,7 @@ def _words(key: StreamKey, frame: int, lane: int) -> Words:
     return random_words(key.seed, key.trial, _BEFORE, -frame, lane)
 
 
-@device
+@inlined
 def faults_of(loop: Loop, key: StreamKey, frame: int) -> FrameFaults:
     """Draw the faults of a frame."""
     drop, jitter = loop.dropped_frame_probability, loop.jitter_s
@@ -188,7 +188,7 @@ def faults_of(loop: Loop, key: StreamKey, frame: int) -> FrameFaults:
     )
 
 
-@device
+@inlined
 def pixel_noise(loop: Loop, key: StreamKey, frame: int) -> tuple[float, float, float, float]:
     """Detection noise in one pair of frames, px: u and v left, u and v right."""
     sigma = loop.detection_noise_px
@@ -200,14 +200,14 @@ def pixel_noise(loop: Loop, key: StreamKey, frame: int) -> tuple[float, float, f
     return sigma * a, sigma * b, sigma * c, sigma * d
 
 
-@device
+@inlined
 def _beside(most_px: float, size: np.uint64, direction: np.uint64) -> tuple[float, float]:
     """Random offset, uniform in length and direction, px."""
     length, around = most_px * to_uniform(size), 2.0 * pi * to_uniform(direction)
     return length * cos(around), length * sin(around)
 
 
-@device
+@inlined
 def outlier(loop: Loop, key: StreamKey, frame: int, eye: int) -> tuple[float, float]:
     """Offset of an eye's detection from the target if it is an outlier, px; mostly zero."""
     probability = loop.outlier_probability
@@ -242,7 +242,7 @@ def false_detection(loop: Loop, key: StreamKey, frame: int, eye: int) -> tuple[f
     return 0.0, 0.0
 
 
-@device
+@inlined
 def comes_at(loop: Loop, exposed_s: float, late_s: float, latest_s: float) -> float:
     """Time at which a frame becomes readable, never before an earlier frame, s.
 

@@ -21,7 +21,7 @@ from vergence.envs.plants.motors import (
 from vergence.envs.plants.scene import Scene
 from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.streams import IntArray
-from vergence.models.joint_response import share_left
+from vergence.models.joint_response import lag_decay
 
 
 class KinematicPlant(SimulatedPlant):
@@ -94,14 +94,14 @@ def drive(
             until = min(due, until) if exposed else until
             time_s = until - done
             if time_s > 0.0:
-                done, decay = until, share_left(time_s, loop.lag_s)
+                done, decay = until, lag_decay(time_s, loop.lag_s)
                 for k in range(first, 7):
                     v, u = speeds[n, k], own[n, GAIN, k] * given[n, slot, k]
                     if v == 0.0 and u == 0.0 and rates[n, k] == 0.0:
                         continue
                     lag_s, left = loop.lag_s * lag_ratio[k], decay
                     if lag_ratio[k] != 1.0:
-                        left = share_left(time_s, lag_s)
+                        left = lag_decay(time_s, lag_s)
                     a, play = loop.acceleration_ratio * acceleration[k], own[n, BACKLASH, k]
                     fade = 0.0
                     if loop.torque_falloff > 0.0 and a < np.inf:

@@ -17,17 +17,17 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import device, subroutine
+from vergence._jit import inlined, subroutine
 from vergence.envs.plants.conditions import EnvIndex
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
 from vergence.models.joint_response import (
     damping_ratio,
-    follow_fading_joint,
     follow_joint,
-    follow_swinging_joint,
-    share_left,
-    time_to_turn,
+    follow_second_order_joint,
+    follow_torque_limited_joint,
+    lag_decay,
+    time_to_reversal,
 )
 from vergence.models.joints import EYES
 from vergence.models.packed import PackedHead, joint_at, joint_per_actuator, joint_rate
@@ -136,13 +136,13 @@ class MotorParams(NamedTuple):
     """Backlash, whole width, rad."""
 
 
-@device
+@inlined
 def pushed(driven: float, angle: float, play: float) -> float:
     """Angle of a motor's output once the motor has moved to `angle`."""
     return min(max(driven, angle - 0.5 * play), angle + 0.5 * play)
 
 
-@device
+@inlined
 def driven_speed(motor: MotorState, play: float) -> float:
     """Velocity of a motor's output: the motor's own while it pushes, else 0."""
     behind, half = motor.angle - motor.driven, 0.5 * play - _CONTACT_RAD
@@ -150,7 +150,7 @@ def driven_speed(motor: MotorState, play: float) -> float:
     return motor.speed if pushes else 0.0
 
 
-@device
+@inlined
 def moved(
     motor: MotorState, drive: MotorParams, command: float, time_s: float, decay: float
 ) -> MotorState:
@@ -163,17 +163,17 @@ def moved(
         drive: its parameters.
         command: velocity command, rad/s, with the speed gain applied.
         time_s: duration, s.
-        decay: `share_left(time_s, drive.lag_s)`.
+        decay: `lag_decay(time_s, drive.lag_s)`.
     """
     q, v, driven = motor.angle, motor.speed, motor.driven
     tau, a = drive.lag_s, drive.acceleration
     if drive.play > 0.0 and v * command < 0.0:
-        turn = time_to_turn(v, command, tau, a)
+        turn = time_to_reversal(v, command, tau, a)
         if turn < time_s:  # the output stays at the turning point
-            farthest, _rest = follow_joint(q, v, command, tau, a, turn, share_left(turn, tau))
+            farthest, _rest = follow_joint(q, v, command, tau, a, turn, lag_decay(turn, tau))
             driven = pushed(driven, min(max(farthest, drive.lower), drive.upper), drive.play)
     if drive.fade > 0.0:
-        q, v = follow_fading_joint(q, v, command, tau, a, drive.fade, time_s)
+        q, v = follow_torque_limited_joint(q, v, command, tau, a, drive.fade, time_s)
     else:
         q, v = follow_joint(q, v, command, tau, a, time_s, decay)
     if q < drive.lower:
@@ -206,7 +206,7 @@ def swung(
     zeta, steps = damping_ratio(overshoot), int(np.ceil(time_s / (_SHORT * drive.lag_s)))
     for _ in range(steps):
         driven = pushed(driven, q, drive.play)
-        q, v, w = follow_swinging_joint(
+        q, v, w = follow_second_order_joint(
             q, v, w, command, drive.lag_s, zeta, drive.acceleration, drive.fade, time_s / steps
         )
         if q < drive.lower:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled, device
+from vergence._jit import compiled, inlined
 from vergence.envs.plants.conditions import EnvIndex
 from vergence.envs.reading import Truth
 from vergence.envs.streams import IntArray
@@ -33,14 +33,14 @@ class Scene(NamedTuple):
     """(n, 7) joint velocities, rad/s."""
 
 
-@device
+@inlined
 def head_of(scene: Scene, n: EnvIndex) -> PackedHead:
     """(PACKED,) true head of an environment."""
     head: PackedHead = scene.heads[np.uintp(n) * np.uintp(scene.heads.shape[0] > 1)]
     return head
 
 
-@device
+@inlined
 def target_in_n(
     p: PackedHead, motion: Motion, neck_at_start: FloatArray, neck: FloatArray | Vector, t: float
 ) -> Vector:
@@ -53,14 +53,14 @@ def target_in_n(
     return into(neck_frame(p, neck[0], neck[1], neck[2]), x, y, z)
 
 
-@device
+@inlined
 def eye_pixel(p: PackedHead, eye: int, q: FloatArray, point: Vector) -> tuple[float, float]:
     """Pixel of a point of N in an eye's image, distorted, px."""
     x, y, z = point_in_eye(p, eye, q[3 + 2 * eye], q[4 + 2 * eye], point[0], point[1], point[2])
     return point_to_pixel(p, eye, x, y, z, True)
 
 
-@device
+@inlined
 def image_motion(
     p: PackedHead,
     motion: Motion,

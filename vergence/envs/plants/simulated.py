@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Final, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence._jit import bare
+from vergence._jit import untyped_tuple
 from vergence.envs.fields import count
 from vergence.envs.plants import starting
 from vergence.envs.plants.commands import Commands, take_commands
@@ -23,7 +23,7 @@ from vergence.envs.plants.simulation import Simulation, TrialStart
 from vergence.envs.plants.true_heads import TrueHeads
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
 from vergence.envs.reading import Reading, Truth
-from vergence.envs.saved_state import Arrays, copied, named, put_back
+from vergence.envs.saved_state import Arrays, copied, prefixed, put_back
 from vergence.envs.streams import IntArray, StreamKeys, Streams
 from vergence.envs.targets.motion import JUMP, last_jump, motion_rows
 from vergence.errors import ConfigurationError, refuse_unknown
@@ -36,7 +36,7 @@ _AHEAD: Final = (0.0, 0.0, 1.0)
 
 
 class _Bare(NamedTuple):
-    """Arguments of the kernels of every step, `bare`: made once."""
+    """Arguments of the kernels of every step, `untyped_tuple`: made once."""
 
     sensor: Sensor
     drawn: PackedConditions
@@ -143,16 +143,16 @@ class SimulatedPlant(Simulation):
         )
         self._missing = np.flatnonzero([not name for name in head.joints])
         self._bare = _Bare(
-            sensor=bare(Sensor.of(head)),
-            drawn=bare(heads.drawn),
-            keys=bare(self._streams.keys),
-            scene=bare(self._scene),
-            motors=bare(self._motors),
-            commands=bare(self._commands),
-            feedback=bare(self._feedback),
-            frames=bare(self._frames),
-            exposures=bare(self._exposures),
-            reading=bare(self.reading),
+            sensor=untyped_tuple(Sensor.of(head)),
+            drawn=untyped_tuple(heads.drawn),
+            keys=untyped_tuple(self._streams.keys),
+            scene=untyped_tuple(self._scene),
+            motors=untyped_tuple(self._motors),
+            commands=untyped_tuple(self._commands),
+            feedback=untyped_tuple(self._feedback),
+            frames=untyped_tuple(self._frames),
+            exposures=untyped_tuple(self._exposures),
+            reading=untyped_tuple(self.reading),
         )
 
     def _followed(self, variation: Variation | None) -> Variation | None:
@@ -252,7 +252,7 @@ class SimulatedPlant(Simulation):
         """Ground truth of the present, with the targets at given own times."""
         truth = Truth.unknown(self.num)
         period_s = self.head.timing.period_s
-        look(self.head.packed, period_s, own_time_s, self._bare.scene, bare(truth))
+        look(self.head.packed, period_s, own_time_s, self._bare.scene, untyped_tuple(truth))
         truth.motors[:] = self._motors.angles
         return truth
 
@@ -281,7 +281,7 @@ class SimulatedPlant(Simulation):
             wider = np.zeros((self.num, width))
             wider[:, : rows.shape[1]] = rows
             self._scene = self._scene._replace(motions=wider)
-            self._bare = self._bare._replace(scene=bare(self._scene))
+            self._bare = self._bare._replace(scene=untyped_tuple(self._scene))
 
     def restore(self, state: Arrays) -> Reading:
         """See `Simulation.restore`."""
@@ -294,7 +294,7 @@ class SimulatedPlant(Simulation):
         scene = self._scene._asdict()
         del scene["heads"]  # part of the conditions
         motors = self._motors
-        return named(
+        return prefixed(
             conditions=self._true_heads.arrays(),
             keys=self._streams.keys._asdict(),
             motors={name: getattr(motors, name) for name in MOVING},

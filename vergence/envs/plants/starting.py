@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import compiled, device
+from vergence._jit import compiled, inlined
 from vergence.envs.plants.commands import LOOP_STATE, Commands
 from vergence.envs.plants.conditions import BACKLASH, Loop, PackedConditions, loop_of
 from vergence.envs.plants.feedback import Feedback, quantise
@@ -36,7 +36,7 @@ _LONGEST_S: Final = 10.0
 against late sights)."""
 
 
-@device
+@inlined
 def first_frame(loop: Loop) -> int:
     """First frame to be exposed in a trial, early enough to have arrived by time zero."""
     oldest = -(loop.latency_s + loop.jitter_s + skew_of(loop)) / loop.frame_s

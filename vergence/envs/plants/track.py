@@ -23,7 +23,7 @@ from vergence.envs.plants.motors import (
 )
 from vergence.envs.plants.scene import Scene, head_of
 from vergence.envs.streams import IntArray
-from vergence.models.joint_response import damping_ratio, follow_swinging_joint, share_left
+from vergence.models.joint_response import damping_ratio, follow_second_order_joint, lag_decay
 from vergence.models.packed import PackedHead, actuator_at, actuator_rate
 from vergence.models.parts import FloatArray
 
@@ -95,12 +95,12 @@ def hold_commands(
             v, lag_s = motors.speeds[n, k], loop.lag_s * motors.lag_ratio[k]
             a = loop.acceleration_ratio * motors.acceleration[k]
             fade = loop.torque_falloff / (drawn.own[n, GAIN, k] * motors.velocity[k])
-            _way, then, w = follow_swinging_joint(
+            _way, then, w = follow_second_order_joint(
                 0.0, v, motors.accelerations[n, k], u, lag_s, damping_ratio(loop.overshoot), a,
                 fade, length,
             )  # fmt: skip
             motors.accelerations[n, k] = w
-            control[n, i] = v + (then - v) / (1.0 - share_left(length, lag_s))
+            control[n, i] = v + (then - v) / (1.0 - lag_decay(length, lag_s))
 
 
 @compiled

@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.models.camera import point_to_pixel
 from vergence.models.kinematics import eye_frames, point_in_eye
 from vergence.models.packed import PackedHead, camera_of
@@ -47,7 +47,7 @@ def wholly(board: Board) -> str:
     )
 
 
-@device
+@inlined
 def board_axes(point: Vector, facing_head: bool) -> Axes:
     """The axes of a board's frame in N: right, down, and into the board.
 
@@ -65,7 +65,7 @@ def board_axes(point: Vector, facing_head: bool) -> Axes:
     return (ax, 0.0, az), (cy * az, cz * ax - cx * az, -cy * ax), (cx, cy, cz)
 
 
-@device
+@inlined
 def distance_from_eyes(p: PackedHead, angles: FloatArray, point: Vector) -> float:
     """Mean distance of a point from both cameras, m.
 
@@ -82,7 +82,7 @@ def distance_from_eyes(p: PackedHead, angles: FloatArray, point: Vector) -> floa
     return 0.5 * total
 
 
-@device
+@inlined
 def in_view(
     p: PackedHead, angles: FloatArray, point: Vector, border_px: float, board: Board
 ) -> bool:

@@ -5,7 +5,7 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from vergence._jit import bare, compiled
+from vergence._jit import compiled, untyped_tuple
 from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words
 from vergence.envs.targets.board import POINT, Board, in_view
 from vergence.envs.targets.moments import draw_moments
@@ -49,7 +49,13 @@ class DoubleStepTarget(RandomTarget):
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
         gaze, space = GazingHead.of(head), self._workspace()
         found = choose_double_steps(
-            bare(keys), bare(gaze), bare(space), bare(board), first, second, q
+            untyped_tuple(keys),
+            untyped_tuple(gaze),
+            untyped_tuple(space),
+            untyped_tuple(board),
+            first,
+            second,
+            q,
         )
         if not found:
             raise self._unseen("pairs of points", board)
@@ -70,10 +76,10 @@ def choose_double_steps(
     """Draw pairs of points for each trial until one is valid.
 
     Args:
-        keys: `bare`, keys of the n trials' random streams.
-        gaze: `bare`, the head that looks.
-        space: `bare`, the workspace.
-        board: `bare`, shape of the target.
+        keys: `untyped_tuple`, keys of the n trials' random streams.
+        gaze: `untyped_tuple`, the head that looks.
+        space: `untyped_tuple`, the workspace.
+        board: `untyped_tuple`, shape of the target.
         first: (n, 3) result: first position of the target, in N, m.
         second: (n, 3) result: position after the second jump, in N, m.
         q: (n, 7) result: joint angles at the start, rad.

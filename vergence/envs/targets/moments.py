@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import bare, compiled
+from vergence._jit import compiled, untyped_tuple
 from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words
 from vergence.envs.targets.placement import between
 from vergence.models.parts import FloatArray
@@ -27,7 +27,12 @@ def draw_moments(streams: Streams, ids: IntArray, earliest: float, latest: float
         (n,) s.
     """
     moments = np.empty(len(ids))
-    _fill(bare(StreamKeys(streams.seeds[ids], streams.trials[ids])), earliest, latest, moments)
+    _fill(
+        untyped_tuple(StreamKeys(streams.seeds[ids], streams.trials[ids])),
+        earliest,
+        latest,
+        moments,
+    )
     return moments
 
 

@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence._jit import device, kernel
+from vergence._jit import inlined, kernel
 from vergence._runs import run_of
 from vergence.envs.targets.path import LEAST_PATH, point_on
 from vergence.models.parts import FloatArray
@@ -137,7 +137,7 @@ class Motion(NamedTuple):
 _motion_run = run_of(MOTION)
 
 
-@device
+@inlined
 def motion_of(row: FloatArray) -> Motion:
     """Unpack a motion's row, in the order of the constants above."""
     m = _motion_run(row, 0)
@@ -159,7 +159,7 @@ def motion_of(row: FloatArray) -> Motion:
     )
 
 
-@device
+@inlined
 def position_at(motion: Motion, t: float) -> Vector:
     """Position of a target at time `t`, in N as it was at the trial's start."""
     if t < motion.jump:
@@ -179,7 +179,7 @@ def position_at(motion: Motion, t: float) -> Vector:
     )
 
 
-@device
+@inlined
 def is_shown(motion: Motion, t: float) -> bool:
     """True if the target exists and is not hidden at time `t`, in view or not."""
     if t < motion.jump and not motion.seen_before:

@@ -6,7 +6,7 @@ from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 
-from vergence._jit import bare, compiled, device
+from vergence._jit import compiled, inlined, untyped_tuple
 from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words, to_uniform
 from vergence.envs.targets.board import POINT, Board, in_view, wholly
 from vergence.envs.targets.motion import motion_rows
@@ -82,7 +82,11 @@ class OrbitTarget(Target):
         )
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
         found = choose_orbits(
-            bare(keys), bare(GazingHead.of(head)), bare(ranges), bare(board), bare(orbits)
+            untyped_tuple(keys),
+            untyped_tuple(GazingHead.of(head)),
+            untyped_tuple(ranges),
+            untyped_tuple(board),
+            untyped_tuple(orbits),
         )
         if not found:
             raise TargetError(
@@ -127,7 +131,7 @@ class Orbits(NamedTuple):
     """(n,) rad/s."""
 
 
-@device
+@inlined
 def _peak_rate(centre: Vector, first: Vector, second: Vector, eye: Vector) -> float:
     """Peak angular speed, seen from `eye`, of an ellipse at an omega of 1 rad/s."""
     peak = 0.0
@@ -144,7 +148,7 @@ def _peak_rate(centre: Vector, first: Vector, second: Vector, eye: Vector) -> fl
     return peak
 
 
-@device
+@inlined
 def _can_follow(
     gaze: GazingHead,
     ranges: Ranges,
@@ -196,11 +200,11 @@ def choose_orbits(
     """Draw ellipses for each trial until the eyes can follow one.
 
     Args:
-        keys: `bare`, keys of the n trials' random streams.
-        gaze: `bare`, the head that looks.
-        ranges: `bare`, the target's fields.
-        board: `bare`, shape of the target.
-        orbits: `bare`, the result.
+        keys: `untyped_tuple`, keys of the n trials' random streams.
+        gaze: `untyped_tuple`, the head that looks.
+        ranges: `untyped_tuple`, the target's fields.
+        board: `untyped_tuple`, shape of the target.
+        orbits: `untyped_tuple`, the result.
 
     Returns:
         False if some trial has no valid candidate.

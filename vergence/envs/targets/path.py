@@ -16,7 +16,7 @@ back along the path, and from the first knot forth again.
 from math import sin, sqrt
 from typing import Final
 
-from vergence._jit import device, subroutine
+from vergence._jit import inlined, subroutine
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
@@ -24,7 +24,7 @@ LEAST_PATH: Final = 12
 """Length of a path of two knots (numerical)."""
 
 
-@device
+@inlined
 def on_stretch(path: FloatArray, knot: int, t: float) -> Vector:
     """Position between two knots.
 

@@ -5,11 +5,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.envs.streams import Words, to_uniform
 from vergence.models.actuation import SLOTS
 from vergence.models.camera import inside_image, point_to_pixel
-from vergence.models.fixation import fixate_eye, fixate_tied
+from vergence.models.fixation import fixate_coupled, fixate_eye
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.models.kinematics import eye_frames, point_in_eye
@@ -56,13 +56,13 @@ class GazingHead(NamedTuple):
         )
 
 
-@device
+@inlined
 def between(word: np.uint64, low: float, high: float) -> float:
     """Uniform number in a range, from a random word."""
     return low + to_uniform(word) * (high - low)
 
 
-@device
+@inlined
 def between_eyes(p: PackedHead, rest: FloatArray) -> Vector:
     """Midpoint between both eyes of a head at rest, in N, m."""
     left = eye_frames(p, 0, rest[3], rest[4]).camera
@@ -70,7 +70,7 @@ def between_eyes(p: PackedHead, rest: FloatArray) -> Vector:
     return 0.5 * (left.x + right.x), 0.5 * (left.y + right.y), 0.5 * (left.z + right.z)
 
 
-@device
+@inlined
 def place(words: Words, eye: Vector, near: float, far: float, eccentricity: float) -> Vector:
     """Point from three random words: uniform in 1 / depth and in the angle from straight ahead.
 
@@ -90,7 +90,7 @@ def place(words: Words, eye: Vector, near: float, far: float, eccentricity: floa
     return eye[0] + slope * cos(around), eye[1] + slope * sin(around), z
 
 
-@device
+@inlined
 def can_fixate(gaze: GazingHead, margin: float, point: Vector, angles: FloatArray) -> bool:
     """True if both eyes can fixate a point with a margin to their limits.
 
@@ -106,7 +106,7 @@ def can_fixate(gaze: GazingHead, margin: float, point: Vector, angles: FloatArra
     return _can_fixate(gaze, gaze.joints, margin, point, angles)
 
 
-@device
+@inlined
 def _can_fixate(
     gaze: GazingHead,
     joints: tuple[FloatArray, FloatArray] | None,
@@ -126,7 +126,7 @@ def _can_fixate(
     return True
 
 
-@device
+@inlined
 def _can_fixate_tied(
     gaze: GazingHead,
     joints: tuple[FloatArray, FloatArray],
@@ -134,7 +134,7 @@ def _can_fixate_tied(
     point: Vector,
     angles: FloatArray,
 ) -> bool:
-    if not fixate_tied(gaze.head, point[0], point[1], point[2], angles):
+    if not fixate_coupled(gaze.head, point[0], point[1], point[2], angles):
         return False
     for k in range(SLOTS):
         low, high = gaze.lower[k], gaze.upper[k]

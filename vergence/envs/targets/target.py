@@ -7,7 +7,7 @@ from typing import ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.fields import numbers
+from vergence.envs.fields import checked_numbers
 from vergence.envs.streams import IntArray, Streams
 from vergence.envs.targets.board import POINT, Board
 from vergence.errors import ConfigurationError, TargetError
@@ -42,7 +42,7 @@ class Target(ABC):
             if name != "start":
                 default = getattr(type(self), name)
                 size = len(default) if isinstance(default, tuple) else 0
-                checked = numbers(f"target.{name}", value, size, name in _ABOVE_ZERO)
+                checked = checked_numbers(f"target.{name}", value, size, name in _ABOVE_ZERO)
                 if name in self.metres and not np.abs(np.array(checked)).max() < FARTHEST_M:
                     raise ConfigurationError(
                         f"target.{name}: expected metres below {FARTHEST_M:g} in size (is it in "

@@ -6,7 +6,7 @@ from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 
-from vergence._jit import bare, compiled, device, subroutine
+from vergence._jit import compiled, inlined, subroutine, untyped_tuple
 from vergence.envs.streams import (
     IntArray,
     Purpose,
@@ -106,7 +106,13 @@ class WanderTarget(Target):
             self.margin,
         )
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
-        if not choose_paths(bare(keys), bare(GazingHead.of(head)), bare(walk), bare(board), paths):
+        if not choose_paths(
+            untyped_tuple(keys),
+            untyped_tuple(GazingHead.of(head)),
+            untyped_tuple(walk),
+            untyped_tuple(board),
+            paths,
+        ):
             raise TargetError(
                 f"target: expected paths that this head can follow and see{wholly(board)}, "
                 f"got none of {ATTEMPTS} of {self}"
@@ -129,7 +135,7 @@ class Walk(NamedTuple):
     margin: float
 
 
-@device
+@inlined
 def _go_on(path: FloatArray, knot: int, words: Words, walk: Walk) -> bool:
     """Draw the next knot of a path.
 
@@ -190,7 +196,7 @@ def _can_look(
     return True
 
 
-@device
+@inlined
 def _can_follow(
     gaze: GazingHead,
     walk: Walk,
@@ -224,10 +230,10 @@ def choose_paths(
     """Draw paths for each trial, segment by segment, until the eyes can follow one.
 
     Args:
-        keys: `bare`, keys of the n trials' random streams.
-        gaze: `bare`, the head that looks.
-        walk: `bare`, the target's fields.
-        board: `bare`, shape of the target.
+        keys: `untyped_tuple`, keys of the n trials' random streams.
+        gaze: `untyped_tuple`, the head that looks.
+        walk: `untyped_tuple`, the target's fields.
+        board: `untyped_tuple`, shape of the target.
         paths: (n, 4 + 4 k) result: paths of k knots, see `vergence.envs.targets.path`.
 
     Returns:

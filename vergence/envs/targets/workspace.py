@@ -6,7 +6,7 @@ from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 
-from vergence._jit import bare, compiled, device, subroutine
+from vergence._jit import compiled, inlined, subroutine, untyped_tuple
 from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words
 from vergence.envs.targets.board import POINT, Board, in_view, wholly
 from vergence.envs.targets.motion import motion_rows
@@ -62,7 +62,12 @@ class RandomTarget(Target):
         points, q = np.empty((len(ids), 3)), np.empty((len(ids), 7))
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
         found = choose_targets(
-            bare(keys), bare(GazingHead.of(head)), bare(self._workspace()), bare(board), points, q
+            untyped_tuple(keys),
+            untyped_tuple(GazingHead.of(head)),
+            untyped_tuple(self._workspace()),
+            untyped_tuple(board),
+            points,
+            q,
         )
         if not found:
             raise self._unseen("points", board)
@@ -98,7 +103,7 @@ class Workspace(NamedTuple):
     """True if the eyes start on a point of the workspace, False if at rest."""
 
 
-@device
+@inlined
 def turn_between(begin: FloatArray, goal: FloatArray) -> float:
     """Turn of the eye that turns farther, rad, between angles of the eyes, (4,) and (4,)."""
     left = hypot(goal[0] - begin[0], goal[1] - begin[1])
@@ -165,10 +170,10 @@ def choose_targets(
     """Draw candidates for each trial until one is valid.
 
     Args:
-        keys: `bare`, keys of the n trials' random streams.
-        gaze: `bare`, the head that looks.
-        workspace: `bare`, the workspace.
-        board: `bare`, shape of the target.
+        keys: `untyped_tuple`, keys of the n trials' random streams.
+        gaze: `untyped_tuple`, the head that looks.
+        workspace: `untyped_tuple`, the workspace.
+        board: `untyped_tuple`, shape of the target.
         points: (n, 3) result: positions of the targets, in N, m.
         q: (n, 7) result: joint angles at the start, rad.
 

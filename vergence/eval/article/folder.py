@@ -15,11 +15,11 @@ from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import EXPERIMENTS, Experiment, load_experiment
 from vergence.eval.jobs import Mapper
 from vergence.eval.reporting.report import Section, write_report
-from vergence.eval.reporting.runs import command_of, plain, run_folder_of, versions
+from vergence.eval.reporting.runs import command_of, run_folder_of, toml_value, versions
 from vergence.eval.reporting.section import included_sections
 from vergence.eval.reporting.style import save_figure, styled
 from vergence.eval.reporting.text import render_text
-from vergence.files import PARTIAL, remove_partial, whole_files, write_whole
+from vergence.files import PARTIAL, atomic_files, remove_partial, write_atomic
 
 INCLUDED: Final = "evaluations"
 """Name of the subfolder with the sections of other runs."""
@@ -70,7 +70,7 @@ def _identity(experiment: Experiment, config: Any, seed: int) -> dict[str, Any]:
     """All that a result depends on: equal identities give equal tables."""
     return {
         "name": experiment.name,
-        "config": plain(dataclasses.asdict(config)),
+        "config": toml_value(dataclasses.asdict(config)),
         "seed": seed,
         "versions": versions(),
         "sources": _sources_digest(),
@@ -152,7 +152,7 @@ def run_experiment(
     }
     marker = _marker(folder, experiment.name)
     with _writing(folder, experiment.name):
-        with whole_files(folder / "figures") as drawn, whole_files(folder / "tables") as tabled:
+        with atomic_files(folder / "figures") as drawn, atomic_files(folder / "tables") as tabled:
             for name, figure in figures.items():
                 save_figure(figure, drawn / name)
             table.to_csv(tabled / f"{experiment.name}.csv", index=False)
@@ -165,7 +165,7 @@ def run_experiment(
             # a parquet file belongs to the earlier table
             (folder / "tables" / f"{experiment.name}.parquet").unlink(missing_ok=True)
         # the marker is written last and marks the experiment as finished
-        write_whole(marker, _json({**content, "digest": _digest(_json(content).encode())}))
+        write_atomic(marker, _json({**content, "digest": _digest(_json(content).encode())}))
 
 
 @contextmanager
@@ -227,7 +227,7 @@ def _digest(data: bytes) -> str:
 
 def _changed(experiment: Experiment, config: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a configuration that differ from those of a full run."""
-    full = plain(dataclasses.asdict(experiment.config()))
+    full = toml_value(dataclasses.asdict(experiment.config()))
     return {name: value for name, value in config.items() if value != full.get(name)}
 
 
@@ -286,8 +286,8 @@ def finish(
     summary = [row for section in sections for row in section.summary]
     resolved = {"versions": versions(), "experiments": configs}
     with _writing(folder, "the report"):
-        write_whole(folder / "summary.json", _json(summary))
-        write_whole(folder / "numbers.json", _json(numbers))
-        write_whole(folder / "config.toml", tomli_w.dumps(resolved))
+        write_atomic(folder / "summary.json", _json(summary))
+        write_atomic(folder / "numbers.json", _json(numbers))
+        write_atomic(folder / "config.toml", tomli_w.dumps(resolved))
         write_report(folder / "report.html", sections)
     return sections

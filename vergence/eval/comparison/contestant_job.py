@@ -8,8 +8,8 @@ from vergence.controllers.controller import Controller
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ControllerError
 from vergence.eval.comparison.contestants import Contestant
-from vergence.eval.comparison.options import Fitted
-from vergence.eval.comparison.own_code import blamed
+from vergence.eval.comparison.options import ResolvedOptions
+from vergence.eval.comparison.own_code import errors_attributed_to
 from vergence.eval.trials.run import Trials, run_trials
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
@@ -47,7 +47,7 @@ class ContestantJob(ABC, Generic[Found]):
     """Picklable job of a worker for one controller in one scenario on one plant."""
 
     contestant: Contestant
-    fitted: Fitted
+    fitted: ResolvedOptions
     """Options, resolved before the job is sent: another machine may have another table of tuned
     options."""
     scenario: Scenario
@@ -83,7 +83,7 @@ class ContestantJob(ABC, Generic[Found]):
 
     def _trials(self, controller: Controller, scenario: Scenario, *, observed: int = 0) -> Trials:
         """Run the controller's trials, see `run_trials`; errors are attributed to it."""
-        with blamed(controller):
+        with errors_attributed_to(controller):
             return run_trials(
                 controller,
                 scenario,

@@ -18,8 +18,8 @@ from vergence.errors import (
     VergenceError,
     did_you_mean,
 )
-from vergence.eval.comparison.options import Fitted, GivenOptions, fitted
-from vergence.eval.comparison.own_code import Watched, make_own, option_names
+from vergence.eval.comparison.options import GivenOptions, ResolvedOptions, resolve_options
+from vergence.eval.comparison.own_code import GuardedController, make_user_controller, option_names
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
 
@@ -55,7 +55,7 @@ class Contestant:
         word = self.source.word if isinstance(self.source, EntryPoint) else self.source
         return (word, self.label) if isinstance(word, str) else (self.label,)
 
-    def fitted(self, head: HeadModel, scenario: str) -> Fitted:
+    def fitted(self, head: HeadModel, scenario: str) -> ResolvedOptions:
         """Resolve the controller's options.
 
         Args:
@@ -77,8 +77,8 @@ class Contestant:
                         f"{did_you_mean(name, known)}"
                     )
         if isinstance(self.source, str) and self.source in CONTROLLERS:
-            return fitted(self.source, head, scenario, given)
-        return Fitted(options=given, given=tuple(given))
+            return resolve_options(self.source, head, scenario, given)
+        return ResolvedOptions(options=given, given=tuple(given))
 
     def _option_names(self) -> set[str] | None:
         if isinstance(self.source, EntryPoint):
@@ -95,7 +95,7 @@ class Contestant:
         Args:
             head: the model that the controller knows.
             layout: layout of observations and actions.
-            options: the controller's options, see `fitted`.
+            options: the controller's options, see `resolve_options`.
 
         Returns:
             The controller and its options; for a policy file its SHA-256.
@@ -104,16 +104,16 @@ class Contestant:
             VergenceError: it cannot be made.
         """
         if isinstance(self.source, EntryPoint):
-            return make_own(self.source, head, layout, options), dict(options)
+            return make_user_controller(self.source, head, layout, options), dict(options)
         if not isinstance(self.source, str):
-            return Watched(self.source, self.label), {}
+            return GuardedController(self.source, self.label), {}
         if self.source in CONTROLLERS:
             return make_controller(self.source, head, layout, **options), dict(options)
         policy = load_policy(Path(self.source), head=head, layout=layout)
         # the file may change later: the digest identifies the one that ran
         return policy, {"sha256": hashlib.sha256(Path(self.source).read_bytes()).hexdigest()}
 
-    def check(self, head: HeadModel, scenario: Scenario) -> Fitted:
+    def check(self, head: HeadModel, scenario: Scenario) -> ResolvedOptions:
         """Make the controller once before the evaluation; user-defined ones also act once.
 
         Args:
@@ -137,13 +137,13 @@ class Contestant:
             raise ConfigurationError(
                 f"{self.given.where}: {self.label}.{name}: {_without_stack(error)}"
             ) from error
-        if isinstance(self.source, EntryPoint) and isinstance(controller, Watched):
+        if isinstance(self.source, EntryPoint) and isinstance(controller, GuardedController):
             task = scenario.task(_TRIED, plant="kinematic", head=head)
             with controller.blamed():
                 rollout(task, controller, 1, lambda _step: None)
         return found
 
-    def _culprit(self, head: HeadModel, layout: ObservationLayout, found: Fitted) -> str:
+    def _culprit(self, head: HeadModel, layout: ObservationLayout, found: ResolvedOptions) -> str:
         """Name of the given option that alone prevents making it; all names if none does alone."""
         rest = {key: value for key, value in found.options.items() if key not in found.given}
         for name in found.given:
@@ -190,7 +190,7 @@ def contestants(
 
 def that_can_be_made(
     found: list[Contestant], head: HeadModel, scenario: Scenario, named: Collection[str]
-) -> tuple[list[tuple[Contestant, Fitted]], list[str]]:
+) -> tuple[list[tuple[Contestant, ResolvedOptions]], list[str]]:
     """Leave out contestants that cannot be made here, for example if a package is missing.
 
     Args:

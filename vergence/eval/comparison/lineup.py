@@ -20,7 +20,7 @@ from vergence.eval.comparison.contestants import (
     contestants,
     that_can_be_made,
 )
-from vergence.eval.comparison.options import UNTUNED, Fitted, GivenOptions, fitted
+from vergence.eval.comparison.options import UNTUNED, GivenOptions, ResolvedOptions, resolve_options
 from vergence.eval.jobs import Mapper
 from vergence.eval.trials.loops import TICK_RAD_S
 from vergence.eval.trials.scenarios import Scenario, load_scenario
@@ -45,7 +45,7 @@ class Lineup:
     """The robot, if any."""
     pairs: list[tuple[Scenario, str]]
     """Each scenario with each plant that it runs on."""
-    able: dict[str, list[tuple[Contestant, Fitted]]]
+    able: dict[str, list[tuple[Contestant, ResolvedOptions]]]
     """Contestants that can be made, with their options, by scenario."""
     notes: list[str]
     """Notes on controllers and plants that are left out, and on untuned controllers."""
@@ -134,7 +134,7 @@ def tune_first(
         )
     for scenario in {scenario.name: scenario for scenario, _ in _pairs(config, None)[0]}.values():
         head = scenario.model() if config.head is None else load_head(config.head)
-        found = fitted(BASELINE, head, scenario.name, given.of((BASELINE,), scenario.name))
+        found = resolve_options(BASELINE, head, scenario.name, given.of((BASELINE,), scenario.name))
         if found.tuned is False:
             say(f"tuning {BASELINE} for the head {head.name} in {scenario.name}")
             entry = tune_baseline(scenario, head, config.head, mapper)
@@ -189,7 +189,7 @@ def _given(config: EvaluateConfig, options: Mapping[str, Mapping[str, Any]] | No
 
 
 def _untuned(
-    able: list[tuple[Contestant, Fitted]],
+    able: list[tuple[Contestant, ResolvedOptions]],
     head: HeadModel,
     scenario: Scenario,
     config: EvaluateConfig,

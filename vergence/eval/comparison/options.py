@@ -28,7 +28,7 @@ UNTUNED = "untuned for this head"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fitted:
+class ResolvedOptions:
     """A controller's options and their source."""
 
     options: dict[str, Any]
@@ -41,7 +41,9 @@ class Fitted:
     """Names of the user-given options."""
 
 
-def fitted(name: str, head: HeadModel, scenario: str, given: Mapping[str, Any]) -> Fitted:
+def resolve_options(
+    name: str, head: HeadModel, scenario: str, given: Mapping[str, Any]
+) -> ResolvedOptions:
     """Resolve the options of a registry controller.
 
     Args:
@@ -60,7 +62,7 @@ def fitted(name: str, head: HeadModel, scenario: str, given: Mapping[str, Any]) 
     # Remaining options that were tuned for another head stay marked as untuned.
     if space.keys() <= given.keys() or (tuned and space.keys() & given.keys()):
         entry, tuned = (None if space.keys() <= given.keys() else entry), None
-    return Fitted(
+    return ResolvedOptions(
         options={**({} if entry is None else entry.options), **given},
         tuned=tuned,
         tuned_for=None if entry is None or tuned is None else entry.head,

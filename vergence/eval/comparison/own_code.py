@@ -22,10 +22,10 @@ from vergence.models.head import HeadModel
 _PREDICT: Final = "predict(observation, state=None, episode_start=None, deterministic=True)"
 
 
-def make_own(
+def make_user_controller(
     entry: EntryPoint, head: HeadModel, layout: ObservationLayout, options: Mapping[str, Any]
-) -> "Watched":
-    """Make a user-defined controller and wrap it in `Watched`.
+) -> "GuardedController":
+    """Make a user-defined controller and wrap it in `GuardedController`.
 
     Raises:
         ConfigurationError: there is no such class, or it has no suitable `predict`.
@@ -44,7 +44,7 @@ def make_own(
         controller = make(head=head, layout=layout, **options)
     except (Exception, SystemExit) as error:
         raise ControllerError(f"controller {entry.word}: cannot be made: {where(error)}") from error
-    return Watched(controller, entry.word)
+    return GuardedController(controller, entry.word)
 
 
 def option_names(make: Any) -> set[str] | None:
@@ -55,15 +55,15 @@ def option_names(make: Any) -> set[str] | None:
     return {one.name for one in parameters} - {"head", "layout"}
 
 
-def blamed(controller: Policy) -> AbstractContextManager[None]:
+def errors_attributed_to(controller: Policy) -> AbstractContextManager[None]:
     """Context that attributes errors to a user-defined controller; no effect for other ones.
 
-    See `Watched.blamed`.
+    See `GuardedController.blamed`.
     """
-    return controller.blamed() if isinstance(controller, Watched) else nullcontext()
+    return controller.blamed() if isinstance(controller, GuardedController) else nullcontext()
 
 
-class Watched:
+class GuardedController:
     """Wrapper of a controller that reports errors of its `predict` in one line, with their place.
 
     Args:

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import tomli_w
 
 from vergence.eval.comparison.config import EvaluateConfig
-from vergence.eval.reporting.runs import plain, versions
+from vergence.eval.reporting.runs import toml_value, versions
 from vergence.models.files.head_file import save_head
 from vergence.models.head import HeadModel
 
@@ -46,7 +46,7 @@ def what_ran(
         notes: notes on controllers and plants that were left out.
         failures: errors of user-defined controllers.
     """
-    found: dict[str, Any] = plain(
+    found: dict[str, Any] = toml_value(
         {**config.resolved(), "notes": list(notes), "failures": list(failures)}
     )
     return found
@@ -76,11 +76,11 @@ def write_ran(
             file = f"head-{one.scenario}.toml"
             save_head(one.head, folder / file)
             heads[one.scenario] = {"name": one.head.name, "digest": one.head.digest, "file": file}
-        ran.setdefault(one.controller, {})[one.scenario] = plain(one.options)
+        ran.setdefault(one.controller, {})[one.scenario] = toml_value(one.options)
         if one.tuned is not None:
             tuned.setdefault(one.controller, {})[one.scenario] = one.tuned
     content = {
-        "config": plain(config.resolved()),
+        "config": toml_value(config.resolved()),
         "notes": list(notes),
         "failures": list(failures),
         "heads": heads,

@@ -35,7 +35,7 @@ def last_value(holds: Callable[[float], bool], begin: float, end: float) -> floa
         return begin
     good = begin
     for share in GRID:
-        value = end if share == 1.0 else _plain(begin + share * (end - begin))
+        value = end if share == 1.0 else _rounded(begin + share * (end - begin))
         if not holds(value):
             return _between(holds, good, value)
         good = value
@@ -45,7 +45,7 @@ def last_value(holds: Callable[[float], bool], begin: float, end: float) -> floa
 def _between(holds: Callable[[float], bool], good: float, bad: float) -> float:
     """Bisect between a value at which the condition holds and one at which it fails."""
     for _ in range(HALVINGS):
-        middle = _plain(0.5 * (good + bad))
+        middle = _rounded(0.5 * (good + bad))
         if holds(middle):
             good = middle
         else:
@@ -53,6 +53,6 @@ def _between(holds: Callable[[float], bool], good: float, bad: float) -> float:
     return good
 
 
-def _plain(value: float) -> float:
+def _rounded(value: float) -> float:
     """Round to six significant digits, so that the tested value is exactly the written one."""
     return float(f"{value:.6g}")

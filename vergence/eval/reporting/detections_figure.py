@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vergence.eval.reporting.labels import page_point
 from vergence.eval.reporting.style import new_figure, styled
-from vergence.files import whole_file
+from vergence.files import atomic_file
 from vergence.models.boards import PlanarTarget
 from vergence.models.parts import FloatArray
 from vergence.perception.spotting import Photograph, number_of
@@ -134,7 +134,7 @@ def draw_photographs(shown: Sequence[Photograph], path: Path) -> None:
     """
     with styled():
         figure = compose(shown)
-        with whole_file(path) as partial:
+        with atomic_file(path) as partial:
             figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})
 
 

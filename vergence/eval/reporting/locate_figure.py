@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vergence.eval.reporting.detections_figure import Colours, draw_detections, outline, shortened
 from vergence.eval.reporting.style import BLUE, GREY, ORANGE, new_figure, styled
-from vergence.files import whole_file
+from vergence.files import atomic_file
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 from vergence.perception.locate import LocateResult
@@ -58,7 +58,7 @@ def draw_located(result: LocateResult, path: Path) -> None:
     """
     with styled():
         figure = compose(result)
-        with whole_file(path) as partial:
+        with atomic_file(path) as partial:
             figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})
 
 

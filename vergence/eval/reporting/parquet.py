@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from vergence.files import whole_file
+from vergence.files import atomic_file
 
 
 def write_parquet(csv: Path) -> Path:
@@ -22,6 +22,6 @@ def write_parquet(csv: Path) -> Path:
 
     path = csv.with_suffix(".parquet")
     table = read_csv(csv)  # exact floats; pandas' own reader is exact only from version 3 on
-    with whole_file(path) as partial:
+    with atomic_file(path) as partial:
         write_table(table, partial)
     return path

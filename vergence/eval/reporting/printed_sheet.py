@@ -13,7 +13,7 @@ from matplotlib.path import Path as Outline
 from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
-from vergence.files import whole_file
+from vergence.files import atomic_file
 from vergence.vision.printing import RULER_MM, Sheet
 
 RULER_TEXT: Final = f"print at 100 %, measure this: {RULER_MM:g} mm"
@@ -53,7 +53,7 @@ def draw_sheet(sheet: Sheet, path: Path, dpi: float) -> None:
         OSError: the file cannot be written.
     """
     # default settings: the user's may crop the sheet or change its font
-    with style.context(["default", _RC]), whole_file(path) as partial:
+    with style.context(["default", _RC]), atomic_file(path) as partial:
         figure = _figure(sheet)
         ending = path.suffix.lower()
         if ending == ".pdf":

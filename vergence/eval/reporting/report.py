@@ -19,7 +19,7 @@ from vergence.eval.article.reported import reported_results
 from vergence.eval.reporting.glossary import GLOSSARY
 from vergence.eval.reporting.runs import versions
 from vergence.eval.reporting.text import NONE, environment, format_number, read_template
-from vergence.files import write_whole
+from vergence.files import write_atomic
 
 _PHRASES: Final = {
     SAME_ORDER: "of the same order",
@@ -98,7 +98,7 @@ def write_report(path: Path, sections: list[Section], title: str = "") -> None:
         pairs=lambda section: [(section.name, row) for row in section.summary],
         ratio=_ratio,
     )
-    write_whole(path, text)
+    write_atomic(path, text)
 
 
 def headlines(sections: list[Section]) -> list[tuple[str, dict[str, Any]]]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import tomli_w
 
 from vergence.errors import ConfigurationError
-from vergence.files import remove_partial, save_folder, whole_folder
+from vergence.files import atomic_folder, remove_partial, save_folder
 from vergence.locks import locked
 from vergence.models.files.head_file import save_head
 from vergence.models.head import HeadModel
@@ -133,7 +133,7 @@ def _unwritable(folder: Path, error: Exception) -> ConfigurationError:
 
 
 @contextmanager
-def claimed(folder: Path) -> Iterator[None]:
+def locked_run_folder(folder: Path) -> Iterator[None]:
     """Lock the name of a run folder from before the work begins until it is written.
 
     Args:
@@ -166,7 +166,7 @@ def run_folder(folder: Path) -> Iterator[Path]:
     """
     check_free(folder)
     try:
-        with whole_folder(folder) as partial:
+        with atomic_folder(folder) as partial:
             yield partial
     except OSError as error:
         raise _unwritable(folder, error) from error
@@ -205,7 +205,7 @@ def write_config(
         packages: packages whose versions are recorded besides those of every run.
     """
     content = {
-        "config": plain(dataclasses.asdict(config)),
+        "config": toml_value(dataclasses.asdict(config)),
         "head": {"name": head.name, "digest": head.digest, "file": "head.toml"},
         "versions": versions(_VERSIONED + packages),
     }
@@ -219,10 +219,10 @@ def write_json(path: Path, content: Mapping[str, Any] | Sequence[Any]) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def plain(value: Any) -> Any:
+def toml_value(value: Any) -> Any:
     """Convert a value for TOML: leave out None, which TOML does not have; write paths as text."""
     if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items() if item is not None}
+        return {key: toml_value(item) for key, item in value.items() if item is not None}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [toml_value(item) for item in value]
     return str(value) if isinstance(value, Path) else value

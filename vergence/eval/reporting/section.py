@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from vergence.errors import ConfigurationError
 from vergence.eval.reporting.report import ReportTable, Section
-from vergence.files import whole_folder, write_whole
+from vergence.files import atomic_folder, write_atomic
 
 SECTION_FILE: Final = "section.json"
 _FORMAT: Final = 1
@@ -26,7 +26,7 @@ def write_section(path: Path, section: Section) -> None:
     content = dataclasses.asdict(section)
     content["figures"] = [figure.relative_to(path.parent).as_posix() for figure in section.figures]
     text = json.dumps({"format": _FORMAT, **content}, indent=2, allow_nan=False, default=str)
-    write_whole(path, text + "\n")
+    write_atomic(path, text + "\n")
 
 
 def read_section(path: Path) -> Section:
@@ -106,7 +106,7 @@ def include_section(run: Path, folder: Path) -> Path:
     """
     read_section(run / SECTION_FILE)
     name = re.sub(r"[^A-Za-z0-9_-]+", "-", run.resolve().name)
-    with whole_folder(folder / name, replace=True) as copy:
+    with atomic_folder(folder / name, replace=True) as copy:
         shutil.copytree(run, copy, dirs_exist_ok=True)
     return folder / name
 

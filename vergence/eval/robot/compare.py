@@ -22,7 +22,7 @@ from vergence.eval.comparison.lineup import Lineup
 from vergence.eval.reporting.runs import versions
 from vergence.eval.robot.controller import RobotController
 from vergence.eval.robot.judge import RobotJob, missed_periods
-from vergence.eval.robot.sessions import Entry, RecordedTrial, Sessions, TrialKey
+from vergence.eval.robot.sessions import JournalEntry, RecordedTrial, Sessions, TrialKey
 from vergence.eval.robot.stage import TargetStage
 from vergence.eval.trials.run import periods
 from vergence.eval.trials.scenarios import Scenario
@@ -262,7 +262,7 @@ class _Connection:
                 raise HardwareError(log.fault)
             made = self._ready[key.controller]
             run.sessions.add(
-                Entry(
+                JournalEntry(
                     **key._asdict(),
                     log=log.path.name,
                     number=begun + 1,

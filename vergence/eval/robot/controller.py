@@ -13,7 +13,7 @@ from vergence.entry_points import EntryPoint
 from vergence.envs.layout import ObservationLayout
 from vergence.eval.comparison.contestants import Contestant, contestants
 from vergence.eval.comparison.options import GivenOptions
-from vergence.eval.comparison.own_code import blamed
+from vergence.eval.comparison.own_code import errors_attributed_to
 from vergence.models.head import HeadModel
 
 LOOP: Final = "desk"
@@ -84,4 +84,4 @@ class RobotController:
 
     def blamed(self) -> AbstractContextManager[None]:
         """Context that attributes errors, except the robot's, to a controller of user code."""
-        return blamed(self.policy)
+        return errors_attributed_to(self.policy)

@@ -12,7 +12,7 @@ from vergence.eval.comparison.evaluate import complete
 from vergence.eval.comparison.evaluation import Evaluation
 from vergence.eval.comparison.lineup import line_up
 from vergence.eval.jobs import Mapper, Progress, SerialMapper
-from vergence.eval.reporting.runs import plain
+from vergence.eval.reporting.runs import toml_value
 from vergence.eval.robot.compare import RobotRun
 from vergence.eval.robot.sessions import Sessions
 from vergence.eval.robot.stage import make_stage
@@ -87,9 +87,9 @@ def evaluate_on_robot(
     asked = {**_asked(config), "stage": stage.name, "robot": _robot(hardware)}
     robot = RobotRun(
         lineup=lineup, hardware=hardware, stage=stage, episodes=config.trials, seed=config.seed,
-        sessions=Sessions(run, None if resume else plain(asked)),
+        sessions=Sessions(run, None if resume else toml_value(asked)),
     )  # fmt: skip
-    before, now = robot.sessions.asked.get("robot", {}), plain(asked)["robot"]
+    before, now = robot.sessions.asked.get("robot", {}), toml_value(asked)["robot"]
     for name in sorted({*before, *now}):
         if before.get(name) != now.get(name):
             raise ConfigurationError(

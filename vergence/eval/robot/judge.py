@@ -13,12 +13,12 @@ from vergence.envs.reading import BoolArray, Reading, Truth
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.eval.comparison.job import EvaluationJob
-from vergence.eval.comparison.own_code import blamed
+from vergence.eval.comparison.own_code import errors_attributed_to
 from vergence.eval.robot.sessions import RecordedTrial
 from vergence.eval.robot.stage import REST
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.results import Trials, join
-from vergence.eval.trials.run import Timed, periods, run_in
+from vergence.eval.trials.run import TimedController, periods, run_in
 from vergence.eval.trials.scenarios import Scenario
 from vergence.eval.trials.settling import judged_bands
 from vergence.hardware.config import HardwareConfig
@@ -53,8 +53,8 @@ class RobotJob(EvaluationJob):
                 trial = _to_the_end(trial, steps, head.timing.period_s)
             options = {"trials": [trial]}
             task = GazeTask(1, head=head, plant=REPLAYED, target=REST, plant_options=options)
-            timed = Timed(controller, int(place < observed))
-            with blamed(controller):
+            timed = TimedController(controller, int(place < observed))
+            with errors_attributed_to(controller):
                 trials = run_in(task, timed, scenario, plant=self.plant)
             trials = replace(
                 trials,

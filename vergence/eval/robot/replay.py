@@ -31,7 +31,7 @@ _MOST_DIGITS: Final = 7
 
 
 @dataclass(frozen=True, kw_only=True)
-class AskedAgain:
+class RerunCommands:
     """Commands of a policy run on a log's readings, beside those of the log's own policy."""
 
     controller: str
@@ -76,7 +76,7 @@ class Replay:
     gazes: Gazes
     results: list[GazeResult]
     """One per gaze."""
-    again: AskedAgain | None
+    again: RerunCommands | None
     """Commands of the policy that was run again; None if there was none."""
     notes: tuple[str, ...]
     """Remarks for the user."""
@@ -223,7 +223,7 @@ def _run(
     found = None
     if again is not None:
         logged = [trial.asked() for trial in log.trials]
-        found = AskedAgain(controller=again.word, logged=logged, asked=asked)
+        found = RerunCommands(controller=again.word, logged=logged, asked=asked)
     return Replay(log=log, gazes=gazes, results=results, again=found, notes=notes)
 
 

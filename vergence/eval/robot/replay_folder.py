@@ -6,7 +6,7 @@ import pandas as pd
 
 from vergence.eval.gaze_figure import draw_gaze
 from vergence.eval.reporting.runs import write_json
-from vergence.eval.robot.replay import AskedAgain, Replay
+from vergence.eval.robot.replay import Replay, RerunCommands
 from vergence.models.files.head_file import save_head
 from vergence.models.head import HeadModel
 from vergence.recording import schema
@@ -35,7 +35,7 @@ def write_replay(folder: Path, replay: Replay, gaze: int | None = None) -> None:
         draw_gaze(replay.results[-1 if gaze is None else gaze - 1], folder / "gaze.png")
 
 
-def _commands(again: AskedAgain, head: HeadModel) -> pd.DataFrame:
+def _commands(again: RerunCommands, head: HeadModel) -> pd.DataFrame:
     """A row per control period: commands of the log's policy and of the one run again, rad/s."""
     parts = []
     for place, (logged, asked) in enumerate(zip(again.logged, again.asked, strict=True)):

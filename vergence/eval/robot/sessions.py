@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.files import write_whole
+from vergence.files import write_atomic
 from vergence.models.parts import FloatArray
 from vergence.recording.log import LoggedTrial, read_log
 
@@ -36,7 +36,7 @@ class TrialKey(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entry:
+class JournalEntry:
     """A line of the journal: one completed trial."""
 
     scenario: str
@@ -84,7 +84,7 @@ class Entry:
 class RecordedTrial:
     """A completed trial: its journal entry and its log."""
 
-    entry: Entry
+    entry: JournalEntry
     trial: LoggedTrial
 
     @property
@@ -136,7 +136,7 @@ class Sessions:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             if not place.exists():
-                write_whole(place, json.dumps(self.asked, indent=2) + "\n")
+                write_atomic(place, json.dumps(self.asked, indent=2) + "\n")
         except OSError as error:
             raise ConfigurationError(
                 f"out: expected a folder that can be written, got {self.folder}: {error.strerror}"
@@ -147,7 +147,7 @@ class Sessions:
             number += 1
         return self.folder / name
 
-    def add(self, entry: Entry) -> None:
+    def add(self, entry: JournalEntry) -> None:
         """Append a completed trial to the journal, and sync it to disk.
 
         Raises:
@@ -198,7 +198,7 @@ class Sessions:
                 found[entry.key] = RecordedTrial(entry=entry, trial=logged[0])
         return found
 
-    def _entries(self) -> Iterator[Entry]:
+    def _entries(self) -> Iterator[JournalEntry]:
         place = self.folder / _JOURNAL
         try:
             lines = place.read_bytes().split(b"\n") if place.exists() else []
@@ -210,7 +210,7 @@ class Sessions:
             except ValueError:  # empty, or cut off by a kill
                 continue
             try:
-                entry = Entry(**fields)
+                entry = JournalEntry(**fields)
                 entry.check()
             except TypeError as error:
                 raise ConfigurationError(

@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import compiled, device
+from vergence._jit import compiled, inlined
 from vergence.eval.trials.goal import actuator_goal, eye_goal
 from vergence.models.actuation import SLOTS
 from vergence.models.packed import PackedHead, camera_of, joint_per_actuator
@@ -98,7 +98,7 @@ def bands_of_actuators(
             slack[n, k] = band * bend * _widest(squares, k)
 
 
-@device
+@inlined
 def _rate(p: PackedHead, jacobian: FloatArray, eye: int, axis: int, k: int) -> float:
     """Derivative of an eye's image along one axis with respect to one actuator, px/rad."""
     first, second = joint_per_actuator(p, 2 * eye, k), joint_per_actuator(p, 2 * eye + 1, k)
@@ -106,7 +106,7 @@ def _rate(p: PackedHead, jacobian: FloatArray, eye: int, axis: int, k: int) -> f
     return rate
 
 
-@device
+@inlined
 def _widest(squares: FloatArray, k: int) -> float:
     """Largest deviation of actuator k with both eyes within 1 px, rad; by golden section.
 
@@ -135,7 +135,7 @@ def _widest(squares: FloatArray, k: int) -> float:
     return sqrt(least)
 
 
-@device
+@inlined
 def _reach_squared(squares: FloatArray, weight: float, k: int) -> float:
     """((w M_l + (1 - w) M_r)^-1)_kk, rad^2/px^2; inf if no image constrains actuator k."""
     m = np.empty((SLOTS, SLOTS))

@@ -31,7 +31,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import bare, compiled, device
+from vergence._jit import compiled, inlined, untyped_tuple
 from vergence.envs.plants.conditions import Conditions
 from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.task import GazeTask
@@ -87,8 +87,8 @@ def settle_bound(
         slack,
         np.ascontiguousarray(moved.actuators_of(truth.positions)[:, EYES]),
         np.ascontiguousarray(truth.motors[:, EYES]),
-        bare(MotorLimits.of(moved)),
-        bare(Able.of(conditions)),
+        untyped_tuple(MotorLimits.of(moved)),
+        untyped_tuple(MotorOverrides.of(conditions)),
         period,
         motion_s,
     )
@@ -134,7 +134,7 @@ class MotorLimits(NamedTuple):
         )
 
 
-class Able(NamedTuple):
+class MotorOverrides(NamedTuple):
     """Per-trial overrides of the motor limits, (n,) or (n, 4) by actuator of the eyes."""
 
     lag_s: FloatArray
@@ -144,7 +144,7 @@ class Able(NamedTuple):
     backlash_rad: FloatArray
 
     @classmethod
-    def of(cls, conditions: Conditions) -> "Able":
+    def of(cls, conditions: Conditions) -> "MotorOverrides":
         """Take the overrides from the trials' conditions.
 
         A second-order response with overshoot o never exceeds (1 + o) / (1 - o) times its greatest
@@ -170,7 +170,7 @@ def _motion_times(
     start: FloatArray,
     begin: FloatArray,
     motors: MotorLimits,
-    able: Able,
+    able: MotorOverrides,
     period: float,
     times: FloatArray,
 ) -> None:
@@ -181,12 +181,12 @@ def _motion_times(
         slack: (n, 4) largest deviations from the goals, rad.
         start: (n, 4) present angles of the actuators, rad.
         begin: (n, 4) present angles of their motors, within the backlash, rad.
-        motors: `MotorLimits`, made `bare`.
-        able: `Able`, made `bare`.
+        motors: `MotorLimits`, made `untyped_tuple`.
+        able: `MotorOverrides`, made `untyped_tuple`.
         period: the control period, s.
         times: (n,) result, s.
     """
-    motors, able = MotorLimits(*motors), Able(*able)
+    motors, able = MotorLimits(*motors), MotorOverrides(*able)
     for n in range(times.shape[0]):
         times[n] = 0.0
         for k in range(SLOTS):
@@ -216,7 +216,7 @@ def _motion_times(
             times[n] = max(times[n], entry)
 
 
-@device
+@inlined
 def _entry(
     turn: float,
     slack: float,

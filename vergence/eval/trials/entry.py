@@ -10,8 +10,8 @@ it crosses the near edge.
 from math import inf, log
 from typing import Final, NamedTuple
 
-from vergence._jit import compiled, device
-from vergence.models.joint_response import follow_fading_joint, follow_joint, share_left
+from vergence._jit import compiled, inlined
+from vergence.models.joint_response import follow_joint, follow_torque_limited_joint, lag_decay
 
 _HALVINGS: Final = 60
 """Steps of each bisection; they exhaust double precision (numerical)."""
@@ -69,15 +69,17 @@ class _Joint(NamedTuple):
     fade: float
 
 
-@device
+@inlined
 def _after(q: float, v: float, command: float, time: float, joint: _Joint) -> tuple[float, float]:
     if joint.fade > 0.0:
-        return follow_fading_joint(q, v, command, joint.lag, joint.acceleration, joint.fade, time)
-    decay = share_left(time, joint.lag)
+        return follow_torque_limited_joint(
+            q, v, command, joint.lag, joint.acceleration, joint.fade, time
+        )
+    decay = lag_decay(time, joint.lag)
     return follow_joint(q, v, command, joint.lag, joint.acceleration, time, decay)
 
 
-@device
+@inlined
 def _place(time: float, switch: float, joint: _Joint) -> tuple[float, float]:
     """Angle and velocity at a time, under full command until the switch, then full reverse."""
     q, v = _after(0.0, 0.0, joint.speed, min(time, switch), joint)
@@ -86,7 +88,7 @@ def _place(time: float, switch: float, joint: _Joint) -> tuple[float, float]:
     return q, v
 
 
-@device
+@inlined
 def _stop_time(switch: float, joint: _Joint) -> float:
     """Time from the switch until full reverse has stopped the joint, s."""
     _q, v = _place(switch, switch, joint)
@@ -103,13 +105,13 @@ def _stop_time(switch: float, joint: _Joint) -> float:
     return time
 
 
-@device
+@inlined
 def _stop(switch: float, joint: _Joint) -> float:
     """Angle at which the joint stops if it reverses at the switch, rad."""
     return _place(switch + _stop_time(switch, joint), switch, joint)[0]
 
 
-@device
+@inlined
 def _until_beyond(distance: float, joint: _Joint) -> float:
     """An upper bound on the time in which full command carries a joint beyond a distance, s."""
     time = distance / joint.speed + joint.lag + 1e-6

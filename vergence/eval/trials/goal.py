@@ -16,16 +16,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence._jit import compiled, device
+from vergence._jit import compiled, inlined
 from vergence.envs.plants.simulation import Simulation
 from vergence.envs.task import GazeTask
 from vergence.models.actuation import SLOTS
+from vergence.models.actuator_projection import actuator_least_squares
 from vergence.models.camera import pixel_error, point_to_pixel
-from vergence.models.fixation import fixate_eye, fixate_tied
+from vergence.models.fixation import fixate_coupled, fixate_eye
 from vergence.models.kinematics import point_in_eye
 from vergence.models.packed import PackedHead, actuator_at, joint_at
 from vergence.models.parts import FloatArray
-from vergence.models.projection import share_of_actuators
 
 _NEWTON_STEPS: Final = 30
 """Most Newton steps for an eye (numerical)."""
@@ -81,7 +81,7 @@ def _residuals(
                     residual[n, eye, axis] = nan
 
 
-@device
+@inlined
 def measured_error(
     true: PackedHead, nominal: PackedHead, eye: int, tilt: float, pan: float, point: FloatArray
 ) -> tuple[float, float]:
@@ -102,7 +102,7 @@ class Slopes(NamedTuple):
     vp: float
 
 
-@device
+@inlined
 def error_slopes(
     true: PackedHead, nominal: PackedHead, eye: int, tilt: float, pan: float, point: FloatArray
 ) -> Slopes:
@@ -129,7 +129,7 @@ class EyeGoal(NamedTuple):
     vp: float
 
 
-@device
+@inlined
 def eye_goal(true: PackedHead, nominal: PackedHead, eye: int, point: FloatArray) -> EyeGoal:
     """Goal angles of an eye with one motor for each joint."""
     tilt, pan = fixate_eye(true, eye, point[0], point[1], point[2])
@@ -145,7 +145,7 @@ def eye_goal(true: PackedHead, nominal: PackedHead, eye: int, point: FloatArray)
     return EyeGoal(nan, nan, nan, nan, nan, nan)
 
 
-@device
+@inlined
 def actuator_goal(
     true: PackedHead,
     nominal: PackedHead,
@@ -169,7 +169,7 @@ def actuator_goal(
         True if there are such angles.
     """
     joints, wanted, step = np.empty(4), np.empty((2, 2)), np.empty(SLOTS)
-    if not fixate_tied(true, point[0], point[1], point[2], joints):
+    if not fixate_coupled(true, point[0], point[1], point[2], joints):
         return False
     for k in range(SLOTS):
         own[k] = actuator_at(true, k, joints)
@@ -182,7 +182,7 @@ def actuator_goal(
             jacobian[eye, 0, 0], jacobian[eye, 0, 1] = found.ut, found.up
             jacobian[eye, 1, 0], jacobian[eye, 1, 1] = found.vt, found.vp
             wanted[eye, 0], wanted[eye, 1] = -found.u, -found.v
-        share_of_actuators(true, jacobian, wanted, True, True, step)
+        actuator_least_squares(true, jacobian, wanted, True, True, step)
         size = 0.0
         for k in range(SLOTS):
             size = max(size, abs(step[k]))

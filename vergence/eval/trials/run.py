@@ -32,7 +32,7 @@ from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.goal import least_measured_error
 from vergence.eval.trials.recorded import as_trials
 from vergence.eval.trials.results import Trials, headline, join
-from vergence.eval.trials.scenarios import Assignment, Scenario, named
+from vergence.eval.trials.scenarios import Assignment, Scenario, naming_scenario
 from vergence.eval.trials.settling import judged_bands
 from vergence.models.head import HeadModel
 from vergence.recording import Recorder
@@ -91,7 +91,7 @@ def run_trials(
     if episodes < 1:
         raise ConfigurationError(f"episodes: expected at least 1, got {episodes}")
     size = min(episodes, BATCH if batch is None else batch)
-    if (most := plant_type(plant).most) is not None:
+    if (most := plant_type(plant).max_num) is not None:
         size = min(size, most)
     if size < 1:
         raise ConfigurationError(f"batch: expected at least 1, got {batch}")
@@ -100,7 +100,7 @@ def run_trials(
     for begin in range(0, episodes, size):
         num = min(size, episodes - begin)
         with closing(scenario.task(num, plant=plant, head=head)) as task:
-            timed = Timed(controller, max(0, min(num, observed - begin)), clock_ns)
+            timed = TimedController(controller, max(0, min(num, observed - begin)), clock_ns)
             part = run_in(
                 task,
                 timed,
@@ -122,7 +122,7 @@ def _share(
     return lambda fraction: progress(begin + share * fraction)
 
 
-class Timed:
+class TimedController:
     """Wrapper of a controller that records durations of `predict` and the first observations.
 
     Args:
@@ -178,7 +178,7 @@ def periods(assignment: Assignment, head: HeadModel, *, simulated: bool) -> tupl
 
 def run_in(
     task: GazeTask,
-    timed: Timed,
+    timed: TimedController,
     scenario: Assignment,
     *,
     plant: str,
@@ -214,7 +214,7 @@ def run_in(
         elif isinstance(task.plant, Simulation):
             known.update(_known_at_the_start(task, task.plant, scenario))
 
-    with named(scenario.name):
+    with naming_scenario(scenario.name):
         rollout(task, timed, all_steps, keep, seed=seed, first_trial=first_trial)
     trials = as_trials(
         task,

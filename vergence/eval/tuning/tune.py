@@ -18,7 +18,7 @@ from vergence.eval.tuning.objective import Attempt, Objective
 from vergence.eval.tuning.spaces import Span, first_point, is_grid
 from vergence.eval.tuning.study import SearchSpec, run_search
 from vergence.eval.tuning.study_storage import without_password
-from vergence.files import whole_files
+from vergence.files import atomic_files
 from vergence.locks import locked
 from vergence.models.head import HeadModel
 
@@ -103,7 +103,7 @@ def tune(
 def _write(folder: Path, result: TuneResult, spans: Mapping[str, Span], head: HeadModel) -> None:
     config = result.config
     # processes that share a study may end together, and each writes the results of all
-    with locked(folder, wait=True), whole_files(folder, last="tune.json") as partial:
+    with locked(folder, wait=True), atomic_files(folder, last="tune.json") as partial:
         shown = dataclasses.replace(config, storage=without_password(str(config.storage)))
         write_config(partial, shown, head, PACKAGES)
         rows = [

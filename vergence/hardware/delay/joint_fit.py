@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from vergence.envs.streams import IntArray
-from vergence.models.joint_response import follow_joint, share_left
+from vergence.models.joint_response import follow_joint, lag_decay
 from vergence.models.parts import FloatArray
 
 STRETCH_S: Final = 1.0
@@ -35,7 +35,7 @@ _NO_LIMIT: Final = 1e-4
 """One by an acceleration that stands for none, s^2/rad."""
 
 _follow = getattr(follow_joint, "py_func", follow_joint)
-_left = getattr(share_left, "py_func", share_left)
+_left = getattr(lag_decay, "py_func", lag_decay)
 
 
 class Motor(NamedTuple):

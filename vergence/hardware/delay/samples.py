@@ -8,7 +8,7 @@ import numpy as np
 
 from vergence.models.parts import FloatArray
 from vergence.recording.listener import RobotListener
-from vergence.recording.schema import Asked, LoggedCommand, LoggedDetection
+from vergence.recording.schema import CommandOrigin, LoggedCommand, LoggedDetection
 
 
 class Samples(NamedTuple):
@@ -72,7 +72,7 @@ class Collector(RobotListener):
         Args:
             read_s: when it had each reading of a trial, s of the clock.
         """
-        sent_s = [one.clock_s for one in self._commands if one.by == Asked.POLICY.value]
+        sent_s = [one.clock_s for one in self._commands if one.by == CommandOrigin.POLICY.value]
         count = min(len(sent_s), len(read_s))
         return np.subtract(sent_s[:count], read_s[:count])
 

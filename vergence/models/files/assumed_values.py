@@ -76,21 +76,23 @@ def _step(value: Any, part: str) -> Iterable[Any]:
 
 def _text(key: str, value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{plain(field)} {_text(field, own)}" for field, own in value.items())
+        return ", ".join(
+            f"{without_unit(field)} {_text(field, own)}" for field, own in value.items()
+        )
     factor, unit = next(((f, u) for end, f, u in _UNITS if key.endswith(end)), (1.0, ""))
-    numbers = _numbers(value)
+    numbers = _flat_numbers(value)
     if not numbers:
         return str(value)
     return f"{', '.join(f'{factor * number:.4g}' for number in numbers)} {unit}".rstrip()
 
 
-def plain(field: str) -> str:
+def without_unit(field: str) -> str:
     """A key without its unit suffix, underscores replaced by spaces."""
     end = next((end for end, _, _ in _UNITS if field.endswith(end)), "")
     return field.removesuffix(end).replace("_", " ")
 
 
-def _numbers(value: Any) -> Sequence[float]:
+def _flat_numbers(value: Any) -> Sequence[float]:
     if isinstance(value, list):
-        return [number for part in value for number in _numbers(part)]
+        return [number for part in value for number in _flat_numbers(part)]
     return [value] if isinstance(value, int | float) else []

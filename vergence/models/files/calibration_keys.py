@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from vergence.errors import ConfigurationError
-from vergence.models.files.calibration_text import flattened, numbers
+from vergence.models.files.calibration_text import flattened, parse_numbers
 from vergence.models.parts import FloatArray
 
 # Known spellings of each key, lower-case without punctuation, in order of lookup.
@@ -65,7 +65,7 @@ def spellings(stem: str, side: str) -> Iterator[str]:
         yield camera + stem + side
 
 
-class Keys:
+class CalibrationValues:
     """Values of one or several calibration files, found under any known spelling of their keys.
 
     Args:
@@ -145,7 +145,7 @@ def _unwrapped(content: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _same(one: Any, other: Any) -> bool:
-    first, second = numbers(one), numbers(other)
+    first, second = parse_numbers(one), parse_numbers(other)
     if first is None or second is None:
         return bool(first is second) and str(one) == str(other)
     return bool(np.array_equal(first, second))
@@ -162,7 +162,7 @@ def array_of(found: Found, sizes: Sequence[int], expected: str) -> FloatArray:
     Raises:
         ConfigurationError: the value is not numeric or not finite, or has another count.
     """
-    values = numbers(found.value)
+    values = parse_numbers(found.value)
     if values is not None and values.size in sizes and np.isfinite(values).all():
         return values.reshape(-1)
     shown = found.value if values is None else values.tolist()

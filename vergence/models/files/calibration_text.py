@@ -170,7 +170,7 @@ def _matrix(value: Mapping[str, Any], where: str) -> FloatArray:
     else:
         sizes = value["sizes"]
         shape = list(sizes) if isinstance(sizes, Sequence) else [sizes]
-    data = numbers(value["data"])
+    data = parse_numbers(value["data"])
     try:
         sides = [int(side) for side in shape]
         sides = sides if all(0 <= side <= 10**6 for side in sides) else []
@@ -186,7 +186,7 @@ def _matrix(value: Mapping[str, Any], where: str) -> FloatArray:
     return data.reshape([*sides, -1] if count and data.size > count else sides)
 
 
-def numbers(value: Any) -> FloatArray | None:
+def parse_numbers(value: Any) -> FloatArray | None:
     """Convert a value to a float array; None if it is not numeric.
 
     Args:

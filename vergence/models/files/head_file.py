@@ -6,7 +6,7 @@ from importlib import resources
 from pathlib import Path
 
 from vergence.errors import HeadFileError, UnknownNameError, UnreadableFileError
-from vergence.files import write_whole
+from vergence.files import write_atomic
 from vergence.models.files.head_toml import head_to_toml, parse_head
 from vergence.models.head import HeadModel
 
@@ -91,4 +91,4 @@ def save_head(head: HeadModel, path: str | os.PathLike[str]) -> None:
         HeadFileError: the head is a population, or has a name that is no valid file name.
         OSError: the file cannot be written.
     """
-    write_whole(path, head_to_toml(head))
+    write_atomic(path, head_to_toml(head))

@@ -15,8 +15,8 @@ from vergence.models.files.joints_toml import frame_between
 from vergence.models.files.robot_description.actuators import (
     Coupling,
     EyeJoint,
+    EyeMotor,
     MotionLimits,
-    Motor,
     motors,
 )
 from vergence.models.files.robot_description.camera_axes import (
@@ -93,7 +93,7 @@ class ImportedHead:
     head: HeadModel
     text: str
     chains: HeadChains
-    motors: Sequence[Motor]
+    motors: Sequence[EyeMotor]
     ignored: Sequence[str]
 
 
@@ -223,7 +223,7 @@ def _motors(
     eyes: Sequence[EyeAtZero],
     ranges: Mapping[str, MotionLimits],
     couplings: Sequence[Coupling],
-) -> list[Motor]:
+) -> list[EyeMotor]:
     """Motors of the eyes; empty if each joint has its own."""
     if not chains.ties and not couplings:
         return []
@@ -237,7 +237,7 @@ def _motors(
     return motors(joints, chains.ties, couplings, baseline)
 
 
-def _of_motors(assumed: Mapping[str, str], moved: Sequence[Motor]) -> dict[str, str]:
+def _of_motors(assumed: Mapping[str, str], moved: Sequence[EyeMotor]) -> dict[str, str]:
     """Assumption keys and reasons, moved from joints to the motors that drive them, if any."""
     found: dict[str, str] = {}
     for key, why in assumed.items():
@@ -273,10 +273,10 @@ def _heading(source: UrdfSource, mechanism: Mechanism, chains: HeadChains) -> st
         held = (f"{name} at {value:.6g}" for name, value in chains.fixed.items())
         lines.append(f"Held, in rad or m: {', '.join(held)}.")
     lines.append("What the file lacks is assumed: see [assumptions].")
-    return "".join(f"# {_plain(line)}\n" for line in lines)
+    return "".join(f"# {_printable(line)}\n" for line in lines)
 
 
-def _plain(text: str) -> str:
+def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 

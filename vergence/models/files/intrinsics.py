@@ -21,12 +21,12 @@ from vergence.models.files.calibration_keys import (
     REGION,
     SIZE,
     WIDTH,
+    CalibrationValues,
     Found,
-    Keys,
     array_of,
     refuse_unused,
 )
-from vergence.models.files.calibration_text import numbers, read_calibration
+from vergence.models.files.calibration_text import parse_numbers, read_calibration
 from vergence.models.parts import FloatArray
 
 Lens = Literal["brown-conrady", "rational", "fisheye"]
@@ -96,13 +96,15 @@ def read_intrinsics(
             are invalid.
     """
     files = {os.fspath(path): read_calibration(path) for path in paths}
-    together = Keys(files)
+    together = CalibrationValues(files)
     sides = together.sides()
     if sides is not None:
         left, right = (camera_of(together, side, size=size, lens=lens) for side in sides)
         refuse_unused(files, together.used)
         return left, right
-    singles = [keys for name in files if (keys := Keys({name: files[name]})).find(MATRIX)]
+    singles = [
+        keys for name in files if (keys := CalibrationValues({name: files[name]})).find(MATRIX)
+    ]
     if len(singles) not in (1, 2):
         raise ConfigurationError(
             f"{together.name}: expected the camera matrices of one or two cameras (such as "
@@ -114,10 +116,10 @@ def read_intrinsics(
     return cameras[0], cameras[-1]
 
 
-def _refuse_swapped(left: Keys, right: Keys) -> None:
+def _refuse_swapped(left: CalibrationValues, right: CalibrationValues) -> None:
     """Refuse camera_info files of ROS given right camera first."""
     found = [one for keys in (left, right) if (one := keys.find(PROJECTION))]
-    values = [p for one in found if (p := numbers(one.value)) is not None and p.size == 12]
+    values = [p for one in found if (p := parse_numbers(one.value)) is not None and p.size == 12]
     if len(values) == 2 and values[0].flat[3] < 0.0 == values[1].flat[3]:
         raise ConfigurationError(
             f"{found[0].label}: expected the right camera on the right of the left one, got the "
@@ -127,7 +129,11 @@ def _refuse_swapped(left: Keys, right: Keys) -> None:
 
 
 def camera_of(
-    keys: Keys, side: str = "", *, size: tuple[int, int] | None = None, lens: Lens | None = None
+    keys: CalibrationValues,
+    side: str = "",
+    *,
+    size: tuple[int, int] | None = None,
+    lens: Lens | None = None,
 ) -> Intrinsics:
     """Intrinsics of one camera in calibration files.
 
@@ -182,7 +188,9 @@ def _pinhole(found: Found) -> tuple[FloatArray, FloatArray]:
     return focal, principal
 
 
-def _image_size(keys: Keys, side: str, given: tuple[int, int] | None) -> tuple[int, int]:
+def _image_size(
+    keys: CalibrationValues, side: str, given: tuple[int, int] | None
+) -> tuple[int, int]:
     found = keys.find(SIZE, side) or (keys.find(SIZE) if side else None)
     if found is not None:
         sides = array_of(found, (2,), "an image size, width and height in pixels")
@@ -213,7 +221,7 @@ def _image_size(keys: Keys, side: str, given: tuple[int, int] | None) -> tuple[i
     return size
 
 
-def _refuse_part(keys: Keys, side: str, size: tuple[int, int]) -> None:
+def _refuse_part(keys: CalibrationValues, side: str, size: tuple[int, int]) -> None:
     """Refuse a camera_info of binned or cropped images."""
     advice = "if the images are full ones, else calibrate at the size that they have"
     where, factors = _counts(keys, side, BINNING)
@@ -232,7 +240,9 @@ def _refuse_part(keys: Keys, side: str, size: tuple[int, int]) -> None:
         )
 
 
-def _counts(keys: Keys, side: str, every: Sequence[Sequence[str]]) -> tuple[str, list[float]]:
+def _counts(
+    keys: CalibrationValues, side: str, every: Sequence[Sequence[str]]
+) -> tuple[str, list[float]]:
     """Label of the largest value for messages, and the pixel counts; 0 for missing keys."""
     found = [keys.find(stems, side) or (keys.find(stems) if side else None) for stems in every]
     values = [
@@ -243,7 +253,7 @@ def _counts(keys: Keys, side: str, every: Sequence[Sequence[str]]) -> tuple[str,
     return "" if named is None else named.label, values
 
 
-def _lens(keys: Keys, side: str, given: Lens | None) -> tuple[Lens, FloatArray, str]:
+def _lens(keys: CalibrationValues, side: str, given: Lens | None) -> tuple[Lens, FloatArray, str]:
     named = _named_lens(keys, side)
     if given is not None and named is not None and given != named:
         raise ConfigurationError(
@@ -251,7 +261,7 @@ def _lens(keys: Keys, side: str, given: Lens | None) -> tuple[Lens, FloatArray, 
         )
     lens = given or named
     found = keys.find(DISTORTION, side)
-    if found is None or (numbers(found.value) is not None and not np.size(found.value)):
+    if found is None or (parse_numbers(found.value) is not None and not np.size(found.value)):
         lens = lens or "brown-conrady"
         return lens, np.zeros(COEFFICIENTS[lens]), "" if found else "no distortion coefficients"
     values = array_of(found, (1, 2, 4, 5, 8, 12, 14), "4, 5, 8, 12 or 14 distortion coefficients")
@@ -284,14 +294,14 @@ def _lens(keys: Keys, side: str, given: Lens | None) -> tuple[Lens, FloatArray, 
     return "rational", rational, guess
 
 
-def _named_lens(keys: Keys, side: str) -> Lens | None:
+def _named_lens(keys: CalibrationValues, side: str) -> Lens | None:
     """Lens model named in the files; None if there is none."""
     for stems in (FISHEYE, MODEL, CAMERA_MODEL):
         found = keys.find(stems, side) or (keys.find(stems) if side else None)
         if found is None:
             continue
         if stems is FISHEYE:
-            flag = numbers(found.value)
+            flag = parse_numbers(found.value)
             if found.value is True or (flag is not None and flag.size == 1 and flag.item()):
                 return "fisheye"
             continue

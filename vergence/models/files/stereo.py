@@ -15,8 +15,8 @@ from vergence.models.files.calibration_keys import (
     RECTIFICATION,
     ROTATION,
     TRANSLATION,
+    CalibrationValues,
     Found,
-    Keys,
     array_of,
     refuse_unused,
 )
@@ -121,7 +121,7 @@ def read_stereo(
         raise ConfigurationError(
             f"{', '.join(names)}: expected different files, got one of them twice"
         )
-    together = Keys(files)
+    together = CalibrationValues(files)
     sides = together.sides()
     if sides is not None:
         left, right = (camera_of(together, side, size=size, lens=lens) for side in sides)
@@ -132,8 +132,8 @@ def read_stereo(
         left, right = (
             camera_of(keys, size=size, lens=lens) for keys in (left_keys, right_keys)
         )  # fmt: skip
-        others = {n: f for n, f in files.items() if not Keys({n: f}).find(MATRIX)}
-        apart = Keys(others)
+        others = {n: f for n, f in files.items() if not CalibrationValues({n: f}).find(MATRIX)}
+        apart = CalibrationValues(others)
         placed = _placed(apart)
         used = left_keys.used | right_keys.used | (apart.used if placed else set())
         placed = placed or _rectified(left_keys, right_keys)
@@ -155,14 +155,18 @@ def read_stereo(
     return pair
 
 
-def _without_place(keys: Keys) -> str:
+def _without_place(keys: CalibrationValues) -> str:
     one = keys.find(ROTATION) or keys.find(TRANSLATION)
     return f"{one.label} alone" if one else "neither"
 
 
-def _single_cameras(files: Mapping[str, Mapping[str, Any]]) -> tuple[Keys, Keys]:
+def _single_cameras(
+    files: Mapping[str, Mapping[str, Any]],
+) -> tuple[CalibrationValues, CalibrationValues]:
     """Values of the left and right camera from files with one camera each."""
-    singles = [keys for name in files if (keys := Keys({name: files[name]})).find(MATRIX)]
+    singles = [
+        keys for name in files if (keys := CalibrationValues({name: files[name]})).find(MATRIX)
+    ]
     if len(singles) != 2:
         raise ConfigurationError(
             f"{', '.join(files)}: expected the camera matrices of a pair (such as cameraMatrix1 "
@@ -175,7 +179,7 @@ _Placed = tuple[FloatArray, FloatArray, str]
 """R, T in the files' unit, and the label of T's source for messages."""
 
 
-def _placed(keys: Keys) -> _Placed | None:
+def _placed(keys: CalibrationValues) -> _Placed | None:
     """R and T from the first camera to the second, by their keys or kalibr's chain, if present."""
     chain = keys.find(CHAIN)
     if chain is not None:
@@ -195,7 +199,7 @@ def _placed(keys: Keys) -> _Placed | None:
     return _rotation(values.reshape(3, 3), rotation.label), shift, translation.label
 
 
-def _rectified(left: Keys, right: Keys) -> _Placed | None:
+def _rectified(left: CalibrationValues, right: CalibrationValues) -> _Placed | None:
     """R and T from rectification and projection matrices of two camera_info files, if present."""
     turns, shifts, label = [], [], ""
     for keys in (left, right):

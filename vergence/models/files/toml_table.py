@@ -81,7 +81,7 @@ class Table:
     def numbers(self, name: str, shape: tuple[int, ...], rule: Rule) -> FloatArray:
         """Consume an array of a given shape whose numbers a rule accepts."""
         value = self.take(name, _list_of(shape, rule) if shape else rule[1])
-        return _numbers(value, self.key(name), shape, rule)
+        return _number_array(value, self.key(name), shape, rule)
 
     def table(self, name: str) -> "Table":
         """Consume a nested table."""
@@ -166,9 +166,9 @@ def _list_of(shape: tuple[int, ...], rule: Rule) -> str:
     return f"a list of {counts} numbers, each {_HINT.sub('', rule[1])}"
 
 
-def _numbers(value: object, key: str, shape: tuple[int, ...], rule: Rule) -> FloatArray:
+def _number_array(value: object, key: str, shape: tuple[int, ...], rule: Rule) -> FloatArray:
     if not shape:
         return np.float64(_number(value, key, rule))  # type: ignore[return-value]
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != shape[0]:
         raise HeadFileError(key, value, _list_of(shape, rule))
-    return np.array([_numbers(v, f"{key}[{i}]", shape[1:], rule) for i, v in enumerate(value)])
+    return np.array([_number_array(v, f"{key}[{i}]", shape[1:], rule) for i, v in enumerate(value)])

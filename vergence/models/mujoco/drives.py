@@ -19,7 +19,7 @@ _DIGITS: Final = 12
 """Decimals to which factors are rounded (numerical)."""
 
 
-class Drive(NamedTuple):
+class Transmission(NamedTuple):
     """An actuator and its joints: its angle is a weighted sum of joint angles, less an offset."""
 
     name: str
@@ -38,7 +38,7 @@ class Drive(NamedTuple):
     see `has_rotors`; empty for neither."""
 
 
-class Tie(NamedTuple):
+class JointCoupling(NamedTuple):
     """A coupled joint: its angle is an offset plus a weighted sum of other joint angles."""
 
     joint: str
@@ -57,7 +57,7 @@ def joint_places(head: HeadModel) -> dict[str, int]:
     return places
 
 
-def drives_of(head: HeadModel) -> tuple[Drive, ...]:
+def drives_of(head: HeadModel) -> tuple[Transmission, ...]:
     """List the drives of a head: the neck's motors, then the actuators of the eyes.
 
     An actuator of the eyes with the name of a neck joint gets the prefix `eyes_`.
@@ -67,7 +67,7 @@ def drives_of(head: HeadModel) -> tuple[Drive, ...]:
     for place, name in enumerate(head.joints[NECK]):
         if name:
             sides = float(limits.lower[place]), float(limits.upper[place])
-            out.append(Drive(name, place, ((name, 1.0),), *sides, name))
+            out.append(Transmission(name, place, ((name, 1.0),), *sides, name))
     names, matrix, offset = _map(head)
     places = joint_places(head)
     for k, actuator in enumerate(own.names):
@@ -89,11 +89,11 @@ def drives_of(head: HeadModel) -> tuple[Drive, ...]:
         name = f"eyes_{actuator}" if actuator in head.joints[NECK] else actuator
         if has_rotors(head):
             alone, lower, upper = rotor_name(name), own.lower[slot], own.upper[slot]
-        out.append(Drive(name, slot, tuple(turned), float(lower), float(upper), alone))
+        out.append(Transmission(name, slot, tuple(turned), float(lower), float(upper), alone))
     return tuple(out)
 
 
-def ties_of(head: HeadModel) -> tuple[Tie, ...]:
+def ties_of(head: HeadModel) -> tuple[JointCoupling, ...]:
     """List the coupled joints of the eyes; empty if every joint can move by itself."""
     names, matrix, offset = _map(head)
     leading: list[int] = []
@@ -106,7 +106,7 @@ def ties_of(head: HeadModel) -> tuple[Tie, ...]:
         factors = np.asarray(np.round(solved, _DIGITS))
         follows = [(names[i], float(f)) for i, f in zip(leading, factors, strict=True) if f]
         rest = float(offset[joint] - factors @ offset[leading])
-        out.append(Tie(names[joint], tuple(follows), rest))
+        out.append(JointCoupling(names[joint], tuple(follows), rest))
     return tuple(out)
 
 
@@ -138,12 +138,14 @@ def rotor_name(drive: str) -> str:
     return f"{drive}_rotor"
 
 
-def rotor_ties(head: HeadModel, drives: Sequence[Drive]) -> tuple[Tie, ...]:
+def rotor_ties(head: HeadModel, drives: Sequence[Transmission]) -> tuple[JointCoupling, ...]:
     """Couplings of the eyes' joints to the rotors, for a head with rotors as bodies."""
     names, matrix, offset = _map(head)
     rotors = [drive.own_joint for drive in drives if drive.slot >= NECK.stop]
     return tuple(
-        Tie(name, tuple((r, float(f)) for r, f in zip(rotors, row, strict=True) if f), float(start))
+        JointCoupling(
+            name, tuple((r, float(f)) for r, f in zip(rotors, row, strict=True) if f), float(start)
+        )
         for name, row, start in zip(names, matrix, offset, strict=True)
     )
 

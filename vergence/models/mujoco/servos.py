@@ -24,7 +24,7 @@ import numpy as np
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
 from vergence.models.mujoco.bodies import stiff
-from vergence.models.mujoco.drives import Drive, Tie
+from vergence.models.mujoco.drives import JointCoupling, Transmission
 from vergence.models.parts import FloatArray
 
 _RIGID: Final = [0.9999, 0.9999, 0.001, 0.5, 2.0]
@@ -41,7 +41,7 @@ def servo_rate(lag_s: float, timestep_s: float) -> float:
 
 
 def add_servos(
-    spec: mujoco.MjSpec, head: HeadModel, drives: Sequence[Drive], loads: FloatArray
+    spec: mujoco.MjSpec, head: HeadModel, drives: Sequence[Transmission], loads: FloatArray
 ) -> None:
     """Add an actuator for each drive; its control is the commanded velocity, rad/s.
 
@@ -72,7 +72,7 @@ def add_servos(
             servo.forcerange = [-torque, torque]
 
 
-def _add_tendon(spec: mujoco.MjSpec, drive: Drive) -> None:
+def _add_tendon(spec: mujoco.MjSpec, drive: Transmission) -> None:
     """Add a tendon whose length is the drive's sum of joint angles, with the drive's limits."""
     tendon = _tendon(spec, drive.name, drive.joints)
     tendon.limited = mujoco.mjtLimited.mjLIMITED_TRUE
@@ -87,7 +87,7 @@ def _tendon(spec: mujoco.MjSpec, name: str, joints: Sequence[tuple[str, float]])
     return tendon
 
 
-def add_rotors(spec: mujoco.MjSpec, drives: Sequence[Drive], inertia: FloatArray) -> None:
+def add_rotors(spec: mujoco.MjSpec, drives: Sequence[Transmission], inertia: FloatArray) -> None:
     """Add a body that can only rotate for each rotor of the eyes' actuators.
 
     Args:
@@ -111,7 +111,7 @@ def add_rotors(spec: mujoco.MjSpec, drives: Sequence[Drive], inertia: FloatArray
             )
 
 
-def add_ties(spec: mujoco.MjSpec, ties: Sequence[Tie]) -> None:
+def add_ties(spec: mujoco.MjSpec, ties: Sequence[JointCoupling]) -> None:
     """Add equality constraints for coupled joints.
 
     Args:

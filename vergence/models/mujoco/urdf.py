@@ -11,7 +11,7 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.links import chain_end
 from vergence.models.mujoco.bodies import body_name
-from vergence.models.mujoco.drives import Tie, coupled, ties_of
+from vergence.models.mujoco.drives import JointCoupling, coupled, ties_of
 from vergence.models.mujoco.inertia import link_inertia
 from vergence.models.mujoco.loads import loads_of
 from vergence.models.parts import FloatArray
@@ -126,7 +126,7 @@ def _add_limits(joint: ET.Element, head: HeadModel, index: int, inertia: FloatAr
     )
 
 
-def _add_tie(joint: ET.Element, tie: Tie) -> None:
+def _add_tie(joint: ET.Element, tie: JointCoupling) -> None:
     if len(tie.follows) == 1:
         ((other, factor),) = tie.follows
         ET.SubElement(

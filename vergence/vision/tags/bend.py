@@ -9,7 +9,7 @@ from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.tags.cholesky import factorise, solve
 from vergence.vision.tags.normal import hold_near, normal_equations
-from vergence.vision.tags.workspace import BOWS, SPREAD, UNKNOWNS, Room
+from vergence.vision.tags.workspace import BOWS, SPREAD, UNKNOWNS, FitBuffers
 
 _WIDEST: Final = 0.1
 """Standard deviation of a weak prior on the spread, px, and on the bend's coefficients, half edges;
@@ -71,7 +71,9 @@ def size_of_bend(bent: FloatArray) -> float:
 
 
 @subroutine
-def usual_bow(room: Room, count: int, number: int, bent: FloatArray, variance: float) -> float:
+def usual_bow(
+    room: FitBuffers, count: int, number: int, bent: FloatArray, variance: float
+) -> float:
     """Estimate the prior standard deviation of a bend's coefficients by empirical Bayes.
 
     Args:

@@ -47,7 +47,7 @@ from vergence.vision.tags.workspace import (
     FitState,
     SearchRegion,
     TagPrint,
-    make_room,
+    allocate_buffers,
     sides_of,
 )
 
@@ -144,7 +144,7 @@ def fit_tag(
         u, v = ideal_of(rays, sight.plane, start[k, 0], start[k, 1])
         sought.corners[k, 0], sought.corners[k, 1] = u, v
     scale = scale_of(sought.corners, border, most[1])
-    room = make_room(max(most[0], most[1]), scale.along * scale.along)
+    room = allocate_buffers(max(most[0], most[1]), scale.along * scale.along)
     stage, left = FitStage(0, 0, False), Compared(0.0, 0.0, 0.0)
     far = variance = bow = 0.0
     used = BOWS

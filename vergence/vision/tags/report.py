@@ -17,8 +17,8 @@ from vergence.vision.tags.steps import Compared
 from vergence.vision.tags.workspace import (
     UNKNOWNS,
     Blocks,
+    FitBuffers,
     FitState,
-    Room,
     SearchRegion,
     TagPrint,
     place_of,
@@ -58,7 +58,7 @@ def report(
     tag: TagPrint,
     scale: Scale,
     sought: FitState,
-    room: Room,
+    room: FitBuffers,
     last: Compared,
     number: int,
     used: int,

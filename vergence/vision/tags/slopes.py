@@ -5,11 +5,13 @@ from math import sqrt
 from vergence._jit import subroutine
 from vergence.vision.tags.bend import bend_at, bend_slopes
 from vergence.vision.tags.printed import printed_at
-from vergence.vision.tags.workspace import UNKNOWNS, FitState, Room, TagPrint
+from vergence.vision.tags.workspace import UNKNOWNS, FitBuffers, FitState, TagPrint
 
 
 @subroutine
-def evaluate_print(sought: FitState, tag: TagPrint, room: Room, count: int, along: int) -> None:
+def evaluate_print(
+    sought: FitState, tag: TagPrint, room: FitBuffers, count: int, along: int
+) -> None:
     """Evaluate the print and its derivatives at all pixels, and their sums by block.
 
     Args:

@@ -6,7 +6,7 @@ from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import plane_of
 from vergence.vision.tags.pixels import gather_pixels, without_clipped
-from vergence.vision.tags.workspace import FitState, Room, SearchRegion, TagPrint, sides_of
+from vergence.vision.tags.workspace import FitBuffers, FitState, SearchRegion, TagPrint, sides_of
 
 WIDE, NARROW, ALL, BEND = range(4)
 """Stages: a wide band along the outer edges, a narrow one, the edges of all cells, and a bend."""
@@ -92,7 +92,7 @@ def begin_stage(
     tag: TagPrint,
     scale: Scale,
     sought: FitState,
-    room: Room,
+    room: FitBuffers,
     most: int,
 ) -> FitStage:
     """Begin a stage other than `BEND`, with the homography through the corners.

@@ -10,7 +10,14 @@ from vergence.vision.tags.cholesky import factorise, solve
 from vergence.vision.tags.levels import block_levels, block_weights
 from vergence.vision.tags.normal import hold_near, normal_equations
 from vergence.vision.tags.slopes import evaluate_print
-from vergence.vision.tags.workspace import SPREAD, UNKNOWNS, FitState, Room, TagPrint, place_of
+from vergence.vision.tags.workspace import (
+    SPREAD,
+    UNKNOWNS,
+    FitBuffers,
+    FitState,
+    TagPrint,
+    place_of,
+)
 
 _LEAST_BLUR_PX: Final = 0.3
 """Smallest blur of a fit, px (chosen: sharp images against edges that few pixels show)."""
@@ -34,7 +41,7 @@ class Compared(NamedTuple):
 
 
 @subroutine
-def compare(sought: FitState, tag: TagPrint, room: Room, count: int, along: int) -> Compared:
+def compare(sought: FitState, tag: TagPrint, room: FitBuffers, count: int, along: int) -> Compared:
     """Compare the print with the pixels, by blocks.
 
     Args:
@@ -59,7 +66,7 @@ def compare(sought: FitState, tag: TagPrint, room: Room, count: int, along: int)
 
 
 @subroutine
-def begin_steps(room: Room) -> None:
+def begin_steps(room: FitBuffers) -> None:
     """Make `improve` take the next step in full, regardless of earlier steps."""
     room.pace[0], room.pace[1], last = 1.0, 0.0, room.last
     for k in range(UNKNOWNS):
@@ -69,7 +76,7 @@ def begin_steps(room: Room) -> None:
 @subroutine
 def improve(
     sought: FitState,
-    room: Room,
+    room: FitBuffers,
     count: int,
     number: int,
     used: int,

@@ -83,7 +83,7 @@ class Blocks(NamedTuple):
     """(K,) weights."""
 
 
-class Room(NamedTuple):
+class FitBuffers(NamedTuple):
     """Working arrays of the steps."""
 
     places: FloatArray
@@ -106,9 +106,9 @@ class Room(NamedTuple):
 
 
 @subroutine
-def make_room(pixels: int, blocks: int) -> Room:
+def allocate_buffers(pixels: int, blocks: int) -> FitBuffers:
     """Allocate working arrays."""
-    return Room(
+    return FitBuffers(
         np.empty((pixels, 3)),
         np.empty((pixels, COLUMNS)),
         np.empty((4, MOST_REACHED)),

@@ -7,7 +7,7 @@ from typing import Final, Literal
 import numpy as np
 
 from vergence.errors import ConfigurationError
-from vergence.models.files.robot_description.mechanism import Tie
+from vergence.models.files.robot_description.mechanism import MimicJoint
 from vergence.models.parts import FloatArray
 
 Coupling = Literal["common-tilt", "version-vergence"]
@@ -27,7 +27,7 @@ class MotionLimits:
     velocity: float
     acceleration: float
 
-    def through(self, tie: Tie) -> "MotionLimits":
+    def through(self, tie: MimicJoint) -> "MotionLimits":
         """Limits that a joint with these ones sets its master, `joint = m master + offset`."""
         ends = [(end - tie.offset) / tie.multiplier for end in (self.lower, self.upper)]
         size = abs(tie.multiplier)
@@ -44,7 +44,7 @@ class MotionLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motor:
+class EyeMotor:
     """A motor and the eye joints that it moves: `joint = factor * motor + offset`.
 
     Attributes:
@@ -88,10 +88,10 @@ class EyeJoint:
 
 def motors(
     joints: Sequence[EyeJoint],
-    ties: Sequence[Tie],
+    ties: Sequence[MimicJoint],
     couplings: Sequence[Coupling],
     baseline_m: float,
-) -> list[Motor]:
+) -> list[EyeMotor]:
     """Motors of the eyes, in the order of their first joints.
 
     Args:
@@ -114,11 +114,11 @@ def motors(
     return found
 
 
-def _followers(ties: Sequence[Tie]) -> set[str]:
+def _followers(ties: Sequence[MimicJoint]) -> set[str]:
     return {tie.joint for tie in ties}
 
 
-def _free(joint: EyeJoint, ties: Sequence[Tie], by_name: Mapping[str, EyeJoint]) -> Motor:
+def _free(joint: EyeJoint, ties: Sequence[MimicJoint], by_name: Mapping[str, EyeJoint]) -> EyeMotor:
     """Motor of an independent joint and of the joints coupled to it."""
     mine = [tie for tie in ties if tie.master == joint.name]
     allowed = joint.range
@@ -129,7 +129,7 @@ def _free(joint: EyeJoint, ties: Sequence[Tie], by_name: Mapping[str, EyeJoint])
             f"joint {joint.name}: expected a range that it and what follows it "
             f"({', '.join(tie.joint for tie in mine)}) have in common, got none"
         )
-    return Motor(
+    return EyeMotor(
         name=joint.name,
         joints={joint.name: 1.0} | {tie.joint: tie.multiplier for tie in mine},
         offsets={tie.joint: tie.offset for tie in mine if tie.offset},
@@ -138,8 +138,8 @@ def _free(joint: EyeJoint, ties: Sequence[Tie], by_name: Mapping[str, EyeJoint])
 
 
 def _pair(
-    found: Sequence[Motor], by_name: Mapping[str, EyeJoint], coupling: Coupling, *, pans: bool
-) -> tuple[Motor, Motor]:
+    found: Sequence[EyeMotor], by_name: Mapping[str, EyeJoint], coupling: Coupling, *, pans: bool
+) -> tuple[EyeMotor, EyeMotor]:
     """Motors of the left and the right joint that a coupling joins."""
     which = "pans" if pans else "tilts"
     own = {
@@ -161,23 +161,23 @@ def _pair(
     return own["left"][0], own["right"][0]
 
 
-def _exchange(found: list[Motor], former: list[Motor], new: list[Motor]) -> list[Motor]:
+def _exchange(found: list[EyeMotor], former: list[EyeMotor], new: list[EyeMotor]) -> list[EyeMotor]:
     place = min(found.index(motor) for motor in former)
     rest = [motor for motor in found if motor not in former]
     return [*rest[:place], *new, *rest[place:]]
 
 
-def _common_tilt(left: Motor, right: Motor, by_name: Mapping[str, EyeJoint]) -> Motor:
+def _common_tilt(left: EyeMotor, right: EyeMotor, by_name: Mapping[str, EyeJoint]) -> EyeMotor:
     axes = by_name[left.name].axis, by_name[right.name].axis
     factor = 1.0 if axes[0] @ axes[1] > 0.0 else -1.0
-    tie = Tie(right.name, left.name, factor, 0.0)
+    tie = MimicJoint(right.name, left.name, factor, 0.0)
     allowed = left.range.within(right.range.through(tie))
     if not allowed.lower < allowed.upper:
         raise ConfigurationError(
             f"actuators: expected for common-tilt a range that {left.name} and {right.name} have "
             "in common, got none"
         )
-    return Motor(
+    return EyeMotor(
         name=_free_name("tilt", by_name),
         joints={left.name: 1.0, right.name: factor},
         offsets={},
@@ -187,8 +187,8 @@ def _common_tilt(left: Motor, right: Motor, by_name: Mapping[str, EyeJoint]) -> 
 
 
 def _version_vergence(
-    left: Motor, right: Motor, by_name: Mapping[str, EyeJoint], baseline_m: float
-) -> list[Motor]:
+    left: EyeMotor, right: EyeMotor, by_name: Mapping[str, EyeJoint], baseline_m: float
+) -> list[EyeMotor]:
     """Motors of version and vergence; the eyes turn to the right by `version +- vergence / 2`.
 
     The ranges of both are the largest within the joints' ranges such that vergence begins at 0,
@@ -196,7 +196,8 @@ def _version_vergence(
     """
     signs = [float(np.sign(by_name[motor.name].axis[1])) for motor in (left, right)]
     turned = [
-        m.range.through(Tie("", "", s, 0.0)) for m, s in zip((left, right), signs, strict=True)
+        m.range.through(MimicJoint("", "", s, 0.0))
+        for m, s in zip((left, right), signs, strict=True)
     ]
     l, r = turned  # noqa: E741 ranges of the left and right eye's rotation to the right
     low, high = max(l.lower, r.lower), min(l.upper, r.upper)
@@ -216,7 +217,7 @@ def _version_vergence(
         "full speed together keep to the pans' limits"
     )
     half = {left.name: 0.5 * signs[0], right.name: -0.5 * signs[1]}
-    version = Motor(
+    version = EyeMotor(
         name=_free_name("version", by_name),
         joints={left.name: signs[0], right.name: signs[1]},
         offsets={},
@@ -232,7 +233,7 @@ def _version_vergence(
     )
     return [
         version,
-        Motor(
+        EyeMotor(
             name=_free_name("vergence", by_name),
             joints=half,
             offsets={},

@@ -23,7 +23,7 @@ class ChainJoint:
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class KinematicChain:
     """The moving joints from the base to a camera frame.
 
     Attributes:
@@ -72,7 +72,9 @@ def way_to(mechanism: Mechanism, base: int, camera: int) -> Way:
     )
 
 
-def fold(mechanism: Mechanism, base: int, camera: int, fixed: Mapping[str, float]) -> Chain:
+def fold(
+    mechanism: Mechanism, base: int, camera: int, fixed: Mapping[str, float]
+) -> KinematicChain:
     """Build the chain from a base to a camera.
 
     Args:
@@ -98,7 +100,7 @@ def fold(mechanism: Mechanism, base: int, camera: int, fixed: Mapping[str, float
             turned[:3, :3] = joint.rotation(-joint.reference)
             joints.append(ChainJoint(joint, pending @ to_axis @ turned))
             pending = np.linalg.inv(to_axis)
-    return Chain(tuple(joints), np.asarray(pending, dtype=np.float64))
+    return KinematicChain(tuple(joints), np.asarray(pending, dtype=np.float64))
 
 
 def _still(mechanism: Mechanism, frames: Sequence[int], fixed: Mapping[str, float]) -> FloatArray:

@@ -7,8 +7,14 @@ from typing import Final
 import numpy as np
 
 from vergence.errors import ConfigurationError
-from vergence.models.files.robot_description.chain import Chain, ChainJoint, Way, fold, way_to
-from vergence.models.files.robot_description.mechanism import Joint, Mechanism, Tie, among
+from vergence.models.files.robot_description.chain import (
+    ChainJoint,
+    KinematicChain,
+    Way,
+    fold,
+    way_to,
+)
+from vergence.models.files.robot_description.mechanism import Joint, Mechanism, MimicJoint, among
 from vergence.models.parts import FloatArray
 
 # Most joints that a head file has for the neck and for the chain of an eye (numerical).
@@ -28,9 +34,9 @@ class HeadChains:
         fixed: values of the fixed joints on the path by name, radians or metres.
     """
 
-    chains: tuple[Chain, Chain]
+    chains: tuple[KinematicChain, KinematicChain]
     parts: Mapping[str, str]
-    ties: tuple[Tie, ...]
+    ties: tuple[MimicJoint, ...]
     fixed: Mapping[str, float]
 
     def joint(self, name: str) -> ChainJoint:
@@ -196,7 +202,11 @@ def _stand_still(
 
 
 def _check_lock(
-    joint: Joint, value: float, tie: Tie | None, on_way: Sequence[str], locked: Mapping[str, float]
+    joint: Joint,
+    value: float,
+    tie: MimicJoint | None,
+    on_way: Sequence[str],
+    locked: Mapping[str, float],
 ) -> None:
     if joint.kind not in ("hinge", "slide"):
         raise ConfigurationError(_why_not(joint))
@@ -286,6 +296,6 @@ def _held(ways: Sequence[Way], names: Sequence[str]) -> str:
     return f"--lock {' '.join(said)}"
 
 
-def _eye_ties(mechanism: Mechanism, parts: Mapping[str, str]) -> tuple[Tie, ...]:
+def _eye_ties(mechanism: Mechanism, parts: Mapping[str, str]) -> tuple[MimicJoint, ...]:
     found = (mechanism.tie(name) for name in parts)
     return tuple(tie for tie in found if tie is not None)

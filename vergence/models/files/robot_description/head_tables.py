@@ -7,7 +7,7 @@ import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.models.files.head_rules import LENGTH
-from vergence.models.files.robot_description.actuators import MotionLimits, Motor
+from vergence.models.files.robot_description.actuators import EyeMotor, MotionLimits
 from vergence.models.files.robot_description.head_chains import HeadChains
 from vergence.models.parts import FloatArray
 
@@ -59,7 +59,7 @@ def limit_fields(limits: MotionLimits) -> dict[str, float]:
     }
 
 
-def actuator_fields(moved: Sequence[Motor]) -> dict[str, Any]:
+def actuator_fields(moved: Sequence[EyeMotor]) -> dict[str, Any]:
     """Tables of actuators; empty if each joint has its own."""
     if not moved:
         return {}

@@ -102,7 +102,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Tie:
+class MimicJoint:
     """Coupling of a joint to another: `joint = multiplier * master + offset`.
 
     The multiplier is 0, and the master irrelevant, if the joint is held in place. It is nan if the
@@ -127,7 +127,7 @@ class Mechanism:
 
     name: str
     frames: tuple[Frame, ...]
-    ties: Mapping[str, Tie]
+    ties: Mapping[str, MimicJoint]
 
     def joints(self) -> dict[str, Joint]:
         """All joints by name."""
@@ -195,7 +195,7 @@ class Mechanism:
             return joint.reference
         return tie.multiplier * values.get(tie.master, 0.0) + tie.offset
 
-    def tie(self, joint: str) -> Tie | None:
+    def tie(self, joint: str) -> MimicJoint | None:
         """Coupling of a joint to the independent joint at the end of its chain of couplings.
 
         None if the joint itself is independent.
@@ -216,7 +216,7 @@ class Mechanism:
                     f"({', '.join(sorted(seen))})"
                 )
             seen.add(master)
-        return None if master == joint else Tie(joint, master, factor, offset)
+        return None if master == joint else MimicJoint(joint, master, factor, offset)
 
 
 _SHOWN: Final = 12

@@ -14,8 +14,8 @@ from vergence.models.files.robot_description.mechanism import (
     Joint,
     JointKind,
     Mechanism,
+    MimicJoint,
     SpecCamera,
-    Tie,
 )
 from vergence.models.files.robot_description.robot_xml import (
     EXPECTED,
@@ -85,7 +85,7 @@ def _unreadable(name: str, error: Exception) -> HeadFileError:
     return HeadFileError(name, reason, f"{EXPECTED} that MuJoCo can read")
 
 
-def _mjcf_ties(spec: Any) -> dict[str, Tie]:
+def _mjcf_ties(spec: Any) -> dict[str, MimicJoint]:
     """Couplings by active joint equalities, `y - y0 = a0 + a1 (x - x0)`; y0, x0: references."""
     references = {joint.name: float(joint.ref) * _unit(joint) for joint in spec.joints}
     ties = {}
@@ -101,7 +101,7 @@ def _mjcf_ties(spec: Any) -> dict[str, Tie]:
             factor = np.nan
         else:
             offset -= factor * references.get(master, 0.0)
-        ties[follower] = Tie(follower, master, factor, offset)
+        ties[follower] = MimicJoint(follower, master, factor, offset)
     return ties
 
 

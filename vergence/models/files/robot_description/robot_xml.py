@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence.errors import HeadFileError, UnreadableFileError, Words
-from vergence.models.files.robot_description.mechanism import JointKind, Tie, among
+from vergence.models.files.robot_description.mechanism import JointKind, MimicJoint, among
 
 EXPECTED: Final = "a URDF (<robot>) or an MJCF (<mujoco>)"
 """Description of an expected file, for messages."""
@@ -128,7 +128,7 @@ def _limits(root: ET.Element) -> Limits:
     return found
 
 
-def urdf_ties(root: ET.Element) -> dict[str, Tie]:
+def urdf_ties(root: ET.Element) -> dict[str, MimicJoint]:
     """Read the mimic couplings of a URDF."""
     ties = {}
     for joint in root.findall("joint"):
@@ -136,7 +136,7 @@ def urdf_ties(root: ET.Element) -> dict[str, Tie]:
         if mimic is not None:
             name = joint.get("name", "")
             factor = _number(mimic.get("multiplier", "1"))
-            ties[name] = Tie(
+            ties[name] = MimicJoint(
                 name, mimic.get("joint", ""), factor, _number(mimic.get("offset", "0"))
             )
     return ties

@@ -10,7 +10,7 @@ keeps its direction.
 
 from typing import Final
 
-from vergence._jit import device
+from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.memory import PredictorState
 from vergence.controllers.prediction.moving import MODELS, Motions
@@ -34,7 +34,7 @@ _FORGET: Final = 0.98
 """Per-image decay of the backlash variance that has been found (chosen)."""
 
 
-@device
+@inlined
 def cross_play(memory: PredictorState, p: PackedHead, command: FloatArray) -> None:
     """Increase the variance of goals whose motors are about to reverse and cross their backlash.
 
@@ -62,7 +62,7 @@ def cross_play(memory: PredictorState, p: PackedHead, command: FloatArray) -> No
                 motions[m].covariance[0] += 0.5 * play * play
 
 
-@device
+@inlined
 def play_variance(
     memory: PredictorState,
     rig: PredictorModel,

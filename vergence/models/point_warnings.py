@@ -74,8 +74,8 @@ def warn_of_point(bounds: FixationBounds, point: ArrayLike, q: FloatArray) -> No
     distance = hypot(x, y, z)
     if bounds.far_m < distance < _MM * bounds.far_m:
         said = (
-            f"metres, got {_plain(x, y, z)}, which is {distance:.3g} m away, where no eye of this "
-            f"head tells how far (from {bounds.far_m:.0f} m on): is it in millimetres?"
+            f"metres, got {_formatted(x, y, z)}, which is {distance:.3g} m away, where no eye of "
+            f"this head tells how far (from {bounds.far_m:.0f} m on): is it in millimetres?"
         )
     else:
         angles = q.tolist()[EYES]
@@ -86,7 +86,7 @@ def warn_of_point(bounds: FixationBounds, point: ArrayLike, q: FloatArray) -> No
         beyond = beyond_limits(bounds.joints, bounds.limits, bounds.actuation, q)
         if not beyond:
             return
-        said = f"a point that the eyes can turn to, got {_plain(x, y, z)} m, for which {beyond}"
+        said = f"a point that the eyes can turn to, got {_formatted(x, y, z)} m, for which {beyond}"
     warnings.warn(f"fixate: points: expected {said}", VergenceWarning, stacklevel=3)
 
 
@@ -116,5 +116,5 @@ def beyond_limits(
     return ""
 
 
-def _plain(*numbers: float) -> str:
+def _formatted(*numbers: float) -> str:
     return f"({', '.join(f'{number:g}' for number in numbers)})"

@@ -8,7 +8,7 @@ from tests.grids import some_of
 from tests.heads import head_of
 from tests.naming import named
 from vergence.controllers import CONTROLLERS, make_controller
-from vergence.controllers.tied import reducible
+from vergence.controllers.coupled import reducible
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence._jit import device, subroutine
+from vergence._jit import inlined, subroutine
 from vergence.models.actuation import SLOTS
 from vergence.models.packed import PackedHead, joint_per_actuator
 from vergence.models.parts import FloatArray
@@ -25,7 +25,7 @@ _SMALL: Final = 1e-11
 
 
 @subroutine
-def share_of_actuators(
+def actuator_least_squares(
     p: PackedHead,
     jacobian: FloatArray,
     wanted: FloatArray,
@@ -89,7 +89,7 @@ def share_of_actuators(
         out[k] /= normal[k, k]
 
 
-@device
+@inlined
 def image_rate(
     p: PackedHead, jacobian: FloatArray, eye: int, axis: int, actuators: FloatArray
 ) -> float:

@@ -1,10 +1,10 @@
 r"""The article's law for heads whose actuators couple the eyes' joints, or whose eyes lack a joint.
 
 The image velocities that the law requests are distributed to the actuators by least squares in
-pixels (`vergence.models.projection`). Part of a pixel error may be out of reach: for eyes with a
-common tilt, only the common part of the two vertical errors can be removed. A law that acted on the
-rest would wind up, or, if its gains differ between axes, settle beside the least error. So laws act
-on the reducible part of the error (`vergence.envs.reducible`),
+pixels (`vergence.models.actuator_projection`). Part of a pixel error may be out of reach: for eyes
+with a common tilt, only the common part of the two vertical errors can be removed. A law that acted
+on the rest would wind up, or, if its gains differ between axes, settle beside the least error. So
+laws act on the reducible part of the error (`vergence.envs.reducible`),
 
     e_r = J A s,   s = argmin |J A s - e|^2
 
@@ -17,12 +17,12 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence._jit import device, kernel, subroutine
+from vergence._jit import inlined, kernel, subroutine
 from vergence.envs.reducible import image_jacobians, reducible_part
+from vergence.models.actuator_projection import actuator_least_squares
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead
 from vergence.models.parts import FloatArray
-from vergence.models.projection import share_of_actuators
 
 
 def reducible(
@@ -75,11 +75,11 @@ def actuators_of_image(
     image_jacobians(p, q, error, constant, left, right, jacobian)
     for k in range(4):
         wanted[k // 2, k % 2] = out[k]
-    share_of_actuators(p, jacobian, wanted, left, right, out)
+    actuator_least_squares(p, jacobian, wanted, left, right, out)
     return _limited(limit, out)
 
 
-@device
+@inlined
 def _limited(limit: FloatArray, out: FloatArray) -> float:
     """Scale velocities down to the limits; return the factor by which they exceeded them."""
     excess = 1.0
@@ -91,7 +91,7 @@ def _limited(limit: FloatArray, out: FloatArray) -> float:
     return excess
 
 
-@device
+@inlined
 def _sees(error: FloatArray, eye: int) -> bool:
     return isfinite(error[eye, 0]) and isfinite(error[eye, 1])
 
@@ -111,7 +111,7 @@ def reducible_errors(
     ["(f8[:],f8[:,:],f8[:,:],f8[:],f8[:],f8[:],f8[:])"],
     f"(7),(2,2),(2,2),(),(4),({PACKED})->(4)",
 )
-def tied_command(
+def coupled_command(
     q: FloatArray,
     pixel_error: FloatArray,
     gain: FloatArray,
@@ -128,5 +128,5 @@ def tied_command(
     for eye in range(2):
         for axis in range(2):
             wanted[eye, axis] *= -gain[eye, axis]
-    share_of_actuators(p, jacobian, wanted, left, right, out)
+    actuator_least_squares(p, jacobian, wanted, left, right, out)
     _limited(limit, out)

@@ -25,7 +25,7 @@ _MOST_PX: Final = 1280
 against the time of a dozen searches in 12 megapixels)."""
 
 
-def mistaken(
+def similar_targets(
     image: NDArray[np.uint8], targets: Sequence[Target], camera: EyeCamera | None = None
 ) -> str:
     """Search an image for targets similar to those that were asked for.
