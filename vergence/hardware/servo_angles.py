@@ -83,7 +83,7 @@ class ServoAngles:
                 self._believed_s[slot] = measured_s
                 believed.add(servo.id)
             elif not np.isnan(since_s):
-                # after a longer silence the caller stops the head, or nobody has asked
+                # after a longer silence the caller stops the head, or no read took place
                 ahead_s = min(measured_s - self._measured_s[slot], SILENT_S)
                 self.angles[slot] += self.speeds[slot] * ahead_s
             self._measured_s[slot] = measured_s

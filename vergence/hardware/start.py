@@ -51,7 +51,7 @@ def come_to_start(
         goal: (7,) angles of neck and actuators, rad.
         config: the hardware configuration.
         angles: see `drive_to`.
-        supervisor: tells proved joints and forbidden postures that limit commands.
+        supervisor: source of the proved joints and of the forbidden posture in the way.
         move: see `drive_to`.
 
     Returns:

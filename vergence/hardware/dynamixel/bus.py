@@ -23,7 +23,7 @@ _LOG: Final = logging.getLogger(__name__)
 CYCLE_TIMEOUT_S: Final = 0.006
 """Timeout of the answers to a sync read, beyond their time on the wire, s (chosen).
 
-Four servos answer within 1.6 ms at 1 Mb/s; a silent one costs this much of a control period.
+Four servos answer within 1.6 ms at 1 Mb/s; a silent one costs at most this much of a period.
 """
 SINGLE_TIMEOUT_S: Final = 0.05
 """Timeout of one servo's answer, beyond its time on the wire, s: slow EEPROM writes (chosen)."""
