@@ -1,4 +1,4 @@
-"""All that a plant holds open: the servos' line, the cameras, an emulated head's world."""
+"""Resources that a plant holds open: the servos' line, the cameras, an emulated head's world."""
 
 from vergence.hardware.drive import Drive
 from vergence.hardware.emulator.client import EmulatedWorld
@@ -6,10 +6,10 @@ from vergence.hardware.eyes import Eyes
 
 
 class OpenedHead:
-    """Servos, eyes and world of an open plant; it outlives the plant by its `close` alone.
+    """Servos, eyes and world of an open plant; a finalizer of the plant calls its `close`.
 
     Args:
-        eyes: still closed.
+        eyes: the eyes, still closed.
     """
 
     def __init__(self, eyes: Eyes) -> None:
@@ -18,7 +18,7 @@ class OpenedHead:
         self.world: EmulatedWorld | None = None
 
     def close(self) -> None:
-        """Stop the servos at once, and release all; a second call does nothing."""
+        """Stop the servos at once and release everything; a second call does nothing."""
         drive, self.drive = self.drive, None
         world, self.world = self.world, None
         try:

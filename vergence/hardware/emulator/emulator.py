@@ -1,4 +1,4 @@
-"""An emulated head on the wire: the world in this process, the cameras in another."""
+"""An emulated head: servos and world in this process, cameras in another."""
 
 import multiprocessing
 from collections.abc import Callable
@@ -28,17 +28,17 @@ def emulate(
     stop: Callable[[], bool] = lambda: False,
     errors: ModelErrors | None = None,
 ) -> None:
-    """Emulate a head until something is true, or Ctrl-C.
+    """Emulate a head until `stop` returns True, or Ctrl-C.
 
     Args:
-        config: what it is like.
-        ready: called once with the text of the configuration that a controller needs, see
-            `vergence.hardware.config`, when servos and streams answer.
-        stop: looked at now and then.
-        errors: how far the head that really moves and sees lies from the head of `config`.
+        config: its configuration.
+        ready: called once when servos and streams answer, with the text of the hardware
+            configuration that a controller needs, see `vergence.hardware.config`.
+        stop: polled several times a second.
+        errors: model errors of the head that really moves and sees, against that of `config`.
 
     Raises:
-        VergenceError: there is no such head or board, or the script of faults is none.
+        VergenceError: there is no such head or board, or the script of faults is invalid.
         HardwareError: the cameras' process has ended.
     """
     head = load_head(config.head)
@@ -87,10 +87,10 @@ def desk(head: str, digest: str, world: World, server: WorldServer, target: str)
 
     Args:
         head: the head's preset or file.
-        digest: of the head that this names.
+        digest: digest of that head.
         world: the world.
-        server: serves it.
-        target: what the cameras see, see `parse_target`.
+        server: the server of that world.
+        target: the target before the cameras, see `parse_target`.
     """
     return {
         "head": head,

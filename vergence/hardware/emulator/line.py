@@ -1,9 +1,9 @@
-"""Emulated servos that share a line: which of them a packet is for, and what each of them answers.
+"""Emulated servos on a shared line: the addressees of a packet, and their answers.
 
-Nothing here reads a clock or does I/O: `ServoLine.answer` takes a packet and the time at which it
-came, and gives what the servos send and after what delay of their own.
+Nothing here reads a clock or does I/O: `ServoLine.answer` takes a packet and its time of arrival,
+and returns the answers of the servos with their return delays.
 
-Not emulated, and refused where they are asked for: registered instructions, fast and bulk reads.
+Not emulated, and answered with an error: registered instructions, fast and bulk reads.
 """
 
 from collections.abc import Iterable, Iterator
@@ -25,7 +25,7 @@ from vergence.hardware.emulator.servo import Servo
 from vergence.models.parts import FloatArray
 
 _DELAY_S: Final = 2e-6
-"""Unit of RETURN_DELAY_TIME, s."""
+"""Unit of RETURN_DELAY_TIME, s (physical: Dynamixel X series)."""
 
 
 class Answer(NamedTuple):
@@ -33,20 +33,20 @@ class Answer(NamedTuple):
 
     id: int
     delay_s: float
-    """Its RETURN_DELAY_TIME, from the end of the packet before it, of the question or a servo."""
+    """Its RETURN_DELAY_TIME, from the end of the request or of the answer before it, s."""
     data: bytes
 
 
 class ServoLine:
     """Servos that share a line.
 
-    A servo that is silent does not keep those after it from answering a sync read.
+    In a sync read the servos after a silent one answer all the same.
 
     Args:
-        servos: each with an id of its own.
+        servos: servos with distinct ids.
 
     Raises:
-        ConfigurationError: two servos have one id.
+        ConfigurationError: two servos have the same id.
     """
 
     def __init__(self, servos: Iterable[Servo]) -> None:
@@ -57,11 +57,11 @@ class ServoLine:
 
     @property
     def trips(self) -> int:
-        """How often watchdogs have stopped servos."""
+        """Number of times that watchdogs have stopped servos."""
         return sum(servo.trips for servo in self.servos)
 
     def to(self, now_s: float) -> None:
-        """Bring all joints to a time, s; an earlier one than before changes nothing."""
+        """Advance all joints to a time, s; an earlier time than before changes nothing."""
         for servo in self.servos:
             servo.to(now_s)
 
@@ -74,13 +74,13 @@ class ServoLine:
         return np.array([servo.v for servo in self.servos])
 
     def answer(self, packet: Packet, now_s: float, baud_rate: int | None = None) -> list[Answer]:
-        """All status packets that a packet brings about, in their order.
+        """Status packets that answer a packet, in their order.
 
         Args:
-            packet: from the line, whatever it holds.
-            now_s: when it came, on the clock of `to`.
-            baud_rate: at which it was sent; servos with another one hear nothing. None for each
-                servo's own.
+            packet: any packet from the line.
+            now_s: time of its arrival, on the clock of `to`, s.
+            baud_rate: baud rate at which it was sent; servos with another rate do not receive it.
+                None for each servo's own.
         """
         self.to(now_s)
         if packet.instruction == Instruction.STATUS:
@@ -103,7 +103,7 @@ class ServoLine:
 
 
 def _execute(servo: Servo, packet: Packet) -> Answer | None:
-    """Carry out an instruction to one servo, and say so where its return level asks for it."""
+    """Execute an instruction on one servo; answer it if the servo's return level asks for it."""
     level, id = servo.get(table.STATUS_RETURN_LEVEL), servo.id
     params, data, error = packet.params, b"", 0
     least_level = 2
