@@ -8,12 +8,12 @@ from tests.hardware.fakes import HEAD, TAG, FakeClock, camera_config
 from vergence.errors import HardwareError
 from vergence.hardware import plant
 from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig, actuator_slots
-from vergence.hardware.drive import Drive
+from vergence.hardware.drive import DriveThread
 from vergence.hardware.dynamixel import bus
 from vergence.hardware.dynamixel.packets import Parser
 from vergence.hardware.emulator.fault import parse_fault
 from vergence.hardware.emulator.world import World
-from vergence.hardware.pairing import Sight
+from vergence.hardware.pairing import EyeImage
 from vergence.hardware.plant import HardwarePlant
 from vergence.hardware.safety.config import SafetyConfig
 
@@ -108,7 +108,7 @@ class VirtualEye:
         self._seen = latest
         now = self._clock()
         pixel = HEAD.cameras.principal[self.config.eye]
-        return [Sight(now - self.config.latency_s, now, pixel)]
+        return [EyeImage(now - self.config.latency_s, now, pixel)]
 
     def forget(self):
         pass
@@ -179,7 +179,7 @@ class VirtualRobot:
         self.plant = HardwarePlant(
             HEAD, config=config, appears=appears, clock=self.clock, sleep=self.clock.sleep
         )
-        monkeypatch.setattr(Drive, "start", lambda drive: setattr(self.clock, "drive", drive))
+        monkeypatch.setattr(DriveThread, "start", lambda drive: setattr(self.clock, "drive", drive))
         monkeypatch.setattr(plant, "compile_loop", lambda _head, _target: None)
         monkeypatch.setattr(plant, "check_devices", lambda _config: [])
         monkeypatch.setattr(self.plant._open.eyes, "open", self._open_cameras)

@@ -15,7 +15,7 @@ from vergence.commands.extras import require
 from vergence.errors import ConfigurationError, VergenceError, did_you_mean
 
 if TYPE_CHECKING:
-    from vergence.hardware.jog import Jog as Joints
+    from vergence.hardware.jog import Jogger as Joints
 
 _HELP: Final = """\
 NAME      go on with this joint
@@ -45,7 +45,7 @@ class Jog:
         from vergence.hardware.checks.line import open_bus
         from vergence.hardware.checks.servos import check_servos, refuse_errors
         from vergence.hardware.config import load_hardware
-        from vergence.hardware.jog import Jog as Joints
+        from vergence.hardware.jog import Jogger as Joints
 
         config = load_hardware(self.config)
         step_rad = _step(self.step)

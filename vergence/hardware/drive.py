@@ -20,7 +20,7 @@ from vergence.hardware.config import HardwareConfig
 from vergence.hardware.count_log import CountLog
 from vergence.hardware.history import JointHistory
 from vergence.hardware.safety.motion import HELD
-from vergence.hardware.safety.supervisor import State, Supervisor
+from vergence.hardware.safety.supervisor import RobotState, Supervisor
 from vergence.hardware.servos import HeadServos
 from vergence.models.parts import FloatArray
 from vergence.recording.listener import RobotListener
@@ -38,7 +38,7 @@ _JOIN_S: Final = 1.0
 
 
 class InTrial(NamedTuple):
-    """State of the running trial for the supervisor, see `State`."""
+    """State of the running trial for the supervisor, see `RobotState`."""
 
     images_s: FloatArray
     seen: bool
@@ -46,7 +46,7 @@ class InTrial(NamedTuple):
     missed: int
 
 
-class Drive(threading.Thread):
+class DriveThread(threading.Thread):
     """Sends commands to open servos, and keeps sending if the caller is late.
 
     Args:
@@ -140,7 +140,7 @@ class Drive(threading.Thread):
             self.sense()  # the caller was slow
         measured_s, joints, _ = self._history.newest()
         now = self._clock()
-        state = State(
+        state = RobotState(
             now_s=now,
             angles=line.angles.angles + (now - measured_s) * line.angles.speeds,
             speeds=line.angles.speeds,

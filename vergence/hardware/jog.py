@@ -38,7 +38,7 @@ _SPARE_S: Final = 5.0
 """Time allowed for a step beyond its length divided by its speed, s (chosen)."""
 
 
-class Jog:
+class Jogger:
     """Moves one joint at a time.
 
     Args:

@@ -1,6 +1,6 @@
 """Resources that a plant holds open: the servos' line, the cameras, an emulated head's world."""
 
-from vergence.hardware.drive import Drive
+from vergence.hardware.drive import DriveThread
 from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.eyes import Eyes
 
@@ -14,7 +14,7 @@ class OpenedHead:
 
     def __init__(self, eyes: Eyes) -> None:
         self.eyes = eyes
-        self.drive: Drive | None = None
+        self.drive: DriveThread | None = None
         self.world: EmulatedWorld | None = None
 
     def close(self) -> None:

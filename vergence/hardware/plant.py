@@ -31,7 +31,7 @@ from vergence.hardware.config import (
     refuse_other_head,
 )
 from vergence.hardware.count_log import CountLog
-from vergence.hardware.drive import Drive, InTrial
+from vergence.hardware.drive import DriveThread, InTrial
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.eyes import Eyes
@@ -171,7 +171,7 @@ class HardwarePlant(Plant):
                 servos = make(self.config, self._clock)
             except ChecksFailedError as error:
                 raise ChecksFailedError([*error.findings, *cameras]) from error
-            self._open.drive = Drive(
+            self._open.drive = DriveThread(
                 servos,
                 self.config,
                 self._supervisor,
@@ -365,7 +365,7 @@ class HardwarePlant(Plant):
     # ---- the loop ----
 
     @property
-    def _drive(self) -> Drive:
+    def _drive(self) -> DriveThread:
         if self._open.drive is None:
             raise HardwareError("the head is closed: expected a reset first")
         return self._open.drive

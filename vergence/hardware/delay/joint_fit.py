@@ -39,7 +39,7 @@ _follow = getattr(follow_joint, "py_func", follow_joint)
 _left = getattr(lag_decay, "py_func", lag_decay)
 
 
-class Motor(NamedTuple):
+class FittedMotor(NamedTuple):
     """Response parameters of an actuator's motor."""
 
     latency_s: float
@@ -55,8 +55,8 @@ class Motor(NamedTuple):
 class JointFit:
     """Fitted response of an actuator to its commands."""
 
-    motor: Motor
-    sigma: Motor
+    motor: FittedMotor
+    sigma: FittedMotor
     """Standard deviations of the parameters."""
     greatest_rad_s2: float
     """Greatest acceleration of the modelled motion, rad/s^2."""
@@ -80,7 +80,7 @@ class JointFit:
 
 
 def respond(
-    motor: Motor, sent_s: FloatArray, sent: FloatArray, times: FloatArray
+    motor: FittedMotor, sent_s: FloatArray, sent: FloatArray, times: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Simulate a motor, at first at rest at angle 0, with its commands.
 
@@ -121,7 +121,7 @@ def fit_joint(
     sent: FloatArray,
     joints_s: FloatArray,
     angles: FloatArray,
-    guess: Motor,
+    guess: FittedMotor,
     step_rad: float,
 ) -> JointFit:
     """Fit the response of an actuator.
@@ -143,7 +143,7 @@ def fit_joint(
     sigma = np.full(len(angles), rounded)
 
     def residual(values: FloatArray) -> FloatArray:
-        gap = angles - respond(Motor(*values), sent_s, sent, joints_s)[0]
+        gap = angles - respond(FittedMotor(*values), sent_s, sent, joints_s)[0]
         return np.asarray(straight.without(gap) / sigma)
 
     starts = [np.array(guess._replace(latency_s=latency)) for latency in _LATENCIES_S]
@@ -159,7 +159,7 @@ def fit_joint(
             jac="3-point",
             diff_step=[1e-4] * 4,
         )
-        start, motor = found.x, Motor(*found.x.tolist())
+        start, motor = found.x, FittedMotor(*found.x.tolist())
         speed = np.abs(respond(motor, sent_s, sent, joints_s)[1])
         fast = speed > _FAST_RAD_S
         late_s = np.abs(sigma * residual(found.x))[fast] / speed[fast]
@@ -174,7 +174,7 @@ def fit_joint(
     deviations = np.sqrt(np.diagonal(covariance))
     return JointFit(
         motor=motor,
-        sigma=Motor(*deviations.tolist()),
+        sigma=FittedMotor(*deviations.tolist()),
         correlation=float(covariance[0, 1] / (deviations[0] * deviations[1])),
         greatest_rad_s2=float(np.abs(np.diff(speeds)).max() / 0.002),
         residual_rad=float(np.sqrt(np.mean((sigma * residual(found.x)) ** 2))),
@@ -237,7 +237,7 @@ def clustered(
 
 
 def path_of(
-    motor: Motor,
+    motor: FittedMotor,
     sent_s: FloatArray,
     sent: FloatArray,
     joints_s: FloatArray,

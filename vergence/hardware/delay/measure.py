@@ -15,7 +15,7 @@ from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.delay.excitation import CHIRP_RAD_S, speeds, wishes
 from vergence.hardware.delay.image_fit import ImageFit, fit_images
-from vergence.hardware.delay.joint_fit import JointFit, Motor, fit_joint, path_of
+from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, fit_joint, path_of
 from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
 from vergence.hardware.delay.samples import Collector, Samples
 from vergence.hardware.plant import HardwarePlant
@@ -173,7 +173,7 @@ def _fit(
 ) -> tuple[JointFit, ImageFit | None]:
     motors = head.actuation.actuators_of(samples.positions)
     timing, k = head.timing, slot
-    guess = Motor(
+    guess = FittedMotor(
         latency_s=timing.command_latency_s + timing.feedback_latency_s,
         lag_s=max(float(timing.lag_s * head.actuation.lag_ratio[k]), 2e-3),
         gain=1.0,

@@ -14,7 +14,7 @@ from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.hardware.emulator.fault import load_faults
 from vergence.hardware.emulator.server import WorldServer
 from vergence.hardware.emulator.streams import StreamConfig, run_streams
-from vergence.hardware.emulator.world import Motors, World
+from vergence.hardware.emulator.world import MotorOptions, World
 from vergence.models.boards import make_planar_target
 from vergence.models.files.head_file import from_anywhere, load_head
 from vergence.models.files.head_toml import head_to_toml
@@ -47,7 +47,9 @@ def emulate(
     board = None if config.board is None else parse_standing(config.board)
     T_0_T = None if board is None else standing(head, board, config.board_distance_m)
     point = np.asarray(config.target_mm) / 1000.0
-    motors = Motors(**{field.name: getattr(config, field.name) for field in fields(Motors)})
+    motors = MotorOptions(
+        **{field.name: getattr(config, field.name) for field in fields(MotorOptions)}
+    )
     world = World(true, point, motors, config.seed, T_0_T)
     if config.faults is not None:
         world.faults.schedule(load_faults(config.faults, world.ids))

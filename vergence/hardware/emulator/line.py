@@ -28,7 +28,7 @@ _DELAY_S: Final = 2e-6
 """Unit of RETURN_DELAY_TIME, s (physical: Dynamixel X series)."""
 
 
-class Answer(NamedTuple):
+class TimedAnswer(NamedTuple):
     """A status packet that a servo sends."""
 
     id: int
@@ -73,7 +73,9 @@ class ServoLine:
         """True velocities of the joints, rad/s, shape (n,)."""
         return np.array([servo.v for servo in self.servos])
 
-    def answer(self, packet: Packet, now_s: float, baud_rate: int | None = None) -> list[Answer]:
+    def answer(
+        self, packet: Packet, now_s: float, baud_rate: int | None = None
+    ) -> list[TimedAnswer]:
         """Status packets that answer a packet, in their order.
 
         Args:
@@ -102,7 +104,7 @@ class ServoLine:
         return [answer for answer in answers if answer is not None]
 
 
-def _execute(servo: Servo, packet: Packet) -> Answer | None:
+def _execute(servo: Servo, packet: Packet) -> TimedAnswer | None:
     """Execute an instruction on one servo; answer it if the servo's return level asks for it."""
     level, id = servo.get(table.STATUS_RETURN_LEVEL), servo.id
     params, data, error = packet.params, b"", 0
@@ -127,7 +129,7 @@ def _execute(servo: Servo, packet: Packet) -> Answer | None:
     return None if quiet else _status(servo, id, data, error)
 
 
-def _sync_read(servos: list[Servo], packet: Packet) -> Iterator[Answer]:
+def _sync_read(servos: list[Servo], packet: Packet) -> Iterator[TimedAnswer]:
     if packet.id != BROADCAST or len(packet.params) < 4:
         return
     address, length = _number(packet.params, 0), _number(packet.params, 2)
@@ -149,10 +151,10 @@ def _sync_write(servos: list[Servo], packet: Packet) -> None:
             servo.write(address, packet.params[at + 1 : at + 1 + length])
 
 
-def _status(servo: Servo, id: int, data: bytes, error: int) -> Answer:
+def _status(servo: Servo, id: int, data: bytes, error: int) -> TimedAnswer:
     alert = ALERT if servo.get(table.HARDWARE_ERROR_STATUS) else 0
     delay_s = _DELAY_S * servo.get(table.RETURN_DELAY_TIME)
-    return Answer(id, delay_s, status_packet(id, data, error | alert))
+    return TimedAnswer(id, delay_s, status_packet(id, data, error | alert))
 
 
 def _number(params: bytes, at: int) -> int:

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from vergence.hardware.emulator.fault import Fault
-from vergence.hardware.emulator.line import Answer
+from vergence.hardware.emulator.line import TimedAnswer
 
 _KEPT: Final = 6
 """Bytes left of an answer that is cut short: header, id, and half of the length (chosen)."""
@@ -15,7 +15,7 @@ _CRC_FLIPPED: Final = 0x01
 
 
 def damage(
-    answers: Sequence[Answer], faults: Iterable[Fault], rng: np.random.Generator
+    answers: Sequence[TimedAnswer], faults: Iterable[Fault], rng: np.random.Generator
 ) -> list[tuple[float, bytes]]:
     """Apply the faults of the line to the answers to one request.
 

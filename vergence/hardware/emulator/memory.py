@@ -61,7 +61,7 @@ _MODES: Final = (table.VELOCITY_MODE, table.POSITION_MODE, table.EXTENDED_POSITI
 _READ_ONLY: Final = (table.MODEL_NUMBER, table.FIRMWARE_VERSION, table.HARDWARE_ERROR_STATUS)
 
 
-class Memory:
+class ControlTable:
     """A control table.
 
     Args:

@@ -19,7 +19,7 @@ from vergence.errors import ConfigurationError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.control_table import TICK_RAD, TICK_RAD_S, Register
 from vergence.hardware.dynamixel.packets import ErrorNumber
-from vergence.hardware.emulator.memory import Memory, written
+from vergence.hardware.emulator.memory import ControlTable, written
 from vergence.hardware.emulator.trace import Trace
 from vergence.models.joint_response import follow_joint
 
@@ -117,7 +117,7 @@ class Servo:
         self._at_s: float | None = None  # None until time begins
         self._fed_s = 0.0
         self._tripped = False
-        self.memory = Memory(id)
+        self.memory = ControlTable(id)
         self._hold()
         self._report()
 

@@ -88,7 +88,7 @@ class _Stream:
         return self._count
 
 
-class Cameras:
+class EmulatedCameras:
     """Draws the images of both eyes and publishes them.
 
     Args:
@@ -169,7 +169,7 @@ def _jpeg(image: Image) -> bytes:
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
 
 
-def serve(cameras: Cameras, port: int) -> ThreadingHTTPServer:
+def serve(cameras: EmulatedCameras, port: int) -> ThreadingHTTPServer:
     """Make a server of the streams /left and /right on the loopback; port 0 for any free port.
 
     A request may limit the number of images: /left?images=90.
@@ -243,7 +243,7 @@ def run_streams(
         views = EyeViews(model, make_planar_target("tag"), width_rad="fit")
     else:
         views = EyeViews(model, parse_standing(board))
-    cameras = Cameras(client, views, config)
+    cameras = EmulatedCameras(client, views, config)
     cameras.draw()  # compiles everything before the first reader
     server = serve(cameras, port)
     threading.Thread(target=server.serve_forever, daemon=True).start()

@@ -37,7 +37,7 @@ _BAUD_RATE: Final = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motors:
+class MotorOptions:
     """Dynamics and encoders of the servos of an emulated head."""
 
     speed_filter_s: float = 0.0
@@ -73,11 +73,11 @@ class World:
         self,
         head: HeadModel,
         point: FloatArray,
-        motors: Motors | None = None,
+        motors: MotorOptions | None = None,
         seed: int = 0,
         T_0_T: FloatArray | None = None,
     ) -> None:
-        motors = motors or Motors()
+        motors = motors or MotorOptions()
         self.head = head
         self._slots = actuator_slots(head)
         actuation, timing = head.actuation, head.timing

@@ -21,7 +21,7 @@ _GAIN: Final = 4.0
 """Gain of the joints towards the point of the spiral, 1/s (chosen)."""
 
 
-class Search:
+class SpiralSearch:
     """A slow spiral of the gaze.
 
     Args:

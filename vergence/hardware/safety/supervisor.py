@@ -15,7 +15,7 @@ from vergence.envs.reading import BoolArray
 from vergence.hardware.safety.config import SafetyConfig
 from vergence.hardware.safety.following import Following
 from vergence.hardware.safety.motion import JointMotion, inside
-from vergence.hardware.safety.searching import Search
+from vergence.hardware.safety.searching import SpiralSearch
 from vergence.hardware.safety.swings import Swings
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES
@@ -50,7 +50,7 @@ class Verdict(Enum):
     """Rest until released."""
 
 
-class State(NamedTuple):
+class RobotState(NamedTuple):
     """Present state of the robot, the input of the supervisor."""
 
     now_s: float
@@ -106,7 +106,7 @@ class Supervisor:
         self._motion = JointMotion(head, lower, upper, config, last_s)
         self._following = Following(head, self._motion.most)
         self._swings = Swings()
-        self._search = Search(head)
+        self._search = SpiralSearch(head)
         self._told = np.zeros(7)
         self._missed: deque[tuple[float, int]] = deque()
         self._seen_s = self._begun_s = np.nan
@@ -124,7 +124,7 @@ class Supervisor:
         self.fault = self.fault or reason
         self.verdict = Verdict.STOP
 
-    def command(self, state: State, wish: FloatArray) -> FloatArray:
+    def command(self, state: RobotState, wish: FloatArray) -> FloatArray:
         """Compute the command for the next period.
 
         Args:
@@ -170,7 +170,7 @@ class Supervisor:
         """True if the last command was zero."""
         return not self._told.any()
 
-    def _judge(self, state: State) -> None:
+    def _judge(self, state: RobotState) -> None:
         """Stop if joints, limits or forbidden postures are violated, or the trial's loop fails."""
         age_s = float(state.age_s.max())
         if age_s > JOINTS_AGE_S:
@@ -205,7 +205,7 @@ class Supervisor:
         if state.images_s is not None:
             self._judge_loop(state, state.images_s)
 
-    def _judge_loop(self, state: State, images_s: FloatArray) -> None:
+    def _judge_loop(self, state: RobotState, images_s: FloatArray) -> None:
         """Stop if a trial's images are late, many periods are missed, or the head oscillates."""
         config = self._config
         for eye, name in enumerate(EYE_NAMES):
@@ -237,7 +237,7 @@ class Supervisor:
                 "state-feedback"
             )
 
-    def _while_lost(self, state: State, wish: FloatArray) -> FloatArray:
+    def _while_lost(self, state: RobotState, wish: FloatArray) -> FloatArray:
         """Replace the wish while the target is lost: by rest, or by the search."""
         self.verdict = Verdict.GO
         if state.images_s is None:
