@@ -1,4 +1,4 @@
-"""How a joint follows commands that hold for one time, with a lag of first or of second order."""
+"""Response of a joint to commands of equal duration, with a first- or second-order lag."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""How a joint follows a velocity command: the exact lag with its limits."""
+"""Response of a joint to a velocity command: the exact lag with its limits."""
 
 import numpy as np
 import pytest
