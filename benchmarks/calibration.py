@@ -61,9 +61,9 @@ TARGET: Final = "checkerboard:9x6:24"
 PAIRS: Final = 18
 """Views of a data set (chosen: a usual number for a calibration)."""
 LENSES: Final[dict[str, tuple[float, tuple[float, ...]]]] = {
-    # half the diagonal is at 44 degrees, drawn in by 13 %
+    # the image corner is at 44 degrees, moved inwards by 13 %
     "brown-conrady": (420.0, (-0.30, 0.12, 0.0005, -0.0008, -0.02)),
-    # at 48 degrees, drawn in by 21 %
+    # at 48 degrees, moved inwards by 21 %
     "rational": (420.0, (0.9, 0.35, 0.0005, -0.0008, 0.02, 1.2, 0.6, 0.08)),
     # at 72 degrees
     "fisheye": (310.0, (0.05, -0.02, 0.01, -0.004)),

@@ -1,4 +1,4 @@
-"""`vergence measure-delay`: measure the latencies of a robot's loop for its configuration."""
+"""`vergence measure-delay`: measure a robot's control loop and write it into its configuration."""
 
 import json
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MeasureDelay:
-    """Measure the latencies of a robot's loop: each eye in turn moves about a stationary target."""
+    """Measure latencies and lag of a robot's loop: each eye in turn moves about a fixed target."""
 
     hardware: Annotated[Path, tyro.conf.arg(name="config", metavar="PATH")]
     """TOML file that describes the robot (see docs/robot.md); receives the results."""
