@@ -24,7 +24,7 @@ def drain(pairing, now_s):
 
 
 def run(left, right, pairing=None):
-    """What comes out of images at these times of exposure, each added as it is ready."""
+    """Pairs made of images with these exposure times, each added as it is ready."""
     pairing = pairing or Pairing(TOLERANCE_S, FRAME_S)
     images = [(one.ready_s, eye, one) for eye, times in enumerate((left, right)) for one in times]
     out = []

@@ -79,8 +79,8 @@ class VirtualEye:
         eye: 0 for left.
 
     Attributes:
-        ended_s: when its stream ends.
-        stalled_s: from when on it has no new images.
+        ended_s: end of its stream, s.
+        stalled_s: time after which it has no new images, s.
     """
 
     ready, frame = True, None
@@ -121,7 +121,7 @@ class VirtualClock(FakeClock):
     """Time in which a robot's drive has its say while somebody else sleeps.
 
     Attributes:
-        drive: what `keep`s the joints; None while there is none.
+        drive: drive whose `keep` moves the joints; None without one.
     """
 
     drive = None

@@ -1,4 +1,4 @@
-"""What both eyes have told becomes one loop, and what they cannot tell is said."""
+"""Combination of both eyes' results into one loop; undetermined values are reported."""
 
 from dataclasses import replace
 

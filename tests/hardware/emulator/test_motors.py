@@ -1,4 +1,4 @@
-"""What moves an emulated head's joints otherwise than its model: late, weak, loose."""
+"""Imperfect motors of an emulated head: latency, reduced strength, backlash."""
 
 import numpy as np
 import pytest

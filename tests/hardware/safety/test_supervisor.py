@@ -18,7 +18,7 @@ class Robot:
 
     Args:
         follows: gives the joints' speeds for the commands.
-        **bounds: of `SafetyConfig`.
+        **bounds: fields of `SafetyConfig`.
     """
 
     def __init__(self, follows=lambda sent: sent, **bounds):
