@@ -17,8 +17,8 @@ from typing import Final, NamedTuple
 from vergence.errors import ConfigurationError
 
 ROOT: Final = Path(__file__).resolve().parents[1]
-ALWAYS: Final = "architecture"
-"""The room whose tests are quick and look at all others."""
+ALWAYS: Final = frozenset({"architecture", "words"})
+"""Rooms whose tests are quick and look at all others."""
 EVERYTHING: Final = "tests/conftest"
 ELSEWHERE: Final = {
     "README": ("docs",),
@@ -171,7 +171,7 @@ def main(words: list[str], root: Path = ROOT) -> int:
     except ConfigurationError as error:
         print(f"no room was named, {error}".strip(), file=sys.stderr)
         return 2
-    print(*places_of({ALWAYS}.union(rooms, *(above.get(room, set()) for room in rooms)), root))
+    print(*places_of(ALWAYS.union(rooms, *(above.get(room, set()) for room in rooms)), root))
     return 0
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.hardware.pairing import EyeImage, Pairing
+from vergence.hardware.pairing import Pairing, SearchedImage
 
 FRAME_S = 1.0 / 30.0
 TOLERANCE_S = 0.6 * FRAME_S
@@ -12,7 +12,7 @@ NOWHERE = np.full(2, np.nan)
 
 
 def sight(exposed_s, ready_s=None):
-    return EyeImage(exposed_s, exposed_s + 0.1 if ready_s is None else ready_s, NOWHERE)
+    return SearchedImage(exposed_s, exposed_s + 0.1 if ready_s is None else ready_s, NOWHERE)
 
 
 def drain(pairing, now_s):

@@ -13,7 +13,7 @@ from vergence.hardware.dynamixel import bus
 from vergence.hardware.dynamixel.packets import Parser
 from vergence.hardware.emulator.fault import parse_fault
 from vergence.hardware.emulator.world import World
-from vergence.hardware.pairing import EyeImage
+from vergence.hardware.pairing import SearchedImage
 from vergence.hardware.plant import HardwarePlant
 from vergence.hardware.safety.config import SafetyConfig
 
@@ -108,7 +108,7 @@ class VirtualEye:
         self._seen = latest
         now = self._clock()
         pixel = HEAD.cameras.principal[self.config.eye]
-        return [EyeImage(now - self.config.latency_s, now, pixel)]
+        return [SearchedImage(now - self.config.latency_s, now, pixel)]
 
     def forget(self):
         pass

@@ -23,7 +23,7 @@ from vergence.envs.reading import Image
 from vergence.errors import HardwareError
 from vergence.hardware.config import CameraConfig
 from vergence.hardware.history import JointHistory
-from vergence.hardware.pairing import EyeImage
+from vergence.hardware.pairing import SearchedImage
 from vergence.models.boards import Target
 from vergence.models.head import HeadModel
 from vergence.vision.detectors import make_detector
@@ -75,7 +75,7 @@ class EyeThread(threading.Thread):
         self._clock = clock
         self._head = head
         self._tracker = self._tracker_of(target)
-        self._new: deque[EyeImage] = deque(maxlen=64)
+        self._new: deque[SearchedImage] = deque(maxlen=64)
         self._forget = self._ended = self._sees = False
         self._steady = threading.Event()
         self._last_s = self._newest_s = clock()
@@ -172,7 +172,7 @@ class EyeThread(threading.Thread):
         self.images += 1
         self.found += found is not None
         self.frame = grey
-        self._new.append(EyeImage(exposed_s, self._clock(), pixel, found, grey))
+        self._new.append(SearchedImage(exposed_s, self._clock(), pixel, found, grey))
 
     @property
     def newest_s(self) -> float:
@@ -203,7 +203,7 @@ class EyeThread(threading.Thread):
                 f"{silent_s:.1f} s"
             )
 
-    def take(self) -> list[EyeImage]:
+    def take(self) -> list[SearchedImage]:
         """Sights of the images since the last call, in the order of exposure."""
         sights = []
         while self._new:

@@ -11,7 +11,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.cameras import EyeThread
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.history import JointHistory
-from vergence.hardware.pairing import Counts, EyeImage, Pairing, Sights
+from vergence.hardware.pairing import Counts, Pairing, SearchedImage, Sights
 from vergence.models.boards import Target
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
@@ -108,7 +108,7 @@ class Eyes:
             newest = sights
         return newest
 
-    def _keep(self, log: RobotListener, eye: int, sight: EyeImage) -> None:
+    def _keep(self, log: RobotListener, eye: int, sight: SearchedImage) -> None:
         """Log the detection of an eye, and its image if the log takes images."""
         found, nothing = sight.detection, np.empty((0, 2))
         log.detection(

@@ -14,7 +14,7 @@ from vergence.models.parts import FloatArray
 from vergence.vision.detection import Detection
 
 
-class EyeImage(NamedTuple):
+class SearchedImage(NamedTuple):
     """One eye's image after the detection."""
 
     exposed_s: float
@@ -32,8 +32,8 @@ class EyeImage(NamedTuple):
 class Sights(NamedTuple):
     """A pair of images, or one eye's image alone."""
 
-    left: EyeImage | None
-    right: EyeImage | None
+    left: SearchedImage | None
+    right: SearchedImage | None
 
     @property
     def exposed_s(self) -> float:
@@ -70,7 +70,7 @@ class Pairing:
     def __init__(self, tolerance_s: float, wait_s: float) -> None:
         self._tolerance_s = tolerance_s
         self._wait_s = wait_s
-        self._waiting: tuple[deque[EyeImage], deque[EyeImage]] = (deque(), deque())
+        self._waiting: tuple[deque[SearchedImage], deque[SearchedImage]] = (deque(), deque())
         self.counts = Counts()
 
     def clear(self) -> None:
@@ -78,7 +78,7 @@ class Pairing:
         for queue in self._waiting:
             queue.clear()
 
-    def add(self, eye: int, sight: EyeImage) -> None:
+    def add(self, eye: int, sight: SearchedImage) -> None:
         """Add an image of an eye, 0 for left; each eye's images come in order of exposure."""
         self._waiting[eye].append(sight)
 
