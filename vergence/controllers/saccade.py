@@ -179,7 +179,7 @@ def saccade_command(
         v, lag = velocity[j] - rate[j], rig.lag_ratio[j] * lag_s[0]
         speed = max(gain[j] * rig.speed[j] - abs(rate[j]), 0.1 * gain[j] * rig.speed[j])
         if rate[j] != 0.0:  # lose sight only briefly of a target that may reverse
-            calm = max(_SEES * rig.sees / rig.leverage[j], abs(to_go[j]) / _BLIND_S)
+            calm = max(_SEES * rig.max_slip_rad_s / rig.leverage[j], abs(to_go[j]) / _BLIND_S)
             speed = min(speed, calm)
         a = sure[0] * rig.acceleration[j]
         # uncertain part of the angle turned in a period at full acceleration

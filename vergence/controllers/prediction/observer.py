@@ -21,7 +21,7 @@ from math import exp, sqrt
 from typing import Annotated, Final
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.joints import PredictorModel, within
+from vergence.controllers.prediction.joints import PredictorModel, clip_to_quantisation
 from vergence.controllers.prediction.response import (
     Response,
     answer_of,
@@ -205,7 +205,7 @@ def observe(
     c[2] = left * left * c[2] + noise
     step = _ANGLE * rig.angle_step[j]
     spread = c[0] + step * step + _ANGLE_RAD * _ANGLE_RAD
-    off = within(q, angle, rig.angle_step[j]) - q
+    off = clip_to_quantisation(q, angle, rig.angle_step[j]) - q
     k, kv = c[0] / spread, c[1] / spread
     q, v = q + k * off, v + kv * off
     c[2] -= kv * c[1]
@@ -221,7 +221,7 @@ def observe(
     spread = _SPEED * rig.speed_step[j] + _SPEED_RAD_S + _SPEED_SHARE * abs(v)
     spread += observer.change[j] * doubt
     spread = c[2] + spread * spread * max(observer.misfit, 1.0)
-    off = within(expected, rate, rig.speed_step[j]) - expected
+    off = clip_to_quantisation(expected, rate, rig.speed_step[j]) - expected
     spread += off * off / 9.0  # Cauchy weight: outliers count for little
     k, kv = c[1] / spread, c[2] / spread
     q, v = q + k * off, v + kv * off
@@ -231,4 +231,4 @@ def observe(
     observer.told[j] = expected + kv * off
     # bound the effect of a corrupted packet
     fastest = _FASTEST * rig.speed[j]
-    return within(q, angle, rig.angle_step[j]), min(max(v, -fastest), fastest)
+    return clip_to_quantisation(q, angle, rig.angle_step[j]), min(max(v, -fastest), fastest)

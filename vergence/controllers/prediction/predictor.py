@@ -26,7 +26,7 @@ from vergence._jit import compiled, inlined
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.prediction.aim import aim
 from vergence.controllers.prediction.aiming import aim_ahead, present_error
-from vergence.controllers.prediction.backlash import cross_play
+from vergence.controllers.prediction.backlash import cross_backlash
 from vergence.controllers.prediction.goals import take_image
 from vergence.controllers.prediction.joints import RIG, PredictorModel, joint_rig
 from vergence.controllers.prediction.memory import MEMORY, SIZE, PredictorState, initial_row, track
@@ -251,7 +251,8 @@ def _see(
         take_image(memory, rig, error, p, learn_delay)
     for eye in range(2):
         unseen = memory.unseen[eye]
-        if rig.follows > 0.5 and memory.ways[0] < 0.5:  # the target is inferred from the other eye
+        # the other eye shows where a moving target is
+        if rig.targets_move > 0.5 and memory.mode_probabilities[0] < 0.5:
             unseen = min(unseen, memory.unseen[1 - eye])
         if unseen > round(HOLD_S / rig.period_s):
             memory.known[eye] = 0.0
@@ -319,7 +320,7 @@ def _update(
         memory: PredictorState = record_view(rows[n][:SIZE], MEMORY)
         track(memory, rig, p, positions[n], velocities[n], command[n], learn_response)
         _see(memory, rig, age_s[n], error[n], p, learn_delay)
-        cross_play(memory, p, command[n])
+        cross_backlash(memory, p, command[n])
         forget(memory.swinging, rig.period_s)
         for eye in range(2):
             for joint in range(2 if memory.known[eye] > 0.5 else 0):
