@@ -7,7 +7,7 @@ from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.memory import PredictorState
 from vergence.controllers.prediction.moving import extrapolate, slow_share
-from vergence.controllers.prediction.response import answer_of
+from vergence.controllers.prediction.response import model_of
 from vergence.models.kinematics import eye_frames, point_in_eye
 from vergence.models.packed import PackedHead, camera_of
 from vergence.models.pose import out_of
@@ -30,7 +30,7 @@ def aim_ahead(memory: PredictorState, rig: PredictorModel, tick: float) -> None:
     later.
     """
     moves = rig.targets_move > 0.5 and memory.mode_probabilities[0] < _SURE
-    effect_delay_s = exp(answer_of(memory.response).found[2]) + 0.5 * rig.period_s
+    effect_delay_s = exp(model_of(memory.response).parameters[2]) + 0.5 * rig.period_s
     expected_s = memory.delay_s + rig.frame_s + (tick - memory.count) * rig.period_s + _GRACE_S
     slow = 1.0
     for eye in range(2):

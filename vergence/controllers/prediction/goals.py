@@ -47,6 +47,7 @@ from vergence.controllers.prediction.moving import (
     infer,
     update_modes,
 )
+from vergence.controllers.prediction.oscillation import reduce_count
 from vergence.controllers.prediction.rest_or_motion import (
     classify_innovations,
     expect_motion,
@@ -54,7 +55,6 @@ from vergence.controllers.prediction.rest_or_motion import (
     mark_direct,
     update_motion,
 )
-from vergence.controllers.prediction.swinging import forgive
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 
@@ -316,7 +316,7 @@ def _filter(
         elif targets_move:
             begin_motion(motions, goals[eye], variance[eye, 0])
         if is_outlier[eye] or memory.known[eye] < 0.5:
-            forgive(memory.swinging)
+            reduce_count(memory.oscillation)
             _begin_goals(
                 memory, eye, low, high, goals, angles_at_exposure, angles_by_delay, variance, agree
                 or matches_motion[eye],

@@ -14,19 +14,19 @@ from vergence.controllers.prediction.fitting import learn_response
 from vergence.controllers.prediction.joints import RIG, RING_LENGTH, PredictorModel
 from vergence.controllers.prediction.moving import MODELS, MODES, EyeMotion
 from vergence.controllers.prediction.observer import Observer, begin_comparison, is_prompt, observe
+from vergence.controllers.prediction.oscillation import (
+    FIRST_PATIENCE_S,
+    Oscillation,
+    begin_watch,
+)
 from vergence.controllers.prediction.response import (
     COMMANDS,
     SPEEDS,
     Response,
     advance,
-    answer_of,
-    first_answers,
-    sent,
-)
-from vergence.controllers.prediction.swinging import (
-    FIRST_PATIENCE_S,
-    Swinging,
-    begin_watch,
+    effective_command,
+    initial_models,
+    model_of,
 )
 from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.envs.layout import AGE_S
@@ -60,7 +60,7 @@ class PredictorState:
     """Age of the newest image, s; the next period compares it to detect a new image."""
     response: Response
     observer: Observer
-    swinging: Swinging
+    oscillation: Oscillation
     actuators: Annotated[FloatArray, 4]
     """Estimated actuator angles, finer than the encoders' resolution, rad."""
     velocity: Annotated[FloatArray, 4]
@@ -151,10 +151,10 @@ def initial_row(
     rig: PredictorModel = rig_row.view(RIG)[0]
     response = np.zeros(1, dtype=MEMORY["response"])
     response["begun"] = -1.0
-    for name, value in first_answers(rig.response_s, rig.lag_s, learn_response).items():
-        response["answers"][name] = value
-    swinging = np.zeros(1, dtype=MEMORY["swinging"])
-    swinging["patience_s"] = FIRST_PATIENCE_S
+    for name, value in initial_models(rig.response_s, rig.lag_s, learn_response).items():
+        response["models"][name] = value
+    oscillation = np.zeros(1, dtype=MEMORY["oscillation"])
+    oscillation["patience_s"] = FIRST_PATIENCE_S
     images = np.zeros(2, dtype=MEMORY["images"].base)
     images["arrived"] = -1e9
     return make_row(
@@ -163,7 +163,7 @@ def initial_row(
         reversed_at=-1e9,
         image_age_s=AGE_S,
         response=response,
-        swinging=swinging,
+        oscillation=oscillation,
         first_delay_s=first_delay(rig.latency_s),
         delay_cost=prior_costs(rig.latency_s, stamped, learn_delay),
         high=HYPOTHESES,
@@ -224,7 +224,7 @@ def track(
     memory.still += 1.0
     tick, direct, begins = int(memory.count), is_direct(p), memory.count == 0.0
     response = memory.response
-    answer = answer_of(response)
+    model = model_of(response)
     prompt = is_prompt(memory.observer)
     response.prompt = 1.0 if prompt else 0.0
     before, now = np.uintp((tick - 1) & (COMMANDS - 1)), np.uintp(tick & (SPEEDS - 1))
@@ -238,10 +238,10 @@ def track(
             response.angles[j] = angle
             begin_comparison(memory.observer, j, angle, rate)
             continue
-        response.commands[before, j] = sent(rig, command[j])
+        response.commands[before, j] = effective_command(rig, command[j])
         q, v = memory.actuators[j], memory.velocity[j]
         w = response.accelerations[j]
-        ahead_q, ahead_v, w = advance(response, answer, rig, tick - 1, j, q, v, w)
+        ahead_q, ahead_v, w = advance(response, model, rig, tick - 1, j, q, v, w)
         response.accelerations[j] = w
         q, v = observe(
             memory.observer, response, rig, tick - 1, j, v, ahead_q, ahead_v, angle, rate
@@ -257,7 +257,7 @@ def track(
     for j in range(4 if tick % every == 0 else 0):
         q = memory.actuators[j] if direct else joint_at(p, j, memory.actuators)
         if begins:
-            begin_watch(memory.swinging, j // 2, j % 2, q)
+            begin_watch(memory.oscillation, j // 2, j % 2, q)
             for place in range(RING_LENGTH):
                 memory.angles[place, j // 2, j % 2] = q
         memory.angles[slot, j // 2, j % 2] = q
