@@ -1,1 +1,1 @@
-"""Speed and precision, measured."""
+"""Benchmarks of speed and accuracy."""

@@ -1,4 +1,4 @@
-"""``python -m benchmarks`` measures throughput."""
+"""Entry point of ``python -m benchmarks``: measures throughput."""
 
 from benchmarks.throughput import main
 

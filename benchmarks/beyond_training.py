@@ -1,12 +1,12 @@
-"""Learned controllers beside the best laws where trials are worse than any that was learned from.
+"""Compare learned controllers and the best laws on trials beyond the range of the training.
 
 Run ``python benchmarks/beyond_training.py``, with ``--csv docs/results/beyond_training.csv`` to
-keep the table. Scenario ``hardware`` draws each imperfection from a range. Here one at a time goes
-to 1.5 times that range, in every trial, and the others are drawn as ever: the greatest value times
-1.5, the least one by 1.5, of what counts from 1 the distance from it times 1.5. A row is an
-imperfection and a controller: the share of test trials that settle to 2 px, the median and the
-95th percentile of the settle time, and both of its ratio to the bound; a trial that does not settle
-counts as one that takes for ever. See ``docs/learning.md``.
+keep the table. Scenario ``hardware`` draws each imperfection from a range. Here one imperfection
+at a time is set beyond its range in every trial: to 1.5 times its greatest value, or its least
+value divided by 1.5; a gain's deviation from 1 is multiplied by 1.5. The others are drawn as
+before. A row is an imperfection and a controller: the fraction of test trials that settle to 2 px,
+and the median and 95th percentile of the settling time and of its ratio to the bound. A trial that
+does not settle counts as infinitely slow. See ``docs/learning.md``.
 """
 
 import argparse
@@ -29,16 +29,17 @@ from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 
 BEYOND: Final = 1.5
-"""How many times its range an imperfection has."""
+"""Factor by which an imperfection exceeds its range (chosen: clearly beyond the training)."""
 CONTROLLERS: Final = ("learned-policy", "learned-gain", "pursuit", "saccade", "state-feedback")
 BAND_PX: Final = 2.0
+"""Error band in which a trial counts as settled, px (chosen: that of the docs' tables)."""
 
 
 def outside(variation: Variation) -> dict[str, Variation]:
-    """A variation with one imperfection beyond its ranges, by the name of the imperfection.
+    """Variations with one imperfection beyond its range each, by the name of the imperfection.
 
     Args:
-        variation: the variation that was learned from; it draws all of those named here.
+        variation: variation of the training; it must draw all imperfections named here.
     """
 
     def greatest(name: str) -> float:
@@ -81,7 +82,7 @@ def outside(variation: Variation) -> dict[str, Variation]:
 
 
 def controllers(scenario: Scenario, bundles: Mapping[str, str]) -> dict[str, Controller]:
-    """The controllers for a scenario's head: laws as tuned, networks of files or shipped ones."""
+    """Controllers for a scenario's head: tuned laws, and networks from files or as shipped."""
     head, made = scenario.model(), {}
     for name in CONTROLLERS:
         entry = find_tuned(name, scenario.name, head)
@@ -93,12 +94,12 @@ def controllers(scenario: Scenario, bundles: Mapping[str, str]) -> dict[str, Con
 
 
 def found(trials: Trials) -> dict[str, float]:
-    """What a row says of some trials."""
+    """Columns of a row from its trials."""
     settle_s = trials.settle_s(BAND_PX)
     settle_s = np.where(np.isnan(settle_s), np.inf, settle_s)
     ratio = trials.ratio_to_bound(BAND_PX)
     ratio = ratio[~np.isnan(ratio)]
-    # no value between two trials: one of them may be infinite
+    # no interpolation between trials: one of them may be infinite
     at = {"method": "higher"}
     return {
         "settled_2px_fraction": float(np.isfinite(settle_s).mean()),

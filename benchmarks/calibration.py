@@ -1,31 +1,31 @@
-"""Pairs of cameras with known numbers, calibrated: are the errors as large as the sigmas say?
+"""Calibrate simulated camera pairs and compare the errors with the stated standard deviations.
 
-    python -m benchmarks.calibration [--drawn N] [--corners] [--lens LENS] [--csv FILE]
+    python -m benchmarks.calibration [--drawn N] [--corners N] [--lens LENS] [--csv FILE]
 
-For each lens model it puts two cameras with really distorting lenses before a checkerboard and
-calibrates them, N times, each time other photographs. Those are drawn through the lens with blur,
-noise and 8 bits, and the package's detector finds the corners; with `--corners` the true corners
-with Gaussian noise take their place, which tells what the solver is to blame for from what the
-detector is. A drawn pair of 18 photographs each takes some two seconds.
+For each lens model it calibrates N data sets, each with two new cameras of strong distortion and
+new photographs of a checkerboard. With `--drawn`, photographs are rendered through the lens with
+blur, noise and 8 bits, and the package's detector finds the corners. With `--corners`, the true
+corners with Gaussian noise are used instead, which separates errors of the solver from errors of
+the detector. A drawn data set of 18 photographs per camera takes some two seconds.
 
 The columns of the table:
 
-nees                 e^T C^-1 e / n over all numbers of the cameras, R and T, mean; 1 is right
-nees_error           its standard error
-nees_bend            the same with the board's curvatures, whose truth is 0
-likelihood_ratio     by how much the truth's sum of squares is greater, over s^2 n: as nees,
-                     but true as well where other coefficients give nearly the same lens
-direction_ratio      error of the directions of pixels all over the left image over their sigma, rms
-baseline_ratio       error of the baseline over its sigma, rms of both
+nees                 e^T C^-1 e / n over all parameters of the cameras, R and T, mean; expected: 1
+nees_error           standard error of nees
+nees_bend            nees that includes the board's curvatures, whose true value is 0
+likelihood_ratio     (sum of squares at the truth - least sum of squares) / (s^2 n): as nees,
+                     but also valid if different coefficients give nearly the same lens
+direction_ratio      rms of error / sigma of viewing directions over the left image
+baseline_ratio       rms error of the baseline / rms sigma of the baseline
 baseline_error_mm    error of the baseline, rms
-baseline_sigma_mm    its sigma, rms
-noise                residuals over the detector's sigma
+baseline_sigma_mm    sigma of the baseline, rms
+noise                residuals / sigma of the detector
 rms_px               residuals of both cameras
-corner_ratio         error of the corners over their sigma: median of absolute values over that of
-                     a normal number
-corner_rms_ratio     the same, rms
+corner_ratio         error / sigma of the corners: median of absolute values, relative to a normal
+                     distribution
+corner_rms_ratio     error / sigma of the corners, rms
 corner_error_px      error of the corners, each coordinate, rms
-corner_bias_px       the same without noise of the image: what does not average away
+corner_bias_px       corner_error_px without image noise: the part that does not average out
 dropped              views of a data set that were left out, mean
 failed               data sets that gave no calibration
 """
@@ -56,36 +56,43 @@ from vergence.vision import TargetDrawing, make_detector, parse_target
 from vergence.vision.optics import EyeCamera
 
 SIZE: Final = (640, 480)
+"""Width and height of the images, px (chosen: a common camera)."""
 TARGET: Final = "checkerboard:9x6:24"
 PAIRS: Final = 18
+"""Views of a data set (chosen: a usual number for a calibration)."""
 LENSES: Final[dict[str, tuple[float, tuple[float, ...]]]] = {
-    # half the diagonal is at 44 degrees, drawn in by 13 %
+    # the image corner is at 44 degrees, moved inwards by 13 %
     "brown-conrady": (420.0, (-0.30, 0.12, 0.0005, -0.0008, -0.02)),
-    # at 48 degrees, drawn in by 21 %
+    # at 48 degrees, moved inwards by 21 %
     "rational": (420.0, (0.9, 0.35, 0.0005, -0.0008, 0.02, 1.2, 0.6, 0.08)),
     # at 72 degrees
     "fisheye": (310.0, (0.05, -0.02, 0.01, -0.004)),
 }
-"""Focal length, px, and coefficients: lenses whose coefficients all matter."""
+"""Focal length, px, and distortion coefficients, all of which affect the images."""
 DISTANCES_M: Final = (0.28, 0.6)
+"""Least and greatest distance of the board, m (chosen: it fills a large part of the image)."""
 MOST_TILT_RAD: Final = np.radians(40.0)
+"""Largest tilt of the board, rad (chosen: a usual limit of photographs for calibration)."""
 RIM_PX: Final = 12.0
-"""Least distance of a corner to the image's border: a checkerboard is found whole or not at all."""
+"""Least distance of a corner from the image border, px (chosen: a board is found only if whole)."""
 BLURS_PX: Final = (0.5, 1.0)
+"""Range of the blur's standard deviation, px (chosen: sharp cameras)."""
 NOISES_GREY: Final = (2.0, 4.0)
+"""Range of the noise's standard deviation, grey levels (chosen: a usual camera)."""
 CORNER_NOISE_PX: Final = 0.1
+"""Noise of the corners with `--corners`, px (chosen: about that of a detector)."""
 _NORMAL_MEDIAN: Final = 0.6745
-"""Of the absolute value of a standard normal number."""
+"""Median of the absolute value of a standard normal variable (numerical)."""
 
 
 class Truth(NamedTuple):
-    """What the cameras are, and where the board is in each view."""
+    """True cameras, and true pose of the board in each view."""
 
     rig: CameraRig
     poses: Poses
 
     def pixels(self, target: PlanarTarget) -> FloatArray:
-        """(c, v, n, 2) where the cameras see the board; nan for boards beyond an image."""
+        """(c, v, n, 2) pixels of the board in the cameras; nan for boards that leave an image."""
         board = np.insert(target.corners_m, 2, 0.0, axis=1)
         left = board @ self.poses.rotation.transpose(0, 2, 1) + self.poses.translation[:, None]
         points = [left, left @ self.rig.rotation.T + self.rig.translation]
@@ -102,7 +109,7 @@ class Truth(NamedTuple):
 
 
 def drawn_rig(lens: str, rng: np.random.Generator) -> CameraRig:
-    """Two such cameras some 100 mm apart, a few degrees from parallel."""
+    """Two random cameras of a lens model, about 100 mm apart, a few degrees from parallel."""
     focal, coefficients = LENSES[lens]
     values = tuple(
         np.array(
@@ -121,7 +128,7 @@ def drawn_rig(lens: str, rng: np.random.Generator) -> CameraRig:
 def drawn_pose(
     rig: CameraRig, camera: int, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """A board's pose in the left camera's frame whose middle is anywhere in one of the images."""
+    """Random pose of a board in the left camera's frame, centred anywhere in a camera's image."""
     eye = eye_camera(rig, camera)
     ray = np.append(eye.rays(rng.uniform((0.0, 0.0), SIZE)[None])[0], 1.0)
     ray /= np.linalg.norm(ray)
@@ -139,7 +146,7 @@ def drawn_pose(
 
 
 def drawn_truth(lens: str, target: PlanarTarget, rng: np.random.Generator) -> Truth:
-    """A pair, and boards that are whole in at least one of its images, most of them in both."""
+    """Random pair, and boards that are entirely in one of its images, most of them in both."""
     rig = drawn_rig(lens, rng)
     centre = np.append(target.corners_m.mean(axis=0), 0.0)
     rotations: list[FloatArray] = []
@@ -159,7 +166,7 @@ def drawn_truth(lens: str, target: PlanarTarget, rng: np.random.Generator) -> Tr
 
 
 def eye_camera(rig: CameraRig, camera: int) -> EyeCamera:
-    """One of the cameras, to draw with."""
+    """One of the cameras as an `EyeCamera`, for drawing."""
     f_u, f_v, u_0, v_0, *coefficients = rig.values[camera].tolist()
     return EyeCamera(
         width=SIZE[0], height=SIZE[1], focal_px=(f_u, f_v), principal_px=(u_0, v_0),
@@ -168,7 +175,7 @@ def eye_camera(rig: CameraRig, camera: int) -> EyeCamera:
 
 
 def observed(target: PlanarTarget, pixels: FloatArray, sigma: FloatArray) -> Observations:
-    """Corners, as if found in photographs."""
+    """Observations made of given corners."""
     cameras, views = pixels.shape[:2]
     names = tuple(tuple(f"{camera}-{view}.png" for view in range(views)) for camera in "lr")
     return Observations(
@@ -179,7 +186,7 @@ def observed(target: PlanarTarget, pixels: FloatArray, sigma: FloatArray) -> Obs
 def photographed(
     target: PlanarTarget, truth: Truth, rng: np.random.Generator, *, noisy: bool = True
 ) -> Observations:
-    """Draw a pair's photographs and find the corners in them."""
+    """Draw a pair's photographs and detect the corners in them."""
     true = truth.pixels(target)
     rendering = Rendering(
         blur_px=rng.uniform(*BLURS_PX), noise_grey=rng.uniform(*NOISES_GREY), black_grey=30.0,
@@ -206,20 +213,20 @@ def photographed(
 
 
 def noisy_corners(target: PlanarTarget, truth: Truth, rng: np.random.Generator) -> Observations:
-    """The true corners with Gaussian noise of a sigma that is told."""
+    """True corners with Gaussian noise of known sigma."""
     true = truth.pixels(target)
     pixels = true + CORNER_NOISE_PX * rng.standard_normal(true.shape)
     return observed(target, pixels, np.where(np.isfinite(true), CORNER_NOISE_PX, np.nan))
 
 
 def calibrated(seen: Observations, lens: str) -> CameraFit:
-    """The pair, as `vergence.calibration.calibrate` finds it once the lens is chosen."""
+    """Calibrate the pair as `vergence.calibration.calibrate` does with a given lens model."""
     alone = [fit_camera(seen.camera(i), lens, first_fit(seen.camera(i))) for i in range(2)]
     return fit_pair(seen, *alone)[1]
 
 
 def nees(error: FloatArray, covariance: FloatArray) -> float:
-    """Normalised error squared over the count of numbers, whose mean is 1."""
+    """Normalised squared error per parameter, e^T C^-1 e / n; its expectation is 1."""
     # coefficients of a lens and pixels differ by many orders of magnitude
     scale = np.sqrt(np.diagonal(covariance))
     correlation = covariance / scale[:, None] / scale
@@ -227,7 +234,7 @@ def nees(error: FloatArray, covariance: FloatArray) -> float:
 
 
 def likelihood_ratio(fit: CameraFit, truth: Truth) -> float:
-    """The truth's sum of squares above the least one, over its expectation."""
+    """Excess of the sum of squares at the truth over the least one, relative to its expectation."""
     solution = fit.solution
     _, linear = solution.problem.posed(truth.rig, truth.poses.of(fit.kept))
     more = float((linear.residuals**2).sum() - (solution.linear.residuals**2).sum())
@@ -235,14 +242,14 @@ def likelihood_ratio(fit: CameraFit, truth: Truth) -> float:
 
 
 def direction_ratio(fit: CameraFit, truth: CameraRig, covariance: FloatArray) -> float:
-    """Error of the left camera's directions over their sigma, all over what it saw; rms."""
+    """Root mean square of error / sigma of the left camera's viewing directions."""
     found, lens = fit.solution.rig, truth.lenses[0]
     u, v = np.meshgrid(*(np.linspace(0.1, 0.9, 9) * length for length in SIZE))
     rays = eye_camera(truth, 0).rays(np.column_stack([u.ravel(), v.ravel()]))
     points = np.insert(rays, 2, 1.0, axis=1)
     seen = project(lens, found.values[0], points)
     error = seen.pixels - project(lens, truth.values[0], points).pixels
-    # the turn of the frame is that of the corners that were seen, as in `direction_sigma_px`
+    # a rotation of the frame is fitted to the observed corners, as in `direction_sigma_px`
     corners = fit.solution.problem.points(found, fit.solution.poses)
     corners = corners[fit.solution.problem.seen[0]]
     at = project(lens, found.values[0], corners)
@@ -255,7 +262,7 @@ def direction_ratio(fit: CameraFit, truth: CameraRig, covariance: FloatArray) ->
 
 
 def measured(fit: CameraFit, truth: Truth) -> dict[str, float]:
-    """What one data set came to."""
+    """Errors and ratios of one calibrated data set."""
     rig, covariance = fit.solution.rig, covariance_of(fit.solution)
     error = rig.packed() - truth.rig.packed()
     bend, between = rig.blocks[-1], rig.blocks[-2]
@@ -277,13 +284,13 @@ def measured(fit: CameraFit, truth: Truth) -> dict[str, float]:
 
 
 def corner_errors(seen: Observations, true: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(k) errors of all coordinates that were found, px, and their sigmas."""
+    """(k) errors of all detected coordinates, px, and their sigmas."""
     there = np.isfinite(seen.pixels) & np.isfinite(true)
     return (seen.pixels - true)[there], seen.sigma[there]
 
 
 def row_of(lens: str, count: int, rng: np.random.Generator, look: str) -> dict[str, Any]:
-    """Calibrate data sets of one lens model; a row of the table."""
+    """Row of the table: calibrate data sets of one lens model."""
     target = parse_target(TARGET)
     assert isinstance(target, PlanarTarget)
     results, errors, sigmas, failed = [], [], [], 0
@@ -339,7 +346,7 @@ def _root_mean_square(values: NDArray[np.float64]) -> float:
 
 
 def table_of(lenses: Iterable[str], looks: Sequence[str], count: int, seed: int) -> pd.DataFrame:
-    """A row for each lens model and way to get corners."""
+    """Table with a row for each lens model and source of corners."""
     rows = [
         row_of(lens, count, np.random.default_rng([seed, number]), look)
         for look in looks

@@ -1,4 +1,4 @@
-"""Four figures of a calibration's report as one picture.
+"""Draw four figures of a calibration's report as one image.
 
 Run ``python benchmarks/calibration_figures.py FOLDER --out docs/images/calibration`` on a folder
 with left1.jpg, right1.jpg and so on of a board. See ``docs/calibration.md``.
@@ -29,11 +29,11 @@ from vergence.perception.photographs import photographs_of
 
 _DPI = 110
 _COLOURS = 128
-"""Of the picture: few enough for a small file."""
+"""Colours of the palette: few enough for a small file."""
 
 
 def panels(found: Calibration) -> list[Figure]:
-    """Residuals, coverage and directions of the left camera, and depth."""
+    """Figures of residuals, coverage and direction sigma of the left camera, and of depth sigma."""
     return [
         residual_field(found, 0),
         image_coverage(found, 0),
@@ -43,7 +43,7 @@ def panels(found: Calibration) -> list[Figure]:
 
 
 def tiled(figures: Sequence[Figure]) -> Image.Image:
-    """Figures two by two on white."""
+    """Image of figures in two columns on white."""
     drawn = [_drawn(figure) for figure in figures]
     rows = [drawn[start : start + 2] for start in range(0, len(drawn), 2)]
     wide = max(image.width for image in drawn)
@@ -58,13 +58,13 @@ def tiled(figures: Sequence[Figure]) -> Image.Image:
 def _drawn(figure: Figure) -> Image.Image:
     content = io.BytesIO()
     with styled():
-        figure.draw_without_rendering()  # panels of equal axes fit only in the second layout
+        figure.draw_without_rendering()  # panels with equal axes fit only after a second layout
         figure.savefig(content, format="png", dpi=_DPI)
     return Image.open(content).convert("RGB")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Draw the picture."""
+    """Draw the image."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--target", default="checkerboard:9x6:24.23")

@@ -1,31 +1,32 @@
-"""Calibrations of the same photographs by OpenCV's procedure and by the package, on unseen views.
+"""Compare calibrations by OpenCV's procedure and by the package on held-out photographs.
 
     python -m benchmarks.calibration_photographs --set FOLDER TARGET LENS [...] [--csv FILE]
 
-A folder has left*.jpg and right*.jpg of a pair, or any images of one camera. Half of the views,
-drawn at random, are calibrated from and the rest judge, then the other way round, several times.
-A judge is told nothing of a view but its corners: it finds the flat board's pose, one for both
-images of a pair, without weights, and what remains is the error; so that neither procedure's
-corners are favoured, both are judged by OpenCV's corners and by the package's, of the views in
-which both have them.
+A folder has left*.jpg and right*.jpg of a pair, or any images of one camera. A random half of the
+views is used for calibration and the other half for evaluation, then the other way round, several
+times. The evaluation of a view uses only its corners: it fits the flat board's pose, one for both
+images of a pair, without weights, and the residual is the error. To favour neither procedure,
+both are evaluated on OpenCV's corners and on the package's corners, in the views in which both
+found them.
 
 OpenCV's procedure is that of its samples and its documentation: `findChessboardCorners`,
 `cornerSubPix` in a window of 11 x 11 pixels, `calibrateCamera` for each camera and
 `stereoCalibrate` with `CALIB_FIX_INTRINSIC`; `cv2.fisheye` for that lens.
 
-The columns, root mean square lengths in px, the mean of all halves:
+The columns are root mean square residuals in px, means over all halves:
 
-opencv            OpenCV's procedure, judged by the package's corners
-opencv_ours       OpenCV's solvers on the package's corners, likewise
-ours              the package, with the same lens model, likewise
-ratio             ours over opencv, the geometric mean of all halves
-ratio_error       its relative standard error, as if halves were independent
-*_by_theirs       judged by OpenCV's corners
-*_failed          halves of which the way gave no calibration; they count in no mean
-*_bent            the judge finds how the board is bent as well, one curvature for all views: a flat
-                  judge of a bent board prefers lenses that are as wrong as it
+opencv            OpenCV's procedure, evaluated on the package's corners
+opencv_ours       OpenCV's solvers on the package's corners, evaluated likewise
+ours              the package with the same lens model, evaluated likewise
+ratio             ours / opencv, the geometric mean over all halves
+ratio_error       relative standard error of ratio, as if halves were independent
+*_by_theirs       evaluated on OpenCV's corners
+*_failed          halves whose calibration failed; they count in no mean
+*_bent            evaluation also fits the board's curvature, one for all views: the evaluation of a
+                  bent board as a flat one favours lenses with errors that compensate the bend
 
-Boards that OpenCV's sample does not find have no column of its own.
+For boards other than checkerboards, which OpenCV's sample cannot find, the columns of OpenCV's
+procedure and corners are missing, and ratio is ours / opencv_ours.
 """
 
 import argparse
@@ -50,12 +51,12 @@ from vergence.perception.photographs import photographs_in
 from vergence.vision import read_image
 
 HALF_WINDOW: Final = 5
-"""Of `cornerSubPix` in OpenCV's samples/python/calibrate.py: 11 x 11 pixels."""
+"""Half window of `cornerSubPix`, px (chosen: that of OpenCV's samples/python/calibrate.py)."""
 _STOP: Final = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
 SPLITS: Final = 5
-"""In halves, of which either is calibrated from."""
+"""Random splits in halves, each of which is used for calibration (chosen: run time)."""
 _BENDINGS: Final = 4
-"""Steps of Gauss and Newton for the curvature, on which pixels depend almost linearly."""
+"""Gauss-Newton steps for the curvature, on which pixels depend almost linearly (numerical)."""
 _NO_GUESS: Final[Any] = None
 _FISHEYE: Final = "fisheye"
 _SUFFIXES: Final = {
@@ -64,24 +65,24 @@ _SUFFIXES: Final = {
     "theirs": "_by_theirs",
     "theirs_bent": "_bent_by_theirs",
 }
-"""Of columns, by whose corners judge."""
+"""Suffixes of columns, by the corners and the board model of the evaluation."""
 
 
 class Corners(NamedTuple):
-    """The corners of each view that a procedure sees, and its sizes."""
+    """Corners of each view found by a procedure, and the image sizes."""
 
     pixels: FloatArray
     """(c, v, n, 2) px; nan for views without a board."""
     sizes: tuple[tuple[int, int], ...]
-    """(c) width and height."""
+    """(c) width and height, px."""
 
     def of(self, views: NDArray[np.bool_]) -> "Corners":
-        """Those of some views."""
+        """Corners of some views."""
         return self._replace(pixels=self.pixels[:, views])
 
 
 def files_of(folder: Path) -> list[list[Path]]:
-    """(c, v) images of a folder by camera, views in the order of the numbers in their names."""
+    """(c, v) images of a folder by camera; views are in the order of the numbers in their names."""
 
     def number(path: Path) -> tuple[int, ...]:
         return tuple(map(int, re.findall(r"\d+", path.stem)))
@@ -98,7 +99,7 @@ def files_of(folder: Path) -> list[list[Path]]:
 def opencv_corners(
     board: Checkerboard, files: Sequence[Sequence[Path]], like: FloatArray, half_window: int
 ) -> FloatArray:
-    """(c, v, n, 2) corners as OpenCV's sample finds them; the order is that of others, `like`."""
+    """(c, v, n, 2) corners found as in OpenCV's sample, reordered to match the corners `like`."""
     pixels = np.full_like(like, np.nan)
     for camera, row in enumerate(files):
         for view, path in enumerate(row):
@@ -116,7 +117,7 @@ def opencv_corners(
 
 
 def opencv_calibrated(board: FloatArray, corners: Corners, lens: str) -> CameraRig:
-    """A camera or a pair by OpenCV's procedure."""
+    """Calibrate a camera or a pair by OpenCV's procedure."""
     lists = [
         [
             (board[there].astype(np.float32), view[there].astype(np.float32))
@@ -160,7 +161,7 @@ def _opencv_camera(
     size: tuple[int, int],
     lens: str,
 ) -> tuple[FloatArray, FloatArray]:
-    """Matrix and coefficients."""  # fmt: skip
+    """Camera matrix and distortion coefficients."""  # fmt: skip
     if lens == _FISHEYE:
         fisheye: Any = cv2.fisheye
         place: Any = cv2 if hasattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC") else fisheye
@@ -168,7 +169,7 @@ def _opencv_camera(
         flags = place.CALIB_RECOMPUTE_EXTRINSIC | place.CALIB_FIX_SKEW
         try:
             found: Any = fisheye.calibrate(*shaped, size, np.eye(3), np.zeros(4), flags=flags)
-        except cv2.error:  # from its own guess it ends where boards have no pose; then from ours
+        except cv2.error:  # its own initial guess leads to boards without a pose: retry with ours
             guess: Any = np.diag([max(size) / np.pi] * 2 + [1.0])
             guess[:2, 2] = 0.5 * np.array(size)
             flags |= place.CALIB_USE_INTRINSIC_GUESS
@@ -180,7 +181,7 @@ def _opencv_camera(
 
 
 def our_calibrated(seen: Observations, lens: str) -> CameraRig:
-    """A camera or a pair by the package, without the board's curvature, which is the views' own."""
+    """Calibrate a camera or a pair by the package; the fitted curvature of the board is dropped."""
     alone = [
         fit_camera(seen.camera(i), lens, first_fit(seen.camera(i))) for i in range(len(seen.sizes))
     ]
@@ -189,13 +190,13 @@ def our_calibrated(seen: Observations, lens: str) -> CameraRig:
 
 
 def judged(board: FloatArray, rig: CameraRig, corners: Corners, *, bent: bool) -> FloatArray:
-    """(v) root mean square of what the board's best pose in each view leaves, px.
+    """(v) root mean square residual of the board's best pose in each view, px.
 
     Args:
-        board: (n, 3) its corners when flat.
-        rig: the cameras.
-        corners: of the views that judge.
-        bent: whether the judge finds the board's curvature as well, one for all views.
+        board: (n, 3) corners of the flat board, m.
+        rig: calibrated cameras.
+        corners: corners of the evaluated views.
+        bent: True to fit the board's curvature as well, one for all views.
     """
     problem = Adjustment(board, corners.pixels, np.ones_like(corners.pixels))
     start = estimate_board_poses(
@@ -214,7 +215,7 @@ def judged(board: FloatArray, rig: CameraRig, corners: Corners, *, bent: bool) -
 
 
 def _halves(views: int) -> list[NDArray[np.bool_]]:
-    """(v) which views are calibrated from, each time and the other half the next time."""
+    """Masks (v) of the views used for calibration; each is followed by its complement."""
     rng = np.random.default_rng(0)
     halves = []
     for _ in range(SPLITS):
@@ -225,7 +226,7 @@ def _halves(views: int) -> list[NDArray[np.bool_]]:
 
 
 def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str, Any]:
-    """A row of the table."""
+    """Row of the table: results of one data set."""
     board, files = parse_board(target), files_of(folder)
     points = np.insert(board.corners_m, 2, 0.0, axis=1)
     seen, _ = observe(board, files)
@@ -234,7 +235,7 @@ def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str
     if isinstance(board, Checkerboard):
         theirs = opencv_corners(board, files, ours.pixels, half_window)
         corners["theirs"] = Corners(theirs, seen.sizes)
-    # a view judges where all of its images have corners, by either finder
+    # a view is evaluated if both finders found corners in all of its images
     judges = np.logical_and.reduce(
         [
             np.isfinite(each.pixels).all(axis=-1).any(axis=-1).all(axis=0)
@@ -287,7 +288,7 @@ def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str
 
 
 def _mean(values: FloatArray) -> float:
-    """The mean of those that are numbers; nan if there are none."""
+    """Mean of the finite values; nan if there are none."""
     known = values[np.isfinite(values)]
     return float(np.mean(known)) if len(known) else np.nan
 

@@ -1,14 +1,16 @@
-"""How calmly laws hold a target at rest, with each fault of a robot's loop and with all together.
+"""Measure oscillations of laws on a target at rest, with single and combined faults of the loop.
 
 Run ``python benchmarks/calm.py``, with ``--csv docs/results/calm.csv`` to keep the table. A row is
-a head, a fault and a law with its own options: trials of `hardware` that are 8 s long and have one
-fault more in all of them, or those of `desk`, which has its own head. Columns: share of the trials
-that settle to 2 px, trials that swing, share that left that band again, peak to peak of a joint's
-speed in the last 5 s, and settle time by the bound, both medians.
+a head, a fault and a law with its default options. It has trials of `hardware`, 8 s long and with
+one additional fault, or trials of `desk`, which has all faults and its own head. Columns: fraction
+of trials that settle to 2 px, number of trials that oscillate ("swing"), fraction that left the
+2 px band again, and medians of the peak-to-peak speed of a joint in the last 5 s and of the ratio
+of the settling time to its bound.
 
-``--count``, with ``--csv docs/results/calm_count.csv``, counts the trials that swing in all
-scenarios with targets at rest, and in `hardware` with one quantity of the loop at an end of what
-margins search; these trials are as long as the scenarios'. See ``docs/controllers.md``.
+``--count``, with ``--csv docs/results/calm_count.csv``, counts the oscillating trials in all
+scenarios with targets at rest, and in `hardware` with one quantity of the loop at an end of the
+range in which margins are searched; these trials have the duration of their scenario. See
+``docs/controllers.md``.
 """
 
 import argparse
@@ -38,16 +40,17 @@ RECOMMENDED: Final = ("state-feedback", "saccade", "pursuit")
 LEARNED: Final = ("learned-gain", "learned-policy")
 LAWS: Final = ("delay-compensated", *RECOMMENDED, *LEARNED)
 WITH_NETWORKS: Final = ("turrets", "physical")
-"""The heads that networks are shipped for."""
+"""Heads with shipped networks."""
 DESK: Final = "desk"
-"""The row of all faults together: the scenario of this name, with its own head."""
+"""Name of the row and of the scenario with all faults together and its own head."""
 DURATION_S: Final = 8.0
-"""Length of a trial, s: as of `desk`, so that fixation is its last 5 s."""
+"""Duration of a trial, s (chosen: that of `desk`, so that the last 5 s are fixation)."""
 BAND_PX: Final = 2.0
+"""Error band in which a trial counts as settled, px (chosen: that of the docs' tables)."""
 WORST: Final = 20
-"""Most rows of the count that are printed."""
+"""Most rows of the count that are printed (chosen: detail against length)."""
 WIDTH: Final = 130
-"""Of what is printed, characters."""
+"""Width of the printed tables, characters (numerical)."""
 Rows = list[dict[str, Any]]
 
 FAULTS: Final[dict[str, Callable[[LoopTiming], dict[str, float]]]] = {
@@ -76,18 +79,21 @@ FAULTS: Final[dict[str, Callable[[LoopTiming], dict[str, float]]]] = {
     "jitter 30 ms": lambda timing: {"jitter_s": 0.03},
     "acceleration 0.3": lambda timing: {"acceleration_ratio": 0.3},
 }
-"""What each trial has, by the nominal timing of the head: `over` are differences of angles."""
+"""Values of each fault, given the nominal timing of the head.
+
+`over` N periods: speed estimated from the difference of angles over that span.
+"""
 
 
 class Case(NamedTuple):
-    """A row of the table."""
+    """Row of the table."""
 
     head: str
     fault: str
     law: str
 
     def scenario(self) -> Scenario:
-        """What runs."""
+        """Scenario of the trials."""
         if self.fault == DESK:
             return load_scenario(DESK)
         scenario = replace(
@@ -99,7 +105,7 @@ class Case(NamedTuple):
 
 
 def calm(trials: Trials) -> dict[str, float]:
-    """How calmly a law holds its targets: the numbers of a row."""
+    """Columns of a row from its trials."""
     return {
         "trials": trials.num,
         "settled_2px_fraction": float(np.isfinite(trials.settle_s(BAND_PX)).mean()),
@@ -113,7 +119,7 @@ def calm(trials: Trials) -> dict[str, float]:
 
 
 def held(case: Case, episodes: int) -> dict[str, Any]:
-    """A row of the table."""
+    """Run the trials of a row; return the row."""
     scenario = case.scenario()
     controller = make_controller(case.law, head=scenario.model())
     trials = run_trials(controller, scenario, episodes=episodes)
@@ -121,7 +127,7 @@ def held(case: Case, episodes: int) -> dict[str, Any]:
 
 
 def cases(heads: Sequence[str], faults: Sequence[str], laws: Sequence[str]) -> list[Case]:
-    """Every row of these."""
+    """All rows of these heads, faults and laws."""
     own = load_scenario(DESK).head
     return [
         Case(head, fault, law)
@@ -134,9 +140,9 @@ def cases(heads: Sequence[str], faults: Sequence[str], laws: Sequence[str]) -> l
 
 
 def far_out() -> Iterator[tuple[str, Scenario]]:
-    """Scenarios with targets at rest, and `hardware` with a quantity at an end of its margins.
+    """Scenarios with targets at rest, and `hardware` with a quantity at an end of its search range.
 
-    An end that is the expected value is left out: those trials are the untouched ones, or milder.
+    An end at the expected value is left out: its trials are those of `hardware`, or milder.
     """
     yield from ((name, one) for name, one in SCENARIOS.items() if not one.moving)
     hardware = load_scenario("hardware")
@@ -149,7 +155,7 @@ def far_out() -> Iterator[tuple[str, Scenario]]:
 
 
 def swinging(name: str, scenario: Scenario, law: str, episodes: int) -> dict[str, Any]:
-    """A row of the count."""
+    """Run the trials of a row of the count; return the row."""
     controller = make_controller(law, head=scenario.model())
     trials = run_trials(controller, scenario, episodes=episodes)
     found = {"trials": trials.num, "swinging_trials": int(trials.swings.sum())}
@@ -157,7 +163,7 @@ def swinging(name: str, scenario: Scenario, law: str, episodes: int) -> dict[str
 
 
 def sums(rows: Rows) -> Rows:
-    """Rows of the count for each law, and for all, over all scenarios."""
+    """Sums of the count over all scenarios, for each law and for all laws."""
     return [
         {
             "scenario": "all",
@@ -194,7 +200,7 @@ def _cell(row: dict[str, Any]) -> str:
 
 
 def show_count(rows: Rows) -> None:
-    """Print where most trials swing, and the sums."""
+    """Print the scenarios with most oscillating trials, and the sums."""
     swing: dict[str, dict[str, int]] = {}
     for row in rows:
         swing.setdefault(row["scenario"], {})[row["law"]] = row["swinging_trials"]

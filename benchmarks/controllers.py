@@ -1,11 +1,11 @@
-"""What a decision of each controller costs, as ratios to the fixed-gain law in the same run.
+"""Measure the computing time of each controller, relative to the fixed-gain law in the same run.
 
 Run ``python benchmarks/controllers.py``, with ``--json FILE`` to keep the table, ``--quick`` for a
-short look, and bundles or networks (``.vgp``, ``.onnx``) to measure beside the registry. Every
-controller gets the observations of the same trials of a scenario, in the order in which they
-came, for one head alone and for 1,024 heads side by side. The controllers take turns for several
-rounds, so that a machine which does other things as well slows all of them; what is kept of each is
-the median call of its best round. See ``docs/evaluate.md``.
+short run, and bundles or networks (``.vgp``, ``.onnx``) to measure beside the registry. Every
+controller gets the observations of the same trials of a scenario, in their order in time, for one
+head and for a batch of 1,024 heads. The controllers take turns for several rounds, so that other
+load of the machine affects all of them; the result of each is the median call of its best
+round. See ``docs/evaluate.md``.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from vergence.eval.trials.scenarios import load_scenario
 
 HEADS = 1024
 REFERENCE = BASELINE
-"""Ratios are to this one: a law without a state, in one compiled kernel."""
+"""Reference of the ratios: a law without a state, in one compiled kernel."""
 
 
 @dataclass
@@ -39,12 +39,12 @@ class Case:
     name: str
     controller: Any
     one_us: float = float("inf")
-    """Microseconds of `predict` for one head."""
+    """Time of `predict` for one head, microseconds."""
     batch_us: float = float("inf")
-    """Microseconds a head of `predict` for `HEADS` of them."""
+    """Time per head of `predict` for `HEADS` heads, microseconds."""
 
     def measure(self, observation: NDArray[np.float32], repeats: int) -> None:
-        """Take one more round."""
+        """Measure one more round."""
         self.one_us = min(self.one_us, self._median_us(observation[:, :1], repeats))
         self.batch_us = min(self.batch_us, self._median_us(observation, 1) / HEADS)
 

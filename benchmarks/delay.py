@@ -1,8 +1,8 @@
-"""How well `vergence measure-delay` finds loops that are drawn: emulated heads on the wire.
+"""Measure the accuracy of `vergence measure-delay` on emulated heads with random loops.
 
 Run ``python -m benchmarks.delay [--seed N]``. For each of ten loops it starts `vergence emulate`
-with latencies, jitter, lag, gain, acceleration and play that are drawn, and measures them. It takes
-some 12 minutes. `--csv` keeps the worst of each.
+with random latencies, jitter, lag, gain, acceleration and backlash, and measures them. It takes
+some 12 minutes. `--csv` keeps a summary for each quantity.
 """
 
 import argparse
@@ -30,20 +30,20 @@ DRAWN = {
     "acceleration": ("acceleration_ratio", 0.375, 1.5, "of the head's", 1.0),
     "backlash": ("backlash_rad", 0.0, 0.003, "mrad", 1e3),
 }
-"""Options of `vergence emulate`: what they are found as, from where to where they are drawn."""
+"""Options of `vergence emulate`: name in the measurement, least and greatest value, unit, scale."""
 
 EMULATED = {"acceleration": float(load_head("turrets").actuation.acceleration[EYES][0])}
-"""Options that are given in units of the emulated head's own value."""
+"""The emulated head's own value of options that are drawn as a ratio to it."""
 
 
 def found_of(measured: LoopMeasurement) -> dict[str, float | None]:
-    """The values that a measurement writes, by name."""
+    """Values found by a measurement, by name."""
     values = vars(measured.loop()) | {"latency_s": np.mean(list(measured.latencies_s.values()))}
     return {name: values[name] for name, *_ in DRAWN.values()}
 
 
 def main() -> None:
-    """Measure, and print a row a loop and quantity, and the worst of each."""
+    """Measure, and print a row for each loop and quantity, and a summary of each quantity."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--loops", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)

@@ -1,8 +1,8 @@
-"""Noise, bias, corners, blindness to motion and cost of drawing and detecting, for both rigs.
+"""Measure noise, bias, motion blur, response errors and run time of the detectors, for both rigs.
 
 Run ``python benchmarks/detector.py``, with ``--json FILE`` to keep the tables. The noise is the
-sample standard deviation over draws of the image noise at a fixed pose; the bias is
-|detected - true| over random poses, without image noise, and does not average away. Cameras and
+sample standard deviation over draws of the image noise at a fixed pose. The bias is
+|detected - true| over random poses, without image noise, and does not average out. Cameras and
 rendering are those of the presets.
 """
 
@@ -29,10 +29,10 @@ Row = dict[str, str | float]
 
 
 class Eye:
-    """One rig's left eye looking at one target."""
+    """The left eye of a rig, with one target."""
 
     def __init__(self, rig: str, name: str) -> None:
-        """Make drawing and detector."""
+        """Make the drawing and the detector."""
         head = load_head(rig)
         self.camera = EyeCamera.of(head, 0)
         target = make_planar_target(name)
@@ -44,7 +44,7 @@ class Eye:
         return self.camera.project(pose[None, :3, 3])[0]
 
     def pose(self, depth_m: float, rng: np.random.Generator) -> NDArray[np.float64]:
-        """A pose near the axis: any sub-pixel position, tilted by up to 30 degrees."""
+        """Random pose near the axis: any sub-pixel position, tilted by up to 30 degrees."""
         axis = rng.normal(size=3)
         turn = axis / np.linalg.norm(axis) * rng.uniform(0, MAX_TILT_RAD)
         pose = np.eye(4)
@@ -54,7 +54,7 @@ class Eye:
 
 
 def noise_row(rig: str, name: str, depth_m: float, draws: int) -> Row:
-    """Sample standard deviation at a fixed pose."""
+    """Row of the noise: sample standard deviation at a fixed pose."""
     eye, rng = Eye(rig, name), np.random.default_rng(1)
     pose = np.eye(4)
     pose[:3, 3] = (0.0103 * depth_m, 0.0207 * depth_m, depth_m)
@@ -79,7 +79,7 @@ def noise_row(rig: str, name: str, depth_m: float, draws: int) -> Row:
 
 
 def bias_row(rig: str, name: str, depth_m: float, poses: int) -> Row:
-    """|detected - true| over random poses without noise."""
+    """Row of the bias: |detected - true| over random poses without noise."""
     eye, rng = Eye(rig, name), np.random.default_rng(2)
     errors = []
     for _ in range(poses):
@@ -104,7 +104,7 @@ def bias_row(rig: str, name: str, depth_m: float, poses: int) -> Row:
 
 
 def corner_row(rig: str, depth_m: float, poses: int) -> Row:
-    """A tag's corners, centre, and depth by PnP, over random poses with the rig's noise."""
+    """Row of errors of a tag's corners, centre, and depth by PnP, at random poses with noise."""
     eye, rng = Eye(rig, "tag"), np.random.default_rng(5)
     target = eye.drawing.target
     board = np.column_stack([target.corners_m, np.zeros(4)])
@@ -144,7 +144,7 @@ def corner_row(rig: str, depth_m: float, poses: int) -> Row:
 
 
 def light_row(rig: str, depth_m: float, light: str, poses: int) -> Row:
-    """What levels that are not in proportion to light do to a tag: clipped white, gamma."""
+    """Row of a tag's errors with levels not proportional to light: clipped white, gamma."""
     eye, rng = Eye(rig, "tag"), np.random.default_rng(6)
     target, rendering = eye.drawing.target, eye.drawing.rendering
     board = np.column_stack([target.corners_m, np.zeros(4)])
@@ -189,7 +189,7 @@ def _rms(values: list) -> float:
 
 
 def smear_row(rig: str, name: str, smear_px: float, draws: int) -> Row:
-    """Share of frames in which a smeared target at 1 m is tracked, and the worst error."""
+    """Row of motion blur: fraction of frames with the target at 1 m tracked, and worst error."""
     eye, rng = Eye(rig, name), np.random.default_rng(3)
     seen_count, worst = 0, 0.0
     for _ in range(draws):
@@ -215,7 +215,7 @@ def smear_row(rig: str, name: str, smear_px: float, draws: int) -> Row:
 
 
 def cost_row(rig: str, name: str, depth_m: float, frames: int) -> Row:
-    """Microseconds of drawing, tracking and full-frame detection on one core, best of five."""
+    """Row of run times: drawing, tracking and full detection on one core, us, best of five."""
     eye, rng = Eye(rig, name), np.random.default_rng(4)
     pose = np.eye(4)
     pose[:3, 3] = (0.01 * depth_m, 0.02 * depth_m, depth_m)
@@ -244,7 +244,7 @@ def cost_row(rig: str, name: str, depth_m: float, frames: int) -> Row:
 
 
 LIGHTS = ("white 0.95", "white 1.05", "white 1.2", "white 2.0", "gamma 0.4545")
-"""Of white paper, by what the camera's greatest grey stands for; and the exponent of sRGB."""
+"""Levels of white paper relative to the camera's saturation, and an approximate sRGB exponent."""
 
 
 def show(title: str, rows: list[Row]) -> None:

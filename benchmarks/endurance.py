@@ -1,9 +1,9 @@
-"""What an hour of gazes on the emulated head leaves behind: memory, descriptors, threads.
+"""Measure leaks of memory, file descriptors and threads in an hour of gazes on an emulated head.
 
 Run ``python benchmarks/endurance.py --minutes 60``. Gazes follow each other on one connection; the
-head is closed and opened anew every ten. A stop is told, released, and counted: an emulator that
-this machine does not let run for 0.1 s is one. Each minute a line says what the process holds; the
-last line compares the last quarter with the second one.
+head is closed and reopened every ten gazes. A stop of the head is printed, released and counted;
+one cause is a machine that does not let the emulator run for 0.1 s. Each minute a line states the
+resources that the process holds; the last line compares the last quarter with the second one.
 """
 
 import argparse
@@ -27,7 +27,7 @@ ONE = np.zeros(1, np.int64)
 
 
 def gaze(task: GazeTask, policy: Policy, number: int, reopen: bool) -> bool:
-    """One gaze at a drawn target; whether it ended within 2 px."""
+    """Run one gaze at a random target; True if it ended within 2 px."""
     if reopen:
         task.close()
         task.prepare(policy)
@@ -45,7 +45,7 @@ def gaze(task: GazeTask, policy: Policy, number: int, reopen: bool) -> bool:
 
 
 def main() -> None:
-    """Gaze for some minutes and print what is held."""
+    """Run gazes for some minutes and print the resources that are held."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--controller", default="state-feedback")

@@ -1,10 +1,10 @@
-"""In which images of a folder a target is found; without any in them, all are false.
+"""List false detections: targets found in images that contain none.
 
 Run ``python -m benchmarks.false_positives FOLDER --target tag:36h11 tag:36h11:5 checkerboard:9x6``,
-with ``--json FILE`` to keep the list. All folders in the folder are searched. ``--method`` takes
-another detector of tags than ours, by its name in `benchmarks.tag_images.methods`. ``--size
-1040x860`` also says how long a loop's search for a lost target takes in the images at that size, by
-each of the ways that take turns.
+with ``--json FILE`` to keep the list. All subfolders are searched. ``--method`` selects another
+tag detector by its name in `benchmarks.tag_images.methods`. ``--size 1040x860`` also measures how
+long a loop's search for a lost target takes in the images at that size, for each of the search
+variants that alternate.
 """
 
 import argparse
@@ -26,20 +26,20 @@ from benchmarks.tag_images.photographs import image_paths, read_image
 from vergence.errors import VergenceError
 
 _WAYS = 4
-"""After so many, detectors repeat themselves."""
+"""Number of search variants of a detector, after which they repeat."""
 Find = Callable[[NDArray[np.uint8]], list[dict[str, Any]]]
-"""What is found in a grey image: for each, what it is and where."""
+"""Function from a grey image to its detections: id and position of each."""
 
 
 def finder(target: str, method: str) -> Find:
-    """A detector of a target.
+    """Detection function for a target.
 
     Args:
-        target: such as ``tag:36h11:5`` or ``checkerboard:9x6``.
+        target: target such as ``tag:36h11:5`` or ``checkerboard:9x6``.
         method: ``vergence``, or, for tags alone, another of `METHODS`.
 
     Raises:
-        VergenceError: the method is not here, or does not know such targets.
+        VergenceError: the method is not installed, or does not support such targets.
     """
     if method == "vergence":
         return _ours(target)
@@ -76,7 +76,7 @@ def _entry(number: int | None, point_px: NDArray[np.float64]) -> dict[str, Any]:
 
 
 def search(find: Find, paths: Sequence[Path]) -> dict[Path, list[dict[str, Any]]]:
-    """What is found in each image, without those in which nothing is or that cannot be read."""
+    """Detections by image; images without any and images that cannot be read are left out."""
     found = {}
     for count, path in enumerate(paths, 1):
         if count % 100 == 0:
@@ -93,15 +93,15 @@ def search(find: Find, paths: Sequence[Path]) -> dict[Path, list[dict[str, Any]]
 
 
 def search_ms(target: str, paths: Sequence[Path], size: tuple[int, int]) -> NDArray[np.float64]:
-    """What each quick way takes in images brought to a size.
+    """Time of each search variant in images resized to a size.
 
     Args:
         target: see `finder`.
-        paths: of the images.
-        size: width and height.
+        paths: paths of the images.
+        size: width and height, px.
 
     Returns:
-        (n, 4) milliseconds of each way in each image that can be read.
+        (n, 4) milliseconds of each variant in each image that can be read.
     """
     vision: Any = vergence.vision
     detector = vision.make_detector(vision.parse_target(target))
@@ -109,7 +109,7 @@ def search_ms(target: str, paths: Sequence[Path], size: tuple[int, int]) -> NDAr
     for path in paths:
         try:
             image = read_image(path)
-        except VergenceError:  # said before
+        except VergenceError:  # reported by `search`
             continue
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
         starts = [time.perf_counter()]

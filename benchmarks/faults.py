@@ -1,9 +1,10 @@
-"""After how long the emulated head is at rest after each fault, by its own record, in real time.
+"""Measure the time from each fault to the rest of an emulated head, in real time.
 
-Run ``python -m benchmarks.faults --moments 100``. A policy turns all joints to and fro; at a drawn
-moment of each trial a fault begins. Process faults befall a process of their own that turns the
-joints in the same way. The bounds are those of docs/robot.md; the exit status is 1 if a moment was
-outside its bound. On a loaded machine the emulator's own process is late too.
+Run ``python -m benchmarks.faults --moments 100``. A policy turns all joints to and fro; at a random
+moment of each trial a fault begins. The emulator records the motion. Process faults are applied to
+a separate process that turns the joints in the same way. The bounds are those of docs/robot.md; the
+exit status is 1 if a trial exceeded its bound. On a loaded machine the emulator's own process is
+late too.
 """
 
 import argparse
@@ -32,13 +33,13 @@ from vergence.hardware.safety.config import SafetyConfig
 from vergence.models.parts import FloatArray
 
 LONGEST_S = 8.0
-"""Time after which a fault that has stopped nothing is given up, s."""
+"""Time limit of a fault that stops nothing, s."""
 GOES_ON_S = 1.5
 ONE = np.zeros(1, dtype=np.int64)
 
 
 class Case(NamedTuple):
-    """A fault, within which time the joints are to rest, and what the reason says."""
+    """A fault, the time limit in which the joints must rest, and a part of the expected reason."""
 
     request: dict[str, Any]
     bound_s: float
@@ -46,7 +47,7 @@ class Case(NamedTuple):
 
 
 class Bounds:
-    """Times of a head."""
+    """Time limits of a head, s."""
 
     def __init__(self, config: HardwareConfig) -> None:
         timing, actuation = config.head.timing, config.head.actuation
@@ -61,7 +62,7 @@ class Bounds:
 
 
 def cases(bounds: Bounds) -> dict[str, Case]:
-    """The faults of line, servos and cameras that stop the head, by name."""
+    """Faults of line, servos and cameras that must stop the head, by name."""
     rest_s, period_s = bounds.rest_s, bounds.period_s
     silent_s, image_s, follow_s = bounds.silent_s, bounds.image_s, bounds.follow_s
     answer, image, follow = "expected an answer of the id", "a new image within", "to follow"
@@ -96,16 +97,16 @@ GOES_ON: dict[str, dict[str, Any]] = {
     "answers doubled": {"what": "doubled"},
     "a third of the answers lost": {"what": "lost", "probability": 0.3},
 }
-"""Faults that a head goes on with."""
+"""Faults that must not stop the head."""
 
 
 def blind(config: HardwareConfig) -> HardwareConfig:
-    """A robot that goes on where it sees no target: the policy here looks at none."""
+    """Configuration that tolerates a lost target, since the policy here fixates none."""
     return dataclasses.replace(config, safety=SafetyConfig(lost_s=60.0))
 
 
 class Mover:
-    """A policy that turns all joints to and fro for ever, by drawn sinusoids."""
+    """Policy that turns all joints to and fro by random sinusoids."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rate = 2.0 * np.pi * rng.uniform(0.5, 1.2, 4)
@@ -113,7 +114,7 @@ class Mover:
         self._peak = rng.uniform(1.5, 3.0, 4)
 
     def wish(self, time_s: float) -> FloatArray:
-        """(1, 7) velocities at a time, rad/s."""
+        """(1, 7) velocity command at a time, rad/s."""
         wish = np.zeros((1, 7))
         wish[0, 3:] = self._peak * np.sin(self._rate * time_s + self._phase)
         return wish
@@ -126,7 +127,7 @@ class Mover:
 
 
 def rested_s(world: EmulatedWorld, since_s: float, wait_s: float = 0.6) -> float:
-    """After how long from a time on all joints rested, s; inf if one turns still."""
+    """Time from `since_s` until all joints rested, s; inf if one still turns."""
     time.sleep(wait_s)
     rested = world.rested_s(since_s)
     return np.inf if rested is None else rested - since_s
@@ -138,7 +139,7 @@ def befall(
     rng: np.random.Generator,
     wait_s: float = 0.6,
 ) -> tuple[float, str]:
-    """One moment of something that happens: after how long all rested, and what was said."""
+    """Run one trial of an event; return the time until all joints rested, s, and the reason."""
     world = EmulatedWorld(config.emulator)
     plant = HardwarePlant(config.head, config=config)
     try:
@@ -152,7 +153,7 @@ def befall(
     finally:
         with suppress(HardwareError):  # the cable may have been pulled
             world.clear()
-            world.fault(what="reboot")  # what has latched
+            world.fault(what="reboot")  # clears latched errors
         plant.close()
         world.close()
 
@@ -160,7 +161,7 @@ def befall(
 def fault(
     request: dict[str, Any], longest_s: float
 ) -> Callable[[HardwarePlant, EmulatedWorld, Mover], float]:
-    """A fault of the emulator begins, and the policy goes on."""
+    """Event: a fault of the emulator begins while the policy continues."""
 
     def happen(plant: HardwarePlant, world: EmulatedWorld, mover: Mover) -> float:
         since_s = world.fault(**request)
@@ -171,7 +172,7 @@ def fault(
 
 
 def sleeps(plant: HardwarePlant, world: EmulatedWorld, mover: Mover) -> float:
-    """The policy sleeps for a second."""
+    """Event: the policy sleeps for a second."""
     since_s = time.monotonic()
     time.sleep(1.0)
     mover.drive(plant, 0.1)
@@ -179,24 +180,24 @@ def sleeps(plant: HardwarePlant, world: EmulatedWorld, mover: Mover) -> float:
 
 
 def says_nan(plant: HardwarePlant, world: EmulatedWorld, mover: Mover) -> float:
-    """The policy wishes what is no number."""
+    """Event: the policy commands nan."""
     since_s = time.monotonic()
     plant.step(np.full((1, 7), np.nan))
     return since_s
 
 
 def raises(plant: HardwarePlant, world: EmulatedWorld, mover: Mover) -> float:
-    """The policy raises an exception, and the plant is closed."""
+    """Event: the policy raises an exception, and the plant is closed."""
     since_s = time.monotonic()
     plant.close()
     return since_s
 
 
 def turn(path: str) -> None:
-    """Turn the joints to and fro for ever: what process faults befall."""
+    """Turn the joints to and fro for a minute: the process to which process faults apply."""
     config = blind(load_hardware(path))
     plant = HardwarePlant(config.head, config=config)
-    for number in (signal.SIGINT, signal.SIGTERM):  # as the commands have it
+    for number in (signal.SIGINT, signal.SIGTERM):  # as in the commands
         signal.signal(number, signal.default_int_handler)
     plant.reset(ONE, config.head.rest()[None])
     mover = Mover(np.random.default_rng(0))
@@ -208,7 +209,7 @@ def turn(path: str) -> None:
 
 
 def kill(config: HardwareConfig, number: int, rng: np.random.Generator) -> tuple[float, str]:
-    """One moment of a signal to a process that turns the joints."""
+    """Run one trial of a signal to a process that turns the joints."""
     world = EmulatedWorld(config.emulator)
     words = [sys.executable, "-m", "benchmarks.faults", "--turn", config.path]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
@@ -224,7 +225,7 @@ def kill(config: HardwareConfig, number: int, rng: np.random.Generator) -> tuple
 
 
 def again(one: Callable[[], tuple[float, str]], tries: int = 5) -> tuple[float, str]:
-    """A moment, drawn anew where this machine's load has stopped the head before its fault."""
+    """Run one trial; repeat it if the load of the machine stops the head before its fault."""
     for _ in range(tries - 1):
         try:
             return one()
@@ -236,7 +237,7 @@ def again(one: Callable[[], tuple[float, str]], tries: int = 5) -> tuple[float, 
 def measure(
     name: str, moments: list[tuple[float, str]], bound_s: float | None, reason: str = ""
 ) -> dict[str, Any]:
-    """A row of the table; without a bound the head is to go on."""
+    """Row of the table; without a bound the head must not stop."""
     times = np.array([after_s for after_s, _ in moments])
     row: dict[str, Any] = {"fault": name, "moments": len(moments)}
     if bound_s is None:
@@ -247,7 +248,7 @@ def measure(
 
 
 def main() -> None:
-    """Let all faults befall the head, and print."""
+    """Run all faults and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--moments", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)

@@ -1,7 +1,7 @@
-"""The surfaces of a fuzzy PID: what its rules make of the gains, over error and rate.
+"""Draw the surfaces of a fuzzy PID: the factors of its gains over error and error rate.
 
-Run ``python benchmarks/fuzzy_surface.py --out docs/images/fuzzy_surface``. All spans are one, so
-that the rules show at their strongest. See ``docs/controllers.md``.
+Run ``python benchmarks/fuzzy_surface.py --out docs/images/fuzzy_surface``. All spans are one,
+which shows the rules at full strength. See ``docs/controllers.md``.
 """
 
 import argparse
@@ -18,11 +18,11 @@ from vergence.models.files.head_file import load_head
 
 
 def draw_surfaces(controller: FuzzyPID, points: int = 121) -> Figure:
-    """What the gains are multiplied by, over the error and its rate by their universes.
+    """Draw the factors of the gains over error and error rate, each normalised by its universe.
 
     Args:
-        controller: whose rules and spans.
-        points: values along each axis.
+        controller: fuzzy PID to draw.
+        points: grid points along each axis.
 
     Returns:
         The figure: three panels, for kp, ki and kd.
@@ -52,7 +52,7 @@ def draw_surfaces(controller: FuzzyPID, points: int = 121) -> Figure:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Draw the picture."""
+    """Draw the figure."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="figure, without its suffix")
     out: Path = parser.parse_args(arguments).out
@@ -61,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
     save_figure(
         draw_surfaces(FuzzyPID(head=head, layout=layout, span_p=1.0, span_i=1.0, span_d=1.0)), out
     )
-    out.with_suffix(".svg").unlink()  # documents show the picture
+    out.with_suffix(".svg").unlink()  # documents show the PNG
     return 0
 
 

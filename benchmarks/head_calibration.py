@@ -1,28 +1,28 @@
-"""Heads with unknown errors, calibrated from their own movements: is depth as sure as it is said?
+"""Calibrate simulated heads from their own movements, and compare errors with stated sigmas.
 
     python -m benchmarks.head_calibration [--heads N] [--head NAME] [--workers N] [--csv FILE]
 
-It draws N true heads of the physical twin's spreads, lets each look at a checkerboard at three
-places (0.5, 0.9 and 1.5 m), neck moving, 60 poses with 8 dithered frames each, corners off by
-0.05 px and joints read by the head's encoders, and calibrates the nominal head on that. Then each
-true head looks at points: Table 5's 21 for the article's heads, for others 20 of the same
-distances ahead and aside; 64 fixations of each, their angles apart by up to 0.3 degrees. A row a
-head model:
+It draws N true heads with the spreads of the physical twin. Each looks at a checkerboard at three
+places (0.5, 0.9 and 1.5 m) while its neck moves, from 60 poses with 8 dithered frames each, with
+corner noise of 0.05 px and joints read by the head's encoders. The nominal head is calibrated on
+these frames. Then each true head fixates points 64 times, with angles varied by up to 0.3 degrees:
+Table 5's 21 points for the head `physical`, 20 points at the same distances for other heads, and 5
+points straight ahead. The table has a row for each head model:
 
-before_95_percent       |error of z| by the nominal head from exact angles and pixels, percent of z:
+before_95_percent       |error of z| of the nominal head from exact angles and pixels, percent of z:
                         95th percentile over heads at the worst point
-calibrated_95_percent   the same by the calibrated head: what the calibration leaves
-mean_95_percent         the same of the mean of 64 fixations, read by the encoders
-fixations_95_percent    the same of `triangulate_fixations`, which knows the encoders' steps
-ahead_95_percent        the same straight ahead, 0.5 to 2.5 m
-floor_95_percent        `fixations_95_percent` of the true head: what no calibration undercuts
-single_ratio            a single fixation's error, rms over heads and fixations, over that of the
-                        true head: worst point
-nees                    e^T C^-1 e / n over the directions that the recording tells: mean
-nees_error              its standard error
-told                    these directions, mean
+calibrated_95_percent   as before, of the calibrated head
+mean_95_percent         as calibrated, of the mean of 64 fixations read by the encoders
+fixations_95_percent    as mean, of `triangulate_fixations`, which models the quantisation
+ahead_95_percent        as fixations, but only straight ahead, 0.5 to 2.5 m
+floor_95_percent        as fixations, of the true head: lower limit for any calibration
+single_ratio            rms error of single fixations over heads and fixations, relative to that of
+                        the true head: worst point
+nees                    e^T C^-1 e / n over the directions that the recording determines: mean
+nees_error              standard error of nees
+told                    number of these directions, mean
 left_out                views left out, mean
-failed                  heads without a calibration
+failed                  heads whose calibration failed
 seconds                 processor time of a calibration, mean
 """
 
@@ -50,17 +50,22 @@ from vergence.triangulation.several import triangulate_fixations
 
 HEADS: Final = ("physical", "icub", "turrets")
 DISTANCES_M: Final = (0.5, 0.9, 1.5)
+"""Distances of the board's places, m (chosen: within reach of a desk)."""
 TARGET: Final = "checkerboard:9x6:30"
 NOISE_PX: Final = 0.05
+"""Standard deviation of corners and of the target's pixels, px (chosen: a good detector)."""
 FIXATIONS: Final = 64
+"""Fixations of each point (chosen: averages out the quantisation)."""
 DITHER_RAD: Final = float(np.deg2rad(0.3))
+"""Largest variation of an actuator between fixations, rad (chosen: several encoder counts)."""
 AHEAD_M: Final = (0.5, 1.0, 1.5, 2.0, 2.5)
+"""Distances of the points straight ahead, m (chosen: near to far)."""
 TOLD: Final = 0.1
-"""Variance over what was believed, below which a direction counts as told."""
+"""Ratio of posterior to prior variance below which a direction counts as determined (chosen)."""
 
 
 class Judged(NamedTuple):
-    """Errors of one head; of depth in percent, a row a point."""
+    """Errors of one head; depth errors in percent, one per point."""
 
     before: FloatArray
     calibrated: FloatArray
@@ -68,7 +73,7 @@ class Judged(NamedTuple):
     fixations: FloatArray
     floor: FloatArray
     single: FloatArray
-    """(points,) mean square of single fixations."""
+    """(points,) mean squared depth error of single fixations."""
     single_floor: FloatArray
     nees: float
     told: int
@@ -77,7 +82,7 @@ class Judged(NamedTuple):
 
 
 def points_of(head: HeadModel) -> FloatArray:
-    """(points, 3) Table 5's or the like, and then those straight ahead."""
+    """(points, 3) points of Table 5 or similar ones, followed by those straight ahead."""
     eyes = head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
     ahead = eyes + np.array([[0.0, 0.0, z] for z in AHEAD_M])
     if head.name == "physical":
@@ -88,13 +93,13 @@ def points_of(head: HeadModel) -> FloatArray:
 
 
 def depth_percent(head: HeadModel, q: FloatArray, pixels: FloatArray, at: FloatArray) -> FloatArray:
-    """Error of z, percent of it."""
+    """Error of z, percent of z."""
     z = at[..., 2]
     return np.asarray(100.0 * (triangulate_views(head, q, pixels).point[..., 2] - z) / z)
 
 
 def judge(name: str, seed: int, number: int) -> Judged | str:
-    """Draw a head, calibrate it, and look at the points."""
+    """Draw a head, calibrate it, and fixate the points; return the refusal if it fails."""
     nominal = load_head(name)
     rng = np.random.default_rng([seed, number])
     true = nominal.perturbed(rng, TWIN_SPREADS)
@@ -142,7 +147,7 @@ def judge(name: str, seed: int, number: int) -> Judged | str:
 
 
 def surprise(found: HeadCalibration, true: HeadModel) -> tuple[float, int]:
-    """Mean square of the errors along the directions that are told, in deviations; and how many."""
+    """Mean squared normalised error over the directions that are determined; and their number."""
     spreads = found.solution.problem.spreads
     free = spreads > 0.0
     error = (found.solution.state.values - true.parameters(found.about).values)[free]
@@ -153,7 +158,7 @@ def surprise(found: HeadCalibration, true: HeadModel) -> tuple[float, int]:
 
 
 def row_of(name: str, judged: list[Judged], failed: int) -> dict[str, Any]:
-    """A row of the table."""
+    """Row of the table."""
     ahead = len(AHEAD_M)
 
     def most(values: list[FloatArray], points: slice = slice(None)) -> float:

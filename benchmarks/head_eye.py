@@ -1,32 +1,32 @@
-"""Heads with unknown errors, calibrated by head-eye transforms alone and as a whole.
+"""Compare head-eye calibrations with the calibration of the whole head on simulated heads.
 
     python -m benchmarks.head_eye [--heads N] [--off-axis F] [--csv FILE]
 
-It draws N true heads of the physical twin whose cameras sit some degrees off besides, lets each
-look at a checkerboard from 60 poses with 8 frames each, corners off by 0.05 px and joints read by
-12-bit encoders, and calibrates the nominal head on what it saw. A head takes some 13 s. Every
-method gets the same frames:
+It draws N true heads of the physical twin, with cameras that are also rotated by some degrees. Each
+looks at a checkerboard from 60 poses with 8 frames each, with corner noise of 0.05 px and joints
+read by 12-bit encoders. The nominal head is calibrated on these frames. A head takes some 13 s.
+Every method gets the same frames:
 
-nominal        the head as its file has it
+nominal        the nominal head of the file
 single_eye     hand-eye calibration of each eye by itself, closed form
 both_eyes      both transforms at once, ITPC-style, reconstructed, closed form
-reprojection   the same refined on the corners, angles estimated within the encoders' steps
+reprojection   both_eyes refined on the corners, angles estimated within the encoders' quantisation
 whole_head     links, offsets, head-eye transforms and cameras: `calibrate_head`
 
 Each true head then fixates Table 5's 21 points exactly, and the calibrated one triangulates them
-from the true joint angles and pixels. A row a method:
+from the true joint angles and pixels. The table has a row for each method:
 
 depth_0.5_percent    |error of z|, percent of z, at the point 0.5 m ahead: 95th percentile of heads
-depth_1_percent      1.0 m ahead
-depth_2.5_percent    2.5 m ahead
-depth_worst_percent  at each head's worst point
-depth_rms_mm         over all points, rms of heads
+depth_1_percent      as above, 1.0 m ahead
+depth_2.5_percent    as above, 2.5 m ahead
+depth_worst_percent  as above, at each head's worst point
+depth_rms_mm         error of z over all points and heads, rms
 no_answer_percent    points whose lines of sight do not meet ahead: their error counts as infinite
 axis_deg             angle between the optical axes and the true ones in N, rms
 vergence_deg         error of the angle between both axes seen from above, rms
-kept_percent         views that went in
-failed               heads that gave no calibration
-seconds              of a calibration, mean
+kept_percent         views used by the calibration
+failed               heads whose calibration failed
+seconds              time of a calibration, mean
 """
 
 import argparse
@@ -57,16 +57,17 @@ from vergence.triangulation import triangulate_views
 ERRORS: Final = dataclasses.replace(
     TWIN_SPREADS, head_eye_rad=np.deg2rad(2.0).item(), head_eye_m=0.002
 )
-"""The twin's, before head-eye calibration: what a camera screwed in by eye is off by."""
+"""Spreads of the twin before head-eye calibration, with cameras mounted by eye."""
 DEPTHS_M: Final = (0.5, 1.0, 2.5)
+"""Depths of the points ahead with columns of their own, m (chosen: near to far)."""
 
 
 class Calibrated(NamedTuple):
-    """What a method made of the frames."""
+    """Result of a method."""
 
     head: HeadModel
     kept: float
-    """Share of the views."""
+    """Fraction of the views that were used."""
 
 
 def _nominal(head: HeadModel, frames: HeadFrames) -> Calibrated:
@@ -99,7 +100,7 @@ METHODS: Final[dict[str, Callable[[HeadModel, HeadFrames], Calibrated]]] = {
 
 
 def axes_of(head: HeadModel, q: FloatArray) -> FloatArray:
-    """(points, 2, 3) the optical axes in N."""
+    """(points, 2, 3) optical axes in N."""
     return head.camera_poses(q)[..., :3, 2]
 
 
@@ -142,7 +143,7 @@ ANGLES: Final = ("axis_deg", "vergence_deg")
 
 
 def _most(values: FloatArray) -> float:
-    """The 95th percentile, one of the values, as some may be infinite."""
+    """95th percentile without interpolation, as some values may be infinite."""
     return float(np.percentile(values, 95.0, method="nearest"))
 
 

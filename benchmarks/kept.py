@@ -1,4 +1,4 @@
-"""The tables of results that the repository keeps: their keys, and where they come from."""
+"""Tables of results in docs/results: their keys and sources."""
 
 from collections.abc import Callable
 from functools import cache
@@ -15,11 +15,11 @@ class Kept(NamedTuple):
     """A table of docs/results."""
 
     columns: tuple[str, ...]
-    """What names a row; with the name of a column, they name a number: `a/b/column`."""
+    """Columns that identify a row; their values and a column's name form a key: `a/b/column`."""
     source: str = ""
-    """The file of a run folder of `vergence evaluate` that it is taken from; else a benchmark's."""
+    """Source file in a run folder of `vergence evaluate`; empty for a benchmark's table."""
     always: tuple[str, ...] = ()
-    """Columns that are taken along also where no document quotes them."""
+    """Columns that are kept even if no document quotes them."""
 
 
 _SHARES = (
@@ -54,12 +54,12 @@ KEPT = {
 
 
 def file_of(table: str) -> Path:
-    """Where a table lies."""
+    """Path of a table."""
     return RESULTS / f"{table}.csv"
 
 
 def numbers_of(path: Path, columns: tuple[str, ...]) -> dict[str, float]:
-    """Every number of a table, by what these columns and its own one say."""
+    """Numbers of a table by key: the values of these columns and the name of its own column."""
     table = pd.read_csv(path).set_index(list(columns))
     numbers: Any = table.select_dtypes("number").stack().dropna()
     return {"/".join(map(str, key)): float(value) for key, value in numbers.items()}
@@ -71,15 +71,15 @@ def _numbers(table: str) -> dict[str, float]:
 
 
 def number_of(table: str) -> Callable[[str], float]:
-    """What gives the number of a key of a table; the table is read when it is first asked.
+    """Look-up function from the keys of a table to its numbers; reads the table at the first call.
 
     Raises:
-        KeyError: of what it returns, the table has no such number.
-        FileNotFoundError: likewise, there is no such table.
+        KeyError: by the returned function, if the table has no such number.
+        FileNotFoundError: by the returned function, if there is no such table.
     """
     return lambda key: _numbers(table)[key.strip("/")]
 
 
 def tables() -> dict[str, Callable[[str], float]]:
-    """`number_of` of every table, by name."""
+    """Look-up function `number_of` of every table, by name."""
     return {table: number_of(table) for table in KEPT}

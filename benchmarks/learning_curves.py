@@ -1,8 +1,8 @@
-"""Learning curves of several training runs in one figure: what another seed changes.
+"""Draw the learning curves of several training runs, to compare seeds.
 
 Run ``python benchmarks/learning_curves.py RUN... --out docs/images/learning_curves``, with the run
-folders of ``vergence train``. Runs of the same kind share a panel. It also prints what the best
-checkpoint of each run reached on its validation trials. See ``docs/learning.md``.
+folders of ``vergence train``. Runs of the same kind share a panel. It also prints the
+validation results of the best checkpoint of each run. See ``docs/learning.md``.
 """
 
 import argparse
@@ -31,7 +31,7 @@ STYLES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 
 
 def read_run(folder: Path) -> tuple[dict[str, Any], pd.DataFrame]:
-    """The configuration and the curve of a run folder."""
+    """Read the configuration and the learning curve of a run folder."""
     content = tomllib.loads((folder / "config.toml").read_text(encoding="utf-8"))
     return content["config"], pd.read_csv(folder / "curve.csv")
 
@@ -74,7 +74,7 @@ def main(arguments: list[str] | None = None) -> int:
         )  # fmt: skip
     Console(highlight=False).print(table)
     save_figure(figure, options.out)
-    options.out.with_suffix(".svg").unlink()  # documents show the picture
+    options.out.with_suffix(".svg").unlink()  # documents show the PNG
     return 0
 
 

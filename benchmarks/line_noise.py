@@ -1,10 +1,10 @@
-"""What a parser of Dynamixel packets makes of a line full of noise.
+"""Count false packets that the Dynamixel parser reads from a noisy serial line.
 
 Run ``python benchmarks/line_noise.py``. It feeds ten minutes' worth of bytes at 1 Mb/s, 60 MB:
-statuses of four servos, of which bytes are changed, lost, doubled and put in, in one packet of two,
-and random bytes between them. It counts packets that came out and had not been sent. A checksum of
-16 bits takes one of 65,536 broken packets for a whole one; that such a packet also has the id and
-the length of an answer that is waited for is rarer still.
+status packets of four servos with random bytes between them. In every second packet, bytes are
+changed, lost, doubled or inserted. It counts parsed packets that had not been sent. A 16-bit
+checksum accepts one of 65,536 corrupted packets; such a packet rarely also has the id and the
+length of an expected answer.
 """
 
 import argparse
@@ -17,12 +17,12 @@ from vergence.hardware.dynamixel.packets import Packet, Parser, status_packet
 
 BYTES_PER_S = 100_000
 ANSWER_BYTES = 9
-"""Parameters of an answer to a question for speed and position, with its error byte."""
+"""Bytes of an answer to a read of speed and position, including its error byte."""
 IDS = (1, 2, 3, 4)
 
 
 def mutated(packet: bytes, rng: random.Random) -> bytes:
-    """A packet with some of its bytes changed, lost, doubled or put in."""
+    """Packet with some of its bytes changed, lost, doubled or inserted."""
     data = bytearray(packet)
     for _ in range(rng.randint(1, 4)):
         at = rng.randrange(len(data)) if data else 0
@@ -39,7 +39,7 @@ def mutated(packet: bytes, rng: random.Random) -> bytes:
 
 
 def main() -> None:
-    """Feed and count."""
+    """Feed the parser, count packets and print."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--seconds", type=float, default=600.0, help="of line time")
     options.add_argument("--seed", type=int, default=0)

@@ -1,9 +1,9 @@
-"""What SIGKILL leaves of a robot's log: how much of its end is missing, and whether it replays.
+"""Measure the loss at the end of a robot's log after SIGKILL, and check that the log replays.
 
-Run ``python benchmarks/log_kills.py``. It starts `vergence emulate`, deploys a law on it, kills
-each at a drawn moment, in a gaze or on the way to the next, and reads its log. The end is
-missing from the last measurement of the joints on; both processes have one steady clock. It takes
-some ten minutes.
+Run ``python benchmarks/log_kills.py``. It starts `vergence emulate`, deploys a law on it several
+times, kills each deployment at a random moment, in a gaze or on the way to the next, and reads its
+log. The lost time is counted from the last logged measurement of the joints to the kill, on the
+monotonic clock that both processes share. It takes some ten minutes.
 """
 
 import argparse
@@ -26,7 +26,7 @@ LAW = "state-feedback"
 
 
 def killed(config: str, log: Path, after_s: float) -> float:
-    """Kill a deployment some time after its first gaze has begun; when, s of the steady clock."""
+    """Kill a deployment some time after its first gaze begins; return the time (monotonic), s."""
     command = [sys.executable, "-m", "vergence", "deploy", LAW, "--config", config]
     command += ["--log", str(log), "--gazes", "100", "--duration", "1"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
@@ -43,7 +43,7 @@ def killed(config: str, log: Path, after_s: float) -> float:
 
 
 def main() -> None:
-    """Measure, and print the worst."""
+    """Measure, and print the largest loss."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--moments", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)

@@ -1,6 +1,6 @@
-"""Rows of the docs' tables that are made from the code.
+"""Generate rows of the docs' tables from the code.
 
-A comment below a Markdown table says of which: `<!-- rows imperfections -->`.
+A comment below a Markdown table names the generator: `<!-- rows imperfections -->`.
 """
 
 import re
@@ -16,7 +16,7 @@ _MARK: Final = re.compile(r"<!-- rows (\w+) -->")
 
 
 def imperfections() -> list[str]:
-    """Name, unit, range, value where nothing is said, and the text of each imperfection."""
+    """Rows of the imperfections: name, unit, range, default value, description."""
     rows = []
     for name, one in IMPERFECTIONS.items():
         below = "below " if one.unit == "s" else ""
@@ -27,7 +27,7 @@ def imperfections() -> list[str]:
 
 
 def searched() -> list[str]:
-    """Name, unit and range of each imperfection whose margins are looked for."""
+    """Rows of the imperfections whose margins are searched: name, unit, range."""
     return [
         f"| `{name}` | {IMPERFECTIONS[name].unit} | {one.least:g} to {one.most:g} |"
         for name, one in SEARCHED.items()
@@ -41,7 +41,7 @@ ROWS: Final[Mapping[str, Callable[[], list[str]]]] = {
 
 
 def made(document: str) -> str:
-    """A document whose marked tables have the rows that the code makes, below their own heads."""
+    """Document with the rows of its marked tables generated anew; their headings stay."""
     pieces, done = [], 0
     for mark in _MARK.finditer(document):
         begin, above = text_above(document, mark)

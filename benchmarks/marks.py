@@ -1,20 +1,20 @@
-"""Numbers of the docs beside the tables that they come from.
+"""Check and fill numbers of the docs from the tables that they come from.
 
-A comment below a paragraph or a table of a document says where its numbers come from. `TABLE` is a
+A comment below a paragraph or a table of a document names the source of its numbers. `TABLE` is a
 name of `benchmarks.kept`, `KEY` a number of that table, which may be scaled: `KEY*1000`.
 
     <!-- numbers TABLE: 183 = KEY; 1.04 = KEY -->
 
 names numbers one by one. Below a Markdown table, rows and columns name its cells: each `*` of a
-column stands for what the row says, in the order of the table; `-` names nothing. A row may be
-scaled too. A cell without a number says that the table has none.
+column stands for the name of the row, in the order of the table; `-` names nothing. A row may be
+scaled too. A cell without a number states that the table has none.
 
     <!-- cells TABLE
     columns: workspace/kinematic/*/settle_1px_median_s*1000; workspace/kinematic/*/faster
     rows: ibvs; saccade
     -->
 
-A cell of a range has two numbers, `0.4 to 1.6`, and its column names both ends:
+A cell with a range has two numbers, `0.4 to 1.6`, and its column names both ends:
 
     columns: workspace/saccade/*/settles_low..settles_high
 """
@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 Tables = Mapping[str, Callable[[str], float]]
-"""By name, what gives the number of a key."""
+"""Look-up functions from keys to numbers, by table."""
 
 _MARK = re.compile(r"<!-- (numbers|cells) (\S+?)[:\s]\s*(.*?)\s*-->", re.DOTALL)
 _NUMBER = re.compile(r"(?<![\w.,])-?\d[\d,]*(?:\.\d+)?")
@@ -33,30 +33,30 @@ _CELL = re.compile(r"(?<=\|)[^|\n]*(?=\|)")
 _SCALED = re.compile(r"(.*)\*([\d.]+)")
 _ROUND = 1e-9
 _DIGITS = 3
-"""Of a number that is put where there was none, before the point or behind it."""
+"""Significant digits of a number that is filled into a cell without one."""
 
 
 class Stated(NamedTuple):
-    """A number as a document has it, and where it comes from."""
+    """A number in a document, and its source."""
 
     text: str
     """Empty for a cell without a number."""
     table: str
     key: str
-    """Of the number in the table."""
+    """Key of the number in the table."""
     scale: float
     begin: int
-    """Where it stands in the document."""
+    """Start of the text, as an index into the document."""
     cell: bool
-    """Whether it stands in a table of the document."""
+    """True for a number in a table of the document."""
 
     @property
     def end(self) -> int:
-        """Where it ends in the document."""
+        """End of the text, as an index into the document."""
         return self.begin + len(self.text)
 
     def value(self, tables: Tables) -> float:
-        """What its table says, scaled; nan for a cell without a number of which it says nothing."""
+        """Scaled number of the source table; nan if neither the cell nor the table has one."""
         try:
             return self.scale * tables[self.table](self.key)
         except KeyError:
@@ -65,18 +65,18 @@ class Stated(NamedTuple):
             return math.nan
 
     def agrees_with(self, value: float) -> bool:
-        """Whether it is a number, rounded to as many digits as are printed.
+        """True if the text is this value, rounded to the printed digits.
 
         Args:
-            value: the number, scaled.
+            value: scaled number of the source table.
         """
         if not self.text:
             return not math.isfinite(value)
-        # half a unit of the last digit, and what binary fractions are off by
+        # half a unit of the last digit, and the rounding of binary fractions
         return abs(_plain(self.text) - value) <= 0.5 * 10.0 ** -_decimals(self.text) * (1.0 + 1e-9)
 
     def wrong(self, value: float) -> str:
-        """What is wrong with it, beside the table's number."""
+        """Message on a wrong number, with the table's number."""
         return f"{self.text or 'no number'}, but {self.key} is {value:.6g}"
 
 
@@ -85,13 +85,13 @@ class Cell(NamedTuple):
 
     text: str
     begin: int
-    """Where it stands in the document."""
+    """Start of the text, as an index into the document."""
     numbers: tuple[Stated, ...]
-    """One, or both ends of a range."""
+    """The number, or both ends of a range."""
 
 
 def stated_numbers(document: str) -> Iterator[Stated]:
-    """The numbers of a document whose source is named.
+    """Numbers of a document whose source is named.
 
     Raises:
         AssertionError: a mark and the text above it do not fit.
@@ -105,10 +105,10 @@ def stated_numbers(document: str) -> Iterator[Stated]:
 
 
 def disagreements(document: str, tables: Tables) -> list[str]:
-    """Each number of a document that is not its table's, with what the table has.
+    """Messages on all numbers of a document that differ from their table.
 
     Args:
-        document: its text.
+        document: text of the document.
         tables: see `Tables`.
     """
     values = ((stated, stated.value(tables)) for stated in stated_numbers(document))
@@ -116,14 +116,14 @@ def disagreements(document: str, tables: Tables) -> list[str]:
 
 
 def filled(document: str, tables: Tables) -> str:
-    """A document whose cells have the numbers of their tables.
+    """Document with its cells filled from their tables.
 
-    A number keeps its decimals, and what stands about it; one in place of none has three digits,
-    as many as stand before its point, or fewer where it is round. What the table has no number
-    for becomes `-`.
+    A number keeps its decimals and the text around it. A number in a cell without one has three
+    significant digits, or all digits before its point if these are more, or fewer if it is round.
+    A cell becomes `-` if the table has no number for it.
 
     Args:
-        document: its text.
+        document: text of the document.
         tables: see `Tables`.
     """
     pieces, done = [], 0
@@ -138,7 +138,7 @@ def _refilled(cell: Cell, tables: Tables) -> str:
     try:
         values = [stated.value(tables) for stated in cell.numbers]
     except KeyError:
-        return cell.text  # the comment is wrong, or the table is short of it: not for us to say
+        return cell.text  # the comment is wrong, or the table lacks the number: reported elsewhere
     if not all(math.isfinite(value) for value in values):
         return " - " if cell.numbers[0].text else cell.text
     if not cell.numbers[0].text:
@@ -156,7 +156,7 @@ def _shown(value: float, decimals: int) -> str:
 
 
 def _fitting(value: float) -> int:
-    """How many decimals a number has that is shown for the first time: fewer where it is round."""
+    """Decimals of a number filled into a cell without one; fewer if it is round."""
     rounded = float(f"{value:.{_DIGITS - 1}e}")
     if rounded == 0.0:
         return 0
@@ -173,7 +173,7 @@ def _decimals(text: str) -> int:
 
 
 def text_above(document: str, mark: re.Match[str]) -> tuple[int, str]:
-    """The paragraph or table above a mark, other marks left out, and where it begins."""
+    """Start and text of the paragraph or table above a mark, skipping other marks."""
     text = document[: mark.start()].rstrip()
     while text.endswith("-->"):
         text = text[: text.rindex("<!--")].rstrip()
@@ -210,7 +210,7 @@ def _cells(document: str, mark: re.Match[str]) -> Iterator[Cell]:
 
 
 def _named(text: str, at: int, table: str, row: str, column: str) -> tuple[Stated, ...]:
-    """The numbers of a cell with the keys that row and column say."""
+    """Numbers of a cell with the keys given by row and column."""
     (row, row_scale), (column, scale) = _scaled(row), _scaled(column)
     path, _, last = f"/{column}".replace("/*/", f"/{row}/")[1:].rpartition("/")
     keys = [f"{path}/{end}" if path else end for end in last.split("..")]

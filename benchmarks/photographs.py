@@ -1,10 +1,10 @@
-"""Boards in photographs of a real pair of cameras, measured on views it was not calibrated on.
+"""Measure a board in held-out photographs of a real pair of cameras.
 
 Run ``python benchmarks/photographs.py FOLDER`` on a folder with left1.jpg, right1.jpg and so on of
 a checkerboard. The pair is calibrated on the views of even numbers, by ``vergence calibrate`` or by
 OpenCV and ``vergence import stereo``, and ``vergence locate`` measures the board in the views of
-odd numbers. Both corner finders of OpenCV may calibrate; the package's own detector measures in
-every case.
+odd numbers. Calibration by OpenCV uses each of its two corner finders; the measurement always uses
+the package's detector.
 """
 
 import argparse
@@ -31,24 +31,24 @@ Pixels = NDArray[np.float32]
 
 
 class Measured(NamedTuple):
-    """What the views that were held out came to, millimetres and pixels."""
+    """Results in the held-out views, in millimetres and pixels."""
 
     stereo_rms_px: float
-    """Of the calibration."""
+    """Reprojection error of the calibration, rms."""
     pairs: int
-    """Views in whose both images the board was found."""
+    """Held-out views with the board found in both images."""
     views: int
-    """Views that were held out."""
+    """Held-out views."""
     mean_mm: float
     """Distance between neighbouring corners, mean."""
     spread_mm: float
-    """Its standard deviation."""
+    """Standard deviation of that distance."""
     gap_mm: float
     """Root mean square of the gaps between the lines of sight."""
 
 
 def opencv_corners(path: Path, board: Checkerboard, finder: str) -> Pixels:
-    """Corners of a board as a program around OpenCV finds them, shape (n, 2)."""
+    """Corners of a board found by OpenCV with a usual refinement, shape (n, 2)."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     shape = (board.columns, board.rows)
     if finder == "sb":
@@ -58,7 +58,7 @@ def opencv_corners(path: Path, board: Checkerboard, finder: str) -> Pixels:
     if not found:
         raise SystemExit(f"{path}: OpenCV finds no board")
     if finder == "classic":
-        # the window sees one corner only: a fixed one merges those of small boards
+        # the window must hold one corner only: a fixed one would merge corners of small boards
         grid = corners.reshape(board.rows, board.columns, 2)
         steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1)]
         half = int(np.clip(min(steps) / 3.0, 2, 5))
@@ -68,7 +68,7 @@ def opencv_corners(path: Path, board: Checkerboard, finder: str) -> Pixels:
 
 
 def calibrate(views: list[tuple[Path, Path]], board: Checkerboard, finder: str, out: Path) -> float:
-    """Calibrate a pair with OpenCV and write its file; the reprojection error, px rms."""
+    """Calibrate a pair with OpenCV, write its file, return the reprojection error, px rms."""
     flat = np.zeros((len(board.corners_m), 3), np.float32)
     flat[:, :2] = board.corners_m
     corners = [[opencv_corners(view[eye], board, finder) for view in views] for eye in range(2)]
@@ -90,7 +90,7 @@ def calibrate(views: list[tuple[Path, Path]], board: Checkerboard, finder: str, 
 
 
 def command(*words: object) -> str:
-    """Run a command of vergence; what it prints."""
+    """Run a command of vergence and return its standard output."""
     printed = io.StringIO()
     try:
         with contextlib.redirect_stdout(printed):
@@ -105,10 +105,10 @@ def measure(folder: Path, target: str, finder: str = "classic") -> Measured:
     """Calibrate on the views of even numbers and measure the board in the others.
 
     Args:
-        folder: with left1.jpg, right1.jpg and so on.
+        folder: folder with left1.jpg, right1.jpg and so on.
         target: the board, such as ``checkerboard:9x6:24.23``.
-        finder: of the corners for OpenCV's calibration, ``classic`` or ``sb``; ``vergence`` for
-            that of the package.
+        finder: corner finder for the calibration by OpenCV, ``classic`` or ``sb``, or ``vergence``
+            for the calibration by the package.
     """
     board = parse_target(target)
     assert isinstance(board, Checkerboard)
@@ -151,13 +151,13 @@ def measure(folder: Path, target: str, finder: str = "classic") -> Measured:
 
 
 def detected(folder: Path, target: str) -> tuple[int, int]:
-    """In how many images of a folder the board is found, and how many there are."""
+    """Number of images of a folder in which the board is found, and of all images."""
     spotter, images = TargetFinder([parse_target(target)]), photographs_in(folder)
     return sum(len(spotter.spot_in(path).found) == 1 for path in images), len(images)
 
 
 def report() -> None:
-    """Print the numbers."""
+    """Measure with each calibration and print the results."""
     parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--target", default="checkerboard:9x6:24.23")

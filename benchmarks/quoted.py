@@ -1,16 +1,16 @@
-"""The numbers that README and docs quote: kept from run folders, and filled into the documents.
+"""Keep the numbers quoted by README and docs from run folders, and fill them into documents.
 
     python -m benchmarks.quoted RUN... --out docs/results/evaluate.csv
     python -m benchmarks.quoted --fill README.md docs/*.md
 
-The first keeps of run folders of `vergence evaluate` the rows and columns that the documents quote
-of a table, to six digits; several folders make one table, and two rows of one name must agree.
-`NAME=RUN` calls the head of a run by another name, as for a file that is no preset. With `--keep`
-rows of the file that no folder has stay.
+The first command extracts the quoted rows and columns of a table from run folders of `vergence
+evaluate`, to six digits. Several folders make one table; rows with the same name must agree.
+`NAME=RUN` renames the head of a run, for example of a head file that is no preset. `--keep` keeps
+rows of the output file that no folder has. Quoted numbers that are missing are listed on stderr.
 
-What they quote and no run has is said on stderr. The second rewrites the cells of tables by the
-comments below them, see `benchmarks.marks`, and the rows that the code makes, see
-`benchmarks.made`, and says which numbers of the text disagree; it returns 1 if any do.
+The second command rewrites the cells of tables by the comments below them, see `benchmarks.marks`,
+and the rows generated from the code, see `benchmarks.made`. It lists the numbers of the text that
+disagree and returns 1 if there are any.
 """
 
 import argparse
@@ -28,30 +28,30 @@ DOCUMENTS = ("README.md", "docs/*.md")
 
 
 class QuotedError(Exception):
-    """Run folders that do not give one table."""
+    """Raised if run folders do not give one table."""
 
 
 def documents(root: Path = ROOT) -> list[Path]:
-    """README and docs."""
+    """Paths of README and docs."""
     return [path for pattern in DOCUMENTS for path in sorted(root.glob(pattern))]
 
 
 def quoted_keys(name: str, files: Iterable[Path]) -> list[str]:
-    """The numbers of a table that documents quote, each once."""
+    """Keys of a table's numbers that documents quote, each once."""
     stated = (one for file in files for one in stated_numbers(file.read_text(encoding="utf-8")))
     return list(dict.fromkeys(one.key.strip("/") for one in stated if one.table == name))
 
 
 def kept_of(sources: Iterable[tuple[str, Path]], kept: Kept, keys: Iterable[str]) -> pd.DataFrame:
-    """The rows and columns of run folders that are quoted.
+    """Table of the quoted rows and columns of run folders.
 
     Args:
-        sources: run folders, and what the head of each is called; empty for its own name.
-        kept: the table that is made.
-        keys: the numbers that are quoted.
+        sources: (name, folder) pairs; the name replaces that of the head unless it is empty.
+        kept: description of the table.
+        keys: keys of the quoted numbers.
 
     Returns:
-        A row for each that is quoted and there, in the order of the folders.
+        Table with the quoted rows that exist, in the order of the folders.
 
     Raises:
         QuotedError: two folders disagree on a row, or there is no such folder.
@@ -71,7 +71,7 @@ def kept_of(sources: Iterable[tuple[str, Path]], kept: Kept, keys: Iterable[str]
             own = _rounded(record.get("head"))
             whose, before = whence.setdefault(name, (own, source))
             for what, one, another in (
-                (f"{name}: head", whose, own or whose),  # a table that was kept may not tell
+                (f"{name}: head", whose, own or whose),  # a kept table may lack the head
                 *((f"{name}/{column}", other[column], row[column]) for column in columns),
             ):
                 if one != another:
@@ -97,7 +97,7 @@ def _records(source: Path, kept: Kept, head: str) -> list[dict[Hashable, object]
 
 
 def _rounded(value: object) -> str:
-    """A value as the table has it: text, or six digits; empty for none."""
+    """Value as text in the table; numbers have six digits, none is empty."""
     if value is None or value != value:
         return ""
     return f"{value:.6g}" if isinstance(value, int | float) else str(value)
@@ -108,10 +108,10 @@ def refill(file: Path, numbers: Tables) -> list[str]:
 
     Args:
         file: the document.
-        numbers: what gives the number of a key, by table.
+        numbers: look-up functions from keys to numbers, by table.
 
     Returns:
-        What disagrees in its text: place, number and source.
+        Messages on numbers that disagree: place, number and source.
     """
     before = file.read_text(encoding="utf-8")
     try:
@@ -135,13 +135,13 @@ def refill(file: Path, numbers: Tables) -> list[str]:
 
 
 def keep(sources: list[str], out: Path, *, keep_others: bool) -> list[str]:
-    """Write a table of the numbers that README and docs quote of it.
+    """Write the table of a result file from the numbers that README and docs quote of it.
 
     Returns:
-        What they quote and the table has not.
+        Messages on quoted numbers that the table lacks.
 
     Raises:
-        QuotedError: the folders do not give it.
+        QuotedError: the folders do not give the table.
     """
     kept = KEPT.get(out.stem)
     if kept is None or not kept.source:
@@ -162,14 +162,14 @@ def keep(sources: list[str], out: Path, *, keep_others: bool) -> list[str]:
 
 
 def _beside(table: pd.DataFrame, before: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
-    """A table with the rows of another one that it has not."""
+    """Table with the additional rows of another one appended."""
     new = set(map(tuple, table[columns].to_numpy().tolist()))
     old = [tuple(row) not in new for row in before[columns].to_numpy().tolist()]
     return pd.concat([table, before[old]], ignore_index=True)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Parse and do it; returns the exit code."""
+    """Run the command; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("runs", nargs="*", metavar="[NAME=]RUN", help="run folders, or tables kept")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the table to make of them")

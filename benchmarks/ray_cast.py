@@ -1,7 +1,8 @@
-"""How far drawn pixels are from a ray cast, by the angle at which the board is seen.
+"""Measure the errors of drawn pixels against ray casting, by the board's viewing angle.
 
-Run ``python -m benchmarks.ray_cast``: the rigs of the presets without noise, a board at 0.8 m,
-tilted about three axes in the image; the worst of the three, in per cent of the contrast.
+Run ``python -m benchmarks.ray_cast``: it uses the rigs of the presets without noise and a board at
+0.8 m, tilted about three axes in the image. The worst error of the three is printed, in per cent of
+the contrast.
 """
 
 import time
@@ -17,7 +18,7 @@ from vergence.models.parts import Rendering
 from vergence.vision import EyeCamera, PlanarTarget, TargetDrawing, make_planar_target
 
 RAYS = 16
-"""Rays of a pixel along each axis in the reference: an edge is placed to 1/32 px."""
+"""Rays per pixel along each axis in the reference; places an edge to 1/32 px."""
 MARGIN = 5
 INCIDENCES_DEG = (0.0, 30.0, 45.0, 52.0, 60.0, 67.0, 75.0, 80.0)
 DIRECTIONS_RAD = (0.0, 0.8, 1.57)
@@ -30,7 +31,7 @@ def ray_cast(
     T_C_T: NDArray[np.float64],
     region: tuple[int, int, int, int],
 ) -> NDArray[np.float64]:
-    """Grey levels of a region: each ray meets the plane, blur is applied to the rays' image."""
+    """Grey levels of a region by intersecting rays with the plane; blur acts on the rays' image."""
     x0, y0, x1, y1 = region[0] - MARGIN, region[1] - MARGIN, region[2] + MARGIN, region[3] + MARGIN
     u = x0 - 0.5 + (np.arange((x1 - x0) * RAYS) + 0.5) / RAYS
     v = y0 - 0.5 + (np.arange((y1 - y0) * RAYS) + 0.5) / RAYS
@@ -51,7 +52,7 @@ def ray_cast(
 
 
 def steep_row(rig: str, name: str, incidence_deg: float) -> Row:
-    """The worst error over the directions of the tilt, and what drawing takes."""
+    """Row with the worst error over the directions of the tilt, and the time of drawing."""
     head = load_head(rig)
     camera, target = EyeCamera.of(head, 0), make_planar_target(name)
     rendering = replace(head.rendering, noise_grey=0.0)
@@ -65,7 +66,7 @@ def steep_row(rig: str, name: str, incidence_deg: float) -> Row:
         pose = np.eye(4)
         pose[:3, :3] = cv2.Rodrigues(tilt)[0]
         pose[:3, 3] = (0.02, 0.03, 0.8)
-        for _ in range(2):  # the first draws textures and tables as well
+        for _ in range(2):  # the first call also makes textures and tables
             begun = time.perf_counter()
             drawing.draw(pose)
             spent = time.perf_counter() - begun

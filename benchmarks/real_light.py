@@ -1,9 +1,10 @@
-"""Corners of tags in images as a webcam gives them, beside their sigma, and depth by PnP.
+"""Measure the errors of tag corners and of depth by PnP in simulated webcam images.
 
-Run ``python -m benchmarks.real_light``, with ``--csv FILE`` to keep the table. The renderer shares
-nothing with `vergence.vision.drawing`: many rays a pixel through a pinhole onto a flat or bent
-sheet, a Gaussian blur, lateral chromatic aberration, a sensor behind a Bayer mosaic with shot
-noise that clips, demosaicking, the camera's response, JPEG.
+Run ``python -m benchmarks.real_light``, with ``--csv FILE`` to keep the table. Corner errors
+are compared with the sigmas that the detector states. The renderer shares no code with
+`vergence.vision.drawing`. It simulates many rays per pixel through a pinhole onto a flat or bent
+sheet, Gaussian blur, lateral chromatic aberration, a sensor with Bayer mosaic, shot noise and
+clipping, demosaicking, the camera's response, and JPEG.
 """
 
 import argparse
@@ -21,52 +22,53 @@ from vergence.models.tag_families import tag_family
 from vergence.vision import AprilTag, make_detector
 
 _FINER: Final = 8
-"""Rays a pixel, along each axis."""
+"""Rays per pixel along each axis (numerical)."""
 _AROUND_PX: Final = 8
-"""Margin of what is drawn around the sheet."""
+"""Margin drawn around the sheet, px (numerical)."""
 _EDGE_M: Final = 0.12
+"""Edge of the tag, m (chosen: a usual printed tag)."""
 _LARGE_PX: Final = 60.0
-"""Edge of a tag that counts as large."""
+"""Edge above which a tag counts as large, px (chosen: splits the drawn tags)."""
 _WHITE, _BLACK, _WALL = 0.8, 0.03, 0.35
-"""Reflectance of paper, ink, and what is around."""
+"""Reflectances of paper, ink and surroundings."""
 Image = NDArray[Any]
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """How light becomes numbers."""
+    """Camera model: conversion of light to grey levels."""
 
     response: str = "srgb"
     exposure: float = 0.9
-    """Paper's white by the sensor's greatest level; above 1 it is clipped."""
+    """Level of white paper relative to the sensor's saturation; clipped above 1."""
     electrons: float = 8000.0
-    """That fill a pixel: shot noise."""
+    """Electrons of a saturated pixel; sets the shot noise."""
     read_electrons: float = 5.0
     bayer: bool = True
     jpeg: int | None = None
-    """Quality."""
+    """JPEG quality; None for no compression."""
     chromatic: float = 0.0
-    """By how much red is larger than green about the middle, and blue smaller."""
+    """Lateral chromatic aberration: excess scale of red, and deficit of blue, relative to green."""
     size: tuple[int, int] = (640, 480)
     focal_px: float = 600.0
 
 
 class Scene(NamedTuple):
-    """A sheet with a tag before a camera."""
+    """A sheet with a tag in front of a camera."""
 
     identity: int
     pose: Floats
-    """(4, 4) of the sheet in the camera's frame, m."""
+    """(4, 4) pose of the sheet in the camera's frame, m."""
     blur_px: float
     bend_m: float
-    """Height of the middle of a 150 mm sheet over its edges."""
+    """Height of the middle of a 150 mm sheet above its edges, m."""
     bend_rad: float
-    """Direction of the cylinder's axis in the sheet."""
+    """Direction of the cylinder's axis in the sheet, rad."""
 
 
 def drawn_scene(rng: np.random.Generator, camera: Camera, bend_m: float = 0.0) -> Scene:
-    """Some tag, 30 to 160 px wide, turned and tilted by up to 45 degrees, all in the image."""
+    """Random tag, 30 to 160 px wide, rotated, tilted by up to 45 degrees, entirely in the image."""
     edge_px = float(np.exp(rng.uniform(np.log(30.0), np.log(160.0))))
     depth = camera.focal_px * _EDGE_M / edge_px
     tilt, about, roll = rng.uniform(0, np.pi / 4), rng.uniform(0, 2 * np.pi), rng.uniform(-1, 1)
@@ -81,7 +83,7 @@ def drawn_scene(rng: np.random.Generator, camera: Camera, bend_m: float = 0.0) -
 
 
 def on_sheet(scene: Scene, rays: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Where rays from the camera meet the sheet, metres from its middle, and whether they do."""
+    """Intersections of rays with the sheet, metres from its middle, and a mask of valid ones."""
     turn, origin = scene.pose[:3, :3], scene.pose[:3, 3]
     ray, eye = rays @ turn, -origin @ turn
     if scene.bend_m == 0.0:
@@ -107,7 +109,7 @@ def _radius(scene: Scene) -> float:
 
 
 def in_space(scene: Scene, sheet: Floats) -> Floats:
-    """(n, 3) places in the camera's frame of (n, 2) on the sheet, m."""
+    """(n, 3) points in the camera's frame of (n, 2) points on the sheet, m."""
     if scene.bend_m == 0.0:
         bent = np.column_stack([sheet, np.zeros(len(sheet))])
     else:
@@ -121,7 +123,7 @@ def in_space(scene: Scene, sheet: Floats) -> Floats:
 
 
 def light_of(scene: Scene, camera: Camera) -> Floats:
-    """(height, width, 3) light in blue, green, red, by the light that paper reflects."""
+    """(height, width, 3) light in blue, green, red, relative to the light that paper reflects."""
     code = tag_family("36h11")
     cells = np.pad(code.cells(scene.identity) / 255.0, 1, constant_values=1.0)
     cell_m = _EDGE_M / code.border
@@ -161,7 +163,7 @@ def light_of(scene: Scene, camera: Camera) -> Floats:
 
 
 def encoded(light: Floats, response: str) -> Floats:
-    """Levels from 0 to 1 of light from 0 to 1 (IEC 61966-2-1), or by a power."""
+    """Levels from 0 to 1 of light from 0 to 1: linear, sRGB (IEC 61966-2-1), or a gamma."""
     if response == "linear":
         return light
     if response == "srgb":
@@ -171,7 +173,7 @@ def encoded(light: Floats, response: str) -> Floats:
 
 
 def photographed(light: Floats, camera: Camera, rng: np.random.Generator) -> Image:
-    """The image that a camera makes of light, (height, width, 3) of 8 bits in blue, green, red."""
+    """(height, width, 3) 8-bit image in blue, green, red that a camera makes of light."""
     exposed = camera.exposure * light
     if camera.bayer:
         mosaic = exposed[..., 1].copy()
@@ -206,17 +208,18 @@ CAMERAS: Final = {
     "all, much noise": Camera(exposure=1.2, jpeg=85, chromatic=0.001, electrons=1000.0),
 }
 BENDS_MM: Final = (0.0, 1.0, 2.0, 4.0)
+"""Heights of bent sheets, see `Scene.bend_m`, mm (chosen: flat to clearly bent)."""
 
 
 def figures(
     camera: Camera, bend_mm: float, count: int, seed: int, response: str | None
 ) -> dict[str, float]:
-    """Errors of some tags' corners and of their depths.
+    """Errors of the corners and depths of random tags.
 
     Returns:
-        How many were drawn and found; rms of errors and sigmas, px; mean of the squared error by
-        sigma squared, of all, of small and of large tags, and the median of tags; depth by PnP
-        beside the truth in per cent: its mean and rms, and the median of its size.
+        Numbers of drawn and found tags; rms of errors and sigmas, px; mean of (error / sigma)^2 of
+        all, small and large tags, and its median over tags; relative error of depth by PnP in per
+        cent: mean, rms, and median of its absolute value.
     """
     rng = np.random.default_rng(seed)
     half = 0.5 * _EDGE_M

@@ -1,9 +1,9 @@
-"""Which response the edges of targets in folders of photographs speak for: sRGB, or linear.
+"""Compare sRGB and linear camera response by the edges of targets in photographs.
 
-Run ``python -m benchmarks.responses FOLDER --target tag:36h11``. Each folder right in the folder,
-or else the folder itself, is a row, split into images with and without colours: the mean over edges
-of the log of the squares of levels that "linear" leaves, by those that "srgb" leaves; above 0 sRGB
-fits better.
+Run ``python -m benchmarks.responses FOLDER --target tag:36h11``. Each subfolder of the folder
+(or the folder itself, if it has none) is a row, split into images with and without colours. The
+value is the mean over edges of log(S_linear / S_srgb), where S is the sum of squared residuals of
+the grey levels of an edge under a response; above 0, sRGB fits better.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from vergence.vision import make_detector, parse_target
 from vergence.vision.image import as_taken, has_colours, measured_levels, read_pixels
 
 _LARGEST_PX = 2600
-"""Larger photographs are left out, for time."""
+"""Largest width or height of a photograph, px; larger ones are left out to save time."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

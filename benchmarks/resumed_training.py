@@ -1,9 +1,9 @@
-"""Whether a training that was interrupted ends as one that was not.
+"""Check that an interrupted and resumed training ends like an uninterrupted one.
 
 Run ``python benchmarks/resumed_training.py --seeds 0 1 2 3 4``. Each seed is trained twice: once
-without interruption, once stopped after a share of its steps and gone on with. The table has the
-headline metric of both on validation trials, and whether their networks are the same to the last
-bit. The exit code is 1 where they are not. See ``docs/training.md``.
+without interruption, once stopped after a fraction of its steps and resumed. The table has the
+headline metric of both on validation trials, and states if their networks are bitwise identical.
+The exit code is 1 if any are not. See ``docs/training.md``.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from vergence.training.run import resume, train
 
 
 class StopsAfter:
-    """A listener that stops a run after so many steps."""
+    """Listener that stops a run after a number of steps."""
 
     def __init__(self, steps: float = float("inf")) -> None:
         self._steps = steps
@@ -48,14 +48,14 @@ class StopsAfter:
 
 
 def network_of(result: Result) -> dict[str, torch.Tensor]:
-    """The weights that a run has ended with."""
+    """Final weights of a run."""
     content = read_checkpoint(result.folder / "checkpoints" / "last.pt")
     policy: dict[str, torch.Tensor] = content["parameters"]["policy"]
     return policy
 
 
 def same_network(ours: Result, theirs: Result) -> bool:
-    """Whether two runs have ended with the same weights, to the last bit."""
+    """True if the final weights of two runs are bitwise identical."""
     mine, yours = network_of(ours), network_of(theirs)
     return set(mine) == set(yours) and all(torch.equal(mine[name], yours[name]) for name in mine)
 

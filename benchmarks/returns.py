@@ -1,8 +1,8 @@
-"""What ways of looking at a target earn: losing it must earn the least, the best law the most.
+"""Measure the returns of policies: losing the target must earn least, the best law most.
 
 Run ``python benchmarks/returns.py``, with ``--csv docs/results/returns.csv`` to keep the table. A
-row is a scenario and a policy: the share of the trials it loses, and the mean return of an episode
-of `MAX_EPISODE_STEPS` by discount. See ``docs/environment.md``.
+row is a scenario and a policy: the fraction of trials that lose the target, and the mean return of
+an episode of `MAX_EPISODE_STEPS` for each discount. See ``docs/environment.md``.
 """
 
 import argparse
@@ -27,7 +27,7 @@ DISCOUNTS = (1.0, 0.99, 0.97)
 
 
 class FullSpeed:
-    """Every trial in one of the directions in which all actuators turn at full speed."""
+    """Policy with all actuators at full speed; trials cycle through all combinations of signs."""
 
     def __init__(self, actuators: int) -> None:
         self._directions = np.array(list(itertools.product((-1.0, 1.0), repeat=actuators)))
@@ -45,7 +45,7 @@ class FullSpeed:
 
 
 class Still(FullSpeed):
-    """No motion."""
+    """Policy that does not move."""
 
     def predict(self, *given: Any, **options: Any) -> tuple[NDArray[Any], Any]:
         """See `vergence.envs.rollout.Policy`."""
@@ -54,7 +54,7 @@ class Still(FullSpeed):
 
 
 def policies(head: HeadModel) -> dict[str, Policy]:
-    """The policies in the order in which they should earn."""
+    """Policies in the expected order of their returns, lowest first."""
     return {
         "full speed": FullSpeed(head.actuation.count),
         "still": Still(head.actuation.count),
@@ -65,7 +65,7 @@ def policies(head: HeadModel) -> dict[str, Policy]:
 
 
 def returns(policy: Policy, scenario: Scenario, trials: int) -> dict[str, float]:
-    """The share of lost trials, and the mean return by discount."""
+    """Fraction of lost trials, and mean return for each discount."""
     task = scenario.task(trials)
     total, going = np.zeros((len(DISCOUNTS), trials)), np.ones(trials, dtype=np.bool_)
 

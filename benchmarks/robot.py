@@ -1,14 +1,15 @@
-"""How late commands are at 120 Hz, beside a bare timer, with and without real-time priority.
+"""Measure the lateness of commands at 120 Hz, with and without real-time priority.
 
 Run ``python -m benchmarks.robot``, with ``--csv docs/results/robot.csv`` to keep the table. It
-starts `vergence emulate` with the head `turrets` at 120 Hz, and deploys a law on it, with a log, as
-on a robot: without its `emulator` section, by which the loop would wait for the truth too. A
-command's lateness counts from the tick that it was due at, and has the question to the servos and
-the policy in it. A control period is late where its tick has passed by a whole one, and is missed
-then. Before and after, a loop that only sleeps from tick to tick is counted alike. Then all again
-with a real-time priority, as `chrt -f 50 vergence deploy ...` has it, where the system lets it be
-had; the emulated head has none. `stolen_fraction` is the share of the processors' time that the
-host of a virtual machine gave to others meanwhile: where it is much, all is late. Five minutes.
+starts `vergence emulate` with the head `turrets` at 120 Hz, and deploys a law on it with a log, as
+on a robot. The configuration has no `emulator` section, since the loop would then also wait for
+the ground truth. A command's lateness counts from the tick at which it was due, and includes the
+reading of the servos and the policy. A control period is late, and counts as missed, if its tick
+has passed by a whole period. A loop that only sleeps from tick to tick is measured before and
+after in the same way, as a bare timer. Then all is repeated with real-time priority, as with
+`chrt -f 50 vergence deploy ...`, if the system allows it; the emulated head has none.
+`stolen_fraction` is the fraction of processor time that the host of a virtual machine gave to
+others meanwhile; if it is large, everything is late. It takes five minutes.
 """
 
 import argparse
@@ -38,7 +39,7 @@ GAZE_S = 3.0
 
 
 def bare(seconds: float) -> tuple[int, int, list[float]]:
-    """Periods missed by a loop that only sleeps, all of them, and how late it woke, s."""
+    """Missed periods and all periods of a loop that only sleeps, and its wake-up latencies, s."""
     period_s, begun_s = 1.0 / RATE_HZ, time.monotonic()
     missed, tick, lateness = 0, 0, []
     while tick < seconds * RATE_HZ:
@@ -52,14 +53,14 @@ def bare(seconds: float) -> tuple[int, int, list[float]]:
 
 
 def lateness_of(trial: LoggedTrial) -> list[float]:
-    """How long after the ticks that they were due at a trial's commands went out, s."""
+    """Times from the ticks at which a trial's commands were due to their sending, s."""
     ticks_s = trial.begun_s + trial.reading.time_s[:-1, 0]
     sent_s = [one.clock_s for one in trial.commands[1 : trial.steps]]
     return [*(np.array(sent_s) - (ticks_s[:-1] + 1.0 / RATE_HZ))]
 
 
 def gazes(robot: Path, seconds: float) -> tuple[int, int, list[float]]:
-    """Periods missed by a law on the head, all of them, and how late its commands were, s."""
+    """Missed periods and all periods of a law on the head, and lateness of its commands, s."""
     wanted = DeployConfig(
         controller=LAW,
         hardware=robot,
@@ -76,7 +77,7 @@ def gazes(robot: Path, seconds: float) -> tuple[int, int, list[float]]:
 
 
 def stolen_by_now() -> FloatArray:
-    """(2,) time that a host has taken from a processor of this machine, and the time, s."""
+    """(2,) time stolen by the host from a processor of this machine so far, and the time now, s."""
     steal = int(Path("/proc/stat").read_text().split(maxsplit=9)[8])
     taken_s = steal / os.sysconf("SC_CLK_TCK") / (os.cpu_count() or 1)
     return np.array([taken_s, time.monotonic()])
@@ -85,7 +86,7 @@ def stolen_by_now() -> FloatArray:
 def row(
     name: str, missed: int, periods: int, lateness: list[float], stolen: FloatArray
 ) -> dict[str, Any]:
-    """What a loop's periods were like."""
+    """Row of the table: statistics of a loop's periods."""
     median, most = np.quantile(lateness, [0.5, 0.99])
     return {
         "loop": name,
@@ -100,7 +101,7 @@ def row(
 
 
 def measure(robot: Path, seconds: float) -> list[dict[str, Any]]:
-    """A row for the bare timer and one for the law."""
+    """Rows of the bare timer and of the law."""
     marks = [stolen_by_now()]
     before = bare(0.5 * seconds)
     marks.append(stolen_by_now())
@@ -114,7 +115,7 @@ def measure(robot: Path, seconds: float) -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    """Measure, and print a row a loop."""
+    """Measure, and print a row for each loop."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--csv", type=Path)

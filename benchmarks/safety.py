@@ -1,12 +1,12 @@
-"""How far commands lead beyond their bounds in the safety's own model: not at all.
+"""Check that the safety layer keeps joints within their bounds under hostile policies.
 
-Run ``python benchmarks/safety.py --sequences 100000``. Each sequence has a drawn head and loop,
-drawn bounds and start, and a hostile policy; its joints follow the commands by the package's law.
-It prints the most by which a position, speed, acceleration or forbidden posture was exceeded. With
-``--late`` each command lasts a drawn time of one to one and a half periods; accelerations may be
-exceeded then, as a joint that has lost time is braked harder. With ``--ends`` whoever sends the
-commands dies at a drawn moment: the last one stays until the servos' watchdog sets it to zero, with
-no bound of acceleration.
+Run ``python benchmarks/safety.py --sequences 100000``. Each sequence has a random head and loop,
+random bounds and start, and a hostile policy; its joints follow the commands by the package's
+model. It prints the largest excess of position, speed and acceleration, and if a forbidden posture
+was entered. With ``--late`` each command lasts a random time of 1 to 1.5 periods; accelerations may
+be exceeded then, as a joint that has lost time is braked harder. With ``--ends`` the sender of the
+commands dies at a random moment: the last command stays until the servos' watchdog sets it to
+zero, without a bound on acceleration.
 """
 
 import argparse
@@ -25,17 +25,17 @@ from vergence.models.joint_response import follow_joint, lag_decay
 
 CHUNK = 100
 LATEST = 1.5
-"""Periods that a late command lasts at most, as `Drive` sees to."""
+"""Longest duration of a late command, periods, as ensured by `Drive`."""
 NAMES = ("turrets", "icub", "simulated")
 WISHES = ("flips", "keeps", "trembles", "swings")
 
 
 class Joints:
-    """Seven joints that follow their commands by the package's law, after a latency.
+    """Seven joints that follow their commands by the package's model, after a latency.
 
     Args:
-        head: the model.
-        angles: (7,) where they begin, rad.
+        head: model of the head.
+        angles: (7,) initial angles, rad.
     """
 
     def __init__(self, head, angles):
@@ -49,7 +49,7 @@ class Joints:
         self._sent = deque([np.zeros(7)] * late)
 
     def step(self, command, periods=1.0):
-        """Hold a command for some periods."""
+        """Send a command and simulate some periods."""
         held_s = periods * self._period_s
         self._sent.append(command)
         acts = self._sent.popleft()
@@ -63,7 +63,7 @@ class Joints:
 
 
 def drawn_head(rng):
-    """A head with a drawn loop."""
+    """Head with random loop timing."""
     head = load_head(str(rng.choice(NAMES)))
     rate_hz = float(rng.choice([30.0, 60.0, 120.0, 250.0]))
     timing = dataclasses.replace(
@@ -76,7 +76,7 @@ def drawn_head(rng):
 
 
 def drawn_config(rng, head):
-    """Drawn bounds: some of the speed, of the acceleration, and a forbidden posture."""
+    """Random bounds of speed and acceleration, and often a forbidden posture."""
     forbidden = ()
     slots = np.arange(3, 3 + head.actuation.count)
     if len(slots) > 1 and rng.random() < 0.6:
@@ -99,7 +99,7 @@ def drawn_config(rng, head):
 
 
 def drawn_start(rng, head, forbidden):
-    """A posture with some room to each bound; None where the draw had none."""
+    """Random posture with some margin to each bound; None if it is near a forbidden posture."""
     lower, upper = head.actuation.lower, head.actuation.upper
     angles = np.where(
         upper > lower, rng.uniform(lower + 0.002, np.maximum(upper - 0.002, lower + 0.003)), 0.0
@@ -112,7 +112,7 @@ def drawn_start(rng, head, forbidden):
 
 
 def wishes(rng, style, steps):
-    """(steps, 7) wishes of a policy that knows no bounds."""
+    """(steps, 7) requested velocities of a policy that ignores all bounds, rad/s."""
     if style == "flips":
         return rng.choice([-np.inf, np.inf, 0.0, 1.0], (steps, 7))
     if style == "keeps":
@@ -124,7 +124,7 @@ def wishes(rng, style, steps):
 
 
 def exceeded(rng, style, steps=60, how=""):
-    """By how much a drawn head leaves its bounds: position, speed, acceleration, posture."""
+    """(4,) largest excess of a random head: position, speed, acceleration, forbidden posture."""
     head = drawn_head(rng)
     config = drawn_config(rng, head)
     start = drawn_start(rng, head, config.forbidden)
@@ -158,7 +158,7 @@ def exceeded(rng, style, steps=60, how=""):
 
 
 def chunk(first: int, seed: int, how: str) -> np.ndarray:
-    """The worst of some sequences."""
+    """Largest excess over `CHUNK` sequences."""
     worst = np.zeros(4)
     for number in range(first, first + CHUNK):
         rng = np.random.default_rng((seed, number))
@@ -167,7 +167,7 @@ def chunk(first: int, seed: int, how: str) -> np.ndarray:
 
 
 def main() -> None:
-    """Run them all and print."""
+    """Run all sequences and print the largest excess."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sequences", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)

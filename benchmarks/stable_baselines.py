@@ -1,8 +1,8 @@
-"""What Stable-Baselines3 learns of the task: the recipe of the docs, and its defaults untouched.
+"""Train Stable-Baselines3 on the task, with the recipe of the docs and with its defaults.
 
 Run ``python benchmarks/stable_baselines.py --csv docs/results/stable_baselines.csv``: some forty
-minutes on one core. Every training is judged on 1,000 trials that it has not learned from, on the
-plant that it learned on. See ``docs/stable-baselines3.md``.
+minutes on one core. Every training is evaluated on 1,000 unseen trials, on the plant that it was
+trained on. See ``docs/stable-baselines3.md``.
 """
 
 import argparse
@@ -25,12 +25,12 @@ RECIPE = Path(__file__).resolve().parents[1] / "docs" / "examples" / "learn_to_g
 
 
 def defaults(steps: int, seed: int) -> PPO:
-    """All defaults, one head on MuJoCo."""
+    """Train PPO with all defaults, on one head on MuJoCo."""
     return PPO("MlpPolicy", gymnasium.make("vergence/Gaze-v0"), seed=seed).learn(steps)
 
 
 def defaults_on_many_heads(steps: int, seed: int) -> PPO:
-    """The adapter's example, see ``docs/training.md``."""
+    """Train PPO as in the example of the adapter in ``docs/training.md``."""
     envs = gymnasium.make_vec(
         "vergence/Gaze-v0",
         num_envs=256,
@@ -42,7 +42,7 @@ def defaults_on_many_heads(steps: int, seed: int) -> PPO:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Train, judge and print."""
+    """Train, evaluate and print."""
     recipe = runpy.run_path(str(RECIPE))
     ways: dict[str, tuple[Callable[[int, int], PPO], int, str]] = {
         "recipe": (recipe["learn"], 500_000, "kinematic"),

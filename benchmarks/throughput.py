@@ -1,9 +1,9 @@
-"""How fast everything steps, as ratios to MuJoCo's own loop in the same run.
+"""Measure the simulation throughput, relative to MuJoCo's own loop in the same run.
 
 Run ``python benchmarks/throughput.py``, with ``--json FILE`` to keep the table and ``--quick`` for
-a short look. A machine that does other things as well slows one measurement and not the next, so
-the cases take turns for several rounds, and what is kept of each is its best round. What each case
-does, and how to read the table, is in ``docs/performance.md``.
+a short run. Other load of the machine may slow one measurement and not the next, so the cases take
+turns for several rounds, and the best round of each counts. The cases and the table are explained
+in ``docs/performance.md``.
 """
 
 import argparse
@@ -40,23 +40,23 @@ SPEED_STEP_RAD_S = 0.024
 TARGET = {"kind": "static", "point": (0.0, -0.1, 1.0)}
 
 Pass = Callable[[], int]
-"""Does some control steps and says how many."""
+"""Function that runs some control steps and returns their number."""
 
 
 @dataclass
 class Case:
-    """Something to measure."""
+    """A case to measure."""
 
     name: str
     what: str
     do: Pass
     microseconds: Callable[[], float] | None = None
-    """Median time of a single step, where that is what counts."""
+    """Function that returns the median time of a step, for cases measured by it."""
     best: float = 0.0
-    """Steps a second in the best round."""
+    """Steps per second in the best round."""
 
     def measure(self, seconds: float) -> None:
-        """Take one more round of at least so many seconds."""
+        """Measure one more round of at least so many seconds."""
         if self.microseconds is not None:
             self.best = max(self.best, 1e6 / self.microseconds())
             return
@@ -70,7 +70,7 @@ class Case:
 
 
 def sensing_head() -> vergence.HeadModel:
-    """The simulated head with its delay and noise, and with encoders of 12 bits."""
+    """Simulated head with its delay and noise, and with 12-bit encoders."""
     return vergence.load_head("simulated").replace(
         sensor={
             "encoder_resolution_rad": ENCODER_STEP_RAD,
@@ -80,7 +80,7 @@ def sensing_head() -> vergence.HeadModel:
 
 
 def bare(head: vergence.HeadModel) -> Pass:
-    """MuJoCo's step in a compiled loop on one core, with commands that change each period."""
+    """Case of MuJoCo's step in a compiled loop on one core, with new commands each period."""
     model = compile_model(head, target=None, visuals=False)
     data = mujoco.MjData(model)
     step = mujoco_step()
@@ -107,7 +107,7 @@ def bare(head: vergence.HeadModel) -> Pass:
 
 
 def mujoco_step() -> Any:
-    """The C function ``mj_step``, to be called without Python in between."""
+    """C function ``mj_step``, to be called from compiled code."""
     folder = Path(mujoco.__file__).parent
     names = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")
     library = next(path for name in names for path in sorted(folder.glob(name)))
@@ -117,7 +117,7 @@ def mujoco_step() -> Any:
 
 
 def single(env: gymnasium.Env, passes: int = MAX_EPISODE_STEPS) -> Pass:
-    """One environment with all wrappers and with resets, under random actions."""
+    """Case of one environment with all wrappers and resets, under random actions."""
     env.reset(seed=0)
     space: Any = env.action_space
     actions = np.random.default_rng(0).uniform(space.low, space.high, (passes, *space.shape))
@@ -134,7 +134,7 @@ def single(env: gymnasium.Env, passes: int = MAX_EPISODE_STEPS) -> Pass:
 
 
 def vector(env: Any, num: int, passes: int = MAX_EPISODE_STEPS) -> Pass:
-    """A vector environment with its autoreset, under random actions."""
+    """Case of a vector environment with its autoreset, under random actions."""
     env.reset(seed=0)
     space = env.single_action_space
     shape = (passes, num, *space.shape)
@@ -149,18 +149,18 @@ def vector(env: Any, num: int, passes: int = MAX_EPISODE_STEPS) -> Pass:
 
 
 def single_reacher() -> Pass:
-    """Gymnasium's Reacher."""
+    """Case of Gymnasium's Reacher."""
     return single(gymnasium.make("Reacher-v5"))
 
 
 def reachers() -> Pass:
-    """Gymnasium's Reachers, one after the other."""
+    """Case of Gymnasium's Reachers, stepped one after the other."""
     env = gymnasium.make_vec("Reacher-v5", num_envs=REACHERS, vectorization_mode="sync")
     return vector(env, REACHERS)
 
 
 def pooled_reachers() -> Pass:
-    """EnvPool's Reachers, on its threads."""
+    """Case of EnvPool's Reachers, on its threads."""
     import envpool
 
     env = envpool.make("Reacher-v5", env_type="gymnasium", num_envs=POOLED)
@@ -178,7 +178,7 @@ def pooled_reachers() -> Pass:
 
 
 def rendered() -> Pass:
-    """The closed loop of one head from drawn images: whole episodes with reset and controller."""
+    """Case of one head in closed loop on drawn images: episodes with reset and controller."""
     env = gymnasium.make("vergence/Gaze-v0", plant="rendered", target=TARGET)
     layout: Any = env.unwrapped
     controller = vergence.make_controller("ibvs", head=layout.task.head, layout=layout.layout)
@@ -196,7 +196,7 @@ def rendered() -> Pass:
 
 
 def control_step(calls: int) -> tuple[Pass, Callable[[], float]]:
-    """What a deployed loop computes from one reading of the physical head, call by call."""
+    """Case of the computations of a deployed loop on one reading of the physical head."""
     head = vergence.load_head("physical")
     controller: Any = vergence.make_controller("ibvs", head=head)
     rng = np.random.default_rng(0)
@@ -227,7 +227,7 @@ def control_step(calls: int) -> tuple[Pass, Callable[[], float]]:
 
 
 def cases(quick: bool) -> Iterator[Case]:
-    """All that is measured, the first being what the others are compared with."""
+    """All cases; the first is the reference of the ratios."""
     head, passes = sensing_head(), 20 if quick else MAX_EPISODE_STEPS
     gaze = "vergence/Gaze-v0"
     yield Case("bare", "MuJoCo's loop in C, one core", bare(head))
@@ -264,7 +264,7 @@ def measure(rounds: int, seconds: float, quick: bool) -> list[dict[str, Any]]:
     """
     todo = list(cases(quick))
     for case in todo:
-        case.do()  # compiles what is compiled
+        case.do()  # triggers compilation
     for _ in range(rounds):
         for case in todo:
             gc.collect()
@@ -301,7 +301,7 @@ def show(rows: list[dict[str, Any]]) -> None:
 
 
 def write(rows: list[dict[str, Any]], path: Path) -> None:
-    """Write the rows, at once or not at all."""
+    """Write the rows atomically."""
     kept = [{key: value for key, value in row.items() if key != "what"} for row in rows]
     with tempfile.NamedTemporaryFile(
         "w", dir=path.absolute().parent, prefix=f".{path.name}.", delete=False
@@ -319,7 +319,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--seconds", type=float, default=1.0, help="least time of a case a round")
     parser.add_argument("--quick", action="store_true", help="one short round: not for comparing")
     options = parser.parse_args(arguments)
-    cv2.setNumThreads(1)  # the images are too small to share out
+    cv2.setNumThreads(1)  # the images are too small for several threads
     rounds, seconds = (1, 0.0) if options.quick else (options.rounds, options.seconds)
     rows = measure(max(rounds, 1), seconds, options.quick)
     show(rows)

@@ -1,7 +1,7 @@
-"""All of the robot once: an emulated head is checked, turned, measured and hurt, its log replayed.
+"""Try the robot functions on an emulated head: checks, gazes, replay, loop delays, a fault.
 
 Run ``make robot``, or ``python -m benchmarks.tour`` where the extra `robot` is installed. It takes
-some two minutes, prints a row a step, and ends with the exit status 0 only if all went well.
+some two minutes, prints a row for each step, and ends with exit status 0 only if all steps passed.
 """
 
 import sys
@@ -29,18 +29,19 @@ from vergence.hardware.emulator.client import EmulatedWorld
 LAW: Final = "state-feedback"
 """The law that docs/controllers.md recommends on a robot."""
 GAZES: Final = 20
+"""Number of gazes (chosen: confidence against run time)."""
 FEWEST: Final = 19
-"""Gazes that have to settle."""
+"""Gazes that have to settle (chosen: one may fail by chance)."""
 NEAR_S: Final = 0.004
-"""How far a latency may be off that is measured, s."""
+"""Largest error of a measured image latency, s (chosen: tolerance of one measurement)."""
 ALIKE: Final = 0.1
-"""And a lag, relatively."""
+"""Largest relative error of a measured joint lag (chosen: tolerance of one measurement)."""
 LATEST_S: Final = 0.5
-"""Time after a pulled cable in which the head has to be at rest: the watchdog's, and the lag, s."""
+"""Time in which the head must be at rest after a pulled cable, s (chosen: watchdog plus lag)."""
 
 
 class Step(NamedTuple):
-    """One thing that was tried."""
+    """Result of one step."""
 
     name: str
     went_well: bool
@@ -49,14 +50,14 @@ class Step(NamedTuple):
 
 
 class Tour:
-    """The steps, each of which is told as it ends."""
+    """Runner of the steps; prints each step as it ends."""
 
     def __init__(self, console: Console) -> None:
         self.steps: list[Step] = []
         self._console = console
 
     def step(self, name: str, act: Callable[[], tuple[bool, str]]) -> bool:
-        """Try something, and keep whether it went well; what it raises did not."""
+        """Run a step and keep its result; a `VergenceError` counts as a failure."""
         begun_s = time.monotonic()
         with self._console.status(name):
             try:
@@ -71,11 +72,11 @@ class Tour:
 
     @property
     def status(self) -> int:
-        """The exit status."""
+        """Exit status: 0 if all steps passed, else 1."""
         return 0 if self.steps and all(step.went_well for step in self.steps) else 1
 
     def table(self) -> Table:
-        """A row a step."""
+        """Table with a row for each step."""
         table = Table("step", "", "found", "s")
         for step in self.steps:
             mark = "ok" if step.went_well else "FAILED"
@@ -84,7 +85,7 @@ class Tour:
 
 
 def checked(hardware: HardwareConfig) -> tuple[bool, str]:
-    """All checks of the robot."""
+    """Run all checks of the robot."""
     parts = check_robot(hardware)
     wrong = [str(finding) for part in parts for finding in part.findings]
     return not wrong, "; ".join(wrong) or f"line, servos and cameras: {len(parts)} parts"
@@ -93,7 +94,7 @@ def checked(hardware: HardwareConfig) -> tuple[bool, str]:
 def deployed(
     hardware: HardwareConfig, gazes: int, log: Path, show: Callable[[Present], None]
 ) -> Deployment:
-    """Gazes of the law; Ctrl-C in them ends the tour."""
+    """Run gazes of the law; Ctrl-C in them ends the tour."""
     config = DeployConfig(controller=LAW, hardware=Path(hardware.path), gazes=gazes)
     found = deploy(config, log, show=show)
     if isinstance(found.error, KeyboardInterrupt):
@@ -102,7 +103,7 @@ def deployed(
 
 
 def gazed(hardware: HardwareConfig, log: Path, console: Console) -> tuple[bool, str]:
-    """Gazes that settle and rest."""
+    """Check that gazes settle and do not oscillate."""
 
     def tell(present: Present) -> None:
         if present.step == 0 and present.number % 5 == 1:
@@ -127,7 +128,7 @@ def gazed(hardware: HardwareConfig, log: Path, console: Console) -> tuple[bool, 
 
 
 def hurt(hardware: HardwareConfig, log: Path) -> tuple[bool, str]:
-    """A cable that is pulled in the second of three gazes: the head rests, and says why."""
+    """Pull the cable in the second of three gazes; check that the head stops and reports why."""
     world = EmulatedWorld(hardware.emulator)
     pulled_s: list[float] = []
 
@@ -146,11 +147,11 @@ def hurt(hardware: HardwareConfig, log: Path) -> tuple[bool, str]:
     after_s = rested_s - pulled_s[0]
     told = f"at rest {after_s:.2f} s after the cable was pulled: {found.error}"
     named = hardware.bus.port in str(found.error)
-    return named and 0.0 < after_s < LATEST_S, told  # 0 of a head that had not been turning
+    return named and 0.0 < after_s < LATEST_S, told  # 0 if the head was not moving
 
 
 def measured(hardware: HardwareConfig) -> tuple[bool, str]:
-    """The loop of the left eye, as the emulated head has it."""
+    """Check the measured loop of the left eye against the emulated head."""
     found = measure_loop(hardware, ("left",))
     timing, loop = hardware.head.timing, found.loop()
     latency_s = found.latencies_s.get("left", float("nan"))
@@ -163,7 +164,7 @@ def measured(hardware: HardwareConfig) -> tuple[bool, str]:
 
 
 def replayed(log: Path) -> tuple[bool, str]:
-    """The law asks for the same again on its own log."""
+    """Check that the law gives identical commands when replayed on its own log."""
     found = replay(ReplayConfig(log=log, controller=LAW))
     assert found.again is not None
     summary = found.again.summary()
@@ -173,7 +174,7 @@ def replayed(log: Path) -> tuple[bool, str]:
 
 
 def tour(console: Console) -> int:
-    """Try all of it; the exit status."""
+    """Run all steps; return the exit status."""
     found = Tour(console)
     begun_s = time.monotonic()
     with ExitStack() as stack:

@@ -1,10 +1,10 @@
-"""How laws turn a head on the wire, beside a simulation with the same delays.
+"""Compare the settling of laws on an emulated head and in a simulation with the same delays.
 
 Run ``python benchmarks/wire.py``, with ``--csv docs/results/wire.csv`` to keep the table. It starts
-`vergence emulate`: servos on a pseudo-terminal and two camera streams, in processes of their own.
-Each law looks at the same drawn targets from the same drawn starts there and on the plant
-`rendered`, whose frames have the phase, latency and jitter that were measured on the wire. Settling
-is to 2 px of the true error. See ``docs/robot.md``.
+`vergence emulate`: servos on a pseudo-terminal and two camera streams ("the wire"), in separate
+processes. Each law runs on the same random targets from the same random starts there and on the
+plant `rendered`, whose frames have the phase, latency and jitter measured on the wire. Settling
+means a true error within 2 px. See ``docs/robot.md``.
 """
 
 import argparse
@@ -34,36 +34,36 @@ from vergence.triangulation import Fix
 
 LAWS = ("ibvs", "state-feedback", "saccade", "pursuit")
 CAMERAS = {"together": "", "half a frame apart": "--right-late 0.0167"}
-"""Words for `vergence emulate`, by how the cameras expose."""
+"""Options for `vergence emulate`, by the exposure times of the cameras."""
 BAND_PX = 2.0
 SEED = 7
 KILLED_RAD_S = 3.0
 
 
 class Loop(NamedTuple):
-    """What the frames of a trial were like on the wire."""
+    """Timing of the frames of a trial on the wire."""
 
     phase: float
-    """When the first frame after the start was exposed, by the time between two."""
+    """Phase of the exposures relative to the start of the trial, in frame periods, 0 to 1."""
     latency_s: float
-    """Least time from an exposure to its image being looked at."""
+    """Low quantile (5 %) of the time from exposure to the reading with the image, s."""
     jitter_s: float
-    """The most by which images came later, but for one in twenty."""
+    """Difference of the 95 % quantile from that, s."""
 
 
 class Gaze(NamedTuple):
-    """How one gaze ended."""
+    """Result of one gaze."""
 
     settled_s: float
     points_within: bool
-    """Whether the points by gaze and from the images are both within three standard deviations of
+    """True if the points by gaze and from the images are both within three standard deviations of
     the truth in each axis."""
     error_px: float
 
 
 @contextmanager
 def emulated(*words: str) -> Iterator[HardwareConfig]:
-    """An emulated head while the block runs."""
+    """Run an emulated head during the block; yields its configuration."""
     with tempfile.TemporaryDirectory() as folder:
         desk = Path(folder) / "desk.toml"
         command = [sys.executable, "-m", "vergence", "emulate", "--out", str(desk), *words]
@@ -81,7 +81,7 @@ def emulated(*words: str) -> Iterator[HardwareConfig]:
 def look(
     task: GazeTask, policy: Policy, trial: int, duration_s: float
 ) -> tuple[Gaze, list[tuple[float, float]]]:
-    """One gaze, and when images were exposed by the reading and came."""
+    """Run one gaze; also return the exposure and arrival time of each image, s."""
     one = np.zeros(1, dtype=np.int64)
     task.begin(one, np.full(1, SEED, np.uint64), np.full(1, trial, np.uint64))
     state, start = None, np.ones(1, dtype=np.bool_)
@@ -109,12 +109,12 @@ def look(
 
 
 def within(fix: Fix, target: Any) -> bool:
-    """Whether a fix is within three standard deviations of the truth in each axis."""
+    """True if a fix is within three standard deviations of the truth in each axis."""
     return bool((np.abs(fix.point[0] - target) < 3.0 * fix.sigma[0]).all())
 
 
 def loop_of(plant: HardwarePlant, world: EmulatedWorld, images: list[tuple[float, float]]) -> Loop:
-    """What the frames of the last trial were like, from the emulator's own times."""
+    """Frame timing of the last trial, from the exposure times recorded by the emulator."""
     frame_s = plant.head.timing.frame_s
     exposed = np.array(world.ask({"exposures": None})["times"]) - plant.begun_s
     dated, came = np.array(images).T
@@ -127,7 +127,7 @@ def loop_of(plant: HardwarePlant, world: EmulatedWorld, images: list[tuple[float
 
 
 def measure(config: HardwareConfig, laws: list[str], gazes: int, duration_s: float) -> Any:
-    """A row a gaze, on the wire and in simulation."""
+    """Table with a row for each gaze, on the wire and in simulation."""
     head = config.head
     policies = {name: make_controller(name, head=head) for name in laws}
     world = EmulatedWorld(config.emulator)
@@ -177,7 +177,7 @@ def measure(config: HardwareConfig, laws: list[str], gazes: int, duration_s: flo
 
 
 def summary(table: Any) -> Any:
-    """A row a law: settled, medians, and points within three standard deviations."""
+    """Table with a row for each law: settled gazes, medians, points within three sigma."""
     rows = []
     for name, group in table.groupby("law", sort=False):
         row: dict[str, Any] = {"law": name}

@@ -1,4 +1,4 @@
-"""What every test runs under: one thread a process, no window, reproducible examples in CI."""
+"""Environment of every test: one thread per process, no window, reproducible examples in CI."""
 
 import os
 

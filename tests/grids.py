@@ -11,7 +11,7 @@ def some_of(*axes: Sequence[Any], seed: int = 0) -> list[tuple[Any, ...]]:
 
     Args:
         axes: the values of each parameter, in order where they have one.
-        seed: of the draw.
+        seed: seed of the draw.
 
     Returns:
         Cells such that every value of every axis is in one, and that any two axes meet in all four

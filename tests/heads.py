@@ -39,6 +39,7 @@ white_grey = 190.0
 background_grey = 110.0
 """
 CENTRE: Final = (0.0, 0.0, 0.0)
+"""Origin of a frame, m (numerical)."""
 
 
 def joint(

@@ -1,4 +1,4 @@
-"""How joints follow their commands, in closed form and for arrays of joints."""
+"""Response of joints to their commands, in closed form and for arrays of joints."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

@@ -66,7 +66,7 @@ SHARES: Final[tuple[tuple[Callable[[], None], ...], ...]] = (
     ),
     tuple(partial(trials, head, name) for name in SCENARIOS for head in ("simulated", "tied")),
 )
-"""What each process does; nothing large is compiled in both."""
+"""Work of each process; nothing large is compiled in both."""
 
 
 def main(words: list[str]) -> int:

@@ -1,7 +1,7 @@
-"""Which tests a change can break: those of the rooms it touches and of the rooms that import them.
+"""List the tests that a change can break: those of changed rooms and of rooms that import them.
 
-`python -m tests.rooms` prints them for what differs from `main`, `python -m tests.rooms vision` for
-one room. A room is a folder or a module right below the package, with its tests; a folder or a
+`python -m tests.rooms` prints them for the differences from `main`, `python -m tests.rooms vision`
+for one room. A room is a folder or a module right below the package, with its tests; a folder or a
 module of tests alone is one too.
 """
 
@@ -17,8 +17,8 @@ from typing import Final, NamedTuple
 from vergence.errors import ConfigurationError
 
 ROOT: Final = Path(__file__).resolve().parents[1]
-ALWAYS: Final = "architecture"
-"""The room whose tests are quick and look at all others."""
+ALWAYS: Final = frozenset({"architecture", "words"})
+"""Rooms whose tests are quick and look at all others."""
 EVERYTHING: Final = "tests/conftest"
 ELSEWHERE: Final = {
     "README": ("docs",),
@@ -94,7 +94,7 @@ def rooms_of(path: str) -> set[str]:
 
 
 def named_in(package: Path) -> Iterator[Import]:
-    """What modules name as `"module:attribute"`, as registries do."""
+    """Imports by name, written as `"module:attribute"`, as in registries."""
     for module, path in sources_of(package).items():
         for name in re.findall(r'"([\w.]+):\w+"', path.read_text(encoding="utf-8")):
             yield Import(module, name)
@@ -171,7 +171,7 @@ def main(words: list[str], root: Path = ROOT) -> int:
     except ConfigurationError as error:
         print(f"no room was named, {error}".strip(), file=sys.stderr)
         return 2
-    print(*places_of({ALWAYS}.union(rooms, *(above.get(room, set()) for room in rooms)), root))
+    print(*places_of(ALWAYS.union(rooms, *(above.get(room, set()) for room in rooms)), root))
     return 0
 
 

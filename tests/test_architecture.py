@@ -62,7 +62,7 @@ def unit_of(module: str) -> str:
 
 
 def layer_violations(package: Path) -> list[str]:
-    """What breaks the layer rule, one line a fault, with both modules' names."""
+    """Violations of the layer rule, one line each with both modules' names."""
     faults = [
         f"{module} belongs to no layer"
         for module in sources_of(package)

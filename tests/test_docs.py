@@ -1,5 +1,6 @@
 """The examples of README and guide run as they stand there, on smaller numbers."""
 
+import doctest
 import re
 import sys
 from pathlib import Path
@@ -8,6 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+import vergence
 from benchmarks.made import made
 from benchmarks.stable_baselines import RECIPE
 from vergence import load_head, make_controller
@@ -102,6 +104,14 @@ def test_the_modules_that_the_page_of_architecture_names_are_there() -> None:
     assert len(named) > 20
     rooms = [ROOT / "vergence" / room for room in ("", "envs", "eval")]
     assert [path for path in named if not any((room / path).exists() for room in rooms)] == []
+
+
+@pytest.mark.parametrize("name", [name for name in vergence.__all__ if name != "__version__"])
+def test_each_public_name_has_an_example_that_holds(name) -> None:
+    (example,) = doctest.DocTestFinder(recurse=False).find(getattr(vergence, name), name)
+    failed, attempted = doctest.DocTestRunner().run(example)
+    assert attempted > 0
+    assert failed == 0
 
 
 class Clock:

@@ -14,7 +14,7 @@ from vergence.cli import main
 
 @pytest.fixture
 def restored(monkeypatch):
-    """What Ctrl-C did before is what it does after."""
+    """Restore the handler of Ctrl-C after the test."""
     monkeypatch.setattr(interrupts, "_guards", False)
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -82,7 +82,7 @@ def test_two_names_of_one_place_have_one_lock(tmp_path):
 
 
 def test_the_next_one_never_holds_a_lock_whose_file_has_been_removed(tmp_path):
-    """Who has opened the file while it was removed finds out, and makes a new one."""
+    """A process that opened the file while it was removed notices, and makes a new one."""
     with locked(tmp_path / "run"):
         (tmp_path / f".run{SUFFIX}").unlink()
         with locked(tmp_path / "run"):

@@ -6,7 +6,16 @@ from difflib import get_close_matches
 
 
 class VergenceError(Exception):
-    """Base class of the package's errors; messages state the expected and the actual value."""
+    """Base class of the package's errors; messages state the expected and the actual value.
+
+    Examples:
+        >>> import vergence
+        >>> try:
+        ...     vergence.load_head("turret")
+        ... except vergence.VergenceError as error:
+        ...     print(str(error).split(", ")[-1])
+        got 'turret' (did you mean turrets?)
+    """
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -15,7 +24,17 @@ class VergenceError(Exception):
 
 
 class VergenceWarning(UserWarning):
-    """An argument that is valid but probably not intended."""
+    """An argument that is valid but probably not intended.
+
+    Examples:
+        >>> import warnings, vergence
+        >>> head = vergence.load_head("simulated")
+        >>> with warnings.catch_warnings(record=True) as caught:
+        ...     warnings.simplefilter("always")
+        ...     q = head.fixate([0.0, -100.0, 1000.0])
+        >>> print(str(caught[0].message).split(": ")[-1])
+        is it in millimetres?
+    """
 
 
 class HeadFileError(VergenceError):

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.tag_images``: see the package."""
+"""Entry point of ``python -m benchmarks.tag_images``; see the package."""
 
 import argparse
 import json
@@ -20,12 +20,12 @@ from vergence.errors import VergenceError
 
 
 def say(text: str) -> None:
-    """A line of progress, on stderr."""
+    """Print a line of progress on stderr."""
     print(f"\r{text:<60}", end="" if sys.stderr.isatty() else "\n", file=sys.stderr, flush=True)
 
 
 def tables(result: pd.DataFrame, times: dict[str, float]) -> str:
-    """The summary as Markdown: a row a variation, rate and centre rms of each method."""
+    """Summary as a Markdown table: a row per variation, rate and centre rms of each method."""
     methods = list(times)
     cells = {(row["variation"], row["method"]): row for row in result.to_dict(orient="records")}
     lines = [

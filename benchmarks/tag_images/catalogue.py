@@ -1,4 +1,4 @@
-"""The variations of which the table has a row each, in its order."""
+"""Variations of the table, in the order of its rows."""
 
 from benchmarks.tag_images.variations import (
     Variation,

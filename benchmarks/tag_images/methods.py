@@ -1,15 +1,16 @@
-"""Detectors of AprilTags behind one call, all in coordinates whose pixel centres are integers.
+"""AprilTag detectors behind one interface, in coordinates with integer pixel centres.
 
-The AprilTag library, and so all its bindings, counts from the corner of the upper left pixel: half
-a pixel is taken off. So does OpenCV's refinement `CORNER_REFINE_APRILTAG`, which took the code over
-without taking the half off; OpenCV's other corners need nothing. Measured on drawn tags of known
-place: the mean of a tag's corners is off by (0.50, 0.50) px with the library, by (0.46, 0.45) with
-that refinement, by less than 0.02 with OpenCV's others.
+The AprilTag library, and so all its bindings, has its origin at the corner of the upper left pixel;
+half a pixel is subtracted here. OpenCV's refinement `CORNER_REFINE_APRILTAG` copied that code with
+its origin, so half a pixel is subtracted as well; OpenCV's other corners need no correction.
+Measured on drawn tags at known positions: the mean of a tag's corners is off by (0.50, 0.50) px
+with the library, by (0.46, 0.45) px with that refinement, by less than 0.02 px with OpenCV's
+others.
 
 The packages pyapriltags, pupil-apriltags and dt-apriltags pass `decode_sharpening` through `int`,
-so that their default of 0.25 becomes 0; methods ending in ``+sharpening`` put the 0.25 of the
-library itself where it was meant to be. OpenCV turns the tags of its AprilTag dictionaries against
-the library's, so that the order of foreign corners says nothing; see `Found`.
+so that their default of 0.25 becomes 0; methods ending in ``+sharpening`` set the library's own
+default of 0.25. OpenCV rotates the tags of its AprilTag dictionaries relative to the library's, so
+that the order of corners of other methods has no meaning; see `Found`.
 """
 
 import importlib
@@ -29,7 +30,7 @@ _SHARPENING = 0.25
 
 @dataclass(frozen=True)
 class Found:
-    """A tag as a method found it."""
+    """A tag detected by a method."""
 
     id: int
     centre_px: NDArray[np.float64]
@@ -37,9 +38,9 @@ class Found:
     corners_px: NDArray[np.float64]
     """In the method's own order, shape (4, 2)."""
     wrong_bits: int = 0
-    """Those corrected, where the method says so."""
+    """Number of corrected bits, if the method states it."""
     margin: float | None = None
-    """Grey levels between its bits and the threshold in the mean; None where it does not say."""
+    """Mean distance of its bits from the threshold, grey levels; None if not stated."""
 
 
 Detect = Callable[[Image], list[Found]]
@@ -51,12 +52,12 @@ class Method:
 
     name: str
     voter: str
-    """Methods that run the same code have one vote together."""
+    """Name of the shared vote; methods that run the same code have one vote together."""
     detect: Detect
     refined: bool = True
-    """Whether corners are finer than whole pixels, so that they can be voted on."""
+    """True if corners have sub-pixel accuracy, so that the method may vote."""
     ordered: bool = False
-    """Whether corners come as upper left, upper right, lower right, lower left."""
+    """True if corners come as upper left, upper right, lower right, lower left."""
 
 
 def _vergence(family: str) -> Detect:
@@ -118,7 +119,7 @@ def _aruco(refinement: int | None, offset_px: float) -> Callable[[str], Detect]:
         def detect(image: Image) -> list[Found]:
             quads, ids, _ = detector.detectMarkers(image)
             corners = [np.asarray(quad[0], dtype=float) - offset_px for quad in quads]
-            # without any marker it is None, which its types do not say
+            # ids is None if no marker is found, contrary to its type
             numbers = [int(number) for number in np.ravel(ids)] if quads else []
             return [
                 Found(number, crossing(quad), quad)
@@ -149,12 +150,12 @@ METHODS = tuple(_MAKERS)
 
 
 def make_methods(names: Iterable[str], family: str, say: Callable[[str], None]) -> list[Method]:
-    """The methods whose packages are here.
+    """Methods whose packages are installed.
 
     Args:
-        names: of `METHODS`.
-        family: of the tags, such as 36h11.
-        say: is told which methods are left out, and why.
+        names: names from `METHODS`.
+        family: family of the tags, such as 36h11.
+        say: receives a message for each method that is left out, with the reason.
     """
     methods = []
     for name in names:

@@ -1,8 +1,9 @@
-"""Photographs and the tags that are known to be in them.
+"""Photographs with lists of the tags in them.
 
 A text file beside a photograph has a line for each tag, in the format of the tests of the AprilTag
 library: ``id, (x y), (x y), (x y), (x y)``, counter-clockwise from the lower left corner, where
-(0, 0) is the corner of the upper left pixel. Everything here has (0, 0) at that pixel's centre.
+(0, 0) is the corner of the upper left pixel. All other coordinates here have (0, 0)
+at that pixel's centre.
 """
 
 import re
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from vergence.errors import VergenceError
 
 LIBRARY_OFFSET_PX = 0.5
-"""What the AprilTag library's coordinates are more than those whose pixel centres are integers."""
+"""Offset of the AprilTag library's coordinates from those with integer pixel centres, px."""
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".pgm", ".ppm", ".tif", ".tiff")
 _NUMBER = r"(-?\d+(?:\.\d+)?)"
 _CORNER = rf"\s*\(\s*{_NUMBER}\s+{_NUMBER}\s*\)\s*"
@@ -31,17 +32,17 @@ class KnownTag:
     corners_px: NDArray[np.float64]
     """Upper left, upper right, lower right, lower left of the upright tag, shape (4, 2)."""
     centre_px: NDArray[np.float64]
-    """Where the diagonals cross, which every homography keeps; shape (2,)."""
+    """Crossing of the diagonals, invariant under homographies; shape (2,)."""
 
     @property
     def edge_px(self) -> float:
-        """Edge of the square of the same area."""
+        """Edge of the square of the same area, px."""
         return edge(self.corners_px)
 
 
 @dataclass(frozen=True)
 class Photograph:
-    """An image and what is known to be in it."""
+    """An image and the known tags in it."""
 
     name: str
     image: NDArray[np.uint8]
@@ -56,14 +57,14 @@ def edge(corners_px: NDArray[np.float64]) -> float:
 
 
 def crossing(corners_px: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where the diagonals of a quadrilateral of shape (4, 2) cross, shape (2,)."""
+    """Crossing of the diagonals of a quadrilateral of shape (4, 2), shape (2,)."""
     a, b, c, d = corners_px
     along, _ = np.linalg.solve(np.stack([c - a, b - d], axis=1), b - a)
     return np.asarray(a + along * (c - a))
 
 
 def tags_from(text: str) -> tuple[KnownTag, ...]:
-    """The tags that a text file lists.
+    """Tags listed in a text file.
 
     Raises:
         VergenceError: a line does not list a tag.
@@ -82,14 +83,14 @@ def tags_from(text: str) -> tuple[KnownTag, ...]:
 
 
 def read_image(path: Path) -> NDArray[np.uint8]:
-    """An image of a file in grey.
+    """Read an image file in grey.
 
     Raises:
-        VergenceError: it is none.
+        VergenceError: the file is no image.
     """
     try:
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    except cv2.error as error:  # such as a header that says millions of pixels a side
+    except cv2.error as error:  # such as a header with sizes of millions of pixels
         raise VergenceError(f"expected an image, got {path}: {error}") from error
     if image is None:
         raise VergenceError(f"expected an image, got {path}")
@@ -97,7 +98,7 @@ def read_image(path: Path) -> NDArray[np.uint8]:
 
 
 def image_paths(folder: Path) -> list[Path]:
-    """The image files in a folder and all folders in it, sorted.
+    """Image files in a folder and all its subfolders, sorted.
 
     Raises:
         VergenceError: there are none.
@@ -115,7 +116,7 @@ def image_paths(folder: Path) -> list[Path]:
 
 
 def read_photographs(folder: Path) -> list[Photograph]:
-    """The photographs of a folder whose tags are known.
+    """Read the photographs of a folder that have a list of tags.
 
     Raises:
         VergenceError: there are none, or a file cannot be read.

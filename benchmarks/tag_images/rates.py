@@ -1,15 +1,16 @@
-"""How many tags are found in whole photographs beside the AprilTag library, and what is refused.
+"""Compare the tags found in whole photographs with those of the AprilTag library.
 
 Run ``python -m benchmarks.tag_images.rates FOLDER --family 36h11 25h9``, with ``--json FILE`` to
-keep the list. Nothing needs to be known of the photographs: what two detectors find of one number
-at one place is one tag. Each folder in the folder has a row for each family of which anything is
-found in it. The library counts with and without its sharpening, as one detector that has what
-either finds; it sees grey levels, ours the colours of the file as well.
+keep the list. The photographs need no ground truth: detections of two detectors with the same
+number at the same place count as one tag. Each subfolder has a row for each family of which a tag
+is found in it. The library runs with and without sharpening, and the union counts as its
+detections. It receives grey levels; our detector also receives the colours of the file.
 
-Below the table are listed the tags that only one of both finds. Look at them: the library reads
-tags in clutter too, most of them with wrong bits or a small margin. For what ours lacks, the list
-says how the best fit near it came out, or nothing where ours had no square there to fit. With 16h5
-the library reads so many tags in clutter that ``--margin 10`` or more is needed.
+Below the table are listed the tags that only one of the two finds. Look at them: the library also
+reads false tags in clutter, most of them with wrong bits or a small margin. For tags that ours
+misses, the list states the result of the best fit near them, or nothing if ours had no square
+there to fit. With 16h5 the library reads so many tags in clutter that ``--margin 10`` or more is
+needed.
 """
 
 import argparse
@@ -36,16 +37,16 @@ from vergence.vision.tags.report import TagFit
 
 _LIBRARY = ("pyapriltags", "pyapriltags+sharpening")
 _NEAR_EDGES = 0.5
-"""A fit this near to where the library has the tag was an attempt at it."""
+"""Largest distance of our fit from the library's tag to count as an attempt at it, tag edges."""
 
 
 class RecordingDetector(TagDetector):
-    """A detector of tags that keeps how each of its fits came out."""
+    """Tag detector that keeps the result of each of its fits."""
 
     def __init__(self, target: TagFamily) -> None:
         super().__init__(target)
         self.fits: list[tuple[int, NDArray[np.float64], TagFit]] = []
-        """Of the last image: the number, about where its middle is, px, and the fit."""
+        """Fits of the last image: tag number, approximate centre, px, and result."""
 
     def _fit(self, image: Any, corners: Any, identity: int, *others: Any) -> Any:
         found, fit = super()._fit(image, corners, identity, *others)
@@ -53,7 +54,7 @@ class RecordingDetector(TagDetector):
         return found, fit
 
     def found(self, image: NDArray[Any]) -> list[Found]:
-        """All tags of an image, grey or BGR."""
+        """Tags detected in an image, grey or BGR."""
         self.fits.clear()
         return [
             Found(each.target.id, each.point_px, each.corners_px)
@@ -62,7 +63,7 @@ class RecordingDetector(TagDetector):
         ]
 
     def best_fit(self, tag: Found) -> TagFit | None:
-        """The best of the fits of the last image that tried a tag; None where none did."""
+        """Best fit of the last image that was an attempt at a tag; None if there was no attempt."""
         reach = _NEAR_EDGES * edge(tag.corners_px)
         tried = [
             fit
@@ -74,20 +75,20 @@ class RecordingDetector(TagDetector):
 
 @dataclass(frozen=True)
 class Seen:
-    """A tag of a photograph, and who finds it."""
+    """A tag of a photograph, and the detectors that find it."""
 
     image: str
     tag: Found
-    """As the library has it, if it does."""
+    """Detection of the library if it has one, else ours."""
     ours: bool
     library: tuple[bool, ...]
-    """Without its sharpening, and with it."""
+    """True if the library finds it, without and with its sharpening."""
     fit: TagFit | None = None
-    """The best of ours, where only the library finds it."""
+    """Our best fit, if only the library finds it."""
 
     @property
     def row(self) -> dict[str, Any]:
-        """As a JSON object."""
+        """Row for the JSON file."""
         corners = self.tag.corners_px
         row: dict[str, Any] = {
             "image": self.image,
@@ -119,14 +120,14 @@ def seen_in(
     library: Sequence[Method],
     least_margin: float = 0.0,
 ) -> list[Seen]:
-    """The tags that ours or the library finds in an image.
+    """Tags that our detector or the library finds in an image.
 
     Args:
-        name: of the image.
+        name: name of the image.
         image: (height, width) grey levels or (height, width, 3) BGR.
-        ours: of the same family as the library's.
-        library: its detectors.
-        least_margin: of what the library finds alone, grey levels; with less it does not count.
+        ours: our detector, of the same family as the library's.
+        library: detectors of the library.
+        least_margin: least decision margin of tags that only the library finds, grey levels.
     """
     places: list[tuple[Found, set[str]]] = []
     grey = as_grey(image)
@@ -158,7 +159,7 @@ def _put(places: list[tuple[Found, set[str]]], tag: Found, name: str) -> None:
 
 
 def folders(folder: Path) -> Iterator[tuple[str, list[Path]]]:
-    """The images of each folder in a folder, and of itself.
+    """Images of a folder and of each of its subfolders.
 
     Raises:
         VergenceError: there are no images.
@@ -177,7 +178,7 @@ def folders(folder: Path) -> Iterator[tuple[str, list[Path]]]:
 
 
 def cells(seen: Sequence[Seen]) -> list[int]:
-    """The counts of a row of the table."""
+    """Counts in a row of the table."""
     both = sum(one.ours and any(one.library) for one in seen)
     ours = sum(one.ours for one in seen)
     library = sum(any(one.library) for one in seen)
@@ -193,7 +194,7 @@ def cells(seen: Sequence[Seen]) -> list[int]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Parse, look, print."""
+    """Parse, detect, print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.tag_images.rates")
     parser.add_argument("folder", type=Path, help="photographs, in a folder for each source")
     parser.add_argument("--family", nargs="+", default=["36h11"], help="(default: 36h11)")

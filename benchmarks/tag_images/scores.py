@@ -1,14 +1,14 @@
-"""What counts as found, how far off it is, and what is false.
+"""Scores of detections: found tags, their errors, false detections.
 
-A tag is found when a detection with its id has its centre within `near_px` of where the tag is. A
-detection is false when no known tag with its id is there. Known are the tags of the text file, and
-those that two voters find in the unvaried photograph: the text files do not list every tag. A false
-detection with an id that is known nowhere in the photograph is counted as wrong, the others as
-stray. Where text files leave tags out, either may still be a tag: look at the list that ``--json``
-keeps. Images without any tag are the business of `benchmarks.false_positives`.
+A tag is found if a detection with its id has its centre within `near_px` of the tag. A detection is
+false if no known tag with its id is there. Known tags are those of the text file, and those that
+two voters find in the unvaried photograph, since the text files do not list every tag. A false
+detection counts as wrong if no known tag in the photograph has its id, else as stray. If text files
+leave tags out, either may still be a real tag: look at the list that ``--json`` keeps. For images
+without any tag see `benchmarks.false_positives`.
 
-Corners are compared in the order of the target; those of foreign methods in the order, either way
-round, that fits best.
+Corners are compared in the order of the target; corners of other methods in the best-fitting order,
+clockwise or counter-clockwise.
 """
 
 from collections.abc import Sequence
@@ -22,47 +22,47 @@ from benchmarks.tag_images.photographs import KnownTag, Photograph, edge
 
 NEAR_PX = 2.0
 NEAR_EDGES = 0.1
-"""A centre may be off by the larger of both."""
+"""Tolerances of a centre, px and tag edges; the larger of both applies."""
 _VOTERS = 2
-"""As many must have found a tag for their median to be its place."""
+"""Least number of voters for a median to define a tag."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """How a method did on one tag of one image."""
+    """Score of a method on one tag of one image."""
 
     found: bool
     centre_error_px: float
-    """nan where it is not found."""
+    """nan if it is not found."""
     corner_error_px: float
-    """Root mean square distance over the four corners; nan where it is not found."""
+    """Root mean square distance over the four corners; nan if it is not found."""
     wrong: tuple[int, ...]
-    """Ids of false detections that are known nowhere in the photograph."""
+    """Ids of false detections that no known tag in the photograph has."""
     stray: tuple[int, ...]
-    """Ids of false detections that are known, but elsewhere."""
+    """Ids of false detections that a known tag elsewhere in the photograph has."""
 
 
 def near_px(edge_px: float) -> float:
-    """How far off the centre of a tag may be."""
+    """Tolerance of the centre of a tag, px."""
     return max(NEAR_PX, NEAR_EDGES * edge_px)
 
 
 def ordered_as(
     corners_px: NDArray[np.float64], goal_px: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Corners in the order, either way round, that fits others best; both of shape (4, 2)."""
+    """Corners in the order that fits `goal_px` best, in either direction; shape (4, 2)."""
     orders = [np.roll(way, k, axis=0) for way in (corners_px, corners_px[::-1]) for k in range(4)]
     return min(orders, key=lambda order: float(np.sum((order - goal_px) ** 2)))
 
 
 def score(found: Sequence[Found], tag: KnownTag, known: Sequence[KnownTag], ordered: bool) -> Score:
-    """How a method did.
+    """Score of a method on one tag of one image.
 
     Args:
-        found: what it found in the image.
-        tag: the tag in question, where it is in the image.
-        known: all tags known to be there, where they are in the image.
-        ordered: whether the method's corners have the order of the target.
+        found: detections of the method in the image.
+        tag: the tag to find, in coordinates of the image.
+        known: all known tags, in coordinates of the image.
+        ordered: True if the method's corners have the order of the target.
     """
     same = [one for one in found if one.id == tag.id]
     off = [float(np.linalg.norm(one.centre_px - tag.centre_px)) for one in same]
@@ -84,10 +84,9 @@ def _is(found: Found, tag: KnownTag) -> bool:
 
 
 def voted(photograph: Photograph, methods: Sequence[Method]) -> Photograph:
-    """A photograph whose tags are where the median of the methods has them.
+    """Photograph with its tags at the median of the methods' detections.
 
-    Tags that the text file does not list, but two voters agree on, are put behind those of the
-    file.
+    Tags that the text file does not list, but two voters find, are appended to those of the file.
     """
     seen = [(method.voter, method.detect(photograph.image)) for method in methods]
     fine = [one for one, method in zip(seen, methods, strict=True) if method.refined]
@@ -102,7 +101,7 @@ def voted(photograph: Photograph, methods: Sequence[Method]) -> Photograph:
 def _votes(
     tag: KnownTag, seen: Sequence[tuple[str, list[Found]]]
 ) -> dict[str, list[NDArray[np.float64]]]:
-    """By voter, centre and corners of a tag of all its methods that find it, shape (5, 2) each."""
+    """Votes for a tag by voter: centre and corners found by each of its methods, shape (5, 2)."""
     votes: dict[str, list[NDArray[np.float64]]] = {}
     for voter, found in seen:
         same = [one for one in found if one.id == tag.id]

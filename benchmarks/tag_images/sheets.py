@@ -1,15 +1,15 @@
-"""How large tags are for the distances of their middles, in photographs of one sheet of many tags.
+"""Measure tag sizes relative to their spacing in photographs of one sheet of many tags.
 
 Run ``python -m benchmarks.tag_images.sheets FOLDER --columns 24``: all photographs in the folder
-show the same sheet, on which number n stands in row n // 24. The share of a tag's edge in the
-distance of neighbours' middles is the same in all of them. An edge that is placed beside where it
-is by some pixels, by sharpening, tone curves or ink, makes the share depend on the size of the tags
-in the image; middles hardly move. So photographs from near say what those from afar should give,
-and nothing needs to be known of sheet or camera.
+show the same sheet, on which number n stands in row n // 24. The ratio of a tag's edge to the
+distance between neighbours' centres is the same in all of them. If edges are found displaced by
+some pixels, by sharpening, tone curves or ink, the ratio depends on the size of the tags in the
+image, since centres hardly move. So near photographs give the reference for far ones, and neither
+sheet nor camera need be known.
 
-A homography, two coefficients of radial distortion about the image's middle, the distance of rows
-and the share are fitted to all corners, once to ours and once to those of the AprilTag library; a
-sheet that is not flat shows in what is left.
+A homography, two coefficients of radial distortion about the image's centre, the distance of rows
+and the ratio are fitted to all corners, once to ours and once to those of the AprilTag library. A
+sheet that is not flat shows in the residuals.
 """
 
 import argparse
@@ -37,19 +37,19 @@ _LEAST_TAGS = 3
 
 
 class Share(NamedTuple):
-    """A tag's edge by the distance of neighbours' middles in a row."""
+    """Ratio of a tag's edge to the distance between the centres of neighbours in a row."""
 
     value: float
     sigma: float
     left_px: float
-    """Root of the mean square of what is left of the corners."""
+    """Root mean square residual of the corners, px."""
 
 
 def share_of(tags: Sequence[Found], columns: int, size: tuple[int, int]) -> Share:
-    """The share that the tags of an image have.
+    """Ratio fitted to the tags of an image.
 
     Args:
-        tags: at least three, each number once.
+        tags: at least three tags with distinct numbers.
         columns: tags in a row of the sheet.
         size: width and height of the image, px.
     """
@@ -78,7 +78,7 @@ def share_of(tags: Sequence[Found], columns: int, size: tuple[int, int]) -> Shar
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Parse, look, print."""
+    """Parse, detect, print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.tag_images.sheets")
     parser.add_argument("folder", type=Path, help="photographs of one sheet")
     parser.add_argument("--columns", type=int, required=True, help="tags in a row")

@@ -1,4 +1,4 @@
-"""Runs methods over varied photographs and makes a table of how they did."""
+"""Run methods on varied photographs and tabulate their scores."""
 
 import statistics
 import time
@@ -27,18 +27,18 @@ def run(
     draws: int,
     say: Callable[[str], None],
 ) -> pd.DataFrame:
-    """Every method on every variation of every tag.
+    """Run every method on every variation of every tag.
 
     Args:
-        photographs: with tags where the methods' median has them.
-        chosen: which tags of each photograph are varied; the others are only known.
-        methods: those that look.
-        variations: those that are made.
-        draws: how often each random variation is made of each tag.
-        say: is told how far it is.
+        photographs: photographs with tags at the median of the methods.
+        chosen: indices of the tags of each photograph to vary; the others only count as known.
+        methods: methods to run.
+        variations: variations to make.
+        draws: number of draws of each random variation of each tag.
+        say: receives messages on the progress.
 
     Returns:
-        A row for each tag, variation, draw and method.
+        Table with a row for each tag, variation, draw and method.
     """
     rows: list[dict[str, object]] = []
     count, done = sum(map(len, chosen)), 0
@@ -56,7 +56,7 @@ def run(
                 if tag.edge_px < variation.least_edge_px:
                     continue
                 for draw in range(1 if variation == AS_IT_IS else draws):
-                    # a seed of its own, so that a row does not hang on which others are made
+                    # separate seeds, so that a row does not depend on the other rows
                     seed = zlib.crc32(f"{photograph.name}/{index}/{variation.name}/{draw}".encode())
                     varied = vary(photograph.image, tag, variation, np.random.default_rng(seed))
                     moved = _moved(tag, varied)
@@ -89,15 +89,15 @@ def _row(variation: str, draw: int, method: Method, order: int, got: Score) -> d
 
 
 def summary(rows: pd.DataFrame) -> pd.DataFrame:
-    """A row for each variation and method, and totals over all variations.
+    """Table with a row for each variation and method, and totals over all variations.
 
     Args:
-        rows: see `run`.
+        rows: table returned by `run`.
 
     Returns:
-        With `tags`, `rate`, root mean squares of the errors of what is found, the same of those
-        images in which every method finds the tag (`shared`), and numbers of false detections:
-        `wrong` ids, and `stray` ones; see `benchmarks.tag_images.scores`.
+        Table with `tags`, `rate`, root mean square errors of found tags, root mean square errors
+        in the images in which every method finds the tag (`shared`), and numbers of false
+        detections, `wrong` and `stray`; see `benchmarks.tag_images.scores`.
     """
     every = rows.groupby(["photograph", "tag", "variation", "draw"])["found"].transform("all")
     rows = rows.assign(every=every)
@@ -129,7 +129,7 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def _order(variation: str) -> int:
-    """Where a variation stands in the table: some are not made of the first tag."""
+    """Position of a variation in the table, as the first tag may lack some variations."""
     names = [WHOLE, *(one.name for one in VARIATIONS)]
     return names.index(variation)
 
@@ -142,12 +142,12 @@ def _rms(errors: "pd.Series[float]") -> float:
 def times_ms(
     photographs: Sequence[Photograph], methods: Sequence[Method], repeats: int
 ) -> dict[str, float]:
-    """Mean over the whole photographs of the median time of a method, by its name."""
+    """Detection time of each method: mean over whole photographs of the median of repeats, ms."""
     taken: dict[str, list[list[float]]] = {method.name: [] for method in methods}
     for photograph in photographs:
         for method in methods:
             taken[method.name].append([])
-        # in turns, so that what else the machine does falls on all of them
+        # in turns, so that other load of the machine affects all methods alike
         for _ in range(repeats):
             for method in methods:
                 start = time.perf_counter()

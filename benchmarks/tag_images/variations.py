@@ -1,10 +1,10 @@
-"""What is done to a tag that is cut out of a photograph, and where its points go.
+"""Variations of a tag cut out of a photograph, with the exact mapping of its points.
 
 A variation maps the photograph by a homography and then changes the grey values. The homography is
-known exactly, and nothing that follows moves anything: kernels of blurs are symmetric. Where the
-map shrinks, every pixel is the mean over its area: the image is drawn so many times larger that no
-pixel of the photograph is passed over, and shrunk by whole numbers of pixels. A variation that
-only changes grey values maps by whole pixels, so that nothing is resampled.
+known exactly, and the later changes move no points, as blur kernels are symmetric. If the map
+shrinks, every pixel is the mean over its area: the image is drawn at an integer multiple of its
+size, so large that no pixel of the photograph is skipped, and then averaged. A variation that only
+changes grey values maps by whole pixels, without resampling.
 """
 
 import math
@@ -18,31 +18,31 @@ from numpy.typing import NDArray
 from benchmarks.tag_images.photographs import KnownTag
 
 MARGIN = 1.5
-"""What is kept about a tag on each side, in edges of it."""
+"""Margin kept around a tag on each side, in tag edges."""
 _VIEW = 6.0
-"""From how many edges away a tilted tag is looked at."""
+"""Viewing distance of a tilted tag, in tag edges."""
 _PENUMBRA_PX = 1.0
 Image = NDArray[np.uint8]
 Matrix = NDArray[np.float64]
 Geometry = Callable[[float, np.random.Generator], Matrix]
-"""From the tag's edge in pixels: a homography about its centre, shape (3, 3)."""
+"""Function from a tag's edge, px, to a homography about its centre, shape (3, 3)."""
 Change = Callable[[Image, np.random.Generator], Image]
-"""An image with other grey values."""
+"""Function from an image to one with other grey values."""
 
 
 @dataclass(frozen=True)
 class Variation:
-    """One way to change how a tag looks."""
+    """One variation of the appearance of a tag."""
 
     name: str
     geometry: Geometry | None = None
-    """None maps by whole pixels."""
+    """Homography; None for a shift by whole pixels."""
     changes: tuple[Change, ...] = ()
-    """Applied in this order."""
+    """Changes of grey values, in order."""
     least_edge_px: float = 0.0
-    """Smaller tags would be enlarged, and are left out."""
+    """Smallest edge of a tag, px; smaller tags would be enlarged and are left out."""
     quick: bool = False
-    """Whether a quick look includes it."""
+    """True if --quick includes it."""
 
 
 @dataclass(frozen=True)
@@ -54,19 +54,19 @@ class Varied:
     """Homography from pixels of the photograph to those of the image, shape (3, 3)."""
 
     def mapped(self, points_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where points of the photograph are in the image, shape (..., 2)."""
+        """Points of the photograph mapped to the image, shape (..., 2)."""
         homogeneous = np.concatenate([points_px, np.ones((*points_px.shape[:-1], 1))], axis=-1)
         mapped = homogeneous @ self.T_image_photograph.T
         return np.asarray(mapped[..., :2] / mapped[..., 2:])
 
 
 def vary(image: Image, tag: KnownTag, variation: Variation, rng: np.random.Generator) -> Varied:
-    """A tag with its surroundings, varied.
+    """Cut out a tag with its surroundings and vary it.
 
     Args:
         image: the photograph, grey.
-        tag: in pixels of the photograph.
-        variation: what is done.
+        tag: the tag in pixels of the photograph.
+        variation: variation to apply.
         rng: draws directions, shifts and noise.
     """
     edge = tag.edge_px
@@ -92,14 +92,14 @@ def vary(image: Image, tag: KnownTag, variation: Variation, rng: np.random.Gener
 
 
 def resample(image: Image, T_image_photograph: Matrix, size: int) -> Image:
-    """A mapped square image whose pixels are means over their areas.
+    """Map a photograph to a square image whose pixels are means over their areas.
 
     Args:
         image: the photograph.
         T_image_photograph: the homography, shape (3, 3).
         size: edge of the image, in pixels.
     """
-    # the strongest local shrinking about the tag, which is in the inner half of the image
+    # the strongest local reduction near the tag, which is in the inner half of the image
     back = np.linalg.inv(T_image_photograph)
     spots = size * np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75], [0.5, 0.5]])
     shrinks = [np.linalg.norm(_jacobian(back, spot), ord=2) for spot in spots]
@@ -132,12 +132,12 @@ def _shift(offset: NDArray[np.float64]) -> Matrix:
 
 
 def still(edge_px: float, rng: np.random.Generator) -> Matrix:
-    """Nothing but the shift by part of a pixel that all geometries have."""
+    """Identity; only the sub-pixel shift that all geometries have remains."""
     return np.eye(3)
 
 
 def turned(degrees: float) -> Geometry:
-    """Turned in the image plane, to a random side."""
+    """Rotation in the image plane, to a random side."""
 
     def geometry(edge_px: float, rng: np.random.Generator) -> Matrix:
         angle = math.radians(degrees) * rng.choice([-1.0, 1.0])
@@ -147,7 +147,7 @@ def turned(degrees: float) -> Geometry:
 
 
 def tilted(degrees: float) -> Geometry:
-    """Tilted about a random axis in the plane of the image, seen in perspective."""
+    """Tilt about a random axis in the image plane, with perspective."""
 
     def geometry(edge_px: float, rng: np.random.Generator) -> Matrix:
         angle, direction = math.radians(degrees), rng.uniform(0.0, 2.0 * math.pi)
@@ -159,7 +159,7 @@ def tilted(degrees: float) -> Geometry:
 
 
 def shrunk(to_edge_px: float, first: Geometry = still) -> Geometry:
-    """Another geometry, then shrunk until the tag before it would have this edge."""
+    """Geometry followed by the reduction that brings an unvaried tag to this edge."""
 
     def geometry(edge_px: float, rng: np.random.Generator) -> Matrix:
         scale = to_edge_px / edge_px
@@ -174,18 +174,18 @@ def _turn(angle: float) -> Matrix:
 
 
 def blurred(sigma_px: float) -> Change:
-    """Out of focus: a Gaussian."""
+    """Gaussian blur, as out of focus."""
     return lambda image, rng: cv2.GaussianBlur(image, (0, 0), sigma_px).astype(np.uint8)
 
 
 def smeared(length_px: float) -> Change:
-    """Moved during the exposure, along a random direction."""
+    """Motion blur along a random direction."""
 
     def change(image: Image, rng: np.random.Generator) -> Image:
         angle = rng.uniform(0.0, math.pi)
         reach = math.ceil(0.5 * length_px) + 1
         kernel = np.zeros((2 * reach + 1, 2 * reach + 1))
-        # points spread over their four nearest pixels, so that the kernel is symmetric
+        # points are spread over their four nearest pixels, so that the kernel is symmetric
         for along in np.linspace(-0.5 * length_px, 0.5 * length_px, 16 * reach + 1):
             x, y = reach + along * math.cos(angle), reach + along * math.sin(angle)
             left, top = math.floor(x), math.floor(y)
@@ -199,17 +199,17 @@ def smeared(length_px: float) -> Change:
 
 
 def noisy(sigma: float) -> Change:
-    """Gaussian noise of so many grey values."""
+    """Gaussian noise of this standard deviation, grey levels."""
     return lambda image, rng: _grey(image + rng.normal(0.0, sigma, image.shape))
 
 
 def dimmed(factor: float) -> Change:
-    """Less light everywhere."""
+    """Uniform reduction of the light to a fraction."""
     return lambda image, rng: _grey(factor * image)
 
 
 def ramped(least: float) -> Change:
-    """Light that falls off from all to a part of it, across the image in a random direction."""
+    """Light that falls off linearly to a fraction, across the image in a random direction."""
 
     def change(image: Image, rng: np.random.Generator) -> Image:
         across = _across(image, rng)
@@ -220,11 +220,11 @@ def ramped(least: float) -> Change:
 
 
 def shaded(factor: float, penumbra_edges: float = 0.0) -> Change:
-    """The straight edge of a shadow through the middle, in a random direction.
+    """Shadow with a straight edge through the middle, in a random direction.
 
     Args:
-        factor: what is left of the light.
-        penumbra_edges: how wide its edge is, in edges of the tag; a pixel at the least.
+        factor: fraction of the light in the shadow.
+        penumbra_edges: width of the shadow's edge, in tag edges; at least one pixel.
     """
 
     def change(image: Image, rng: np.random.Generator) -> Image:
@@ -237,7 +237,7 @@ def shaded(factor: float, penumbra_edges: float = 0.0) -> Change:
 
 
 def compressed(quality: int) -> Change:
-    """As a JPEG file keeps it."""
+    """JPEG compression and decompression."""
 
     def change(image: Image, rng: np.random.Generator) -> Image:
         _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
@@ -247,7 +247,7 @@ def compressed(quality: int) -> Change:
 
 
 def _across(image: Image, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Pixels from the middle along a random direction, of every pixel."""
+    """Distance of every pixel from the middle along a random direction, px."""
     angle = rng.uniform(0.0, 2.0 * math.pi)
     rows, columns = np.indices(image.shape)
     height, width = image.shape

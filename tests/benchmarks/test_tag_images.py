@@ -35,7 +35,7 @@ def photograph_of_a_tag(number: int = 5, pixels: int = 10, corner_px: int = 150)
 
 
 def centroid(image: np.ndarray) -> np.ndarray:
-    """Of what is darker than the background, whose grey value is the median."""
+    """Centroid of the pixels darker than the background, whose grey value is the median."""
     weight = np.clip(np.median(image) - image.astype(float) - 6.0, 0.0, None)
     rows, columns = np.indices(image.shape)
     return np.array([np.sum(weight * columns), np.sum(weight * rows)]) / weight.sum()

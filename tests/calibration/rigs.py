@@ -39,7 +39,7 @@ def make_poses(rng, views, board=BOARD, wide=1.0):
 
 
 def look(rig, poses, rng, noise_px=0.1, size=SIZE, board=BOARD):
-    """What the cameras see of the board, with noise; corners outside of an image are not found."""
+    """Observations of the board with noise; corners outside of an image are not found."""
     corners = np.column_stack([board.corners_m, np.zeros(len(board.corners_m))])
     shape = (len(rig.values), len(poses.translation), len(corners), 2)
     problem = Adjustment(corners, np.zeros(shape), np.ones(shape))

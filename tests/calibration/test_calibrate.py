@@ -27,7 +27,7 @@ def few_starts(request, monkeypatch):
 
 @pytest.fixture(scope="module")
 def pair():
-    """What two cameras see of a board in 16 views, and the cameras."""
+    """Observations of a board by two cameras in 16 views, and the cameras."""
     rng = np.random.default_rng(3)
     rig = make_rig()
     return look(rig, make_poses(rng, 16), rng), rig

@@ -1,4 +1,4 @@
-"""What coverage says of views, and the advice that follows from it."""
+"""Coverage of images and attitudes by views, and the advice that follows from it."""
 
 from dataclasses import replace
 

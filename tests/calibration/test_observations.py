@@ -1,4 +1,4 @@
-"""What `observe` makes of photographs: by what light their edges are measured."""
+"""Observations that `observe` makes of photographs: the camera response used at edges."""
 
 from pathlib import Path
 

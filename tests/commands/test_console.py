@@ -1,4 +1,4 @@
-"""What commands say fits into a line, and into what the terminal can show."""
+"""Notes of commands fit into one line and into the terminal's encoding."""
 
 import io
 import sys

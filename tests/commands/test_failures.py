@@ -1,4 +1,4 @@
-"""What the machine refuses is one line and exit code 2, wherever it happens."""
+"""Failures of the operating system give one line and exit code 2, wherever they happen."""
 
 import errno
 import io

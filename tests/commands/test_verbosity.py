@@ -1,4 +1,4 @@
-"""What -v and -vv say, wherever they stand, and that nothing is said without them."""
+"""Log output of -v and -vv at any position, and none without them."""
 
 import logging
 import re

@@ -13,10 +13,10 @@ def true_errors(task: GazeTask, controller: Controller, time_s: float, seed: int
     """Run a trial of each head, handing the controller's state on.
 
     Args:
-        task: the heads and what they look at.
-        controller: what turns them.
-        time_s: for how long.
-        seed: the trials' seed.
+        task: heads and targets.
+        controller: controller of the heads.
+        time_s: duration, s.
+        seed: seed of the trials.
 
     Returns:
         (steps + 1, num, 2, 2) true pixel errors by eye and image axis, from time zero on.
@@ -45,6 +45,6 @@ def pixel_errors(task: GazeTask) -> Array:
 
 
 def settle_time(errors: Array, period_s: float, band_px: float = 1.0) -> float:
-    """When both eyes' errors have entered the band to stay, in s from time zero."""
+    """Time from which both eyes' errors stay within the band, s from time zero."""
     outside = np.flatnonzero((np.linalg.norm(errors, axis=-1) >= band_px).any(axis=(1, 2)))
     return float((outside[-1] + 1) * period_s) if outside.size else 0.0

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 class Trial(NamedTuple):
-    """What happened, by step and place."""
+    """Record of a rollout by step and environment index."""
 
     errors: Array
     """(steps + 1, n, 2, 2) true pixel errors."""

@@ -27,9 +27,9 @@ def distances(
 
     Args:
         head: the model of the heads.
-        *runs: laws and for how long each holds, in s; the last one has the options.
-        errors: how the true heads differ from it.
-        **options: of the last law.
+        *runs: laws and their durations, s, in sequence; the last law has the options.
+        errors: deviations of the true heads from the model.
+        **options: options of the last law.
     """
     num = 12
     true = None if errors is None else head.perturbed(np.random.default_rng(4), errors, size=num)

@@ -1,4 +1,4 @@
-"""When an image is new: each is used once, whenever it was exposed and whenever it comes."""
+"""Detection of new images: each is used once, whatever its exposure and arrival times."""
 
 from math import ceil
 
@@ -41,8 +41,8 @@ def ages(images: list[tuple[float, int]], steps: int) -> np.ndarray:
     """(steps,) image ages as observations have them, in s.
 
     Args:
-        images: when each was exposed and when it came, in periods.
-        steps: how many periods.
+        images: exposure and arrival of each image, in periods.
+        steps: number of periods.
     """
     found = np.full(steps, AGE_S)
     for exposed, came in images:

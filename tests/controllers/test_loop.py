@@ -27,7 +27,7 @@ def sweep(head: HeadModel, plant: str, y: float, gain: float) -> np.ndarray:
 
 
 def overshoot(errors: np.ndarray) -> float:
-    """How far v of either eye goes beyond the principal point, as a share of the jump."""
+    """Largest overshoot of v in either eye beyond the principal point, relative to the jump."""
     v = errors[:, 0, :, 1]
     return float((-v / v[0]).max())
 

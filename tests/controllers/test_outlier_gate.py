@@ -1,4 +1,4 @@
-"""Which detections a law acts on: what is held back, what confirms it, what is bridged."""
+"""Outlier gate of the laws: detections held back, confirmed or bridged."""
 
 from collections.abc import Sequence
 
@@ -24,13 +24,13 @@ def pass_on(
     every: int = 1,
     head: HeadModel = HEAD,
 ) -> list[GatedDetections]:
-    """What the gate lets through of a series of (2, 2) errors.
+    """Detections that pass the gate, for a series of (2, 2) errors.
 
     Args:
-        errors: px.
-        speed_rad_s: of all of the eyes' joints, as measured.
+        errors: pixel errors, px.
+        speed_rad_s: measured speed of all eye joints.
         every: control periods from one image to the next.
-        head: whose gate.
+        head: head of the gate.
     """
     gate = OutlierGate(head, LAYOUT)
     leading = np.shape(errors)[1:-2]

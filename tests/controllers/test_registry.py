@@ -36,7 +36,7 @@ def observations(*shape: int, seed: int = 3) -> np.ndarray:
 
 
 def same(a: object, b: object) -> bool:
-    """Whether two states hold the same numbers, or are both none."""
+    """True if two states hold the same numbers, or are both None."""
     if a is None or b is None:
         return a is b
     return all(np.array_equal(x, y, equal_nan=True) for x, y in zip(a, b, strict=True))

@@ -38,6 +38,6 @@ def eccentricity(head: HeadModel, points: Array) -> Array:
 
 
 def inside(head: HeadModel, q: Array, points: Array) -> bool:
-    """Whether both eyes see all points."""
+    """True if all points are visible to both eyes."""
     pixels = head.project(q, points)
     return bool(((pixels >= 0) & (pixels <= head.cameras.size - 1)).all())

@@ -7,7 +7,7 @@ from vergence.envs.reading import Reading, Truth
 from vergence.errors import ConfigurationError
 
 WORLD = (0.05, -0.12, 0.9)
-"""Where the target stands in the robot's world, in N, m."""
+"""Position of the target in the robot's world, in N, m."""
 LATENCY = 8
 """Control periods from an exposure to the first step at which its image is readable."""
 EARLIER_S = 0.0013

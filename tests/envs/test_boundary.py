@@ -1,4 +1,4 @@
-"""What a user can get wrong in an environment is refused in one line that says what there is."""
+"""Wrong arguments of environments are refused in one line that names the valid ones."""
 
 import gymnasium
 import numpy as np

@@ -10,7 +10,7 @@ SEED, TRIAL = 11, 5
 
 
 def actions(count: int) -> np.ndarray:
-    """The same actions in every run: what an eye sees must not depend on anything else."""
+    """Fixed actions for every run: observations must not depend on anything else."""
     steps = np.arange(count)[:, None]
     return 0.3 * np.sin(0.13 * steps + np.array([0.0, 1.0, 2.0, 3.0]))
 

@@ -1,4 +1,4 @@
-"""Where OpenGL cannot draw, everything else works, and `vergence info` says why."""
+"""Without OpenGL everything but drawing works, and `vergence info` states the reason."""
 
 import os
 

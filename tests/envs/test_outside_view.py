@@ -10,13 +10,13 @@ from vergence.envs.views import opengl_works
 from vergence.models.files.head_file import load_head
 
 HALF_HEIGHT = np.tan(np.deg2rad(22.5))
-"""Of the image at one metre: MuJoCo's free camera sees 45 degrees."""
+"""Half height of the image at 1 m, m: MuJoCo's free camera has a field of view of 45 degrees."""
 ASPECT = 2.0
 """Width over height of the picture; it is wider than that."""
 
 
 def image_place(camera, point):
-    """Where a point of the world appears, from -1 to 1 in both directions, if it is in view."""
+    """Image position of a world point that is in view, from -1 to 1 in both directions."""
     azimuth, elevation = np.deg2rad([camera.azimuth, camera.elevation])
     ahead = np.array([
         np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation),

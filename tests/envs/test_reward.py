@@ -194,7 +194,7 @@ def assessed(script, name="simulated", seed=0):
 
 
 def glances(longest):
-    """Which eyes see, in runs of up to so many steps."""
+    """Strategy for the visibility in both eyes, in runs of up to `longest` steps."""
     eyes = st.tuples(st.booleans(), st.booleans())
     run = st.tuples(eyes, st.integers(1, longest))
     return st.lists(run, min_size=1, max_size=8).map(

@@ -1,4 +1,4 @@
-"""What a task is made with, and what it tells."""
+"""Arguments of a task, and the information that it returns."""
 
 import numpy as np
 import pytest

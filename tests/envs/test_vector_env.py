@@ -41,7 +41,7 @@ def drive(step: int, num: int) -> np.ndarray:
 
 
 def assert_same_info(mine: dict[str, Any], theirs: dict[str, Any]) -> None:
-    """The same keys, masks and types, and the same values where the masks say that there are."""
+    """Assert equal keys, masks and types, and equal values where the masks are set."""
     assert mine.keys() == theirs.keys()
     for key, other in theirs.items():
         one = mine[key]

@@ -48,9 +48,9 @@ def steps(
     """Run trials and keep, from time zero on, the readings, true angles and velocities.
 
     Args:
-        plant: what moves.
-        start: how the trials begin.
-        count: how many control periods.
+        plant: plant to step.
+        start: initial conditions of the trials.
+        count: number of control periods.
         command: joint velocities that broadcast to (num, 7), or a function of the step.
 
     Returns:

@@ -155,7 +155,7 @@ def losing(nodes, second, tmp_path) -> Iterator[LosesTheSecond]:
 
 
 def files_of(evaluation: Evaluation, folder: Path) -> dict[str, bytes]:
-    """What an evaluation writes of the trials, where no time of a clock stands."""
+    """Files of an evaluation on its trials that hold no clock times."""
     folder.mkdir()
     write_evaluation(folder, evaluation)
     return {name: (folder / name).read_bytes() for name in ("trials.csv", "curves.csv")}

@@ -66,7 +66,7 @@ def test_a_mapper_is_closed_also_after_a_failure(monkeypatch):
 
 
 def withheld() -> bool:
-    """Whether Ctrl-C reaches this process."""
+    """True if Ctrl-C is blocked in this process."""
     return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 

@@ -28,7 +28,7 @@ from vergence.recording.records import records_of
 
 _MAGIC: Final = b"\x89MCAP0\r\n"
 _BOMB: Final = 2**30
-"""Bytes that a chunk of a few KB unpacks to."""
+"""Bytes that a chunk of a few KB unpacks to (chosen: more than a process may use)."""
 VALUES: Final = (
     "null", "true", "false", "0", "1", "-1", "3", "0.5", "1e9", "-1e9", "1e300", "-1e300", "1e999",
     "-1e999", "NaN", "1e-320", "9" * 30, "9" * 400, "9" * 5000, '""', '"1.5"', '"evil.py:X"',
@@ -71,7 +71,7 @@ class Edit(NamedTuple):
 
 @st.composite
 def edits(draw: Any) -> tuple[Edit, ...]:
-    """What is done to a log, of which the first is often all."""
+    """Strategy for edits of a log, one to three."""
     numbers = st.integers(0, 2**20)
     one = st.builds(Edit, st.sampled_from(EDITS), numbers, numbers, numbers)
     return tuple(draw(st.lists(one, min_size=1, max_size=3)))
@@ -117,7 +117,7 @@ def forged(whole: _Parts, steps: Sequence[Edit], images: Sequence[str]) -> bytes
     """The file of a log after some edits.
 
     Args:
-        whole: what is edited, which stays as it is.
+        whole: log to edit; it is not changed.
         steps: the edits.
         images: base64 in place of that of images.
     """

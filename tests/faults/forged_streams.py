@@ -1,4 +1,4 @@
-"""What a camera's stream or a serial line may send in place of images and answers."""
+"""Forged camera streams and serial lines, which send faulty images and answers."""
 
 import socket
 import threading
@@ -90,7 +90,7 @@ class Part(NamedTuple):
 
     picture: int
     length: bytes | None
-    """What the part's header says; None for the true length."""
+    """Length stated in the part's header; None for the true length."""
     count: int
     pause_s: float
     boundary: bytes = b"--frame"
@@ -98,7 +98,7 @@ class Part(NamedTuple):
 
 
 class Script(NamedTuple):
-    """What a server sends."""
+    """Data that a server sends."""
 
     head: bytes
     parts: tuple[Part, ...]
@@ -171,7 +171,7 @@ class Server:
 
 @st.composite
 def lines(draw: Any) -> tuple[bytes, ...]:
-    """What comes over a serial line, in pieces: packets, damaged ones, and bytes of any kind."""
+    """Strategy for data of a serial line, in pieces: whole and damaged packets, random bytes."""
     ids = st.sampled_from((0, 1, 2, 3, 4, 252, BROADCAST))
     data = st.binary(max_size=24) | st.sampled_from((HEADER, b"\xff\xff\xfd" * 5, bytes(380)))
     status = st.builds(status_packet, ids, data.map(lambda x: x[:370]), st.integers(0, 255))
@@ -203,8 +203,8 @@ class ForgedLine:
     """A serial line in place of the real one, on which whatever is sent is answered by a script.
 
     Args:
-        pieces: what comes.
-        babbles: whether it comes again and again, without end.
+        pieces: data to send, in order.
+        babbles: True to repeat the data without end.
     """
 
     def __init__(self, pieces: Sequence[bytes], babbles: bool) -> None:

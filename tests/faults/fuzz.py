@@ -28,9 +28,9 @@ from tests.faults.harness import Outcome, fresh, load, run, try_each, warm
 from vergence.files import PARTIAL
 
 _WORDS: Final = 24
-"""Command lines in a round."""
+"""Command lines in a round (chosen: balance of the kinds of cases)."""
 _DAMAGES: Final = 2
-"""Damages of each file in a round."""
+"""Damages of each file in a round (chosen: balance of the kinds of cases)."""
 
 HOSTILE: Final = (
     "", " ", "-", "--", "nan", "inf", "-inf", "-1", "0", "1", "0.5", "1e-300", "1e309", "2**3",
@@ -291,7 +291,7 @@ def command_lines(draw: Draw) -> tuple[str, ...]:
 
 @st.composite
 def damages(draw: Draw) -> tuple[tuple[str, int, bytes], ...]:
-    """What is done to a file: kind, where (in millionths of its length), with what."""
+    """Strategy for damages of a file: kind, position in millionths of its length, new bytes."""
     kinds = st.sampled_from(
         ("token", "token", "token", "flip", "cut", "end", "insert", "gone", "folder", "empty")
     )
@@ -333,9 +333,9 @@ class Fuzz:
     """Tries cases and keeps what came of them.
 
     Args:
-        folder: where to work.
-        limit_s: after which a command is stopped.
-        keep: where the folders of faults are kept; None for nowhere.
+        folder: working folder.
+        limit_s: time limit of a command, s.
+        keep: folder that receives the folders of faults; None to drop them.
     """
 
     def __init__(self, folder: Path, limit_s: float, keep: Path | None) -> None:

@@ -41,9 +41,9 @@ MODULES: Final = (
     "vergence.training.run",
 )
 MEMORY: Final = 6 * 2**30
-"""Bytes that a command may have beyond what the parent has."""
+"""Memory that a command may use beyond its parent, bytes (chosen: no command needs as much)."""
 ALLOWED: Final = (0, 1, 2, 130)
-"""Exit codes of the command line."""
+"""Exit codes of the command line (chosen: its interface, see vergence.cli)."""
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # a fork has its parent's threads no more
 os.environ.setdefault("MPLBACKEND", "Agg")
 
@@ -52,7 +52,7 @@ _TRACE: Final = re.compile(r"Traceback \(most recent call last\)|^  File \"", re
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How a command has ended."""
+    """Result of a command."""
 
     words: tuple[str, ...]
     code: int | None
@@ -62,7 +62,7 @@ class Outcome:
     err: str
 
     def faults(self) -> list[str]:
-        """What a person should never see."""
+        """Faults in the output or exit code that no user should ever see."""
         found = []
         if self.code is not None and self.code not in ALLOWED:
             found.append(f"exit code {self.code}")
@@ -108,9 +108,9 @@ def run(
     """Run a command in a folder.
 
     Args:
-        words: of the command line.
+        words: words of the command line.
         folder: the current folder of the command; its HOME, caches and data lie beside it.
-        limit_s: after which it is killed.
+        limit_s: time limit, s, after which it is killed.
         begin: called in the child before the command.
         watch: called in the parent, again and again, with the child's number and the seconds
             since it began.

@@ -52,12 +52,14 @@ _SAME: Final = {
 none of these: an attempt that was cut off is not begun again, and the next one tries another point.
 """
 _LIMIT_S: Final = 240.0
+"""Time limit of a command, s (chosen: far longer than any takes)."""
 _DISK: Final = "48m"
 _BALLAST: Final = "ballast"
 _CAPABILITIES: Final = 0x20080522
-"""The version of the kernel's structures of capabilities, see capabilities(7)."""
+"""Version of the kernel's capability structures (physical: Linux, see capabilities(7))."""
 _DAC: Final = 0b110
-"""CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH, with which root passes by the permissions of files."""
+"""Bits of CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH, which let root ignore file permissions
+(physical: Linux)."""
 _CHANGES: Final = frozenset(
     ("os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.chmod", "os.truncate", "sqlite3.connect")
 )
@@ -69,9 +71,9 @@ class Reference:
 
     seconds: float
     changes: int
-    """How often it changed its files."""
+    """Number of changes of files."""
     files: frozenset[str]
-    """What its run folder holds."""
+    """Files in its run folder."""
     same: bytes
 
 
@@ -81,7 +83,7 @@ class Changes:
 
     folder: Path
     moment: int = 0
-    """Which one to come before; 0 for none."""
+    """Number of the change to strike before; 0 for none."""
     strike: Callable[[], None] | None = None
     counted: int = 0
     busy: bool = field(default=False)
@@ -134,7 +136,7 @@ class Trial:
     """One command at a time in a folder that a fault can strike.
 
     Args:
-        folder: where to work.
+        folder: working folder.
         fault: one of `FAULTS`.
     """
 
@@ -196,7 +198,7 @@ class Trial:
 
 
 def check(command: str, folder: Path, reference: Reference | None) -> list[str]:
-    """What is half-written below a folder, under its own name."""
+    """Faults of a folder: results that are half-written under their final names."""
     found: list[str] = []
     for place in folder.iterdir():
         if place.name.startswith(".") or not place.is_dir():
@@ -279,14 +281,14 @@ def _untrained(folder: Path) -> list[str]:
 
 
 def _next_words(command: str, folder: Path) -> tuple[str, ...]:
-    """What a person calls next."""
+    """Command that a user would call next."""
     if command == "train" and (folder / "w" / "config.toml").is_file():
         return ("train", "--resume", "w")
     return COMMANDS[command]
 
 
 def _complete(command: str, folder: Path, reference: Reference) -> bool:
-    """Whether the result is there already, under its own name or beside it."""
+    """True if the result exists already, under its own name or a similar one."""
     places = [path for path in folder.glob(f"{_OUT[command]}*") if path.is_dir()]
     return any(
         reference.files <= {path.relative_to(place).as_posix() for path in visible(place)}

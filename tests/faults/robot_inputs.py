@@ -48,13 +48,13 @@ from vergence.recording.log import read_log
 from vergence.recording.recovery import recover
 
 _LIMIT_S: Final = 15.0
-"""Time that one input may take."""
+"""Time limit of one input, s (chosen: far longer than any takes)."""
 _STREAM_S: Final = 2.5
-"""Time that an eye looks at a stream before it is closed."""
+"""Time for which an eye watches a stream, s (chosen: enough for several images)."""
 _MEMORY: Final = 2**20
-"""KiB that one input may take beyond what there was: images of 64 megapixels fit in."""
+"""Additional memory of one input, KiB (chosen: images of 64 megapixels fit)."""
 _STREAM_MEMORY: Final = 4 * 2**20
-"""KiB of a stream: what a local one sends in the seconds after which FFmpeg gives up."""
+"""Additional memory of a stream, KiB (chosen: data of a local one until FFmpeg gives up)."""
 _FORBIDDEN: Final = ("os.system", "os.exec", "os.posix_spawn", "subprocess.Popen",
                      "pickle.find_class", "ctypes.dlopen")  # fmt: skip
 """Audit events that no input may cause."""
@@ -142,7 +142,7 @@ class Inputs:
     """Tries inputs, each in its own way.
 
     Args:
-        folder: where to work.
+        folder: working folder.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -279,7 +279,7 @@ class Inputs:
 
 @st.composite
 def configs(draw: Any) -> tuple[Any, ...]:
-    """What is done to lines of a configuration, and sometimes to its bytes."""
+    """Strategy for edits of a configuration's lines, and sometimes of its bytes."""
     kinds = st.sampled_from(("value", "value", "value", "key", "more", "without", "twice"))
     step = st.tuples(
         kinds, st.integers(0, 2**16), st.sampled_from(_SPECIAL), st.sampled_from(_KEYS)
@@ -312,7 +312,7 @@ def _config_text() -> str:
 
 
 def _look(script: forged_streams.Script) -> str:
-    """How an eye ends that looks at a stream for a while."""
+    """Fault of an eye after it has watched a stream for a while."""
     eye = None
     history = JointHistory()
     history.add(time.monotonic(), HEAD.rest(), HEAD.rest())

@@ -26,7 +26,7 @@ def emulated(folder: Path, *options: str) -> Iterator[tuple[Path, subprocess.Pop
     """Emulate a head while the block runs.
 
     Args:
-        folder: where the configuration is written.
+        folder: folder for the configuration.
         *options: further words of the command.
 
     Yields:

@@ -40,10 +40,10 @@ class ScriptedCapture:
 
     Args:
         clock: goes to an image's time as it is grabbed.
-        times: of the images, s.
-        image: all of them; None for one that cannot be decoded.
-        hangs: whether it sends the very same image again and again.
-        stamped_before_s: by how much the driver's stamps are earlier; None for stamps of zero.
+        times: exposure times of the images, s.
+        image: content of all images; None for one that cannot be decoded.
+        hangs: True to send the very same image again and again.
+        stamped_before_s: time by which the driver's stamps are earlier; None for stamps of zero.
     """
 
     def __init__(self, clock, times, image, stamped_before_s=None, hangs=False):
@@ -78,8 +78,8 @@ class LiveCapture:
     """A camera that shows one image at a rate, in real time, until it is released or ends.
 
     Args:
-        image: what it shows.
-        rate_hz: images a second.
+        image: image to show.
+        rate_hz: frame rate, Hz.
     """
 
     def __init__(self, image, rate_hz):

@@ -29,8 +29,8 @@ class ServedLine:
 
     Args:
         line: the servos.
-        hears_rate: whether servos hear only what comes at their own baud rate.
-        echo: whether packets come back, as from adapters for half-duplex lines.
+        hears_rate: True if servos receive only packets at their own baud rate.
+        echo: True if packets are echoed, as by adapters for half-duplex lines.
         alter: gives what is sent in place of the answers to a packet.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""What a person sees when a robot fails in a gaze: one line that says which part, and status 1."""
+"""Messages on a robot's failure in a gaze: one line that names the part, and exit status 1."""
 
 import re
 import signal

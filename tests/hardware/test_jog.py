@@ -13,7 +13,7 @@ from vergence.errors import HardwareError, UnreadableFileError
 from vergence.hardware.config import load_hardware
 from vergence.hardware.config_edit import write_servos
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.jog import Jog
+from vergence.hardware.jog import Jogger
 from vergence.models.files.toml_text import toml_text
 
 
@@ -25,7 +25,7 @@ class Desk:
         self.bus = timeless_bus(monkeypatch, self.servos, self.clock)
         self.goals, self.meanwhile = [], lambda: None
         config = desk_config(self.bus.port, **servo_values)
-        self.jog = Jog(config, self.bus, clock=self.clock, sleep=self.sleep)
+        self.jog = Jogger(config, self.bus, clock=self.clock, sleep=self.sleep)
 
     def sleep(self, seconds):
         self.goals.append([servo.get(table.GOAL_VELOCITY) for servo in self.servos])

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vergence.hardware.pairing import Pairing, Sight
+from vergence.hardware.pairing import Pairing, SearchedImage
 
 FRAME_S = 1.0 / 30.0
 TOLERANCE_S = 0.6 * FRAME_S
@@ -12,7 +12,7 @@ NOWHERE = np.full(2, np.nan)
 
 
 def sight(exposed_s, ready_s=None):
-    return Sight(exposed_s, exposed_s + 0.1 if ready_s is None else ready_s, NOWHERE)
+    return SearchedImage(exposed_s, exposed_s + 0.1 if ready_s is None else ready_s, NOWHERE)
 
 
 def drain(pairing, now_s):
@@ -24,7 +24,7 @@ def drain(pairing, now_s):
 
 
 def run(left, right, pairing=None):
-    """What comes out of images at these times of exposure, each added as it is ready."""
+    """Pairs made of images with these exposure times, each added as it is ready."""
     pairing = pairing or Pairing(TOLERANCE_S, FRAME_S)
     images = [(one.ready_s, eye, one) for eye, times in enumerate((left, right)) for one in times]
     out = []

@@ -182,7 +182,7 @@ def test_an_angle_that_nobody_has_told_is_not_known():
 
 
 def answer(angle, speed=0.0):
-    """What a servo says of its joint."""
+    """Answer of a servo on its joint."""
     speed_ticks, ticks = round(speed / table.TICK_RAD_S), 2048 + round(angle / table.TICK_RAD)
     return speed_ticks.to_bytes(4, "little", signed=True) + ticks.to_bytes(4, "little", signed=True)
 

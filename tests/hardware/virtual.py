@@ -8,12 +8,12 @@ from tests.hardware.fakes import HEAD, TAG, FakeClock, camera_config
 from vergence.errors import HardwareError
 from vergence.hardware import plant
 from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig, actuator_slots
-from vergence.hardware.drive import Drive
+from vergence.hardware.drive import DriveThread
 from vergence.hardware.dynamixel import bus
 from vergence.hardware.dynamixel.packets import Parser
 from vergence.hardware.emulator.fault import parse_fault
 from vergence.hardware.emulator.world import World
-from vergence.hardware.pairing import Sight
+from vergence.hardware.pairing import SearchedImage
 from vergence.hardware.plant import HardwarePlant
 from vergence.hardware.safety.config import SafetyConfig
 
@@ -79,8 +79,8 @@ class VirtualEye:
         eye: 0 for left.
 
     Attributes:
-        ended_s: when its stream ends.
-        stalled_s: from when on it has no new images.
+        ended_s: end of its stream, s.
+        stalled_s: time after which it has no new images, s.
     """
 
     ready, frame = True, None
@@ -108,7 +108,7 @@ class VirtualEye:
         self._seen = latest
         now = self._clock()
         pixel = HEAD.cameras.principal[self.config.eye]
-        return [Sight(now - self.config.latency_s, now, pixel)]
+        return [SearchedImage(now - self.config.latency_s, now, pixel)]
 
     def forget(self):
         pass
@@ -121,7 +121,7 @@ class VirtualClock(FakeClock):
     """Time in which a robot's drive has its say while somebody else sleeps.
 
     Attributes:
-        drive: what `keep`s the joints; None while there is none.
+        drive: drive whose `keep` moves the joints; None without one.
     """
 
     drive = None
@@ -179,7 +179,7 @@ class VirtualRobot:
         self.plant = HardwarePlant(
             HEAD, config=config, appears=appears, clock=self.clock, sleep=self.clock.sleep
         )
-        monkeypatch.setattr(Drive, "start", lambda drive: setattr(self.clock, "drive", drive))
+        monkeypatch.setattr(DriveThread, "start", lambda drive: setattr(self.clock, "drive", drive))
         monkeypatch.setattr(plant, "compile_loop", lambda _head, _target: None)
         monkeypatch.setattr(plant, "check_devices", lambda _config: [])
         monkeypatch.setattr(self.plant._open.eyes, "open", self._open_cameras)

@@ -1,4 +1,4 @@
-"""What can be commanded: ties between joints, and what they leave of a fixation."""
+"""Actuation: couplings between joints, and the fixation that they allow."""
 
 import dataclasses
 import pickle

@@ -1,4 +1,4 @@
-"""What Kalibr prints for an AprilGrid."""
+"""AprilGrid as printed by Kalibr."""
 
 import numpy as np
 import pytest

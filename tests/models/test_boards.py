@@ -1,4 +1,4 @@
-"""What is printed on the boards."""
+"""Printed patterns of the boards."""
 
 import cv2
 import numpy as np

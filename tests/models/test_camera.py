@@ -11,7 +11,7 @@ REST = np.zeros(7)
 
 
 def inside(head, pixels):
-    """Whether raw pixels (..., 2, 2) lie in the images."""
+    """Mask of raw pixels (..., 2, 2) that lie in the images."""
     return ((pixels >= -0.5) & (pixels <= head.cameras.size - 0.5)).all(axis=-1)
 
 

@@ -1,10 +1,10 @@
-"""How a joint follows commands that hold for one time, with a lag of first or of second order."""
+"""Response of a joint to commands of equal duration, with a first- or second-order lag."""
 
 import numpy as np
 import pytest
 
 from vergence.models.joint_pace import follow_pace, pace_of
-from vergence.models.joint_response import follow_joint, share_left
+from vergence.models.joint_response import follow_joint, lag_decay
 
 PERIOD_S = 1.0 / 60.0
 LAG_S = 0.04
@@ -37,6 +37,6 @@ def test_no_acceleration_passes_its_limit(build_up, u) -> None:
 
 def test_without_a_build_up_it_is_the_lag_of_first_order() -> None:
     q, v, w = follow_pace(0.1, 1.0, 5.0, 4.0, pace_of(LAG_S, 0.0, 40.0, PERIOD_S))
-    expected = follow_joint(0.1, 1.0, 4.0, LAG_S, 40.0, PERIOD_S, share_left(PERIOD_S, LAG_S))
+    expected = follow_joint(0.1, 1.0, 4.0, LAG_S, 40.0, PERIOD_S, lag_decay(PERIOD_S, LAG_S))
     assert (q, v) == expected
     assert w == 40.0

@@ -1,4 +1,4 @@
-"""How a joint follows a velocity command: the exact lag with its limits."""
+"""Response of a joint to a velocity command: the exact lag with its limits."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vergence.models.joint_response import (
-    follow_fading_joint,
     follow_joint,
-    share_left,
-    time_to_turn,
+    follow_torque_limited_joint,
+    lag_decay,
+    time_to_reversal,
 )
 
 speeds = st.floats(-6.0, 6.0)
@@ -17,7 +17,7 @@ speeds = st.floats(-6.0, 6.0)
 
 def follow_one(q, v, u, *, tau, a, period):
     """One joint through one period."""
-    return follow_joint(q, v, u, tau, a, period, share_left(period, tau))
+    return follow_joint(q, v, u, tau, a, period, lag_decay(period, tau))
 
 
 def integrate(q, v, u, tau, a, period, count=4000):
@@ -105,7 +105,7 @@ def test_without_lag_the_speed_ramps_to_the_command() -> None:
 def test_a_joint_turns_round_when_it_stands_still(v, u, tau, a) -> None:
     if not v * u < -1e-6 or (tau == 0.0 and a == np.inf):
         return
-    turn = time_to_turn(v, u, tau, a)
+    turn = time_to_reversal(v, u, tau, a)
     assert turn >= 0.0
     _q, still = follow_one(0.0, v, u, tau=tau, a=a, period=turn)
     assert still == pytest.approx(0.0, abs=1e-9)
@@ -118,7 +118,10 @@ def test_a_motor_whose_torque_falls_with_its_speed_is_the_solution_of_its_equati
     tau, a = rng.uniform(0.005, 0.08, n), rng.uniform(20.0, 200.0, n)
     fade = rng.uniform(0.01, 0.8, n) / 6.0
     got = np.array(
-        [follow_fading_joint(0.0, *row, period) for row in zip(v, u, tau, a, fade, strict=True)]
+        [
+            follow_torque_limited_joint(0.0, *row, period)
+            for row in zip(v, u, tau, a, fade, strict=True)
+        ]
     )
 
     def slope(rate):
@@ -146,7 +149,7 @@ def test_a_motor_whose_torque_falls_with_its_speed_is_the_solution_of_its_equati
 @given(v=speeds, u=speeds, split=st.floats(0.01, 0.99), tau=st.sampled_from([0.0, 0.01, 0.03]))
 def test_two_parts_of_a_fading_motors_period_make_the_whole(v, u, split, tau) -> None:
     period, a, fade = 0.05, 120.0, 0.1
-    whole = follow_fading_joint(0.0, v, u, tau, a, fade, period)
-    part = follow_fading_joint(0.0, v, u, tau, a, fade, split * period)
-    parts = follow_fading_joint(*part, u, tau, a, fade, (1.0 - split) * period)
+    whole = follow_torque_limited_joint(0.0, v, u, tau, a, fade, period)
+    part = follow_torque_limited_joint(0.0, v, u, tau, a, fade, split * period)
+    parts = follow_torque_limited_joint(*part, u, tau, a, fade, (1.0 - split) * period)
     assert parts == pytest.approx(whole, abs=1e-10)

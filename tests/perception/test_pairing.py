@@ -1,4 +1,4 @@
-"""Which images are a pair: by names that differ in the side alone, numbers counted as numbers."""
+"""Pairing of images by names that differ only in the side; numbers compare as numbers."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ def folder_of(path: Path, *names: str) -> Path:
 
 
 def paired(tmp_path: Path, left: str, right: str) -> bool:
-    """Whether two images of two folders are taken for a pair."""
+    """True if two images of two folders are taken for a pair."""
     folders = [folder_of(tmp_path / side, name) for side, name in (("a", left), ("b", right))]
     found = pair_up(*folders)
     return [(pair.left.name, pair.right.name) for pair in found.pairs] == [(left, right)]

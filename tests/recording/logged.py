@@ -28,13 +28,13 @@ def log_trials(
     """Log trials of a law on a kinematic head; what was recorded of each.
 
     Args:
-        path: of the log.
+        path: path of the log.
         law: a controller's name.
-        trials: how many.
+        trials: number of trials.
         steps: control periods of each.
         planned: control periods of a whole one, as text.
-        fault: whether a fault stops the head in the end.
-        facts: in place of some facts.
+        fault: True if a fault stops the head at the end.
+        facts: replacements of some facts.
         **more: further facts.
     """
     more |= {} if planned is None else {"steps": planned}

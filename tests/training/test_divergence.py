@@ -58,7 +58,7 @@ def whole(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def stopped(tmp_path_factory):
-    """The same run, with a quarter of its steps done, never changed."""
+    """Folder of a run stopped after a quarter of its steps; tests must not change it."""
     folder = tmp_path_factory.mktemp("runs") / "stopped"
     train(folder, *small(), Silent(stop_after=2))
     return folder

@@ -1,4 +1,4 @@
-"""What `vergence train` does unless told otherwise."""
+"""Defaults of `vergence train`."""
 
 import shlex
 

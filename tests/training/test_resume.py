@@ -33,7 +33,7 @@ RUNS = {
 
 
 def different(ours, theirs, name="") -> list[str]:
-    """Where two checkpoints differ, to the last bit; the speed is the machine's."""
+    """Names of entries that differ bitwise between two checkpoints; the speed is ignored."""
     if isinstance(ours, dict):
         assert set(ours) == set(theirs)
         pairs = [(f"{name}.{key}", ours[key], theirs[key]) for key in ours if key != "steps_per_s"]
@@ -58,7 +58,7 @@ def stopped(tmp_path_factory):
 
 @pytest.fixture
 def mine(stopped, tmp_path):
-    """The same run, to be damaged."""
+    """Copy of the stopped run that a test may damage."""
     return shutil.copytree(stopped, tmp_path / "run")
 
 

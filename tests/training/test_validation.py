@@ -1,4 +1,4 @@
-"""What a controller in training is compared with, and how that is said."""
+"""Baselines of a controller in training, and messages on the comparison."""
 
 import pytest
 

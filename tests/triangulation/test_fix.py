@@ -1,4 +1,4 @@
-"""Where two rays of sight cross: exactness, batches, skew rays, and what has no answer."""
+"""Crossing of two lines of sight: exactness, batches, skew rays, and cases without an answer."""
 
 import csv
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a fix is told about the noise of its inputs."""
+"""Noise of a fix's inputs."""
 
 import numpy as np
 import pytest

@@ -120,7 +120,7 @@ def glare(away_px: float, radius_px: float = 20.0, angle: float = 0.5) -> Change
 
 
 def jpeg(quality: int = 30) -> Change:
-    """As a file keeps it."""
+    """JPEG compression and decompression."""
 
     def change(image: Image, middle: np.ndarray) -> Image:
         _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
@@ -130,7 +130,7 @@ def jpeg(quality: int = 30) -> Change:
 
 
 def defocus(sigma_px: float) -> Change:
-    """Out of focus."""
+    """Gaussian blur, as out of focus."""
     return lambda image, middle: np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px))
 
 

@@ -126,7 +126,7 @@ def test_a_response_gives_light():
 
 
 def test_colours_are_weighted_as_light():
-    """Of full blue and red and half of the light in green; their levels weigh 0.853 of white."""
+    """Full blue and red with half of the light in green; their levels weigh 0.853 of white."""
     image = np.array([[[255, 188, 255]]], np.uint8)
     light = as_grey(image, response="srgb")[0, 0] / 255.0
     assert light == pytest.approx(0.114 + 0.587 * 0.503 + 0.299, abs=1e-3)
@@ -164,7 +164,7 @@ def test_the_image_given_is_left_as_it_was():
 
 
 class Refusing:
-    """What will not become an array, as a tensor on a graphics card will not."""
+    """Object that cannot become an array, like a tensor on a graphics card."""
 
     def __array__(self, dtype=None, copy=None):
         raise TypeError("can't convert device tensor to numpy")

@@ -1,4 +1,4 @@
-"""What is no target, pixel, pose or prediction is told what was expected."""
+"""Wrong targets, pixels, poses and predictions are refused with the expected form."""
 
 import re
 

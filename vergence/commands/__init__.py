@@ -1,4 +1,4 @@
-"""The commands, one module each; a command is a dataclass of its options with `run`."""
+"""Commands of the command line, one module each: dataclasses of options with a `run` method."""
 
 from typing import Annotated
 

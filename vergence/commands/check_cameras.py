@@ -1,4 +1,4 @@
-"""`vergence check-cameras`: the settings and the images that cameras give, both at once."""
+"""`vergence check-cameras`: compare requested settings of cameras with their images."""
 
 from dataclasses import dataclass
 from math import isnan
@@ -20,22 +20,22 @@ _COLUMNS: Final = ("camera", "setting", "asked", "got")
 
 @dataclass(frozen=True, kw_only=True)
 class CheckCameras:
-    """Check cameras together: sizes, measured rates, pixel formats, exposures, USB bandwidth."""
+    """Check cameras that stream at once: sizes, rates, pixel formats, exposures, USB bandwidth."""
 
     sources: Annotated[
         tuple[str, ...],
         tyro.conf.Positional,
         tyro.conf.arg(help_behavior_hint="", metavar="SOURCE..."),
     ] = ()
-    """Cameras to check in place of a configuration's: numbers, device files or URLs."""
+    """Cameras to check instead of those of --config: numbers, device files or URLs."""
     config: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
-    """Configuration of a robot, whose cameras are asked for what it and its head say."""
+    """Configuration of a robot: checks its cameras with the settings in it and in its head."""
     size: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="WxH")] = None
-    """Size to ask the sources for, such as 640x480; their own by default."""
+    """Image size to request, such as 640x480; the cameras' own by default."""
     rate: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="HZ")] = None
-    """Images a second to ask the sources for; their own by default."""
+    """Frame rate to request, Hz; the cameras' own by default."""
     pixel_format: Annotated[str, tyro.conf.arg(help_behavior_hint="", metavar="FOUR")] = ""
-    """Pixel format to ask the sources for, such as MJPG; their own by default."""
+    """Pixel format to request, such as MJPG; the cameras' own by default."""
 
     def run(self) -> int:
         """Run the command."""
@@ -85,7 +85,7 @@ class CheckCameras:
 
 
 def _rows(state: "CameraState") -> list[list[str]]:
-    """A line for each setting of a camera."""
+    """Rows of a camera's table, one for each setting."""
     request = state.request
     exposure = {True: "locked", False: "automatic", None: "-"}[state.locked]
     if not isnan(state.exposure_s):

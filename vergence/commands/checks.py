@@ -1,4 +1,4 @@
-"""The list of a robot's checks, as commands that move it print it first."""
+"""List of a robot's checks, printed by each command that moves the robot before it does so."""
 
 import sys
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ def print_checks(hardware: "HardwareConfig") -> None:
     """List all checks of a robot on standard error.
 
     Raises:
-        ChecksFailedError: it must not move yet.
+        ChecksFailedError: a check failed, so the robot must not move yet.
     """
     from vergence.hardware.checks.listing import check_robot
     from vergence.hardware.checks.servos import refuse_errors

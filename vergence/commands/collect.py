@@ -1,4 +1,4 @@
-"""`vergence collect`: a recording of a head that looks at a board, for its calibration."""
+"""`vergence collect`: record a head that looks at a board, for its calibration."""
 
 import shlex
 import tomllib
@@ -26,47 +26,49 @@ _ROBOT: Final = "vergence.hardware.looker"
 """Module of the `Looker` of a robot."""
 _HEAD: Final = "simulated"
 _DISTANCE_M: Final = 0.7
+"""Default distance of a simulated board, m (chosen: a usual working distance)."""
 _NEAREST_M, _FARTHEST_M = 0.05, 50.0
 _MOST_ERRORS: Final = 20.0
+"""Largest scale of a simulated head's errors (chosen: far beyond real heads)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Collect:
-    """Let a head look at a board that stands still, from many postures, for its calibration.
+    """Record a head that looks at a stationary board in many postures, for its calibration.
 
-    Run again, it goes on with what the folder holds.
+    Called again, it continues the recording in the folder.
     """
 
     folder: Annotated[
         Path, tyro.conf.Positional, tyro.conf.arg(name="recording", metavar="RECORDING")
     ]
-    """Folder of the recording, new or one to go on with."""
+    """Folder of the recording, new or to be continued."""
     target: Annotated[str, tyro.conf.arg(aliases=["--board"], metavar="TARGET")]
     """The board, such as checkerboard:9x6:24 or tag:36h11:0:120; lengths in mm."""
     head: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="HEAD")] = None
-    """Head: a preset's name or the path of a TOML file; simulated by default, on a robot that of
-    its configuration."""
+    """Head: a preset's name or the path of a TOML file; by default simulated, or on a robot the
+    head of its configuration."""
     plant: Literal["kinematic", "rendered", "hardware"] = "kinematic"
-    """What moves and sees: kinematic (projected corners with noise), rendered (drawn images and a
+    """Plant to record: kinematic (projected corners with noise), rendered (drawn images and a
     detector), hardware (a robot, or vergence emulate)."""
     config: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """TOML file that describes the robot of --plant hardware (see docs/robot.md)."""
     poses: int = 60
-    """Poses of one place of the board, those of earlier runs among them."""
+    """Head poses for one position of the board, including those of earlier runs."""
     frames: int = 8
-    """Frames of a pose, in each of which all joints stand a little otherwise."""
+    """Frames of a pose; joint angles differ slightly between them."""
     until: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="PERCENT")] = None
-    """Stop as soon as depth, straight ahead at 1 m and at 2.5 m, would be known to so many per
-    cent."""
+    """Stop as soon as the standard deviation of depth, straight ahead at 1 m and 2.5 m, is at most
+    so many per cent."""
     moved: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """The board has been moved since the last run."""
     seed: int = 0
-    """Seed of postures and noise; of a simulated head's errors, too."""
+    """Seed of postures, noise and a simulated head's errors."""
     distance: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
-    """Of a simulated board before the eyes, in metres; 0.7 by default."""
+    """Distance of a simulated board from the eyes, in metres; 0.7 by default."""
     errors: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
-    """Errors of a simulated head against its model, in units of what real heads have; none by
-    default."""
+    """Scale of a simulated head's deviations from its model: 1 for the spreads of the article's
+    head before calibration; 0 by default."""
 
     def run(self) -> int:
         """Run the command."""
@@ -136,7 +138,7 @@ class Collect:
         from vergence.models.files.head_file import load_head
 
         head = load_head(self.head or _HEAD)
-        # the same head in every run of a seed, and other noise
+        # runs with one seed have the same head but different noise
         true = head.perturbed(np.random.default_rng(self.seed), TWIN_SPREADS.scaled(errors))
         runs = len(list(self.folder.glob("*.mcap")))
         return SimulatedLooker(
@@ -146,12 +148,12 @@ class Collect:
         )  # fmt: skip
 
     def _looks(self, head: "HeadModel") -> str:
-        """Tell the simulated head from others of the same file."""
+        """Label that tells this simulated head from others of the same file."""
         errors = self.errors or 0.0
         return f"{self.plant} {head.digest[:16]} {f'{errors:g} {self.seed}' if errors else ''}"
 
     def _conclude(self, found: "Collected", head: "HeadModel") -> None:
-        """Say what is there, what would help, and how to go on."""
+        """Print a summary of the recording, advice, and the next command."""
         from vergence.calibration.head.advice import advice
 
         frames = found.frames()
@@ -172,7 +174,7 @@ class Collect:
 
 
 def _judged(found: "Collected", head: "HeadModel") -> str:
-    """A line on what a recording tells so far, and what it lacks."""
+    """Line on the accuracy of depth and the coverage of the images so far."""
     from vergence.calibration.head.advice import coverage_percent
 
     known = "not enough for a head yet"
@@ -192,6 +194,6 @@ def _depth(outlook: "Preview") -> str:
 
 
 def _head_of(config: Path) -> str:
-    """The head that a robot's configuration names, as a preset or by its path."""
+    """Head named in a robot's configuration: a preset's name or a path."""
     name = str(tomllib.loads(config.read_text(encoding="utf-8-sig"))["head"])
     return str(config.parent / name) if name.endswith(".toml") else name

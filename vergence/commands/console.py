@@ -1,4 +1,4 @@
-"""What commands show while they work: notes, progress bars."""
+"""Console output of commands while they work: notes, progress bars."""
 
 import codecs
 import io
@@ -23,13 +23,13 @@ from rich.progress import (
 
 _PROGRESS_AFTER_S = 2.0
 _LONGEST = 1000
-"""Characters of a line that says something; what a user gave may be longer."""
+"""Longest note, characters; longer ones, such as quoted input, lose their middle."""
 
 _MOST_FAILURES = 5
 
 
 def note(text: str) -> None:
-    """A line on standard error, under the program's name."""
+    """Print a line on standard error, prefixed with the program's name."""
     line = "".join(
         c if c.isprintable() else f"\\x{ord(c):02x}" for c in " ".join(text.splitlines())
     )
@@ -40,18 +40,18 @@ def note(text: str) -> None:
 
 @contextmanager
 def logging_to_stderr(verbosity: int) -> Iterator[None]:
-    """Note what the package's loggers say, in a thread: a slow terminal keeps no robot waiting.
+    """Print the package's log records from a thread, so that a slow terminal delays no robot.
 
     Args:
         verbosity: 0 for nothing, 1 for `logging.INFO`, more for `logging.DEBUG`.
     """
     logger = logging.getLogger("vergence")
     before = logger.level
-    # a robot's log takes INFO without being asked
+    # a robot's log file records INFO in any case
     logger.setLevel(logging.DEBUG if verbosity > 1 else logging.INFO)
     records: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
     handler, listener = QueueHandler(records), QueueListener(records, _Notes())
-    handler.addFilter(lambda record: not hasattr(record, "warned"))  # those come as warnings
+    handler.addFilter(lambda record: not hasattr(record, "warned"))  # shown as warnings already
     if verbosity:
         logger.addHandler(handler)
         listener.start()
@@ -65,17 +65,17 @@ def logging_to_stderr(verbosity: int) -> Iterator[None]:
 
 
 class _Notes(logging.Handler):
-    """Notes records with the time since the program's start, s."""
+    """Log handler that prints records with the time since the program's start, s."""
 
     def emit(self, record: logging.LogRecord) -> None:
         name = record.name.removeprefix("vergence.")
         level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
-        with suppress(OSError):  # nobody reads them any more
+        with suppress(OSError):  # standard error is closed
             note(f"{1e-3 * record.relativeCreated:.3f} s {name}: {level}{record.getMessage()}")
 
 
 def say_failures(failures: Sequence[str]) -> None:
-    """What could not be read, a line each; of many the first few."""
+    """Print one line per file that could not be read, at most `_MOST_FAILURES`."""
     for text in failures[:_MOST_FAILURES]:
         note(f"error: {text}")
     if len(failures) > _MOST_FAILURES:
@@ -83,7 +83,7 @@ def say_failures(failures: Sequence[str]) -> None:
 
 
 def make_printable() -> None:
-    """Let standard output and error write what their encoding lacks in characters that it has."""
+    """Make standard output and error replace characters that their encoding lacks."""
     codecs.register_error(_PLAIN, _ascii_replacement)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -98,7 +98,7 @@ _ALIKE = {
 
 
 def _ascii_replacement(error: UnicodeError) -> tuple[str, int]:
-    """An error handler of codecs: what looks alike in ASCII, or else the character's number."""
+    """Error handler for codecs: a lookalike in ASCII, or else the character's escape code."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     found = []
@@ -119,7 +119,7 @@ def _line_of_a_box(character: str) -> str:
 
 @contextmanager
 def progress(what: str) -> Iterator[Callable[[float], None]]:
-    """A progress bar on standard error, from two seconds on and only on a terminal."""
+    """Show a progress bar on standard error, only on a terminal and after two seconds."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     bar = Progress(*columns, console=console, transient=True)
@@ -142,11 +142,11 @@ def progress(what: str) -> Iterator[Callable[[float], None]]:
 
 
 _LINE_AFTER_S = 30.0
-"""Time between two lines on what is done, where there is no terminal, s."""
+"""Time between two progress lines if there is no terminal, s."""
 
 
 class Bars:
-    """A progress bar for each experiment on a terminal, lines elsewhere."""
+    """Progress of experiments: a bar for each on a terminal, lines elsewhere."""
 
     def __init__(self) -> None:
         columns = (

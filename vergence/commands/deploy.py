@@ -1,4 +1,4 @@
-"""`vergence deploy`: a policy on a robot, checked, watched and logged."""
+"""`vergence deploy`: run a policy on a robot, with checks, supervision and a log."""
 
 import json
 import sys
@@ -23,13 +23,14 @@ if TYPE_CHECKING:
     from vergence.eval.robot.deploy import Present
 
 _TERMINAL_S: Final = 0.1
+"""Time between two updates on a terminal, s (chosen: prompt against processor load)."""
 _LINES_S: Final = 1.0
-"""Time between two lines on a terminal, which is drawn over, and elsewhere."""
+"""Time between two lines elsewhere, such as in a file, s (chosen: detail against length)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Deploy:
-    """Run a policy on a robot: check it, gaze, log everything."""
+    """Run a policy on a robot: check the robot, run gazes, log everything."""
 
     config: Flat[DeployConfig]
     log: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
@@ -62,10 +63,10 @@ class Deploy:
 
 
 class _Line:
-    """Lines on the running gaze, drawn by a thread of its own: a slow terminal keeps no loop.
+    """Status of the running gaze, printed by a separate thread so that no terminal delays the loop.
 
     Args:
-        config: what runs.
+        config: options of the deployment.
     """
 
     def __init__(self, config: DeployConfig) -> None:
@@ -85,11 +86,11 @@ class _Line:
         self._thread.join(1.0)
 
     def show(self, present: "Present") -> None:
-        """Take the present; it is drawn when its time has come."""
+        """Store the present state; the thread prints it at its next update."""
         self._present = self._last[present.number] = present
 
     def last(self) -> str:
-        """The last lines of each gaze."""
+        """Last status of each gaze, a line each."""
         return "\n".join("  ".join(self._lines(present)) for present in self._last.values())
 
     def _run(self) -> None:

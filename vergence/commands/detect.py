@@ -1,4 +1,4 @@
-"""`vergence detect`: targets in single photographs, or in what a camera sees now."""
+"""`vergence detect`: detect targets in single photographs or in a live camera."""
 
 import json
 from dataclasses import dataclass
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from vergence.vision import EyeCamera
 
 _MOST_PANELS = 12
-"""Photographs that one picture holds."""
+"""Most photographs in one figure."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Detect:
-    """Find tags and boards in photographs, or in what a camera sees now, and say how surely."""
+    """Find tags and boards in photographs or live images, with standard deviations."""
 
     images: Annotated[
         tuple[Path, ...],
@@ -37,31 +37,32 @@ class Detect:
         tyro.conf.UseAppendAction,
         tyro.conf.arg(metavar="TARGET"),
     ] = ()
-    """What to look for; may be given again and again. tag:FAMILY[:ID[:EDGE]] such as tag:36h11,
+    """Target to detect; repeatable. tag:FAMILY[:ID[:EDGE]] such as tag:36h11,
     checkerboard:COLUMNSxROWS[:SQUARE] such as checkerboard:9x6 (inner corners),
-    charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] (squares; legacy: as OpenCV before 4.6
-    laid it out), aprilgrid:COLUMNSxROWS:TAG:SPACING such as aprilgrid:6x6:88:0.3 (kalibr's
+    charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] (squares; legacy: layout of OpenCV
+    before 4.6), aprilgrid:COLUMNSxROWS:TAG:SPACING such as aprilgrid:6x6:88:0.3 (kalibr's
     tagCols, tagRows, tagSize, tagSpacing); lengths in mm."""
     head: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="HEAD")] = None
-    """Head whose lens took the images, the path of a TOML file or a preset's name; with --eye."""
+    """Head whose camera took the images, a preset's name or the path of a TOML file; with --eye."""
     eye: Annotated[
         Literal["left", "right"] | None,
         tyro.conf.arg(help_behavior_hint="", metavar="{left,right}"),
     ] = None
-    """Which eye of the head."""
+    """Eye of the head that took the images."""
     camera: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE")] = None
-    """Calibration of the camera (OpenCV, ROS, kalibr) in place of a head; of a pair with --eye."""
+    """Calibration of the camera (OpenCV, ROS, kalibr) instead of a head; with --eye for a pair."""
     size: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="WIDTHxHEIGHT")] = None
-    """Image size in pixels, such as 640x480, for a calibration that does not have it."""
+    """Image size in pixels, such as 640x480, if the calibration does not have it."""
     response: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="TEXT")] = None
-    """Light by grey level: srgb, linear, a gamma such as 2.2, or a table such as 0,0.2,1."""
+    """Light as a function of grey level: srgb, linear, a gamma such as 2.2, or a table such as
+    0,0.2,1."""
     figure: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
-    """Draw what was found to this PNG file, whose folder exists; up to 12 images, finds first."""
+    """PNG file in an existing folder to draw detections to; up to 12 images, detections first."""
     live: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="DEVICE")] = None
-    """Look through a camera instead: its number, its path such as /dev/video0, a video file or a
-    URL. Ctrl-C ends it."""
+    """Camera to watch instead of photographs: a number, a path such as /dev/video0, a video file or
+    a URL. Ctrl-C ends it."""
     seconds: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
-    """With --live: end after so many seconds."""
+    """With --live: time limit, s."""
     json: bool = False
     """Print the result as JSON, and nothing else, on standard output."""
 
@@ -111,7 +112,7 @@ class Detect:
         shown: list[Photograph] = []
 
         def keep(photograph: Photograph) -> None:
-            # in place of one with nothing in it
+            # replaces one without detections
             if len(shown) == _MOST_PANELS and photograph.found:
                 empty = [place for place, other in enumerate(shown) if not other.found]
                 if empty:

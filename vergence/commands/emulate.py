@@ -1,4 +1,4 @@
-"""`vergence emulate`: a head on the wire, without a robot."""
+"""`vergence emulate`: emulate the servos and cameras of a head, without a robot."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,14 +14,14 @@ from vergence.hardware.emulator.config import EmulatorConfig
 
 @dataclass(frozen=True, kw_only=True)
 class Emulate:
-    """Emulate a head: servos on a pseudo-terminal, two camera streams; until Ctrl-C."""
+    """Emulate a head until Ctrl-C: servos on a pseudo-terminal, two camera streams."""
 
     config: Flat[EmulatorConfig] = field(default_factory=EmulatorConfig)
     errors: Annotated[float, tyro.conf.arg(metavar="SCALE")] = 0.0
-    """How far the head differs from its file, which controllers know: 1 for the spreads of the
-    article's head before calibration, 0 for none."""
+    """Scale of the head's deviations from its file, which controllers use: 1 for the spreads of
+    the article's head before calibration, 0 for none."""
     out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
-    """Where to write the configuration of this head; printed by default."""
+    """File to write the emulated head's configuration to; printed by default."""
 
     def run(self) -> int:
         """Run the command."""

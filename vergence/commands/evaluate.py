@@ -1,4 +1,4 @@
-"""`vergence evaluate`: controllers compared on the same trials, or their margins."""
+"""`vergence evaluate`: compare controllers on the same trials, or measure their margins."""
 
 import json
 import sys
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _NAME_WIDTH = 18
 _FILE_WIDTH = 120
-"""Columns of the table where it goes to a file or a pipe."""
+"""Width of tables that go to a file or a pipe, characters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,19 +45,18 @@ class Evaluate:
     """Run folder, new or empty; runs/evaluate-DATE-TIME by default, runs/margins-DATE-TIME with
     --margins."""
     resume: Annotated[Path | None, arg(help_behavior_hint="", metavar="RUN")] = None
-    """Go on with the trials on a robot that are missing in this run folder."""
+    """Run the trials on a robot that are missing in this run folder."""
     machines: Flat[Machines] = field(default_factory=Machines)
     tables: Flat[Tables] = field(default_factory=Tables)
     json: bool = False
     """Print the rows as JSON, and nothing else, on standard output."""
     margins: bool = False
-    """Move one imperfection of the loop at a time, and find between which values of it 99 % of the
-    trials still settle and the median settling time is less than twice as long."""
+    """Vary one imperfection of the loop at a time, and find the range of its values in which 99 %
+    of the trials still settle and the median settling time is less than doubled."""
     imperfections: Annotated[
         tuple[str, ...], arg(help_behavior_hint="", name="imperfection", metavar="NAME...")
     ] = ()
-    """With --margins: the imperfections that are moved, such as command_latency_s; all by
-    default."""
+    """With --margins: the imperfections to vary, such as command_latency_s; all by default."""
 
     def run(self) -> int:
         """Run the command."""
@@ -71,7 +70,7 @@ class Evaluate:
         from vergence.eval.comparison.lineup import tune_first
 
         with output(self.out or dated_folder("margins" if self.margins else "evaluate")) as run:
-            # what somebody's own code prints is no part of the result
+            # output of a user's own code must not mix with the result
             with redirect_stdout(sys.stderr), Bars() as bars, self.machines.open_mapper() as mapper:
                 if self.config.tune:
                     mapper.progress = bars.begin("tune")
@@ -81,13 +80,13 @@ class Evaluate:
             for text in result.notes:
                 note(text)
             run.conclude(partial(self._write, result), result.rows, result.show, as_json=self.json)
-        # the others are not lost, and the exit code tells that not all were compared
+        # the other results are kept, and the exit code reports that some failed
         for text in result.failures:
             note(f"error: {text}")
         return 0 if run.saved and not result.failures else 2
 
     def _on_robot(self) -> int:
-        """Run trials on a robot, or those that are missing, and write all of them."""
+        """Run trials on a robot, or only the missing ones, and write the results of all."""
         require("robot", "mcap")
         from vergence.eval.reporting.runs import check_writable
         from vergence.eval.robot.evaluate import begun, evaluate_on_robot
@@ -113,7 +112,7 @@ class Evaluate:
             result = _as_result(found)
             with atomic_files(run, last="evaluation.json") as folder:
                 self._write(result, folder)
-                rmtree(run / "figures", ignore_errors=True)  # of a former end
+                rmtree(run / "figures", ignore_errors=True)  # of an earlier evaluation of this run
         if self.json:
             print(json.dumps(result.rows(), indent=2, allow_nan=False))
         else:
@@ -124,10 +123,10 @@ class Evaluate:
         return 2 if result.failures else 0
 
     def _check_robot(self) -> None:
-        """Refuse what a robot's trials cannot have.
+        """Refuse options that cannot be combined with trials on a robot.
 
         Raises:
-            ConfigurationError: there is something.
+            ConfigurationError: such an option is set.
         """
         others = {"out": self.out, "margins": self.margins or None}
         if self.resume is not None:
@@ -163,7 +162,7 @@ class Evaluate:
 
 
 class _Result(NamedTuple):
-    """What was found, however it was."""
+    """Result of an evaluation or of margins, behind one interface."""
 
     notes: list[str]
     failures: list[str]
@@ -183,7 +182,7 @@ def _as_result(found: "Evaluation") -> _Result:
 
 @contextmanager
 def _kept(run: Path) -> Iterator[None]:
-    """Say what an end before its time has left, and how to go on."""
+    """Report the kept trials and the command that continues, if the body is interrupted."""
     from vergence.eval.robot.sessions import Sessions
 
     how = f"vergence evaluate --resume {run} goes on"
@@ -245,7 +244,7 @@ def _print(evaluation: "Evaluation") -> None:
 
 
 def _table(found: "ReportTable", padding: int) -> Table:
-    """A table whose columns are as wide as the longest word of their head or line of a cell."""
+    """Table whose columns are as wide as the longest word of a heading or line of a cell."""
     table = Table(
         title=found.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False,
         padding=(0, padding, 0, 0),
@@ -260,12 +259,12 @@ def _table(found: "ReportTable", padding: int) -> Table:
 
 
 def _width(table: Table) -> int:
-    """Columns of the terminal that a table takes, its frame's edges included."""
+    """Width that a table takes, including the edges of its frame, characters."""
     return 1 + sum((column.width or 0) + 1 + table.padding[1] for column in table.columns)
 
 
 def _without_intervals(found: "ReportTable") -> "ReportTable":
-    """A table without the second lines of its cells that are intervals."""
+    """Table without the intervals in the second lines of its cells."""
     rows = [
         [row[0], *(cell.split("\n")[0] if "–" in cell else cell for cell in row[1:])]
         for row in found.rows
@@ -274,6 +273,6 @@ def _without_intervals(found: "ReportTable") -> "ReportTable":
 
 
 def _wrapped(name: str) -> str:
-    """A first cell whose second line, the options, is no wider than the longest names."""
+    """First cell with its second line, the options, wrapped to the width of long names."""
     label, _, options = name.partition("\n")
     return "\n".join([label, *wrap(options, _NAME_WIDTH, break_long_words=False)])

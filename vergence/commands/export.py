@@ -1,4 +1,4 @@
-"""`vergence export`: the head or a trained network, for use elsewhere."""
+"""`vergence export`: write the head or a trained network in formats of other tools."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,16 +59,16 @@ class ExportUrdf(_ExportModel):
 
 @dataclass(frozen=True, kw_only=True)
 class ExportBundle:
-    """Write a training run's network as a bundle: one file, run without torch or pickle."""
+    """Write a training run's network as a bundle: one file that needs no torch and no pickle."""
 
     training_run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """Run folder of `vergence train`."""
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.vgp")]
     """Bundle to write."""
     checkpoint: Literal["best", "last"] = "best"
-    """Which checkpoint of the run."""
+    """Checkpoint of the run to export."""
     force: bool = False
-    """Replace a file of that name."""
+    """Replace an existing file."""
 
     def run(self) -> int:
         """Run the command."""
@@ -95,7 +95,7 @@ class ExportBundle:
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """Write the head or a trained network, for use elsewhere."""
+    """Write the head or a trained network in formats of other tools."""
 
     what: tyro.conf.OmitSubcommandPrefixes[
         tyro.conf.OmitArgPrefixes[

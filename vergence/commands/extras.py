@@ -1,4 +1,4 @@
-"""What a command needs beyond the base install."""
+"""Check for optional dependencies that a command needs beyond the base install."""
 
 from importlib.util import find_spec
 
@@ -6,14 +6,14 @@ from vergence.errors import ConfigurationError, how_to_install
 
 
 def require(extra: str, *modules: str) -> None:
-    """Check that an optional part is installed.
+    """Check that optional modules are installed.
 
     Args:
-        extra: the extra that brings the modules.
-        *modules: their names.
+        extra: name of the extra that installs the modules.
+        *modules: names of the modules.
 
     Raises:
-        ConfigurationError: one is missing.
+        ConfigurationError: a module is missing.
     """
     missing = [name for name in modules if find_spec(name) is None]
     if missing:

@@ -1,4 +1,4 @@
-"""`vergence gaze`: one gaze, from images to a point."""
+"""`vergence gaze`: run one gaze, from images to a triangulated point."""
 
 import shutil
 from dataclasses import dataclass, field
@@ -27,8 +27,8 @@ BESIDE: Final = (
     "vergence.triangulation.rays:triangulate",
     "vergence.controllers.ibvs:ibvs_command",
 )
-"""What a gaze needs late enough for another process to have compiled it, in the order of need; the
-work is shared about evenly."""
+"""Kernels that other processes compile ahead of their use in a gaze, in the order of use; the work
+is divided about evenly."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,12 +107,12 @@ def _print_gaze(result: "GazeResult") -> None:
 
 
 def _describe_loop(counts: dict[str, int]) -> str:
-    """A line on how a robot's loop went."""
+    """Line with the counters of a robot's loop."""
     return "loop: " + ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in counts.items())
 
 
 def _describe_joints(head: "HeadModel") -> str:
-    """A line that names a head's joints, and its actuators where these tie joints."""
+    """Line that names a head's joints, and its actuators if these couple joints."""
     from vergence.eval.head_summary import actuator_summaries
 
     names = [name for name in dict.fromkeys(head.joints) if name]
@@ -128,7 +128,7 @@ def _seconds(value: float) -> str:
 
 
 def _verdict(result: "GazeResult") -> int:
-    """Exit code: what has no answer is an error here, though everything is written."""
+    """Exit code: 1 if a target was not visible, not fixated or not triangulated, else 0."""
     from vergence.models.joints import EYE_NAMES
 
     unseen = [eye for eye in EYE_NAMES if not result.trajectory[f"visible_{eye}"].any()]

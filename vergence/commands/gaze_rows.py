@@ -1,4 +1,4 @@
-"""A robot's gazes as a table."""
+"""Table of a robot's gazes."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -20,11 +20,11 @@ _LEGEND: Final = (
 
 
 def print_gazes(rows: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]) -> None:
-    """Print a row a gaze, and a line on all of them.
+    """Print a row for each gaze, and a summary line.
 
     Args:
-        rows: see `vergence.eval.robot.gazes.Gazes.rows`.
-        summary: see `Gazes.summary`, with the controller and the faults.
+        rows: results of each gaze, see `vergence.eval.robot.gazes.Gazes.rows`.
+        summary: see `Gazes.summary`; also holds the controller and the faults.
     """
     if rows:
         cells = [
@@ -40,7 +40,7 @@ def print_gazes(rows: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]) -
         parts[0] += f", median {_cell(summary['settle_2px_median_s'], 3)} s"
     if summary["point_error_median_mm"] is not None:
         parts.append(f"median point error {_cell(summary['point_error_median_mm'], 1)} mm")
-    if not summary["faults"]:  # periods that a stop has cut off are not known
+    if not summary["faults"]:  # a stop truncates periods, so late ones are not known
         parts.append(f"{100.0 * (summary['overrun_fraction'] or 0.0):.2f} % of the periods late")
     print("; ".join(parts))
 

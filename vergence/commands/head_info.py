@@ -1,4 +1,4 @@
-"""What `vergence info --head` prints of one head."""
+"""Printed description of one head, for `vergence info --head`."""
 
 import json
 from math import isfinite
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
     from vergence.eval.head_summary import HeadSummary
 
 _FIXATED_PX: Final = 1.0
-"""The greatest pixel error at best of eyes of which it is said that they fixate."""
+"""Largest residual pixel error at which eyes count as fixating, px (chosen: the settling band)."""
 
 
 def print_head(source: str, *, as_json: bool, figure: Path | None) -> None:
-    """Print what a head is and what it can do.
+    """Print the parts of a head, its reach and its depth errors.
 
     Args:
         source: a preset's name or the path of a TOML file.
-        as_json: whether as one JSON document instead of tables.
+        as_json: True to print one JSON document instead of tables.
         figure: the PNG file to draw the head to; None for none.
 
     Raises:
-        VergenceError: there is no such head, or the file is none.
+        VergenceError: there is no such head, or the file is no head file.
         OSError: the figure cannot be written.
     """
     from vergence.eval.head_summary import summarise
@@ -41,7 +41,7 @@ def print_head(source: str, *, as_json: bool, figure: Path | None) -> None:
 
     head = load_head(source)
     summary = summarise(head)
-    if figure is not None:  # first: a reader of the tables may leave early
+    if figure is not None:  # before the tables: a closed pipe on standard output ends the program
         from vergence.eval.head_figure import draw_head
 
         draw_head(head, figure, summary)
@@ -130,7 +130,7 @@ def _depth_errors(summary: "HeadSummary") -> list[list[str]]:
 
 
 def _why_not_exact(summary: "HeadSummary") -> str:
-    """Why both eyes cannot look straight at a point that they can look at best."""
+    """Reason why the eyes of this head cannot both fixate a point exactly."""
     own = {
         eye.name: sum(joint.moves in (f"{eye.name} eye", "both eyes") for joint in summary.joints)
         for eye in summary.eyes

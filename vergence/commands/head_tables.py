@@ -1,4 +1,4 @@
-"""Tables of a head's parts, the same wherever a command prints them."""
+"""Tables of a head's parts, shared by the commands that print them."""
 
 from collections.abc import Sequence
 from math import degrees
@@ -20,15 +20,15 @@ _SIGMAS: Final = (
     ("right position", "right.head_eye", ("x", "y", "z"), 1000.0, "mm along x, y, z"),
     ("right rotation", "right.head_eye", ("rx", "ry", "rz"), degrees(1.0), "deg about x, y, z"),
 )
-"""Of a calibration's standard deviations those that a table has: name, keys, scale, unit."""
+"""Standard deviations of a calibration that are printed: name, part, keys, scale, unit."""
 
 
 def print_joints(title: str, joints: "Sequence[JointSummary]") -> None:
-    """Print joints or actuators: what they move, how far, how fast.
+    """Print joints or actuators: the eyes they move, their range, their limits.
 
     Args:
-        title: above the table.
-        joints: those of a head; nothing is printed where there are none.
+        title: line above the table.
+        joints: joints or actuators of a head; nothing is printed if there are none.
     """
     if not joints:
         return
@@ -47,10 +47,10 @@ def print_joints(title: str, joints: "Sequence[JointSummary]") -> None:
 
 
 def print_cameras(eyes: "Sequence[EyeSummary]") -> None:
-    """Print the eyes' images and what they show.
+    """Print the cameras of the eyes: image sizes, intrinsics, fields of view, lens models.
 
     Args:
-        eyes: those of a head.
+        eyes: eyes of a head.
     """
     rows = [
         [
@@ -68,10 +68,10 @@ def print_cameras(eyes: "Sequence[EyeSummary]") -> None:
 
 
 def print_record(record: "CalibrationRecord") -> None:
-    """Print how a head's cameras were calibrated, and how surely; the lens's are in the JSON.
+    """Print how a head was calibrated, and the standard deviations except those of the lens.
 
     Args:
-        record: what the head's file keeps of it.
+        record: calibration record of the head file.
     """
     rows = [
         ["board", f"{record.target}, {record.views} views"],
@@ -80,7 +80,7 @@ def print_record(record: "CalibrationRecord") -> None:
     for name, part, values, scale, unit in _SIGMAS:
         keys = [f"{part}.{value}" for value in values]
         if part == "right.head_eye" and "left.head_eye.x" in record.sigma:
-            continue  # of a head that moves: single numbers of its eyes are not told
+            continue  # a head that moves: the values of single eyes are not observable
         if all(key in record.sigma for key in keys):
             told = ", ".join(f"{scale * record.sigma[key]:.3g}" for key in keys)
             rows.append([f"sigma, {name}", f"{told} {unit}"])
@@ -89,10 +89,10 @@ def print_record(record: "CalibrationRecord") -> None:
 
 
 def warn_of_folds(eyes: "Sequence[EyeSummary]") -> None:
-    """Say which images are not seen by rays in a part, where a lens model is not to be trusted.
+    """Warn of images with parts that no ray reaches, because the lens model folds back there.
 
     Args:
-        eyes: those of a head.
+        eyes: eyes of a head.
     """
     for eye in eyes:
         if eye.folds:
@@ -105,10 +105,10 @@ def warn_of_folds(eyes: "Sequence[EyeSummary]") -> None:
 
 
 def print_assumptions(assumptions: "Sequence[Assumed]") -> None:
-    """Print what nobody has measured: keys, values and reasons.
+    """Print the values that are assumed, not measured: keys, values and reasons.
 
     Args:
-        assumptions: of a head; nothing is printed where there are none.
+        assumptions: assumptions of a head; nothing is printed if there are none.
     """
     rows = [[", ".join(keys), value, why] for keys, value, why in assumptions]
     if rows:
@@ -117,10 +117,10 @@ def print_assumptions(assumptions: "Sequence[Assumed]") -> None:
 
 
 def warn_of_rest(joints: "Sequence[JointSummary]") -> None:
-    """Say which joints cannot stand at zero, where a head's rest is looked for.
+    """Warn of joints whose range excludes zero, the angle of rest.
 
     Args:
-        joints: those of a head.
+        joints: joints of a head.
     """
     for joint in joints:
         if joint.lower_deg > 0.0 or joint.upper_deg < 0.0:

@@ -1,4 +1,4 @@
-"""`vergence info`: what is there."""
+"""`vergence info`: print versions, presets and optional parts, or describe one head."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,14 +14,14 @@ from vergence.errors import ConfigurationError, how_to_install
 
 @dataclass(frozen=True, kw_only=True)
 class Info:
-    """Show versions, presets, and which optional parts are there; or what one head can do."""
+    """Show versions, presets and installed optional parts; or describe one head."""
 
     head: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="HEAD")] = None
-    """Show this head instead, a preset's name or the path of a TOML file."""
+    """Head to describe, a preset's name or the path of a TOML file."""
     json: bool = False
     """Print the head's numbers as JSON."""
     figure: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
-    """Draw the head to this PNG file as well."""
+    """PNG file to draw the head to."""
 
     def run(self) -> int:
         """Run the command."""
@@ -97,7 +97,7 @@ class Info:
 
 
 def _sizes(sizes: list[list[int]]) -> str:
-    """The size of both eyes' images, or of each."""
+    """Image size of both eyes, or of each eye if they differ."""
     texts = [f"{width} x {height}" for width, height in sizes]
     return texts[0] if texts[0] == texts[1] else ", ".join(texts)
 

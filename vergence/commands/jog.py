@@ -1,4 +1,4 @@
-"""`vergence jog`: one joint at a time by small steps, to find signs and zeros."""
+"""`vergence jog`: turn one joint at a time by small steps, to find signs and zeros."""
 
 import math
 import sys
@@ -15,7 +15,7 @@ from vergence.commands.extras import require
 from vergence.errors import ConfigurationError, VergenceError, did_you_mean
 
 if TYPE_CHECKING:
-    from vergence.hardware.jog import Jog as Joints
+    from vergence.hardware.jog import Jogger as Joints
 
 _HELP: Final = """\
 NAME      go on with this joint
@@ -32,12 +32,12 @@ _WORDS: Final = ("+", "-", "step", "flip", "zero", "off", "list", "write", "quit
 
 @dataclass(frozen=True, kw_only=True)
 class Jog:
-    """Turn one joint at a time by small steps, to find signs and zeros; `help` lists the words."""
+    """Turn one joint at a time by small steps to find signs and zeros; `help` lists commands."""
 
     config: Annotated[Path, tyro.conf.arg(metavar="PATH")]
-    """Configuration of the robot, into which `write` writes signs and zeros."""
+    """Configuration of the robot; `write` saves signs and zeros in it."""
     step: Annotated[float, tyro.conf.arg(metavar="RAD")] = 0.05
-    """Step that a joint is turned by, rad."""
+    """Rotation of a joint per step, rad."""
 
     def run(self) -> int:
         """Run the command."""
@@ -45,7 +45,7 @@ class Jog:
         from vergence.hardware.checks.line import open_bus
         from vergence.hardware.checks.servos import check_servos, refuse_errors
         from vergence.hardware.config import load_hardware
-        from vergence.hardware.jog import Jog as Joints
+        from vergence.hardware.jog import Jogger as Joints
 
         config = load_hardware(self.config)
         step_rad = _step(self.step)
@@ -68,18 +68,18 @@ class Jog:
 
 
 class Session:
-    """The words of one jog.
+    """Interpreter for the interactive commands of `vergence jog`.
 
     Args:
-        jog: moves the joints.
-        path: the configuration that `write` writes to.
-        step_rad: first step.
-        say: shows a line.
+        jog: interface that moves the joints.
+        path: configuration that `write` writes to.
+        step_rad: initial step, rad.
+        say: prints a line.
 
     Attributes:
-        name: the joint that words are about.
-        failed: whether a word could not be carried out.
-        wrote: whether the configuration was written.
+        name: joint that commands apply to.
+        failed: True if a command could not be carried out.
+        wrote: True if the configuration was written.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Session:
         self._list()
 
     def take(self, line: str) -> bool:
-        """Carry a line out; whether to go on."""
+        """Carry out one line; return False if it is `quit`."""
         words = line.split()
         if words[:1] == ["quit"]:
             return False
@@ -108,7 +108,7 @@ class Session:
         return True
 
     def end(self) -> None:
-        """Say what is left undone."""
+        """Warn if signs and zeros were changed but not written."""
         if self._jog.servos != self._written:
             self._say(f"left without write: {self._path} has the signs and zeros that it had")
 
@@ -188,7 +188,7 @@ def _say(text: str) -> None:
 
 
 def _take_all(session: Session, stream: TextIO) -> None:
-    """Carry lines out until the end, each after a prompt on a terminal."""
+    """Carry out the lines of a stream until its end, with a prompt on a terminal."""
     while True:
         if stream.isatty():
             print(f"{session.name}> ", end="", file=sys.stderr, flush=True)

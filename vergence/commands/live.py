@@ -1,4 +1,4 @@
-"""`vergence detect --live`: how a camera sees targets, renewed each second."""
+"""`vergence detect --live`: detection statistics of a camera, updated each second."""
 
 import json
 import sys
@@ -32,18 +32,18 @@ def run_live(
     response: "Response | None",
     as_json: bool,
 ) -> int:
-    """Watch a camera until Ctrl-C, the end of a video, or the end of the time.
+    """Watch a camera until Ctrl-C, the end of a video, or a time limit.
 
     Args:
-        source: see `vergence.vision.video.open_video`.
-        targets: what to look for.
-        camera: the eye, if it is known.
-        seconds: after which to end; None for never.
-        response: light by grey level; None for the camera's, see `make_detector`.
-        as_json: whether to print the summary as JSON.
+        source: camera or video, see `vergence.vision.video.open_video`.
+        targets: targets to detect.
+        camera: model of the camera; None if it is not known.
+        seconds: time limit, s; None for none.
+        response: light as a function of grey level; None for the camera's, see `make_detector`.
+        as_json: True to print the summary as JSON.
 
     Returns:
-        The exit code: 1 where nothing was seen.
+        The exit code: 1 if no target was found.
 
     Raises:
         ConfigurationError: the camera cannot be opened, or gives images of another size.
@@ -68,7 +68,7 @@ def run_live(
                 seconds=seconds,
                 show=_show(live),
             )
-    except KeyboardInterrupt:  # the way to end it, and no failure
+    except KeyboardInterrupt:  # the usual way to end, not a failure
         if not statistics.total().images:
             raise
         in_time = True
@@ -96,7 +96,7 @@ def _show(live: Live | None) -> "Callable[[LiveState], None]":
 
 
 def _line(state: "LiveState") -> str:
-    """All of it in a line, where there is no terminal to draw on."""
+    """State in one line, for output that is no terminal."""
     seen = "; ".join(
         f"{one.target} {one.rate:.0%} at {_pixel(one.point_px, 2)} noise {_pixel(one.noise_px, 3)}"
         for one in state.targets

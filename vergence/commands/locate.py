@@ -1,4 +1,4 @@
-"""`vergence locate`: targets in pairs of photographs, as points in space."""
+"""`vergence locate`: triangulate targets in pairs of photographs."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Locate:
-    """Find tags and boards in photographs of both eyes and triangulate them; write a run folder."""
+    """Find tags and boards in photographs of both eyes, triangulate them, write a run folder."""
 
     config: Flat[LocateConfig]
     out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder, new or empty; runs/locate-DATE-TIME by default."""
     tables: Flat[Tables] = field(default_factory=Tables)
     json: bool = False
-    """Print a list of what was located as JSON, and nothing else, on standard output."""
+    """Print the located targets as a JSON list, and nothing else, on standard output."""
 
     def run(self) -> int:
         """Run the command."""
@@ -50,7 +50,7 @@ class Locate:
             if self.config.joints is None:
                 _say_rest(result.head)
             run.conclude(write, result.rows, lambda: print_located(result), as_json=self.json)
-        for text in result.notes():  # below the table, whose rows some of them explain
+        for text in result.notes():  # below the table: some explain its rows
             note(text)
         say_failures(result.failures)
         if not result.found:
@@ -81,7 +81,7 @@ def _nothing(result: "LocateResult") -> str:
 
 
 def _say_rest(head: "HeadModel") -> None:
-    """Say at which angles the eyes were taken to be that move, where nobody said."""
+    """Note the joint angles that were assumed for movable eyes if --joints was not given."""
     from vergence.models.joints import EYES
     from vergence.perception.joint_angles import eyes_move
 

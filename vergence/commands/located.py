@@ -1,4 +1,4 @@
-"""What `vergence locate` prints for people: where targets are, how surely, and the free check."""
+"""Printed results of `vergence locate`: points, standard deviations, measured edge lengths."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ def print_located(result: LocateResult) -> None:
     """Print a table for each board, and one for all tags of one family and size.
 
     Args:
-        result: of `vergence.perception.locate.locate`.
+        result: result of `vergence.perception.locate.locate`.
     """
     for every in result.alike():
         of_tags = number_of(every[0].target) is not None
@@ -35,7 +35,7 @@ def print_located(result: LocateResult) -> None:
 
 
 def _together(result: LocateResult, every: list[Located]) -> str:
-    """A line on targets of one kind over all pairs."""
+    """Summary line on targets of one kind in all pairs."""
     target = every[0].target
     mean, spread, count, stated = spacing(target, [one.fix.point for one in every])
     found = f"{len({one.pair for one in every if one.valid.any()})} of {len(result.pairs)} pairs"

@@ -1,4 +1,4 @@
-"""`vergence measure-delay`: a robot's loop, measured and written into its configuration."""
+"""`vergence measure-delay`: measure a robot's control loop and write it into its configuration."""
 
 import json
 from collections.abc import Iterator
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MeasureDelay:
-    """Measure a robot's loop: one eye after the other turns about a target that stands still."""
+    """Measure latencies and lag of a robot's loop: each eye in turn moves about a fixed target."""
 
     hardware: Annotated[Path, tyro.conf.arg(name="config", metavar="PATH")]
-    """TOML file that describes the robot (see docs/robot.md); what is found is written into it."""
+    """TOML file that describes the robot (see docs/robot.md); receives the results."""
     eye: Literal["both", "left", "right"] = "both"
-    """Whose loop to measure."""
+    """Eyes to measure the loop of."""
     actuator: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="NAME")] = None
-    """Which actuator turns; the one that moves an eye's image most by default."""
+    """Actuator to turn; by default the one that moves an eye's image most."""
     write: bool = True
-    """Write what is found into the file: the cameras' latency_s, and the table [loop]."""
+    """Write the results into the file: the cameras' latency_s and the table [loop]."""
     json: bool = False
     """Print the result as JSON, and nothing else, on standard output."""
 
@@ -48,9 +48,9 @@ class MeasureDelay:
         hardware = load_hardware(self.hardware)
         if self.write:
             with self._writing(), atomic_file(self.hardware):
-                pass  # refused before anything moves; nothing is put there
+                pass  # refuses a read-only file before anything moves; writes nothing
         eyes = EYE_NAMES if self.eye == "both" else (self.eye,)
-        for eye in eyes:  # refused before any check of the robot
+        for eye in eyes:  # refuses a wrong actuator before the robot is checked
             slot_of(hardware.head, EYE_NAMES.index(eye), self.actuator)
         print_checks(hardware)
         interrupts.guard_robot()

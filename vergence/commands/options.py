@@ -1,4 +1,4 @@
-"""Options that several commands have."""
+"""Options and output files shared by several commands."""
 
 import errno
 import json
@@ -28,12 +28,12 @@ Flat = Annotated[T, tyro.conf.arg(name="")]
 
 @dataclass(frozen=True, kw_only=True)
 class Machines:
-    """Where a command's jobs run."""
+    """Processes and machines that run a command's jobs."""
 
     workers: Annotated[int | None, tyro.conf.arg(help_behavior_hint="", metavar="INT")] = None
     """Processes on this machine; one per processor by default."""
     cluster: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="HOST:PORT")] = None
-    """Address of a Ray cluster to run on, HOST:PORT (needs the extra cluster)."""
+    """Address of a Ray cluster to run on (needs the extra cluster)."""
 
     def open_mapper(self, progress: "Progress | None" = None) -> "AbstractContextManager[Mapper]":
         """See `vergence.eval.jobs.open_mapper`."""
@@ -44,13 +44,13 @@ class Machines:
 
 @dataclass(frozen=True, kw_only=True)
 class Tables:
-    """How a command writes its tables."""
+    """File formats of a command's tables."""
 
     parquet: bool = False
-    """Write tables as Parquet too, beside the CSV (needs the extra parquet)."""
+    """Also write tables as Parquet, beside the CSV (needs the extra parquet)."""
 
     def check(self) -> None:
-        """Refuse, before any work is done, what could not be written.
+        """Refuse, before any work is done, a format that cannot be written.
 
         Raises:
             ConfigurationError: pyarrow is not installed.
@@ -59,10 +59,10 @@ class Tables:
             require("parquet", "pyarrow")
 
     def convert(self, *tables: Path) -> None:
-        """Write finished CSV files as Parquet too, if that is wanted.
+        """Also write finished CSV files as Parquet, if requested.
 
         Raises:
-            ConfigurationError: one cannot be written.
+            ConfigurationError: a file cannot be written.
         """
         if self.parquet:
             from vergence.eval.reporting.parquet import write_parquet
@@ -78,11 +78,11 @@ class Tables:
 
 
 class Output:
-    """The run folder of a command, which it writes in the end.
+    """Run folder of a command, written at its end.
 
     Attributes:
-        folder: where it belongs; once it is written, where it is.
-        saved: whether it is written.
+        folder: path of the run folder; after `save`, the path at which it was written.
+        saved: True once it is written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -90,13 +90,13 @@ class Output:
         self.saved = False
 
     def save(self, write: Callable[[Path], None]) -> bool:
-        """Write the folder; say where it is instead if its place has been taken, or that it is not.
+        """Write the folder, at another path if its own is taken by now; report that or a failure.
 
         Args:
             write: called with the folder to write to.
 
         Returns:
-            Whether it is written: a command still prints what it has found where it is not.
+            True if it is written. If not, a command still prints its results.
         """
         from vergence.eval.reporting.runs import save_run
 
@@ -118,13 +118,13 @@ class Output:
         *,
         as_json: bool,
     ) -> None:
-        """Save the folder, and print what was found whether or not that could be done.
+        """Save the folder, and print the results even if that fails.
 
         Args:
             write: see `save`.
-            found: gives the result as plain values.
-            show: prints it for people.
-            as_json: whether to print it as JSON, and nothing else.
+            found: returns the result as plain values.
+            show: prints the result as text.
+            as_json: True to print the result as JSON, and nothing else.
         """
         self.save(write)
         if as_json:
@@ -137,17 +137,17 @@ class Output:
 
 @contextmanager
 def output(folder: Path) -> Iterator[Output]:
-    """Hold the run folder of a command until its end, and say where it is if it is interrupted.
+    """Claim the run folder of a command until its end, and report its path on an interrupt.
 
     Args:
-        folder: where it belongs.
+        folder: path of the run folder.
 
     Yields:
         The folder, to be saved.
 
     Raises:
         ConfigurationError: it cannot be written, or another process is writing to it.
-        KeyboardInterrupt: says what is written.
+        KeyboardInterrupt: states the path if the folder was written.
     """
     from vergence.eval.reporting.runs import locked_run_folder
 
@@ -162,13 +162,13 @@ def output(folder: Path) -> Iterator[Output]:
 
 
 def check_writable(out: Path) -> None:
-    """Refuse, before any work is done, a file that could not be written in the end.
+    """Refuse, before any work is done, a file that cannot be written.
 
     Args:
-        out: the file; folders on the way to it are made when it is written.
+        out: the file; missing parent folders are made when it is written.
 
     Raises:
-        ConfigurationError: the first of these that is there is none, or cannot be written.
+        ConfigurationError: its nearest existing parent is no folder, or cannot be written.
     """
     there = next(parent for parent in out.absolute().parents if parent.exists())
     if not there.is_dir() or not os.access(there, os.W_OK):
@@ -176,15 +176,15 @@ def check_writable(out: Path) -> None:
 
 
 def check_figure(path: Path, inputs: Iterable[Path] = ()) -> None:
-    """Refuse, before any work is done, a picture that could not be written in the end.
+    """Refuse, before any work is done, a figure that cannot be written.
 
     Args:
-        path: of the picture.
-        inputs: files that it must not replace, and folders of them.
+        path: path of the figure.
+        inputs: files that it must not replace, or folders of such files.
 
     Raises:
-        ConfigurationError: it is no .png, its folder is not there or cannot be written, or it is
-            a folder or one of the inputs.
+        ConfigurationError: it is no .png, its folder is missing or cannot be written, or it is a
+            folder or one of the inputs.
     """
     if path.suffix.lower() != ".png":
         raise ConfigurationError(f"figure: expected a name that ends in .png, got {path}")
@@ -206,10 +206,10 @@ def check_figure(path: Path, inputs: Iterable[Path] = ()) -> None:
 
 
 def parse_size(text: str | None) -> tuple[int, int] | None:
-    """The width and the height that a text names, pixels; None for none.
+    """Width and height stated by a text such as 640x480, pixels; None for None.
 
     Raises:
-        ConfigurationError: it names none.
+        ConfigurationError: the text is no size.
     """
     if text is None:
         return None
@@ -222,5 +222,5 @@ def parse_size(text: str | None) -> tuple[int, int] | None:
 
 
 def dated_folder(what: str) -> Path:
-    """The run folder of a command that was given none."""
+    """Default run folder of a command: runs/WHAT-DATE-TIME."""
     return Path("runs") / f"{what}-{datetime.now():%Y%m%d-%H%M%S-%f}"

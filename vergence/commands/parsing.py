@@ -1,4 +1,4 @@
-"""The command that words ask for, or one line on why they ask for none."""
+"""Parse the words of a command line into a command, or report in one line why they are wrong."""
 
 import io
 import re
@@ -23,14 +23,14 @@ class Runs(Protocol):
 
 
 def parse(words: list[str]) -> Runs:
-    """Make the command that words ask for.
+    """Parse the words of a command line into a command.
 
     Args:
-        words: what follows the program's name.
+        words: words after the program's name.
 
     Raises:
-        SystemExit: with 0 after --help and --version; with 2 after the help that no words at all
-            print, and after one line on words that make no command.
+        SystemExit: with 0 after --help and --version; with 2 if there are no words (prints the
+            help) or wrong words (prints one line).
     """
     if words == ["--version"]:
         print(f"vergence {__version__}")
@@ -52,10 +52,10 @@ def parse(words: list[str]) -> Runs:
 
 
 def split_verbosity(words: list[str]) -> tuple[list[str], int]:
-    """Take -v, -vv and --verbose out of words, wherever they stand.
+    """Remove -v, -vv and --verbose from words, at any position.
 
     Returns:
-        The other words, and how often verbosity was asked for.
+        The other words, and the verbosity: the number of v's and --verbose's.
     """
     asked = [word for word in words if re.fullmatch(r"-v+|--verbose", word)]
     others = [word for word in words if word not in asked]
@@ -84,11 +84,11 @@ def _help(path: list[str]) -> str:
 
 
 _AXES: Final = re.compile(r"-[xyz](,[+-]?[xyz]){2}")
-"""A value that looks like an option: axes of a camera's frame, the first of them backwards."""
+"""Pattern of a value that looks like an option: camera axes whose first axis is negative."""
 
 
 def _with_axes_joined(words: list[str]) -> list[str]:
-    """The words with such values joined to their option, as the parser takes them."""
+    """Words with such values joined to their option by "=", as the parser needs them."""
     joined: list[str] = []
     for word in words:
         if joined and joined[-1] == "--camera-axes" and _AXES.fullmatch(word):
@@ -99,7 +99,7 @@ def _with_axes_joined(words: list[str]) -> list[str]:
 
 
 def _command_of(words: list[str]) -> tuple[list[str], list[str]]:
-    """The commands that words begin with, and those of which another has to follow."""
+    """Leading (sub)commands of words, and the subcommands one of which has to follow."""
     path: list[str] = []
     while True:
         choice = re.match(r"usage: [^{]*\[-h\] \{([^}]+)\}", _help(path))
@@ -111,13 +111,13 @@ def _command_of(words: list[str]) -> tuple[list[str], list[str]]:
 
 
 def _reason(box: str, path: list[str], commands: list[str], words: list[str]) -> str:
-    """Why words make no command.
+    """Reason why words are not a valid command.
 
     Args:
-        box: what the parser has said of it, in a frame.
-        path: of commands, before the words.
-        commands: one of which has to follow.
-        words: what follows the path.
+        box: error output of the parser, framed by box characters.
+        path: commands before the words.
+        commands: subcommands, one of which has to follow; empty if none has to.
+        words: words after the path.
     """
     if commands:
         if words and not words[0].startswith("-"):
@@ -135,7 +135,7 @@ _KINDS: Final = {"INT": "a whole number", "FLOAT": "a number"}
 
 
 def _in_our_words(statement: str, box: str, words: list[str]) -> str:
-    """The parser's first statement, without its types and its names of places."""
+    """First error of the parser, reworded without Python types and internal names."""
     if statement.startswith("Missing from "):
         each = [one.split() for one in statement.partition(": ")[2].split("(required)")[:-1]]
         missing = [" ".join(one[:2] if one[0].startswith("--") else one[:1]) for one in each]
@@ -155,7 +155,7 @@ def _in_our_words(statement: str, box: str, words: list[str]) -> str:
 
 
 def _values(words: list[str], options: list[str], count: int) -> str:
-    """The values that an option was given last, as they were written."""
+    """Values given to an option at its last occurrence, quoted."""
     for place, word in reversed(list(enumerate(words))):
         option, equals, value = word.partition("=")
         if option in options:
@@ -164,7 +164,7 @@ def _values(words: list[str], options: list[str], count: int) -> str:
 
 
 def _one_word(statement: str, words: list[str]) -> str:
-    """A hint where two numbers follow an option that takes one word, such as a size."""
+    """Hint for a size that was given as two numbers instead of one word."""
     if statement.startswith("Unrecognized options: "):
         for option, first, second in zip(words, words[1:], words[2:], strict=False):
             if option == "--size" and first.isdecimal() and second.isdecimal():
@@ -173,9 +173,9 @@ def _one_word(statement: str, words: list[str]) -> str:
 
 
 def _first_statement(box: str) -> str:
-    """What tyro says first in its frame, which goes on with help that --help shows as well."""
+    """First error in tyro's framed output, without the help texts that follow it."""
     lines = [line.strip("│╭╮╰╯ ") for line in box.splitlines()]
-    # below the title, which stands above a rule where the frame is in ASCII
+    # skip the title, which is followed by a rule if the frame is in ASCII
     inside = list(dropwhile(_is_rule, (line for line in lines[1:] if line)))
     return " ".join(takewhile(lambda line: not _is_rule(line), inside)) or " ".join(lines)
 

@@ -1,4 +1,4 @@
-"""`vergence print-target`: a tag or a board to print at true scale."""
+"""`vergence print-target`: draw a tag or a board to print at true scale."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +10,13 @@ from vergence.errors import ConfigurationError
 
 _ENDINGS: Final = (".pdf", ".svg", ".png")
 _DPI: Final = 300.0
+"""Default resolution of a PNG, pixels per inch (chosen: sharp edges against file size)."""
 _LEAST_DPI: Final = 50.0
+"""Lowest resolution of a PNG, pixels per inch (chosen: refuses coarse edges)."""
 _MOST_PIXELS: Final = 200e6
-"""Of a PNG: it takes 4 bytes of memory each while it is drawn."""
+"""Most pixels of a PNG, each of 4 bytes while it is drawn (chosen: resolution against memory)."""
 _INCH_MM: Final = 25.4
+"""Millimetres per inch (physical: definition of the inch)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,20 +24,20 @@ class PrintTarget:
     """Draw a tag or a board to print at true scale, with a ruler to check the print."""
 
     target: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]
-    """What to print: tag:FAMILY:ID:EDGE such as tag:36h11:5:120,
+    """Target to print: tag:FAMILY:ID:EDGE such as tag:36h11:5:120,
     checkerboard:COLUMNSxROWS:SQUARE such as checkerboard:9x6:24 (inner corners),
     charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] such as charuco:7x5:30:22:4X4_50 (squares), or
     aprilgrid:COLUMNSxROWS:TAG:SPACING such as aprilgrid:6x6:20:0.3 (kalibr's); lengths in mm."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("board.pdf")
-    """File to write; its ending says which: .pdf, .svg or .png."""
+    """File to write; its ending sets the format: .pdf, .svg or .png."""
     paper: Annotated[str, tyro.conf.arg(metavar="PAPER")] = "a4"
-    """Paper, turned as the board fits: a0 to a5, letter, legal, tabloid, or WIDTHxHEIGHT in mm."""
+    """Paper, rotated to fit the board: a0 to a5, letter, legal, tabloid, or WIDTHxHEIGHT in mm."""
     dpi: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
-    """Pixels of a .png to the inch; 300 by default."""
+    """Resolution of a .png, pixels per inch; 300 by default."""
     force: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(aliases=["--overwrite"])] = (
         False
     )
-    """Replace a file of that name."""
+    """Replace an existing file."""
 
     def run(self) -> int:
         """Run the command."""
@@ -68,7 +71,7 @@ class PrintTarget:
             )
 
     def _resolution(self, area_mm2: float) -> float:
-        """The resolution of a PNG of the given area, pixels to the inch."""
+        """Resolution of a PNG of the given area, pixels per inch."""
         dpi = _DPI if self.dpi is None else self.dpi
         most = float(int(_INCH_MM * (_MOST_PIXELS / area_mm2) ** 0.5))
         if self.out.suffix.lower() == ".png" and not _LEAST_DPI <= dpi <= most:

@@ -1,4 +1,4 @@
-"""`vergence replay`: what a robot's log tells, and a policy asked again on it."""
+"""`vergence replay`: evaluate a robot's log and rerun a policy on its readings."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayLog:
-    """Read a robot's log, whole or cut off: tables, a picture, a policy asked again."""
+    """Read a robot's log, complete or truncated: write tables and a figure, rerun a policy."""
 
     config: Flat[ReplayConfig]
     out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None

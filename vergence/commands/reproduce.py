@@ -1,4 +1,4 @@
-"""`vergence reproduce`: the article's experiments, its figures beside ours."""
+"""`vergence reproduce`: rerun the article's experiments and compare the results."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Reproduce:
-    """Run the article's experiments and report on them; finished ones are kept."""
+    """Run the article's experiments and report the results; finished experiments are kept."""
 
     config: Flat[ReproduceConfig] = field(default_factory=ReproduceConfig)
     machines: Flat[Machines] = field(default_factory=Machines)

@@ -1,4 +1,4 @@
-"""`vergence scan-bus`: the servos on a serial line, at any baud rate."""
+"""`vergence scan-bus`: find the servos on a serial line, at any baud rate."""
 
 import re
 from dataclasses import dataclass
@@ -22,16 +22,17 @@ _REASONS: Final = (
     "Wizard can change in MX",
 )
 _MOST_ID: Final = 252
+"""Largest id of a servo (physical: Dynamixel Protocol 2.0)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScanBus:
-    """Find the servos on a serial line: ask at every baud rate, and list those that answer."""
+    """Find the servos on a serial line: ping at every baud rate and list those that answer."""
 
     port: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PORT")]
     """Device of the line, such as /dev/ttyUSB0."""
     ids: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="A-B")] = None
-    """Ids to ask one by one, such as 0-20 or 7; all at once by default."""
+    """Ids to ping one by one, such as 0-20 or 7; by default one broadcast ping."""
 
     def run(self) -> int:
         """Run the command."""
@@ -40,7 +41,7 @@ class ScanBus:
         from vergence.hardware.config import BusConfig
         from vergence.hardware.scan import scan
 
-        # what keeps the port shut is told once, and not for each rate
+        # reports a port that cannot be opened once, not for each rate
         open_bus(BusConfig(port=self.port, baud_rate=57_600)).close()
         with progress("scan-bus") as report:
             found = scan(self.port, ids=ids, report=report)
@@ -89,7 +90,7 @@ def _row(servo: "FoundServo") -> list[str]:
 
 
 def _mode(mode: int) -> str:
-    """A number of OPERATING_MODE in words."""
+    """Name of a value of OPERATING_MODE."""
     words = {0: "current", 1: "velocity", 3: "position", 4: "extended position"}
     words |= {5: "current-based position", 16: "PWM"}
     return words.get(mode, str(mode))

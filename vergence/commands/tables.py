@@ -1,4 +1,4 @@
-"""Tables on a terminal of any width: text wraps between words, a number is never cut."""
+"""Tables for terminals of any width: text wraps between words, numbers are never cut."""
 
 from collections.abc import Sequence
 from textwrap import wrap
@@ -11,7 +11,8 @@ from rich.table import Table
 
 Row = Sequence[str]
 _SHORT: Final = 12
-"""Letters of a name's end that most often tell one from the next."""
+"""Characters kept of the end of a long name, usually enough to tell names apart (chosen: width
+of the table against clarity)."""
 
 
 def print_table(
@@ -23,16 +24,16 @@ def print_table(
     names: Sequence[int] = (),
     console: Console | None = None,
 ) -> None:
-    """Print a table, or a card for each row where the terminal is too narrow for a table.
+    """Print a table, or a card for each row if the terminal is too narrow for a table.
 
     Args:
-        columns: their heads.
-        rows: their cells.
-        title: above the table.
-        text: numbers of the columns that wrap between words; all others are right-aligned and
+        columns: headings of the columns.
+        rows: cells of each row.
+        title: line above the table; empty for none.
+        text: indices of the columns that wrap between words; all others are right-aligned and
             never broken.
-        names: of those, the ones of which the end is enough where there is no room for more.
-        console: where to; standard output by default.
+        names: indices of the columns whose cells may be shortened to their end.
+        console: console to print on; standard output by default.
     """
     console = console or Console(highlight=False)
     for cells in (rows, _with_short(rows, names)):
@@ -48,13 +49,13 @@ def print_table(
 def print_cards(
     columns: Row, rows: Sequence[Row], *, title: str = "", console: Console | None = None
 ) -> None:
-    """Print each row as its first cell with a line for each of the others below it.
+    """Print each row as a card: its first cell, and below it a line for each other cell.
 
     Args:
-        columns: the heads.
-        rows: the cells; empty ones are left out.
-        title: above the first.
-        console: where to; standard output by default.
+        columns: headings of the columns.
+        rows: cells of each row; empty ones are left out.
+        title: line above the first card; empty for none.
+        console: console to print on; standard output by default.
     """
     console = console or Console(highlight=False)
     lines = _fitted(title, console.width, "")
@@ -68,7 +69,7 @@ def print_cards(
 
 
 def _with_short(rows: Sequence[Row], names: Sequence[int]) -> Sequence[Row]:
-    """Rows with the ends of long names, as long as these tell them apart."""
+    """Rows with long names shortened to their ends, if these are still distinct."""
     out = [list(row) for row in rows]
     for place in names:
         for length in (_SHORT, 2 * _SHORT):
@@ -85,13 +86,13 @@ def _end(name: str, length: int) -> str:
 
 
 def least_width(table: Table) -> int:
-    """Columns of the terminal that a table needs, whose columns all have a least width."""
+    """Width that a table needs at least, characters; its columns must state their least width."""
     least = sum(column.min_width or 0 for column in table.columns)
     return least + len(table.columns) * (table.padding[1] + 1) - 1
 
 
 def _fit(table: Table, rows: Sequence[Row], width: int) -> None:
-    """Give columns that wrap what is left of a terminal's width: rich alone cuts two of them."""
+    """Divide a terminal's spare width among the columns that wrap; rich alone would cut two."""
     spare = width - least_width(table)
     wanting = {
         place: max(len(row[place]) for row in rows) - (column.min_width or 0)
@@ -110,7 +111,7 @@ def _fit(table: Table, rows: Sequence[Row], width: int) -> None:
 def _table(
     columns: Row, rows: Sequence[Row], title: str, text: Sequence[int], padding: int, broken: bool
 ) -> Table:
-    """A table whose columns know their least width; heads that are `broken` take several lines."""
+    """Table whose columns have a least width; `broken` headings have one word per line."""
     table = Table(
         title=title or None, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, show_edge=False,
         padding=(0, padding, 0, 0),
@@ -132,7 +133,7 @@ def _table(
 
 
 def _fitted(line: str, width: int, indent: str) -> list[str]:
-    """A line broken between words, the later parts further in; a word is never broken."""
+    """Lines of a text wrapped between words, with a hanging indent; words are never broken."""
     return wrap(
         line, max(width, 10), initial_indent=indent, subsequent_indent=f"{indent}  ",
         break_long_words=False, break_on_hyphens=False,

@@ -1,4 +1,4 @@
-"""`vergence train`: gain schedules and policies, learned from trials."""
+"""`vergence train`: train gain schedules and policies."""
 
 import os
 import signal
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Train:
-    """Learn a gain schedule or a policy; write a run folder that can go on after a kill."""
+    """Train a gain schedule or a policy; write a run folder from which training can resume."""
 
     options: Flat[TrainOptions] = field(default_factory=TrainOptions)
     out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder, new or empty; runs/train-KIND-DATE-TIME by default."""
     resume: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="RUN")] = None
-    """Go on with the run in this folder, to --steps or to what it was begun with."""
+    """Resume the run in this folder, up to --steps or its original number of steps."""
 
     def run(self) -> int:
         """Run the command."""
@@ -52,7 +52,7 @@ class Train:
             return _end(train(folder, config, head, watch))
 
     def _check_nothing_else(self) -> None:
-        """A run goes on as it was begun."""
+        """Refuse options other than --steps beside --resume."""
         unset = {**vars(TrainOptions()), "out": None, "steps": self.options.steps}
         for name, value in {**vars(self.options), "out": self.out}.items():
             if value != unset[name]:
@@ -62,7 +62,7 @@ class Train:
 
 
 class _Watch:
-    """A bar with the newest evaluation on a terminal, a line for each elsewhere."""
+    """Training progress: a bar with the latest evaluation on a terminal, lines elsewhere."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -116,7 +116,7 @@ class _Watch:
 
 @contextmanager
 def _watching(folder: Path) -> Iterator[_Watch]:
-    """A watch; the first Ctrl-C asks the run to be saved and left, the second ends it at once."""
+    """Show progress; the first Ctrl-C stops and saves the run, the second ends it at once."""
     watch = _Watch(folder)
 
     def interrupt(_number: int, _frame: object) -> None:
@@ -125,7 +125,7 @@ def _watching(folder: Path) -> Iterator[_Watch]:
         said = "interrupted: saving after this update (again to stop at once)"
         try:
             note(said)
-        except RuntimeError:  # it came while another line was written, which is not to be entered
+        except RuntimeError:  # raised by a write to the stream that the signal interrupted
             os.write(2, f"vergence: {said}\n".encode())
 
     before = signal.signal(signal.SIGINT, interrupt)
@@ -141,7 +141,7 @@ def _watching(folder: Path) -> Iterator[_Watch]:
 
 
 def _compared(gain: float, unit: str) -> str:
-    """How much better or worse than something: `gain` is its headline metric by ours."""
+    """Comparison in words; `gain` is the reference's headline metric divided by ours."""
     better, worse = ("faster", "slower") if unit == "s" else ("nearer", "farther")
     if f"{gain:.2f}" == "1.00":
         return f"neither {better} nor {worse}"
@@ -149,7 +149,7 @@ def _compared(gain: float, unit: str) -> str:
 
 
 def _end(result: "Result") -> int:
-    """Print how a run has ended."""
+    """Print the result of a run; return the exit code."""
     if not result.finished:
         note(f"stopped after {result.steps} steps: vergence train --resume {result.folder} goes on")
         return 130

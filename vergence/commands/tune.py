@@ -1,4 +1,4 @@
-"""`vergence tune`: the options with which a controller does best in a scenario."""
+"""`vergence tune`: search for a controller's best options in a scenario."""
 
 import shlex
 from dataclasses import dataclass, field
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
     from vergence.models.head import HeadModel
 
 _SHOWN = 5
-"""How many of the best points are printed."""
+"""Number of best points that are printed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tune:
-    """Search the options with which a controller does best; call again to go on."""
+    """Search for the options with which a controller performs best; call again to continue."""
 
     config: Flat[TuneConfig]
     out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
-    """Run folder; runs/tune-CONTROLLER-SCENARIO by default, an earlier call's is gone on with."""
+    """Run folder; runs/tune-CONTROLLER-SCENARIO by default. An earlier run in it is continued."""
     write: bool = False
-    """Keep the result in your table of tuned options, for this head in this scenario."""
+    """Save the result in your own table of tuned options, for this head and scenario."""
     write_package: bool = False
-    """For maintainers: put the result into the table inside the package; for presets and the
-    scenario's own head alone."""
+    """For maintainers: save the result in the package's table; only for presets and the
+    scenario's own head."""
 
     machines: Flat[Machines] = field(default_factory=Machines)
 
@@ -67,7 +67,7 @@ class Tune:
         if config.learned:
             self._check_training()
         head = scenario.model() if config.head is None else load_head(config.head)
-        # also tells whether the scenario runs on that plant
+        # also refuses a plant on which the scenario cannot run
         scenario.env_options(plant=config.plant, head=head)
         self._check_tables(head, scenario)
         with self.machines.open_mapper() as mapper, progress(f"tune {config.name}") as report:
@@ -91,7 +91,11 @@ class Tune:
         return 0
 
     def _check_training(self) -> None:
-        """What does not go together with a kind of training."""
+        """Refuse options that cannot be combined with a kind of training.
+
+        Raises:
+            ConfigurationError: an extra is missing, or such an option is set.
+        """
         require("train", "torch", "stable_baselines3", "tensorboard")
         options = {"write": self.write, "write-package": self.write_package}
         for name, value in {**options, "cluster": self.machines.cluster}.items():
@@ -101,14 +105,14 @@ class Tune:
                 )
 
     def _tables(self) -> list[Path]:
-        """The tables that the result goes into."""
+        """Files of the tables to save the result in."""
         from vergence.controllers import tuned
 
         own = [tuned.user_file()] if self.write else []
         return own + ([tuned.TUNED_FILE] if self.write_package else [])
 
     def _check_tables(self, head: "HeadModel", scenario: "Scenario") -> None:
-        """Refuse, before any work is done, tables that the result could not go into."""
+        """Refuse, before any work is done, tables that cannot take the result."""
         from vergence.controllers.tuned import check_writable, load_tuned
         from vergence.models.files.head_file import load_head, presets
 
@@ -143,11 +147,11 @@ class Tune:
 
 
 def command_of(config: TuneConfig, *, trials: bool) -> str:
-    """The command that finds the same again, from any folder.
+    """Command line that repeats a search, from any folder.
 
     Args:
-        config: what was tuned.
-        trials: whether the number of points matters, which a grid has of its own.
+        config: options of the search.
+        trials: True to state the number of points; a grid defines it by itself.
     """
     from vergence.models.files.head_file import from_anywhere
 
@@ -165,7 +169,7 @@ def command_of(config: TuneConfig, *, trials: bool) -> str:
 
 
 def _print(result: "TuneResult") -> None:
-    """The best points."""
+    """Print the best points."""
     console = Console(highlight=False)
     shown = sorted(result.attempts, key=lambda attempt: attempt.rank)[:_SHOWN]
     rows = [

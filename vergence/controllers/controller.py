@@ -73,6 +73,19 @@ def make_controller(
         UnknownNameError: there is no such controller.
         ConfigurationError: an option is unknown or has an invalid value, or the layout belongs to
             another head.
+
+    Examples:
+        >>> import gymnasium, vergence
+        >>> env = gymnasium.make("vergence/Gaze-v0", plant="kinematic", target="random")
+        >>> head, layout = env.unwrapped.head, env.unwrapped.layout
+        >>> controller = vergence.make_controller("saccade", head=head, layout=layout)
+        >>> observation, info = env.reset(seed=1)
+        >>> state = None
+        >>> for _ in range(60):
+        ...     action, state = controller.predict(observation, state)
+        ...     observation, reward, terminated, truncated, info = env.step(action)
+        >>> info["is_success"]
+        True
     """
     if not isinstance(head, HeadModel):
         raise ConfigurationError(f"head: expected a HeadModel, see load_head, got {head!r:.80}")

@@ -1,12 +1,12 @@
-"""One eye's camera: a thread drains it, dates each image, and finds the target in it.
+"""One eye's camera: a thread reads it, dates each image, and finds the target in it.
 
-Buffers of cameras and streams are queues: what is not taken at once is old when it is taken. So a
-thread takes every image as it comes; detection is part of it, as OpenCV and the compiled detectors
-work without Python's lock.
+Cameras and streams buffer their images in queues: an image that is not read at once is old by the
+time it is read. So a thread reads every image as it arrives. It also runs the detection, as OpenCV
+and the compiled detectors release Python's global interpreter lock.
 
-An image is dated by its receipt less the camera's latency; of a camera of this machine the receipt
-is the driver's. The first images of a stream come in a burst, all at once, and tell nothing; an eye
-is ready when its images come at the pace of the head's frame rate.
+The exposure time of an image is its time of receipt less the camera's latency; for a camera of this
+machine the driver stamps the receipt. The first images of a stream arrive in a burst, so their
+times mean nothing; an eye is ready once its images arrive at the head's frame rate.
 """
 
 import logging
@@ -23,7 +23,7 @@ from vergence.envs.reading import Image
 from vergence.errors import HardwareError
 from vergence.hardware.config import CameraConfig
 from vergence.hardware.history import JointHistory
-from vergence.hardware.pairing import Sight
+from vergence.hardware.pairing import SearchedImage
 from vergence.models.boards import Target
 from vergence.models.head import HeadModel
 from vergence.vision.detectors import make_detector
@@ -34,26 +34,26 @@ from vergence.vision.video import is_device, open_capture
 
 _LOG: Final = logging.getLogger(__name__)
 _STEADY: Final = 5
-"""Intervals in a row, none of a burst, after which the times of images are believed."""
+"""Consecutive intervals outside a burst after which the times of images are trusted (chosen)."""
 _BURST: Final = 0.5
-"""Share of the time between two frames below which images come in a burst."""
+"""Intervals below this fraction of the frame period belong to a burst (chosen)."""
 _STALLED_S: Final = 1.0
-"""Time without an image after which an eye counts as gone, s."""
+"""Time without an image after which a camera counts as lost, s (chosen)."""
 _MOVED_RAD: Final = 0.01
-"""Way of a joint after which two images cannot be alike, rad: several px of a webcam."""
+"""Joint motion after which two images cannot be identical, rad: several px of a webcam (chosen)."""
 _JOIN_S: Final = 3.0
-"""Wait for a thread that may be inside OpenCV, s."""
+"""Longest wait for the thread to end, which may be inside OpenCV, s (chosen)."""
 
 
 class EyeThread(threading.Thread):
-    """Takes every image of one eye's camera and looks for the target in it.
+    """Thread that reads every image of one eye's camera and detects the target in it.
 
     Args:
         config: the camera.
         head: the model of the head.
-        target: what to look for.
-        history: the joints' angles by time, for following the target while the eye turns.
-        clock: a steady clock, s.
+        target: the target to detect.
+        history: joint angles by time, for tracking the target while the eye turns.
+        clock: a monotonic clock, s.
 
     Raises:
         HardwareError: the camera cannot be opened.
@@ -75,12 +75,12 @@ class EyeThread(threading.Thread):
         self._clock = clock
         self._head = head
         self._tracker = self._tracker_of(target)
-        self._new: deque[Sight] = deque(maxlen=64)
+        self._new: deque[SearchedImage] = deque(maxlen=64)
         self._forget = self._ended = self._sees = False
         self._steady = threading.Event()
         self._last_s = self._newest_s = clock()
         self._fault = ""
-        self._seen_q = head.rest()  # where the head stood when the newest image was another
+        self._seen_q = head.rest()  # joint angles at the last image that differed
         self._device = is_device(config.source)
         width, height = head.cameras.size[config.eye].tolist()
         self._capture = open_capture(
@@ -101,7 +101,7 @@ class EyeThread(threading.Thread):
         )
 
     def run(self) -> None:
-        """Take images until the camera ends or the eye is closed."""
+        """Read images until the stream ends or the eye is closed."""
         try:
             self._run()
         except Exception as error:
@@ -131,11 +131,11 @@ class EyeThread(threading.Thread):
             self._steady.set()
 
     def _received_s(self) -> float:
-        """When the image that has just been grabbed came."""
+        """Time of receipt of the image that has just been grabbed, s."""
         now = self._clock()
         if not self._device:
             return now
-        # V4L2's stamp is of the same clock, and knows nothing of when this thread was woken
+        # V4L2 stamps images by the same clock, without the delay until this thread wakes
         stamped_s = 1e-3 * self._capture.get(cv2.CAP_PROP_POS_MSEC)
         return stamped_s if 0.0 <= now - stamped_s < _STALLED_S else now
 
@@ -172,24 +172,24 @@ class EyeThread(threading.Thread):
         self.images += 1
         self.found += found is not None
         self.frame = grey
-        self._new.append(Sight(exposed_s, self._clock(), pixel, found, grey))
+        self._new.append(SearchedImage(exposed_s, self._clock(), pixel, found, grey))
 
     @property
     def newest_s(self) -> float:
-        """When the newest image came, s.
+        """Time of receipt of the newest image, s.
 
-        A camera that hangs may send its last image for ever: one that has not changed while the eye
-        turned is none.
+        A camera that hangs may repeat its last image for ever, so an image that has not changed
+        while the eye turned does not count.
         """
         return self._newest_s
 
     @property
     def ready(self) -> bool:
-        """Whether images have come at the frames' pace, and the newest has been looked at."""
+        """True once images arrive at the frame rate and the first of them has been searched."""
         return self._steady.is_set()
 
     def check(self) -> None:
-        """Refuse a camera that has ended or stalled.
+        """Raise an error if the camera has ended or stalled.
 
         Raises:
             HardwareError: it has.
@@ -203,26 +203,26 @@ class EyeThread(threading.Thread):
                 f"{silent_s:.1f} s"
             )
 
-    def take(self) -> list[Sight]:
-        """What has been seen since the last call, in the order of exposure."""
+    def take(self) -> list[SearchedImage]:
+        """Sights of the images since the last call, in the order of exposure."""
         sights = []
         while self._new:
             sights.append(self._new.popleft())
         return sights
 
     def look_for(self, target: Target) -> None:
-        """Look for another target from the next image on."""
+        """Detect another target from the next image on."""
         self._tracker = self._tracker_of(target)
 
     def _tracker_of(self, target: Target) -> Tracker:
         return Tracker(make_detector(target, EyeCamera.of(self._head, self.config.eye)))
 
     def forget(self) -> None:
-        """Lose the target's track: the next image is searched as a whole."""
+        """Drop the track of the target: the whole next image is searched."""
         self._forget = True
 
     def close(self) -> None:
-        """Stop, and release the camera."""
+        """Stop the thread and release the camera."""
         self._ended = True
         if self.is_alive():
             self.join(_JOIN_S)

@@ -1,15 +1,15 @@
-r"""Pixels of two eyes that were exposed at different times, as of one time between them.
+r"""Conversion of two eyes' pixels, exposed at different times, to one common time.
 
-Cameras that nothing synchronises expose up to half a frame apart, in which a turning eye's image
-moves by tens of pixels. The joints' angles are known at both times. So each eye's line of sight is
-taken where the head stood at its own exposure, in the frame 0 that does not move; the target is on
-it at the depth where the two lines come closest (Eqs. 18 to 23),
+Unsynchronised cameras expose up to half a frame period apart; in this time the image of a turning
+eye moves by tens of pixels. The joint angles are known at both times. So each eye's line of sight
+is computed in the fixed frame 0 from the joint angles at its own exposure. The target lies on it at
+the depth of the closest approach of the two lines (Eqs. 18 to 23),
 
     [ d_l.d_l  -d_l.d_r ] [s]   [ -d_l.w ]
     [-d_l.d_r   d_r.d_r ] [t] = [  d_r.w ],   w = o_l - o_r,
 
-and is seen again where the head stood at the common time. This holds for a target at rest; one that
-moves is off by its own motion in half of the time between the exposures.
+and is projected into the cameras at the joint angles of the common time. This is exact for a target
+at rest; a moving target is off by its own motion in half of the time between the exposures.
 """
 
 from functools import lru_cache
@@ -25,13 +25,13 @@ from vergence.triangulation.lines_of_sight import DEPTH_RANGE_M
 from vergence.vision.optics import EyeCamera
 
 _PARALLEL: Final = 1e-8
-"""Square of the sine of the angle between lines that do not cross: 0.1 mrad."""
+"""Squared sine of the angle below which two lines count as parallel: 0.1 mrad (numerical)."""
 
 
 def at_common_time(
     head: HeadModel, pixels: FloatArray, exposed: FloatArray, common: FloatArray
 ) -> FloatArray:
-    """Both eyes' pixels as of a common time.
+    """Convert both eyes' pixels to a common time.
 
     Args:
         head: the model of the head.
@@ -40,7 +40,7 @@ def at_common_time(
         common: (7,) joint angles at the common time, rad.
 
     Returns:
-        (2, 2) raw pixels, px; nan where a pixel has no ray, or the target is not seen again.
+        (2, 2) raw pixels, px; nan if a pixel has no ray or the target is out of view at that time.
     """
     T_0_C = head.base_pose(exposed) @ np.stack(
         [head.camera_poses(exposed[eye])[eye] for eye in range(2)]
@@ -58,12 +58,15 @@ def at_common_time(
 
 @lru_cache(maxsize=8)
 def _cameras(head: HeadModel) -> tuple[EyeCamera, EyeCamera]:
-    """Both eyes, kept: preparing their lenses takes longer than all else of a pair of images."""
+    """Both cameras, cached: preparing the lens models takes longer than the rest of a pair."""
     return EyeCamera.of(head, 0), EyeCamera.of(head, 1)
 
 
 def _depths(origins: FloatArray, directions: FloatArray) -> FloatArray:
-    """(2,) where two lines come closest, in units of their directions, within a head's range."""
+    """(2,) depths of the closest approach of two lines, clipped to `DEPTH_RANGE_M`.
+
+    In units of the lengths of their directions.
+    """
     left, right = directions
     a, b, c = left @ left, left @ right, right @ right
     w = origins[0] - origins[1]
@@ -73,17 +76,19 @@ def _depths(origins: FloatArray, directions: FloatArray) -> FloatArray:
     s = (b * (right @ w) - c * (left @ w)) / determinant
     t = (a * (right @ w) - b * (left @ w)) / determinant
     depths = np.array([s, t])
-    # lines that part meet as good as nowhere
+    # lines that diverge meet behind the cameras: take the greatest depth
     return np.clip(np.where(depths > 0.0, depths, DEPTH_RANGE_M[1]), *DEPTH_RANGE_M)
 
 
 def as_one(head: HeadModel, sights: Sights, history: JointHistory) -> tuple[float, FloatArray]:
-    """One exposure's time and (2, 2) pixels; the time is a lone eye's own where one sees.
+    """Merge a pair of images into one exposure time, s, and (2, 2) pixels of that time.
+
+    If only one eye has found the target, the time is its own exposure's.
 
     Args:
         head: the model of the head.
         sights: a pair of images, or one eye's alone.
-        history: the joints' angles by time.
+        history: joint angles by time.
     """
     pixels = np.full((2, 2), np.nan)
     for eye, sight in enumerate(sights):

@@ -1,4 +1,4 @@
-"""Compilation of all that a robot's loop calls, before its motors have torque."""
+"""Compilation of every function that a robot's control loop calls, before torque goes on."""
 
 from typing import Final
 
@@ -13,15 +13,15 @@ from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
 
 _CELL_PX: Final = 8.0
-"""Cells of the board that is drawn to compile by, px."""
+"""Cell size of the board that is drawn for the compilation, px (chosen)."""
 
 
 def compile_loop(head: HeadModel, target: Target) -> None:
-    """Call every kernel of the loop once, on images that show the target and on one without.
+    """Call every kernel of the loop once, on images with the target and on one without.
 
     Args:
         head: the model of the head.
-        target: what the cameras look for.
+        target: the target that the cameras detect.
     """
     q, still = head.rest(), np.zeros(7)
     board = target.tag(0) if isinstance(target, TagFamily) else target

@@ -1,4 +1,4 @@
-"""A real head described in TOML: its servos, its cameras, and what it looks at.
+"""A real head described in TOML: its servos, its cameras, and its target.
 
     head = "turrets"                # a preset, or a head file beside this one
     target = "tag:36h11:0:150"      # as `vergence detect` takes it
@@ -10,8 +10,8 @@
     [[servos]]                      # one for every joint of the neck and actuator of the eyes
     name = "left_pan"
     id = 1
-    zero_ticks = 2048               # present position where the joint's angle is zero
-    sign = 1                        # -1 where the servo turns against the joint
+    zero_ticks = 2048               # servo position at the joint's zero angle
+    sign = 1                        # -1 if the servo turns against the joint
 
     [cameras.left]
     source = "/dev/v4l/by-id/usb-...-video-index0"
@@ -20,11 +20,11 @@
     [cameras.right]
     source = "http://192.168.1.20:8080/video"
 
-    [[places]]                      # targets of `vergence evaluate` at measured places, if any
+    [[places]]                      # targets of `vergence evaluate` at measured points, if any
     target = "tag:36h11:5:120"
     point_mm = [150.0, -80.0, 900.0]
 
-The rates of control and of the frames, the latency and the limits are those of the head file.
+The control rate, the frame rate, the latency and the limits come from the head file.
 """
 
 import os
@@ -76,51 +76,51 @@ __all__ = [
 ]
 
 _PAIRING: Final = 0.75
-"""Greatest distance of the exposures of a pair by the time between two frames: half of it, so that
-cameras that nothing synchronises always find a partner, and a quarter for jitter."""
+"""Greatest time between the exposures of a pair, as a fraction of the frame period: a half, so that
+images of unsynchronised cameras always find a partner, and a quarter for jitter (chosen)."""
 _TOLERANCE: Final[Rule] = (lambda x: 0.0 < x < 1.0, "seconds, 0 to 1 (is it in milliseconds?)")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HardwareConfig:
-    """A real head: the model that controllers know, and the hardware that it stands for."""
+    """A real head: the model that controllers use, and its hardware."""
 
     path: str
-    """The file that says so."""
+    """Path of the configuration file."""
     head: HeadModel
-    """The model."""
+    """Model of the head."""
     target: Target
-    """What the cameras look for."""
+    """Target that the cameras detect."""
     bus: BusConfig
     """The serial line."""
     servos: tuple[ServoConfig, ...]
-    """In the order of a command's slots."""
+    """Servos in the order of the slots of a command."""
     cameras: tuple[CameraConfig, CameraConfig]
-    """Left and right."""
+    """Left and right camera."""
     pairing_tolerance_s: float
-    """Greatest time between the exposures of two images that are taken for one pair, s."""
+    """Greatest time between the exposures of two images of a pair, s."""
     emulator: str
-    """HOST:PORT of the emulated head behind all this; empty for a robot."""
+    """HOST:PORT of the emulated head behind this hardware; empty for a robot."""
     places_targets: bool = False
-    """Whether trials' targets are placed, as before an emulated head without a board that stands
-    still; a robot looks at the world."""
+    """True if trials place their targets: for an emulated head, unless its board is fixed. Before a
+    robot targets stand in the real world."""
     safety: SafetyConfig = field(default_factory=SafetyConfig)
-    """Bounds beyond those of the head's file."""
+    """Safety bounds in addition to the limits of the head file."""
     loop: LoopConfig | None = None
-    """The loop as it was measured; None for what the head's file says."""
+    """Measured latencies and responses of the loop; None for the values of the head file."""
     places: tuple[Place, ...] = ()
-    """Further targets at measured places, between which trials change."""
+    """Further targets at measured points, between which trials switch."""
     text: str = ""
     """Content of the file."""
 
     @property
     def slots(self) -> dict[str, int]:
-        """Places in a command of seven by name, of what has a servo."""
+        """Indices into the 7-element command by name, for joints and actuators with a servo."""
         return {servo.name: servo.slot for servo in self.servos}
 
 
 def load_hardware(source: str | os.PathLike[str]) -> HardwareConfig:
-    """Read what a real head is made of from a TOML file, see the module's description.
+    """Read the hardware of a real head from a TOML file, see the module's description.
 
     Args:
         source: the path of the file.
@@ -128,8 +128,8 @@ def load_hardware(source: str | os.PathLike[str]) -> HardwareConfig:
     Raises:
         HeadFileError: the file is missing, or a key of it is missing, unknown or impossible; the
             message names the file, the key, the value and what was expected. Several mistakes
-            are one `MistakesError`.
-        ConfigurationError: the target is none, and nothing else is wrong.
+            are raised as one `MistakesError`.
+        ConfigurationError: the target is not a valid one, and nothing else is wrong.
     """
     if not isinstance(source, str | os.PathLike):
         raise ConfigurationError(f"config: expected the path of a TOML file, got {source!r:.80}")
@@ -143,13 +143,13 @@ def load_hardware(source: str | os.PathLike[str]) -> HardwareConfig:
         ) from error
     try:
         document = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # nested too deep, or a number too long
+    except (ValueError, RecursionError) as error:  # nested too deeply, or a number too long
         raise UnreadableFileError(path, f"no TOML ({error})", "a TOML file") from error
     return replace(_parse(Table(document, ""), path), text=text)
 
 
 def refuse_other_head(config: HardwareConfig, head: HeadModel) -> None:
-    """Refuse a head that is not the one that the hardware is described with.
+    """Raise an error if a head differs from that of the hardware configuration.
 
     Raises:
         ConfigurationError: their digests differ.
@@ -184,7 +184,7 @@ def _parse(table: Table, path: str) -> HardwareConfig:
     with mistakes:
         if table.has("safety"):
             part = table.table("safety")
-            # its postures are those of the head's joints
+            # its forbidden postures name joints of the head
             safety = safety if head is None else parse_safety(part, actuator_slots(head))
     loop: LoopConfig | None = None
     with mistakes:
@@ -216,7 +216,7 @@ def _parse(table: Table, path: str) -> HardwareConfig:
 
 
 def _error(mistakes: Mistakes, path: str) -> VergenceError:
-    """What to raise for mistakes, each with the file that it is in."""
+    """The error to raise for all mistakes, each with the name of the file."""
     found = [_in_file(mistake, path) for mistake in mistakes.found]
     return found[0] if len(found) == 1 else MistakesError(path, found)
 
@@ -240,7 +240,7 @@ def _refuse_other_digest(table: Table, head: HeadModel | None) -> None:
 def _cameras(
     table: Table, head: HeadModel | None, mistakes: Mistakes
 ) -> tuple[list[CameraConfig], float]:
-    """The cameras without mistakes, left one first, and the pairing tolerance, s."""
+    """Read the cameras, left one first, and the pairing tolerance, s; mistakes are left out."""
     tolerance_s = 0.0 if head is None else _PAIRING * head.timing.frame_s
     with mistakes:
         if table.has("pairing_tolerance_s"):
@@ -265,7 +265,7 @@ def _head(table: Table, path: str) -> HeadModel:
     place = Path(path).parent.absolute() / name
     if not name.isprintable():
         raise HeadFileError("head", name, expected, path)
-    # a pipe never ends, nor do some devices
+    # reading a pipe or some devices never ends
     if os.path.exists(place) and not os.path.isfile(place):
         raise HeadFileError("head", name, f"{expected} ({place!s:.200}: no regular file)", path)
     try:

@@ -1,4 +1,4 @@
-"""What was found of a robot, written into its configuration file, whose comments stay."""
+"""Measured values of a robot, written into its configuration file; its comments stay."""
 
 import dataclasses
 import os
@@ -12,18 +12,18 @@ from vergence.hardware.config import ServoConfig
 from vergence.hardware.config_parts import LoopConfig
 
 _DIGITS: Final = 4
-"""Significant digits of what is written of a loop."""
+"""Significant digits of the measured values in the file (chosen)."""
 
 
 def write_servos(path: str | os.PathLike[str], servos: Iterable[ServoConfig]) -> None:
-    """Write `sign` and `zero_ticks` of some servos into their file, whole or not at all.
+    """Write `sign` and `zero_ticks` of some servos into their file, atomically.
 
     Args:
-        path: the file; it is read anew, so what else has changed in it stays.
-        servos: those to write, found by their names.
+        path: the file; it is read again, so other changes in it stay.
+        servos: the servos to write, matched by name.
 
     Raises:
-        UnreadableFileError: the file has no such servo any more, or is no TOML.
+        UnreadableFileError: the file no longer has such a servo, or is not TOML.
         OSError: it cannot be read or written.
     """
 
@@ -32,7 +32,7 @@ def write_servos(path: str | os.PathLike[str], servos: Iterable[ServoConfig]) ->
         for servo in servos:
             table = tables[servo.name]
             for key, value in (("sign", servo.sign), ("zero_ticks", servo.zero_ticks)):
-                if table[key] != value:  # what is right stays as it is spelt
+                if table[key] != value:  # correct values keep their spelling
                     table[key] = value
 
     _edit(path, change, "a TOML file with these servos")
@@ -41,12 +41,12 @@ def write_servos(path: str | os.PathLike[str], servos: Iterable[ServoConfig]) ->
 def write_loop(
     path: str | os.PathLike[str], loop: LoopConfig, latencies_s: Mapping[str, float]
 ) -> None:
-    """Write a loop as it was measured, and its cameras' latencies, whole or not at all.
+    """Write the measured loop and the latencies of the cameras, atomically.
 
     Args:
-        path: the file, see `write_servos`, as for the errors.
-        loop: what takes the place of `[loop]`.
-        latencies_s: by the cameras' names, `left` or `right`.
+        path: the file; see `write_servos` for it and for the errors.
+        loop: the new content of `[loop]`.
+        latencies_s: camera latencies by name, `left` or `right`, s.
     """
 
     def change(document: Any) -> None:
@@ -75,7 +75,7 @@ def _edit(path: str | os.PathLike[str], change: Callable[[Any], None], expected:
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
 
-    place = Path(path).resolve()  # a link stays one
+    place = Path(path).resolve()  # a symbolic link stays one
     content = place.read_bytes()
     try:
         document = tomlkit.parse(content.decode("utf-8-sig"))

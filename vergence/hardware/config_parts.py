@@ -1,4 +1,4 @@
-"""The parts of a real head as its configuration describes them: line, servos, cameras."""
+"""Parts of a real head's configuration: serial line, servos, cameras, measured loop, targets."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,27 +17,27 @@ class BusConfig:
     """The serial line of the servos."""
 
     port: str
-    """Its device file."""
+    """Device file of the line."""
     baud_rate: int = 1_000_000
-    """Bits per second."""
+    """Baud rate, bit/s."""
     watchdog_s: float = 0.2
-    """Time without a packet after which the servos stop by themselves, s."""
+    """Watchdog time: without a packet for so long the servos stop by themselves, s."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ServoConfig:
-    """One servo: the joint of the neck or actuator of the eyes that it moves, and how."""
+    """One servo and its coupling to the neck joint or eye actuator that it moves."""
 
     name: str
-    """Of the neck's joint or the eyes' actuator."""
+    """Name of the neck joint or eye actuator."""
     slot: int
-    """Its place in a command of seven, see `vergence.envs.plant.Plant.step`."""
+    """Index into the 7-element command, see `vergence.envs.plant.Plant.step`."""
     id: int
-    """On the bus."""
+    """Id on the bus."""
     zero_ticks: int
-    """Present position where the angle is zero, ticks."""
+    """Servo position at the zero angle, ticks."""
     sign: int
-    """-1 where the servo turns against the angle."""
+    """1, or -1 if the servo turns against the joint."""
     gear_ratio: float
     """Turns of the servo per turn of the joint."""
     lower_rad: float
@@ -58,60 +58,61 @@ class CameraConfig:
     eye: int
     """0 for left, 1 for right."""
     source: str
-    """Number, device file or URL, as `vergence live` takes it."""
+    """Camera number, device file or URL, as for `vergence live`."""
     pixel_format: str
-    """Four letters of the pixel format that is asked for, such as MJPG; empty for the camera's."""
+    """Requested pixel format, four letters such as MJPG; empty for the camera's default."""
     latency_s: float
-    """From exposure to receipt, s."""
+    """Latency from exposure to receipt, s."""
     exposure_s: float | None = None
-    """Exposure time that a camera of this machine is locked to, s; None leaves it as it is."""
+    """Fixed exposure time of a camera of this machine, s; None leaves its setting."""
 
     @property
     def name(self) -> str:
-        """As messages call it."""
+        """Name of the camera in messages."""
         return f"cameras.{EYE_NAMES[self.eye]}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopConfig:
-    """A robot's loop as `vergence measure-delay` finds it, in place of what its head file says.
+    """Loop timing and motor response from `vergence measure-delay`; replaces that of the head file.
 
-    The feedback's own latency stands in none of it: commands and images are dated by the encoders'
-    readings, and only differences from these can be measured.
+    The latency of the encoder feedback itself is not included: commands and images are dated by
+    the encoder readings, and only time differences from these can be measured.
     """
 
     measured: str
-    """Day of the measurement."""
+    """Date of the measurement."""
     command_latency_s: float
-    """From a command to the encoders' telling of the motors' response, s."""
+    """Latency from a command to the motors' response in the encoder readings, s."""
     lag_s: float
-    """Time constant of the motors' response, as a head's `timing.lag_s`, s; an actuator with a
-    lag of its own keeps its ratio."""
+    """Time constant of the motors' response, as a head's `timing.lag_s`, s; an actuator with its
+    own lag keeps its ratio to this one."""
     speed_gain: float
-    """Speed at rest by command."""
+    """Steady-state speed per commanded speed."""
     computing_s: float
-    """From an image's receipt to its target being found, and from a reading to its command, s."""
+    """Computing time: image to detection plus reading to command, s."""
     backlash_rad: float | None = None
-    """Play between encoders and cameras, rad; None where no image told it, as the following."""
+    """Backlash (play) between encoders and cameras, rad; None, like the values below, if not
+    measured."""
     jitter_s: float | None = None
-    """The most by which an image comes later than its camera's latency, s."""
+    """Greatest delay of an image beyond its camera's latency, s."""
     acceleration_ratio: float | None = None
-    """Greatest accelerations by those of the head file; None where they were not reached."""
+    """Greatest acceleration as a ratio to the head file's; None if it was not reached."""
     sigma: Mapping[str, float] = field(default_factory=dict)
-    """Standard deviations by name of the values."""
+    """Standard deviations by the names of the values."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Place:
-    """A target at a measured place."""
+    """A target at a measured point."""
 
     target: Target
-    """What the cameras look for there."""
+    """Target that the cameras detect there."""
     point: FloatArray
-    """(3,) of its centre, in N, m."""
+    """(3,) centre of the target in the frame N, m."""
 
 
 def actuator_slots(head: HeadModel) -> dict[str, int]:
-    """What a robot needs a servo for, by name, and its place in a command of seven."""
+    """Neck joints and eye actuators that need a servo: index into the 7-element command by name."""
     slots = {name: slot for slot, name in enumerate(head.joints[NECK]) if name}
     return slots | {name: NECK.stop + i for i, name in enumerate(head.actuation.names)}

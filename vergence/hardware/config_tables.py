@@ -1,8 +1,7 @@
-"""The tables of a robot's configuration file, and the rules of their keys.
+"""Readers of the tables of a robot's configuration file, and the rules of their keys.
 
-Each reader takes its table apart and collects what is wrong with it, so that one look at the file
-finds the mistakes of all its tables. Where the head itself is wrong, what depends on it is not
-judged.
+All readers collect their mistakes, so that one reading of the file reports the mistakes of all
+tables. If the head itself is wrong, the checks that depend on it are left out.
 """
 
 import re
@@ -29,7 +28,7 @@ from vergence.models.files.toml_table import Rule, Table
 from vergence.models.head import HeadModel
 
 _WATCHDOG_PERIODS: Final = 3
-"""Least watchdog: one late period is no reason to stop."""
+"""Least watchdog time, control periods: one late period must not trip it (chosen)."""
 _ID: Final[Rule] = (lambda x: 0 <= x <= 252, "a servo's id, 0 to 252")
 _BAUD: Final[Rule] = (lambda x: 9600 <= x <= 10_500_000, "a baud rate, 9600 to 10500000")
 _ZERO: Final[Rule] = (lambda x: 0 <= x < TICKS_PER_TURN, "ticks of the servo's position, 0 to 4095")
@@ -49,10 +48,11 @@ _EXPOSURE: Final[Rule] = (
 )
 _FAR: Final[Rule] = (lambda x: abs(x) <= 100_000.0, "mm, up to 100 m")
 _NEAREST_MM: Final = 20.0
+"""Least distance of a target from the origin of the neck frame, mm (chosen)."""
 _BESIDE: Final = "mm, at least 20 mm from the neck frame's origin (is it in metres?)"
 _PORT: Final = "the device file of the serial line, such as /dev/ttyUSB0"
 _NUMBERS: Final = 256
-"""Cameras of a machine that are told apart by number: Linux has no more."""
+"""Number of cameras that Linux can number on one machine (physical: a limit of Linux)."""
 _SIGMA: Final[Rule] = (lambda x: 0.0 <= x < 1e4, "a standard deviation, 0 or more")
 _TARGET: Final = "a target, such as tag:36h11:5:120"
 _SOURCE: Final = "a camera's number, its device file or a URL"
@@ -60,10 +60,10 @@ _ADDRESS: Final = "HOST:PORT of an emulated head"
 
 
 class Mistakes:
-    """The mistakes of one file: a `with` block that finds one ends there, and what follows goes on.
+    """Collects the mistakes of one file: an error ends its `with` block alone.
 
     Attributes:
-        found: in the order in which they were found.
+        found: the errors, in the order in which they occurred.
     """
 
     def __init__(self) -> None:
@@ -82,10 +82,10 @@ class Mistakes:
 
 
 def read_bus(table: Table, head: HeadModel | None) -> BusConfig:
-    """The serial line.
+    """Read the `bus` table: the serial line.
 
     Raises:
-        HeadFileError: a key is missing, unknown or impossible; so for the others.
+        HeadFileError: a key is missing, unknown or impossible; the other readers raise it too.
     """
     port = table.text("port", _PORT)
     if not port.isprintable():
@@ -109,7 +109,7 @@ def read_bus(table: Table, head: HeadModel | None) -> BusConfig:
 def read_servos(
     tables: Sequence[Table], head: HeadModel | None, mistakes: Mistakes
 ) -> tuple[ServoConfig, ...]:
-    """The servos in the order of their slots; of those with mistakes, the first of each."""
+    """Read the servos, in the order of their slots; those with mistakes are left out."""
     slots = None if head is None else actuator_slots(head)
     servos: list[ServoConfig] = []
     names: list[str] = []
@@ -131,7 +131,7 @@ def read_servos(
             servo = _servo(table, name, ident, 0 if slots is None else slots[name], head)
             servos.append(servo)
     if head is not None and slots is not None and set(names) < set(slots):
-        nameless = len(tables) - len(names)  # their own mistakes are told
+        nameless = len(tables) - len(names)  # their own mistakes are reported already
         if len(slots) - len(names) > nameless:
             mistakes.found.append(
                 HeadFileError(
@@ -186,7 +186,7 @@ def _range_of(head: HeadModel, slot: int) -> tuple[float, float]:
 
 
 def read_camera(table: Table, eye: int, head: HeadModel | None) -> CameraConfig:
-    """One eye's camera."""
+    """Read the table of one eye's camera."""
     source = table.take("source", _SOURCE)
     if not _is_source(source):
         raise HeadFileError(table.key("source"), source, _SOURCE)
@@ -219,7 +219,7 @@ def read_camera(table: Table, eye: int, head: HeadModel | None) -> CameraConfig:
 
 
 def _is_source(value: object) -> bool:
-    """Whether a value is the number of a camera, or words that may name one."""
+    """True if a value is the number of a camera, or text that may name one."""
     if isinstance(value, str) and not value.isdecimal():
         return bool(value.strip()) and value.isprintable()
     if isinstance(value, str) and len(value) > len(str(_NUMBERS)):
@@ -241,7 +241,7 @@ _LOOP_OPTIONAL: Final = ("backlash_rad", "jitter_s", "acceleration_ratio")
 
 
 def read_loop(table: Table) -> LoopConfig:
-    """The loop as it was measured."""
+    """Read the `loop` table: the measured loop."""
     values = {name: table.number(name, _loop_rule(name)) for name in _LOOP_VALUES}
     for name in _LOOP_OPTIONAL:
         if table.has(name):
@@ -258,14 +258,14 @@ def read_loop(table: Table) -> LoopConfig:
 
 
 def _loop_rule(name: str) -> Rule:
-    """The rule of a value that a simulation can have, see `imperfections`."""
-    if name not in IMPERFECTIONS:  # a time of its own
+    """Rule of a measured value: the range of the simulated one, see `imperfections`."""
+    if name not in IMPERFECTIONS:  # a time that simulation does not have
         return _LATENCY
     return (lambda x: is_within(name, x, x), expected(name))
 
 
 def read_places(tables: Sequence[Table], mistakes: Mistakes) -> tuple[Place, ...]:
-    """Targets at measured places, without those that have mistakes."""
+    """Read the targets at measured points; those with mistakes are left out."""
     places: list[Place] = []
     told: dict[str, str] = {}
     for table in tables:
@@ -276,7 +276,7 @@ def read_places(tables: Sequence[Table], mistakes: Mistakes) -> tuple[Place, ...
             except ConfigurationError as error:
                 asked = f"{_TARGET} ({error})"
                 raise HeadFileError(table.key("target"), text, asked) from error
-            # of a tag, its size tells nothing apart
+            # the size of a tag does not distinguish it from others
             seen = str((target.family, target.id) if isinstance(target, AprilTag) else target)
             if seen in told:
                 raise HeadFileError(table.key("target"), text, f"another target than {told[seen]}")
@@ -294,7 +294,7 @@ def read_places(tables: Sequence[Table], mistakes: Mistakes) -> tuple[Place, ...
 
 
 def read_emulator(table: Table) -> tuple[str, bool]:
-    """HOST:PORT of the emulated head, and whether it places targets."""
+    """Read HOST:PORT of the emulated head, and the flag `places_targets`."""
     address = table.text("address", _ADDRESS)
     host_port = re.fullmatch(r"[^:\s]+:([0-9]{1,5})", address)
     if host_port is None or not 1 <= int(host_port[1]) <= 65535:

@@ -1,4 +1,4 @@
-"""Log lines on what may happen in every control period: one a second at most, with a count."""
+"""Log lines for events of any control period: at most one line a second, with their count."""
 
 import logging
 from collections.abc import Callable
@@ -7,17 +7,17 @@ from typing import Final
 import numpy as np
 
 _EVERY_S: Final = 1.0
-"""Time between two lines, s."""
+"""Least time between two lines, s (chosen)."""
 
 
 class CountLog:
-    """Counts events of one kind, and logs how many there were since its last line.
+    """Counts events of one kind, and logs the number since its last line.
 
     Args:
-        log: takes the lines.
-        level: of the lines.
-        text: of a line, with a %d for the count and places for what else `add` is given.
-        clock: a steady clock, s.
+        log: the logger of the lines.
+        level: the logging level of the lines.
+        text: the format of a line: a %d for the count, then the values given to `add`.
+        clock: a monotonic clock, s.
     """
 
     def __init__(
@@ -28,7 +28,7 @@ class CountLog:
         self._count, self._told_s = 0, -np.inf
 
     def add(self, count: int, *values: object) -> None:
-        """Count events, and say so if the last line is a second old."""
+        """Count events, and log them if the last line is a second old."""
         self._count += count
         now = self._clock()
         if now - self._told_s >= _EVERY_S:

@@ -1,8 +1,8 @@
-"""The servos of a robot behind its supervisor: asked, driven, and braked.
+"""Reading, driving and braking of a robot's servos; every command passes the supervisor.
 
-While whoever drives them takes their time, a thread of the drive's own speaks in their place: it
-keeps the last command, as far as it is safe, for two periods more, and then brakes to rest. Where
-Python lets no thread run, the servos' own watchdog stops them.
+If the caller's next command is late, a thread of the drive sends commands in its place: the last
+one, as far as it is safe, for about two more periods, and then commands that brake to rest. If
+Python runs no thread at all, the servos' own watchdog stops them.
 """
 
 import logging
@@ -20,7 +20,7 @@ from vergence.hardware.config import HardwareConfig
 from vergence.hardware.count_log import CountLog
 from vergence.hardware.history import JointHistory
 from vergence.hardware.safety.motion import HELD
-from vergence.hardware.safety.supervisor import State, Supervisor
+from vergence.hardware.safety.supervisor import RobotState, Supervisor
 from vergence.hardware.servos import HeadServos
 from vergence.models.parts import FloatArray
 from vergence.recording.listener import RobotListener
@@ -28,16 +28,17 @@ from vergence.recording.schema import CommandOrigin, LoggedCommand
 
 _LOG: Final = logging.getLogger(__name__)
 _OLD: Final = 1.0
-"""Age of the joints' angles by the control period from which on they are read again."""
+"""Joint angles older than this are read again before a command, control periods (chosen)."""
 _KEPT: Final = 3.0
-"""Control periods for which a wish counts; after them the joints are braked."""
+"""Control periods for which a requested command is repeated; then the joints brake (chosen)."""
 _REST_TIMEOUT_S: Final = 1.0
-"""Longest time for which the joints are braked by commands, s."""
+"""Longest time for braking by commands, s (chosen)."""
 _JOIN_S: Final = 1.0
+"""Longest wait for the thread to end, s (chosen)."""
 
 
 class InTrial(NamedTuple):
-    """What the supervisor is told of a running trial, see `State`."""
+    """State of the running trial for the supervisor, see `RobotState`."""
 
     images_s: FloatArray
     seen: bool
@@ -45,16 +46,16 @@ class InTrial(NamedTuple):
     missed: int
 
 
-class Drive(threading.Thread):
-    """Sends commands to open servos, and speaks for whoever is late.
+class DriveThread(threading.Thread):
+    """Sends commands to open servos, and keeps sending if the caller is late.
 
     Args:
         line: the servos.
-        config: what the hardware is.
-        supervisor: makes commands of wishes.
-        history: takes every reading of the joints.
-        log: takes these and all commands; None for no log.
-        clock: a steady clock, s.
+        config: the hardware configuration.
+        supervisor: turns requested velocities (wishes) into safe commands.
+        history: receives every reading of the joints.
+        log: receives the readings and all commands; None for no log.
+        clock: a monotonic clock, s.
         sleep: waits for some seconds.
     """
 
@@ -83,12 +84,12 @@ class Drive(threading.Thread):
 
     @property
     def misses(self) -> int:
-        """Answers that did not come."""
+        """Number of answers that did not arrive."""
         return self._line.misses
 
     @contextmanager
     def alone(self) -> Iterator[HeadServos]:
-        """The servos, and nobody speaks meanwhile.
+        """Give exclusive access to the servos: nobody else sends meanwhile.
 
         Raises:
             HardwareError: the drive is closed, or another process has opened it.
@@ -98,7 +99,7 @@ class Drive(threading.Thread):
             yield self._line
 
     def sense(self) -> None:
-        """Read the joints into the history.
+        """Read the joints and add them to the history.
 
         Raises:
             HardwareError: see `HeadServos.sense` and `alone`.
@@ -110,21 +111,21 @@ class Drive(threading.Thread):
             self._log.joints(*sensed)
 
     def send(self, wish: FloatArray, trial: InTrial | None = None) -> FloatArray:
-        """Send what the supervisor makes of a wish.
+        """Send the supervisor's command for some requested velocities.
 
         Args:
-            wish: (7,) rad/s.
-            trial: while one runs.
+            wish: (7,) requested velocities, rad/s.
+            trial: state of the running trial; None outside a trial.
 
         Returns:
-            (7,) what was sent, rad/s.
+            (7,) velocities that were sent, rad/s.
 
         Raises:
             HardwareError: the line is gone; see `alone`.
         """
         while True:
             with self.alone():
-                # commands are a period apart, the thread's too
+                # at least a period after a command of the thread
                 ahead_s = self._kept_s + self._period_s - self._clock()
                 if ahead_s <= 0.0:
                     self._wished_s = self._clock()
@@ -136,10 +137,10 @@ class Drive(threading.Thread):
         line = self._line
         old_s = self._clock() - self._history.newest()[0]
         if old_s > _OLD * self._period_s and not self._supervisor.fault:
-            self.sense()  # whoever wishes has taken their time
+            self.sense()  # the caller was slow
         measured_s, joints, _ = self._history.newest()
         now = self._clock()
-        state = State(
+        state = RobotState(
             now_s=now,
             angles=line.angles.angles + (now - measured_s) * line.angles.speeds,
             speeds=line.angles.speeds,
@@ -155,7 +156,7 @@ class Drive(threading.Thread):
             asked = CommandOrigin.ROBOT if trial is None else CommandOrigin.POLICY
             verdict = self._supervisor.verdict.value
             self._log.command(LoggedCommand(self._clock(), wish, sent, verdict, asked.value))
-        self._wish = sent  # what is kept where the next wish is late
+        self._wish = sent  # repeated if the next wish is late
         self._sent_s = self._clock()
         self._supervisor.took(sent)
         return sent
@@ -165,16 +166,16 @@ class Drive(threading.Thread):
             raise HardwareError("the head is closed: expected a reset first")
 
     def move(self, wish: FloatArray) -> float:
-        """Send a wish for one period outside a trial.
+        """Send requested velocities for one period outside a trial.
 
         Args:
-            wish: (7,) rad/s.
+            wish: (7,) requested velocities, rad/s.
 
         Returns:
-            The time then, s.
+            Time at the end of the period, s.
 
         Raises:
-            HardwareError: something is wrong; `brake` then.
+            HardwareError: something is wrong; the caller has to call `brake`.
         """
         self.send(wish)
         if self._supervisor.fault:
@@ -184,7 +185,7 @@ class Drive(threading.Thread):
         return self._clock()
 
     def brake(self) -> None:
-        """Brake until the commands are to rest, as far as the line allows."""
+        """Brake until the commands are zero, as far as the line allows."""
         if os.getpid() != self._pid:
             return
         moved = not self._supervisor.at_rest
@@ -205,10 +206,10 @@ class Drive(threading.Thread):
             _LOG.warning("expected to brake to rest within %g s", _REST_TIMEOUT_S)
 
     def keep(self) -> float:
-        """Command the joints where the next wish is late.
+        """Send a command if the caller's next one is late.
 
         Returns:
-            Time after which to look again, s.
+            Time until the next call of this method, s.
         """
         with self._lock:
             now = self._clock()
@@ -221,7 +222,7 @@ class Drive(threading.Thread):
             try:
                 self.sense()
                 self._send(np.zeros(7) if late else self._wish)
-            except Exception as error:  # a thread that ends would say nothing any more
+            except Exception as error:  # a thread that ended could not brake
                 self._supervisor.stop(str(error))
                 with suppress(HardwareError):
                     self._send(np.zeros(7))
@@ -232,14 +233,14 @@ class Drive(threading.Thread):
             return self._period_s
 
     def run(self) -> None:
-        """Keep commanding where wishes are late, until the drive is closed."""
+        """Call `keep` until the drive is closed."""
         while not self._closed.wait(self.keep()):
             pass
 
     def close(self) -> None:
-        """Bring the servos to rest at once, and give the line back.
+        """Bring the servos to rest at once, and release the line.
 
-        A child of the process that has opened them leaves them to it.
+        In a forked child process the servos are left alone, as they belong to its parent.
         """
         if os.getpid() != self._pid:
             self._line.abandon()

@@ -1,4 +1,4 @@
-"""Both eyes of a robot: their cameras' threads, and the pairs of what these see."""
+"""Both eyes of a robot: the threads of their cameras, and the pairing of their images."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -11,7 +11,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.cameras import EyeThread
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.history import JointHistory
-from vergence.hardware.pairing import Counts, Pairing, Sight, Sights
+from vergence.hardware.pairing import Counts, Pairing, SearchedImage, Sights
 from vergence.models.boards import Target
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
@@ -20,19 +20,20 @@ from vergence.recording.schema import LoggedDetection
 from vergence.vision.image import silent_opencv
 
 _READY_TIMEOUT_S: Final = 10.0
+"""Longest wait for images at the frame rate after the cameras open, s (chosen)."""
 
 
 class Eyes:
     """The eyes of one head.
 
     Args:
-        config: what the hardware is.
-        history: the joints' angles over time.
-        log: takes what the eyes see; None for no log.
-        clock: a steady clock, s.
+        config: the hardware configuration.
+        history: joint angles by time.
+        log: receives detections and images; None for no log.
+        clock: a monotonic clock, s.
 
     Attributes:
-        threads: those of the left and the right eye; none while closed.
+        threads: camera threads of the left and the right eye; empty while closed.
     """
 
     def __init__(
@@ -48,17 +49,17 @@ class Eyes:
         self._settings = ExitStack()
 
     def open(self, idle: Callable[[], None]) -> None:
-        """Open both cameras, and wait until images come at their pace.
+        """Open both cameras, and wait until their images arrive at the frame rate.
 
         Args:
-            idle: called while it waits, for a while each time.
+            idle: called repeatedly while waiting; it has to sleep for a short time.
 
         Raises:
-            HardwareError: one gives no images.
-            ConfigurationError: one cannot be opened.
+            HardwareError: a camera gives no images.
+            ConfigurationError: a camera cannot be opened.
         """
         head, target = self._config.head, self._config.target
-        # a stream that stalls is told in our own words
+        # errors of streams are reported by our own messages
         self._settings.enter_context(silent_opencv())
         for camera in self._config.cameras:
             self.threads.append(EyeThread(camera, head, target, self._history))
@@ -78,25 +79,25 @@ class Eyes:
 
     @property
     def counts(self) -> Counts:
-        """Counts of the images so far, by pairs."""
+        """Counts of paired and unpaired images so far."""
         return self._pairing.counts
 
     @property
     def newest_s(self) -> FloatArray:
-        """(2,) when each eye's newest image came, s of the clock."""
+        """(2,) time of receipt of each eye's newest image, s of the clock."""
         return np.array([eye.newest_s for eye in self.threads])
 
     def check(self) -> None:
-        """Refuse a camera that has gone.
+        """Raise an error if a camera has ended or stalled.
 
         Raises:
-            HardwareError: one has.
+            HardwareError: a camera has.
         """
         for eye in self.threads:
             eye.check()
 
     def newest(self) -> Sights | None:
-        """The newest images that have come since the last call; None for none."""
+        """The newest pair or lone image since the last call; None if there is none."""
         for eye, thread in enumerate(self.threads):
             for sight in thread.take():
                 self._pairing.add(eye, sight)
@@ -107,8 +108,8 @@ class Eyes:
             newest = sights
         return newest
 
-    def _keep(self, log: RobotListener, eye: int, sight: Sight) -> None:
-        """Log what an eye has seen."""
+    def _keep(self, log: RobotListener, eye: int, sight: SearchedImage) -> None:
+        """Log the detection of an eye, and its image if the log takes images."""
         found, nothing = sight.detection, np.empty((0, 2))
         log.detection(
             LoggedDetection(
@@ -126,17 +127,17 @@ class Eyes:
             log.image(eye, sight.image, sight.exposed_s)
 
     def look_for(self, target: Target) -> None:
-        """Look for another target from the next images on."""
+        """Detect another target from the next images on."""
         for eye in self.threads:
             eye.look_for(target)
 
     def forget(self) -> None:
-        """Lose the target's track in both eyes."""
+        """Drop the track of the target in both eyes."""
         for eye in self.threads:
             eye.forget()
 
     def frames(self) -> tuple[Image, Image] | None:
-        """The newest images of both eyes, grey levels; None where one has none."""
+        """The newest images of both eyes, grey levels; None if an eye has none yet."""
         images = [eye.frame for eye in self.threads]
         if len(images) != 2 or images[0] is None or images[1] is None:
             return None

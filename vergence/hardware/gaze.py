@@ -12,24 +12,24 @@ from vergence.models.head import HeadModel
 from vergence.recording.writer import LogWriter
 
 EPISODE_S: Final = 2.0
-"""Length of an episode, s, as that of `vergence/Gaze-v0` with its default head."""
+"""Length of an episode, s: that of `vergence/Gaze-v0` with its default head (chosen)."""
 
 
 class GazeHardwareEnv(GazeEnv):
-    """Two camera eyes of a real head turn until both look straight at a target.
+    """Gaze task on a real head: two camera eyes turn until both look straight at a target.
 
-    Action space, observation space and rewards are those of `vergence.envs.gaze.GazeEnv`; so a
+    Action space, observation space and rewards are those of `vergence.envs.gaze.GazeEnv`, so a
     policy runs here as it does in simulation. `reset` drives the joints to the start of the trial;
     the time of an episode begins with its first step. Call `close`, or use the environment in a
-    `with` statement: it brings the servos to rest.
+    `with` statement: this brings the servos to rest.
 
     ## Arguments
     `config`: the path of the file that describes the robot, see `vergence.hardware.config`. `log`:
     the path of a new file to log to, see `vergence.recording`; None for no log.
     `head`: None for the head of that file; another one is refused. `duration_s`: seconds after
     which an episode is truncated, 2 by default; None for never. `target`, `info`, `render_mode`: as
-    there; a robot looks at the world and takes only its start from `target`, an emulated head has
-    the target placed.
+    in `GazeEnv`. On a robot `target` sets only the start posture, as the real target stands in the
+    world; before an emulated head it also places the target.
 
     ## Version history
     * v0: the first.
@@ -57,7 +57,7 @@ class GazeHardwareEnv(GazeEnv):
         self._log = None
         if log is not None:
             self._log = LogWriter(log, head=hardware.head, config=hardware.text)
-            # made before the plant's own, it comes after that at the end of the process
+            # finalizers run in reverse order: registered before the plant's, this one runs after it
             weakref.finalize(self, self._log.close)
         try:
             super().__init__(

@@ -1,7 +1,7 @@
-"""Temperature, voltage and load of servos while they work, and how they compare with their limits.
+"""Temperature, voltage and load of running servos, judged against the servos' own limits.
 
-Servos with a current sensor report their current in place of a load. Both are told as a share of
-the most: of the full torque, or of the servo's CURRENT_LIMIT, which has the same unit.
+Servos with a current sensor report their current in place of a load. Both are given as a fraction
+of the greatest: of the full torque, or of the servo's CURRENT_LIMIT, which has the same unit.
 """
 
 from collections.abc import Mapping
@@ -19,22 +19,25 @@ from vergence.hardware.servo_memory import PRESENT, ServoMemory, fault_words, re
 
 _CURRENT_LIMIT: Final = table.Register("CURRENT_LIMIT", 38, 2)
 _REPORT_LOAD: Final = frozenset((30, 1060, 1070, 1080, 1090, 1160))
-"""MODEL_NUMBER of the servos without a current sensor: MX-28, XL430, XC430, 2XL430, 2XC430."""
+"""MODEL_NUMBER of servos without a current sensor (physical: ROBOTIS's MX-28, XL430, XC430, 2XL430,
+2XC430)."""
 _FULL_LOAD: Final = 1000
-"""PRESENT_LOAD at the greatest torque."""
+"""PRESENT_LOAD at the greatest torque (physical: register unit 0.1 %)."""
 _UNKNOWN_FAULT: Final = 1 << 7
-"""Stands for a fault that a servo has announced and not told."""
+"""Bit for a fault that a servo has announced, but whose status could not be read (numerical)."""
 
 WARM_K: Final = 10.0
-"""Distance to the temperature limit from which on a servo is warm, K."""
+"""Margin below the temperature limit at which a servo is warm, K (chosen)."""
 HOT_K: Final = 5.0
-"""Distance to the temperature limit from which on a servo has to rest without torque, K."""
+"""Margin below the temperature limit at which a servo has to rest without torque, K (chosen)."""
 _NEAR_VOLTAGE: Final = 0.03
-"""Share of a voltage limit within which the supply is near it."""
+"""Distance to a voltage limit that gives a warning, as a fraction of the limit (chosen)."""
 _HIGH_LOAD: Final = 0.8
+"""Fraction of the full load that gives a warning (chosen)."""
 _FULL_LOAD_SHARE: Final = 0.95
+"""Fraction of the full load that counts as full (chosen)."""
 _FULL_READS: Final = 3
-"""Reads in a row at full load that are no mere acceleration."""
+"""Consecutive reads at full load that stop the head; fewer may be an acceleration (chosen)."""
 
 
 class Level(StrEnum):
@@ -50,18 +53,18 @@ class Health:
     """One reading of a servo."""
 
     temperature_c: float
-    """Degrees Celsius."""
+    """Temperature, degrees Celsius."""
     voltage_v: float
-    """Of the supply, V."""
+    """Supply voltage, V."""
     load: float
-    """Share of the greatest torque or current, -1 to 1; nan if unknown."""
+    """Fraction of the greatest torque or current, -1 to 1; nan if unknown."""
     errors: int
     """Bits of HARDWARE_ERROR_STATUS."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HealthLimits:
-    """The limits that a servo has in its EEPROM."""
+    """Limits stored in a servo's EEPROM."""
 
     temperature_c: float
     """Greatest temperature, degrees Celsius."""
@@ -75,14 +78,14 @@ class HealthLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class Judgement:
-    """The judgement of one reading."""
+    """Judgement of one reading."""
 
     level: Level
-    """The worst of temperature, voltage, load and faults."""
+    """Worst level of temperature, voltage, load and faults."""
     text: str
-    """What was expected and what came, of each that is not ok; empty if all is."""
+    """Expected and actual value of each that is not ok; empty if all are."""
     hot: bool = False
-    """Whether torque has to go off: holding still heats too."""
+    """True if torque has to go off, as holding still heats the servo too."""
 
 
 def read_limits(bus: Bus, id: int) -> HealthLimits:
@@ -94,7 +97,7 @@ def read_limits(bus: Bus, id: int) -> HealthLimits:
     memory = read_memory(bus, id, ((0, 2), (31, 5)))
     full = float(_FULL_LOAD)
     if memory.get(table.MODEL_NUMBER) not in _REPORT_LOAD:
-        # models that lack the register refuse to tell it or have 0 there
+        # models that lack the register refuse the read or return 0
         full = np.nan
         with suppress(HardwareError):
             full = float(bus.read(id, _CURRENT_LIMIT)) or np.nan
@@ -107,14 +110,14 @@ def read_limits(bus: Bus, id: int) -> HealthLimits:
 
 
 def read_health(bus: Bus, limits: Mapping[int, HealthLimits]) -> dict[int, Health]:
-    """Read the health of several servos with one question, and the faults of those that have one.
+    """Read the health of several servos with one request, and the faults that they announce.
 
     Args:
         bus: their line.
-        limits: of each servo that is asked, by id.
+        limits: limits of each servo to read, by id.
 
     Returns:
-        By id, of those servos that answered.
+        Health of the servos that answered, by id.
 
     Raises:
         HardwareError: the line is gone.
@@ -140,7 +143,7 @@ class HealthWatch:
     """Judges one servo's readings.
 
     Args:
-        limits: the servo's.
+        limits: limits of the servo.
     """
 
     def __init__(self, limits: HealthLimits) -> None:
@@ -148,7 +151,7 @@ class HealthWatch:
         self._full = 0
 
     def take(self, health: Health) -> Judgement:
-        """Judge a reading; full load counts once it has lasted for three."""
+        """Judge a reading; full load stops the head only after three readings in a row."""
         hot, temperature = self._temperature(health.temperature_c)
         judged = [
             temperature,
@@ -174,7 +177,7 @@ class HealthWatch:
     def _voltage(self, voltage_v: float) -> tuple[Level, str]:
         least, most = self.limits.least_v, self.limits.most_v
         text = f"voltage: expected {least:.1f} to {most:.1f} V, got {voltage_v:.1f} V"
-        # voltages are tenths: half of one is no distance
+        # voltages come in steps of 0.1 V: allow half a step
         if not least - 0.05 < voltage_v < most + 0.05:
             return Level.STOP, text
         near = not least * (1.0 + _NEAR_VOLTAGE) < voltage_v < most * (1.0 - _NEAR_VOLTAGE)
@@ -183,7 +186,7 @@ class HealthWatch:
     def _load(self, load: float) -> tuple[Level, str]:
         share = abs(load)
         self._full = self._full + 1 if share >= _FULL_LOAD_SHARE else 0
-        if not share >= _HIGH_LOAD:  # also where it is unknown
+        if not share >= _HIGH_LOAD:  # also if it is unknown
             return _FINE
         if self._full < _FULL_READS:
             return Level.WARN, f"load: expected below {_HIGH_LOAD:.0%}, got {share:.0%}"

@@ -1,4 +1,4 @@
-"""Joint angles by time: where the joints were when an image was exposed."""
+"""Joint angles by time, such as those at the exposure of an image."""
 
 import threading
 from collections import deque
@@ -9,9 +9,9 @@ import numpy as np
 from vergence.models.parts import FloatArray
 
 _LENGTH: Final = 512
-"""Readings that are kept: four seconds at 120 Hz, more than the oldest image."""
+"""Readings that are kept: 4 s at 120 Hz, more than the age of any image (numerical)."""
 _AHEAD_S: Final = 0.05
-"""Time beyond the newest reading for which the joints are taken to go on as they went, s."""
+"""Longest extrapolation beyond the newest reading at constant velocity, s (chosen)."""
 
 
 class JointHistory:
@@ -19,15 +19,15 @@ class JointHistory:
 
     def __init__(self) -> None:
         self._rows: deque[tuple[float, FloatArray, FloatArray]] = deque(maxlen=_LENGTH)
-        self._lock = threading.RLock()  # a signal may come in between, and close it all
+        self._lock = threading.RLock()  # re-entrant: a signal handler may close all in between
 
     def add(self, time_s: float, positions: FloatArray, velocities: FloatArray) -> None:
         """Keep a reading that is newer than all others.
 
         Args:
-            time_s: when the joints were measured, s of a steady clock.
-            positions: (7,) rad.
-            velocities: (7,) rad/s.
+            time_s: time of the measurement, s of a monotonic clock.
+            positions: (7,) joint angles, rad.
+            velocities: (7,) joint velocities, rad/s.
         """
         with self._lock:
             self._rows.append((time_s, positions.copy(), velocities.copy()))
@@ -46,14 +46,14 @@ class JointHistory:
     def at(self, time_s: float) -> FloatArray:
         """Joint angles at a time.
 
-        Between two readings they are interpolated linearly. Before the first one the joints are
-        taken to have rested; after the newest one they go on with its velocities for up to 50 ms.
+        They are interpolated linearly between two readings, constant before the first one, and
+        extrapolated with the velocities of the newest one for up to 50 ms.
 
         Args:
-            time_s: s of the same clock.
+            time_s: time of the same clock, s.
 
         Returns:
-            (7,) rad.
+            (7,) joint angles, rad.
 
         Raises:
             LookupError: there is no reading yet.

@@ -1,8 +1,8 @@
-"""One joint moved by small steps, slowly, to find out its direction and its zero.
+"""Slow, small steps of one joint, to find its direction and its zero.
 
-Only the servo that moves gets torque, and its watchdog is armed while it moves. Motion is measured
-from where the step began, in ticks that go on past a turn, as directions and zeros are not to be
-trusted yet; so are the joint's limits, and nothing stops a step at them.
+Only the servo that moves gets torque, and its watchdog is armed while it moves. Directions and
+zeros are not known yet, so motion is measured from the start of the step, in ticks that count
+beyond a turn. For the same reason a step does not stop at the joint's limits.
 """
 
 import time
@@ -21,33 +21,34 @@ from vergence.hardware.resting import let_rest, stand_still
 from vergence.hardware.servo_angles import SILENT_S, ServoAngles
 
 MOST_STEP_RAD: Final = 0.5
-"""Largest step: what somebody who watches the joint still stops in time."""
+"""Largest step, rad: a person who watches the joint can still stop it in time (chosen)."""
 _SPEED_SHARE: Final = 0.1
-"""Share of the joint's greatest speed that it is jogged at."""
+"""Jogging speed as a fraction of the joint's greatest speed (chosen)."""
 _GAIN: Final = 5.0
-"""Speed by the way that is left, 1/s: a tenth of what the lag of a quick servo would allow."""
+"""Speed per remaining distance, 1/s: a tenth of what the lag of a quick servo allows (chosen)."""
 _WITHIN: Final = 0.05
-"""Share of a step that may be left."""
+"""Tolerance of the end of a step, as a fraction of the step (chosen)."""
 _WITHIN_TICKS: Final = 2
+"""Least tolerance of the end of a step, ticks (chosen)."""
 _STUCK_S: Final = 0.5
-"""Time without progress after which a servo does not follow, s."""
+"""Time without progress after which a step fails, s (chosen)."""
 _AWAY_RAD: Final = 0.02
-"""Way in the wrong direction or past the goal with which a servo does not follow, rad."""
+"""Motion in the wrong direction or past the goal at which a step fails, rad (chosen)."""
 _SPARE_S: Final = 5.0
-"""Time for a step beyond that which its speed makes of it, s."""
+"""Time allowed for a step beyond its length divided by its speed, s (chosen)."""
 
 
-class Jog:
+class Jogger:
     """Moves one joint at a time.
 
     Args:
         config: the robot.
         bus: its open line.
-        clock: a steady clock, s.
+        clock: a monotonic clock, s.
         sleep: waits for some seconds.
 
     Attributes:
-        servos: by name, with the signs and zeros that were found so far.
+        servos: servos by name, with the signs and zeros found so far.
     """
 
     def __init__(
@@ -66,12 +67,12 @@ class Jog:
         """A servo's present position, ticks.
 
         Raises:
-            HardwareError: it does not answer; so for all that follows.
+            HardwareError: it does not answer; the other methods raise it too.
         """
         return self._bus.read(self.servos[name].id, table.PRESENT_POSITION)
 
     def angle(self, name: str) -> float:
-        """A joint's angle by the sign and the zero that were found so far, rad."""
+        """A joint's angle with the sign and the zero found so far, rad."""
         servo = self.servos[name]
         angles = ServoAngles((servo,), self._config.head)
         position = table.PRESENT_POSITION.encode(self.ticks(name))
@@ -83,14 +84,14 @@ class Jog:
 
         Args:
             name: the joint.
-            way_rad: up to `MOST_STEP_RAD` in size.
+            way_rad: signed step, rad, up to `MOST_STEP_RAD` in size.
 
         Returns:
-            How far it turned, rad.
+            Measured rotation, rad.
 
         Raises:
-            HardwareError: it does not follow, or does not answer. It is at rest then, as far as
-                the line allows.
+            HardwareError: it does not follow or does not answer. It has been brought to rest, as
+                far as the line allows.
         """
         servo = self.servos[name]
         try:
@@ -100,11 +101,11 @@ class Jog:
             self._rest(servo)
 
     def flip(self, name: str) -> None:
-        """Take the other sign for a joint."""
+        """Change the sign of a joint."""
         self.servos[name] = replace(self.servos[name], sign=-self.servos[name].sign)
 
     def zero(self, name: str) -> None:
-        """Take the present position for a joint's zero, within a turn."""
+        """Set a joint's zero to the present position, modulo a turn."""
         zero_ticks = self.ticks(name) % table.TICKS_PER_TURN
         self.servos[name] = replace(self.servos[name], zero_ticks=zero_ticks)
 
@@ -113,7 +114,7 @@ class Jog:
         self._bus.write(self.servos[name].id, table.TORQUE_ENABLE, 0)
 
     def _arm(self, servo: ServoConfig) -> None:
-        """Velocity mode, torque at rest, and the watchdog."""
+        """Set velocity mode, switch torque on at rest, and arm the watchdog."""
         bus, ident = self._bus, servo.id
         torque = bus.read(ident, table.TORQUE_ENABLE)
         if bus.read(ident, table.OPERATING_MODE) != table.VELOCITY_MODE:
@@ -132,7 +133,7 @@ class Jog:
         bus.write(ident, table.BUS_WATCHDOG, steps)
 
     def _rest(self, servo: ServoConfig) -> None:
-        """Stand still, without a watchdog, which would trip before the next step."""
+        """Stop the servo, with the watchdog off, as it would trip before the next step."""
         with suppress(HardwareError):
             stand_still(self._bus, [servo.id])
             let_rest(self._bus, servo.id)
@@ -176,7 +177,7 @@ class Jog:
         return register.decode(answers[servo.id]) if servo.id in answers else None
 
     def _speed(self, servo: ServoConfig) -> float:
-        """The joint's jogging speed, at least one step of the servo's, rad/s."""
+        """The joint's jogging speed, at least one unit of the servo's velocity, rad/s."""
         greatest = float(self._config.head.actuation.velocity[servo.slot])
         return max(_SPEED_SHARE * greatest, table.TICK_RAD_S / servo.gear_ratio)
 

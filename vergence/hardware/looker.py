@@ -1,4 +1,4 @@
-"""A robot that looks at a board: driven to a posture, at rest there, and one image of each eye."""
+"""One image of a board from each eye of a robot, at rest in a given posture."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -19,20 +19,21 @@ from vergence.recording.looking import BoardView
 from vergence.recording.schema import LoggedDetection
 
 _GAIN: Final = 6.0
-"""Rate at which the joints go the rest of the way, 1/s: that of the way to a trial's start."""
+"""Gain of the approach, speed per remaining angle, 1/s: as on the way to a start (chosen)."""
 _MOST_RAD_S: Final = 0.2
+"""Greatest speed of the approach, rad/s (chosen)."""
 _NEAR_RAD: Final = 0.003
-"""Way that need not be gone, rad: at this gain a servo's least speed ends 2 mrad before."""
+"""Tolerance of the approach, rad: a servo's least speed ends 2 mrad early (chosen)."""
 _APPROACH_S: Final = 0.5
-"""Time for the rest of the way: near is enough."""
+"""Longest time for the approach, s: being near is enough (chosen)."""
 _REST_RAD_S: Final = 0.03
-"""Speed below which a joint counts as at rest: a step of the servos' is 0.024 rad/s."""
+"""Joints slower than this are at rest, rad/s: above a servo's unit of 0.024 rad/s (chosen)."""
 _RESTED: Final = 6
-"""Periods at rest after which images count: three time constants of the servos."""
+"""Control periods at rest before images count: three time constants of the servos (chosen)."""
 _GRACE: Final = 6
-"""Frames for which an eye that does not find the board is given time: a search may take several."""
+"""Frames to wait for an eye that does not find the board: a search may take several (chosen)."""
 _TIMEOUT_S: Final = 3.0
-"""Time for joints to rest and images to come."""
+"""Longest time for the joints to rest and images to arrive, s (chosen)."""
 
 Pair = tuple[LoggedDetection, LoggedDetection]
 
@@ -42,10 +43,10 @@ class RobotLooker:
 
     Args:
         config: the file that describes the robot.
-        target: the board, whatever target that file names.
+        target: the board; it replaces the target of that file.
 
     Attributes:
-        head: the model of that file.
+        head: the head model of that file.
         target: the board.
 
     Raises:
@@ -64,10 +65,10 @@ class RobotLooker:
         self._plant.prepare()
 
     def look(self, q: FloatArray) -> BoardView:
-        """Bring the head to rest near some joint angles and look once.
+        """Bring the head to rest near some joint angles and detect the board once.
 
         Args:
-            q: (7,) rad; beyond the servos' limits the head goes as far as these.
+            q: (7,) joint angles, rad; clipped to the servos' limits.
 
         Raises:
             HardwareError: the head has been stopped, does not get there or does not come to rest,
@@ -91,7 +92,7 @@ class RobotLooker:
         )
 
     def _look(self, q: FloatArray, seen: list[Pair]) -> Iterator[FloatArray]:
-        """Wishes, (7,) rad/s each, until a pair of images of the head at rest is in `seen`."""
+        """Yield velocities, (7,) rad/s, until `seen` holds a pair of images of the head at rest."""
         heard, timing, actuation = self._heard, self.head.timing, self.head.actuation
         goal = np.clip(actuation.actuators_of(q)[self._slots], self._lower, self._upper)
         still = np.zeros(7)
@@ -128,7 +129,7 @@ class RobotLooker:
 
 
 class _Heard(RobotListener):
-    """The newest joint angles, and what the eyes have seen since the last `clear`."""
+    """Listener that keeps the newest joint angles, and the detections since the last `clear`."""
 
     def __init__(self) -> None:
         self.clock_s = 0.0
@@ -147,7 +148,7 @@ class _Heard(RobotListener):
         self._seen[found.eye].append(found)
 
     def pairs(self, since_s: float, apart_s: float) -> list[Pair]:
-        """What both eyes have seen at about the same time after another, in the order of time."""
+        """Pairs of detections after `since_s`, at most `apart_s` apart, in order of time."""
         left, right = (
             [one for one in self._seen[name] if one.exposed_s > since_s] for name in EYE_NAMES
         )
@@ -159,7 +160,7 @@ class _Heard(RobotListener):
 
 
 def _found(pair: Pair) -> int:
-    """How many eyes have found the board."""
+    """Number of eyes that have found the board."""
     return sum(len(one.corners_px) > 0 for one in pair)
 
 

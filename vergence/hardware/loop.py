@@ -1,4 +1,4 @@
-"""The simulated loop of a robot."""
+"""Simulation parameters that reproduce the measured loop of a robot."""
 
 from typing import Final
 
@@ -13,22 +13,22 @@ _MEASURED: Final = (
 
 
 def loop_variation(config: HardwareConfig) -> Variation:
-    """What trials in simulation run with, so that their loop is that of a robot.
+    """Make the variation of simulated trials whose loop is that of a robot.
 
     Args:
         config: the robot.
 
     Returns:
-        The mean latency of its cameras, which expose at any phase, and all that was measured of
-        its loop; the rest as its head has it.
+        The mean latency of its cameras, a random phase of exposure, and all measured values of its
+        loop; the other values are those of its head.
     """
     latency_s, loop = float(np.mean([camera.latency_s for camera in config.cameras])), config.loop
     values: dict[str, float | None] = {"latency_s": latency_s}
     if loop is not None:
         values = {name: getattr(loop, name) for name in _MEASURED}
-        # in simulation finding a target and answering a reading take no time
+        # in simulation detection and computing a command take no time
         values["latency_s"] = latency_s + loop.computing_s
-        # dated by the encoders' readings, the feedback has no latency
+        # the encoder readings date everything else, so they have no latency themselves
         values["feedback_latency_s"] = 0.0
     ranges = {name: (value, value) for name, value in values.items() if value is not None}
     found = make_variation({"frame_phase": (0.0, 1.0), **ranges})

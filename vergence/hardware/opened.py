@@ -1,24 +1,24 @@
-"""All that a plant holds open: the servos' line, the cameras, an emulated head's world."""
+"""Resources that a plant holds open: the servos' line, the cameras, an emulated head's world."""
 
-from vergence.hardware.drive import Drive
+from vergence.hardware.drive import DriveThread
 from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.eyes import Eyes
 
 
 class OpenedHead:
-    """Servos, eyes and world of an open plant; it outlives the plant by its `close` alone.
+    """Servos, eyes and world of an open plant; a finalizer of the plant calls its `close`.
 
     Args:
-        eyes: still closed.
+        eyes: the eyes, still closed.
     """
 
     def __init__(self, eyes: Eyes) -> None:
         self.eyes = eyes
-        self.drive: Drive | None = None
+        self.drive: DriveThread | None = None
         self.world: EmulatedWorld | None = None
 
     def close(self) -> None:
-        """Stop the servos at once, and release all; a second call does nothing."""
+        """Stop the servos at once and release everything; a second call does nothing."""
         drive, self.drive = self.drive, None
         world, self.world = self.world, None
         try:

@@ -1,8 +1,8 @@
-"""Which image of the left eye and which of the right one were exposed together.
+"""Pairing of left and right images that were exposed at about the same time.
 
-Two images are a pair if their exposures are at most a tolerance apart. Images come in the order of
-their exposures, so an image is alone for certain once the other eye has a later one that is no
-partner either; until then it waits, at most for a time.
+Two images are a pair if their exposures are at most a tolerance apart. Images arrive in the order
+of their exposures, so an image is certainly alone once the other eye has a later one that is not
+its partner either. Until then it waits, up to a time limit.
 """
 
 from collections import deque
@@ -14,26 +14,26 @@ from vergence.models.parts import FloatArray
 from vergence.vision.detection import Detection
 
 
-class Sight(NamedTuple):
-    """One eye's image after it has been looked at."""
+class SearchedImage(NamedTuple):
+    """One eye's image after the detection."""
 
     exposed_s: float
-    """When it was exposed, s of a steady clock."""
+    """Time of exposure, s of a monotonic clock."""
     ready_s: float
-    """When the target had been looked for in it, s."""
+    """Time at which the detection ended, s."""
     pixel: FloatArray
-    """(2,) raw pixel of the target; nan where it was not found."""
+    """(2,) raw pixel of the target; nan if it was not found."""
     detection: Detection | None = None
-    """All that was found of it."""
+    """Detection of the target; None if it was not found."""
     image: Image | None = None
     """The image itself, grey levels."""
 
 
 class Sights(NamedTuple):
-    """Images that count as one: a pair, or one eye's alone."""
+    """A pair of images, or one eye's image alone."""
 
-    left: Sight | None
-    right: Sight | None
+    left: SearchedImage | None
+    right: SearchedImage | None
 
     @property
     def exposed_s(self) -> float:
@@ -43,13 +43,13 @@ class Sights(NamedTuple):
 
     @property
     def ready_s(self) -> float:
-        """When the later one was ready, s."""
+        """Time at which the later one was ready, s."""
         return max(one.ready_s for one in self if one is not None)
 
 
 @dataclass
 class Counts:
-    """How many images came, by what became of them."""
+    """Numbers of pairs and of images without a partner."""
 
     pairs: int = 0
     alone_left: int = 0
@@ -57,36 +57,36 @@ class Counts:
 
 
 class Pairing:
-    """Makes pairs of two eyes' images as they come.
+    """Pairs the images of two eyes as they arrive.
 
     Args:
-        tolerance_s: greatest distance of the exposures of a pair, s.
-        wait_s: how long an image waits for its partner after it is ready, s.
+        tolerance_s: greatest time between the exposures of a pair, s.
+        wait_s: longest wait of an image for its partner after it is ready, s.
 
     Attributes:
-        counts: what became of the images so far.
+        counts: numbers of pairs and lone images so far.
     """
 
     def __init__(self, tolerance_s: float, wait_s: float) -> None:
         self._tolerance_s = tolerance_s
         self._wait_s = wait_s
-        self._waiting: tuple[deque[Sight], deque[Sight]] = (deque(), deque())
+        self._waiting: tuple[deque[SearchedImage], deque[SearchedImage]] = (deque(), deque())
         self.counts = Counts()
 
     def clear(self) -> None:
-        """Forget what waits."""
+        """Discard the images that wait."""
         for queue in self._waiting:
             queue.clear()
 
-    def add(self, eye: int, sight: Sight) -> None:
-        """Take an image of an eye, 0 for left; the images of an eye come in their order."""
+    def add(self, eye: int, sight: SearchedImage) -> None:
+        """Add an image of an eye, 0 for left; each eye's images come in order of exposure."""
         self._waiting[eye].append(sight)
 
     def next(self, now_s: float) -> Sights | None:
         """The next pair or lone image, in the order of exposure; None while all wait.
 
         Args:
-            now_s: the present, s.
+            now_s: present time, s.
         """
         left, right = self._waiting
         if left and right:

@@ -1,8 +1,8 @@
 """The plant of a real head: servos in velocity mode, cameras, and a schedule.
 
-Each control period the command goes out, the plant waits for the schedule's next tick, and reads
-the joints; images come meanwhile, by threads of their own. The servos' bus watchdog stops them by
-itself when no packet comes for a time.
+In each control period the plant sends the command, waits for the schedule's next tick, and reads
+the joints; camera threads receive the images meanwhile. The servos' own bus watchdog stops them if
+no packet arrives for a given time.
 """
 
 import logging
@@ -31,7 +31,7 @@ from vergence.hardware.config import (
     refuse_other_head,
 )
 from vergence.hardware.count_log import CountLog
-from vergence.hardware.drive import Drive, InTrial
+from vergence.hardware.drive import DriveThread, InTrial
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.eyes import Eyes
@@ -52,35 +52,36 @@ from vergence.recording.listener import RobotListener
 
 _LOG: Final = logging.getLogger(__name__)
 _FIRST_IMAGES_S: Final = 1.0
+"""Longest wait for an image of the head at rest before a trial, s (chosen)."""
 
 
 class HardwarePlant(Plant):
-    """One real head on a serial line with two cameras, or an emulated one on the wire.
+    """One real head with servos on a serial line and two cameras, or an emulated one.
 
     Nothing moves before the first `reset`; `prepare` opens the line and the cameras.
 
     Args:
-        head: the model that a controller knows; it has to be the one of the configuration.
-        num: 1.
-        config: the path of the file that describes the hardware, see `vergence.hardware.config`,
-            or what has been read of one.
-        log: takes all that happens; None for no log.
-        moves: whether the servos move; else they are asked, and nothing is written to them.
-        appears: whether the target counts as appearing at a trial's start, as a simulated one does:
-            images that were exposed before show nothing.
-        clock: a steady clock, s.
+        head: the model that a controller uses; it has to be that of the configuration.
+        num: number of heads: 1.
+        config: the hardware configuration, or the path of its file, see
+            `vergence.hardware.config`.
+        log: receives all events; None for no log.
+        moves: True if the servos move; if False they are only read, never written to.
+        appears: True if the target appears at a trial's start, as a simulated one does: images
+            exposed before it are ignored.
+        clock: a monotonic clock, s.
         sleep: waits for some seconds.
 
     Attributes:
-        config: what the hardware is.
-        begun_s: when the running trial began, by the clock, s.
-        overruns: periods that were missed.
-        trials: how many trials have begun.
-        trips: how often the servos' watchdog has stopped them within a trial.
+        config: the hardware configuration.
+        begun_s: time on the clock at which the running trial began, s.
+        overruns: number of missed control periods.
+        trials: number of trials so far.
+        trips: number of times the servos' watchdog has stopped them.
 
     Raises:
-        ConfigurationError: num is not 1, or the head is another than the configuration's.
-        HeadFileError: the configuration cannot be.
+        ConfigurationError: num is not 1, or the head differs from the configuration's.
+        HeadFileError: the configuration has a mistake.
     """
 
     max_num = 1
@@ -110,7 +111,7 @@ class HardwarePlant(Plant):
         self._reading = Reading.empty(1)
         self._history = JointHistory()
         self._open = OpenedHead(Eyes(self.config, self._history, log, clock))
-        # at the end of the plant or of the process, whichever comes first
+        # runs when the plant is deleted or the process ends, whichever comes first
         weakref.finalize(self, self._open.close)
         self._prepared = self._ready = self._begun = False
         self._told_way = ""
@@ -125,13 +126,13 @@ class HardwarePlant(Plant):
         lower, upper = np.zeros(7), np.zeros(7)
         for servo in self.config.servos:
             lower[servo.slot], upper[servo.slot] = servo.lower_rad, servo.upper_rad
-        # the last command, what has been asked since, and the servos' watchdog with its step
+        # longest action of a command: its hold, the watchdog time, and the watchdog's time unit
         last_s = HELD * self._period_s + self.config.bus.watchdog_s + table.WATCHDOG_S
         return Supervisor(self.config.safety, self.head, lower, upper, self.config.slots, last_s)
 
     @property
     def fault(self) -> str:
-        """See `Plant.fault`: it stays, over `close` and `prepare`, until `release`."""
+        """See `Plant.fault`; `close` and `prepare` keep it, `release` clears it."""
         return self._supervisor.fault
 
     def release(self) -> None:
@@ -147,14 +148,14 @@ class HardwarePlant(Plant):
 
     @property
     def reading(self) -> Reading:
-        """What the sensors report, in arrays that every step brings up to date."""
+        """The newest sensor values, in arrays that every step updates in place."""
         return self._reading
 
     def prepare(self) -> None:
-        """Compile what the loop calls, open the line and the cameras, and check both.
+        """Compile the functions of the loop, open the line and the cameras, and check both.
 
         Raises:
-            ChecksFailedError: something is wrong with servos or cameras; all that is, is listed.
+            ChecksFailedError: something is wrong with servos or cameras; it lists all problems.
             HardwareError: a camera gives no images, or the head has been stopped.
             ConfigurationError: a camera cannot be opened.
         """
@@ -170,7 +171,7 @@ class HardwarePlant(Plant):
                 servos = make(self.config, self._clock)
             except ChecksFailedError as error:
                 raise ChecksFailedError([*error.findings, *cameras]) from error
-            self._open.drive = Drive(
+            self._open.drive = DriveThread(
                 servos,
                 self.config,
                 self._supervisor,
@@ -193,20 +194,20 @@ class HardwarePlant(Plant):
         _LOG.info("prepared in %.1f s", self._clock() - begun_s)
 
     def _idle(self) -> None:
-        """Wait for a period, and keep the joints' angles new."""
+        """Read the joints and wait for a control period."""
         self._drive.sense()
         self._sleep(self._period_s)
 
     @property
     def board(self) -> Board:
-        """The board before an emulated head; a mere point for a robot, which looks at the world."""
+        """The board before an emulated head; a point for a robot, before which targets are real."""
         target = self.config.target
         if not self.places_targets or not isinstance(target, AprilTag):
             return POINT
         return EyeViews(self.head, target, width_rad="fit").board
 
     def look_for(self, target: Target) -> None:
-        """Look for another target from the next images on.
+        """Detect another target from the next images on.
 
         Raises:
             VergenceError: see `prepare`.
@@ -221,7 +222,7 @@ class HardwarePlant(Plant):
             self._open.world.show(motions[0])
 
     def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
-        """Drive the joints to where a trial begins, and begin it; see `Plant.reset`.
+        """Drive the joints to the start of a trial, and begin it; see `Plant.reset`.
 
         Raises:
             HardwareError: they do not get there, the head does not answer, or it has been stopped
@@ -261,7 +262,7 @@ class HardwarePlant(Plant):
     def step(self, command: FloatArray) -> Reading:
         """Send a command as far as it is safe, and hold it for one control period.
 
-        Where something is wrong the joints are brought to rest, and `fault` says why.
+        If something is wrong the joints are brought to rest, and `fault` gives the reason.
 
         Raises:
             ConfigurationError: the shape of the command is wrong.
@@ -304,7 +305,7 @@ class HardwarePlant(Plant):
         return self._open.eyes.frames()
 
     def truth(self) -> Truth | None:
-        """Truth about an emulated head at the last reading; None for a real one."""
+        """Ground truth of an emulated head at the last reading; None for a real one."""
         if self._open.world is None:
             return None
         if self._truth is None:
@@ -312,14 +313,14 @@ class HardwarePlant(Plant):
         return self._truth
 
     def _keep(self, log: RobotListener) -> None:
-        """Log the present."""
+        """Log the present reading and ground truth."""
         log.reading(self._reading, self.begun_s)
         truth = self.truth()
         if truth is not None:
             log.truth(truth)
 
     def diagnostics(self) -> dict[str, int]:
-        """How many images came alone or in pairs, periods were late and answers missing."""
+        """Counts of paired and lone images, late periods and missed answers."""
         counts = self._open.eyes.counts
         return {
             "image_pairs": counts.pairs,
@@ -343,10 +344,10 @@ class HardwarePlant(Plant):
             _LOG.info("closed: %s", ", ".join(said))
 
     def exercise(self, wishes: Iterable[FloatArray]) -> None:
-        """Turn the joints outside a trial, a wish a period, as far as it is safe; then brake.
+        """Move the joints outside a trial, one command per period, as far as safe; then brake.
 
         Args:
-            wishes: (7,) each, rad/s; asked for as they are sent.
+            wishes: requested velocities, (7,) each, rad/s; each is drawn just before it is sent.
 
         Raises:
             HardwareError: the head has been stopped, or stops.
@@ -364,7 +365,7 @@ class HardwarePlant(Plant):
     # ---- the loop ----
 
     @property
-    def _drive(self) -> Drive:
+    def _drive(self) -> DriveThread:
         if self._open.drive is None:
             raise HardwareError("the head is closed: expected a reset first")
         return self._open.drive
@@ -376,7 +377,7 @@ class HardwarePlant(Plant):
             )
 
     def _come_to_start(self, positions: FloatArray, angles: ServoAngles) -> float:
-        """Drive the joints to where a trial begins; when they rested there, s."""
+        """Drive the joints to the start of a trial; return the time of rest there, s."""
         goal = self.head.actuation.actuators_of(positions)
         begun_s = self._clock()
         rested_s = come_to_start(goal, self.config, angles, self._supervisor, self._move)
@@ -385,7 +386,7 @@ class HardwarePlant(Plant):
         return rested_s
 
     def _move(self, wish: FloatArray) -> float:
-        """Send a wish for one period on the way to where a trial begins; the time then, s."""
+        """Send requested velocities for one period outside a trial; return the time after it, s."""
         self._check_watchdog()
         now = self._drive.move(wish)
         self._open.eyes.check()
@@ -393,7 +394,7 @@ class HardwarePlant(Plant):
         return now
 
     def _come_to_rest(self) -> None:
-        """Brake, as far as the line allows."""
+        """Brake as far as the line allows, and switch the torque of hot servos off."""
         if self._log is not None:
             self._log.stopped(self._supervisor.fault)
         if self._open.drive is not None:
@@ -403,7 +404,7 @@ class HardwarePlant(Plant):
         _LOG.error("stopped: %s", self._supervisor.fault)
 
     def _tell_what_is_in_the_way(self) -> None:
-        """Warn of a forbidden posture that a policy wants to enter, once a trial."""
+        """Warn, once a trial, of a forbidden posture that the policy's commands would enter."""
         name = self._supervisor.in_the_way
         if name and name != self._told_way:
             self._told_way = name
@@ -416,7 +417,7 @@ class HardwarePlant(Plant):
             _warn(text)
 
     def _check_watchdog(self) -> None:
-        """Refuse to go on where the servos have stopped by themselves."""
+        """Raise an error if the servos' watchdog has stopped them."""
         with self._drive.alone() as line:
             paused_s = line.paused_s()
         if paused_s:
@@ -428,7 +429,7 @@ class HardwarePlant(Plant):
             )
 
     def _begin(self) -> None:
-        """Let the trial's time begin with its first command: until then nothing has moved."""
+        """Start the trial's time at its first command, as nothing has moved until then."""
         with self._drive.alone() as line:
             if line.paused_s():
                 line.switch_on()
@@ -443,7 +444,7 @@ class HardwarePlant(Plant):
             self._open.world.begin(now)
 
     def _wait(self) -> None:
-        """Until the schedule's next tick; one that has passed a period ago is skipped."""
+        """Wait for the schedule's next tick; ticks that are a period late are skipped."""
         self._tick += 1
         due_s = self.begun_s + self._tick * self._period_s
         left_s = due_s - self._clock()
@@ -456,12 +457,12 @@ class HardwarePlant(Plant):
             self._missed.add(missed)
 
     def _sense(self) -> None:
-        """Read the joints, and refuse a camera that has gone."""
+        """Read the joints, and raise an error if a camera has ended or stalled."""
         self._drive.sense()
         self._open.eyes.check()
 
     def _first_images(self, rested_s: float) -> Sights | None:
-        """Images of the head at rest, where they come in time."""
+        """Wait for images of the head at rest; the newest ones if none arrives in time."""
         sights = None
         until = self._clock() + _FIRST_IMAGES_S
         while self._clock() < until:
@@ -480,7 +481,7 @@ class HardwarePlant(Plant):
         return sights
 
     def _report(self, sights: Sights | None) -> None:
-        """Bring the reading up to date."""
+        """Update the reading from the newest joint angles and images."""
         reading, self._truth = self._reading, None
         measured_s, q, v = self._history.newest()
         reading.time_s[0] = self._tick * self._period_s
@@ -501,7 +502,7 @@ class HardwarePlant(Plant):
 
 
 def _checked(command: FloatArray) -> FloatArray:
-    """A command of one head, as floats."""
+    """Check a command of one head, and convert it to floats."""
     given = np.asarray(command)
     if given.shape != (1, 7):
         raise ConfigurationError(f"command: expected shape (1, 7), got {given.shape}")
@@ -511,6 +512,6 @@ def _checked(command: FloatArray) -> FloatArray:
 
 
 def _warn(text: str) -> None:
-    # for the log alone: who listens to the loggers on a terminal is warned there already
+    # `warned` marks the log line, so that a terminal does not show the warning twice
     _LOG.warning("%s", text, extra={"warned": True}, stacklevel=2)
     warnings.warn(text, VergenceWarning, stacklevel=3)

@@ -1,4 +1,4 @@
-"""Servos in velocity mode brought to rest, and left there."""
+"""Bringing servos in velocity mode to rest, and leaving them there."""
 
 from collections.abc import Iterable
 from typing import Final
@@ -8,11 +8,11 @@ from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
 
 _TRIES: Final = 3
-"""Times that zero velocity is sent: nothing confirms that it has come."""
+"""Number of times that zero velocity is sent, as servos do not confirm a broadcast (chosen)."""
 
 
 def stand_still(bus: Bus, ids: Iterable[int]) -> None:
-    """Send zero velocity at once: nothing may turn on while its watchdog is off.
+    """Send zero velocity at once, so that no servo keeps turning while its watchdog is off.
 
     Raises:
         HardwareError: the line is gone.
@@ -23,15 +23,15 @@ def stand_still(bus: Bus, ids: Iterable[int]) -> None:
 
 
 def let_rest(bus: Bus, id: int) -> None:
-    """Let a servo rest without its watchdog; with it, where it does not confirm to be at rest.
+    """Bring a servo to rest and switch its watchdog off; without a confirmation it stays on.
 
     Raises:
-        HardwareError: it does not.
+        HardwareError: the servo does not confirm that it is at rest.
     """
     try:
         bus.write(id, table.GOAL_VELOCITY, 0)
     except HardwareError:
-        # one that its watchdog has stopped takes no goal before its watchdog is off
+        # a servo whose watchdog has tripped accepts no goal until its watchdog is off
         if bus.read(id, table.BUS_WATCHDOG) != table.WATCHDOG_TRIPPED:
             bus.write(id, table.GOAL_VELOCITY, 0)
     bus.write(id, table.BUS_WATCHDOG, 0)

@@ -1,8 +1,8 @@
-"""The servos of an unknown line, found at each baud rate.
+"""Search for the servos of an unknown line at each baud rate.
 
-All ids are asked at once, by a ping to everybody: each servo waits for its turn, 3 ms an id at
-most. Adapters and servos that do not take that well are asked id by id. A servo counts at the rate
-that its own BAUD_RATE names, as an emulated line answers at any.
+By default a broadcast ping asks all ids at once: each servo waits for its turn, at most 3 ms an id.
+For adapters and servos that cannot handle this, ids are pinged one by one. A servo counts only at
+the rate of its own BAUD_RATE register, as an emulated line answers at any rate.
 """
 
 import time
@@ -23,11 +23,11 @@ from vergence.hardware.dynamixel.packets import (
 from vergence.hardware.servo_memory import ServoMemory, read_memory
 
 RATES: Final = (57_600, 1_000_000, *(set(table.BAUD_RATES) - {57_600, 1_000_000}))
-"""All rates, those of the factory and of most robots first."""
+"""All baud rates, first the factory default and the usual one (physical: Dynamixel X series)."""
 _TURN_S: Final = 3e-3
-"""Most that a servo waits per id before its own, after ROBOTIS's SDK, s."""
+"""Longest wait of a servo per lower id, s (physical: ROBOTIS's SDK)."""
 _STATUS_BYTES: Final = 14
-"""Bytes of the answer to a ping."""
+"""Length of the answer to a ping, bytes (physical: Protocol 2.0)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,25 +35,25 @@ class FoundServo:
     """A servo that answered."""
 
     id: int
-    """On the line."""
+    """Id on the line."""
     baud_rate: int
-    """At which it answered, bit/s."""
+    """Baud rate at which it answered, bit/s."""
     model: int
     """MODEL_NUMBER."""
     memory: ServoMemory | None
-    """Its registers; None where it does not tell them, or is of another kind."""
+    """Its registers; None if it does not return them, or its model is not supported."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scan:
-    """The outcome at all baud rates."""
+    """Result of a search at all baud rates."""
 
     servos: list[FoundServo] = field(default_factory=list)
-    """By rate, then by id."""
+    """Servos by rate, then by id."""
     left_out: dict[int, str] = field(default_factory=dict)
-    """Rates that this system cannot set, and why."""
+    """Rates that this system cannot set, with the reason."""
     damaged: int = 0
-    """Answers that were no packets: two servos with one id, or noise."""
+    """Number of damaged packets: from two servos with one id, or noise."""
 
 
 def scan(
@@ -64,14 +64,14 @@ def scan(
     turn_s: float = _TURN_S,
     report: Callable[[float], None] = lambda _done: None,
 ) -> Scan:
-    """Ask for servos at each baud rate.
+    """Ping for servos at each baud rate.
 
     Args:
-        port: the line, which can be opened.
-        rates: bit/s.
-        ids: asked one by one; None asks all at once.
-        turn_s: wait per id where all are asked at once, s.
-        report: called with the share that is done.
+        port: device file of the line.
+        rates: baud rates, bit/s.
+        ids: ids to ping one by one; None pings all at once.
+        turn_s: wait per id if all are pinged at once, s.
+        report: progress callback, called with the fraction that is done.
 
     Raises:
         HardwareError: the line is gone.
@@ -101,7 +101,7 @@ def scan(
 
 
 def _everybody(bus: Bus, turn_s: float) -> tuple[list[int], int]:
-    """Ids that answer to a ping to all, and the number of damaged answers."""
+    """Ids that answer a broadcast ping, and the number of damaged answers."""
     bus.line.drain()
     bus.line.send(instruction_packet(BROADCAST, Instruction.PING))
     wait_s = (MOST_ID + 1) * (turn_s + bus.line.wire_s(_STATUS_BYTES))
@@ -121,7 +121,7 @@ def _found(bus: Bus, ident: int, rate: int) -> FoundServo | None:
     if model in table.MODELS:
         try:
             memory = read_memory(bus, ident)
-        except HardwareError:  # it answers to pings alone
+        except HardwareError:  # it answers pings only
             memory = None
     if memory is not None and not _has_rate(memory, rate):
         return None

@@ -1,8 +1,8 @@
-"""Between the angles of a head's actuators and the ticks of its servos.
+"""Conversion between the angles of a head's actuators and the ticks of its servos.
 
-Servos take velocities in steps of 0.229 rev/min; what a period rounds off is carried over to the
-next. An answer is believed if a joint can have come so far, and turn so fast, since the last one:
-of damaged packets, one in 65,536 has a checksum that fits.
+Servos take velocities in units of 0.229 rev/min; the rounding error of a period is carried over to
+the next. An answer is accepted only if the joint can have moved so far since the last one, and can
+turn so fast: one damaged packet in 65,536 still has a matching checksum.
 """
 
 from typing import Final
@@ -16,25 +16,25 @@ from vergence.models.joints import EYES, NECK
 from vergence.models.parts import FloatArray
 
 SILENT_S: Final = 0.1
-"""Time after which a servo that does not answer counts as gone, s."""
+"""Time without an answer after which a servo counts as lost, s (chosen)."""
 _FASTER: Final = 2.0
-"""Speed that is believed, by the head's greatest."""
+"""Greatest accepted speed as a ratio to the head's greatest (chosen)."""
 _JUMP_RAD: Final = 0.1
-"""Way beyond what that speed makes of the time, that is believed, rad: a servo that is pushed."""
+"""Accepted motion beyond that of this speed, rad, for a servo that is pushed (chosen)."""
 _STILL_TICKS: Final = 0.05
-"""Commands below so many ticks are none: what was carried over is dropped, and the joint rests."""
+"""Commands below this count as zero, ticks: the carry-over is dropped, the joint rests (chosen)."""
 
 
 class ServoAngles:
-    """Between angles of a head's actuators and ticks of its servos.
+    """Converts between angles of a head's actuators and ticks of its servos.
 
     Attributes:
-        angles: (7,) of the neck's joints and the actuators of the eyes, rad.
-        speeds: (7,) rad/s.
-        there: (7,) whether there is a servo.
+        angles: (7,) estimated angles of the neck's joints and the actuators of the eyes, rad.
+        speeds: (7,) their speeds, rad/s.
+        there: (7,) True for slots with a servo.
         lower: (7,) least angles, rad.
         upper: (7,) greatest angles, rad.
-        carried: (7,) what the last commands have left over, ticks.
+        carried: (7,) rounding error carried over to the next command, ticks.
         limit_ticks: greatest speeds by id, ticks.
     """
 
@@ -55,23 +55,23 @@ class ServoAngles:
         self._fastest = _FASTER * head.actuation.velocity
 
     def ages(self, now_s: float) -> FloatArray:
-        """(7,) time since each servo has told its angle, s; 0 where there is none."""
+        """(7,) time since the last accepted answer of each servo, s; 0 in slots without one."""
         return np.where(self.there, now_s - self._believed_s, 0.0)
 
     @property
     def known(self) -> bool:
-        """Whether each servo has told its angle."""
+        """True if each servo has reported its angle."""
         return not np.isnan(self._believed_s[self.there]).any()
 
     def take(self, answers: dict[int, bytes], measured_s: float) -> set[int]:
-        """Take the answers to a question for speed and angle; who did not answer goes on.
+        """Update angles and speeds from answers; without one a joint continues at its speed.
 
         Args:
             answers: eight bytes by id, present velocity and present position.
-            measured_s: when they were measured, s.
+            measured_s: time of the measurement, s.
 
         Returns:
-            The ids of those whose answers are believed.
+            The ids of the servos whose answers are accepted.
         """
         believed = set()
         for servo in self._servos:
@@ -83,14 +83,14 @@ class ServoAngles:
                 self._believed_s[slot] = measured_s
                 believed.add(servo.id)
             elif not np.isnan(since_s):
-                # a longer silence is refused, or nobody has asked
+                # after a longer silence the caller stops the head, or no read took place
                 ahead_s = min(measured_s - self._measured_s[slot], SILENT_S)
                 self.angles[slot] += self.speeds[slot] * ahead_s
             self._measured_s[slot] = measured_s
         return believed
 
     def _told(self, servo: ServoConfig, data: bytes) -> tuple[float, float]:
-        """Angle and speed of the joint by a servo's answer."""
+        """Decode angle and speed of the joint from a servo's answer."""
         speed = int.from_bytes(data[:4], "little", signed=True)
         ticks = int.from_bytes(data[4:], "little", signed=True)
         turns = servo.sign / servo.gear_ratio
@@ -105,7 +105,7 @@ class ServoAngles:
 
     @staticmethod
     def _angle(servo: ServoConfig, ticks: int) -> float:
-        """The angle at a position, on the turn of the servo that is nearest to its range."""
+        """Convert a position to the equivalent angle nearest to the middle of the joint's range."""
         angle = (ticks - servo.zero_ticks) / servo.ticks_per_rad
         middle = 0.5 * (servo.lower_rad + servo.upper_rad)
         turn = table.TICKS_PER_TURN / abs(servo.ticks_per_rad)
@@ -122,13 +122,13 @@ class ServoAngles:
         return q, v
 
     def ticks(self, velocity: FloatArray) -> tuple[dict[int, int], FloatArray]:
-        """What to send for velocities, and the velocities that it stands for.
+        """Quantise velocities to the units of the servos.
 
         Args:
-            velocity: (7,) rad/s.
+            velocity: (7,) requested velocities, rad/s.
 
         Returns:
-            Ticks by id, and (7,) rad/s.
+            Ticks to send by id, and the (7,) velocities that these are, rad/s.
         """
         out, sent = {}, np.zeros(7)
         for servo in self._servos:

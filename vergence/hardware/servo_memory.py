@@ -1,4 +1,4 @@
-"""A servo's registers read at once, and its faults in words."""
+"""Copies of a servo's registers, and its faults in words."""
 
 from typing import Final
 
@@ -8,11 +8,12 @@ from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.dynamixel.control_table import Register
 
 SPANS: Final = ((0, 14), (20, 4), (31, 5), (44, 4), (64, 1), (68, 3), (126, 21))
-"""Addresses and lengths that are read: registers of all models, without gaps between them."""
+"""Addresses and lengths of the spans that are read; their registers exist without gaps in all
+models (physical: Dynamixel X series)."""
 PRESENT: Final = SPANS[-1]
-"""Where a servo reports load, velocity, position, voltage and temperature."""
+"""Span of present load, velocity, position, voltage and temperature."""
 _TRIES: Final = 2
-"""Questions per span: one packet in a thousand may be damaged on a good line."""
+"""Reads per span: even on a good line one packet in a thousand may be damaged (chosen)."""
 _FAULTS: Final = {
     0: "input voltage",
     2: "overheating",
@@ -27,14 +28,14 @@ class ServoMemory:
     """Copies of spans of a servo's control table.
 
     Args:
-        spans: bytes by the address of the first.
+        spans: bytes of each span by its first address.
     """
 
     def __init__(self, spans: dict[int, bytes]) -> None:
         self._spans = spans
 
     def get(self, register: Register) -> int:
-        """A register's number; the register lies in one of the spans."""
+        """Value of a register, which has to lie in one of the spans."""
         for address, data in self._spans.items():
             if address <= register.address and register.end <= address + len(data):
                 return register.decode(data[register.address - address : register.end - address])
@@ -46,8 +47,8 @@ def read_memory(bus: Bus, id: int, spans: tuple[tuple[int, int], ...] = SPANS) -
 
     Args:
         bus: the servo's line.
-        id: the servo.
-        spans: addresses and lengths.
+        id: id of the servo.
+        spans: addresses and lengths to read.
 
     Raises:
         HardwareError: the servo does not answer, or the line is gone.
@@ -68,11 +69,11 @@ def read_memory(bus: Bus, id: int, spans: tuple[tuple[int, int], ...] = SPANS) -
 
 
 def fault_words(errors: int) -> str:
-    """The bits of HARDWARE_ERROR_STATUS in words."""
+    """Describe the bits of HARDWARE_ERROR_STATUS in words."""
     bits = [bit for bit in range(8) if errors >> bit & 1]
     return ", ".join(_FAULTS.get(bit, f"unknown fault {bit}") for bit in bits)
 
 
 def model_name(number: int) -> str:
-    """A model's name, or its number where it is not one of `control_table.MODELS`."""
+    """Name of a model, or its number if it is not in `control_table.MODELS`."""
     return table.MODELS.get(number, f"model {number}")

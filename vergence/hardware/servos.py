@@ -1,4 +1,4 @@
-"""The servos of a head on their line: opened and checked, switched on, asked, driven, stopped."""
+"""The servos of a head on their line: opening, checks, torque, reading, commands, stopping."""
 
 import logging
 from collections.abc import Callable
@@ -24,32 +24,32 @@ _STATE: Final = (
     table.PRESENT_VELOCITY.address,
     table.PRESENT_VELOCITY.length + table.PRESENT_POSITION.length,
 )
-"""Where servos have their velocity, and their position behind it."""
+"""Address and length of the present velocity and, directly after it, the present position."""
 _HEALTH_S: Final = 1.0
-"""Time between two looks at temperature, voltage and load, s."""
+"""Time between two reads of temperature, voltage and load, s (chosen)."""
 _TORQUE_EVERY: Final = 10
-"""Periods after which servos are asked whether they still have torque."""
+"""Control periods between two reads of the servos' torque state (chosen)."""
 _MISSES: Final = 3
-"""Questions without an answer that are silence, if they took long enough."""
+"""Consecutive missed answers that stop the head, once `SILENT_S` has passed (chosen)."""
 _PAUSE: Final = 0.5
-"""Share of the watchdog's time without a packet from which on it is asked whether it has tripped:
-any packet feeds it, so it need not be asked in every period."""
+"""Pause without packets after which the watchdog's state is read, as a fraction of its time. Any
+packet feeds it, so it need not be read in every period (chosen)."""
 
 
 class HeadServos:
     """The servos of one head in velocity mode.
 
     Args:
-        config: what the hardware is.
-        clock: a steady clock, s.
+        config: the hardware configuration.
+        clock: a monotonic clock, s.
 
     Attributes:
-        angles: what is known of their angles, and what is sent for velocities.
+        angles: the servos' angles, and the conversion of velocities to ticks.
         findings: warnings of the checks.
 
     Raises:
         HardwareError: the line cannot be opened.
-        ChecksFailedError: something is wrong with a servo; all that is wrong is listed.
+        ChecksFailedError: something is wrong with a servo; it lists all problems.
     """
 
     def __init__(self, config: HardwareConfig, clock: Callable[[], float]) -> None:
@@ -60,7 +60,7 @@ class HeadServos:
         self._senses = 0
         said = "answers missed: %d, the last one of %s"
         self._unanswered = CountLog(_LOG, logging.WARNING, said, clock)
-        self._missed: dict[int, list[float]] = {}  # when who has not answered since was asked, s
+        self._missed: dict[int, list[float]] = {}  # times of unanswered requests by id, s
         self._fed_s = self._pause_s = 0.0
         self._health_s = clock()
         self._warned: set[int] = set()
@@ -81,7 +81,7 @@ class HeadServos:
 
     @property
     def misses(self) -> int:
-        """Answers that did not come."""
+        """Number of answers that did not arrive."""
         return self._bus.misses
 
     def _stand_still(self) -> None:
@@ -98,7 +98,7 @@ class HeadServos:
         self.angles.limit_ticks[servo.id] = bus.read(servo.id, table.VELOCITY_LIMIT)
 
     def switch_on(self) -> None:
-        """Torque at rest, and the watchdog armed anew."""
+        """Switch torque on at rest, and arm the watchdog again."""
         ids = self.angles.ids
         self._stand_still()
         self.sense()
@@ -119,11 +119,11 @@ class HeadServos:
         self._fed_s, self._pause_s = self._clock(), 0.0
 
     def _write(self, ident: int, register: table.Register, value: int) -> None:
-        """Write a register, again if the first answer is lost."""
+        """Write a register, and once more if the answer is lost."""
         self._twice(ident, partial(self._bus.write, ident, register, value))
 
     def _twice(self, ident: int, ask: Callable[[], _T]) -> _T:
-        """Ask a servo, again if the first answer is lost."""
+        """Call a servo, and once more if the answer is lost."""
         with suppress(HardwareError):
             return ask()
         try:
@@ -133,17 +133,17 @@ class HeadServos:
             raise HardwareError(f"servos: {name}: {error}") from None
 
     def sense(self) -> tuple[float, FloatArray, FloatArray]:
-        """Read all joints; one that does not answer goes on as it went.
+        """Read all joints; one that does not answer is extrapolated at its last speed.
 
         Returns:
-            When they were measured, by the clock, s; (7,) angles, rad; (7,) velocities, rad/s.
+            Time of the measurement on the clock, s; (7,) angles, rad; (7,) velocities, rad/s.
 
         Raises:
             HardwareError: a servo has not answered for 0.1 s, or the line is gone.
         """
         asked_s = self._clock()
         self._senses += 1
-        # every other question asks for a byte more: a late answer to the one before is told by it
+        # every other request is a byte longer: its length exposes a late answer to the one before
         address, length = _STATE
         found = self._bus.sync_read(self.angles.ids, address, length + self._senses % 2)
         answers = {ident: data[:length] for ident, data in found.items()}
@@ -159,7 +159,7 @@ class HeadServos:
             missed = self._missed.setdefault(servo.id, [])
             missed.append(asked_s)
             self._unanswered.add(1, servo.name)
-            # a pause in which nobody asked is no silence
+            # a pause without requests does not count as silence
             if now - missed[0] > SILENT_S and len(missed) >= _MISSES:
                 got = "angles that no joint can have" if servo.id in answers else "none"
                 raise HardwareError(
@@ -173,7 +173,7 @@ class HeadServos:
         return measured_s, *self.angles.joints()
 
     def _check_faults(self) -> None:
-        """Refuse a servo with a fault."""
+        """Raise an error if a servo has a fault."""
         for servo in self._config.servos:
             if servo.id in self._bus.alerts:
                 errors = 0
@@ -186,7 +186,7 @@ class HeadServos:
                 )
 
     def _check_torque(self) -> None:
-        """Refuse a servo that has let go, as after a shutdown or a reboot."""
+        """Raise an error if a servo has lost its torque, as after a shutdown or a reboot."""
         if self._senses % _TORQUE_EVERY:
             return
         register = table.TORQUE_ENABLE
@@ -200,10 +200,10 @@ class HeadServos:
                 )
 
     def check_health(self) -> list[str]:
-        """Look at temperature, voltage and load, once a second.
+        """Read temperature, voltage and load, once a second.
 
         Returns:
-            Warnings, a line each, of servos that were well at the last look.
+            Warnings, a line each, for servos that were well at the last read.
 
         Raises:
             HardwareError: a servo has to stop.
@@ -231,20 +231,20 @@ class HeadServos:
         return said
 
     def let_go_if_hot(self) -> None:
-        """Take the torque from servos that are hot: holding still heats them too."""
+        """Switch the torque of hot servos off, as holding still heats them too."""
         for ident in self._hot:
             with suppress(HardwareError):
                 self._bus.write(ident, table.TORQUE_ENABLE, 0)
 
     def send(self, velocity: FloatArray) -> FloatArray:
-        """Give the servos velocities; what was really sent, both (7,) rad/s."""
+        """Send velocities to the servos; return the quantised ones; both (7,) rad/s."""
         ticks, sent = self.angles.ticks(velocity)
         self._bus.sync_write(table.GOAL_VELOCITY, ticks)
         self._fed()
         return sent
 
     def _fed(self) -> None:
-        """A packet has gone out: keep the longest time without one."""
+        """Note that a packet was sent, and update the longest time without one."""
         now = self._clock()
         self._pause_s = max(self._pause_s, now - self._fed_s)
         self._fed_s = now
@@ -263,11 +263,11 @@ class HeadServos:
         return pause_s if table.WATCHDOG_TRIPPED in state else 0.0
 
     def abandon(self) -> None:
-        """Give the line back, and leave the servos as they are."""
+        """Release the line, and leave the servos as they are."""
         self._bus.close()
 
     def close(self) -> None:
-        """Stop them as well as the line still allows, and give it back."""
+        """Stop the servos as far as the line still allows, and release it."""
         with suppress(HardwareError):
             self._stand_still()
         for ident in self.angles.ids:

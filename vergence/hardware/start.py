@@ -1,4 +1,4 @@
-"""The way to where a trial begins: slow, and at first a little to and fro, to see what follows."""
+"""Drive to the start of a trial: slowly, after a small motion that proves that joints follow."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,23 +15,27 @@ from vergence.hardware.servo_angles import ServoAngles
 from vergence.models.parts import FloatArray
 
 _GAIN: Final = 6.0
-"""Rate at which the joints go to where the trial begins, 1/s."""
+"""Gain of the drive to the start, speed per remaining angle, 1/s (chosen)."""
 _MOST_RAD_S: Final = 1.5
+"""Greatest requested speed of the drive to the start, rad/s (chosen)."""
 _WITHIN_RAD: Final = 0.01
+"""Tolerance of the start posture, rad (chosen)."""
 _REST_RAD_S: Final = 0.03
-"""Speed below which a joint counts as at rest: a step of the servos' is 0.024 rad/s."""
+"""Joints slower than this are at rest, rad/s: above a servo's unit of 0.024 rad/s (chosen)."""
 _RESTED: Final = 6
-"""Periods at rest after which the way is over."""
+"""Consecutive control periods at rest at the goal that end the drive (chosen)."""
 _TIMEOUT_S: Final = 10.0
+"""Longest time of the drive, s; that at the slowest joint's speed is added (chosen)."""
 _BLOCKED_S: Final = 2.0
-"""Time at rest away from the goal after which something is in the way, s."""
+"""Time at rest away from the goal after which the joint is blocked, s (chosen)."""
 _PROOF_RAD: Final = 0.1
-"""Way by which a joint is moved to see whether it follows, rad: twice what proves it."""
+"""Motion that tests whether a joint follows, rad: twice what proves it (chosen)."""
 _PROOF_TIMEOUT_S: Final = 3.0
+"""Longest time of each half of that motion, s (chosen)."""
 
 
 class NotThereError(HardwareError):
-    """Joints that have not come to where they were driven."""
+    """Joints that have not reached their goal."""
 
 
 def come_to_start(
@@ -41,17 +45,17 @@ def come_to_start(
     supervisor: Supervisor,
     move: Callable[[FloatArray], float],
 ) -> float:
-    """See that all joints follow, and bring them to where a trial begins.
+    """Check that all joints follow, and drive them to the start of a trial.
 
     Args:
         goal: (7,) angles of neck and actuators, rad.
-        config: what the hardware is.
+        config: the hardware configuration.
         angles: see `drive_to`.
-        supervisor: knows which joints have followed, and what is in their way.
+        supervisor: source of the proved joints and of the forbidden posture in the way.
         move: see `drive_to`.
 
     Returns:
-        When they came to rest, on the clock of `move`, s.
+        Time at which they came to rest, on the clock of `move`, s.
 
     Raises:
         HardwareError: a trial must not begin there, or the joints do not get there; see `move`.
@@ -82,20 +86,20 @@ def drive_to(
     move: Callable[[FloatArray], float],
     timeout_s: float = _TIMEOUT_S,
 ) -> float:
-    """Bring neck and actuators to a posture, slowly.
+    """Drive neck and actuators slowly to a posture.
 
     Args:
-        goal: (7,) rad; limited to the servos' ranges.
-        servos: what they move.
-        angles: where they are; `move` keeps it up to date.
-        move: sends (7,) velocities, rad/s, for one control period, and tells the time then, s.
-        timeout_s: time after which it is given up, s.
+        goal: (7,) goal angles, rad; clipped to the servos' ranges.
+        servos: configuration of the servos.
+        angles: present angles of the servos; `move` updates them.
+        move: sends (7,) velocities, rad/s, for one control period, and returns the time, s.
+        timeout_s: time limit, s.
 
     Returns:
-        When they came to rest, on the clock of `move`, s.
+        Time at which they came to rest, on the clock of `move`, s.
 
     Raises:
-        NotThereError: they did not within the time.
+        NotThereError: they did not get there in time, or stopped on the way.
         HardwareError: see `move`.
     """
     goal = np.clip(goal, angles.lower, angles.upper)
@@ -127,10 +131,10 @@ def prove(
     angles: ServoAngles,
     move: Callable[[FloatArray], float],
 ) -> None:
-    """Move joints a little way towards their middles and back, to see whether they follow.
+    """Move joints a little towards the middle of their range and back, to test that they follow.
 
     Args:
-        unproved: (7,) which joints.
+        unproved: (7,) True for the joints to move.
         servos: see `drive_to`.
         angles: see `drive_to`.
         move: see `drive_to`.
@@ -143,5 +147,5 @@ def prove(
     way = np.where(angles.angles <= middle, _PROOF_RAD, -_PROOF_RAD) * unproved
     begin = angles.angles.copy()
     for goal in (begin + way, begin):
-        with suppress(NotThereError):  # such as one that a forbidden posture is in the way of
+        with suppress(NotThereError):  # for example if a forbidden posture is in the way
             drive_to(goal, servos, angles, move, _PROOF_TIMEOUT_S)

@@ -1,4 +1,4 @@
-"""Servos that are only asked: nothing is written to them, and nothing moves."""
+"""Servos that are only read: nothing is written to them, and nothing moves."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from vergence.models.parts import FloatArray
 
 
 class StillServos(HeadServos):
-    """The servos of one head, as they were found; for the arguments and errors see `HeadServos`."""
+    """The servos of one head, left as they are; for the arguments and errors see `HeadServos`."""
 
     def _stand_still(self) -> None:
         pass
@@ -21,16 +21,16 @@ class StillServos(HeadServos):
         """Leave the torque as it is."""
 
     def send(self, velocity: FloatArray) -> FloatArray:
-        """Send nothing: (7,) zeros."""
+        """Send nothing; return (7,) zeros."""
         return np.zeros(7)
 
     def paused_s(self) -> float:
-        """0: no watchdog is armed."""
+        """Return 0, as no watchdog is armed."""
         return 0.0
 
     def let_go_if_hot(self) -> None:
         """Leave the torque as it is."""
 
     def close(self) -> None:
-        """Give the line back."""
+        """Release the line."""
         self._bus.close()

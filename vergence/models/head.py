@@ -50,6 +50,18 @@ class HeadModel:
 
     The geometry (`links`, `head_eye`, `cameras`) may carry a batch shape; every method then
     broadcasts it with the arguments' leading shapes by NumPy's rules.
+
+    Examples:
+        Eyes that look at a point 1 m ahead see it at their principal points:
+
+        >>> import numpy as np, vergence
+        >>> head = vergence.load_head("simulated")
+        >>> q = head.fixate([0.0, -0.1, 1.0])
+        >>> np.rad2deg(q).round(2)
+        array([ 0.  ,  0.  ,  0.  , -4.04, -2.59,  4.04,  2.73])
+        >>> head.project(q, [0.0, -0.1, 1.0]).round(2)
+        array([[520.5, 430.5],
+               [520.5, 430.5]])
     """
 
     name: str

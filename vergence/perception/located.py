@@ -188,6 +188,7 @@ def _measured_point(
 
 
 _NOWHERE: Final = Centre(np.full(3, np.nan), np.full((3, 3), np.nan))
+"""Centre of a board that cannot be located (numerical)."""
 
 
 def _board_centre(target: PlanarTarget, fix: Fix, of_joints: FloatArray) -> Centre:

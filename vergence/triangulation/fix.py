@@ -17,7 +17,15 @@ _SHAPE = np.zeros(3)
 
 
 class Fix(NamedTuple):
-    """A triangulated point, in frame N."""
+    """A triangulated point, in frame N.
+
+    Examples:
+        >>> import vergence
+        >>> head = vergence.load_head("simulated")
+        >>> fix = vergence.triangulate_gaze(head, head.fixate([0.1, -0.1, 1.5]))
+        >>> bool(fix.valid), fix.point.round(3), fix.sigma.round(4)
+        (True, array([ 0.1, -0.1,  1.5]), array([0.0001, 0.0001, 0.0011]))
+    """
 
     point: FloatArray
     """(..., 3) position, metres; nan if not valid."""
@@ -37,7 +45,17 @@ class Fix(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Noise:
-    """Standard deviations of the inputs of a fix; the errors are independent."""
+    """Standard deviations of the inputs of a fix; the errors are independent.
+
+    Examples:
+        Depth at 1 m with a detector of 0.2 px and joints known to 0.5 mrad, 1 sigma in metres:
+
+        >>> import vergence
+        >>> head = vergence.load_head("simulated")
+        >>> noise = vergence.Noise(pixel_px=0.2, joint_rad=0.0005)
+        >>> vergence.triangulate_gaze(head, head.fixate([0.0, -0.1, 1.0]), noise).sigma.round(4)
+        array([0.0004, 0.0008, 0.009 ])
+    """
 
     pixel_px: float | FloatArray = 0.0
     """Standard deviation of pixel coordinates, px: a scalar, or (..., 2, 2) by eye and
@@ -105,6 +123,16 @@ def triangulate_gaze(head: HeadModel, q: ArrayLike, noise: Noise | None = None) 
 
     Raises:
         ConfigurationError: the head's eyes do not move, so they cannot fixate.
+
+    Examples:
+        A thousand fixations in one call:
+
+        >>> import numpy as np, vergence
+        >>> head = vergence.load_head("simulated")
+        >>> points = np.random.default_rng(0).uniform((-0.2, -0.2, 0.5), (0.2, 0.2, 2.0), (1000, 3))
+        >>> fix = vergence.triangulate_gaze(head, head.fixate(points))
+        >>> bool(fix.valid.all()), bool(np.allclose(fix.point, points))
+        (True, True)
     """
     if not head.actuation.count:
         raise ConfigurationError(
@@ -133,6 +161,16 @@ def triangulate_views(
 
     Returns:
         The fix; its covariance is the full propagation of Eqs. 34 to 36 and of the joints' noise.
+
+    Examples:
+        The target need not be at the centre of the images:
+
+        >>> import vergence
+        >>> head = vergence.load_head("simulated")
+        >>> q = head.fixate([0.0, -0.1, 1.0])
+        >>> pixels = head.project(q, [0.1, 0.05, 1.2])
+        >>> vergence.triangulate_views(head, q, pixels).point.round(3)
+        array([0.1 , 0.05, 1.2 ])
     """
     noise = Noise.of(head) if noise is None else noise
     results: Any = triangulate(q, pixels, noise.pixel_px, noise.joint_rad, head.packed, _SHAPE)

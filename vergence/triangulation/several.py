@@ -61,6 +61,23 @@ def triangulate_fixations(
     Raises:
         ConfigurationError: the head is a population, or the point is not visible to both eyes in
             any fixation.
+
+    Examples:
+        Twenty fixations near a point, joint angles rounded to 4,096 steps a turn. The depth error
+        of a single one is up to 5.7 mm; all together know it to 0.6 mm (1 sigma):
+
+        >>> import numpy as np, vergence
+        >>> head = vergence.load_head("turrets")
+        >>> point, rng = np.array([0.05, 0.02, 0.8]), np.random.default_rng(0)
+        >>> q = head.fixate(point + 0.02 * rng.standard_normal((20, 3)))
+        >>> read = np.round(q / (2 * np.pi / 4096)) * (2 * np.pi / 4096)
+        >>> pixels = head.project(q, point)
+        >>> errors = vergence.triangulate_views(head, read, pixels).point - point
+        >>> (1000 * np.abs(errors[:, 2]).max()).round(1)
+        np.float64(5.7)
+        >>> fix = vergence.triangulate_fixations(head, read, pixels)
+        >>> (1000 * fix.sigma[2]).round(1), bool(abs(fix.point - point)[2] < 2 * fix.sigma[2])
+        (np.float64(0.6), True)
     """
     if head.batch_shape:
         raise ConfigurationError(

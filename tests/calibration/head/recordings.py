@@ -11,12 +11,12 @@ def log_frames(path, head, frames, *, order=None, skew_s=0.0, **facts):
     """Write frames as a robot's log.
 
     Args:
-        path: of the new log.
-        head: the head that it is of.
+        path: path of the new log.
+        head: recorded head.
         frames: `HeadFrames`.
-        order: which frames, in which order; all by default.
-        skew_s: by how much the right eye is later.
-        **facts: further facts; target and at_rest are those of the frames unless given.
+        order: indices of the frames to write, in order; all by default.
+        skew_s: delay of the right eye's images against the left eye's, s.
+        **facts: further facts; target and at_rest are by default those of the frames.
     """
     facts = {"target": str(frames.target), "at_rest": "True"} | facts
     with LogWriter(path, head=head, facts=facts) as log:

@@ -1,8 +1,9 @@
-"""How many of the article's head's numbers recordings of several kinds can tell at all.
+"""Number of observable parameters of the article's head, for recordings of several kinds.
 
-The 44 numbers and the ranks are those of the numerical study in spec.md: 34 of the kinematics,
-focal length, principal point and two coefficients of either lens. A direction counts as seen if its
-information, in units of the spreads of real heads, is more than 1e-10 of the best seen one's.
+The 44 parameters and the ranks are those of the numerical study in spec.md: 34 of the kinematics,
+and focal length, principal point and two coefficients of either lens. A direction counts as
+observable if its information, in units of the spreads of real heads, is more than 1e-10 of the
+largest.
 """
 
 import numpy as np

@@ -198,7 +198,7 @@ def write_table(folder, rows):
 
 @pytest.fixture
 def changed(photographs, tmp_path):
-    """The same with another table."""
+    """Factory of copies of the photographs with an edited table of joints."""
 
     def change(edit):
         for eye in ("left", "right"):

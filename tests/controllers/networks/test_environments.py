@@ -48,7 +48,7 @@ def test_stable_baselines3s_checker_has_no_complaint(cls) -> None:
 
 
 def test_a_constant_schedule_runs_the_trial_of_the_fixed_gain() -> None:
-    """The same seed is the same trial, and gains of 4 are the article's law."""
+    """Trials of one seed are equal, and gains of 4 give the article's law."""
     schedule = gym.make(ID, plant="kinematic")
     gaze = gym.make("vergence/Gaze-v0", plant="kinematic")
     law = make_controller("ibvs", gaze.unwrapped.task.head, gain=4.0)

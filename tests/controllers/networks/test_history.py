@@ -13,7 +13,7 @@ from vergence.envs.task import GazeTask
 from vergence.models import HeadModel, load_head
 
 RATES = [(120.0, 120.0), (120.0, 30.0), (60.0, 50.0), (1000.0, 90.0)]
-"""Of control and of frames, Hz."""
+"""Pairs of control rate and frame rate, Hz."""
 
 
 def head_at(control_hz: float, frames_hz: float) -> HeadModel:

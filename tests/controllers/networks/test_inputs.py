@@ -1,4 +1,4 @@
-"""What a network sees: numbers in range, the present and not the past, no state shared."""
+"""Inputs of a network: numbers in range, the present and not the past, no shared state."""
 
 import numpy as np
 import pytest

@@ -46,7 +46,7 @@ def observations(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def forward(x: np.ndarray) -> np.ndarray:
-    """What the perceptron of the bundles puts out."""
+    """Output of the bundles' perceptron."""
     for matrix, offset in weights_of(x.shape[-1]):
         x = np.tanh(x @ matrix + offset)
     return x
@@ -283,7 +283,7 @@ FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__"}
 
 
 def executing(source: str) -> list[str]:
-    """What in a module could turn bytes into behaviour."""
+    """Imports and calls of a module that could execute bytes as code."""
     found = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):

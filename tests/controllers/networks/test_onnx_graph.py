@@ -1,4 +1,4 @@
-"""What a network file may hold, and how everything else is refused."""
+"""Allowed content of a network file, and refusal of everything else."""
 
 from collections.abc import MutableSequence
 from pathlib import Path

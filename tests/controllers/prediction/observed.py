@@ -15,11 +15,11 @@ from vergence.models.head import HeadModel
 Array = NDArray[np.float64]
 _STEP_S = 0.0005
 PLACE = (0.05, -0.12, 0.9)
-"""Where a target at rest is, in N, m."""
+"""Position of a target at rest in N, m."""
 
 
 class Recording(NamedTuple):
-    """What a head has observed, and what was true."""
+    """Observations of a head, and the ground truth."""
 
     observations: list[Observation]
     positions: Array
@@ -51,16 +51,16 @@ def record(
     Args:
         head: the head.
         commands: (steps, 4) rad/s.
-        target: the target's place in N by time, m.
-        latency_s: from a command to the joints' response.
+        target: position of the target in N as a function of time, m.
+        latency_s: time from a command to the joints' response.
         lag_s: time constant of the joints; the head's by default.
-        build_up: that of a lag of second order by the same.
-        ratio: accelerations by the head's.
-        gain: speeds by command.
-        image_delay_s: from exposure to reading; the head's by default.
-        noise_px: of the detections, standard deviation.
-        spoil: what the detector makes of the errors (2, 2) of an image exposed at a time.
-        seed: of the noise.
+        build_up: b in b lag^2 v'' + lag v' + v = u; 0 for a first-order lag.
+        ratio: acceleration limits relative to the head's.
+        gain: ratio of speed to command.
+        image_delay_s: time from exposure to reading; the head's by default.
+        noise_px: standard deviation of the detections.
+        spoil: function from exposure time and pixel errors (2, 2) to the detected errors.
+        seed: seed of the noise.
     """
     timing, rng = head.timing, np.random.default_rng(seed)
     lag = timing.lag_s if lag_s is None else lag_s
@@ -124,7 +124,7 @@ def record(
 
 
 def predict(predictor: Predictor, recording: Recording) -> list[Prediction]:
-    """What a predictor makes of it, period by period."""
+    """Predictions from a recording, one per period."""
     state = predictor.initial()
     return [predictor.update(seen, state) for seen in recording.observations]
 
@@ -139,9 +139,9 @@ def turns(head: HeadModel, steps: int, *, speed: float = inf, time_s: float = 0.
 
     Args:
         head: the head.
-        steps: of how many periods.
-        speed: the commands of the second joints, at most, rad/s.
-        time_s: each lasts so long.
+        steps: number of periods.
+        speed: largest command of the second joints, rad/s.
+        time_s: duration of each turn, s.
     """
     fastest = np.minimum(head.actuation.velocity[3:], speed)
     commands = np.zeros((steps, 4))

@@ -1,4 +1,4 @@
-"""When images were exposed: found while the eyes turn, and left alone while they rest."""
+"""Estimation of the image delay: updated while the eyes turn, unchanged while they rest."""
 
 import numpy as np
 import pytest

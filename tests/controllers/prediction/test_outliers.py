@@ -25,9 +25,9 @@ def errors_after(
 
     Args:
         name: the controller.
-        spoil: from the periods since then and the errors (num, 2, 2) to what the detector says.
-        steps: for how many periods.
-        num: of how many heads.
+        spoil: function from elapsed periods and pixel errors (num, 2, 2) to the detected errors.
+        steps: number of periods.
+        num: number of heads.
     """
     task = GazeTask(num, head=HEAD, plant="kinematic")
     controller = make_controller(name, HEAD, task.layout)

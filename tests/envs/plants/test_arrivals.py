@@ -1,4 +1,4 @@
-"""When images come: in their order, late by chance, and how they are dated."""
+"""Arrival of images: order, random jitter, exposure stamps."""
 
 import itertools
 

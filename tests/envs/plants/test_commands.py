@@ -1,4 +1,4 @@
-"""What becomes of commands on their way to the motors: they come late and in steps."""
+"""Commands on their way to the motors: latency, quantisation, loss."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from vergence.envs.plant import make_plant
 
 T = 1 / 120
 STEP = 0.024
-"""That of a Dynamixel's goal velocity, 0.229 rev/min, rad/s."""
+"""Quantisation of a Dynamixel's goal velocity, 0.229 rev/min, rad/s."""
 plants = pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
 
 

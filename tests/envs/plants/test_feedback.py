@@ -1,4 +1,4 @@
-"""What a head says of its joints: late, noisy, in steps, from one side of the play."""
+"""Joint readings: latency, noise, quantisation, backlash (play)."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""When the target appears, or its motion begins: nothing of it shows before."""
+"""Onset of the target or of its motion: nothing of it shows before."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ plants = pytest.mark.parametrize("plant_name", ["kinematic", "mujoco"])
 
 
 def first_date(onset_s: float) -> float:
-    """When the first frame of the target is exposed by cameras of the control rate, s."""
+    """Exposure time of the target's first frame, with cameras at the control rate, s."""
     return float(np.ceil(onset_s / T - 1e-9) * T)
 
 

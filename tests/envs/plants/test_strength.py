@@ -1,4 +1,4 @@
-"""What motors can do: speed by command, greatest acceleration, torque that falls with speed."""
+"""Strength of motors: gain of the speed, greatest acceleration, torque falling with speed."""
 
 import numpy as np
 import pytest

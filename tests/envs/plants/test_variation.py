@@ -1,4 +1,4 @@
-"""What differs from trial to trial: drawn from the trial's stream, hidden from the controller."""
+"""Variation between trials: drawn from the trial's stream, hidden from the controller."""
 
 import dataclasses
 import inspect

@@ -1,9 +1,9 @@
-"""How joints that follow their commands stand at any time, by integrating the equation of motion.
+"""Angles of joints that follow their commands, by integrating the equation of motion.
 
     dv/dt = clip((g u - v) / lag, -a (1 - f max(-v, 0)), a (1 - f max(v, 0))),   dq/dt = v
 
-with the command u of a period from its beginning plus the command latency on, its gain g, and the
-share f that a rad/s takes of the greatest acceleration a. No stops, no play.
+The command u of a period acts from its beginning plus the command latency on. g is its gain, and f
+the fraction by which 1 rad/s reduces the greatest acceleration a. No stops, no backlash.
 """
 
 from collections.abc import Callable
@@ -33,8 +33,8 @@ def motion_of(
     """The motion of a head whose actuators are its joints.
 
     Args:
-        head: whose limits and timing hold.
-        commands: (periods, 7) within the limits, rad/s.
+        head: head with the limits and the timing.
+        commands: (periods, 7) commands within the limits, rad/s.
         start: (7,) where the joints rest at first, rad.
         lag_s: another lag than the head's, s.
         late_s: from a command to the joints' response, s.

@@ -1,4 +1,4 @@
-"""What every experiment's table, summary and figures have to be, for the tests."""
+"""Checks of every experiment's table, summary and figures, for the tests."""
 
 import json
 import math
@@ -16,7 +16,7 @@ def backwards(jobs):
 
 
 def covers(rows, experiment):
-    """Whether a summary has a row for everything the article reports of an experiment."""
+    """True if a summary has a row for every result that the article reports of an experiment."""
     ours = {(row.experiment, row.quantity, row.method, row.axis) for row in rows}
     theirs = {
         (row.experiment, row.quantity, row.method, row.axis)

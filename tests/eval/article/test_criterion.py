@@ -1,4 +1,4 @@
-"""When a result of the article counts as reproduced."""
+"""Criterion by which a result of the article counts as reproduced."""
 
 import math
 

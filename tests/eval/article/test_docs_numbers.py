@@ -19,7 +19,7 @@ def bullets(text: str) -> list[str]:
 
 
 def mistakes(bullet: str, numbers=NUMBERS) -> list[str]:
-    """What is wrong with a bullet: its comment names the source of each number, in order."""
+    """Mistakes in a bullet, whose comment names the source of each number, in order."""
     named = re.search(r"<!-- ([a-z-]+): ([\w, \n]+) -->", bullet)
     if named is None:
         return [f"no sources: {bullet}"]
@@ -36,7 +36,7 @@ def mistakes(bullet: str, numbers=NUMBERS) -> list[str]:
 
 
 def agrees(number: str, value: float) -> bool:
-    """Whether a number is a value rounded to the number's digits."""
+    """True if a number is a value rounded to the number's digits."""
     unit = 10.0 ** -len(number.partition(".")[2])
     return abs(float(number.replace(",", "")) - value) <= 0.500001 * unit
 

@@ -62,7 +62,7 @@ def run(finished, tmp_path):
 
 
 def ran(log) -> int:
-    """How many jobs have run."""
+    """Number of jobs that have run."""
     return len(log.read_text().splitlines()) if log.exists() else 0
 
 
@@ -326,7 +326,7 @@ def test_the_report_is_self_contained_and_its_ids_are_unique(finished):
 
 
 def report_text(folder) -> str:
-    """What the report of a run says, tags and styles left out, on one line."""
+    """Text of a run's report without tags and styles, on one line."""
     page = (folder / "run" / "report.html").read_text(encoding="utf-8")
     page = re.sub(r"<(style|svg)\b.*?</\1>", " ", page, flags=re.DOTALL)
     return " ".join(re.sub(r"<[^>]+>", "", page).split())

@@ -18,12 +18,12 @@ NO_ERRORS = ModelErrors()
 
 @dataclass(frozen=True, kw_only=True)
 class ToyConfig:
-    """What the toy does."""
+    """Options of the toy experiment."""
 
     draws: int = 5
     """Jobs."""
     scale: float = 2.0
-    """Of the numbers."""
+    """Scale of the numbers."""
     depths: tuple[float, ...] = (0.5, 1.0)
     """Kept in the table."""
     errors: ModelErrors = NO_ERRORS

@@ -47,7 +47,7 @@ def known(monkeypatch, tmp_path):
 
 
 def fineness(name: str, share: float) -> float:
-    """How much less than the limit a search finds at most, to one side of the expected value."""
+    """Largest shortfall of a search from the limit, on one side of the expected value."""
     following = min(one for one in GRID if one > share)
     last = max((0.0, *(one for one in GRID if one <= share)))
     return (following - last) / 2**HALVINGS * (SEARCHED[name].most - SEARCHED[name].least)

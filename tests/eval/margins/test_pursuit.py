@@ -1,4 +1,4 @@
-"""What one controller with one set of options stands, on targets that rest."""
+"""Imperfections that one controller with one set of options tolerates, on targets at rest."""
 
 import numpy as np
 import pytest

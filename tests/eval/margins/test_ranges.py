@@ -1,4 +1,4 @@
-"""Where margins are looked for."""
+"""Ranges in which margins are searched."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""What places targets before a robot: which is chosen, and what it can show."""
+"""Stages, which place targets before a robot: their choice, and the targets they can show."""
 
 import dataclasses
 import sys

@@ -1,4 +1,4 @@
-"""Whether an actuator can be in its band in time, as a linear program over its accelerations.
+"""Check that an actuator can reach its band in time, as a linear program in its accelerations.
 
 The motor's equation dv/dt = clip((u - v) / lag, -a, a) with |u| <= u_max allows an acceleration w
 where |w| <= a and |v + lag w| <= u_max. With w constant over short pieces, angles and velocities
@@ -15,12 +15,12 @@ AFTER_S = 0.25
 
 
 class Actuator(NamedTuple):
-    """What an actuator can do, and what it has to."""
+    """Limits of an actuator, and its task."""
 
     turn: float
-    """How far it has to turn, rad."""
+    """Angle to turn, rad."""
     slack: float
-    """How far off it may be, rad."""
+    """Half width of its band, rad."""
     lag: float
     acceleration: float
     top: float
@@ -28,13 +28,13 @@ class Actuator(NamedTuple):
 
 
 def is_in_time(one: Actuator, time_s: float, period_s: float, pieces: int = 5) -> bool:
-    """Whether an actuator at rest can be in its band after a time, to stay, at control steps.
+    """True if an actuator at rest can be in its band from a time on, at all control steps.
 
     Args:
         one: the actuator.
         time_s: the time, which ends at a control step.
         period_s: from one control step to the next.
-        pieces: how many a period has.
+        pieces: pieces of constant acceleration per period.
     """
     if time_s <= 0.0:
         return abs(one.turn) <= one.slack

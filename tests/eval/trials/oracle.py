@@ -24,14 +24,14 @@ HALVINGS = 40
 
 
 class Joints(NamedTuple):
-    """What the actuators of the eyes can do, (n, 4)."""
+    """Limits of the eyes' actuators, (n, 4)."""
 
     lag: Array
     a: Array
     top: Array
     """Greatest speeds, gain included, rad/s."""
     fade: Array
-    """What a rad/s takes of the acceleration."""
+    """Fraction by which 1 rad/s reduces the acceleration."""
 
 
 @njit
@@ -53,7 +53,7 @@ def advance(q: Array, v: Array, u: Array, joints: Joints, time: Array) -> tuple[
 
 
 def stopping_place(q: Array, v: Array, lag: Array, a: Array, top: Array) -> Array:
-    """Where joints stop under full reverse."""
+    """Angles at which joints stop under full reverse."""
     speed = np.abs(v)
     least = np.maximum(a * lag - top, 0.0)  # below it, the lag no longer allows a
     time = np.maximum(speed - least, 0.0) / a
@@ -113,9 +113,9 @@ def run(task: GazeTask, steps: int, beyond_px: float) -> tuple[Array, Array]:
 
     Args:
         task: the trials.
-        steps: how many control periods.
-        beyond_px: how far beyond the goal each actuator stops: earlier in the band, nearer its
-            edge.
+        steps: number of control periods.
+        beyond_px: distance beyond the goal at which each actuator stops: it enters the band
+            earlier, but stops nearer to its edge.
 
     Returns:
         (steps + 1,) seconds and (steps + 1, n, 2, 2) true pixel errors.

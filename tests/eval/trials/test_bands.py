@@ -1,4 +1,4 @@
-"""How far actuators may be off: neither less nor noticeably more than both error circles allow."""
+"""Bands of actuators: as wide as both error circles allow, and not noticeably wider."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def slack_of(head: HeadModel, find=bands_of_actuators) -> tuple[np.ndarray, np.n
 
 
 def furthest(head: HeadModel, goal: np.ndarray, k: int) -> float:
-    """How far actuator k can be off with both eyes within 1 px, by constrained optimisation."""
+    """Largest error of actuator k with both eyes within 1 px, by constrained optimisation."""
     scale = 1.0 / head.cameras.focal.mean()
 
     def errors(own: np.ndarray) -> np.ndarray:

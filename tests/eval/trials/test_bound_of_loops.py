@@ -200,7 +200,7 @@ def test_what_hinders_a_motor_never_makes_it_faster() -> None:
 
 
 def makes(name: str, scenario: Scenario) -> bool:
-    """Whether a controller runs on a scenario's head without training."""
+    """True if a controller runs on a scenario's head without training."""
     try:
         make_controller(name, scenario.model())
     except (BundleError, ConfigurationError):

@@ -15,7 +15,7 @@ from vergence.eval.trials.run import run_trials
 
 @dataclass(frozen=True)
 class Late(ToyScenario):
-    """The same, but the target jumps at a moment of each trial's own."""
+    """Toy scenario whose target jumps at a random time of each trial."""
 
     def task(self, num: int, plant: str = "kinematic", head: Any = None) -> GazeTask:
         late = {"onset_s": (0.1, 0.3)}

@@ -29,7 +29,7 @@ def ideal_head():
 
 @dataclass(frozen=True)
 class ToyScenario:
-    """What `run_trials` needs of a scenario, without a registry."""
+    """Minimal scenario for `run_trials`, without a registry."""
 
     target: Any
     duration_s: float = 0.5
@@ -76,9 +76,9 @@ class InTwoTurns:
     """Turns the eyes to some pixels beside the step's target, and later onto it.
 
     Args:
-        first: after how many periods it turns.
-        second: after how many it turns the rest.
-        beside_px: how far from the target it waits, about.
+        first: periods until the first turn.
+        second: periods until the second turn.
+        beside_px: approximate distance from the target at which it waits.
     """
 
     def __init__(self, first: int, second: int, beside_px: float) -> None:

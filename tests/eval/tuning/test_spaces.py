@@ -1,4 +1,4 @@
-"""What is searched fits the controllers."""
+"""Search spaces fit their controllers."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Which actuator turns an eye to be measured, and how well a reading is dated."""
+"""Choice of the actuator that turns a measured eye, and accuracy of reading times."""
 
 import numpy as np
 import pytest

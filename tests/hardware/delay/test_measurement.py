@@ -1,4 +1,4 @@
-"""What both eyes have told becomes one loop, and what they cannot tell is said."""
+"""Combination of both eyes' results into one loop; undetermined values are reported."""
 
 from dataclasses import replace
 
@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from vergence.hardware.delay.image_fit import ImageFit
-from vergence.hardware.delay.joint_fit import JointFit, Motor, clustered
+from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, clustered
 from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
 
 FIT = JointFit(
-    motor=Motor(latency_s=0.01, lag_s=0.03, gain=0.9, per_acceleration=1.0 / 20.0),
-    sigma=Motor(latency_s=1e-3, lag_s=1e-3, gain=1e-3, per_acceleration=1e-4),
+    motor=FittedMotor(latency_s=0.01, lag_s=0.03, gain=0.9, per_acceleration=1.0 / 20.0),
+    sigma=FittedMotor(latency_s=1e-3, lag_s=1e-3, gain=1e-3, per_acceleration=1e-4),
     greatest_rad_s2=20.0, residual_rad=1e-3, limited=True, correlation=-0.5,
 )  # fmt: skip
 IMAGE = ImageFit(

@@ -5,10 +5,10 @@ import pytest
 
 from vergence.hardware.dynamixel.packets import Parser, status_packet
 from vergence.hardware.emulator.fault import parse_fault
-from vergence.hardware.emulator.line import Answer
+from vergence.hardware.emulator.line import TimedAnswer
 from vergence.hardware.emulator.line_faults import damage
 
-ANSWERS = [Answer(id, 0.0, status_packet(id, b"abcd")) for id in (1, 2, 3)]
+ANSWERS = [TimedAnswer(id, 0.0, status_packet(id, b"abcd")) for id in (1, 2, 3)]
 
 
 def sent(*faults, seed=0):

@@ -1,4 +1,4 @@
-"""What moves an emulated head's joints otherwise than its model: late, weak, loose."""
+"""Imperfect motors of an emulated head: latency, reduced strength, backlash."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from tests.hardware.emulator.served import POINT
 from vergence import load_head
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import BROADCAST, Instruction, Packet
-from vergence.hardware.emulator.world import Motors, World
+from vergence.hardware.emulator.world import MotorOptions, World
 
 HEAD = load_head("turrets")
 TICKS = 40
@@ -24,7 +24,7 @@ def turn(world, ticks, now_s):
 
 @pytest.fixture
 def world():
-    motors = Motors(
+    motors = MotorOptions(
         lag_s=0.02, speed_gain=0.5, command_latency_s=LATENCY_S, backlash_rad=0.01,
         acceleration_rad_s2=1000.0,
     )  # fmt: skip
@@ -46,7 +46,7 @@ def test_a_command_acts_when_its_latency_has_passed(world):
 
 def test_what_servos_report_is_as_old_as_their_feedback():
     late_s = 0.0125
-    now, late = (World(HEAD, POINT, Motors(feedback_latency_s=one)) for one in (0.0, late_s))
+    now, late = (World(HEAD, POINT, MotorOptions(feedback_latency_s=one)) for one in (0.0, late_s))
     for world in (now, late):
         world.to(0.0)
         for servo in world.line.servos:

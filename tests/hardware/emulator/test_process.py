@@ -47,7 +47,7 @@ def head(tmp_path):
 
 
 def speak_until_gone(bus):
-    """When the last answer came before the line was gone."""
+    """Time of the last answer before the line was gone."""
     spoken_s = time.monotonic()
     try:
         while True:

@@ -37,7 +37,7 @@ def test_commands_that_last_lead_beyond_no_limit_and_into_no_posture(how):
 
 
 def drive(wish, start=None, config=None, steps=240):
-    """Where the turrets are after one wish for 4 s."""
+    """Angles of the turrets after one constant request for 4 s."""
     motion = JointMotion(TURRETS, LOWER, UPPER, config or SafetyConfig())
     joints = Joints(TURRETS, np.zeros(7) if start is None else start)
     for _ in range(steps):

@@ -5,7 +5,7 @@ import pytest
 
 from vergence import load_head
 from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
-from vergence.hardware.safety.supervisor import State, Supervisor, Verdict
+from vergence.hardware.safety.supervisor import RobotState, Supervisor, Verdict
 
 HEAD = load_head("turrets")
 NAMES = {"left_pan": 3, "left_tilt": 4, "right_pan": 5, "right_tilt": 6}
@@ -18,7 +18,7 @@ class Robot:
 
     Args:
         follows: gives the joints' speeds for the commands.
-        **bounds: of `SafetyConfig`.
+        **bounds: fields of `SafetyConfig`.
     """
 
     def __init__(self, follows=lambda sent: sent, **bounds):
@@ -46,7 +46,7 @@ class Robot:
             "seen": True,
             "goals": np.zeros(4),
         }
-        state = State(**{**now, **self.changes, **changes})
+        state = RobotState(**{**now, **self.changes, **changes})
         sent = self.supervisor.command(state, np.zeros(7) if wish is None else wish)
         self.supervisor.took(sent)
         self.speeds = self.follows(sent)

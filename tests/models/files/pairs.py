@@ -28,7 +28,7 @@ def write_opencv(path: Path, values: dict[str, Any]) -> Path:
 
 
 def opencv_pair(**changes: Any) -> dict[str, Any]:
-    """What a program around `cv2.stereoCalibrate` writes; a value of None is left out."""
+    """Values written by a program around `cv2.stereoCalibrate`; values of None are left out."""
     values: dict[str, Any] = {
         "cameraMatrix1": K_LEFT,
         "distCoeffs1": D_LEFT.reshape(1, -1),

@@ -118,7 +118,7 @@ def test_exported_files_carry_the_heads_name(simulated, name, stem):
 
 
 class TestFolder:
-    """What lies in models/bionic_eyes is what `vergence export` writes for the simulated head."""
+    """Files in models/bionic_eyes equal the output of `vergence export` for the simulated head."""
 
     @pytest.fixture(params=FORMATS)
     def files(self, request, simulated):
@@ -141,7 +141,7 @@ class TestFolder:
 
 
 def assert_same_xml(first, second):
-    """The same elements and attributes, numbers to 1e-6 or 1e-12, as the last digits may differ."""
+    """Assert equal elements and attributes; the last digits of numbers may differ."""
     assert first.tag == second.tag
     assert first.keys() == second.keys()
     for key, value in first.items():

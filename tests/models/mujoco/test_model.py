@@ -239,7 +239,7 @@ class TestRefusals:
 
 
 def mujoco_pixel(model, data, name, point):
-    """Where MuJoCo's renderer puts a point of the world: its frustum, as its sources have it.
+    """Pixel at which MuJoCo draws a world point, by the frustum of its source code.
 
     Its image has edges at integers and its principal point counts from the centre, towards the
     left and up; half a pixel less gives OpenCV's pixels.

@@ -32,7 +32,7 @@ SIZES = [(3, 3), (5, 4), (4, 5), (6, 4), (5, 5), (9, 6), (12, 9)]
 
 
 def board(columns: int, rows: int, *, rim: bool = True) -> Checkerboard:
-    """Of squares of 20 px at 1 m before the simulated rig."""
+    """Checkerboard with squares of 20 px at 1 m before the simulated rig."""
     return Checkerboard(columns=columns, rows=rows, square_m=0.0323, rim=rim)
 
 
@@ -234,7 +234,7 @@ def test_a_keyboard_below_the_board_is_no_more_of_it():
 
 
 def outline(grid: np.ndarray, share: float) -> np.ndarray:
-    """Where a board ends whose outermost squares are cut to a share, (4, 2) px."""
+    """Outline of a board whose outermost squares are cut to a fraction, (4, 2) px."""
     grid = np.stack(
         [grid[0] + share * (grid[0] - grid[1]), grid[-1] + share * (grid[-1] - grid[-2])]
     )
@@ -245,7 +245,7 @@ def outline(grid: np.ndarray, share: float) -> np.ndarray:
 
 @pytest.mark.parametrize("asked", [(8, 6), (9, 5)], ids=str)
 def test_a_board_whose_outermost_squares_are_cut_is_no_smaller_one(asked):
-    """As OpenCV's own sample has them."""
+    """OpenCV's own sample has such boards."""
     one = drawn(board(9, 6), 0.1, (0.1, 0.2))
     grid = one.corners.reshape(6, 9, 2)
     shown = np.zeros_like(one.image)

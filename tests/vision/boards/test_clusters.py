@@ -1,4 +1,4 @@
-"""Where a checkerboard may lie: corners that hang together, and nothing in what is no board."""
+"""Clusters of corners that may be a checkerboard, and none in images without a board."""
 
 from dataclasses import replace
 

@@ -171,10 +171,10 @@ def test_a_moving_tag_is_at_the_middle_of_its_way(length_px, angle):
     ],
 )
 def test_sigmas_are_the_scatter(name, depth_m, blur_px, light):
-    """Of 60 images in the mean over the coordinates, to 35 %, or more by what is no scatter.
+    """Mean over the coordinates of 60 images, to 35 %, or more with systematic errors.
 
-    The edge of a sharp shadow, which no block's levels tell, moves corners in the same way in all
-    images: there the sigmas are no less than the error, and up to 8 times as much.
+    The edge of a sharp shadow, which the levels of blocks do not reveal, moves corners in the same
+    way in all images: there the sigmas are no less than the error, and up to 8 times as large.
     """
     camera, rendering = rig(name)
     if blur_px is not None:
@@ -248,9 +248,9 @@ def test_sigma_grows_with_the_noise(edge_px):
     ],
 )
 def test_a_tag_far_off_the_axis_of_a_wide_lens_is_where_it_is(lens, aside_deg):
-    """As good as ahead; the centre is where the bent diagonals cross.
+    """Accuracy equals that straight ahead; the centre is the crossing of the bent diagonals.
 
-    Where the lens bends a square so far that it is none any more, no search finds it; a track does.
+    If the lens bends a square too far, a search cannot find it, but tracking can.
     """
     camera = EyeCamera.of(wide(lens), 0)
     _, rendering = rig("physical")

@@ -19,7 +19,7 @@ CELL_M = 0.016
 
 
 def tag(family: str, identity: int = 0) -> AprilTag:
-    """Of cells of 10 px at 1 m before the simulated rig."""
+    """Tag with cells of 10 px at 1 m before the simulated rig."""
     return AprilTag(family=family, id=identity, edge_m=CELL_M * tag_family(family).border)
 
 

@@ -1,4 +1,4 @@
-"""Which tags are refused, and detectors that are copied and shared."""
+"""Refusal of tags, and detectors that are copied and shared."""
 
 import pickle
 from concurrent.futures import ThreadPoolExecutor
@@ -87,7 +87,7 @@ def test_glare_beside_the_tag_does_not_matter(away_edges, angle):
 
 @pytest.mark.slow
 def test_a_highlight_on_the_tag_is_stood_or_the_tag_is_none():
-    """What is found is right to 0.3 px."""
+    """Detected corners are right to 0.3 px."""
     camera, rendering = rig("simulated")
     edge_px = TAG.edge_m * camera.focal_px[0] / 0.8
     one = scene(camera, TAG, pose(0.02, 0.01, 0.8, (0.1, 0.2, 0.3)), rendering)

@@ -1,4 +1,4 @@
-"""`vergence calibrate`: cameras and heads as they are, from what they saw of a board."""
+"""`vergence calibrate`: calibrate cameras and heads from images of a board."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -12,7 +12,7 @@ from vergence.commands.calibrating.stereo import CalibrateStereo
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate:
-    """Calibrate one camera, a pair of cameras that is fixed, or a head that moves."""
+    """Calibrate one camera, a fixed pair of cameras, or a head that moves."""
 
     what: tyro.conf.OmitSubcommandPrefixes[
         tyro.conf.OmitArgPrefixes[

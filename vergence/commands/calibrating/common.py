@@ -1,4 +1,4 @@
-"""What both calibrations have in common: the board, the lens, where the result goes."""
+"""Options and steps that both camera calibrations share: the board, the lens, the output files."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationOptions:
-    """Options of both calibrations."""
+    """Options of both camera calibrations."""
 
     target: Annotated[str, tyro.conf.arg(aliases=["--board"], metavar="TARGET")]
     """The board: checkerboard:COLUMNSxROWS:SQUARE such as checkerboard:9x6:24.23 (inner corners),
@@ -30,26 +30,27 @@ class CalibrationOptions:
         Literal["brown-conrady", "rational", "fisheye"] | None,
         tyro.conf.arg(help_behavior_hint="", metavar="{brown-conrady,rational,fisheye}"),
     ] = None
-    """Lens model; the one that predicts unseen views best by default."""
+    """Lens model; by default the one that predicts held-out views best."""
     response: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="TEXT")] = None
-    """Light by grey level: srgb, linear, a gamma such as 2.2, or a table such as 0,0.2,1."""
+    """Light as a function of grey level: srgb, linear, a gamma such as 2.2, or a table such as
+    0,0.2,1."""
     report: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder with the report, new or empty; runs/calibrate-DATE-TIME by default."""
     force: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Replace a file of the result's name."""
+    """Replace an existing result file."""
     json: bool = False
     """Print the result as JSON, and nothing else, on standard output."""
 
     ending: ClassVar[tuple[str, ...]] = ()
 
     def check(self, out: Path) -> None:
-        """Refuse a place that the result cannot have, before any work is done.
+        """Refuse an output file that cannot be written, before any work is done.
 
         Args:
             out: the file to write.
 
         Raises:
-            ConfigurationError: it has another ending, or there is a file of that name.
+            ConfigurationError: its ending is wrong, its folder cannot be written, or it exists.
         """
         if out.suffix.lower() not in self.ending:
             raise ConfigurationError(
@@ -62,10 +63,10 @@ class CalibrationOptions:
             )
 
     def parsed_response(self) -> "Response | None":
-        """The response that was stated.
+        """Camera response given by --response; None if it is not given.
 
         Raises:
-            ConfigurationError: it is none.
+            ConfigurationError: the text is no response.
         """
         from vergence.models.response import parse_response
 
@@ -77,12 +78,12 @@ class CalibrationOptions:
         out: Path,
         text: Callable[["Calibration"], str],
     ) -> int:
-        """Calibrate, write the result and its run folder, say what was found.
+        """Calibrate, write the result and its run folder, and print the result.
 
         Args:
-            photographs: (c, v) the files of each camera.
+            photographs: (c, v) photographs of each camera.
             out: the file to write.
-            text: of that file.
+            text: returns the content of that file.
         """
         from vergence.calibration.calibrate import calibrate
         from vergence.calibration.coverage import advice

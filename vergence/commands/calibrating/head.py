@@ -1,4 +1,4 @@
-"""`vergence calibrate head`: joints, eyes and cameras of a head, from what it saw of a board."""
+"""`vergence calibrate head`: joints, eyes and cameras of a head, from images of a board."""
 
 import json
 from collections.abc import Callable
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 class CalibrateHead:
     """Calibrate a head's joints, eyes and cameras from recordings of a board; write a head file.
 
-    A recording is a folder that vergence collect made, a robot's log, or a folder with the images
-    of both eyes in left and right and their joint angles in joints.csv. Of several recordings each
-    is of a head by itself, and --out a folder for their files.
+    A recording is a folder made by vergence collect, a robot's log, or a folder with the images
+    of both eyes in left and right and their joint angles in joints.csv. Several recordings are
+    calibrated as separate heads; --out is then a folder for their files.
     """
 
     recordings: Annotated[
@@ -33,28 +33,28 @@ class CalibrateHead:
         tyro.conf.Positional,
         tyro.conf.arg(help_behavior_hint="", metavar="RECORDING..."),
     ] = ()
-    """Recordings of a board that rests while the head moves."""
+    """Recordings of a stationary board while the head moves."""
     head: Annotated[str, tyro.conf.arg(metavar="HEAD")]
-    """The head as it is believed to be: a preset's name or the path of a TOML file."""
+    """Nominal head to start from: a preset's name or the path of a TOML file."""
     out: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("calibrated.toml")
-    """Head file to write; of several recordings a folder."""
+    """Head file to write; for several recordings a folder."""
     target: Annotated[
         str | None,
         tyro.conf.arg(aliases=["--board"], help_behavior_hint="", metavar="TARGET"),
     ] = None
-    """The board, where the recording does not say, such as checkerboard:9x6:24 or
+    """The board, if the recording does not name it, such as checkerboard:9x6:24 or
     tag:36h11:0:120; lengths in mm."""
     hold_cameras: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Leave focal lengths, principal points and lenses as the file has them."""
+    """Hold focal lengths, principal points and lens coefficients at the values of the head file."""
     terms: Annotated[str, tyro.conf.arg(metavar="TERMS")] = "auto"
-    """What readings and axes may have besides: none, some of play,harmonics,axes, or auto: those
-    with which unseen poses are surely predicted better."""
+    """Optional terms of the model: none, some of play,harmonics,axes (backlash, encoder harmonics,
+    axis directions), or auto: those that predict held-out poses significantly better."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
-    """Name of the calibrated head; that of the file to write by default."""
+    """Name of the calibrated head; by default the name of its file."""
     report: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder with the report, new or empty; runs/calibrate-head-DATE-TIME by default."""
     force: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Replace files of the results' names."""
+    """Replace existing result files."""
     json: bool = False
     """Print the result as JSON, and nothing else, on standard output."""
     machines: Flat[Machines] = field(default_factory=Machines)
@@ -83,7 +83,7 @@ class CalibrateHead:
         return 0 if run.saved and not refused else 2
 
     def _outs(self) -> list[Path]:
-        """Head files to write, one a recording."""
+        """Head files to write, one per recording."""
         if len(self.recordings) == 1:
             if self.out.suffix.lower() != ".toml":
                 raise ConfigurationError(f"out: expected a name that ends in .toml, got {self.out}")
@@ -178,12 +178,12 @@ class CalibrateHead:
 
 
 def _part(report: Callable[[float], None], number: int, count: int, done: float) -> None:
-    """Report the progress of one recording as that of all."""
+    """Report progress over all recordings from the progress of one."""
     report((number + done) / count)
 
 
 def _save(folder: Path, outs: list[Path], outcomes: "list[HeadOutcome]") -> None:
-    """Write the run folder; of several recordings a folder each."""
+    """Write the run folder; several recordings have a subfolder each."""
     for out, outcome in zip(outs, outcomes, strict=True):
         own = folder if len(outs) == 1 else folder / out.stem
         own.mkdir(exist_ok=True)

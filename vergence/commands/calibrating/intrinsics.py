@@ -1,4 +1,4 @@
-"""`vergence calibrate intrinsics`: one camera, from photographs of a board."""
+"""`vergence calibrate intrinsics`: calibrate one camera from photographs of a board."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrateIntrinsics(CalibrationOptions):
-    """Calibrate one camera; write it as `--camera` of detect and `--intrinsics` of import take it.
+    """Calibrate one camera; write a file for `--camera` of detect and `--intrinsics` of import.
 
     The file has the keys of ROS's camera_info files.
     """

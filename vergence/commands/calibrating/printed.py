@@ -1,4 +1,4 @@
-"""What `vergence calibrate` prints of what it has found."""
+"""Printed results of `vergence calibrate` for one camera or a pair."""
 
 import math
 from pathlib import Path
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def print_calibration(found: "Calibration", out: Path) -> None:
-    """Print a calibration's numbers, the views that it does without, and where it is.
+    """Print a calibration: values, residuals, views left out, and the path of its file.
 
     Args:
         found: the calibration.

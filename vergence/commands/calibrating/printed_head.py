@@ -1,4 +1,4 @@
-"""What `vergence calibrate head` prints of what it has found."""
+"""Printed results of `vergence calibrate head`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,10 +10,10 @@ if TYPE_CHECKING:
 
 
 def print_head(outcome: "HeadOutcome", out: Path) -> None:
-    """Print a head's calibration and where it is.
+    """Print a head's calibration and the path of its file.
 
     Args:
-        outcome: of one recording.
+        outcome: calibration of one recording.
         out: the file that it is written to.
     """
     told = outcome.document
@@ -47,7 +47,7 @@ def print_heads(outcomes: "list[HeadOutcome]", outs: list[Path]) -> None:
     """Print a line for each of several heads.
 
     Args:
-        outcomes: of the recordings.
+        outcomes: calibrations of the recordings.
         outs: the files that they are written to.
     """
     rows = []

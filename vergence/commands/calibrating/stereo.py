@@ -1,4 +1,4 @@
-"""`vergence calibrate stereo`: a head of two cameras, from pairs of photographs of a board."""
+"""`vergence calibrate stereo`: calibrate a fixed camera pair from photographs of a board."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,11 +21,11 @@ class CalibrateStereo(CalibrationOptions):
     left: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="IMAGE...")]
     """Photographs of the left camera: files, folders, or patterns in quotes."""
     right: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="IMAGE...")]
-    """Those of the right camera, taken at the same moments and named alike."""
+    """Photographs of the right camera, taken at the same moments and named alike."""
     out: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("pair.toml")
     """Head file to write."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
-    """Name of the head; that of the file to write by default."""
+    """Name of the head; by default the name of its file."""
 
     ending = (".toml",)
 

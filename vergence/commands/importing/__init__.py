@@ -1,4 +1,4 @@
-"""`vergence import`: a head file out of what others have written about a head."""
+"""`vergence import`: make a head file from files of other tools."""
 
 from dataclasses import dataclass
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""What `vergence import` has in common: where the head file goes, options given again and again."""
+"""Options shared by the `vergence import` commands: output files, repeatable options."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,30 +12,30 @@ if TYPE_CHECKING:
     from vergence.models.head import HeadModel
 
 Words = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction]
-"""Values of an option that may be given once with all of them, or again and again."""
+"""Values of a repeatable option; each occurrence may have several values."""
 
 
 def flat(words: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-    """All values of such an option, in their order."""
+    """All values of a repeatable option, in order."""
     return tuple(word for group in words for word in group)
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeadOutput:
-    """Where the head file goes."""
+    """Output files of an import."""
 
     out: Path = Path("head.toml")
     """Head file to write."""
     force: bool = False
-    """Replace files of these names."""
+    """Replace existing files."""
     figure: bool = True
-    """Draw the head to check it, beside the head file, as .png."""
+    """Draw the head for a visual check, as .png beside the head file."""
 
     def check(self) -> None:
-        """Refuse a place that the files cannot have, before anything is written.
+        """Refuse output files that cannot be written, before anything is written.
 
         Raises:
-            ConfigurationError: it is no .toml, or there is a file of that name.
+            ConfigurationError: the head file is no .toml, or a file exists already.
         """
         if self.out.suffix != ".toml":
             raise ConfigurationError(f"out: expected a name that ends in .toml, got {self.out}")
@@ -46,13 +46,13 @@ class HeadOutput:
                 )
 
     def write(self, text: str, head: "HeadModel") -> None:
-        """Write the head file and its drawing, each whole or not at all.
+        """Write the head file and its drawing, each atomically.
 
-        To be called before anything is printed: a reader of the printed may leave early.
+        Call it before anything is printed: a closed pipe on standard output ends the program.
 
         Args:
-            text: of the head file; its folder is made if it is missing.
-            head: what it says.
+            text: content of the head file; its folder is made if it is missing.
+            head: the head that the text describes.
 
         Raises:
             OSError: a file cannot be written.
@@ -67,7 +67,7 @@ class HeadOutput:
             draw_head(head, self._drawing)
 
     def say(self) -> None:
-        """Print what has been written."""
+        """Print the paths of the written files."""
         print(self.out)
         if self.figure:
             print(self._drawing)

@@ -1,4 +1,4 @@
-"""What `vergence import` prints: what was read, what was assumed, what was left out."""
+"""Printed results of `vergence import`: values read, assumptions made, parts left out."""
 
 from collections.abc import Callable, Iterable
 from itertools import starmap
@@ -27,11 +27,11 @@ _T = TypeVar("_T")
 
 
 def show_import(imported: ImportedHead, path: Path) -> None:
-    """Print in few lines what became of a robot's description and what there is to check.
+    """Print a short summary of a head imported from a robot's description, and what to check.
 
     Args:
         imported: the head; its file has every value and every assumption.
-        path: of that file.
+        path: path of that file.
     """
     head, chains = imported.head, imported.chains
     joints, eyes = joint_summaries(head), eye_summaries(head)
@@ -80,7 +80,7 @@ _GROUPS: Final = {
     "joints": "joint limits",
     "actuators": "joint limits",
 }
-"""Assumptions that a person checks together, by the table of the head file that they are about."""
+"""Group of assumptions to check together, by the table of the head file."""
 
 
 def _print_assumed(assumptions: Iterable[Assumed]) -> None:
@@ -92,17 +92,17 @@ def _print_assumed(assumptions: Iterable[Assumed]) -> None:
 
 
 def _values(field: str, members: list[Assumed]) -> str:
-    """A field with its values, if they are few: a table of many fields is named alone."""
+    """Field with its distinct values; the field alone if the values are long."""
     values = " or ".join(dict.fromkeys(one.value for one in members))
     return f"{field} {values}" if len(values) <= _LONGEST else field
 
 
 _LONGEST: Final = 40
-"""Characters of the values of one field in a line of many."""
+"""Longest values that are printed with their field, characters (chosen: detail against length)."""
 
 
 def show_eyes(head: HeadModel) -> None:
-    """Print what became of cameras, and what was assumed."""
+    """Print the cameras of an imported pair, and what was assumed."""
     eyes = eye_summaries(head)
     print_cameras(eyes)
     print(f"baseline {baseline_mm(head):.2f} mm at rest\n")

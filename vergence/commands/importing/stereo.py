@@ -1,4 +1,4 @@
-"""`vergence import stereo`: a calibrated pair of cameras."""
+"""`vergence import stereo`: make a head of a calibrated pair of cameras."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,28 +14,28 @@ from vergence.errors import ConfigurationError
 
 @dataclass(frozen=True, kw_only=True)
 class ImportStereo(HeadOutput):
-    """Make a head of a calibrated pair of cameras, whose eyes do not move."""
+    """Make a head whose eyes do not move from a calibrated pair of cameras."""
 
     files: Annotated[
         tuple[Path, ...],
         tyro.conf.Positional,
         tyro.conf.arg(help_behavior_hint="", metavar="FILE..."),
     ]
-    """Files of OpenCV (YAML, XML or JSON), a pair of ROS camera_info files, left first, or a
+    """Calibration files: OpenCV's (YAML, XML or JSON), two ROS camera_info files, left first, or a
     camchain of kalibr."""
     unit: Literal["m", "cm", "mm"] = "m"
-    """Unit of the translation in the files: that in which the board's squares were given."""
+    """Unit of the translation in the files: the unit in which the board's squares were given."""
     size: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="WIDTHxHEIGHT")] = None
-    """Image size in pixels, such as 640x480, for files that do not have it."""
+    """Image size in pixels, such as 640x480, if the files do not have it."""
     lens: Annotated[
         Literal["brown-conrady", "rational", "fisheye"] | None,
         tyro.conf.arg(help_behavior_hint="", metavar="{brown-conrady,rational,fisheye}"),
     ] = None
-    """Lens model, for files that do not name it; by the number of coefficients by default."""
+    """Lens model, if the files do not name it; inferred from the coefficient count by default."""
     swap: bool = False
-    """The first camera of the files is the right one."""
+    """Take the first camera of the files as the right one."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
-    """Name of the head; that of the file to write by default."""
+    """Name of the head; by default the name of its file."""
 
     def run(self) -> int:
         """Run the command."""

@@ -1,4 +1,4 @@
-"""`vergence import urdf`: the head in a robot's URDF or MJCF."""
+"""`vergence import urdf`: make a head file from a robot's URDF or MJCF."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +12,12 @@ from vergence.errors import ConfigurationError
 
 @dataclass(frozen=True, kw_only=True)
 class ImportUrdf(HeadOutput):
-    """Take a head out of a URDF or MJCF: two cameras, what turns them, and the neck below."""
+    """Extract a head from a URDF or MJCF: two cameras, the joints that turn them, and the neck."""
 
     file: Annotated[Path, tyro.conf.Positional]
     """URDF or MJCF of the robot; meshes are not needed."""
     base: Annotated[str, tyro.conf.arg(metavar="FRAME")]
-    """Frame that the neck stands on: a link (URDF), or a body, site or camera (MJCF)."""
+    """Frame that the neck is mounted on: a link (URDF), or a body, site or camera (MJCF)."""
     left_camera: Annotated[str, tyro.conf.arg(metavar="FRAME", help_behavior_hint="(required)")] = (
         ""
     )
@@ -27,28 +27,28 @@ class ImportUrdf(HeadOutput):
     ] = ""
     """Frame of the right camera."""
     neck: Annotated[tuple[str, ...], tyro.conf.arg(help_behavior_hint="", metavar="JOINT...")] = ()
-    """Up to three joints that are the neck, from the base up."""
+    """Joints of the neck, up to three, from the base up."""
     lock: Annotated[Words, tyro.conf.arg(metavar="JOINT=DEG")] = ()
-    """Joints on the way from the base to the cameras that are held, at these angles; one that
-    slides as JOINT=0.1m."""
+    """Joints between the base and the cameras to hold at these angles; a prismatic joint as
+    JOINT=0.1m."""
     camera_axes: Annotated[Words, tyro.conf.arg(metavar="RIGHT,DOWN,FORWARD")] = ()
-    """Axes of the camera frames that point right and down in the image and forward, such as
+    """Axes of the camera frames that point right in the image, down in it, and forward, such as
     x,-y,-z; optical frames are x,y,z. Given twice: the left camera's, then the right one's."""
     speed: Annotated[Words, tyro.conf.arg(metavar="RAD_S|JOINT=RAD_S")] = ()
-    """Speed limit of a joint, or of all whose limit is missing or a placeholder."""
+    """Speed limit of a joint, or of all joints whose limit is missing or a placeholder."""
     acceleration: Annotated[Words, tyro.conf.arg(metavar="RAD_S2|JOINT=RAD_S2")] = ()
-    """Acceleration limit of a joint, or of all: no such file has one."""
+    """Acceleration limit of a joint, or of all joints; neither URDF nor MJCF states it."""
     actuators: Annotated[
         tuple[Literal["common-tilt", "version-vergence"], ...],
         tyro.conf.arg(help_behavior_hint=""),
     ] = ()
-    """Actuators that move both eyes at once: one for both tilts; version (both pans alike) and
-    vergence (against each other). By default each eye joint has its own."""
+    """Actuators that move both eyes: common-tilt (one for both tilts); version-vergence (one for
+    equal pans, one for opposite pans). By default each eye joint has its own."""
     intrinsics: Annotated[tuple[Path, ...], tyro.conf.arg(help_behavior_hint="")] = ()
-    """Calibration of the cameras (OpenCV, ROS, kalibr): of both in one file, or one file each,
-    left first. Without it the cameras of an MJCF say, or 640x480 and 60 degrees are assumed."""
+    """Calibration of the cameras (OpenCV, ROS, kalibr): one file for both, or one file each, left
+    first. By default that of the MJCF's cameras, else 640x480 and 60 degrees are assumed."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
-    """Name of the head; that of the robot by default."""
+    """Name of the head; by default the robot's name."""
 
     def run(self) -> int:
         """Run the command."""

@@ -76,8 +76,8 @@ class Band:
 ONE_PX: Final = Band(1.0)
 """Band of one pixel (chosen)."""
 _ALWAYS: Final = (ONE_PX, Band(2.0))
-"""Bands of every table. 2 px leads in scenarios whose backlash and quantisation of commands and
-encoders are as large as a pixel."""
+"""Bands of every table (chosen): 2 px leads in scenarios whose backlash and quantisation of
+commands and encoders are as large as a pixel."""
 HALF_PX: Final = Band(0.5)
 """Band with settle times in every table, but with a bound only if it leads (chosen)."""
 

@@ -1,7 +1,7 @@
-"""The images and settings that cameras give, measured while all are open.
+"""Frame rates and settings of cameras, measured while all of them are open.
 
-Two cameras on one USB controller share its bandwidth, so their rates are measured together; one
-that is slow then is measured alone too, to tell the camera's own rate from the controller's limit.
+Two cameras on one USB controller share its bandwidth, so their rates are measured together. A slow
+camera is measured alone too, to distinguish its own rate from the controller's limit.
 """
 
 import time
@@ -20,18 +20,18 @@ from vergence.vision.image import silent_opencv
 from vergence.vision.video import EXPOSURE_STEP_S, MANUAL_EXPOSURE, is_device, open_capture
 
 PATIENCE_S: Final = 5.0
-"""Wait for a first image, s."""
+"""Longest wait for the first image, s (chosen)."""
 _LEAST_SHARE: Final = 0.8
-"""Share of the asked frame rate below which images come too rarely."""
+"""Least measured frame rate as a fraction of the requested one (chosen)."""
 _WARM_UP_S: Final = 0.5
-"""Time from the first image in which buffers empty and the exposure settles, s."""
+"""Time after the first image in which buffers empty and the exposure settles, s (chosen)."""
 
 
 class Capture(Protocol):
     """The part of `cv2.VideoCapture` that the checks use."""
 
     def grab(self) -> bool:
-        """Wait for the next image; False when there is none."""
+        """Wait for the next image; False if there is none."""
 
     def retrieve(self) -> tuple[bool, Any]:
         """Decode the image that was grabbed last."""
@@ -45,56 +45,56 @@ class Capture(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class CameraRequest:
-    """One camera and the settings that it is asked for."""
+    """One camera and the settings requested from it."""
 
     name: str
-    """As messages call it."""
+    """Name in messages."""
     source: str
-    """Number, device file or URL."""
+    """Camera number, device file or URL."""
     size: tuple[int, int] | None = None
     """(width, height), px; None for the camera's own."""
     frame_rate_hz: float | None = None
-    """Images a second; None for the camera's own."""
+    """Frame rate, Hz; None for the camera's own."""
     pixel_format: str = ""
-    """Four letters; empty for the camera's own."""
+    """Pixel format, four letters; empty for the camera's own."""
     exposure_s: float | None = None
-    """Exposure time to lock, s; None leaves it as it is."""
+    """Exposure time to lock, s; None leaves the setting."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraState:
-    """The settings and the images that a camera gave."""
+    """Actual settings and frame rate of a camera."""
 
     request: CameraRequest
-    """The settings that it was asked for."""
+    """Requested settings."""
     size: tuple[int, int] | None
-    """(width, height) of its images, px; None if none came."""
+    """(width, height) of its images, px; None if none arrived."""
     pixel_format: str
-    """As it tells; empty if unknown."""
+    """Pixel format that it reports; empty if unknown."""
     set_hz: float
-    """Frame rate as it tells, Hz; nan if unknown."""
+    """Frame rate that it reports, Hz; nan if unknown."""
     rate_hz: float
-    """Measured while all cameras gave images, Hz."""
+    """Frame rate measured while all cameras gave images, Hz."""
     alone_hz: float = np.nan
-    """Measured while the others were closed, Hz; nan if not measured."""
+    """Frame rate measured while the others were closed, Hz; nan if not measured."""
     locked: bool | None
-    """Whether its exposure is locked; None if unknown."""
+    """True if its exposure is locked; None if unknown."""
     exposure_s: float
-    """As it tells, s; nan if unknown."""
+    """Exposure time that it reports, s; nan if unknown."""
 
     @property
     def too_slow(self) -> bool:
-        """Whether images came more rarely than asked for, or none at all."""
+        """True if the frame rate was well below the requested one, or no images arrived."""
         return self.rate_hz < _LEAST_SHARE * (self.request.frame_rate_hz or 1e-9)
 
     @property
     def slowed_by_others(self) -> bool:
-        """Whether images came often enough while the others were closed."""
+        """True if it was too slow, but fast enough while the others were closed."""
         return self.too_slow and self.alone_hz >= _LEAST_SHARE * (self.request.frame_rate_hz or 0.0)
 
 
 def camera_requests(config: HardwareConfig) -> tuple[CameraRequest, ...]:
-    """What a robot's cameras are asked for."""
+    """Requests for a robot's cameras."""
     sizes = config.head.cameras.size.tolist()
     return tuple(
         CameraRequest(
@@ -120,12 +120,12 @@ def measure_cameras(
 
     Args:
         requests: the cameras.
-        open: opens one, as `vergence.vision.video.open_capture` does.
-        clock: a steady clock, s; called by a thread for each camera.
-        seconds: time to measure the rates for, s.
+        open: opens a camera, as `vergence.vision.video.open_capture` does.
+        clock: a monotonic clock, s; called by a thread for each camera.
+        seconds: duration of the measurement of the rates, s.
 
     Returns:
-        The cameras that could be opened, and by name why the others could not.
+        States of the cameras that could be opened, and the reasons of the others by name.
     """
     unopened: dict[str, str] = {}
     with silent_opencv(), ExitStack() as opened:
@@ -144,14 +144,14 @@ def measure_cameras(
             _state(request, capture, seen)
             for (request, capture), seen in zip(captures, watched, strict=True)
         ]
-        opened.close()  # for those that are measured alone
+        opened.close()  # so that slow cameras can be opened alone
         if len(states) > 1:
             states = [_with_alone(state, open, clock, seconds) for state in states]
     return states, unopened
 
 
 class _Watched(NamedTuple):
-    """Images of a camera over a time."""
+    """Image size and frame rate of a camera over a time."""
 
     size: tuple[int, int] | None
     rate_hz: float
@@ -213,12 +213,12 @@ def _state(request: CameraRequest, capture: Capture, watched: _Watched) -> Camer
 def _with_alone(
     state: CameraState, open: Callable[..., Capture], clock: Callable[[], float], seconds: float
 ) -> CameraState:
-    """A slow camera with its rate while the others are closed."""
+    """Measure a slow camera's rate while the others are closed; return its completed state."""
     if not state.too_slow:
         return state
     try:
         capture = _open(state.request, open)
-    except ConfigurationError:  # it has gone meanwhile
+    except ConfigurationError:  # it has been removed meanwhile
         return state
     try:
         watched = _watch(capture, clock, seconds)

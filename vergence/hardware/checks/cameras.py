@@ -21,9 +21,11 @@ from vergence.vision.video import is_device, open_capture
 __all__ = ["CameraRequest", "CameraState", "camera_requests", "check_cameras", "check_devices"]
 
 _EXPOSURE_SHARE: Final = 0.2
-"""Distance of the exposure from the one asked for: cameras have coarse steps."""
+"""Tolerance of the exposure as a fraction of the requested one: cameras have coarse steps
+(chosen)."""
 _RATE_SHARE: Final = 0.01
-"""Distance of the frame rate that a camera sets from the one asked for: 30 may be 29.97."""
+"""Tolerance of the reported frame rate as a fraction of the requested one: 30 may be 29.97
+(chosen)."""
 
 
 def check_cameras(
@@ -33,10 +35,10 @@ def check_cameras(
     clock: Callable[[], float] = time.monotonic,
     seconds: float = 1.0,
 ) -> tuple[list[CameraState], list[Finding]]:
-    """Find all that is wrong with the cameras; for the arguments see `measure_cameras`.
+    """Find all problems of the cameras; for the arguments see `measure_cameras`.
 
     Returns:
-        The cameras that could be opened, and what is wrong with these and the others.
+        States of the cameras that could be opened, and the findings of all cameras.
     """
     states, unopened = measure_cameras(requests, open=open, clock=clock, seconds=seconds)
     findings = [
@@ -51,7 +53,7 @@ def check_cameras(
 
 
 def check_devices(config: HardwareConfig) -> list[Finding]:
-    """Find all that is wrong with a robot's cameras on this machine; streams tell while they run.
+    """Find all problems of a robot's cameras on this machine; streams are checked while they run.
 
     Args:
         config: the robot.
@@ -66,13 +68,13 @@ def _unopened(request: CameraRequest, problem: str) -> Finding:
     elif "no such device" in problem:
         cure = "plug it in, or name another; names in /dev/v4l/by-id stay the same"
     else:
-        # how to get a permission is told with its lack
+        # the message of a missing permission has its cure
         cure = "" if "permission" in problem else "end the other program"
     return Finding(part=request.name, problem=problem, cure=cure)
 
 
 def _judge(state: CameraState) -> Iterator[Finding]:
-    """The findings of one camera by itself."""
+    """Findings of one camera by itself."""
     request = state.request
     listed = "one that v4l2-ctl --list-formats-ext lists"
     if state.size is not None and request.size not in (None, state.size):
@@ -148,7 +150,7 @@ def _judge_exposure(state: CameraState) -> Iterator[Finding]:
 
 
 def _bandwidth(shared: Sequence[CameraState]) -> Finding:
-    """The finding of cameras that are quick enough alone."""
+    """Finding of cameras that are fast enough alone, but not together."""
     rates = "; ".join(
         f"{state.request.name} {state.rate_hz:.3g} ({state.alone_hz:.3g} alone)" for state in shared
     )

@@ -1,7 +1,7 @@
-"""Checks of the serial line: its port, its adapter, and the time that a control period leaves it.
+"""Checks of the serial line: its port, its adapter, and its time within a control period.
 
-One period's exchange is a sync write of n goals and a sync read of n states, with the answers'
-return delays and the adapter's latency,
+In each period a sync write of n goals and a sync read of n states take, with the return delays of
+the answers and the latency of the adapter, the time
 
     t = 10 bits (28 + 6 n + 19 n) / rate + sum of the return delays + latency.
 """
@@ -17,25 +17,26 @@ from vergence.hardware.config import BusConfig, HardwareConfig
 from vergence.hardware.dynamixel.bus import Bus
 
 RETURN_DELAY_S: Final = 2e-6
-"""Unit of RETURN_DELAY_TIME, s."""
+"""Unit of RETURN_DELAY_TIME, s (physical: Dynamixel X series)."""
 _PORTS: Final = ("/dev/serial/by-id/*", "/dev/ttyUSB*", "/dev/ttyACM*")
 _FRAME_BYTES: Final = 14
-"""Bytes of a sync instruction beside what it holds for each servo: header, id, length, instruction,
-address, length of the data, CRC."""
+"""Bytes of a sync instruction without its servos: header, id, length, instruction, address, length
+of the data, CRC (physical: Protocol 2.0)."""
 _GOAL_BYTES: Final = 5
-"""Bytes of a sync write for each servo: its id and GOAL_VELOCITY."""
+"""Bytes of a sync write per servo: id and GOAL_VELOCITY (physical: Protocol 2.0)."""
 _ANSWER_BYTES: Final = 11 + 8
-"""Bytes of an answer: its frame, velocity and position."""
+"""Bytes of an answer: frame, velocity and position (physical: Protocol 2.0)."""
 _MOST_SHARE: Final = 0.6
-"""Share of a period beyond which the exchange leaves too little for computing and jitter."""
+"""Greatest exchange time as a fraction of the period; the rest is for computing and jitter
+(chosen)."""
 _DELAY_SHARE: Final = 0.1
-"""Share of a period from which on return delays are worth setting to 0."""
+"""Return delays above this fraction of a period give a warning (chosen)."""
 _LATENCY_MS: Final = 1
-"""Least latency timer of FTDI adapters, ms; 16 from the factory."""
+"""Least latency timer of FTDI adapters, ms; the factory default is 16 (physical: FTDI)."""
 
 
 def ports() -> list[str]:
-    """Serial ports of this machine that an adapter may be, lasting names first."""
+    """Serial ports of this machine that may be an adapter, persistent names first."""
     return [port for pattern in _PORTS for port in sorted(glob(pattern))]
 
 
@@ -43,7 +44,7 @@ def open_bus(config: BusConfig) -> Bus:
     """Open the line of the servos.
 
     Raises:
-        ChecksFailedError: the port is not there, belongs to another process or cannot be opened;
+        ChecksFailedError: the port does not exist, is open in another process or cannot be opened;
             the finding names the cure.
     """
     if not os.path.exists(config.port):
@@ -74,11 +75,11 @@ def _cure(port: str, problem: str) -> str:
 
 
 def check_latency_timer(port: str, sysfs: str = "/sys") -> Finding | None:
-    """Check how long an FTDI adapter holds bytes back, on Linux.
+    """Check the latency timer of an FTDI adapter, on Linux.
 
     Args:
-        port: the device of the line.
-        sysfs: where the system tells of its devices.
+        port: the device file of the line.
+        sysfs: mount point of sysfs.
     """
     name = os.path.basename(os.path.realpath(port))
     latency_ms = latency_timer_ms(port, sysfs)
@@ -94,7 +95,7 @@ def check_latency_timer(port: str, sysfs: str = "/sys") -> Finding | None:
 
 
 def latency_timer_ms(port: str, sysfs: str = "/sys") -> int:
-    """The latency timer of an FTDI adapter, ms; 0 for other ports and systems."""
+    """Read the latency timer of an FTDI adapter, ms; 0 for other ports and systems."""
     name = os.path.basename(os.path.realpath(port))
     path = Path(sysfs, "bus/usb-serial/devices", name, "latency_timer")
     try:
@@ -107,10 +108,10 @@ def exchange_s(count: int, baud_rate: int, delays_s: float, latency_s: float) ->
     """Time of one period's exchange with the servos, see the module's description, s.
 
     Args:
-        count: servos.
-        baud_rate: bit/s.
+        count: number of servos.
+        baud_rate: baud rate, bit/s.
         delays_s: sum of their return delays, s.
-        latency_s: of the adapter, s.
+        latency_s: latency of the adapter, s.
     """
     instructions = 2 * _FRAME_BYTES + count * (_GOAL_BYTES + 1)
     return 10.0 * (instructions + count * _ANSWER_BYTES) / baud_rate + delays_s + latency_s
@@ -123,8 +124,8 @@ def check_period(
 
     Args:
         config: the robot.
-        delays: RETURN_DELAY_TIME by the servo's name, of those that have told it.
-        sysfs: where the system tells of its devices.
+        delays: RETURN_DELAY_TIME by the servo's name, for those that have been read.
+        sysfs: mount point of sysfs.
     """
     period_s = config.head.timing.period_s
     delays_s = RETURN_DELAY_S * sum(delays.values())

@@ -1,4 +1,4 @@
-"""All checks of a robot as a list, part by part: what is there, and what is wrong with it."""
+"""All checks of a robot as a list of parts, each with its description and its problems."""
 
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,9 +20,9 @@ class CheckedPart:
     """One part of a robot."""
 
     part: str
-    """Its name, as that of a `Finding`."""
+    """Name of the part, as in `Finding`."""
     what: str
-    """Description of the part; empty where nothing is known."""
+    """Description of the part; empty if nothing is known."""
     findings: tuple[Finding, ...]
     """Faults and warnings of the part."""
 
@@ -42,7 +42,7 @@ def check_robot(config: HardwareConfig) -> list[CheckedPart]:
         The parts in this order.
 
     Raises:
-        HardwareError: the line has gone meanwhile.
+        HardwareError: the line was lost during the checks.
     """
     if config.emulator:
         try:

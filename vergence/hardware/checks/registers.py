@@ -11,15 +11,16 @@ from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.servo_memory import ServoMemory, fault_words, model_name
 
 _WATCHDOG_FIRMWARE: Final = 38
-"""First firmware with BUS_WATCHDOG, of the X series and MX with Protocol 2.0."""
+"""First firmware with BUS_WATCHDOG (physical: X series, and MX with Protocol 2.0)."""
 _WEAK_WATCHDOG: Final = frozenset((1190, 1200, 1210, 1220, 1230, 1240))
-"""MODEL_NUMBER of XL330 and XC330."""
+"""MODEL_NUMBER of servos whose watchdog may fail (physical: XL330 and XC330)."""
 _WEAK_FIRMWARE: Final = 51
-"""Latest of their firmware with which users report a watchdog that does not stop the motor."""
+"""Latest firmware of these with reports of a watchdog that does not stop the motor (physical:
+forum.robotis.com/t/4814)."""
 _COOL_K: Final = 10
-"""Distance to the temperature limit that a servo should begin with, K."""
+"""Least margin to the temperature limit at the start, K (chosen)."""
 _POSTURE_RAD: Final = 0.02
-"""Tolerance of a joint's limits: sagging, and play of the gears."""
+"""Tolerance of a joint's limits, rad, for sagging and backlash of the gears (chosen)."""
 WIZARD: Final = "with ROBOTIS's Dynamixel Wizard"
 _OFF_AND_ON: Final = "switch its power off and on"
 _DRIVE_MODES: Final = {
@@ -27,19 +28,19 @@ _DRIVE_MODES: Final = {
     2: "profiles by time",
     3: "torque on by any goal",
 }
-"""Bits of DRIVE_MODE."""
+"""Texts of the bits of DRIVE_MODE."""
 
 
 def check_registers(
     config: HardwareConfig, servo: ServoConfig, memory: ServoMemory, *, posture: bool
 ) -> Iterator[Finding]:
-    """Find all that is wrong with a servo's registers.
+    """Find all problems in a servo's registers.
 
     Args:
         config: the robot.
-        servo: the servo, of a model that is known.
+        servo: the servo, of a supported model.
         memory: its registers.
-        posture: whether its joint has to stand within its limits.
+        posture: True to check that its joint is within its limits.
     """
     asked = _Asked(config, servo, memory)
     for check in _CHECKS:
@@ -48,13 +49,13 @@ def check_registers(
 
 
 def servo_finding(servo: ServoConfig, problem: str, cure: str, *, warning: bool = False) -> Finding:
-    """A finding of a servo."""
+    """Make a finding of a servo."""
     return Finding(part=f"servos: {servo.name}", problem=problem, cure=cure, warning=warning)
 
 
 @dataclass(frozen=True)
 class _Asked:
-    """One servo that has told its registers."""
+    """One servo and its registers."""
 
     config: HardwareConfig
     servo: ServoConfig
@@ -67,7 +68,7 @@ class _Asked:
         return servo_finding(self.servo, problem, cure, warning=warning)
 
     def expect(self, register: table.Register, value: int, why: str = "") -> Iterator[Finding]:
-        """Find a register with another number."""
+        """Yield a finding if a register has another value."""
         got = self.get(register)
         if got != value:
             yield self.finding(
@@ -137,7 +138,7 @@ def _velocity_limit(one: _Asked) -> Iterator[Finding]:
     limit = one.get(table.VELOCITY_LIMIT)
     servo_rad_s = limit * table.TICK_RAD_S / one.servo.gear_ratio
     head_rad_s = float(one.config.head.actuation.velocity[one.servo.slot])
-    # the limit is in whole steps of the servo's speed
+    # the limit is in whole units of the servo's speed
     if servo_rad_s + table.TICK_RAD_S / one.servo.gear_ratio < head_rad_s:
         yield one.finding(
             f"expected a VELOCITY_LIMIT of at least {head_rad_s:.3g} rad/s of the joint, as the "
@@ -175,7 +176,7 @@ def _faults(one: _Asked) -> Iterator[Finding]:
 
 
 def joint_angle(config: HardwareConfig, servo: ServoConfig, memory: ServoMemory) -> float:
-    """The angle of a servo's joint by its registers, rad."""
+    """Angle of a servo's joint from its registers, rad."""
     angles = ServoAngles((servo,), config.head)
     state = bytes(4) + table.PRESENT_POSITION.encode(memory.get(table.PRESENT_POSITION))
     angles.take({servo.id: state}, 0.0)

@@ -1,6 +1,6 @@
 """Checks of the servos before any of them gets torque. They only read.
 
-All that is wrong is found at once, each with its cure, so that a robot is mended in one go.
+All problems are found at once, each with its cure, so that a robot can be repaired in one go.
 """
 
 import logging
@@ -20,19 +20,19 @@ from vergence.models.parts import FloatArray
 
 _LOG: Final = logging.getLogger(__name__)
 _LOOKED_AT: Final = range(1, 21)
-"""Ids that are asked where one does not answer, for the person who typed it."""
+"""Ids to ping if a configured id does not answer, to help find a typing error (chosen)."""
 
 
 def check_servos(
     config: HardwareConfig, bus: Bus, *, posture: bool = True, sysfs: str = "/sys"
 ) -> list[Finding]:
-    """Find all that is wrong with the servos and their line. Nothing is written to a servo.
+    """Find all problems of the servos and their line. Nothing is written to a servo.
 
     Args:
         config: the robot.
         bus: its open line.
-        posture: whether joints have to stand within their limits; not while zeros are being set.
-        sysfs: where the system tells of its devices.
+        posture: True to check that joints are within their limits; False while zeros are being set.
+        sysfs: mount point of sysfs.
 
     Raises:
         HardwareError: the line is gone.
@@ -71,10 +71,10 @@ def check_servos(
 
 
 def refuse_errors(findings: Iterable[Finding]) -> list[Finding]:
-    """Refuse a robot that something is wrong with; the warnings of one that may move.
+    """Raise an error if a finding is one; return the warnings otherwise.
 
     Raises:
-        ChecksFailedError: a finding is an error; it carries the warnings too.
+        ChecksFailedError: a finding is an error; it holds the warnings too.
     """
     findings = list(findings)
     if not all(finding.warning for finding in findings):
@@ -83,7 +83,7 @@ def refuse_errors(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def _model(bus: Bus, ident: int) -> int | None:
-    """A servo's model number, asked twice, as a packet may be damaged."""
+    """Ping a servo for its model number, twice if needed, as a packet may be damaged."""
     model = bus.ping(ident)
     return bus.ping(ident) if model is None else model
 

@@ -1,1 +1,1 @@
-"""A robot's loop, measured: one eye turns by a known way, and its encoder and its camera follow."""
+"""Measurement of a robot's loop: one eye makes a known motion, seen by its encoder and camera."""

@@ -1,4 +1,4 @@
-"""The way that an eye turns to tell its loop: slowly to and fro, a chirp, and quick reversals."""
+"""Excitation of an eye for the measurement: slow to and fro, a chirp, and quick reversals."""
 
 from collections.abc import Callable, Iterator
 from typing import Final
@@ -8,32 +8,33 @@ import numpy as np
 from vergence.models.parts import FloatArray
 
 SLOW_RAD_S: Final = 0.15
-"""Speed to and fro that tells the play, and by which a joint is proved to follow, rad/s."""
+"""Speed of the slow part, rad/s, which shows the backlash and that the joint follows (chosen)."""
 CHIRP_RAD_S: Final = 0.8
-"""Greatest speed of the chirp, rad/s: an exposure of 10 ms smears a webcam's image by 5 px."""
+"""Greatest speed of the chirp, rad/s: 10 ms of exposure blur a webcam's image by 5 px (chosen)."""
 QUICK_RAD_S: Final = 2.5
-"""Greatest speed of the reversals, which no image has to follow, rad/s: a weak joint at twice as
-much would go nowhere, and the supervisor would take it for stuck."""
+"""Greatest speed of the reversals, which images need not resolve, rad/s: at twice this a weak joint
+would hardly move, and the supervisor would stop it as stuck (chosen)."""
 _SLOW_RAD: Final = 0.06
-"""Half the way of the slow part, rad."""
+"""Amplitude of the slow part, rad (chosen)."""
 _CHIRP_HZ: Final = (0.4, 4.0)
+"""First and last frequency of the chirp, Hz (chosen)."""
 _SLOW_S, _CHIRP_S, _QUICK_S = 4.8, 9.0, 3.0
 _BACK: Final = 1.0
-"""Rate at which the way is held about its middle, 1/s."""
+"""Gain of the correction towards the planned angle, 1/s (chosen)."""
 _LATE: Final = 3
-"""Control periods by which a joint is behind its commands, roughly."""
+"""Rough delay of a joint behind its commands, control periods (chosen)."""
 
 
 def speeds(reach_rad: float, most_rad_s: float, period_s: float) -> FloatArray:
-    """Speeds, a control period each.
+    """Speeds of the excitation, one per control period.
 
     Args:
-        reach_rad: greatest distance from the middle, rad.
+        reach_rad: greatest distance from the start angle, rad.
         most_rad_s: greatest speed, rad/s.
         period_s: the control period, s.
 
     Returns:
-        (n,) rad/s.
+        (n,) speeds, rad/s.
     """
     slow = _to_and_fro(min(_SLOW_RAD, reach_rad), min(SLOW_RAD_S, most_rad_s), _SLOW_S, period_s)
     quick = min(QUICK_RAD_S, most_rad_s)
@@ -48,7 +49,7 @@ def speeds(reach_rad: float, most_rad_s: float, period_s: float) -> FloatArray:
 
 
 def _to_and_fro(way_rad: float, speed_rad_s: float, length_s: float, period_s: float) -> FloatArray:
-    """A constant speed that turns round, from the middle to either side."""
+    """Speeds of a triangular motion about the start angle."""
     quarter = max(2, round(way_rad / speed_rad_s / period_s))
     turn = np.repeat([1.0, -1.0, -1.0, 1.0], quarter)
     times = max(1, round(length_s / period_s / len(turn)))
@@ -56,7 +57,7 @@ def _to_and_fro(way_rad: float, speed_rad_s: float, length_s: float, period_s: f
 
 
 def _chirp(reach_rad: float, speed_rad_s: float, period_s: float) -> FloatArray:
-    """A sinusoid of growing frequency, by its speed."""
+    """Speeds of a sinusoidal motion with growing frequency."""
     first, last = _CHIRP_HZ
     t = period_s * np.arange(round(_CHIRP_S / period_s))
     rate = (last / first) ** (1.0 / _CHIRP_S)
@@ -69,16 +70,16 @@ def _chirp(reach_rad: float, speed_rad_s: float, period_s: float) -> FloatArray:
 def wishes(
     slot: int, way: FloatArray, period_s: float, angle: Callable[[], float]
 ) -> Iterator[FloatArray]:
-    """Wishes for one actuator, held about where it stands.
+    """Requested velocities for one actuator, with a slow correction against drift.
 
     Args:
-        slot: its place in a command of seven.
+        slot: its index in the 7-element command.
         way: (n,) its speeds, rad/s.
         period_s: the control period, s.
-        angle: tells its present angle, rad.
+        angle: returns its present angle, rad.
 
     Yields:
-        (7,) rad/s.
+        (7,) velocities, rad/s.
     """
     middle = angle()
     places = middle + period_s * np.concatenate([np.zeros(_LATE + 1), np.cumsum(way)])

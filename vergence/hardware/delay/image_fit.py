@@ -1,7 +1,7 @@
-"""How late an eye's images are, and how much play is before its camera, from what it sees.
+"""Fit of the latency of an eye's images, and of the backlash between encoder and camera.
 
-An image that came at r shows the target from where the joints were at r - d, as the encoders tell
-it. The camera follows the encoder within the play, pushed by its flanks.
+An image received at r shows the target from the joint angles at r - d, as reported by the encoders.
+The camera follows the encoder within the backlash, pushed by the flanks of the gear.
 """
 
 from collections.abc import Callable
@@ -17,45 +17,45 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _GRID_S: Final = 0.002
-"""Time between two points of the way that images are compared with, s. Numerical."""
+"""Time step of the motion with which images are compared, s (numerical)."""
 _MOST_S: Final = 0.4
-"""Longest latency that is looked for, s."""
+"""Longest latency of the search, s (chosen)."""
 _DEPTH: Final = 0.2
-"""Relative uncertainty of the target's distance before it is fitted."""
+"""Prior standard deviation of the target's position, as a fraction of its distance (chosen)."""
 _SCALE: Final = 0.2
-"""That of the focal length: cameras that nobody has calibrated."""
+"""Prior standard deviation of the image scale, for uncalibrated cameras (chosen)."""
 _SOFT: Final = 2.0
-"""Residual from which on one counts by its size, not its square."""
+"""Scale of the robust loss, in standard deviations: larger residuals count linearly (chosen)."""
 _LEAST_PX: Final = 0.05
-"""Least noise of a detection that is believed, px."""
+"""Least standard deviation of a detection that is assumed, px (chosen)."""
 _FAST_PX_S: Final = 150.0
-"""Speed of the target in the image from which on it dates an image, px/s."""
+"""Image speed of the target above which an image's residual shows its delay, px/s (chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageFit:
-    """How late an eye's images are."""
+    """Latency, jitter and backlash of an eye's images."""
 
     latency_s: float
-    """The mean, s."""
+    """Mean latency, s."""
     latency_sigma_s: float
     jitter_s: float | None
-    """Width of the latencies' spread if they are uniform, s; None where the eye turned too slowly
-    to tell it."""
+    """Width of the distribution of latencies, taken as uniform, s; None if the eye turned too
+    slowly to measure it."""
     jitter_sigma_s: float
     backlash_rad: float
     backlash_sigma_rad: float
     residual_px: float
-    """Rms of what is seen beside the model, px."""
+    """Rms of the reprojection errors, px."""
     scale: float
-    """How far the image moves by how far it does with the model's focal length."""
+    """Measured motion of the image per motion predicted with the model's focal length."""
     scale_sigma: float
     images: int
     """Number of images."""
 
     @property
     def least_s(self) -> float:
-        """The latency beyond which an image comes up to the jitter later, s."""
+        """Least latency, s; images arrive up to the jitter later."""
         return max(self.latency_s - 0.5 * (self.jitter_s or 0.0), 0.0)
 
     @property
@@ -78,22 +78,22 @@ def fit_images(
     point: FloatArray,
     fastest_rad_s: float,
 ) -> ImageFit | None:
-    """Find how late an eye's images are.
+    """Fit latency, backlash, target position and image scale to an eye's images.
 
     Args:
         head: the model.
         eye: 0 for left.
-        slot: place of the actuator that turned in a command of seven.
-        base: (7,) where the others stood, of neck and actuators, rad.
+        slot: index in the 7-element command of the actuator that turned.
+        base: (7,) angles of neck and actuators, for those that did not turn, rad.
         path: the actuator's angle by time.
-        span_s: time that the path covers, s.
-        received_s: (k,) when images came, s.
-        pixels: (k, 2) raw pixels of the target; nan where it was not found.
-        point: (3,) about where the target is, in N, m.
-        fastest_rad_s: speed beyond which images are smeared, rad/s.
+        span_s: first and last time of the path, s.
+        received_s: (k,) times of receipt of the images, s.
+        pixels: (k, 2) raw pixels of the target; nan if it was not found.
+        point: (3,) approximate position of the target, in N, m.
+        fastest_rad_s: speed above which images are blurred and left out, rad/s.
 
     Returns:
-        The best by least squares; None where too few images show the target.
+        The robust least-squares fit; None if too few images show the target.
     """
     grid = np.arange(*span_s, _GRID_S)
     angles = path(grid)
@@ -135,7 +135,7 @@ def fit_images(
     noise = 0.3
     before = np.array([_DEPTH, _DEPTH, _DEPTH, _SCALE])
     start = np.array([coarse, 1e-3, 0.0, 0.0, 0.0, 0.0])
-    for _ in range(2):  # again, with the noise that was found
+    for _ in range(2):  # again with the estimated noise
         found = least_squares(
             residual, start, x_scale=[0.01, 1e-3, *[0.01] * 4], loss="soft_l1", f_scale=_SOFT,
             jac="3-point", diff_step=[1e-3] * 6,
@@ -168,7 +168,7 @@ def fit_images(
 
 
 def _within_play(angles: FloatArray, backlash_rad: float) -> FloatArray:
-    """(n,) the camera's angles behind a play, which the encoder's push."""
+    """(n,) camera angles behind a backlash, pushed by the encoder's angles."""
     half, out = 0.5 * backlash_rad, []
     joint = float(angles[0])
     for angle in angles.tolist():
@@ -180,12 +180,12 @@ def _within_play(angles: FloatArray, backlash_rad: float) -> FloatArray:
 def _jitter(
     gap: FloatArray, velocity: FloatArray, stretches: IntArray
 ) -> tuple[float | None, float]:
-    """The width of the latencies' spread, and its standard deviation, s; None if it is not told.
+    """Width of the distribution of latencies, None if unobservable, and its standard deviation, s.
 
     Args:
-        gap: (n, 2) what is seen beside the model, px.
-        velocity: (n, 2) of the target in the image, px/s.
-        stretches: (n,) in which residuals depend on one another, whole numbers.
+        gap: (n, 2) measured minus predicted pixels, px.
+        velocity: (n, 2) image velocity of the target, px/s.
+        stretches: (n,) index of the stretch in which residuals are dependent.
     """
     speed = np.linalg.norm(velocity, axis=-1)
     fast = speed > _FAST_PX_S

@@ -1,9 +1,9 @@
-"""How an actuator follows its commands, from its encoder: a lag behind a latency.
+"""Fit of an actuator's response to its commands, from its encoder: a lag after a latency.
 
     dv/dt = clip((g u(t - d) - v) / lag, -a, a),   dq/dt = v
 
-is carried along the commands as they were sent, and its angle compared with the encoder's. A
-steady drift over a second, as any sum of speeds has, counts for nothing.
+is integrated with the commands as they were sent, and its angle is compared with the encoder's. A
+linear drift over each second, as the integral of speeds has one, is removed from the residuals.
 """
 
 from collections.abc import Callable
@@ -18,57 +18,58 @@ from vergence.models.joint_response import follow_joint, lag_decay
 from vergence.models.parts import FloatArray
 
 STRETCH_S: Final = 1.0
-"""Time over which a drift counts for nothing, and residuals are taken for dependent, s."""
+"""Length of stretches in which drift is removed and residuals count as dependent, s (chosen)."""
 _ROUNDED: Final = 12.0**-0.5
-"""Standard deviation of a rounded number by its step."""
+"""Standard deviation of a quantised number per quantisation step (numerical)."""
 _LATENCIES_S: Final = (0.0, 0.02, 0.05, 0.1)
-"""Latencies with which the search begins, s."""
+"""Start values of the latency, s (numerical)."""
 _FAST_RAD_S: Final = 0.5
-"""Speed from which on an angle tells how well it is dated, rad/s."""
+"""Speed above which an angle's residual shows the error of its time, rad/s (chosen)."""
 _SOFT: Final = 3.0
-"""Residual from which on one counts by its size, not its square."""
+"""Scale of the robust loss, in standard deviations: larger residuals count linearly (chosen)."""
 _SEEN: Final = 0.15
-"""Relative uncertainty of an acceleration up to which it was seen."""
+"""Greatest relative standard deviation of an acceleration limit that is reported (chosen)."""
 _WORSE: Final = 50.0
-"""How much worse, by the mean square of a residual, no limit of the acceleration has to fit."""
+"""Least increase of the sum of squared residuals without an acceleration limit, in mean squares,
+for which a limit is accepted (chosen)."""
 _NO_LIMIT: Final = 1e-4
-"""One by an acceleration that stands for none, s^2/rad."""
+"""Inverse acceleration that stands for no limit, s^2/rad (numerical)."""
 
 _follow = getattr(follow_joint, "py_func", follow_joint)
 _left = getattr(lag_decay, "py_func", lag_decay)
 
 
-class Motor(NamedTuple):
-    """What moves an actuator."""
+class FittedMotor(NamedTuple):
+    """Response parameters of an actuator's motor."""
 
     latency_s: float
-    """From a command to its response as the encoder tells it, s."""
+    """Latency from a command to its response in the encoder readings, s."""
     lag_s: float
     gain: float
-    """Speed at rest by command."""
+    """Steady-state speed per commanded speed."""
     per_acceleration: float
-    """One by the greatest acceleration, s^2/rad."""
+    """Inverse of the greatest acceleration, s^2/rad."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointFit:
-    """How an actuator follows its commands."""
+    """Fitted response of an actuator to its commands."""
 
-    motor: Motor
-    sigma: Motor
-    """Standard deviations."""
+    motor: FittedMotor
+    sigma: FittedMotor
+    """Standard deviations of the parameters."""
     greatest_rad_s2: float
-    """Greatest acceleration that the motor has had, rad/s^2."""
+    """Greatest acceleration of the modelled motion, rad/s^2."""
     residual_rad: float
-    """Rms of the encoder's angles beside the model's, rad."""
+    """Rms difference of the encoder's angles from the model's, rad."""
     limited: bool
-    """Whether a motor without a greatest acceleration would fit worse."""
+    """True if a motor without an acceleration limit would fit clearly worse."""
     correlation: float
-    """Of the latency's error with the lag's."""
+    """Correlation of the errors of latency and lag."""
 
     @property
     def acceleration_rad_s2(self) -> float | None:
-        """The greatest that the motor can have, rad/s^2; None where it was not reached."""
+        """Acceleration limit of the motor, rad/s^2; None if it was not reached."""
         certain = self.sigma.per_acceleration < _SEEN * self.motor.per_acceleration
         return 1.0 / self.motor.per_acceleration if self.limited and certain else None
 
@@ -79,15 +80,15 @@ class JointFit:
 
 
 def respond(
-    motor: Motor, sent_s: FloatArray, sent: FloatArray, times: FloatArray
+    motor: FittedMotor, sent_s: FloatArray, sent: FloatArray, times: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Carry a motor that rests at angle 0 along its commands.
+    """Simulate a motor, at first at rest at angle 0, with its commands.
 
     Args:
-        motor: what moves it.
-        sent_s: (n,) when the commands went out, s, growing.
+        motor: its parameters.
+        sent_s: (n,) times at which the commands were sent, s, increasing.
         sent: (n,) commands, rad/s.
-        times: (m,) s, growing.
+        times: (m,) times of the result, s, increasing.
 
     Returns:
         (m,) angles, rad, and (m,) speeds, rad/s.
@@ -120,21 +121,21 @@ def fit_joint(
     sent: FloatArray,
     joints_s: FloatArray,
     angles: FloatArray,
-    guess: Motor,
+    guess: FittedMotor,
     step_rad: float,
 ) -> JointFit:
-    """Find what moves an actuator.
+    """Fit the response of an actuator.
 
     Args:
-        sent_s: (n,) when commands went out, s.
-        sent: (n,) rad/s.
-        joints_s: (m,) when the encoder was read, s.
-        angles: (m,) as read, rad.
-        guess: what the model says.
-        step_rad: the encoder's step, rad.
+        sent_s: (n,) times at which the commands were sent, s.
+        sent: (n,) commands, rad/s.
+        joints_s: (m,) times at which the encoder was read, s.
+        angles: (m,) encoder angles, rad.
+        guess: parameters of the head model, the start of the fit.
+        step_rad: quantisation step of the encoder, rad.
 
     Returns:
-        The best by least squares. Residuals within a second count as dependent in its uncertainty.
+        The robust least-squares fit. Its uncertainty counts residuals within a second as dependent.
     """
     stretches = ((joints_s - joints_s[0]) / STRETCH_S).astype(np.int64)
     straight = _Straight(joints_s, stretches)
@@ -142,12 +143,12 @@ def fit_joint(
     sigma = np.full(len(angles), rounded)
 
     def residual(values: FloatArray) -> FloatArray:
-        gap = angles - respond(Motor(*values), sent_s, sent, joints_s)[0]
+        gap = angles - respond(FittedMotor(*values), sent_s, sent, joints_s)[0]
         return np.asarray(straight.without(gap) / sigma)
 
     starts = [np.array(guess._replace(latency_s=latency)) for latency in _LATENCIES_S]
     start = min(starts, key=lambda values: float(np.abs(residual(values)).sum()))
-    for _ in range(2):  # again, with what the readings' dates are worth
+    for _ in range(2):  # again with the estimated timing error of the readings
         found = least_squares(
             residual,
             start,
@@ -158,7 +159,7 @@ def fit_joint(
             jac="3-point",
             diff_step=[1e-4] * 4,
         )
-        start, motor = found.x, Motor(*found.x.tolist())
+        start, motor = found.x, FittedMotor(*found.x.tolist())
         speed = np.abs(respond(motor, sent_s, sent, joints_s)[1])
         fast = speed > _FAST_RAD_S
         late_s = np.abs(sigma * residual(found.x))[fast] / speed[fast]
@@ -173,7 +174,7 @@ def fit_joint(
     deviations = np.sqrt(np.diagonal(covariance))
     return JointFit(
         motor=motor,
-        sigma=Motor(*deviations.tolist()),
+        sigma=FittedMotor(*deviations.tolist()),
         correlation=float(covariance[0, 1] / (deviations[0] * deviations[1])),
         greatest_rad_s2=float(np.abs(np.diff(speeds)).max() / 0.002),
         residual_rad=float(np.sqrt(np.mean((sigma * residual(found.x)) ** 2))),
@@ -182,7 +183,7 @@ def fit_joint(
 
 
 class _Straight:
-    """Straight lines through each stretch of some values, which a drift makes."""
+    """Removes the linear drift of values in each stretch."""
 
     def __init__(self, times: FloatArray, stretches: IntArray) -> None:
         self._stretches = stretches
@@ -194,7 +195,7 @@ class _Straight:
         return np.asarray(np.bincount(self._stretches, values) / self._counts)
 
     def without(self, values: FloatArray) -> FloatArray:
-        """Values without their lines."""
+        """Subtract a fitted straight line from the values of each stretch."""
         slopes = np.bincount(self._stretches, values * self._times) / self._squares
         lines = self._mean(values)[self._stretches] + slopes[self._stretches] * self._times
         return np.asarray(values - lines)
@@ -203,21 +204,21 @@ class _Straight:
 def clustered(
     jacobian: FloatArray, residual: FloatArray, stretches: IntArray, soft: float, known: int = 0
 ) -> FloatArray:
-    """The covariance of a least-squares estimate whose residuals depend on their neighbours.
+    """Covariance of a least-squares estimate whose residuals depend on their neighbours.
 
-    The jackknife over stretches, from the estimate's linear change without each of them: CR3 of
-    Bell and McCaffrey, Survey Methodology 28, 2002, which a few telling stretches bias less than
-    the sandwich estimator.
+    It is the jackknife over stretches, from the linearised change of the estimate without each of
+    them: CR3 of Bell and McCaffrey, Survey Methodology 28, 2002. If a few stretches carry most of
+    the information it is less biased than the sandwich estimator.
 
     Args:
-        jacobian: (m, p) of `least_squares` with the loss `soft_l1`, which has scaled it.
-        residual: (m,) of the same, which it has not.
-        stretches: (m - known,) whole numbers.
-        soft: its `f_scale`.
-        known: how many residuals, the last ones, are what was known before, of deviation 1.
+        jacobian: (m, p) Jacobian of `least_squares`, scaled by its loss `soft_l1`.
+        residual: (m,) residuals of `least_squares`, not scaled.
+        stretches: (m - known,) index of each residual's stretch.
+        soft: `f_scale` of the loss.
+        known: number of priors with standard deviation 1, which are the last residuals.
 
     Returns:
-        (p, p).
+        (p, p) covariance.
     """
     whole, measured = jacobian.T @ jacobian, len(residual) - known
     scaled = residual * (1.0 + (residual / soft) ** 2) ** 0.25
@@ -229,30 +230,30 @@ def clustered(
     found = (1.0 - 1.0 / len(changes)) * np.transpose(changes) @ np.array(changes)
     before = jacobian[measured:] @ np.linalg.pinv(whole, hermitian=True)
     found += before.T @ before
-    # a direction that nothing depends on is not known, and pinv has it known exactly
+    # an unobservable parameter has infinite variance, but pinv gives it zero
     blind = np.diagonal(whole) < 1e-6
     found[blind, blind] = np.inf
     return np.asarray(found)
 
 
 def path_of(
-    motor: Motor,
+    motor: FittedMotor,
     sent_s: FloatArray,
     sent: FloatArray,
     joints_s: FloatArray,
     angles: FloatArray,
 ) -> Callable[[FloatArray], FloatArray]:
-    """The actuator's way as the encoder tells it, between its readings too.
+    """Angle of the actuator by time: the model, corrected by the smoothed encoder residuals.
 
     Args:
-        motor: what moves it.
-        sent_s: see `fit_joint`, as for the following.
-        sent: rad/s.
-        joints_s: s.
-        angles: rad.
+        motor: its fitted parameters.
+        sent_s: see `fit_joint`.
+        sent: see `fit_joint`.
+        joints_s: see `fit_joint`.
+        angles: see `fit_joint`.
 
     Returns:
-        Gives angles, rad, at growing times, s.
+        A function of increasing times, s, that returns angles, rad.
     """
     gap = angles - respond(motor, sent_s, sent, joints_s)[0]
     rate_hz = (len(joints_s) - 1) / (joints_s[-1] - joints_s[0])

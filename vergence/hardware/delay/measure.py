@@ -1,4 +1,4 @@
-"""A robot's loop, measured: each eye turns about a target that stands still."""
+"""Measurement of a robot's loop: each eye turns about the direction of a fixed target."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -15,7 +15,7 @@ from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.delay.excitation import CHIRP_RAD_S, speeds, wishes
 from vergence.hardware.delay.image_fit import ImageFit, fit_images
-from vergence.hardware.delay.joint_fit import JointFit, Motor, fit_joint, path_of
+from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, fit_joint, path_of
 from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
 from vergence.hardware.delay.samples import Collector, Samples
 from vergence.hardware.plant import HardwarePlant
@@ -25,23 +25,23 @@ from vergence.models.parts import FloatArray
 from vergence.triangulation import triangulate_views
 
 _LOOK_S: Final = 2.5
-"""Time in which a slow law brings the eyes to the target, s."""
+"""Time in which a slow controller turns the eyes to the target, s (chosen)."""
 _LOOK_GAIN: Final = 1.5
-"""Its gain, 1/s: it holds whatever the loop is like."""
+"""Gain of that controller, 1/s: stable with any plausible loop (chosen)."""
 _MOST_RAD: Final = 0.22
-"""Greatest way from the middle, rad."""
+"""Greatest amplitude of the excitation, rad (chosen)."""
 _EDGE_PX: Final = 90.0
-"""Distance that the target's centre keeps from the image's edge, px: half a tag."""
+"""Margin of the target's centre to the image's edge, px: half a tag (chosen)."""
 _LEAST_RAD: Final = 0.04
-"""Way from the middle below which nothing can be told, rad."""
+"""Least amplitude with which a measurement is possible, rad (chosen)."""
 _QUIET_S: Final = 0.3
-"""Time after the last command in which late images still come, s."""
+"""Time after the last command in which late images still arrive, s (chosen)."""
 _TURNING: Final = 0.9
-"""Share of turning in all the time that it takes."""
+"""Fraction of the progress that the turning takes; fits take the rest (chosen)."""
 _TURNED_RAD: Final = 1e-3
-"""Step by which an actuator is turned in the model, rad. Numerical."""
+"""Finite-difference step of an actuator's angle, rad (numerical)."""
 _MOVES: Final = 0.2
-"""Least movement of the image by that of the best actuator, with which one can be measured."""
+"""Least image motion of a usable actuator, as a fraction of the best one's (chosen)."""
 
 
 def measure_loop(
@@ -50,17 +50,17 @@ def measure_loop(
     progress: Callable[[float], None] = lambda fraction: None,
     actuator: str | None = None,
 ) -> LoopMeasurement:
-    """Turn each eye about the target for some 25 s, and find its loop.
+    """Turn each eye about the target's direction for some 25 s, and fit its loop.
 
     Args:
-        config: the robot; its target stands still, in sight of both eyes at rest.
-        eyes: whose loop to measure, `left` and `right`.
-        progress: called with the fraction done.
-        actuator: which one turns; for each eye the one that moves its image most by default.
+        config: the robot; its target is fixed and visible to both eyes at rest.
+        eyes: names of the eyes to measure, `left` and `right`.
+        progress: callback with the fraction that is done.
+        actuator: actuator that turns; by default, for each eye the one that moves its image most.
 
     Raises:
-        HardwareError: the robot was stopped, or does not see the target.
-        ConfigurationError: an eye has no way to turn, or not by this actuator.
+        HardwareError: the robot was stopped, or the target is not visible.
+        ConfigurationError: an eye has no room to turn, or this actuator does not turn it.
     """
     head, collector = config.head, Collector()
     slots = {name: slot_of(head, EYE_NAMES.index(name), actuator) for name in eyes}
@@ -79,7 +79,7 @@ def measure_loop(
             eye = EYE_NAMES.index(name)
             turns.append(_turn(config, task, look, collector, eye, slots[name], done))
     found = []
-    # only now: a fit, and the compiler for it, would hold up what keeps the joints
+    # only now: a fit and its compilation would delay the thread that holds the joints
     for place, turn in enumerate(turns, 1):
         found.append(_fitted(config, turn))
         progress(_TURNING + (1.0 - _TURNING) * place / len(turns))
@@ -87,15 +87,15 @@ def measure_loop(
 
 
 class _Turn(NamedTuple):
-    """What was taken of an eye while it turned."""
+    """Data of one eye from its excitation."""
 
     eye: int
     slot: int
     samples: Samples
     exposed: tuple[FloatArray, FloatArray, FloatArray]
-    """Of the reading before it: (7,) joints, (7,) joints at exposure, rad, and (2, 2) pixels."""
+    """Reading before the excitation: (7,) joints, (7,) joints at exposure, rad, (2, 2) pixels."""
     reply_s: float
-    """Time from a reading to its command, median, s."""
+    """Median time from a reading to its command, s."""
 
 
 def _turn(
@@ -173,7 +173,7 @@ def _fit(
 ) -> tuple[JointFit, ImageFit | None]:
     motors = head.actuation.actuators_of(samples.positions)
     timing, k = head.timing, slot
-    guess = Motor(
+    guess = FittedMotor(
         latency_s=timing.command_latency_s + timing.feedback_latency_s,
         lag_s=max(float(timing.lag_s * head.actuation.lag_ratio[k]), 2e-3),
         gain=1.0,
@@ -191,15 +191,15 @@ def _fit(
 
 
 def slot_of(head: HeadModel, eye: int, actuator: str | None = None) -> int:
-    """Place in a command of seven of the actuator that turns an eye.
+    """Index in the 7-element command of the actuator that turns an eye.
 
     Args:
         head: the model.
         eye: 0 for left.
-        actuator: its name; the one that moves the eye's image most by default.
+        actuator: its name; by default the one that moves the eye's image most.
 
     Raises:
-        ConfigurationError: it is none of the eyes, or does not move this one's image.
+        ConfigurationError: no eye has such an actuator, or it does not move this eye's image.
     """
     rest = head.rest()
     point = head.camera_poses(rest)[eye] @ np.array([0.0, 0.0, 1.0, 1.0])
@@ -224,7 +224,7 @@ def slot_of(head: HeadModel, eye: int, actuator: str | None = None) -> int:
 
 
 def _point(head: HeadModel, turn: _Turn) -> FloatArray:
-    """(3,) about where the target is, in N, m."""
+    """(3,) approximate position of the target, in N, m."""
     positions, at_exposure, pixels = turn.exposed
     point = triangulate_views(head, at_exposure[None], pixels[None]).point[0]
     if np.isfinite(point).all() and point[2] > 0.0:
@@ -236,7 +236,7 @@ def _point(head: HeadModel, turn: _Turn) -> FloatArray:
 def _reach(
     config: HardwareConfig, positions: FloatArray, eye: int, slot: int, pixel: FloatArray
 ) -> float:
-    """Greatest way from the present angle at which the target stays in view and all in limits."""
+    """Greatest amplitude about the present angle within the image and the joint's limits, rad."""
     head = config.head
     size = head.cameras.size[eye]
     room_px = float(np.minimum(pixel, size - 1 - pixel).min()) - _EDGE_PX

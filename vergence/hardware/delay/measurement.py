@@ -1,4 +1,4 @@
-"""What was measured of a robot's loop: by eye, as a configuration has it, and in words."""
+"""Results of a loop measurement: by eye, as a configuration, and as text."""
 
 import datetime
 from collections.abc import Iterator, Sequence
@@ -12,49 +12,51 @@ from vergence.hardware.delay.image_fit import ImageFit
 from vergence.hardware.delay.joint_fit import JointFit
 
 _TOGETHER: Final = 0.9
-"""Correlation of latency and lag from which on it is said. Chosen."""
+"""Correlation of latency and lag above which it is reported (chosen)."""
 _BESIDE_RAD: Final = 3e-3
-"""Rms of an encoder's angles beside the model's from which on it is said, rad: twice what dates
-make of a servo that follows by a lag, and less than one does that overshoots by 10 %. Measured."""
+"""Rms angle residual above which a misfit is reported, rad: twice that of timing errors for a servo
+with a pure lag, and less than that of an overshoot of 10 % (measured:
+tests/hardware/delay/test_fits.py)."""
 _BESIDE_PX: Final = 1.0
-"""The same of a target in the image, px."""
+"""Rms reprojection error above which a misfit is reported, px (chosen)."""
 _SCALED: Final = 0.05
-"""How far from 1 a scale of the image is said, where it is three of its deviations. Chosen."""
+"""Deviation of the image scale from 1 that is reported if it exceeds 3 sigma (chosen)."""
 _SPREAD_S: Final = 0.01
-"""Distance of both eyes' latencies from which on the simulation's one stands for neither, s."""
+"""Difference of the eyes' latencies above which their mean is reported as a poor model, s
+(chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EyeLoop:
-    """What one eye has told."""
+    """Measured loop of one eye."""
 
     eye: str
     actuator: str
     lag_ratio: float
-    """The actuator's own lag by its head's, as the head file has them."""
+    """Ratio of the actuator's own lag to the head's, from the head file."""
     modelled_rad_s2: float
-    """The actuator's greatest acceleration as the head file has it, rad/s^2."""
+    """The actuator's greatest acceleration in the head file, rad/s^2."""
     joint: JointFit
     image: ImageFit | None
-    """None where too few images showed the target."""
+    """Fit of the images; None if too few of them showed the target."""
     computing_s: float
-    """Time from an image's receipt to its target being found, and from a reading to its command,
-    medians, s."""
+    """Sum of the median times from an image's receipt to its detection and from a reading to its
+    command, s."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopMeasurement:
-    """A robot's loop."""
+    """Measured loop of a robot."""
 
     eyes: tuple[EyeLoop, ...]
 
     @property
     def latencies_s(self) -> dict[str, float]:
-        """Least latency of each camera that has told it, s; an image comes up to a jitter later."""
+        """Least latency of each measured camera by eye, s; images arrive up to the jitter later."""
         return {one.eye: one.image.least_s for one in self.eyes if one.image is not None}
 
     def loop(self) -> LoopConfig:
-        """The values of both eyes as one loop, as a configuration has it."""
+        """Combine the values of both eyes into one loop for the configuration."""
         joints = [one.joint for one in self.eyes]
         images = [one.image for one in self.eyes if one.image is not None]
         values: dict[str, float] = {}
@@ -100,7 +102,7 @@ class LoopMeasurement:
         )
 
     def doubts(self) -> list[str]:
-        """What was seen that the model of a robot does not have, a line each."""
+        """Texts, a line each, on misfits of the model of a robot."""
         lines = []
         for one in self.eyes:
             if one.joint.residual_rad > _BESIDE_RAD:
@@ -122,11 +124,11 @@ class LoopMeasurement:
         return lines
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row an eye and quantity: `eye`, `actuator`, `what`, `value`, `sigma`, `unit`."""
+        """One row per eye and quantity: `eye`, `actuator`, `what`, `value`, `sigma`, `unit`."""
         return [row for one in self.eyes for row in _rows(one)]
 
     def untold(self) -> list[str]:
-        """What the measurement cannot tell, a line each."""
+        """Texts, a line each, on quantities that the measurement cannot determine."""
         lines = [
             "image latency is told beside the feedback's, and command latency with it: how old "
             "the encoders' own readings are cannot be told, and is taken for nothing"
@@ -170,9 +172,9 @@ class LoopMeasurement:
 
 
 def _mean(pairs: Sequence[tuple[float, float]], shared: bool) -> tuple[float, float]:
-    """Mean of some values, and its uncertainty: theirs, or half their distance if that is more.
+    """Mean of the values, and its standard deviation, at least half the range of the values.
 
-    Errors that are shared, as by the dates of readings on one line, do not average out.
+    Shared errors, such as timing errors of readings on one line, do not average out.
     """
     values, sigmas = np.array(pairs).T
     own = float(np.sqrt(np.mean(sigmas**2) / (1 if shared else len(values))))

@@ -1,4 +1,4 @@
-"""What is heard of a robot while an eye turns: commands, angles, and what its camera sees."""
+"""Recording of a robot while an eye turns: commands, joint angles, and detections."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -12,31 +12,31 @@ from vergence.recording.schema import CommandOrigin, LoggedCommand, LoggedDetect
 
 
 class Samples(NamedTuple):
-    """Commands and measurements of one eye, by one steady clock."""
+    """Commands and measurements of one eye, with times of one monotonic clock."""
 
     sent_s: FloatArray
-    """(n,) when commands went out, s."""
+    """(n,) times at which commands were sent, s."""
     sent: FloatArray
-    """(n,) that of the actuator that turned, rad/s."""
+    """(n,) commands of the actuator that turned, rad/s."""
     joints_s: FloatArray
-    """(m,) when the joints were measured, s."""
+    """(m,) times of the joint measurements, s."""
     positions: FloatArray
     """(m, 7) joint angles, rad."""
     dated_s: float
-    """Standard deviation of `joints_s` as a whole, s."""
+    """Standard deviation of a common error of `joints_s`, s."""
     received_s: FloatArray
-    """(k,) when images came, s."""
+    """(k,) times of receipt of the images, s."""
     pixels: FloatArray
-    """(k, 2) raw pixels of the target; nan where it was not found."""
+    """(k, 2) raw pixels of the target; nan if it was not found."""
     found_s: FloatArray
-    """(k,) from an image's receipt to the end of the search in it, s."""
+    """(k,) times from an image's receipt to the end of its detection, s."""
 
 
 class Collector(RobotListener):
-    """Keeps what happens from its making on.
+    """RobotListener that keeps commands, joint angles and detections.
 
     Args:
-        clock: the clock of all dates, s.
+        clock: the clock of all times, s.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -70,24 +70,24 @@ class Collector(RobotListener):
         """Times from a policy's readings to its commands, s.
 
         Args:
-            read_s: when it had each reading of a trial, s of the clock.
+            read_s: times at which it received each reading of a trial, s of the clock.
         """
         sent_s = [one.clock_s for one in self._commands if one.by == CommandOrigin.POLICY.value]
         count = min(len(sent_s), len(read_s))
         return np.subtract(sent_s[:count], read_s[:count])
 
     def clear(self) -> None:
-        """Forget what has happened so far."""
+        """Discard everything recorded so far."""
         for kept in (self._commands, self._joints, self._answered_s, self._detections):
             kept.clear()
 
     def samples(self, eye: str, slot: int, latency_s: float) -> Samples:
-        """What has been kept about an eye.
+        """Samples of one eye recorded so far.
 
         Args:
             eye: `left` or `right`.
-            slot: place of the actuator that turned in a command of seven.
-            latency_s: what was taken from the times of receipt for those of the exposures, s.
+            slot: index in the 7-element command of the actuator that turned.
+            latency_s: latency that was subtracted from the times of receipt to date exposures, s.
         """
         seen = [one for one in self._detections if one.eye == eye]
         received_s = np.array([one.exposed_s for one in seen]) + latency_s
@@ -96,7 +96,7 @@ class Collector(RobotListener):
             sent=np.array([one.sent[slot] for one in self._commands]),
             joints_s=np.array([one[0] for one in self._joints]),
             positions=np.array([one[1] for one in self._joints]).reshape(-1, 7),
-            # measured anywhere in the exchange, of which a reading is dated at the middle
+            # a reading is dated at the middle of its exchange, but measured at any time in it
             dated_s=float(np.median(self._answered_s)) / np.sqrt(3.0) if self._joints else 0.0,
             received_s=received_s,
             pixels=np.array([one.point_px for one in seen]).reshape(-1, 2),

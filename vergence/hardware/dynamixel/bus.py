@@ -1,4 +1,4 @@
-"""Servos on a serial line: questions and the answers that belong to them."""
+"""Servos on a serial line: requests, and the matching of answers to them."""
 
 import logging
 import time
@@ -21,39 +21,39 @@ from vergence.hardware.dynamixel.serial_line import SerialLine
 
 _LOG: Final = logging.getLogger(__name__)
 CYCLE_TIMEOUT_S: Final = 0.006
-"""Wait for the answers to a sync read, beside their time on the wire, s.
+"""Timeout of the answers to a sync read, beyond their time on the wire, s (chosen).
 
-Four servos answer within 1.6 ms at 1 Mb/s, and a silent one costs no more than this of a period.
+Four servos answer within 1.6 ms at 1 Mb/s; a silent one costs at most this much of a period.
 """
 SINGLE_TIMEOUT_S: Final = 0.05
-"""Wait for one servo's answer, beside its time on the wire, s: a write to EEPROM takes its time."""
+"""Timeout of one servo's answer, beyond its time on the wire, s: slow EEPROM writes (chosen)."""
 
 _STATUS_BYTES: Final = 11
-"""Bytes of a status without data."""
+"""Length of a status packet without data, bytes (physical: Protocol 2.0)."""
 
 
 class Bus:
-    """The servos of one serial line, asked one question at a time.
+    """The servos of one serial line, with one open request at a time.
 
-    An answer counts if it is a status, comes from a servo that was asked, and is as long as what
-    was asked for. All else is ignored: the bus's own packets, which adapters for half-duplex lines
-    may send back, and answers to earlier questions. What has come before a question is thrown away.
-    (An answer that is late and as long as the next one from the same servo, and arrives after the
-    question, cannot be told from it: the protocol has no numbers for questions.)
+    An answer counts if it is a status packet of an addressed servo with the requested length. All
+    other packets are ignored: the bus's own packets, which adapters for half-duplex lines may echo,
+    and answers to earlier requests. Bytes that arrive before a request are discarded. (A late
+    answer of the same servo and length that arrives after the next request cannot be distinguished
+    from the right one, as the protocol does not number requests.)
 
-    The servos' STATUS_RETURN_LEVEL must be 2, as at the factory.
+    The servos' STATUS_RETURN_LEVEL must be 2, the factory default.
 
     Args:
-        port: the device, such as "/dev/ttyUSB0".
-        baud: bit/s.
-        cycle_timeout_s: wait for the answers to a sync read, beside their time on the wire.
-        single_timeout_s: wait for a single answer, beside its time on the wire.
+        port: the device file, such as "/dev/ttyUSB0".
+        baud: baud rate, bit/s.
+        cycle_timeout_s: timeout of the answers to a sync read, beyond their time on the wire, s.
+        single_timeout_s: timeout of a single answer, beyond its time on the wire, s.
 
     Attributes:
         line: the serial line.
-        misses: answers so far that did not come.
-        stale: answers so far that were not to the question that was open.
-        alerts: ids of the servos whose last answer said that they have a hardware error.
+        misses: number of answers that did not arrive.
+        stale: number of answers that did not match the open request.
+        alerts: ids of the servos whose last answer announced a hardware error.
 
     Raises:
         HardwareError: see `SerialLine`.
@@ -75,16 +75,16 @@ class Bus:
 
     @property
     def port(self) -> str:
-        """The device."""
+        """Device file of the line."""
         return self.line.port
 
     @property
     def damaged(self) -> int:
-        """Headers so far that began no packet."""
+        """Number of headers so far that began no valid packet."""
         return self._parser.rejected
 
     def ping(self, id: int) -> int | None:
-        """A servo's model number; None if none has this id.
+        """Ping a servo; return its model number, None if none has this id.
 
         Raises:
             HardwareError: the line is gone.
@@ -95,7 +95,7 @@ class Bus:
         return int.from_bytes(answers[id].data[:2], "little") if id in answers else None
 
     def read(self, id: int, register: Register) -> int:
-        """A register's number.
+        """Read the value of a register.
 
         Raises:
             HardwareError: the servo does not answer or refuses, or the line is gone.
@@ -106,10 +106,10 @@ class Bus:
         return register.decode(status.data)
 
     def write(self, id: int, register: Register, value: int) -> None:
-        """Write a number into a register, and have the servo confirm it.
+        """Write a value into a register, and wait for the servo's confirmation.
 
         Raises:
-            ConfigurationError: the register cannot hold the number.
+            ConfigurationError: the register cannot hold the value.
             HardwareError: the servo does not answer or refuses, or the line is gone.
         """
         _check_id(id)
@@ -120,16 +120,16 @@ class Bus:
     def sync_read(
         self, ids: Iterable[int], address: int, length: int, *, timeout_s: float | None = None
     ) -> dict[int, bytes]:
-        """The same bytes of several servos, with one question.
+        """Read a span of registers from several servos with one request.
 
         Args:
-            ids: who is asked, each once.
-            address: of the first byte.
-            length: bytes.
-            timeout_s: in place of the bus's `cycle_timeout_s`.
+            ids: ids of the servos.
+            address: address of the first byte.
+            length: number of bytes.
+            timeout_s: timeout in place of the bus's `cycle_timeout_s`, s.
 
         Returns:
-            The bytes by id, of those servos that answered.
+            The bytes of the servos that answered, by id.
 
         Raises:
             HardwareError: the line is gone.
@@ -151,11 +151,11 @@ class Bus:
         """Write a register of several servos at once; they do not answer.
 
         Args:
-            register: of all of them.
-            values: numbers by id.
+            register: the register.
+            values: values by id.
 
         Raises:
-            ConfigurationError: the register cannot hold a number.
+            ConfigurationError: the register cannot hold a value.
             HardwareError: the line is gone.
         """
         params = _span(register.address, register.length)
@@ -165,7 +165,7 @@ class Bus:
         self.line.send(instruction_packet(BROADCAST, Instruction.SYNC_WRITE, params))
 
     def close(self) -> None:
-        """Give the line back; servos keep doing what they do."""
+        """Release the line; the servos continue with their last goals."""
         self.line.close()
 
     def _answer(self, packet: bytes, id: int, length: int, question: str) -> Status:
@@ -184,10 +184,10 @@ class Bus:
     def _ask(
         self, packet: bytes, ids: list[int], length: int, timeout_s: float
     ) -> tuple[dict[int, Status], dict[int, int]]:
-        """Send a question and wait for its answers.
+        """Send a request and wait for its answers.
 
         Returns:
-            Those that came by id, and the lengths by id of those whose length was another.
+            Matching answers by id, and the data lengths of answers with a wrong length by id.
         """
         self._discard_late()
         self.line.send(packet)
@@ -200,7 +200,7 @@ class Bus:
             if not data:
                 break
             for status in self._statuses(data):
-                # who refuses sends no data
+                # an error answer has no data
                 fits = len(status.data) == (0 if status.error else length)
                 if status.id in ids and status.id not in answers and fits:
                     answers[status.id] = status
@@ -208,7 +208,7 @@ class Bus:
                 self.stale += 1
                 if status.id in ids:
                     other[status.id] = len(status.data)
-            if time.monotonic() > until_s:  # a line that babbles has always something to read
+            if time.monotonic() > until_s:  # a line that babbles never runs out of data
                 break
         return answers, other
 

@@ -1,6 +1,6 @@
 """Registers of Dynamixel X-series servos and their units.
 
-Addresses, lengths and units are those of ROBOTIS's manuals. What lies below `EEPROM_END` survives
+Addresses, lengths and units are those of ROBOTIS's manuals. Registers below `EEPROM_END` survive
 power-off and cannot be written while torque is on.
 """
 
@@ -12,10 +12,10 @@ class Register(NamedTuple):
     """A number in a servo's memory, little-endian.
 
     Attributes:
-        name: as in ROBOTIS's manuals, in capitals.
-        address: of its first byte.
-        length: bytes.
-        signed: whether it is a two's complement.
+        name: name in ROBOTIS's manuals, in capitals.
+        address: address of its first byte.
+        length: number of bytes.
+        signed: True for a two's complement number.
     """
 
     name: str
@@ -25,7 +25,7 @@ class Register(NamedTuple):
 
     @property
     def end(self) -> int:
-        """Address behind its last byte."""
+        """Address after its last byte."""
         return self.address + self.length
 
     @property
@@ -39,11 +39,11 @@ class Register(NamedTuple):
         return (1 << (8 * self.length - self.signed)) - 1
 
     def encode(self, value: int) -> bytes:
-        """A number from `least` to `most` as bytes."""
+        """Encode a number from `least` to `most` as bytes."""
         return value.to_bytes(self.length, "little", signed=self.signed)
 
     def decode(self, data: bytes | bytearray) -> int:
-        """The number that `length` bytes hold."""
+        """Decode the number in `length` bytes."""
         return int.from_bytes(data, "little", signed=self.signed)
 
 
@@ -74,7 +74,7 @@ PROFILE_VELOCITY: Final = Register("PROFILE_VELOCITY", 112, 4)
 GOAL_POSITION: Final = Register("GOAL_POSITION", 116, 4, signed=True)
 MOVING: Final = Register("MOVING", 122, 1)
 PRESENT_LOAD: Final = Register("PRESENT_LOAD", 126, 2, signed=True)
-"""Tenths of a percent of the greatest torque; of models with a current sensor, its current."""
+"""Load, 0.1 % of the greatest torque; on models with a current sensor, the current."""
 PRESENT_VELOCITY: Final = Register("PRESENT_VELOCITY", 128, 4, signed=True)
 PRESENT_POSITION: Final = Register("PRESENT_POSITION", 132, 4, signed=True)
 PRESENT_INPUT_VOLTAGE: Final = Register("PRESENT_INPUT_VOLTAGE", 144, 2)
@@ -112,31 +112,33 @@ REGISTERS: Final = (
     PRESENT_INPUT_VOLTAGE,
     PRESENT_TEMPERATURE,
 )
-"""All that each of `MODELS` has, by address."""
+"""Registers that each of `MODELS` has, by address."""
 
 EEPROM_END: Final = 64
-"""Address behind the last register that is locked while torque is on."""
+"""Address after the last register that is locked while torque is on (physical: X series)."""
 
 TICKS_PER_TURN: Final = 4096
+"""Encoder ticks per turn (physical: X series)."""
 TICK_RAD: Final = 2 * pi / TICKS_PER_TURN
-"""Unit of positions, rad."""
+"""Unit of positions, rad (physical: X series)."""
 TICK_RAD_S: Final = 0.229 * 2 * pi / 60
-"""Unit of velocities, 0.229 rev/min in rad/s."""
+"""Unit of velocities, 0.229 rev/min in rad/s (physical: X series)."""
 CENTRE_TICKS: Final = 2048
-"""Position in the middle of the turn."""
+"""Position in the middle of the turn, ticks (physical: X series)."""
 WATCHDOG_S: Final = 0.02
-"""Unit of BUS_WATCHDOG, s."""
+"""Unit of BUS_WATCHDOG, s (physical: X series)."""
 WATCHDOG_MOST: Final = 127
-"""Longest watchdog, in its unit; 0 switches it off."""
+"""Longest watchdog time, in its unit; 0 switches it off (physical: X series)."""
 WATCHDOG_TRIPPED: Final = -1
-"""BUS_WATCHDOG of a servo that has stopped since nobody spoke; writing 0 clears it."""
+"""BUS_WATCHDOG of a servo stopped for lack of packets; writing 0 clears it (physical: X series)."""
 
+# Values of OPERATING_MODE (physical: X series).
 VELOCITY_MODE: Final = 1
 POSITION_MODE: Final = 3
 EXTENDED_POSITION_MODE: Final = 4
 
 BAUD_RATES: Final = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
-"""Rates that numbers in BAUD_RATE stand for, bit/s."""
+"""Baud rates by the value of BAUD_RATE, bit/s (physical: X series)."""
 
 MODELS: Final = {
     30: "MX-28",
@@ -176,6 +178,6 @@ MODELS: Final = {
 }
 """Servos with these registers and units, by MODEL_NUMBER; of MX servos, those with Protocol 2.0.
 
-Users report of XL330 and XC330 with firmware 51 that their BUS_WATCHDOG trips and does not stop the
-motor (forum.robotis.com/t/4814).
+Users report that on XL330 and XC330 with firmware 51 a tripped BUS_WATCHDOG does not stop the motor
+(forum.robotis.com/t/4814).
 """

@@ -1,10 +1,10 @@
-"""Dynamixel Protocol 2.0: packets as bytes, in both directions, without I/O.
+"""Dynamixel Protocol 2.0: encoding and parsing of packets, without I/O.
 
     FF FF FD 00 | id | length (2) | instruction | parameters ... | CRC-16 (2)
 
-Numbers are little-endian; the length counts what follows it. `FF FF FD` among instruction and
+Numbers are little-endian; the length counts the bytes after it. `FF FF FD` among instruction and
 parameters is sent as `FF FF FD FD` (byte stuffing), so that a header never occurs inside a packet,
-except where the CRC happens to end one.
+unless bytes of the CRC happen to complete one.
 """
 
 from collections.abc import Iterator
@@ -15,24 +15,25 @@ from vergence.errors import ConfigurationError
 
 HEADER: Final = b"\xff\xff\xfd\x00"
 BROADCAST: Final = 0xFE
-"""The id that all servos listen to."""
+"""Id that addresses all servos (physical: Protocol 2.0)."""
 MOST_ID: Final = 252
+"""Greatest id of a servo (physical: Protocol 2.0)."""
 
 MOST_LENGTH: Final = 384
-"""Largest length field of a packet that is made or accepted.
+"""Largest length field of a packet that is sent or accepted (chosen).
 
-All 147 bytes of an X-series servo's own registers fit in, and a sync write of 8 bytes to 40 servos.
-The protocol allows 65,535: a broken header that announces so much would hold back what follows it.
+The 147 bytes of an X-series servo's own registers fit in, and a sync write of 8 bytes to 40 servos.
+The protocol allows 65,535, but a damaged header with such a length would hold back later packets.
 """
 
-_SHORTEST: Final = 3  # instruction and CRC
-_FRAME: Final = 7  # header, id and length
+_SHORTEST: Final = 3  # least length field: instruction and CRC (physical: Protocol 2.0)
+_FRAME: Final = 7  # bytes of header, id and length (physical: Protocol 2.0)
 _UNSTUFFED: Final = b"\xff\xff\xfd"
 _STUFFED: Final = b"\xff\xff\xfd\xfd"
 
 
 class Instruction(IntEnum):
-    """The kinds of packets; all but STATUS come from the controller."""
+    """Instructions of packets; all but STATUS come from the controller."""
 
     PING = 0x01
     READ = 0x02
@@ -44,7 +45,7 @@ class Instruction(IntEnum):
 
 
 class ErrorNumber(IntEnum):
-    """Why a servo did not do what it was told, in the lower seven bits of a status's error."""
+    """Reason of a refused instruction, in the lower seven bits of a status packet's error."""
 
     RESULT_FAIL = 1
     INSTRUCTION = 2
@@ -64,20 +65,20 @@ ERRORS: Final = {
     ErrorNumber.DATA_LIMIT: "a value beyond the servo's configured limit",
     ErrorNumber.ACCESS: "the register is read-only, or locked while torque is on",
 }
-"""The error numbers in words."""
+"""Texts of the error numbers."""
 
 ALERT: Final = 0x80
-"""The bit of a status's error that says that HARDWARE_ERROR_STATUS is not 0."""
+"""Bit of a status packet's error: HARDWARE_ERROR_STATUS is not 0 (physical: Protocol 2.0)."""
 
 
 class Status(NamedTuple):
     """A servo's answer.
 
     Attributes:
-        id: who answers.
-        error: an `ErrorNumber`, or 0 if the instruction was carried out.
-        alert: whether the servo has a hardware error, which is no error of the instruction.
-        data: what was read; empty for writes.
+        id: id of the servo that answers.
+        error: an `ErrorNumber`, or 0 if the instruction was executed.
+        alert: True if the servo has a hardware error, independent of the instruction.
+        data: bytes that were read; empty for writes.
     """
 
     id: int
@@ -87,7 +88,7 @@ class Status(NamedTuple):
 
 
 class Packet(NamedTuple):
-    """A packet without its frame, un-stuffed."""
+    """A packet without header, length and CRC, and without byte stuffing."""
 
     id: int
     instruction: int
@@ -95,7 +96,7 @@ class Packet(NamedTuple):
 
     @property
     def status(self) -> Status | None:
-        """The packet as a servo's answer; None if it is none."""
+        """The packet as a servo's answer; None if it is not one."""
         if self.instruction != Instruction.STATUS or not self.params:
             return None
         error = self.params[0]
@@ -121,12 +122,12 @@ def crc16(data: bytes | bytearray) -> int:
 
 
 def instruction_packet(id: int, instruction: int, params: bytes = b"") -> bytes:
-    """A packet as it goes over the wire.
+    """Encode a packet for the wire.
 
     Args:
-        id: the servo's, 0 to 252, or BROADCAST.
+        id: id of the servo, 0 to 252, or BROADCAST.
         instruction: one of `Instruction`.
-        params: parameters as the instruction defines them, not stuffed.
+        params: parameters of the instruction, without byte stuffing.
 
     Raises:
         ConfigurationError: another id, or more parameters than a packet takes.
@@ -144,7 +145,7 @@ def instruction_packet(id: int, instruction: int, params: bytes = b"") -> bytes:
 
 
 def status_packet(id: int, params: bytes = b"", error: int = 0) -> bytes:
-    """A servo's answer as it goes over the wire: an error, 0 for none, and what was read."""
+    """Encode a servo's answer for the wire: its error, 0 for none, and the bytes read."""
     return instruction_packet(id, Instruction.STATUS, bytes((error,)) + params)
 
 
@@ -153,16 +154,16 @@ def _is_id(id: int) -> bool:
 
 
 class Parser:
-    """Packets out of a stream of bytes that may be damaged, whatever the pieces it comes in.
+    """Parser of packets from a stream of bytes that may be damaged and arrives in any pieces.
 
-    A packet counts if header, id, length and CRC are right. After one that is not, the search for
-    a header goes on right behind the rejected header, so a packet inside a broken one is found. A
-    header inside a packet that is not yet complete shows that packet to be broken, so a length
-    that is too large holds nothing back.
+    A packet is accepted if header, id, length and CRC are right. After a rejected one the search
+    continues directly behind its header, so a packet inside a damaged one is found. A header inside
+    an incomplete packet shows that this packet is damaged, so a wrong, large length does not hold
+    back later packets.
 
     Attributes:
-        rejected: headers so far that began no packet.
-        skipped: bytes so far that belonged to no packet.
+        rejected: number of headers so far that began no valid packet.
+        skipped: number of bytes so far outside valid packets.
     """
 
     def __init__(self) -> None:
@@ -171,16 +172,16 @@ class Parser:
         self._buffer = bytearray()
 
     def __len__(self) -> int:
-        """Bytes that wait for more; at most 6 above MOST_LENGTH."""
+        """Number of buffered bytes; at most 6 above MOST_LENGTH."""
         return len(self._buffer)
 
     def clear(self) -> None:
-        """Forget the beginning of a packet that has not been completed."""
+        """Discard the beginning of an incomplete packet."""
         self.skipped += len(self._buffer)
         self._buffer.clear()
 
     def feed(self, data: bytes) -> list[Packet]:
-        """The packets that are complete with these bytes, in the order in which they came."""
+        """Add bytes; return the packets that they complete, in order of arrival."""
         self._buffer += data
         return list(self._packets())
 
@@ -194,7 +195,7 @@ class Parser:
             if (
                 not _is_id(buffer[4])
                 or not _SHORTEST <= length <= MOST_LENGTH
-                # the CRC may end in what looks like a header: only before it is one a fault
+                # a header before the CRC is a fault; the CRC itself may complete one
                 or buffer.find(HEADER, len(HEADER), end - 2) >= 0
             ):
                 self._reject()
@@ -209,7 +210,7 @@ class Parser:
                 yield packet
 
     def _seek(self) -> bool:
-        """Drop what stands before the next header, but not the beginning of one at the end."""
+        """Drop the bytes before the next header; the beginning of one at the end stays."""
         buffer = self._buffer
         at = buffer.find(HEADER)
         found = at >= 0

@@ -1,4 +1,4 @@
-"""A serial line with timeouts on the monotonic clock, for this process alone."""
+"""A serial line with timeouts on the monotonic clock, opened exclusively by this process."""
 
 import errno
 import logging
@@ -14,28 +14,28 @@ from vergence.errors import HardwareError, how_to_install
 _LOG: Final = logging.getLogger(__name__)
 _GONE: Final = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF)
 _AT_ONCE: Final = 4096
-"""Bytes to read at once: more than the answers to one question."""
+"""Most bytes of one read: more than the answers to one request (numerical)."""
 _DRAINED: Final = 1 << 16
-"""Most bytes that `drain` takes, so that a line that never falls silent does not hold it."""
-_ASYNC_LOW_LATENCY: Final = 0x2000  # linux/tty_flags.h
-_FLAGS_AT: Final = 16  # offset of `flags` in struct serial_struct of linux/serial.h
-_SERIAL_STRUCT: Final = 128  # bytes, at least those of struct serial_struct
+"""Most bytes that `drain` reads, so that it ends on a line that is never silent (chosen)."""
+_ASYNC_LOW_LATENCY: Final = 0x2000  # flag of linux/tty_flags.h (physical: Linux)
+_FLAGS_AT: Final = 16  # offset of `flags` in serial_struct of linux/serial.h (physical: Linux)
+_SERIAL_STRUCT: Final = 128  # bytes, no fewer than serial_struct has (numerical)
 
 
 class SerialLine:
     """An open serial port in raw mode: 8 data bits, no parity, one stop bit, no flow control.
 
     Args:
-        port: the device, such as "/dev/ttyUSB0".
-        baud: bit/s.
+        port: the device file, such as "/dev/ttyUSB0".
+        baud: baud rate, bit/s.
 
     Attributes:
-        port: the device.
-        baud: bit/s.
+        port: the device file.
+        baud: baud rate, bit/s.
 
     Raises:
-        HardwareError: the port is not there, is no serial port, belongs to another process or
-            cannot have this rate, or the system is neither Linux nor macOS.
+        HardwareError: the port does not exist, is not a serial port, is open in another process or
+            does not support this rate, or the system is neither Linux nor macOS.
     """
 
     def __init__(self, port: str, baud: int = 1_000_000) -> None:
@@ -47,7 +47,7 @@ class SerialLine:
             ) from None
         self.port, self.baud = port, baud
         self._fd = -1
-        self._by_pyserial: Any = None  # holds the descriptor, where it has set the rate
+        self._by_pyserial: Any = None  # owns the descriptor if pyserial has set the rate
         try:
             self._fd = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
             self._claim()
@@ -61,14 +61,14 @@ class SerialLine:
         _LOG.info("%s opened at %d baud", port, baud)
 
     def wire_s(self, count: int) -> float:
-        """How long a number of bytes takes on the wire, s: ten bits each."""
+        """Time of a number of bytes on the wire, s: ten bits each."""
         return 10.0 * count / self.baud
 
     def send(self, data: bytes, timeout_s: float = 0.1) -> None:
         """Write all bytes.
 
         Raises:
-            HardwareError: the line is gone, or takes no more within the time.
+            HardwareError: the line is gone, or does not accept all bytes in time.
         """
         until = time.monotonic() + timeout_s
         left = memoryview(data)
@@ -85,13 +85,13 @@ class SerialLine:
                 raise self._fault(error) from error
 
     def receive(self, until_s: float) -> bytes:
-        """What comes next, as soon as anything does.
+        """Wait for the next bytes.
 
         Args:
-            until_s: when to give up, on `time.monotonic`.
+            until_s: time limit on `time.monotonic`, s.
 
         Returns:
-            One byte or more; none if the time is over.
+            One byte or more; none after the time limit.
 
         Raises:
             HardwareError: the line is gone.
@@ -100,23 +100,23 @@ class SerialLine:
             return b""
         try:
             data = os.read(self._descriptor(), _AT_ONCE)
-        except BlockingIOError:  # somebody else has taken it
+        except BlockingIOError:  # another reader has taken the bytes
             return b""
         except OSError as error:
             raise self._fault(error) from error
-        if not data:  # there was something to read, and it was the end
+        if not data:  # readable but empty: end of file
             raise self._gone()
         return data
 
     def drain(self) -> bytes:
-        """What has come and not been read, without waiting."""
+        """Read all bytes that have arrived, without waiting."""
         drained = b""
         while len(drained) < _DRAINED and (data := self.receive(0.0)):
             drained += data
         return drained
 
     def close(self) -> None:
-        """Give the port back; again does nothing."""
+        """Release the port; a second call does nothing."""
         fd, self._fd = self._fd, -1
         if fd < 0:
             return
@@ -139,7 +139,7 @@ class SerialLine:
         return self._fd
 
     def _ready(self, until_s: float, *, to_write: bool = False) -> bool:
-        """Wait until there is something to read, or space to write."""
+        """Wait until the line is readable, or writable; False after the time limit."""
         fd = [self._descriptor()]
         left_s = max(until_s - time.monotonic(), 0.0)
         try:
@@ -157,7 +157,7 @@ class SerialLine:
         return HardwareError(f"{self.port}: the serial line is gone (was the cable pulled?)")
 
     def _claim(self) -> None:
-        """Keep other processes out: those that lock, and those that open."""
+        """Lock the port against other processes: by a file lock, and against opening."""
         import fcntl
         import termios
 
@@ -187,7 +187,7 @@ class SerialLine:
         termios.tcflush(self._fd, termios.TCIOFLUSH)
 
     def _hand_to_pyserial(self) -> None:
-        """Let pyserial open the port: it knows each system's way to a rate without a constant."""
+        """Let pyserial open the port: it can set rates without a termios constant on any system."""
         try:
             import serial
         except ImportError:
@@ -205,15 +205,15 @@ class SerialLine:
         self._ask_for_low_latency()
 
     def _ask_for_low_latency(self) -> None:
-        """Get bytes as they come: FTDI adapters otherwise collect them for 16 ms."""
+        """Request bytes without delay: FTDI adapters otherwise collect them for 16 ms."""
         import fcntl
         import termios
 
         ask, tell = (getattr(termios, name, None) for name in ("TIOCGSERIAL", "TIOCSSERIAL"))
-        if ask is None or tell is None:  # Linux alone has them
+        if ask is None or tell is None:  # only Linux has them
             return
         state = bytearray(_SERIAL_STRUCT)
-        with suppress(OSError):  # not every driver has this, and not every user may
+        with suppress(OSError):  # not all drivers support it, not all users may
             fcntl.ioctl(self._fd, ask, state)
             flags = int.from_bytes(state[_FLAGS_AT : _FLAGS_AT + 4], sys.byteorder)
             flags |= _ASYNC_LOW_LATENCY

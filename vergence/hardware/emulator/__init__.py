@@ -1,1 +1,1 @@
-"""Emulated hardware that answers byte for byte as the real one does, without any I/O."""
+"""Emulated hardware that answers byte for byte as the real one does."""

@@ -1,4 +1,4 @@
-"""A board that stands before an emulated head, at a place of its own in the world."""
+"""A board at a fixed pose in the world before an emulated head."""
 
 from typing import Final
 
@@ -12,19 +12,20 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _ASIDE_M: Final = (0.03, -0.02)
-"""Place of its middle beside the line ahead, right and down, m."""
+"""Offset of its centre from the line straight ahead, right and down, m (chosen)."""
 _TILT_RAD: Final = (0.25, -0.3, 0.05)
-"""Rotation vector by which it does not face the head, rad: a tilted board tells focal lengths."""
+"""Rotation vector away from facing the head, rad: a tilted board makes focal lengths observable
+(chosen)."""
 
 
 def parse_standing(text: str) -> PlanarTarget:
-    """The board that a text names.
+    """Parse the description of a board of known size.
 
     Args:
-        text: see `parse_target`.
+        text: the description, see `parse_target`.
 
     Raises:
-        ConfigurationError: it is none, or has no size.
+        ConfigurationError: it does not describe one board, or gives no size.
     """
     target = parse_target(text)
     if isinstance(target, TagFamily) or not target.size_known:
@@ -36,15 +37,15 @@ def parse_standing(text: str) -> PlanarTarget:
 
 
 def standing(head: HeadModel, target: PlanarTarget, distance_m: float) -> FloatArray:
-    """The pose of a board that stands ahead of a head at rest, a bit tilted.
+    """Pose of a board ahead of a head at rest, slightly tilted.
 
     Args:
-        head: before which it stands.
+        head: the head that looks at the board.
         target: the board.
-        distance_m: of its middle from N's origin, along N's z axis, m.
+        distance_m: distance of its centre from N's origin along N's z axis, m.
 
     Returns:
-        (4, 4) T_0_T, m.
+        (4, 4) pose T_0_T of the board in the fixed frame 0, m.
     """
     T_N_T = np.eye(4)
     T_N_T[:3, :3] = Rotation.from_rotvec(_TILT_RAD).as_matrix()

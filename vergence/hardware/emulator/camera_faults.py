@@ -1,4 +1,4 @@
-"""What faults of the cameras make of the images of both eyes."""
+"""Effects of camera faults on the images of both eyes."""
 
 from collections.abc import Iterable
 
@@ -10,10 +10,10 @@ from vergence.models.joints import EYE_NAMES
 
 
 class CameraFaults:
-    """The faults of the cameras that are on.
+    """The active faults of the cameras.
 
     Args:
-        rng: draws which images they befall.
+        rng: draws the images that a fault with a probability affects.
     """
 
     def __init__(self, rng: np.random.Generator) -> None:
@@ -22,28 +22,28 @@ class CameraFaults:
         self._old: list[Image | None] = [None for _ in EYE_NAMES]
 
     def update(self, faults: Iterable[Fault]) -> None:
-        """Have these in place of those before."""
+        """Replace the active faults."""
         self._on = tuple(faults)
 
     @property
     def out_of_step_s(self) -> float:
-        """By how much later the right camera exposes, s."""
+        """Extra delay of the right camera's exposures, s."""
         return sum(fault.value for fault in self._on if fault.what == "out-of-step")
 
     def late_s(self, eye: int) -> float:
-        """By how much later an eye's image is sent, s."""
+        """Extra delay at which an eye's images are sent, s."""
         return sum(fault.value for fault in self._of(eye, "late"))
 
     def has_ended(self, eye: int) -> bool:
-        """Whether an eye's stream is closed."""
+        """True if an eye's stream is closed."""
         return bool(self._of(eye, "ended"))
 
     def image(self, eye: int, new: Image) -> Image | None:
-        """The image that an eye sends in place of a new one; None for none."""
+        """Apply the faults to an eye's new image; None if no image is sent."""
         old = self._old[eye]
         if old is not None and self._of(eye, "frozen"):
             new = old
-        self._old[eye] = new = new.copy()  # whoever draws draws into the same array again
+        self._old[eye] = new = new.copy()  # the caller reuses the array for the next image
         if self._of(eye, "stalled") or self._falls(eye, "dropped"):
             return None
         if old is not None and self._falls(eye, "torn"):

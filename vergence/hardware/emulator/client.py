@@ -1,6 +1,6 @@
-"""Requests to the world of an emulated head: where its target is, and what is true there.
+"""Requests to the world of an emulated head: placing the target, faults, ground truth.
 
-A request and its answer are a line of JSON each, with nan and inf, over TCP. Times are those of the
+Request and answer are a line of JSON each, with nan and inf, over TCP. Times are those of the
 machine's monotonic clock, which all its processes share.
 """
 
@@ -14,13 +14,14 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _TIMEOUT_S: Final = 5.0
+"""Longest wait for the connection or an answer, s (chosen)."""
 
 
 class EmulatedWorld:
     """A connection to the world of an emulated head.
 
     Args:
-        address: HOST:PORT.
+        address: HOST:PORT of the world.
 
     Raises:
         HardwareError: nothing answers there.
@@ -31,7 +32,7 @@ class EmulatedWorld:
         host, _, port = address.rpartition(":")
         try:
             self._socket = socket.create_connection((host, int(port)), timeout=_TIMEOUT_S)
-        except (OSError, UnicodeError) as error:  # the latter of a name that no host can have
+        except (OSError, UnicodeError) as error:  # UnicodeError: an invalid host name
             raise HardwareError(
                 f"emulator: expected an emulated head at {address}, got none: "
                 f"{getattr(error, 'strerror', None) or error} (does vergence emulate still run?)"
@@ -43,7 +44,7 @@ class EmulatedWorld:
         """Send a request and wait for its answer.
 
         Raises:
-            HardwareError: there is none.
+            HardwareError: no answer arrives, or the answer is an error.
         """
         try:
             self._socket.sendall(json.dumps(request).encode() + b"\n")
@@ -64,7 +65,7 @@ class EmulatedWorld:
         )
 
     def show(self, motion: FloatArray) -> None:
-        """Place a target, at its place before anything moves.
+        """Place a target at the start of its motion; `begin` starts the motion.
 
         Args:
             motion: (MOTION or more,) see `vergence.envs.targets.motion`.
@@ -72,14 +73,14 @@ class EmulatedWorld:
         self.ask({"show": motion.tolist()})
 
     def begin(self, now_s: float) -> None:
-        """Let the target's own time begin."""
+        """Start the target's own time."""
         self.ask({"begin": now_s})
 
     def fault(self, **request: Any) -> float:
-        """Let a fault begin, see `vergence.hardware.emulator.fault`.
+        """Begin a fault, see `vergence.hardware.emulator.fault`.
 
         Returns:
-            When it began, s of the monotonic clock.
+            Time at which it began, s of the monotonic clock.
 
         Raises:
             HardwareError: there is no such fault.
@@ -87,27 +88,27 @@ class EmulatedWorld:
         return float(self.ask({"fault": request})["time"])
 
     def clear(self) -> None:
-        """End all faults that can end."""
+        """End all active faults; `overload`, `reboot` and `unplug` cannot end."""
         self.ask({"clear": None})
 
     def rested_s(self, since: float) -> float | None:
-        """From when on no joint has turned faster than 0.024 rad/s, s of the monotonic clock.
+        """Start of the present rest: since then no joint has turned faster than 0.024 rad/s.
 
         Args:
-            since: earliest answer, s of that clock, at most 20 s ago.
+            since: earliest time to return, s of the monotonic clock, at most 20 s ago.
 
         Returns:
-            The time; None while one turns.
+            The time, s of the monotonic clock; None while a joint turns.
         """
         rested_s: float | None = self.ask({"rest": {"since": since}})["rested_s"]
         return rested_s
 
     def truth(self, head: HeadModel, time_s: float) -> Truth:
-        """What is true at present.
+        """Present ground truth.
 
         Args:
-            head: the model that the controller knows, by which errors are counted.
-            time_s: since the trial's start, s.
+            head: the model that the controller uses, for the pixel errors.
+            time_s: time since the trial's start, s.
         """
         told = self.ask({"state": None})
         truth = Truth.unknown(1)

@@ -1,4 +1,4 @@
-"""What an emulated head is like; also the options of `vergence emulate`."""
+"""Configuration of an emulated head; also the options of `vergence emulate`."""
 
 import math
 from dataclasses import dataclass
@@ -10,14 +10,15 @@ import tyro
 from vergence.errors import ConfigurationError
 
 _MOST_S: Final = 10.0
+"""Greatest value of options that are times, s (chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EmulatorConfig:
-    """What an emulated head is like.
+    """Configuration of an emulated head.
 
     Raises:
-        ConfigurationError: a number cannot be.
+        ConfigurationError: a value is out of range.
     """
 
     head: Annotated[str, tyro.conf.arg(metavar="HEAD")] = "turrets"
@@ -25,23 +26,23 @@ class EmulatorConfig:
     target_mm: Annotated[
         tuple[float, float, float], tyro.conf.arg(name="target", metavar="X Y Z")
     ] = (0.0, -100.0, 1000.0)
-    """Where the target stands until a trial places it, in mm, in the base frame N: x right, y down,
+    """Position of the target until a trial places it, in mm, in the base frame N: x right, y down,
     z forward."""
     board: Annotated[str | None, tyro.conf.arg(help_behavior_hint="", metavar="TARGET")] = None
-    """A board that stands still in the world in place of a tag that trials place, such as
+    """A board fixed in the world, in place of a tag that trials place, such as
     checkerboard:9x6:24 (inner corners, square in mm); none by default."""
     board_distance_m: Annotated[float, tyro.conf.arg(name="board-distance", metavar="METRES")] = 0.7
-    """How far ahead of the head at rest that board stands."""
+    """Distance of that board ahead of the head at rest."""
     latency_s: Annotated[
         float | None, tyro.conf.arg(name="latency", help_behavior_hint="", metavar="SECONDS")
     ] = None
-    """From the middle of an exposure to its image being sent; the head's by default."""
+    """Latency from mid-exposure to the sending of the image; the head's by default."""
     jitter_s: Annotated[float, tyro.conf.arg(name="jitter", metavar="SECONDS")] = 0.0
-    """The most by which an image is sent later than that."""
+    """Greatest random delay of an image beyond the latency."""
     right_late_s: Annotated[float, tyro.conf.arg(name="right-late", metavar="SECONDS")] = 0.0
-    """By how much the right camera exposes later than the left one."""
+    """Delay of the right camera's exposures after the left one's."""
     speed_filter_s: Annotated[float, tyro.conf.arg(name="speed-filter", metavar="SECONDS")] = 0.0
-    """Time constant of the filter through which the servos report their speeds."""
+    """Time constant of the low-pass filter on the speeds that the servos report."""
     lag_s: Annotated[
         float | None, tyro.conf.arg(name="lag", help_behavior_hint="", metavar="SECONDS")
     ] = None
@@ -51,13 +52,13 @@ class EmulatorConfig:
     ] = None
     """Greatest acceleration of the joints; the head's by default."""
     speed_gain: Annotated[float, tyro.conf.arg(metavar="RATIO")] = 1.0
-    """Speed of the joints by what they are told."""
+    """Steady-state speed of the joints per commanded speed."""
     command_latency_s: Annotated[
         float, tyro.conf.arg(name="command-latency", metavar="SECONDS")
     ] = 0.0
-    """From a command's arrival to the servos' response."""
+    """Latency from a command's arrival to the servos' response."""
     backlash_rad: Annotated[float, tyro.conf.arg(name="backlash", metavar="RAD")] = 0.0
-    """Play between the servos' encoders and the joints."""
+    """Backlash between the servos' encoders and the joints."""
     feedback_latency_s: Annotated[
         float, tyro.conf.arg(name="feedback-latency", metavar="SECONDS")
     ] = 0.0
@@ -66,9 +67,9 @@ class EmulatorConfig:
     """A TOML file of faults: tables [[fault]] with what, at_s (since torque was switched on) and
     the fault's own keys; none by default."""
     port: int = 0
-    """Port of the streams, on this machine alone; 0 for any that is free."""
+    """Port of the image streams, reachable from this machine only; 0 for any free port."""
     seed: int = 0
-    """Seed of the noise of the images, of the jitter, of the faults and of the head's errors."""
+    """Random seed of image noise, jitter, faults and head errors."""
 
     def __post_init__(self) -> None:
         times = ("latency_s", "jitter_s", "right_late_s", "speed_filter_s", "lag_s")

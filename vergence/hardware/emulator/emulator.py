@@ -1,4 +1,4 @@
-"""An emulated head on the wire: the world in this process, the cameras in another."""
+"""An emulated head: servos and world in this process, cameras in another."""
 
 import multiprocessing
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.hardware.emulator.fault import load_faults
 from vergence.hardware.emulator.server import WorldServer
 from vergence.hardware.emulator.streams import StreamConfig, run_streams
-from vergence.hardware.emulator.world import Motors, World
+from vergence.hardware.emulator.world import MotorOptions, World
 from vergence.models.boards import make_planar_target
 from vergence.models.files.head_file import from_anywhere, load_head
 from vergence.models.files.head_toml import head_to_toml
@@ -28,17 +28,17 @@ def emulate(
     stop: Callable[[], bool] = lambda: False,
     errors: ModelErrors | None = None,
 ) -> None:
-    """Emulate a head until something is true, or Ctrl-C.
+    """Emulate a head until `stop` returns True, or Ctrl-C.
 
     Args:
-        config: what it is like.
-        ready: called once with the text of the configuration that a controller needs, see
-            `vergence.hardware.config`, when servos and streams answer.
-        stop: looked at now and then.
-        errors: how far the head that really moves and sees lies from the head of `config`.
+        config: its configuration.
+        ready: called once when servos and streams answer, with the text of the hardware
+            configuration that a controller needs, see `vergence.hardware.config`.
+        stop: polled several times a second.
+        errors: model errors of the head that really moves and sees, against that of `config`.
 
     Raises:
-        VergenceError: there is no such head or board, or the script of faults is none.
+        VergenceError: there is no such head or board, or the script of faults is invalid.
         HardwareError: the cameras' process has ended.
     """
     head = load_head(config.head)
@@ -47,7 +47,9 @@ def emulate(
     board = None if config.board is None else parse_standing(config.board)
     T_0_T = None if board is None else standing(head, board, config.board_distance_m)
     point = np.asarray(config.target_mm) / 1000.0
-    motors = Motors(**{field.name: getattr(config, field.name) for field in fields(Motors)})
+    motors = MotorOptions(
+        **{field.name: getattr(config, field.name) for field in fields(MotorOptions)}
+    )
     world = World(true, point, motors, config.seed, T_0_T)
     if config.faults is not None:
         world.faults.schedule(load_faults(config.faults, world.ids))
@@ -87,10 +89,10 @@ def desk(head: str, digest: str, world: World, server: WorldServer, target: str)
 
     Args:
         head: the head's preset or file.
-        digest: of the head that this names.
+        digest: digest of that head.
         world: the world.
-        server: serves it.
-        target: what the cameras see, see `parse_target`.
+        server: the server of that world.
+        target: the target before the cameras, see `parse_target`.
     """
     return {
         "head": head,

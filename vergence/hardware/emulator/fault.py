@@ -1,8 +1,10 @@
-"""A fault that an emulated head can have: its name, whom it befalls, how often and for how long.
+"""Faults of an emulated head: their names, affected parts, probabilities and durations.
+
+An example in JSON:
 
     {"what": "late", "ids": [1, 2], "probability": 0.5, "for_s": 0.4, "value": 0.012}
 
-is one in JSON or TOML. Faults of cameras are those with an `eye`, or whose name no other fault has.
+A fault is one of a camera if it has the key `eye`, or if only cameras have a fault of its name.
 """
 
 import tomllib
@@ -29,14 +31,14 @@ _LOAD: Final[Rule] = (lambda x: -100.0 <= x <= 100.0, "percent of the greatest l
 
 
 class _Kind(NamedTuple):
-    """One name of a fault."""
+    """Properties of the faults of one name."""
 
     place: Place
     keys: tuple[str, ...]
     rule: Rule | None = None
-    """Of its value."""
+    """Rule of its value; None for faults without a value."""
     default: float | None = None
-    """Its value if none is given; None if it has to be given."""
+    """Default of its value; None if a value has to be given."""
 
 
 _ON_LINE: Final = ("ids", "for_s", "probability")
@@ -80,60 +82,62 @@ NAMES: Final = tuple(dict.fromkeys((*_KINDS, *_CAMERA_KINDS)))
 class Fault:
     """One fault.
 
-    Of the line, by each answer of a servo: `bad-crc`, `short` (cut off), `late` (by a value in s),
-    `lost`, `doubled`.
+    Faults of the line affect single answers of servos: `bad-crc`, `short` (cut off), `late` (by
+    `value` in s), `lost`, `doubled`.
 
-    Of a servo: `overload` and `reboot` happen once. `voltage` (V), `temperature` (degrees Celsius)
-    and `load` (percent) are what it measures. `silent` has its plug pulled out, `frozen` reports
-    one position while its joint moves, `stuck` does not move, `wrong-way` turns against commands.
+    Faults of a servo: `overload` and `reboot` happen once. `voltage` (V), `temperature` (degrees
+    Celsius) and `load` (percent) set its measurements to `value`. `silent` acts as if its plug were
+    pulled out, `frozen` reports one position while its joint moves, `stuck` does not move,
+    `wrong-way` turns against its commands.
 
-    Of the cable: `unplug`, for good.
+    Fault of the cable: `unplug`, permanent.
 
-    Of a camera: `frozen` sends one image again and again, `torn` the old image's lower half below
-    the new one's upper half; `late` is later by a value in s; `dropped` does not send an image;
-    `ended` closes the stream, `stalled` keeps it open without images; `out-of-step` exposes the
-    right one later by a value in s.
+    Faults of a camera: `frozen` repeats one image, `torn` sends the old image's lower half below
+    the new one's upper half; `late` sends images later by `value` in s; `dropped` does not send an
+    image; `ended` closes the stream, `stalled` keeps it open without images; `out-of-step` exposes
+    the right camera later by `value` in s.
     """
 
     what: str
     """Name, one of `NAMES`."""
     place: Place
-    """What it is a fault of."""
+    """Part that it affects."""
     ids: tuple[int, ...] = ()
-    """Servos."""
+    """Ids of the affected servos."""
     eye: str = BOTH
-    """Camera: "left", "right" or "both"."""
+    """Affected camera: "left", "right" or "both"."""
     probability: float = 1.0
-    """Of each answer or image."""
+    """Probability to affect each answer or image."""
     for_s: float = inf
-    """Time that it lasts, s."""
+    """Duration, s."""
     value: float = 0.0
-    """See above."""
+    """Value, in the unit given above."""
     at_s: float = 0.0
-    """When it begins in a script, s after torque was switched on."""
+    """Time of its beginning in a script, s after torque was switched on."""
 
     def befalls(self, eye: int) -> bool:
-        """Whether a camera's fault is one of this eye, 0 for left."""
+        """True if this fault of a camera affects an eye, 0 for left."""
         return self.eye in (BOTH, EYE_NAMES[eye])
 
     def to_plain(self) -> dict[str, Any]:
-        """What `parse_fault` makes it of, without servos and times."""
+        """Plain values for `parse_fault`, without servos and times; for faults of cameras."""
         kind = _CAMERA_KINDS[self.what]
         plain = {"eye": self.eye, "probability": self.probability, "value": self.value}
         return {"what": self.what, **{key: plain[key] for key in kind.keys if key in plain}}
 
 
 def parse_fault(values: object, ids: Collection[int], path: str = "fault", *, timed: bool) -> Fault:
-    """Make a fault of plain values.
+    """Make a fault from plain values.
 
     Args:
         values: a mapping, from JSON or TOML.
-        ids: of the servos that there are; all of them are befallen if none are named.
-        path: what messages call it.
-        timed: whether it says when it begins.
+        ids: ids of the existing servos; a fault that names none affects all of them.
+        path: name of the fault in messages.
+        timed: True if it gives the time of its beginning, `at_s`.
 
     Raises:
-        HeadFileError: a key or value is unknown, missing or impossible; says what there is.
+        HeadFileError: a key or value is unknown, missing or impossible; the message lists the
+            possible ones.
     """
     table = Table(values, path)
     what = table.choice("what", NAMES)
@@ -164,10 +168,10 @@ def parse_fault(values: object, ids: Collection[int], path: str = "fault", *, ti
 
 
 def load_faults(path: Path, ids: Collection[int]) -> tuple[Fault, ...]:
-    """Read a script: a TOML file with a table [[fault]] for each, which says `at_s` besides.
+    """Read a script: a TOML file with a table [[fault]] for each fault, which also gives `at_s`.
 
     Raises:
-        HeadFileError: the file is none, or a key of it is unknown, missing or impossible.
+        HeadFileError: the file is invalid, or a key of it is unknown, missing or impossible.
     """
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
@@ -175,7 +179,7 @@ def load_faults(path: Path, ids: Collection[int]) -> tuple[Fault, ...]:
         raise UnreadableFileError(
             str(path), error.strerror or str(error), "a TOML file of faults"
         ) from error
-    except (ValueError, RecursionError) as error:  # no UTF-8, nested too deep, a number too long
+    except (ValueError, RecursionError) as error:  # not UTF-8, too deep, a number too long
         raise UnreadableFileError(str(path), f"no TOML ({error})", "a TOML file") from error
     try:
         tables = Table(document, "")

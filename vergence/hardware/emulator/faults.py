@@ -1,4 +1,4 @@
-"""The faults of an emulated head over time: which are on, and what they make of its servos."""
+"""The faults of an emulated head over time: active and scheduled ones, and effects on servos."""
 
 import logging
 from collections.abc import Iterable
@@ -15,17 +15,17 @@ _MEASURED: Final = {
     "temperature": (table.PRESENT_TEMPERATURE, 1.0),
     "load": (table.PRESENT_LOAD, 10.0),
 }
-"""Register and its units in one of a fault's value, by the fault's name."""
+"""Register, and register units per unit of a fault's value, by the fault's name."""
 
 
 class Faults:
-    """Faults that are on, and those that a script has yet to begin.
+    """The active faults, and those that a script will begin.
 
     Args:
-        servos: whom they befall.
+        servos: the servos of the head.
 
     Attributes:
-        unplugged: whether the line's cable has been pulled.
+        unplugged: True once the line's cable has been pulled.
     """
 
     def __init__(self, servos: Iterable[Servo]) -> None:
@@ -35,28 +35,28 @@ class Faults:
             {name: servo.get(register) for name, (register, _) in _MEASURED.items()}
             for servo in self._servos
         ]
-        self._on: list[tuple[float, Fault]] = []  # with the time of the end
+        self._on: list[tuple[float, Fault]] = []  # with their end times, s
         self._script: list[Fault] = []
         self._script_s: float | None = None  # None until the script begins
 
     @property
     def due_s(self) -> float:
-        """When the next fault begins or ends by itself; inf for none."""
+        """Time at which the next fault begins or ends by itself, s; inf for none."""
         ends = min((end_s for end_s, _ in self._on), default=inf)
         if self._script_s is None or not self._script:
             return ends
         return min(ends, self._script_s + self._script[0].at_s)
 
     def on(self, place: Place) -> list[Fault]:
-        """The faults of one place that are on, by their beginnings."""
+        """Active faults of one kind of part, in the order in which they began."""
         return [fault for _, fault in self._on if fault.place == place]
 
     def schedule(self, script: Iterable[Fault]) -> None:
-        """Have faults begin by themselves."""
+        """Set the script: faults that begin by themselves."""
         self._script = sorted(script, key=lambda fault: fault.at_s)
 
     def start_script(self, now_s: float) -> None:
-        """Let the script's time begin; again does nothing."""
+        """Start the script's time; a second call does nothing."""
         if self._script_s is None:
             self._script_s = now_s
 
@@ -75,7 +75,7 @@ class Faults:
         self._apply()
 
     def to(self, now_s: float) -> None:
-        """Begin and end what is due at a time to which the servos have been brought."""
+        """Begin and end the faults that are due; the servos have to be advanced to this time."""
         for end_s, fault in self._on:
             if end_s <= now_s:
                 _tell(fault, "ends")
@@ -87,7 +87,7 @@ class Faults:
             self.begin(self._script.pop(0), now_s)
 
     def clear(self) -> None:
-        """End all that are on; what has happened once, and a pulled cable, stay."""
+        """End all active faults; those that happen once, and a pulled cable, stay."""
         for _, fault in self._on:
             _tell(fault, "ends")
         self._on.clear()

@@ -1,9 +1,9 @@
-"""Emulated servos that share a line: which of them a packet is for, and what each of them answers.
+"""Emulated servos on a shared line: the addressees of a packet, and their answers.
 
-Nothing here reads a clock or does I/O: `ServoLine.answer` takes a packet and the time at which it
-came, and gives what the servos send and after what delay of their own.
+Nothing here reads a clock or does I/O: `ServoLine.answer` takes a packet and its time of arrival,
+and returns the answers of the servos with their return delays.
 
-Not emulated, and refused where they are asked for: registered instructions, fast and bulk reads.
+Not emulated, and answered with an error: registered instructions, fast and bulk reads.
 """
 
 from collections.abc import Iterable, Iterator
@@ -25,28 +25,28 @@ from vergence.hardware.emulator.servo import Servo
 from vergence.models.parts import FloatArray
 
 _DELAY_S: Final = 2e-6
-"""Unit of RETURN_DELAY_TIME, s."""
+"""Unit of RETURN_DELAY_TIME, s (physical: Dynamixel X series)."""
 
 
-class Answer(NamedTuple):
+class TimedAnswer(NamedTuple):
     """A status packet that a servo sends."""
 
     id: int
     delay_s: float
-    """Its RETURN_DELAY_TIME, from the end of the packet before it, of the question or a servo."""
+    """Its RETURN_DELAY_TIME, from the end of the request or of the answer before it, s."""
     data: bytes
 
 
 class ServoLine:
     """Servos that share a line.
 
-    A servo that is silent does not keep those after it from answering a sync read.
+    In a sync read the servos after a silent one answer all the same.
 
     Args:
-        servos: each with an id of its own.
+        servos: servos with distinct ids.
 
     Raises:
-        ConfigurationError: two servos have one id.
+        ConfigurationError: two servos have the same id.
     """
 
     def __init__(self, servos: Iterable[Servo]) -> None:
@@ -57,11 +57,11 @@ class ServoLine:
 
     @property
     def trips(self) -> int:
-        """How often watchdogs have stopped servos."""
+        """Number of times that watchdogs have stopped servos."""
         return sum(servo.trips for servo in self.servos)
 
     def to(self, now_s: float) -> None:
-        """Bring all joints to a time, s; an earlier one than before changes nothing."""
+        """Advance all joints to a time, s; an earlier time than before changes nothing."""
         for servo in self.servos:
             servo.to(now_s)
 
@@ -73,14 +73,16 @@ class ServoLine:
         """True velocities of the joints, rad/s, shape (n,)."""
         return np.array([servo.v for servo in self.servos])
 
-    def answer(self, packet: Packet, now_s: float, baud_rate: int | None = None) -> list[Answer]:
-        """All status packets that a packet brings about, in their order.
+    def answer(
+        self, packet: Packet, now_s: float, baud_rate: int | None = None
+    ) -> list[TimedAnswer]:
+        """Status packets that answer a packet, in their order.
 
         Args:
-            packet: from the line, whatever it holds.
-            now_s: when it came, on the clock of `to`.
-            baud_rate: at which it was sent; servos with another one hear nothing. None for each
-                servo's own.
+            packet: any packet from the line.
+            now_s: time of its arrival, on the clock of `to`, s.
+            baud_rate: baud rate at which it was sent; servos with another rate do not receive it.
+                None for each servo's own.
         """
         self.to(now_s)
         if packet.instruction == Instruction.STATUS:
@@ -102,8 +104,8 @@ class ServoLine:
         return [answer for answer in answers if answer is not None]
 
 
-def _execute(servo: Servo, packet: Packet) -> Answer | None:
-    """Carry out an instruction to one servo, and say so where its return level asks for it."""
+def _execute(servo: Servo, packet: Packet) -> TimedAnswer | None:
+    """Execute an instruction on one servo; answer it if the servo's return level asks for it."""
     level, id = servo.get(table.STATUS_RETURN_LEVEL), servo.id
     params, data, error = packet.params, b"", 0
     least_level = 2
@@ -127,7 +129,7 @@ def _execute(servo: Servo, packet: Packet) -> Answer | None:
     return None if quiet else _status(servo, id, data, error)
 
 
-def _sync_read(servos: list[Servo], packet: Packet) -> Iterator[Answer]:
+def _sync_read(servos: list[Servo], packet: Packet) -> Iterator[TimedAnswer]:
     if packet.id != BROADCAST or len(packet.params) < 4:
         return
     address, length = _number(packet.params, 0), _number(packet.params, 2)
@@ -149,10 +151,10 @@ def _sync_write(servos: list[Servo], packet: Packet) -> None:
             servo.write(address, packet.params[at + 1 : at + 1 + length])
 
 
-def _status(servo: Servo, id: int, data: bytes, error: int) -> Answer:
+def _status(servo: Servo, id: int, data: bytes, error: int) -> TimedAnswer:
     alert = ALERT if servo.get(table.HARDWARE_ERROR_STATUS) else 0
     delay_s = _DELAY_S * servo.get(table.RETURN_DELAY_TIME)
-    return Answer(id, delay_s, status_packet(id, data, error | alert))
+    return TimedAnswer(id, delay_s, status_packet(id, data, error | alert))
 
 
 def _number(params: bytes, at: int) -> int:

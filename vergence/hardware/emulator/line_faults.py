@@ -1,4 +1,4 @@
-"""What faults of the line make of servos' answers: damaged, cut short, late, lost or doubled."""
+"""Effects of line faults on servos' answers: damaged, cut short, late, lost or doubled."""
 
 from collections.abc import Iterable, Sequence
 from typing import Final
@@ -6,28 +6,28 @@ from typing import Final
 import numpy as np
 
 from vergence.hardware.emulator.fault import Fault
-from vergence.hardware.emulator.line import Answer
+from vergence.hardware.emulator.line import TimedAnswer
 
 _KEPT: Final = 6
-"""Bytes of an answer that is cut short: header, id, and half of the length."""
+"""Bytes left of an answer that is cut short: header, id, and half of the length (chosen)."""
 _CRC_FLIPPED: Final = 0x01
-"""Bits of the checksum's last byte that are turned over."""
+"""Bits of the checksum's last byte that are flipped (chosen)."""
 
 
 def damage(
-    answers: Sequence[Answer], faults: Iterable[Fault], rng: np.random.Generator
+    answers: Sequence[TimedAnswer], faults: Iterable[Fault], rng: np.random.Generator
 ) -> list[tuple[float, bytes]]:
-    """What comes of answers.
+    """Apply the faults of the line to the answers to one request.
 
     Args:
-        answers: of one question, in their order.
-        faults: those of the line that are on; each meets every answer of its servos by its own
-            draw, in this order.
-        rng: draws.
+        answers: the answers, in their order.
+        faults: active faults of the line; each is drawn separately for every answer of its servos,
+            in this order.
+        rng: random generator of the draws.
 
     Returns:
-        By how much later than without a fault what is sent, in s, earliest first; what is sent at
-        the same time is in one piece.
+        Pairs of the delay beyond the faultless time, s, and the bytes, earliest first; bytes with
+        the same delay are joined.
     """
     sent: dict[float, bytes] = {}
     faults = list(faults)

@@ -1,6 +1,6 @@
-"""The control table of an emulated servo: its bytes, their factory values, and their locks.
+"""The control table of an emulated servo: its bytes, their factory values, ranges and locks.
 
-What lies below `EEPROM_END` survives a reboot; so does what the servo measures.
+Registers below `EEPROM_END` and the registers of measurements survive a reboot.
 """
 
 from typing import Final
@@ -10,13 +10,14 @@ from vergence.hardware.dynamixel.control_table import Register
 from vergence.hardware.dynamixel.packets import ErrorNumber
 
 _END: Final = 661
-"""Address behind an XL430-W250's last register."""
+"""Address after the last register (physical: XL430-W250)."""
 _MOST_READ: Final = 256
-"""Bytes to read at once whose status fits into a packet however much is stuffed."""
+"""Most bytes per read: their status fits into a packet with any byte stuffing (chosen)."""
 _REPORT: Final = slice(120, 147)
-"""What the servo reports and nobody writes: REALTIME_TICK to PRESENT_TEMPERATURE."""
+"""Addresses of measurements, which nobody writes: REALTIME_TICK to PRESENT_TEMPERATURE (physical:
+Dynamixel X series)."""
 _EXTENDED: Final = 1_048_575
-"""Greatest position in extended position mode: 256 turns."""
+"""Greatest position in extended position mode, ticks: 256 turns (physical: XL430-W250)."""
 
 _FACTORY: Final = {
     table.MODEL_NUMBER: 1060,
@@ -37,7 +38,7 @@ _FACTORY: Final = {
     table.PRESENT_INPUT_VOLTAGE: 120,
     table.PRESENT_TEMPERATURE: 31,
 }
-"""An XL430-W250 as it comes, at 12 V and 31 degrees; what is not here is 0."""
+"""Factory values of an XL430-W250, at 12 V and 31 degrees Celsius; other registers are 0."""
 
 _RANGES: Final = {
     table.ID: (0, 252),
@@ -60,14 +61,14 @@ _MODES: Final = (table.VELOCITY_MODE, table.POSITION_MODE, table.EXTENDED_POSITI
 _READ_ONLY: Final = (table.MODEL_NUMBER, table.FIRMWARE_VERSION, table.HARDWARE_ERROR_STATUS)
 
 
-class Memory:
+class ControlTable:
     """A control table.
 
     Args:
-        id: in ID.
+        id: value of the register ID.
 
     Attributes:
-        bytes: all of it.
+        bytes: all bytes of the table.
     """
 
     def __init__(self, id: int) -> None:
@@ -77,15 +78,15 @@ class Memory:
         self.set(table.ID, id)
 
     def get(self, register: Register) -> int:
-        """A register's number."""
+        """Value of a register."""
         return register.decode(self.bytes[register.address : register.end])
 
     def set(self, register: Register, value: int) -> None:
-        """Set a register's number, past all locks and ranges."""
+        """Set a register, without checks of locks and ranges."""
         self.bytes[register.address : register.end] = register.encode(value)
 
     def reboot(self) -> None:
-        """Forget all but the EEPROM and what is measured."""
+        """Reset all registers but the EEPROM and the measurements."""
         measured = self.bytes[_REPORT]
         self.bytes[table.EEPROM_END :] = bytes(_END - table.EEPROM_END)
         for register, value in _FACTORY.items():
@@ -94,13 +95,13 @@ class Memory:
         self.bytes[_REPORT] = measured
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
-        """Error and bytes that an instruction to read gives."""
+        """Error number and bytes of the answer to a read instruction."""
         if not 0 < length <= _MOST_READ or address + length > _END:
             return ErrorNumber.DATA_RANGE, b""
         return 0, bytes(self.bytes[address : address + length])
 
     def refusal(self, address: int, data: bytes) -> int:
-        """Error of an instruction to write these bytes; 0 for none."""
+        """Error number of an instruction to write these bytes; 0 for none."""
         end = address + len(data)
         if end > _END:
             return ErrorNumber.DATA_RANGE
@@ -131,7 +132,7 @@ class Memory:
         return 0 if least <= value <= most else ErrorNumber.DATA_LIMIT
 
     def _limits(self, register: Register) -> tuple[int, int]:
-        """What the servo's own settings leave of a goal's range."""
+        """Range of a goal register under the servo's own settings."""
         if register == table.GOAL_VELOCITY:
             limit = self.get(table.VELOCITY_LIMIT)
             return -limit, limit
@@ -145,7 +146,7 @@ class Memory:
 
 
 def written(register: Register, address: int, data: bytes) -> int | None:
-    """What bytes from an address on put into a register; None unless they fill it."""
+    """Value that bytes at an address write into a register; None unless they cover all of it."""
     at = register.address - address
     if not 0 <= at <= len(data) - register.length:
         return None

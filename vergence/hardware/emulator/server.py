@@ -1,11 +1,13 @@
-"""A server of an emulated head's world: the servos' serial line and the connections, in one thread.
+"""A server of an emulated head's world: the servos' serial line and TCP connections, in one thread.
 
-A connection sends a JSON object a line and gets one back. Its one key is
+A client sends one JSON object per line and receives one. The object's only key is
 
-    state, expose, exposures    what is true, at an image's exposure, and when these were
-    show, begin                 place a target, and let its time begin
-    streams                     where the cameras' images are to be had
-    fault, clear                let a fault begin (see `parse_fault`), and end all: {"time": s}
+    state                       ground truth
+    expose                      ground truth and camera faults, at the exposure of an image
+    exposures                   times of the last exposures: {"times": [s, ...]}
+    show, begin                 place a target, and start its time
+    streams                     set the URL of the cameras' streams
+    fault, clear                begin a fault (see `parse_fault`), and end all: {"time": s}
     unplug                      pull the cable of the line
     rest                        {"since": s}, see `World.rest`
     record                      see `World.record`
@@ -30,10 +32,11 @@ from vergence.hardware.emulator.world import World
 
 _LOG: Final = logging.getLogger(__name__)
 _BITS: Final = 10
-"""Of a byte on the line, with start and stop."""
+"""Bits of a byte on the line, with start and stop bit (physical: 8N1 serial)."""
 _SOON_S: Final = 0.005
+"""Answers due sooner than this are sent before the next request is served, s (chosen)."""
 _EXPOSURES: Final = 1024
-"""How many of the last exposures' times are kept."""
+"""Number of exposure times that are kept (numerical)."""
 _GARBAGE: Final = (
     ValueError,
     TypeError,
@@ -43,20 +46,20 @@ _GARBAGE: Final = (
     RecursionError,
     ConfigurationError,
 )
-"""Errors of a request that is none."""
+"""Errors that an invalid request raises."""
 
 
 class WorldServer:
     """Serves a world: its servos' line and its connections, in one thread.
 
     Args:
-        world: what is served.
+        world: the world to serve.
         clock: the monotonic clock, s.
 
     Attributes:
         port: the device file of the line's other end.
         address: HOST:PORT for connections.
-        streams: where the cameras' process has said that it streams; empty until then.
+        streams: URL of the streams, set by the cameras' process; empty until then.
 
     Raises:
         ConfigurationError: the system has no pseudo-terminals.
@@ -72,13 +75,13 @@ class WorldServer:
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
         self.streams = ""
         self._exposed_s: deque[float] = deque(maxlen=_EXPOSURES)
-        # not epoll, which waits in whole milliseconds
+        # not epoll, whose timeout has a resolution of 1 ms
         self._selector = selectors.SelectSelector()
         self._selector.register(self._terminal.fd, selectors.EVENT_READ, self._answer_line)
         self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
 
     def serve(self, until: Callable[[], bool], poll_s: float = 0.2) -> None:
-        """Serve until something is true, which is looked at now and then."""
+        """Serve until `until`, which is polled at least every `poll_s`, returns True."""
         while not until():
             due_s = min(self._terminal.due_s, self._world.faults.due_s)
             wait_s = min(max(due_s - self._clock(), 0.0), poll_s)
@@ -87,26 +90,26 @@ class WorldServer:
             self._keep_up()
 
     def _keep_up(self) -> None:
-        """Do what is due."""
+        """Advance due faults and send due answers."""
         now_s = self._clock()
         if self._world.faults.due_s <= now_s:
             self._world.to(now_s)
         if self._world.faults.unplugged:
             self._unplug()
-        # what is due soon goes out before a request is taken on, which may take longer
+        # answers due soon are sent before the next request is served, which may take longer
         left_s = self._terminal.due_s - now_s
         if 0.0 < left_s < _SOON_S:
             time.sleep(left_s)
         self._terminal.flush(self._clock())
 
     def _answer_line(self) -> None:
-        if self._terminal.fd < 0:  # pulled by a request of the same round
+        if self._terminal.fd < 0:  # unplugged by a request of the same round
             return
         data, rate = self._terminal.read(), self._terminal.baud_rate
         for packet in self._parser.feed(data):
             now_s = self._clock()
             sent = self._world.answer(packet, now_s, rate)
-            # question and answer take their time on the line
+            # request and answer take time on the line
             count = len(data) + sum(len(answer) for _, answer in sent)
             for delay_s, answer in sent:
                 self._terminal.send(answer, now_s + delay_s + _BITS * count / rate)
@@ -161,7 +164,7 @@ class WorldServer:
         return {}
 
     def _unplug(self) -> None:
-        """Pull the cable: the line's other end hears nothing any more."""
+        """Pull the cable: the line's other end receives nothing more."""
         if self._terminal.fd >= 0:
             self._selector.unregister(self._terminal.fd)
             self._terminal.unplug()
@@ -176,7 +179,7 @@ class WorldServer:
 
 
 class _Lines:
-    """Requests of one connection, a line each."""
+    """Splits the data of one connection into requests, a line each."""
 
     def __init__(
         self,

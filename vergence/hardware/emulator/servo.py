@@ -1,15 +1,15 @@
-"""An emulated Dynamixel X-series servo: a control table, and a joint that moves by it.
+"""An emulated Dynamixel X-series servo: a control table, and the joint that it drives.
 
 Nothing here reads a clock or does I/O.
 
 Emulated are velocity and position modes, the locks and ranges of registers, the bus watchdog, and
-the errors of voltage, temperature and load with the shutdown that SHUTDOWN asks for. An error
-lasts until a reboot, and torque cannot be had before. A reboot takes no time; with it the position
-is told within a turn again, as the servo's encoder knows no more.
+the errors of voltage, temperature and load with the shutdown that SHUTDOWN configures. An error
+lasts until a reboot; until then torque cannot be switched on. A reboot takes no time; after it the
+position is reported within one turn again, as the encoder is absolute within one turn only.
 
-Not emulated, and refused where they are asked for: other modes and the reverse bit of DRIVE_MODE.
-Profiles and gains are memory without effect. Nothing pulls at the joint: without torque it comes to
-rest with its lag, where a head with weight would sink.
+Not emulated, and refused with an error: other modes and the reverse bit of DRIVE_MODE. Profile and
+gain registers have no effect. There is no gravity: without torque the joint comes to rest with its
+lag, while a real head would sink.
 """
 
 from math import exp, inf
@@ -19,23 +19,24 @@ from vergence.errors import ConfigurationError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.control_table import TICK_RAD, TICK_RAD_S, Register
 from vergence.hardware.dynamixel.packets import ErrorNumber
-from vergence.hardware.emulator.memory import Memory, written
+from vergence.hardware.emulator.memory import ControlTable, written
 from vergence.hardware.emulator.trace import Trace
 from vergence.models.joint_response import follow_joint
 
 POSITION_GAIN: Final = 20.0
-"""Gain of the loop in the position modes, 1/s: plausible, and not measured on a real servo."""
+"""Gain of the position loop, 1/s: plausible, not taken from a real servo (chosen)."""
 STEP_S: Final = 0.002
-"""Longest step while a joint's velocity changes, s: a tenth of the lag of a quick servo."""
+"""Longest step while a joint's velocity changes, s: a tenth of a quick servo's lag (numerical)."""
 VOLTAGE_ERROR: Final = 1 << 0
-"""Bit of HARDWARE_ERROR_STATUS and SHUTDOWN: the input voltage is outside its limits."""
+"""Bit of HARDWARE_ERROR_STATUS and SHUTDOWN: the input voltage is outside its limits (physical:
+Dynamixel X series)."""
 HEAT_ERROR: Final = 1 << 2
-"""The temperature is above its limit."""
+"""Bit of these registers: the temperature is above its limit (physical: as above)."""
 LOAD_ERROR: Final = 1 << 5
-"""The load was too great for too long."""
+"""Bit of these registers: the load was too great for too long (physical: as above)."""
 
 _STILL: Final = 1e-12
-"""Change in a step below which a state counts as steady, rad and rad/s."""
+"""Change per step below which a state counts as steady, rad and rad/s (numerical)."""
 _GOALS: Final = (table.GOAL_PWM, table.GOAL_VELOCITY, table.GOAL_POSITION)
 
 _follow = getattr(follow_joint, "py_func", follow_joint)
@@ -48,17 +49,17 @@ class Servo:
     `zero_ticks + sign gear_ratio angle / TICK_RAD + HOMING_OFFSET`.
 
     Args:
-        id: on the line.
+        id: id on the line.
         lag_s: time constant of the joint's velocity, s.
-        acceleration: greatest, of the joint, rad/s^2.
+        acceleration: greatest acceleration of the joint, rad/s^2.
         lower: lower end stop of the joint, rad.
         upper: upper end stop, rad.
         sign: 1, or -1 if the servo turns against the joint.
         zero_ticks: the servo's position where the joint's angle is 0.
         gear_ratio: turns of the servo in one of the joint.
         speed_filter_s: time constant of the low-pass filter on PRESENT_VELOCITY, s; 0 for none.
-        speed_gain: speed of the joint by what it is told.
-        backlash_rad: play between the servo's shaft, where its encoder is, and the joint, rad.
+        speed_gain: steady-state speed of the joint per commanded speed.
+        backlash_rad: backlash between the servo's shaft, where its encoder is, and the joint, rad.
         feedback_latency_s: age of the position and velocity that it reports, s.
         position_rad: the joint's angle at the start.
 
@@ -66,12 +67,12 @@ class Servo:
         memory: the control table.
         q: the shaft's angle, rad.
         v: the shaft's velocity, rad/s.
-        trace: the way that the joint has gone.
-        trips: how often the watchdog has stopped it.
-        silent: whether it answers nothing and obeys nothing, as with its plug pulled out.
-        stuck: whether the joint does not move.
-        frozen: whether the encoder reports one position, without velocity, while the joint moves.
-        wrong_way: whether the joint turns against its command, as encoder and joint both see.
+        trace: the past motion of the shaft.
+        trips: number of times that the watchdog has stopped it.
+        silent: True if it answers and obeys nothing, as with its plug pulled out.
+        stuck: True if the joint does not move.
+        frozen: True if the encoder reports a fixed position and no velocity while the joint moves.
+        wrong_way: True if the joint turns against its command; the encoder reports this motion.
 
     Raises:
         ConfigurationError: a sign other than 1 and -1, or a gear ratio or lag that is not positive.
@@ -110,61 +111,61 @@ class Servo:
         self.stuck = self.frozen = self.wrong_way = False
         self.trace = Trace()
         self._turns = sign * gear_ratio
-        self._turn_ticks = 0  # ticks of whole turns that a reboot has forgotten
-        self._reported = 0.0  # velocity behind the filter, rad/s
-        self._sensed = Trace()  # of the shaft, velocity behind the filter
+        self._turn_ticks = 0  # ticks of the whole turns lost in reboots
+        self._reported = 0.0  # velocity after the filter, rad/s
+        self._sensed = Trace()  # shaft angle, and velocity after the filter
         self._at_s: float | None = None  # None until time begins
         self._fed_s = 0.0
         self._tripped = False
-        self.memory = Memory(id)
+        self.memory = ControlTable(id)
         self._hold()
         self._report()
 
     @property
     def id(self) -> int:
-        """Whom it listens to as."""
+        """Id that it answers to."""
         return self.get(table.ID)
 
     @property
     def joint(self) -> float:
-        """The joint's angle, which the shaft's pushes at the ends of the play, rad."""
+        """The joint's angle, which the shaft pushes at the ends of the backlash, rad."""
         play = 0.5 * self.backlash_rad
         return min(max(self._joint, self.q - play), self.q + play)
 
     @property
     def baud_rate(self) -> int:
-        """At which it hears and answers, bit/s."""
+        """Baud rate at which it receives and answers, bit/s."""
         return table.BAUD_RATES[self.get(table.BAUD_RATE)]
 
     def get(self, register: Register) -> int:
-        """A register's number."""
+        """Value of a register."""
         return self.memory.get(register)
 
     def set(self, register: Register, value: int) -> None:
-        """Set a register's number, past all locks and ranges."""
+        """Set a register, without checks of locks and ranges."""
         self.memory.set(register, value)
 
     def fail(self, errors: int) -> None:
-        """Have hardware errors, as bits of HARDWARE_ERROR_STATUS, until a reboot.
+        """Set hardware errors, bits of HARDWARE_ERROR_STATUS, until a reboot.
 
-        Those that SHUTDOWN has too take the torque.
+        Errors whose bits SHUTDOWN has too switch the torque off.
         """
         self.set(table.HARDWARE_ERROR_STATUS, self.get(table.HARDWARE_ERROR_STATUS) | errors)
         if self._is_shut_down():
             self.set(table.TORQUE_ENABLE, 0)
 
     def freeze(self, frozen: bool) -> None:
-        """Let the encoder report the position of now from now on, or what is true again."""
+        """Freeze the reported position at its present value, or report the true one again."""
         if frozen and not self.frozen:
             self._report()
         self.frozen = frozen
 
     def feed(self, now_s: float) -> None:
-        """Hear an instruction packet, whomever it is for: the watchdog counts from here."""
+        """Receive an instruction packet for any servo: it restarts the watchdog's time."""
         self._fed_s = now_s
 
     def to(self, now_s: float) -> None:
-        """Bring the joint to a time, by way of the watchdog's instant if that comes first."""
+        """Advance the joint to a time; on the way the watchdog trips if it is due."""
         if self._at_s is None:
             self._at_s = self._fed_s = now_s
             self._keep(now_s)
@@ -178,30 +179,30 @@ class Servo:
                 until_s = min(now_s, due_s)
             self._move(until_s - at_s, at_s)
             self._at_s = at_s = until_s
-        # at the instant itself: an instruction at that very time comes too late
+        # due exactly now: an instruction at this very time comes too late
         if self._due_s() <= at_s:
             self._trip()
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
-        """Error and bytes that an instruction to read gives."""
+        """Error number and bytes of the answer to a read instruction."""
         self._report()
         return self.memory.read(address, length)
 
     def write(self, address: int, data: bytes) -> int:
-        """Error that an instruction to write gives; nothing is written then."""
+        """Execute a write instruction; on an error, return its number and write nothing."""
         error = self.memory.refusal(address, data) or self._refusal(address, data)
         if error:
             return error
         before = self.get(table.TORQUE_ENABLE), self.get(table.OPERATING_MODE)
         self.memory.bytes[address : address + len(data)] = data
         if written(table.BUS_WATCHDOG, address, data) is not None:
-            self._tripped = False  # 0, or it was refused while tripped
+            self._tripped = False  # the value is 0, as others are refused while tripped
         if before != (self.get(table.TORQUE_ENABLE), self.get(table.OPERATING_MODE)):
             self._hold()
         return 0
 
     def reboot(self) -> None:
-        """Begin anew with what the EEPROM has."""
+        """Reboot: only the EEPROM and the measurements keep their values."""
         self.memory.reboot()
         self._tripped = False
         per_turn = table.TICKS_PER_TURN
@@ -214,14 +215,14 @@ class Servo:
         ticks = self.zero_ticks + self._turns * angle_rad / TICK_RAD
         position = table.PRESENT_POSITION
         whole = round(ticks) - self._turn_ticks + self.get(table.HOMING_OFFSET)
-        return (whole - position.least) % (1 << 32) + position.least  # a wheel's wraps in days
+        return (whole - position.least) % (1 << 32) + position.least  # 32-bit wrap, after days
 
     def _angle(self, ticks: int) -> float:
         ticks += self._turn_ticks - self.zero_ticks - self.get(table.HOMING_OFFSET)
         return ticks * TICK_RAD / self._turns
 
     def _report(self) -> None:
-        """Write what the servo measures into its table."""
+        """Write the measurements into the control table."""
         angle_rad, velocity = self.q, self._reported
         if self.feedback_latency_s > 0.0 and self._at_s is not None:
             past = self._sensed.since(self._at_s - self.feedback_latency_s)[0]
@@ -234,12 +235,12 @@ class Servo:
         self.set(table.MOVING, int(abs(self._turns * velocity) > TICK_RAD_S))
 
     def _hold(self) -> None:
-        """Goals of a servo whose torque or mode was switched: to stay where it is."""
+        """Set the goals to stay here, after a switch of torque or mode."""
         self.set(table.GOAL_VELOCITY, 0)
         self.set(table.GOAL_POSITION, self._ticks(self.q))
 
     def _watch_itself(self) -> None:
-        """Compare voltage and temperature with their limits."""
+        """Fail if voltage or temperature are beyond their limits."""
         voltage = self.get(table.PRESENT_INPUT_VOLTAGE)
         if not self.get(table.MIN_VOLTAGE_LIMIT) <= voltage <= self.get(table.MAX_VOLTAGE_LIMIT):
             self.fail(VOLTAGE_ERROR)
@@ -250,7 +251,7 @@ class Servo:
         return bool(self.get(table.HARDWARE_ERROR_STATUS) & self.get(table.SHUTDOWN))
 
     def _due_s(self) -> float:
-        """When the watchdog stops the servo, unless somebody speaks."""
+        """Time at which the watchdog trips unless a packet arrives, s; inf if it is off."""
         period = self.get(table.BUS_WATCHDOG)
         if period <= 0 or not self.get(table.TORQUE_ENABLE):
             return inf
@@ -274,7 +275,7 @@ class Servo:
         return side * min(max(wanted, -limit), limit)
 
     def _move(self, time_s: float, at_s: float) -> None:
-        """Move by what the goals say for a time in which nobody speaks."""
+        """Move towards the goals for a time without packets."""
         end_s = at_s + time_s
         step_s = min(STEP_S, time_s)
         while time_s > 0.0:
@@ -286,7 +287,7 @@ class Servo:
             change = [abs(new - old) for new, old in zip(now, before, strict=True)]
             if max(change) < _STILL:
                 break
-            # at a steady velocity one step does, up to the end stop
+            # at a steady velocity one step is enough, up to the end stop
             step_s = STEP_S
             if max(change[1:]) < _STILL and abs(self._command() - self.v) < _STILL:
                 stop = self.upper if self.v > 0.0 else self.lower
@@ -315,13 +316,13 @@ class Servo:
         self._reported = self.v + kept * (self._reported - self.v)
 
     def _refusal(self, address: int, data: bytes) -> int:
-        """Error of writing these bytes in the servo's present state, 0 for none."""
+        """Error number of writing these bytes in the servo's present state; 0 for none."""
         if written(table.TORQUE_ENABLE, address, data) and self._is_shut_down():
-            # the manual of SHUTDOWN has a reboot as the only way; its error is a guess
+            # by the manual only a reboot ends a shutdown; the error number here is a guess
             return ErrorNumber.RESULT_FAIL
         if self._tripped:
             goals = any(written(goal, address, data) is not None for goal in _GOALS)
             if goals or written(table.BUS_WATCHDOG, address, data):
-                # the manual of BUS_WATCHDOG has a range error for goals then, not an access error
+                # by the manual a tripped watchdog answers goals with a range error
                 return ErrorNumber.DATA_RANGE
         return 0

@@ -1,10 +1,10 @@
-"""The cameras of an emulated head: what each eye sees, drawn and streamed as MJPEG over HTTP.
+"""The cameras of an emulated head: the views of both eyes, drawn and streamed as MJPEG over HTTP.
 
-Both cameras expose on a clock of their own, at a constant rate; the right one may be late by a
-constant time, as two cameras are that nothing synchronises. An image is sent a latency and a jitter
-after the middle of its exposure, in the order of exposure.
+Both cameras expose at a constant rate, on their own clock; the right one may be late by a constant
+time, as with two unsynchronised cameras. An image is sent a latency and a random jitter after
+mid-exposure; images are sent in the order of exposure.
 
-This is a process of its own, so that drawing does not delay what the servos answer.
+This is a separate process, so that drawing does not delay the answers of the servos.
 """
 
 import threading
@@ -30,28 +30,28 @@ from vergence.models.files.head_toml import parse_head
 from vergence.models.joints import EYE_NAMES
 
 _QUALITY: Final = 92
-"""Of JPEG, as webcams have it."""
+"""JPEG quality, as for webcams (chosen)."""
 _NOISY_PX: Final = 16
-"""Edge of the corner of each image that has noise whatever the eye sees: two blocks of JPEG."""
+"""Edge of the square of noise in a corner of every image, px: two JPEG blocks (chosen)."""
 _NOISY_GREY: Final = 32
-"""Its noise, that JPEG leaves something of."""
+"""Amplitude of this noise, grey levels: enough to survive JPEG (chosen)."""
 _BOUNDARY: Final = b"frame"
 
 
 @dataclass(frozen=True, kw_only=True)
 class StreamConfig:
-    """What the cameras are like."""
+    """Timing and noise of the cameras."""
 
     frame_rate_hz: float
-    """Images a second."""
+    """Frame rate, Hz."""
     latency_s: float
-    """From the middle of an exposure to its being sent, s."""
+    """Latency from mid-exposure to the sending of the image, s."""
     jitter_s: float = 0.0
-    """The most by which an image is sent later than that, s; uniform."""
+    """Greatest random delay of an image beyond the latency, s; uniform."""
     right_late_s: float = 0.0
-    """By how much the right camera exposes later than the left one, s."""
+    """Delay of the right camera's exposures after the left one's, s."""
     seed: int = 0
-    """Of the noise of images and the jitter."""
+    """Random seed of image noise, jitter and camera faults."""
 
 
 class _Stream:
@@ -68,13 +68,13 @@ class _Stream:
             self._new.notify_all()
 
     def end(self, ended: bool) -> None:
-        """Close the stream to all that read it, or let it be opened again."""
+        """Close the stream to all readers, or allow new ones again."""
         with self._new:
             self._ended = ended
             self._new.notify_all()
 
     def next(self, seen: int) -> tuple[bytes, int] | None:
-        """Wait for an image after the one of this number; None at the end of the stream."""
+        """Wait for an image after number `seen`; return it with its number, None at the end."""
         with self._new:
             self._new.wait_for(lambda: self._ended or self._count != seen)
             return None if self._ended else (self._jpeg, self._count)
@@ -88,14 +88,14 @@ class _Stream:
         return self._count
 
 
-class Cameras:
-    """Draws what both eyes see and publishes it.
+class EmulatedCameras:
+    """Draws the images of both eyes and publishes them.
 
     Args:
-        world: tells the joints and the target.
-        views: draws.
-        config: what the cameras are like.
-        clock: a steady clock, s.
+        world: source of the joint angles and the target position.
+        views: renderer of the images.
+        config: timing and noise of the cameras.
+        clock: a monotonic clock, s.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class Cameras:
         self._faults = CameraFaults(np.random.default_rng(config.seed))
 
     def draw(self) -> tuple[Image, Image]:
-        """Both eyes' images of the present, before the faults of the present befall them."""
+        """Draw both eyes' present images, without faults; fetch the active faults."""
         state = self._world.ask({"expose": None})
         self._faults.update(parse_fault(plain, (), timed=False) for plain in state["faults"])
         images = self._views.draw(
@@ -126,7 +126,7 @@ class Cameras:
             state["target_axes"],
         )
         for image in images:
-            # the drawing leaves plain background where no target is, and no sensor does
+            # a plain background would make successive images identical, as no sensor does
             corner = self._rng.integers(_NOISY_GREY, size=(_NOISY_PX, _NOISY_PX), dtype=np.uint8)
             image[-_NOISY_PX:, :_NOISY_PX] ^= corner
         return images
@@ -149,11 +149,11 @@ class Cameras:
                     late_s += self._faults.late_s(one)
                     sent_s[one] = max(sent_s[one], exposed_s + late_s)
                     self._send(one, images[one], sent_s[one])
-            # a frame for which there was no time is not taken
+            # frames whose time has passed are skipped
             frame = max(frame + 1, int((self._clock() - begun_s) * config.frame_rate_hz))
 
     def _send(self, eye: int, new: Image, at_s: float) -> None:
-        """Publish an image at a time, or what faults make of it."""
+        """Publish an image at a time, after applying the faults."""
         stream = self.streams[eye]
         stream.end(self._faults.has_ended(eye))
         image = self._faults.image(eye, new)
@@ -169,10 +169,10 @@ def _jpeg(image: Image) -> bytes:
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
 
 
-def serve(cameras: Cameras, port: int) -> ThreadingHTTPServer:
-    """A server of the streams /left and /right on the loopback; port 0 for any that is free.
+def serve(cameras: EmulatedCameras, port: int) -> ThreadingHTTPServer:
+    """Make a server of the streams /left and /right on the loopback; port 0 for any free port.
 
-    A stream ends after as many images as are asked for: /left?images=90.
+    A request may limit the number of images: /left?images=90.
     """
     streams = dict(zip((f"/{name}" for name in EYE_NAMES), cameras.streams, strict=True))
 
@@ -207,7 +207,7 @@ def serve(cameras: Cameras, port: int) -> ThreadingHTTPServer:
                     if newest is None:
                         return
                     jpeg, seen = newest
-                    # the boundary goes out with the image: else a reader waits for the next one
+                    # the boundary follows the image at once: else a reader waits for the next image
                     self.wfile.write(
                         b"Content-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(jpeg)
                         + jpeg
@@ -215,7 +215,7 @@ def serve(cameras: Cameras, port: int) -> ThreadingHTTPServer:
                         + _BOUNDARY
                         + b"\r\n"
                     )
-            except OSError:  # the reader has gone
+            except OSError:  # the reader has disconnected
                 pass
 
     server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
@@ -226,15 +226,15 @@ def serve(cameras: Cameras, port: int) -> ThreadingHTTPServer:
 def run_streams(
     head: str, config: StreamConfig, world: str, port: int, board: str | None = None
 ) -> None:
-    """Draw and stream until the world ends: the whole of this process.
+    """Draw and stream until the world ends: the main function of the cameras' process.
 
     Args:
         head: the text of the head's file.
-        config: what the cameras are like.
+        config: timing and noise of the cameras.
         world: HOST:PORT of the world.
-        port: of the streams; 0 for any that is free.
-        board: what stands before the head, at its own size; None for a tag that looks equally large
-            near and far.
+        port: port of the streams; 0 for any free port.
+        board: the board before the head, at its own size; None for a tag whose size in the image
+            does not depend on its distance.
     """
     cv2.setNumThreads(1)
     model = parse_head(head)
@@ -243,8 +243,8 @@ def run_streams(
         views = EyeViews(model, make_planar_target("tag"), width_rad="fit")
     else:
         views = EyeViews(model, parse_standing(board))
-    cameras = Cameras(client, views, config)
-    cameras.draw()  # compiles it all before anybody looks
+    cameras = EmulatedCameras(client, views, config)
+    cameras.draw()  # compiles everything before the first reader
     server = serve(cameras, port)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     client.ask({"streams": f"http://127.0.0.1:{server.server_address[1]}"})

@@ -1,4 +1,4 @@
-"""A pseudo-terminal that stands for the servos' serial line, and what is to be sent on it when."""
+"""A pseudo-terminal in place of the servos' serial line, with a queue of timed answers."""
 
 import heapq
 import os
@@ -10,13 +10,14 @@ from vergence.errors import ConfigurationError
 from vergence.hardware.dynamixel.control_table import BAUD_RATES
 
 _AT_ONCE: Final = 4096
+"""Most bytes of one read (numerical)."""
 
 
 class Terminal:
     """The servos' end of a serial line.
 
     Attributes:
-        fd: the descriptor to read from; -1 when the cable is pulled.
+        fd: the file descriptor to read from; -1 once the cable is pulled.
         port: the device file of the other end.
 
     Raises:
@@ -38,32 +39,32 @@ class Terminal:
 
     @property
     def baud_rate(self) -> int:
-        """What the other end has set, see `baud_rate_of`."""
+        """Baud rate that the other end has set, see `baud_rate_of`."""
         return baud_rate_of(self.fd)
 
     def read(self) -> bytes:
-        """What has come."""
+        """Read the bytes that have arrived."""
         return os.read(self.fd, _AT_ONCE)
 
     def send(self, data: bytes, at_s: float) -> None:
-        """Send something as soon as it is due, see `flush`."""
+        """Queue bytes to be sent at a time, see `flush`."""
         if self.fd < 0:
             return
-        self._count += 1  # what is due at one time goes in the order in which it was given
+        self._count += 1  # keeps the order of bytes with equal times
         heapq.heappush(self._due, (at_s, self._count, data))
 
     @property
     def due_s(self) -> float:
-        """When the next is due; inf for nothing."""
+        """Time at which the next bytes are due, s; inf for none."""
         return self._due[0][0] if self._due else inf
 
     def flush(self, now_s: float) -> None:
-        """Send what is due."""
+        """Send the bytes that are due."""
         while self.due_s <= now_s:
             os.write(self.fd, heapq.heappop(self._due)[2])
 
     def unplug(self) -> None:
-        """Pull the cable: the other end hears nothing any more; again does nothing."""
+        """Pull the cable: the other end receives nothing more; a second call does nothing."""
         self._due.clear()
         if self.fd >= 0:
             os.close(self.fd)
@@ -72,7 +73,7 @@ class Terminal:
 
 
 def baud_rate_of(fd: int) -> int:
-    """The rate that is set on a terminal, bit/s; 0 for one that servos or the system lack."""
+    """Baud rate set on a terminal, bit/s; 0 for one that servos or the system do not support."""
     import termios
 
     speed = termios.tcgetattr(fd)[5]

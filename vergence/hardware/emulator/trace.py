@@ -1,4 +1,4 @@
-"""The way that a joint has really gone, for tests that ask after how long it was at rest."""
+"""The true motion of a joint over time; tests use it to find the time at which it came to rest."""
 
 from array import array
 from bisect import bisect_right
@@ -8,13 +8,13 @@ from typing import Final, NamedTuple
 from vergence.hardware.dynamixel.control_table import TICK_RAD_S
 
 REST_RAD_S: Final = TICK_RAD_S
-"""A joint that turns no faster is at rest: a step of the servos' speed, 0.024 rad/s."""
+"""Greatest speed at rest: one unit of the servos' speed, 0.024 rad/s (physical: X series)."""
 _KEPT: Final = 16_384
-"""Moments that are kept at least: 20 s of a joint that changes its speed all the time."""
+"""Least number of samples kept: 20 s of a joint whose speed always changes (numerical)."""
 
 
 class Moment(NamedTuple):
-    """Where a joint was at a time, and how fast it turned."""
+    """Time, angle and velocity of a joint."""
 
     time_s: float
     position_rad: float
@@ -22,17 +22,17 @@ class Moment(NamedTuple):
 
 
 class Trace:
-    """The last moments of a joint, 20 s of them or more.
+    """The last samples of a joint, for 20 s or more.
 
-    Between two moments the velocity goes from one to the other without a turn.
+    Between two samples the velocity changes monotonically.
     """
 
     def __init__(self) -> None:
-        # numbers alone: as many objects would have the garbage collector hold up the answers
+        # plain numbers: so many objects would make garbage collection delay the servos' answers
         self._times, self._positions, self._velocities = array("d"), array("d"), array("d")
 
     def add(self, time_s: float, position_rad: float, velocity_rad_s: float) -> None:
-        """Go on; moments of one velocity are kept as the first and the last of them."""
+        """Add a sample; of samples with equal velocity only the first and the last are kept."""
         times, positions, velocities = self._times, self._positions, self._velocities
         if len(times) >= 2 and velocities[-2] == velocities[-1] == velocity_rad_s:
             times[-1], positions[-1] = time_s, position_rad
@@ -44,7 +44,7 @@ class Trace:
         velocities.append(velocity_rad_s)
 
     def since(self, time_s: float) -> list[Moment]:
-        """The moments from a time on, the first of them at that time."""
+        """Samples from a time on, the first one interpolated at that time."""
         first = bisect_right(self._times, time_s)
         columns = (self._times[first:], self._positions[first:], self._velocities[first:])
         moments = [Moment(*row) for row in zip(*columns, strict=True)]
@@ -57,11 +57,11 @@ class Trace:
 
 
 def rest_since(traces: Iterable[Trace], time_s: float) -> tuple[float | None, float]:
-    """From when on all joints were at rest, and how fast they turned before.
+    """Start of the present rest of all joints, and their greatest speed.
 
     Returns:
-        The first time from which on none turned faster than `REST_RAD_S`, None if one still does;
-        and the greatest speed of any since `time_s`, rad/s.
+        The first time, at or after `time_s`, since which none turned faster than `REST_RAD_S`,
+        None if one still does; and the greatest speed of any since `time_s`, rad/s.
     """
     rested_s: float | None = time_s
     fastest = 0.0

@@ -1,7 +1,7 @@
 """The world of an emulated head: its servos and their faults, and the target before it.
 
-Joints move by the package's joint law, lazily and exactly: whatever is asked for brings them to the
-present first, by way of the instants at which faults begin and end.
+Joints move by the package's joint law, computed on demand and exactly: each request first advances
+them to the present, in pieces between the instants at which faults begin and end.
 """
 
 from collections import deque
@@ -31,25 +31,27 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _DIFFERENCE_S: Final = 1e-4
+"""Step of the central difference for the target's velocity, s (numerical)."""
 _BAUD_RATE: Final = 1_000_000
+"""Baud rate that the servos are set to, bit/s (chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motors:
-    """What moves the joints of an emulated head."""
+class MotorOptions:
+    """Dynamics and encoders of the servos of an emulated head."""
 
     speed_filter_s: float = 0.0
-    """Time constant of the filter through which servos report speeds, s."""
+    """Time constant of the low-pass filter on reported speeds, s."""
     lag_s: float | None = None
     """Time constant of their response, s; None for the head's."""
     acceleration_rad_s2: float | None = None
     """Their greatest acceleration, rad/s^2; None for the head's."""
     speed_gain: float = 1.0
-    """Speed by what they are told."""
+    """Steady-state speed per commanded speed."""
     command_latency_s: float = 0.0
-    """From a command's arrival to their response, s."""
+    """Latency from a command's arrival to their response, s."""
     backlash_rad: float = 0.0
-    """Play between encoders and joints, rad."""
+    """Backlash between encoders and joints, rad."""
     feedback_latency_s: float = 0.0
     """Age of the angles and speeds that servos report, s."""
 
@@ -57,25 +59,25 @@ class Motors:
 class World:
     """A head's joints and its target, in real time.
 
-    Its servos are set up for a controller: at 1 Mb/s, and they answer at once.
+    Its servos are set up for a controller: 1 Mb/s and no return delay.
 
     Args:
         head: the head that really moves.
-        point: (3,) where the target is until another one is placed, in N, m.
-        motors: what moves its joints.
-        seed: of the draws by which faults befall answers.
-        T_0_T: (4, 4) pose of a board that stands still in place of a target, m; None for a target.
+        point: (3,) target position until another one is placed, in N, m.
+        motors: dynamics and encoders of the servos.
+        seed: random seed of the faults of answers.
+        T_0_T: (4, 4) pose of a fixed board in place of a target, m; None for a target.
     """
 
     def __init__(
         self,
         head: HeadModel,
         point: FloatArray,
-        motors: Motors | None = None,
+        motors: MotorOptions | None = None,
         seed: int = 0,
         T_0_T: FloatArray | None = None,
     ) -> None:
-        motors = motors or Motors()
+        motors = motors or MotorOptions()
         self.head = head
         self._slots = actuator_slots(head)
         actuation, timing = head.actuation, head.timing
@@ -116,11 +118,11 @@ class World:
 
     @property
     def places_targets(self) -> bool:
-        """Whether `show` places targets: not where a board stands still."""
+        """True if `show` places targets: unless there is a fixed board."""
         return self.T_0_T is None
 
     def show(self, motion: list[float]) -> None:
-        """Place another target; its own time begins with `begin`."""
+        """Place another target; `begin` starts its time."""
         if not self.places_targets:
             raise ConfigurationError("show: expected no target, as the board stands still")
         row = np.array([motion], dtype=np.float64)
@@ -130,11 +132,11 @@ class World:
         self._T_0_N = self.head.base_pose(self._joints()[0])
 
     def begin(self, now_s: float) -> None:
-        """Let the target's own time begin."""
+        """Start the target's own time."""
         self._begun_s = now_s
 
     def to(self, now_s: float) -> None:
-        """Bring joints and faults to a time, not before any that was asked for, s."""
+        """Advance joints and faults to a time, not before an earlier call's, s."""
         while True:
             command_s = self._commands[0][0] if self._commands else np.inf
             due_s = min(command_s, self.faults.due_s)
@@ -148,15 +150,15 @@ class World:
         self.line.to(now_s)
 
     def answer(self, packet: Packet, now_s: float, baud_rate: int) -> list[tuple[float, bytes]]:
-        """What servos send when a packet comes, with the faults of the line that are on.
+        """Answers of the servos to a packet, with the active faults of the line.
 
         Args:
-            packet: from the line.
-            now_s: when it came, s.
-            baud_rate: at which it was sent; servos with another one do not hear it.
+            packet: a packet from the line.
+            now_s: time of its arrival, s.
+            baud_rate: baud rate at which it was sent; servos with another rate do not receive it.
 
         Returns:
-            What is sent, and how long after the packet, s, beside the time on the wire.
+            Pairs of the delay after the packet, without the time on the wire, s, and the bytes.
         """
         self.to(now_s)
         if packet.instruction == Instruction.SYNC_WRITE and self._command_latency_s:
@@ -172,24 +174,24 @@ class World:
         return [(delay_s + late_s, data) for late_s, data in sent]
 
     def begin_fault(self, fault: Fault, now_s: float) -> None:
-        """Let a fault begin."""
+        """Begin a fault."""
         self.to(now_s)
         self.faults.begin(fault, now_s)
         self.line.to(now_s)
 
     def clear_faults(self, now_s: float) -> None:
-        """End all faults that are on."""
+        """End all active faults."""
         self.to(now_s)
         self.faults.clear()
 
     def rest(self, since_s: float, now_s: float) -> dict[str, Any]:
-        """From when on all joints have been at rest: `rested_s` and `fastest`, see `rest_since`."""
+        """Start of the present rest, `rested_s`, and `fastest`, see `rest_since`."""
         self.to(now_s)
         rested_s, fastest = rest_since([servo.trace for servo in self.line.servos], since_s)
         return {"rested_s": rested_s, "fastest": fastest}
 
     def record(self, now_s: float) -> dict[str, Any]:
-        """The way of each servo's joint since the last call, or for the last 20 s at least.
+        """Motion of each servo's shaft since the last call, or all that is kept: 20 s or more.
 
         Returns:
             By the joint's name `times`, `positions` and `velocities`, at least every 2 ms while the
@@ -206,17 +208,17 @@ class World:
         }
 
     def _joints(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(7,) angles of the joints, of the motors of neck and actuators, and their speeds."""
+        """(7,) joint angles, (7,) motor angles of neck and actuators, and (7,) motor speeds."""
         own = np.zeros((3, 7))
         for name, servo in self.servos.items():
             own[:, self._slots[name]] = servo.joint, servo.q, servo.v
         return self.head.actuation.joints_of(own[0]), own[1], own[2]
 
     def state(self, now_s: float) -> dict[str, Any]:
-        """What is true at a time.
+        """Ground truth at a time.
 
         Args:
-            now_s: s of the monotonic clock, not before any that was asked for.
+            now_s: time, s of the monotonic clock, not before an earlier call's.
         """
         self.to(now_s)
         q, motors, v = self._joints()
@@ -238,7 +240,7 @@ class World:
     def _target(
         self, q: FloatArray, now_s: float
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """(3,) point and velocity of the target in the present N; (3, 3) axes of a standing one."""
+        """(3,) point and velocity of the target in the present N; (3, 3) axes of a fixed board."""
         T_N_0 = np.linalg.inv(self.head.base_pose(q))
         if self.T_0_T is not None:
             T_N_T = T_N_0 @ self.T_0_T

@@ -1,1 +1,1 @@
-"""What keeps a robot head from being hurt, whoever chooses its commands."""
+"""Protection of a robot head from damage, whatever policy chooses its commands."""

@@ -1,16 +1,16 @@
-"""Bounds that a robot's owner sets: the `[safety]` section of a hardware configuration.
+"""Bounds set by a robot's owner: the `[safety]` section of a hardware configuration.
 
-Each key may be left out; a joint's bounds are the head's own then.
+Each key may be left out; without its own bounds a joint has those of the head file.
 
     [safety]
-    speed_rad_s = 3.0               # of every joint; the head's own where left out
+    speed_rad_s = 3.0               # of every joint; by default the head's own
     acceleration_rad_s2 = 40.0
-    image_age_s = 0.5               # stop without an image for so long
-    lost_s = 0.5                    # hold when no eye has seen the target for so long
-    search = true                   # and then look around for it, slowly
-    overruns = 0.3                  # stop when more of the periods of 2 s are missed
+    image_age_s = 0.5               # stop after this time without an image
+    lost_s = 0.5                    # hold after this time without the target
+    search = true                   # then search for it slowly
+    overruns = 0.3                  # stop if a greater fraction of 2 s is missed
 
-    [[safety.forbidden]]            # an eye against the head: all of it at once is forbidden
+    [[safety.forbidden]]            # an eye that would touch the head
     name = "left eye at the frame"
     left_pan = [0.9, 1.2]
     left_tilt = [-1.2, -0.4]
@@ -44,28 +44,28 @@ _ANGLE: Final[Rule] = (lambda x: -10.0 <= x <= 10.0, "an angle, rad (is it in de
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ForbiddenPosture:
-    """Postures in which something is hurt: those with all of some angles in their ranges."""
+    """Postures that cause damage: those with all of the given angles inside their ranges."""
 
     name: str
-    """As messages call it."""
+    """Name in messages."""
     slots: tuple[int, ...]
-    """Places in a command of seven of the angles that it is about."""
+    """Indices of its angles in the 7-element command."""
     lower: FloatArray
-    """(n,) least angles of these, rad."""
+    """(n,) lower ends of the ranges of these angles, rad."""
     upper: FloatArray
-    """(n,) greatest angles, rad."""
+    """(n,) upper ends, rad."""
 
     def holds(self, angles: FloatArray) -> bool:
-        """Membership of a posture, (7,) rad; its faces belong to it."""
+        """True if a posture, (7,) rad, is forbidden; the ends of the ranges count as inside."""
         own = angles[list(self.slots)]
         return bool(((own >= self.lower) & (own <= self.upper)).all())
 
     def refusal(self, angles: FloatArray, names: Mapping[str, int]) -> str:
-        """What was expected and what came, where a posture, (7,) rad, is in it.
+        """Error message for a posture that is forbidden.
 
         Args:
-            angles: the posture.
-            names: places in it by name of joint or actuator.
+            angles: (7,) the posture, rad.
+            names: indices into it by name of joint or actuator.
         """
         own = ", ".join(
             f"{name} {angles[slot]:.3f} rad" for name, slot in names.items() if slot in self.slots
@@ -75,22 +75,22 @@ class ForbiddenPosture:
 
 @dataclass(frozen=True, kw_only=True)
 class SafetyConfig:
-    """Bounds of a robot beyond those of its head file."""
+    """Bounds of a robot in addition to those of its head file."""
 
     speed_rad_s: float = inf
-    """Greatest speed of any joint, rad/s; the head's own where that is less."""
+    """Greatest speed of any joint, rad/s; the head's own if that is less."""
     acceleration_rad_s2: float = inf
-    """Greatest acceleration of any joint, rad/s^2; the head's own where that is less."""
+    """Greatest acceleration of any joint, rad/s^2; the head's own if that is less."""
     image_age_s: float = 0.5
     """Time without a new image of an eye after which the head stops, s."""
     lost_s: float = 0.5
     """Time without the target in any eye after which the head holds still, s."""
     search: bool = False
-    """Whether a head that has held still for `lost_s` looks around for its target, slowly."""
+    """True if the head, after `lost_s`, searches slowly for its target instead of holding still."""
     overruns: float = 0.3
-    """Share of the last 2 s' control periods that may be missed."""
+    """Greatest fraction of missed control periods in the last 2 s."""
     forbidden: tuple[ForbiddenPosture, ...] = ()
-    """Postures that no command leads into."""
+    """Forbidden postures; commands that lead into one are limited."""
 
 
 def parse_safety(table: Table, slots: Mapping[str, int]) -> SafetyConfig:
@@ -98,7 +98,7 @@ def parse_safety(table: Table, slots: Mapping[str, int]) -> SafetyConfig:
 
     Args:
         table: the section.
-        slots: places in a command of seven, by name of joint or actuator.
+        slots: indices into the 7-element command by name of joint or actuator.
 
     Raises:
         HeadFileError: a key is unknown or impossible.

@@ -1,10 +1,10 @@
-"""Joints that do not go where their commands take them: stuck, turned the wrong way, or misread.
+"""Detection of joints that do not follow their commands: stuck, turning the wrong way, or misread.
 
-Let C be the sum of a joint's commands over time. A joint that follows them by any lag and latency
-up to D has moved in a window of length W by a mean of `C(t - d) - C(t - W - d)` over delays d from
-0 to D. So what it has moved lies between the least and the greatest of these, whatever its lag.
-A joint that is told to turn to and fro may have gone nowhere by these alone; so where C has had a
-range, a joint has to have had a tenth of it, D later at most.
+Let C be the time integral of a joint's velocity commands. In a window of length W a joint that
+follows them with any lag and latency up to D moves by a weighted mean of `C(t - d) - C(t - W - d)`
+over the delays d from 0 to D. So its motion lies between the least and the greatest of these,
+whatever its lag. For commands that turn to and fro this alone would accept a joint that does not
+move. So the range of a joint's motion also has to be a tenth of the range of C, at most D later.
 """
 
 from collections import deque
@@ -16,47 +16,48 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _LAGS: Final = 5.0
-"""Delays that count, by the joint's lag: an exponential lag has 1 % left then."""
+"""Longest delay D, in lags of the joint: an exponential lag has 1 % left then (chosen)."""
 _SPARE_S: Final = 0.1
-"""And beyond: commands and answers that were lost, images of a busy line, s."""
+"""Further delay, s, for lost commands and answers on a busy line (chosen)."""
 _SHARE: Final = 0.3
-"""Tolerance by what was commanded in the window: a loaded servo is slower than its data sheet."""
+"""Tolerance as a fraction of the commanded motion: a loaded servo is slower than its data sheet
+(chosen)."""
 _TURNED_RAD: Final = 0.1
-"""Range of the commands from which on a joint has to have moved at all, rad."""
+"""Range of C above which the range of the motion is tested, rad (chosen)."""
 _STILL: Final = 0.1
-"""Range of a joint's motion by that of its commands below which it does not move."""
+"""Least range of a joint's motion as a fraction of the range of C (chosen)."""
 _STILL_SHARE: Final = 0.8
-"""Share of a window over which a joint that does not move at all is told."""
+"""Part of a window over which the ranges are compared, as a fraction (chosen)."""
 _PROVED_RAD: Final = 0.05
-"""Motion as commanded after which a joint is believed to follow, rad."""
+"""Commanded and measured motion that proves that a joint follows, rad (chosen)."""
 _MOST_PAUSE_S: Final = 0.5
-"""Longest time between two periods that counts; the servos' watchdog ends a longer one."""
+"""Longest integration step of C, s; in a longer pause the servos' watchdog stops them (chosen)."""
 
 
 class _Window(NamedTuple):
-    """Over which motion and commands are compared."""
+    """Window over which motion and commands are compared."""
 
     length_s: float
     every_s: float
-    """Time between two rows that are kept."""
+    """Least time between two rows that are kept, s."""
     least_rad: float
-    """Least tolerance: play, a gear that bends, an arm that sags."""
+    """Least tolerance, rad: backlash, elastic gears, sagging arms."""
 
 
 _WINDOWS: Final = (_Window(0.5, 0.0, 0.1), _Window(4.0, 0.03, 0.2))
-"""The short one tells a joint at 0.3 rad/s, the long one a joint at 0.1 rad/s, and one that does
-not move at all at 0.03 rad/s."""
+"""Windows of the test (chosen). The short one detects a joint that does not follow commands of
+0.3 rad/s; the long one those of 0.1 rad/s, or of 0.03 rad/s if the joint does not move at all."""
 
 
 class Following:
-    """Motion of the joints beside what they were told.
+    """Comparison of the joints' motion with their commands.
 
     Args:
         head: the model of the head.
         most: (7,) greatest speeds, rad/s.
 
     Attributes:
-        proved: (7,) whether each joint has moved as commanded so far.
+        proved: (7,) True for joints that have been seen to follow their commands.
     """
 
     def __init__(self, head: HeadModel, most: FloatArray) -> None:
@@ -73,13 +74,13 @@ class Following:
         """Compare the joints' motion with their commands.
 
         Args:
-            now_s: the present, s.
+            now_s: present time, s.
             angles: (7,) measured angles, rad.
-            command: (7,) velocities that were in force since the last call, rad/s.
+            command: (7,) commanded velocities since the last call, rad/s.
 
         Returns:
-            (7,) distance of each joint from where any delay would have taken it, beyond the
-            tolerance, rad; 0 or less where it follows.
+            (7,) error of each joint's motion beyond the range of all delays and the tolerance, rad;
+            0 or less for a joint that follows.
         """
         if not np.isnan(self._last_s):
             self._sum = self._sum + command * min(now_s - self._last_s, _MOST_PAUSE_S)
@@ -94,10 +95,10 @@ class Following:
 
 
 class _Comparison:
-    """Motion and commands over one window.
+    """Comparison of motion and commands over one window.
 
     Attributes:
-        last: (7,) what was told to the window's joints without delay, and what they moved, rad.
+        last: (7,) commanded motion in the last window, without delay, and (7,) measured one, rad.
     """
 
     def __init__(self, window: _Window, delay_s: float) -> None:
@@ -106,7 +107,7 @@ class _Comparison:
         self.last = np.zeros(7), np.zeros(7)
 
     def take(self, now_s: float, total: FloatArray, angles: FloatArray) -> FloatArray:
-        """See `Following.take`; the total is the commands' sum over time, (7,) rad."""
+        """See `Following.take`; `total` is the time integral C of the commands, (7,) rad."""
         length_s, rows = self._window.length_s, self._rows
         oldest_s = now_s - length_s - self._delay_s
         if not rows:
@@ -114,7 +115,7 @@ class _Comparison:
         if now_s - rows[-1][0] < self._window.every_s:
             return np.full(7, -np.inf)
         rows.append((now_s, total, angles.copy()))
-        # one row from before the oldest time that is asked for stays
+        # the last row before the oldest time stays, for the interpolation
         while rows[1][0] <= oldest_s:
             rows.popleft()
         times = np.array([row[0] for row in rows])
@@ -132,7 +133,7 @@ class _Comparison:
     def _stillness(
         self, now_s: float, times: FloatArray, totals: FloatArray, turned: FloatArray
     ) -> FloatArray:
-        """(7,) what is missing of the range that each joint's motion has to have, rad."""
+        """(7,) required minus measured range of each joint's motion, rad; -inf if not tested."""
         begin_s = now_s - self._delay_s - _STILL_SHARE * self._window.length_s
         angles = turned[times >= begin_s]
         told = totals[(times >= begin_s) & (times <= now_s - self._delay_s)]
@@ -143,7 +144,7 @@ class _Comparison:
 
 
 def _at(times: FloatArray, values: FloatArray, when: FloatArray) -> FloatArray:
-    """(k, 7) values of some (n, 7) at times between theirs."""
+    """Interpolate (n, 7) values linearly at (k,) times: (k, 7)."""
     right = np.clip(np.searchsorted(times, when), 1, len(times) - 1)
     left = right - 1
     share = np.clip((when - times[left]) / (times[right] - times[left]), 0.0, 1.0)[:, None]

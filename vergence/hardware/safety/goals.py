@@ -1,4 +1,4 @@
-"""Angles at which the eyes' joints look straight at a target that their images show."""
+"""Angles at which the eye joints look straight at a target, from its pixels."""
 
 import numpy as np
 
@@ -7,19 +7,20 @@ from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
 
 _AWAY_M = 1.0
-"""Distance of the target from each camera, m: a turning camera moves it in the image alike."""
+"""Assumed distance of the target from each camera, m: a turning camera moves near and far targets
+alike in the image."""
 
 
 def joint_goals(head: HeadModel, q: FloatArray, pixels: FloatArray) -> FloatArray:
-    """Goals of the four eye joints by one step of Newton's method: exact at the goal itself.
+    """Goals of the four eye joints by one Newton step, which is exact at the goal itself.
 
     Args:
         head: the model of the head.
         q: (7,) joint angles at the exposure, rad.
-        pixels: (2, 2) raw pixels of the target; nan where an eye does not see it.
+        pixels: (2, 2) raw pixels of the target; nan if it is not visible to an eye.
 
     Returns:
-        (4,) rad; nan for the joints of an eye that does not see it.
+        (4,) goal angles, rad; nan for the joints of an eye to which it is not visible.
     """
     ideal = head.undistort(pixels)
     jacobian = head.image_jacobian(q, ideal, np.full(2, _AWAY_M))

@@ -1,21 +1,21 @@
-"""Commands from which every joint can still brake to rest inside its bounds.
+"""Limits of commands, such that every joint can still brake to rest inside its bounds.
 
-A joint's speed v follows its command u with a lag; over a period T it covers a share
-`k = 1 - exp(-T / lag)` of what is missing. So a joint that is told u_1, u_2, ... and comes to rest
-has travelled
+A joint's speed v follows its command u with a first-order lag; in a period T it covers the fraction
+`k = 1 - exp(-T / lag)` of the difference u - v. So a joint that receives the commands u_1, u_2, ...
+and comes to rest has travelled
 
     lag v + T (u_1 + u_2 + ...)
 
-Commands are sent, take the command latency to act, and are then held for a period, or for half of
-one more where the next is late. Where whoever sends them dies, the last one is held until the
-servos' own watchdog stops them. A command is safe if the commands that are still on their way,
-this one for as long as it may last, and braking after it end inside the bound. Braking takes b T
-from the speed in each period by commands of `v - b T / k`, their sum over T being
-`((v - b T / k) (v - b T / k + b T) / (b T) + b T / 4) / 2` or a little less. Only the parts of
-speeds and commands towards a bound are counted: a linear joint goes no farther.
+A command acts after the command latency and is then held for a period, or half a period more if the
+next one is late. If the sender dies, the last command is held until the servos' own watchdog stops
+them. A command is safe if the joint stays inside the bound while it executes the commands still in
+transit, this command for its longest hold, and then brakes. Braking reduces the speed by b T in
+each period, with commands `v - b T / k`. Their sum is at most
+`((v - b T / k) (v - b T / k + b T) / (b T) + b T / 4) / 2`. Only the parts of speeds and commands
+towards a bound are counted: a linear joint goes no farther.
 
-Of a forbidden posture one angle at least is kept out: the one that is farthest from it is braked
-before its face as before a limit.
+Of a forbidden posture at least one angle is kept outside its range: the angle with the most room
+brakes before the end of its range as before a limit.
 """
 
 from collections import deque
@@ -31,55 +31,55 @@ from vergence.models.joint_response import follow_joint
 from vergence.models.parts import FloatArray
 
 _MOST_RAD_S2: Final = 1e3
-"""Acceleration that stands for none given. Numerical."""
+"""Acceleration limit of joints without one, rad/s^2 (numerical)."""
 _LEAST_RAD_S2: Final = 1e-3
-"""Least acceleration, for heads that give 0 for a joint that is not there. Numerical."""
+"""Least acceleration limit, rad/s^2: heads give 0 for joints that do not exist (numerical)."""
 _BRAKING: Final = 0.5
-"""Share of a joint's greatest acceleration that braking counts on: a loaded servo has less."""
+"""Braking deceleration per greatest acceleration of a joint: a loaded servo has less (chosen)."""
 _SPARE: Final = 0.7
-"""Share of the greatest commanded acceleration that braking counts on: the sum above is rounded
-up, so braking begins a little late. Numerical."""
+"""Braking deceleration as a fraction of the greatest commanded acceleration: the sum above is
+rounded up, so braking begins a little late (numerical)."""
 _QUICK: Final = 0.25
-"""Lag, by the control period, below which a joint is braked as if it had so much. Numerical."""
+"""Least lag that braking assumes, control periods (numerical)."""
 _EDGE_RAD: Final = 0.005
-"""Distance that is kept from a limit, rad: three steps of an encoder of 4,096."""
+"""Margin to a joint limit, rad: three steps of an encoder of 4,096 (chosen)."""
 _FACE_RAD: Final = 0.01
-"""Distance that is kept from a forbidden posture: several steps of an encoder of 4,096."""
+"""Margin to a forbidden posture, rad: several steps of an encoder of 4,096 (chosen)."""
 _NO_LAG_S: Final = 1e-12
-"""Lag that stands for none, s. Numerical."""
+"""Lag in place of none, s (numerical)."""
 HELD: Final = 1.5
-"""Control periods for which a command may have to last: whoever sends the next may be late."""
+"""Control periods for which a command may be held, as the next one may be late (chosen)."""
 _LATE: Final = 1e-9
-"""Part of a period by which a latency may exceed whole periods without counting one more."""
+"""Tolerance, in control periods, for the rounding up of latencies to whole periods (numerical)."""
 
 _follow = getattr(follow_joint, "py_func", follow_joint)
 
 
 class _Reach(NamedTuple):
-    """How far joints go towards one side, by the command that they get next."""
+    """State of the joints towards one side when the next command begins to act."""
 
     sure: FloatArray
-    """(7,) way that is not to be avoided: coasting, and commands that are on their way, rad."""
+    """(7,) motion that is unavoidable: coasting, and commands in transit, rad."""
     speed: FloatArray
     """(7,) speed when the next command begins to act, rad/s."""
 
 
 class JointMotion:
-    """The safety's model of the joints, and the commands that it allows.
+    """Model of the joints, and the limits of their commands.
 
     Args:
         head: the model of the head.
         lower: (7,) least angles, rad.
         upper: (7,) greatest angles, rad.
         config: bounds of the robot.
-        last_s: time for which the last command may act: until the servos stop by themselves where
-            nobody speaks any more, s.
+        last_s: time for which the last command may act if the sender dies, until the servos' own
+            watchdog stops them, s.
 
     Attributes:
         speed: (7,) speeds of the model, rad/s.
         most: (7,) greatest speeds, rad/s.
         acceleration: (7,) greatest accelerations, rad/s^2.
-        in_the_way: name of the forbidden posture that has limited the last command, or empty.
+        in_the_way: name of the forbidden posture that limited the last command, or empty.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class JointMotion:
         self._own_acceleration = own
         self.acceleration = np.minimum(own, config.acceleration_rad_s2)
         self._lag_s = timing.lag_s * actuation.lag_ratio
-        # a joint whose lag is short against the period still takes a while to brake
+        # a joint with a lag much shorter than the period still takes time to brake
         planned_s = np.maximum(self._lag_s, _QUICK * self._period_s)
         self._share = 1.0 - np.exp(-self._period_s / planned_s)
         self._late_share = 1.0 - np.exp(-HELD * self._period_s / planned_s)
@@ -110,29 +110,29 @@ class JointMotion:
         self._true_share = -np.expm1(-self._period_s / np.maximum(self._lag_s, _NO_LAG_S))
         brake = np.minimum(_BRAKING * own, own * planned_s * self._share / self._period_s)
         self._brake = np.minimum(brake, _SPARE * self.acceleration)
-        # what changes the speed by the acceleration within a period; a joint that is at its own
-        # limit for all of it needs more
+        # change of the command that changes the speed at the acceleration limit for a period; a
+        # joint that saturates at its own limit needs more
         self._change = np.where(
             self.acceleration < own,
             self.acceleration * self._period_s / self._true_share,
             own * (self._period_s + self._lag_s),
         )
-        # a joint that is told to brake harder than its lag alone lets it goes this much farther
+        # a joint whose braking saturates its acceleration travels this much farther
         harder = self._change - own * planned_s
         self._spare = np.maximum(harder, 0.0) ** 2 / (2.0 * own)
-        self._spare *= 1 + late  # each command on its way may do so
+        self._spare *= 1 + late  # each command in transit may do so
         self._sent: deque[FloatArray] = deque([np.zeros(7)] * late, maxlen=late or None)
         self._late = late
         self.speed = np.zeros(7)
         self.in_the_way = ""
 
     def begin(self) -> None:
-        """Begin anew with joints at rest."""
+        """Reset the model to joints at rest."""
         self.speed = np.zeros(7)
         self._sent.extend([np.zeros(7)] * self._late)
 
     def took(self, command: FloatArray) -> None:
-        """Let a period pass in which a command was sent, (7,) rad/s."""
+        """Advance the model by a period in which a command, (7,) rad/s, was sent."""
         acts = command
         if self._late:
             acts = self._sent.popleft()
@@ -154,16 +154,16 @@ class JointMotion:
     def allowed(
         self, angles: FloatArray, measured: FloatArray, wish: FloatArray, most: FloatArray
     ) -> FloatArray:
-        """The commands nearest to a wish from which the joints still brake inside their bounds.
+        """Limit requested velocities so that the joints can still brake inside their bounds.
 
         Args:
-            angles: (7,) where the joints are, rad.
-            measured: (7,) measured speeds, rad/s; the model's count too, whichever is greater.
-            wish: (7,) rad/s, finite or infinite.
-            most: (7,) greatest speeds at present, rad/s.
+            angles: (7,) present angles, rad.
+            measured: (7,) measured speeds, rad/s; the greater of these and the model's count.
+            wish: (7,) requested velocities, rad/s, finite or infinite.
+            most: (7,) present greatest speeds, rad/s.
 
         Returns:
-            (7,) rad/s.
+            (7,) commands, the nearest safe ones, rad/s.
         """
         command = self._window(np.clip(wish, -most, most))
         up, down = self._reach(measured, 1.0), self._reach(measured, -1.0)
@@ -179,7 +179,7 @@ class JointMotion:
         return command
 
     def _window(self, wish: FloatArray) -> FloatArray:
-        """Wishes limited to what changes a joint's speed by its greatest acceleration."""
+        """Limit requested velocities to the change of speed at the greatest acceleration."""
         speed = self.speed
         for sent in self._sent:
             speed = speed + (sent - speed) * self._true_share
@@ -196,13 +196,13 @@ class JointMotion:
         return _Reach(sure, speed)
 
     def _greatest(self, room: FloatArray, reach: _Reach) -> FloatArray:
-        """The greatest command towards a side that ends within some room, 0 or more."""
+        """Greatest command towards a side, 0 or more, whose motion ends within the room, rad."""
         slower = self._solve(room, reach.speed, self._share)
         faster = self._solve(room, reach.speed, self._last_share)
         return np.maximum(np.where(slower <= reach.speed, slower, faster), 0.0)
 
     def _solve(self, room: FloatArray, speed: FloatArray, share: FloatArray) -> FloatArray:
-        """The command whose way, see `_way`, is the room, by its share in the speed."""
+        """Command whose motion, see `_way`, equals the room; `share` is k over its duration."""
         step = self._brake * self._period_s
         ways = room / self._period_s
         off = (1.0 - share) * speed - step / self._share + 0.5 * step
@@ -211,9 +211,9 @@ class JointMotion:
         return np.where(y > 0.0, (step * y - off) / share, ways / self._lasts)
 
     def _way(self, command: FloatArray, reach: _Reach) -> FloatArray:
-        """How far joints go towards a side by a command and braking after it, rad."""
+        """Motion towards a side by a command and the braking after it, rad."""
         step = self._brake * self._period_s
-        # the worse of a command that acts for a period and of one that acts for long
+        # the worse case: for a slower command one period, for a faster one its longest hold
         share = np.where(command > reach.speed, self._last_share, self._share)
         after = reach.speed + share * (command - reach.speed)
         y = np.maximum((after - step / self._share) / step + 0.5, 0.0)
@@ -239,7 +239,7 @@ class JointMotion:
         low, high = span(command)
         if not ((high > lower) & (low < upper)).all():
             return command
-        # of the angles that can stay out, the one that has the most room
+        # the angle with the most room is kept out
         low, high = span(rest)
         room = np.maximum(lower - high, low - upper)
         one = int(np.argmax(room))
@@ -255,5 +255,5 @@ class JointMotion:
 
 
 def inside(postures: Sequence[ForbiddenPosture], angles: FloatArray) -> ForbiddenPosture | None:
-    """The first forbidden posture that holds angles, (7,) rad; None if none does."""
+    """First forbidden posture that contains the angles, (7,) rad; None if there is none."""
     return next((one for one in postures if one.holds(angles)), None)

@@ -1,4 +1,4 @@
-"""Looking around for a target that is lost: both eyes go along a spiral about straight ahead."""
+"""Search for a lost target: both eyes follow a spiral about the straight-ahead direction."""
 
 from math import cos, pi, sin, sqrt, tan
 from typing import Final
@@ -10,18 +10,18 @@ from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 
 _AWAY_M: Final = 1.0
-"""Distance at which both eyes meet, m."""
+"""Distance of the fixation point along z, m (chosen)."""
 _TURN_RAD: Final = 0.15
-"""Distance of two turns of the spiral, rad: a quarter of a webcam's height."""
+"""Distance between two turns of the spiral, rad: a quarter of a webcam's height (chosen)."""
 _MOST_RAD: Final = 0.7
-"""Radius at which the spiral begins anew, rad."""
+"""Radius at which the spiral restarts at its centre, rad (chosen)."""
 _SLOW_RAD_S: Final = 0.4
-"""Speed along the spiral, rad/s: a short exposure still shows a target."""
+"""Speed along the spiral, rad/s: a short exposure still shows the target (chosen)."""
 _GAIN: Final = 4.0
-"""Rate at which the joints go to where the spiral is, 1/s."""
+"""Gain of the joints towards the point of the spiral, 1/s (chosen)."""
 
 
-class Search:
+class SpiralSearch:
     """A slow spiral of the gaze.
 
     Args:
@@ -36,12 +36,12 @@ class Search:
         """Velocities along the spiral.
 
         Args:
-            time_s: since the search began, s.
+            time_s: time since the search began, s.
             angles: (7,) present angles of neck and actuators, rad.
             joints: (7,) present joint angles, rad.
 
         Returns:
-            (7,) rad/s.
+            (7,) requested velocities, rad/s.
         """
         # an Archimedean spiral r = c phi: its arc is about c phi^2 / 2
         pitch = _TURN_RAD / (2.0 * pi)

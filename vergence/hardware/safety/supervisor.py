@@ -1,8 +1,8 @@
-"""The supervisor of a robot head: from its state and a wish to a command and a verdict.
+"""The supervisor of a robot head: turns a policy's requested velocities into safe commands.
 
-It reads no clock and touches no hardware. In each period the plant tells it what is known of the
-robot, asks it for the command in place of a policy's wish, and tells it what was sent. A stop
-latches: from then on all commands brake, until the plant is opened anew.
+It reads no clock and touches no hardware. In each period the plant passes it the robot's state and
+the requested velocities (the wish), sends the command that it returns, and reports what was sent. A
+stop latches: from then on all commands brake, until the plant is released.
 """
 
 from collections import deque
@@ -15,63 +15,63 @@ from vergence.envs.reading import BoolArray
 from vergence.hardware.safety.config import SafetyConfig
 from vergence.hardware.safety.following import Following
 from vergence.hardware.safety.motion import JointMotion, inside
-from vergence.hardware.safety.searching import Search
+from vergence.hardware.safety.searching import SpiralSearch
 from vergence.hardware.safety.swings import Swings
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES
 from vergence.models.parts import FloatArray
 
 SWINGING: Final = "policy: expected joints that come to rest at a target that rests"
-"""How the reason of a stop begins where it is the policy that lets the head swing."""
+"""Beginning of the stop's reason if the policy makes the head oscillate."""
 JOINTS_AGE_S: Final = 0.15
-"""Age of the joints' angles from which on the head stops, s."""
+"""Age of the joint angles above which the head stops, s (chosen)."""
 _FIRST: Final = 0.1
-"""Share of its speed that a joint has until it is proved to follow."""
+"""Greatest speed of a joint not yet proved to follow, as a fraction of its limit (chosen)."""
 _FIRST_RAD_S: Final = 0.2
-"""And what is slow enough for that, rad/s."""
+"""Least value of that speed, rad/s: slow enough for any joint (chosen)."""
 _SEEN: Final = 2.0
-"""Age of an angle by the control period up to which a limit is judged by it."""
+"""Greatest age of an angle that is compared with the limits, control periods (chosen)."""
 _BEYOND_RAD: Final = 0.05
-"""Distance beyond a limit at which something else than a command has moved a joint, rad."""
+"""Distance beyond a limit that no command can cause, rad: the joint was pushed (chosen)."""
 _OVERRUN_WINDOW_S: Final = 2.0
-"""Time over which missed periods are counted, s."""
+"""Time over which missed periods are counted, s (chosen)."""
 
 
 class Verdict(Enum):
-    """Answer to a wish."""
+    """Verdict on the requested velocities."""
 
     GO = "go"
-    """The wish, as far as the bounds allow."""
+    """Send the requested velocities as far as the bounds allow."""
     HOLD = "hold"
-    """Rest until the target is seen again."""
+    """Hold still until the target is visible again."""
     SEARCH = "search"
-    """Look around for the target."""
+    """Search for the target."""
     STOP = "stop"
     """Rest until released."""
 
 
-class State(NamedTuple):
-    """The robot at present, all that the supervisor is told."""
+class RobotState(NamedTuple):
+    """Present state of the robot, the input of the supervisor."""
 
     now_s: float
-    """The present, s of a steady clock."""
+    """Present time, s of a monotonic clock."""
     angles: FloatArray
-    """(7,) of the neck's joints and the actuators of the eyes, rad."""
+    """(7,) angles of the neck's joints and the actuators of the eyes, rad."""
     speeds: FloatArray
     """(7,) measured speeds of these, rad/s."""
     joints: FloatArray
     """(7,) joint angles, rad."""
     age_s: FloatArray
-    """(7,) for how long the angles have been carried on since each joint's last answer, s."""
+    """(7,) time since each servo's last answer, during which its angle is extrapolated, s."""
     images_s: FloatArray | None
-    """(2,) when the newest image of each eye came, s; None while no images count, as on the way to
-    where a trial begins."""
+    """(2,) time of receipt of each eye's newest image, s; None while images do not count, as on the
+    way to the start of a trial."""
     seen: bool = False
-    """Whether an eye sees the target in its newest image."""
+    """True if the target is visible in the newest image of an eye."""
     goals: FloatArray | None = None
-    """(4,) angles at which the eyes' joints look at the target, rad; nan where unknown."""
+    """(4,) angles at which the eye joints look at the target, rad; nan if unknown."""
     missed: int = 0
-    """Periods that have been missed since the last call."""
+    """Control periods missed since the last call."""
 
 
 class Supervisor:
@@ -82,12 +82,12 @@ class Supervisor:
         head: the model of the head.
         lower: (7,) least angles of the joints of the neck and the actuators of the eyes, rad.
         upper: (7,) greatest angles, rad.
-        names: places in a command of seven by name, of what has a servo.
+        names: indices into the 7-element command by name, for joints with a servo.
         last_s: time for which the last command may act before the servos stop by themselves, s.
 
     Attributes:
-        verdict: that on the last wish.
-        fault: the reason of a stop in words; empty while there is none.
+        verdict: verdict on the last requested velocities.
+        fault: reason of a stop in words; empty while there is none.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class Supervisor:
         self._motion = JointMotion(head, lower, upper, config, last_s)
         self._following = Following(head, self._motion.most)
         self._swings = Swings()
-        self._search = Search(head)
+        self._search = SpiralSearch(head)
         self._told = np.zeros(7)
         self._missed: deque[tuple[float, int]] = deque()
         self._seen_s = self._begun_s = np.nan
@@ -114,25 +114,25 @@ class Supervisor:
         self.fault = ""
 
     def begin(self, now_s: float) -> None:
-        """Begin a trial: its images, target and overruns are watched from here, s."""
+        """Begin a trial at a time, s, and watch its images, target and missed periods."""
         self._begun_s = self._seen_s = now_s
         self._swings.begin()
         self._missed.clear()
 
     def stop(self, reason: str) -> None:
-        """Stop for a reason in words; the first one stays."""
+        """Stop for a reason in words; later reasons do not replace it."""
         self.fault = self.fault or reason
         self.verdict = Verdict.STOP
 
-    def command(self, state: State, wish: FloatArray) -> FloatArray:
-        """The command for the next period.
+    def command(self, state: RobotState, wish: FloatArray) -> FloatArray:
+        """Compute the command for the next period.
 
         Args:
-            state: the robot at present.
-            wish: (7,) velocities of the neck's joints and of the actuators of the eyes, rad/s.
+            state: present state of the robot.
+            wish: (7,) requested velocities of the neck's joints and the eyes' actuators, rad/s.
 
         Returns:
-            (7,) rad/s; `verdict` and `fault` say why they are others.
+            (7,) command, rad/s; `verdict` and `fault` explain a difference from the wish.
         """
         if np.isnan(wish).any():
             self.stop("policy: expected numbers for a command, got nan")
@@ -146,32 +146,32 @@ class Supervisor:
         return self._motion.allowed(state.angles, state.speeds, wish, most)
 
     def took(self, sent: FloatArray) -> None:
-        """Let a period pass in which a command was sent, (7,) rad/s."""
+        """Report the command, (7,) rad/s, that was sent for a period."""
         self._motion.took(sent)
         self._told = sent.copy()
 
     @property
     def proved(self) -> BoolArray:
-        """(7,) whether each joint has been seen to follow its commands."""
+        """(7,) True for joints that have been seen to follow their commands."""
         return self._following.proved
 
     @property
     def most(self) -> FloatArray:
-        """(7,) greatest speeds of joints that are proved, rad/s."""
+        """(7,) greatest speeds of proved joints, rad/s."""
         return self._motion.most
 
     @property
     def in_the_way(self) -> str:
-        """The forbidden posture that has limited the last command; empty for none."""
+        """Name of the forbidden posture that limited the last command; empty for none."""
         return self._motion.in_the_way
 
     @property
     def at_rest(self) -> bool:
-        """Whether the last command was to rest."""
+        """True if the last command was zero."""
         return not self._told.any()
 
-    def _judge(self, state: State) -> None:
-        """Stop where something is wrong."""
+    def _judge(self, state: RobotState) -> None:
+        """Stop if joints, limits or forbidden postures are violated, or the trial's loop fails."""
         age_s = float(state.age_s.max())
         if age_s > JOINTS_AGE_S:
             self.stop(
@@ -205,8 +205,8 @@ class Supervisor:
         if state.images_s is not None:
             self._judge_loop(state, state.images_s)
 
-    def _judge_loop(self, state: State, images_s: FloatArray) -> None:
-        """Stop where images, periods or motions of a running trial are wrong."""
+    def _judge_loop(self, state: RobotState, images_s: FloatArray) -> None:
+        """Stop if a trial's images are late, many periods are missed, or the head oscillates."""
         config = self._config
         for eye, name in enumerate(EYE_NAMES):
             age_s = state.now_s - max(float(images_s[eye]), self._begun_s)
@@ -237,8 +237,8 @@ class Supervisor:
                 "state-feedback"
             )
 
-    def _while_lost(self, state: State, wish: FloatArray) -> FloatArray:
-        """The wish, or what is done while the target is lost."""
+    def _while_lost(self, state: RobotState, wish: FloatArray) -> FloatArray:
+        """Replace the wish while the target is lost: by rest, or by the search."""
         self.verdict = Verdict.GO
         if state.images_s is None:
             return wish

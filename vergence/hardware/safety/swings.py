@@ -1,8 +1,8 @@
-"""Joints that swing at speed about a goal that rests.
+"""Detection of joints that oscillate quickly about a goal at rest.
 
-A half swing is the way between two turns of a joint. It counts if it is long and fast enough, and
-the joint's goal has moved less than half as far meanwhile. Laws of this package calm themselves
-after two or three; somebody else's may not.
+A half swing is the motion between two reversals of a joint. It counts if it is long and fast
+enough, and the joint's goal has moved less than half as far meanwhile. The controllers of this
+package settle after two or three; other policies may not.
 """
 
 from collections import deque
@@ -14,23 +14,23 @@ import numpy as np
 from vergence.models.parts import FloatArray
 
 _LEAST_RAD: Final = 0.02
-"""Least half swing, rad: a target that trembles by 10 px moves a webcam's eye less."""
+"""Least half swing, rad: a target that jitters by 10 px moves a webcam's eye less (chosen)."""
 _LEAST_RAD_S: Final = 0.3
-"""Least peak speed of a half swing, that of a sinusoid, rad/s."""
+"""Least peak speed of a half swing, taken as a sinusoid, rad/s (chosen)."""
 _MANY: Final = 8
-"""Half swings of one joint in the window that are too many: four whole ones."""
+"""Half swings of one joint in the window that count as an oscillation: four cycles (chosen)."""
 _WINDOW_S: Final = 4.0
-"""The window, s."""
+"""Length of the window, s (chosen)."""
 
 
 class Swings:
-    """Half swings of the four eye joints."""
+    """Counter of the half swings of the four eye joints."""
 
     def __init__(self) -> None:
         self.begin()
 
     def begin(self) -> None:
-        """Forget all."""
+        """Reset all counts."""
         self._side = np.zeros(4)
         self._turned = np.full(4, np.nan)
         self._turned_s = np.zeros(4)
@@ -40,15 +40,15 @@ class Swings:
         self._counted: list[deque[float]] = [deque() for _ in range(4)]
 
     def take(self, now_s: float, angles: FloatArray, goals: FloatArray) -> int | None:
-        """Look at the joints.
+        """Update the counts with new angles and goals.
 
         Args:
-            now_s: the present, s.
-            angles: (4,) of the eyes' joints, rad.
-            goals: (4,) where these look straight at the target, rad; nan where that is not known.
+            now_s: present time, s.
+            angles: (4,) angles of the eye joints, rad.
+            goals: (4,) angles at which they look straight at the target, rad; nan if unknown.
 
         Returns:
-            A joint that swings, 0 to 3; None for none.
+            Index of a joint that oscillates, 0 to 3; None if there is none.
         """
         self._least_goal = np.fmin(self._least_goal, goals)
         self._most_goal = np.fmax(self._most_goal, goals)

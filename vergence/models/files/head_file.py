@@ -46,6 +46,12 @@ def load_head(source: str | os.PathLike[str]) -> HeadModel:
         UnknownNameError: there is no such preset.
         HeadFileError: the file is missing or is not a head; the message names the key, the
             value and what was expected.
+
+    Examples:
+        >>> import vergence
+        >>> head = vergence.load_head("turrets")
+        >>> head.joints[3:]
+        ('left_pan', 'left_tilt', 'right_pan', 'right_tilt')
     """
     if not isinstance(source, str | os.PathLike):
         raise UnknownNameError("head", source, [*presets(), "a path of a .toml file"])

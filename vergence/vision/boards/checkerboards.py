@@ -83,9 +83,9 @@ _SEARCH_PX: Final = 1600
 against small squares)."""
 _SEARCHED_PX: Final = (640, 320, _SEARCH_PX)
 """Longer sides to which larger images are reduced for the search for clusters of corners: most
-boards are found at the first, blurred ones at the second, small squares at the last."""
+boards are found at the first, blurred ones at the second, small squares at the last (chosen)."""
 _TURNS_PX: Final = (640, _SEARCH_PX, 640, 320)
-"""Longer sides in turn, one per image, if a single search method is asked for."""
+"""Longer sides in turn, one per image, if a single search method is asked for (chosen)."""
 
 
 class CheckerboardDetector(Detector[Checkerboard]):

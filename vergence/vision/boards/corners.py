@@ -11,7 +11,8 @@ from vergence._jit import compiled
 from vergence.models.parts import FloatArray
 
 _END: Final = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 3e-3)
-"""Termination of `cornerSubPix`: iterations, and a step in pixels of the enlarged window."""
+"""Termination of `cornerSubPix`: iterations, and a step in pixels of the enlarged window
+(numerical)."""
 _BLUR_PX: Final = 0.6
 """Standard deviation of the blur before refinement, px (chosen: less bias by aliasing)."""
 _RIM: Final = 4

@@ -1,4 +1,4 @@
-"""What a detector gets wrong on drawn images."""
+"""Errors of a detector on drawn images."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What holds for every experiment on the physical twin, run small."""
+"""Properties of every experiment on the physical twin, in small runs."""
 
 import pandas as pd
 import pytest

@@ -1,4 +1,4 @@
-"""Where the nominal model puts what a settled true head looks at."""
+"""Errors of the nominal model at the fixation points of settled true heads."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Where a figure of the article falls in a population."""
+"""Position of the article's figures within a population."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is made of the uncertainties' table."""
+"""Findings from the table of uncertainties."""
 
 import pandas as pd
 import pytest
