@@ -113,17 +113,17 @@ class Mover:
         self._phase = rng.uniform(0.0, 2.0 * np.pi, 4)
         self._peak = rng.uniform(1.5, 3.0, 4)
 
-    def wish(self, time_s: float) -> FloatArray:
+    def command(self, time_s: float) -> FloatArray:
         """(1, 7) velocity command at a time, rad/s."""
-        wish = np.zeros((1, 7))
-        wish[0, 3:] = self._peak * np.sin(self._rate * time_s + self._phase)
-        return wish
+        command = np.zeros((1, 7))
+        command[0, 3:] = self._peak * np.sin(self._rate * time_s + self._phase)
+        return command
 
     def drive(self, plant: HardwarePlant, seconds: float) -> None:
         """Turn the joints for a time, or until a fault stops them."""
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s and not plant.fault:
-            plant.step(self.wish(time.monotonic()))
+            plant.step(self.command(time.monotonic()))
 
 
 def rested_s(world: EmulatedWorld, since_s: float, wait_s: float = 0.6) -> float:

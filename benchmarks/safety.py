@@ -25,9 +25,9 @@ from vergence.models.joint_response import follow_joint, lag_decay
 
 CHUNK = 100
 LATEST = 1.5
-"""Longest duration of a late command, periods, as ensured by `Drive`."""
+"""Longest duration of a late command, periods, as ensured by `DriveThread`."""
 NAMES = ("turrets", "icub", "simulated")
-WISHES = ("flips", "keeps", "trembles", "swings")
+POLICIES = ("flips", "keeps", "trembles", "swings")
 
 
 class Joints:
@@ -111,7 +111,7 @@ def drawn_start(rng, head, forbidden):
     return angles
 
 
-def wishes(rng, style, steps):
+def requested_velocities(rng, style, steps):
     """(steps, 7) requested velocities of a policy that ignores all bounds, rad/s."""
     if style == "flips":
         return rng.choice([-np.inf, np.inf, 0.0, 1.0], (steps, 7))
@@ -133,14 +133,16 @@ def exceeded(rng, style, steps=60, how=""):
     lower, upper = head.actuation.lower, head.actuation.upper
     last_s = float(rng.choice([0.1, 0.3])) if how == "ends" else 0.0
     motion, joints = JointMotion(head, lower, upper, config, last_s), Joints(head, start)
-    told = list(wishes(rng, style, steps))
+    requested = list(requested_velocities(rng, style, steps))
     end = rng.integers(1, steps) if how == "ends" else steps
     there = upper > lower
     worst = np.zeros(4)
     for step in range(steps):
         if step <= end:
-            command = motion.allowed(joints.angles, joints.speeds, told[step], motion.most)
-            motion.took(command)
+            command = motion.allowed(
+                joints.angles, joints.speeds, requested[step], motion.max_speed
+            )
+            motion.advance(command)
         else:
             command = np.zeros(7)
         before = joints.speeds.copy()
@@ -151,8 +153,8 @@ def exceeded(rng, style, steps=60, how=""):
         beyond = np.maximum(joints.angles - upper, lower - joints.angles)[there].max()
         over_s = periods * head.timing.period_s
         change = np.abs(joints.speeds - before) / over_s / motion.acceleration - 1.0
-        hurt = any(one.holds(joints.angles) for one in config.forbidden)
-        now = beyond, (np.abs(joints.speeds) - motion.most).max(), change[there].max(), hurt
+        entered = any(one.holds(joints.angles) for one in config.forbidden)
+        now = beyond, (np.abs(joints.speeds) - motion.max_speed).max(), change[there].max(), entered
         worst = np.maximum(worst, now)
     return worst
 
@@ -162,7 +164,7 @@ def chunk(first: int, seed: int, how: str) -> np.ndarray:
     worst = np.zeros(4)
     for number in range(first, first + CHUNK):
         rng = np.random.default_rng((seed, number))
-        worst = np.maximum(worst, exceeded(rng, WISHES[number % len(WISHES)], how=how))
+        worst = np.maximum(worst, exceeded(rng, POLICIES[number % len(POLICIES)], how=how))
     return worst
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from tests.naming import named
 from vergence import _ahead
-from vergence.commands.gaze import BESIDE
+from vergence.commands.gaze import COMPILED_AHEAD
 from vergence.envs import reward, task
 
 
@@ -25,7 +25,7 @@ def started(monkeypatch, tmp_path):
 
 
 def test_what_a_gaze_has_compiled_ahead_is_there():
-    for name in BESIDE:
+    for name in COMPILED_AHEAD:
         with named(name):
             assert callable(_ahead.compiler_of(name))
 

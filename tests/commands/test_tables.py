@@ -64,17 +64,17 @@ def test_no_word_of_two_columns_of_text_is_cut():
     ]
     expected = {word for row in rows for cell in row for word in cell.split()}
     for width in (30, 50, 60, 80, 81, 100, 160):
-        words = printed(width, ["assumed", "why"], rows, text=(0, 1)).split()
+        words = printed(width, ["assumed", "why"], rows, wrapped=(0, 1)).split()
         assert expected - set(words) == set(), width
 
 
 def test_of_long_names_the_ends_are_enough_where_these_tell_them_apart():
     names = [f"a-recording-of-one-evening-{number:05d}.png" for number in (1, 2)]
     rows = [[name, "12.500"] for name in names]
-    text = printed(30, ["image", "u (px)"], rows, names=(0,))
+    text = printed(30, ["image", "u (px)"], rows, shortenable=(0,))
     assert len(text.splitlines()) == 4
     assert "…n-00001.png"[-9:] in text
-    assert names[0] in printed(80, ["image", "u (px)"], rows, names=(0,))
+    assert names[0] in printed(80, ["image", "u (px)"], rows, shortenable=(0,))
     alike = [[f"{name}-of-the-left-eye-of-the-desk", "12.500"] for name in ("a", "b")]
     for row in alike:
-        assert row[0] in printed(30, ["image", "u (px)"], alike, names=(0,))
+        assert row[0] in printed(30, ["image", "u (px)"], alike, shortenable=(0,))

@@ -27,7 +27,7 @@ def goals(world: World) -> list[int]:
     return [one.get(table.GOAL_VELOCITY) for one in world.servos.values()]
 
 
-def test_a_wish_is_kept_for_two_periods_more_and_then_the_joints_are_braked(robot):
+def test_a_command_is_repeated_for_two_periods_more_and_then_the_joints_are_braked(robot):
     turning = goals(robot.world)
     period_s = robot.plant.head.timing.period_s
     robot.clock.sleep(1.9 * period_s)
@@ -39,10 +39,10 @@ def test_a_wish_is_kept_for_two_periods_more_and_then_the_joints_are_braked(robo
 def test_a_policy_that_comes_back_in_time_goes_on_a_period_after_what_was_said_for_it(robot):
     drive, period_s = robot.plant._open.drive, robot.plant.head.timing.period_s
     robot.clock.sleep(period_s)
-    kept_s = drive._kept_s
+    repeated_s = drive._repeated_s
     robot.plant.step(FAST)
     assert robot.plant.fault == ""
-    assert drive._wished_s == pytest.approx(kept_s + period_s)
+    assert drive._requested_s == pytest.approx(repeated_s + period_s)
 
 
 @pytest.mark.parametrize("error", [HardwareError("nobody answers"), RuntimeError("a mistake")])
@@ -51,7 +51,7 @@ def test_what_goes_wrong_meanwhile_stops_the_head_and_not_the_thread(robot, monk
         raise error
 
     with monkeypatch.context() as broken:
-        broken.setattr(robot.plant._open.drive._line, "sense", fail)
+        broken.setattr(robot.plant._open.drive._servos, "sense", fail)
         robot.clock.sleep(0.2)
     assert robot.plant.fault == str(error)
     assert goals(robot.world) == [0] * 4
@@ -76,7 +76,7 @@ def test_a_process_that_stands_still_leads_no_joint_beyond_its_limit(monkeypatch
         for _ in range(steps):
             robot.plant.step(np.full((1, 7), np.inf))
         robot.clock.stand_still(1.0)
-        robot.world.to(robot.clock())
+        robot.world.advance_to(robot.clock())
         assert 0.3 < max(one.q for one in robot.world.servos.values()) < LIMIT_RAD, steps
 
 
@@ -92,14 +92,14 @@ def test_a_fault_of_the_line_leads_no_joint_beyond_its_limit(monkeypatch, what):
         while not robot.plant.fault:
             robot.plant.step(fast)
         robot.clock.sleep(0.5)
-        robot.world.to(robot.clock())
+        robot.world.advance_to(robot.clock())
         assert max(one.q for one in robot.world.servos.values()) < LIMIT_RAD, steps
 
 
 def test_who_has_not_begun_a_trial_may_not_step(monkeypatch):
     robot = VirtualRobot(monkeypatch)
     robot.begin()
-    monkeypatch.setattr(robot.plant._open.drive._line, "switch_on", interrupt)
+    monkeypatch.setattr(robot.plant._open.drive._servos, "switch_on", interrupt)
     with pytest.raises(KeyboardInterrupt):
         robot.begin()
     with pytest.raises(HardwareError, match="expected a reset first"):
@@ -129,7 +129,7 @@ def test_a_servo_that_does_not_confirm_to_be_at_rest_keeps_its_watchdog(robot):
     assert set(watchdogs.values()) == {0}
 
 
-def test_a_wish_that_is_held_back_is_not_kept_either(monkeypatch):
+def test_a_command_that_is_held_back_is_not_repeated_either(monkeypatch):
     robot = VirtualRobot(monkeypatch, search=True, overruns=1.0)
     robot.begin()
     monkeypatch.setattr(robot.eyes[0], "take", list)

@@ -11,11 +11,11 @@ SLOT = 3
 STILL = np.zeros((1, 7))
 
 
-def wishes(speed, count):
+def velocities(speed, count):
     for _ in range(count):
-        wish = np.zeros(7)
-        wish[SLOT] = speed
-        yield wish
+        requested = np.zeros(7)
+        requested[SLOT] = speed
+        yield requested
 
 
 @pytest.mark.parametrize("appears", [False, True])
@@ -33,9 +33,9 @@ def test_a_target_that_appears_is_not_seen_in_images_of_before(monkeypatch, appe
 def test_joints_are_exercised_within_the_bounds_and_rest_afterwards(monkeypatch):
     robot = VirtualRobot(monkeypatch)
     robot.begin()
-    robot.plant.exercise(wishes(0.15, 60))
+    robot.plant.exercise(velocities(0.15, 60))
     assert robot.world.servos["left_pan"].q == pytest.approx(0.15, abs=0.02)
-    robot.plant.exercise(wishes(50.0, 60))  # towards the limit, which it does not reach
+    robot.plant.exercise(velocities(50.0, 60))  # towards the limit, which it does not reach
     now = robot.clock()
     robot.clock.sleep(0.5)
     assert robot.rested_s(now) < 0.3
@@ -47,9 +47,9 @@ def test_what_stops_a_robot_that_is_exercised_stays_its_fault(monkeypatch):
     robot.begin()
 
     def until_the_cable_is_pulled():
-        yield from wishes(0.15, 10)
+        yield from velocities(0.15, 10)
         robot.fault(what="unplug")
-        yield from wishes(0.15, 10)
+        yield from velocities(0.15, 10)
 
     with pytest.raises(HardwareError, match="the serial line is gone"):
         robot.plant.exercise(until_the_cable_is_pulled())

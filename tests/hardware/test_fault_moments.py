@@ -31,7 +31,7 @@ def moment(monkeypatch):
         def drive(seconds):
             until_s = robot.clock() + seconds
             while robot.clock() < until_s and not robot.plant.fault:
-                robot.plant.step(mover.wish(robot.clock()))
+                robot.plant.step(mover.command(robot.clock()))
 
         drive(rng.uniform(0.3, 1.5))
         assert robot.plant.fault == ""
@@ -103,7 +103,7 @@ def test_a_policy_that_pauses_passes_no_limit(moment, pause_s):
         for _ in range(12 + 2 * seed):
             now.robot.plant.step(fast)
         now.robot.clock.sleep(pause_s)
-        now.robot.world.to(now.robot.clock())
+        now.robot.world.advance_to(now.robot.clock())
         assert max(one.q for one in now.robot.world.servos.values()) < LIMIT_RAD, seed
 
 

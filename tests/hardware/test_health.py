@@ -16,7 +16,7 @@ from vergence.hardware.health import (
     read_limits,
 )
 
-LIMITS = HealthLimits(temperature_c=72.0, least_v=6.0, most_v=14.0, full_load=1000.0)
+LIMITS = HealthLimits(temperature_c=72.0, least_v=6.0, most_v=14.0, load_scale=1000.0)
 FINE = {"temperature_c": 31.0, "voltage_v": 12.0, "load": 0.1, "errors": 0}
 
 
@@ -62,7 +62,7 @@ def test_a_servo_that_does_not_answer_has_no_health(bus):
 
 
 def judge(**values):
-    return HealthWatch(LIMITS).take(Health(**FINE | values))
+    return HealthWatch(LIMITS).judge(Health(**FINE | values))
 
 
 JUDGED = [
@@ -100,5 +100,5 @@ def test_the_worst_decides_and_all_are_told():
 def test_full_load_stops_at_the_third_reading_in_a_row():
     watch = HealthWatch(LIMITS)
     loads = (0.96, 0.96, 0.5, -0.96, -0.96, -0.96)
-    levels = [watch.take(Health(**FINE | {"load": load})).level for load in loads]
+    levels = [watch.judge(Health(**FINE | {"load": load})).level for load in loads]
     assert levels == ["warn", "warn", "ok", "warn", "warn", "stop"]

@@ -56,8 +56,8 @@ def test_each_image_comes_out_once_in_order_and_in_pairs_within_the_tolerance(le
     pairs = [sights for sights in out if None not in sights]
     assert all(abs(one.exposed_s - other.exposed_s) <= TOLERANCE_S for one, other in pairs)
     assert pairing.counts.pairs == len(pairs)
-    assert pairing.counts.alone_left == len(left) - len(pairs)
-    assert pairing.counts.alone_right == len(right) - len(pairs)
+    assert pairing.counts.unpaired_left == len(left) - len(pairs)
+    assert pairing.counts.unpaired_right == len(right) - len(pairs)
 
 
 @given(
@@ -99,7 +99,7 @@ def test_a_dead_eye_holds_the_other_back_for_the_wait_and_no_longer():
         (lone,) = drain(pairing, 1.0 + i * FRAME_S + 0.031)
         assert lone.left is None
         assert lone.right.exposed_s == i * FRAME_S
-    assert pairing.counts.alone_right == 4
+    assert pairing.counts.unpaired_right == 4
 
 
 def test_a_later_image_of_the_other_eye_ends_the_wait_at_once():

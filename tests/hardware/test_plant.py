@@ -160,10 +160,10 @@ def test_a_watchdog_that_trips_ends_a_trial_but_not_the_wait_before_it(robot):
     assert [servo.get(table.BUS_WATCHDOG) for servo in served.line.servos] == [0] * 4
 
 
-def step_until_stopped(plant, wish=STILL):
+def step_until_stopped(plant, requested=STILL):
     """Wish the same until the plant stops, for half a second at most."""
     for _ in range(30):
-        plant.step(wish)
+        plant.step(requested)
         if plant.fault:
             return
 
@@ -196,7 +196,7 @@ def trip(plant, served):
     # the time of the servos and the plant's own record go on, the test does not wait
     for servo in served.line.servos:
         servo.feed(time.monotonic() - 1.0)
-    with plant._open.drive.alone() as line:
+    with plant._open.drive.exclusive() as line:
         line._fed_s -= 1.0
 
 
@@ -218,7 +218,7 @@ def test_an_answer_that_misses_is_counted_and_a_silent_servo_is_named(robot):
 def test_one_answer_that_misses_after_a_long_wait_is_no_silence(robot):
     plant, served = robot()
     plant.reset(PLACES, START)
-    with plant._open.drive.alone() as line:
+    with plant._open.drive.exclusive() as line:
         line._clock = FakeClock(time.monotonic() + 30.0)
     served.line.servos[0].silent = True
     plant._sense()

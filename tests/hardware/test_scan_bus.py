@@ -8,7 +8,7 @@ from vergence.hardware import scan as scanning
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.scan import RATES, scan
 
-QUICK = {"turn_s": 1e-4, "rates": (2_000_000, 1_000_000)}
+QUICK = {"wait_per_id_s": 1e-4, "rates": (2_000_000, 1_000_000)}
 
 
 def test_all_rates_are_asked_once_the_likely_ones_first():
@@ -38,13 +38,13 @@ def test_servos_that_tell_only_their_model_are_listed(serve):
     own = ready_servos()[:2]
     own[0].set(table.MODEL_NUMBER, 12)
     own[1].set(table.STATUS_RETURN_LEVEL, 0)
-    found = scan(serve(own).port, ids=(1, 2), turn_s=1e-4, rates=(1_000_000,))
+    found = scan(serve(own).port, ids=(1, 2), wait_per_id_s=1e-4, rates=(1_000_000,))
     assert [(one.model, one.memory) for one in found.servos] == [(12, None), (1060, None)]
 
 
 def test_a_rate_that_cannot_be_set_is_left_out_with_its_reason(serve, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "serial", None)
-    found = scan(serve(ready_servos()).port, turn_s=1e-4, rates=(123_456, 1_000_000))
+    found = scan(serve(ready_servos()).port, wait_per_id_s=1e-4, rates=(123_456, 1_000_000))
     assert len(found.servos) == 4
     assert "expected pyserial for 123456 baud" in found.left_out[123_456]
 

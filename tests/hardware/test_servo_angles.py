@@ -60,21 +60,21 @@ class Rig:
         self.servos = ServoAngles(self.configs, head)
         self.servos.limit_ticks = {one.id: limit_ticks for one in self.configs}
         self.now = 0.0
-        self.line.to(0.0)
+        self.line.advance_to(0.0)
         self.sense()
 
     def sense(self):
         answers = {servo.id: servo.read(*_STATE)[1] for servo in self.line.servos}
-        self.servos.take(answers, self.now)
+        self.servos.update(answers, self.now)
 
     def step(self, velocity):
         """One control period, as the plant makes it; what it says that it has sent."""
-        ticks, sent = self.servos.ticks(velocity)
+        ticks, sent = self.servos.quantise(velocity)
         for servo in self.line.servos:
             goal = table.GOAL_VELOCITY
             assert servo.write(goal.address, goal.encode(ticks[servo.id])) == 0
         self.now += self.head.timing.period_s
-        self.line.to(self.now)
+        self.line.advance_to(self.now)
         self.sense()
         return sent
 
@@ -91,7 +91,7 @@ class Rig:
 def test_angles_are_read_on_whatever_turn_the_servo_was_switched_on(wiring, angle, turns):
     rig = Rig(TURRETS, wiring, turns_off=turns, position_rad=angle)
     half_a_tick = 0.5 * table.TICK_RAD / wiring[1]
-    there = rig.servos.there
+    there = rig.servos.has_servo
     assert rig.servos.angles[there] == pytest.approx(angle, abs=1.001 * half_a_tick)
 
 
@@ -112,7 +112,7 @@ def test_measured_speeds_have_the_joints_sign():
     rig = Rig(TURRETS, (-1, 0.5, 100))
     for _ in range(20):
         rig.step(np.array([0.0, 0.0, 0.0, 1.0, -1.0, 0.5, 0.25]))
-    measured = rig.servos.speeds[rig.servos.there]
+    measured = rig.servos.speeds[rig.servos.has_servo]
     assert measured == pytest.approx([1.0, -1.0, 0.5, 0.25], abs=table.TICK_RAD_S / 0.5)
 
 
@@ -120,7 +120,7 @@ def test_what_is_rounded_off_is_carried_over():
     rig = Rig(TURRETS)
     told = np.zeros(7)
     told[3:] = np.array([0.3, -0.3, 1.7, -2.45]) * table.TICK_RAD_S
-    sent = np.array([rig.servos.ticks(told)[1] for _ in range(200)])
+    sent = np.array([rig.servos.quantise(told)[1] for _ in range(200)])
     assert sent.mean(axis=0) == pytest.approx(told, abs=table.TICK_RAD_S / 200)
 
 
@@ -128,9 +128,9 @@ def test_zero_is_zero_at_once():
     rig = Rig(TURRETS)
     told = np.zeros(7)
     told[3:] = 0.4 * table.TICK_RAD_S
-    rig.servos.ticks(told)
+    rig.servos.quantise(told)
     for _ in range(3):
-        ticks, sent = rig.servos.ticks(np.zeros(7))
+        ticks, sent = rig.servos.quantise(np.zeros(7))
         assert set(ticks.values()) == {0}
         assert (sent == 0.0).all()
 
@@ -139,11 +139,11 @@ def test_a_servos_own_limit_bounds_what_is_sent():
     # a sync write beyond VELOCITY_LIMIT is dropped by the servo without a word
     rig = Rig(TURRETS, limit_ticks=100)
     told = np.array([0.0, 0.0, 0.0, 5.0, -5.0, 5.0, -5.0])
-    ticks, sent = rig.servos.ticks(told)
+    ticks, sent = rig.servos.quantise(told)
     assert list(ticks.values()) == [100, -100, 100, -100]
     assert sent[3:] == pytest.approx(np.array([1, -1, 1, -1]) * 100 * table.TICK_RAD_S)
-    rig.servos.ticks(told)
-    ticks, _sent = rig.servos.ticks(np.zeros(7))
+    rig.servos.quantise(told)
+    ticks, _sent = rig.servos.quantise(np.zeros(7))
     assert set(ticks.values()) == {0}
 
 
@@ -164,9 +164,9 @@ def test_a_servo_that_misses_a_question_goes_on_as_it_went():
     for _ in range(20):
         rig.step(np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]))
     rig.now += 0.02
-    rig.line.to(rig.now)
+    rig.line.advance_to(rig.now)
     answers = {one.id: one.read(*_STATE)[1] for one in rig.line.servos[1:]}
-    rig.servos.take(answers, rig.now)
+    rig.servos.update(answers, rig.now)
     assert rig.servos.angles == pytest.approx(rig.true, abs=2e-3)
 
 
@@ -174,10 +174,10 @@ def test_an_angle_that_nobody_has_told_is_not_known():
     servos = ServoAngles(configs(TURRETS), TURRETS)
     rig = Rig(TURRETS)
     answers = {one.id: one.read(*_STATE)[1] for one in rig.line.servos}
-    servos.take({1: answers[1]}, 0.0)
-    assert not servos.known
-    servos.take(answers, 0.1)
-    assert servos.known
+    servos.update({1: answers[1]}, 0.0)
+    assert not servos.all_reported
+    servos.update(answers, 0.1)
+    assert servos.all_reported
     assert np.isfinite(servos.angles).all()
 
 
@@ -190,16 +190,16 @@ def answer(angle, speed=0.0):
 @pytest.mark.parametrize("wild", [answer(0.9), answer(0.0, 20.0)])
 def test_what_no_joint_can_do_is_not_believed(wild):
     servos = ServoAngles(configs(TURRETS), TURRETS)
-    assert servos.take({i: answer(0.0) for i in range(1, 5)}, 0.0) == {1, 2, 3, 4}
-    assert servos.take({**{i: answer(0.01) for i in range(1, 5)}, 2: wild}, 0.02) == {1, 3, 4}
-    assert servos.angles[servos.there].max() < 0.02
+    assert servos.update({i: answer(0.0) for i in range(1, 5)}, 0.0) == {1, 2, 3, 4}
+    assert servos.update({**{i: answer(0.01) for i in range(1, 5)}, 2: wild}, 0.02) == {1, 3, 4}
+    assert servos.angles[servos.has_servo].max() < 0.02
     assert servos.ages(0.02).max() == 0.02
 
 
 def test_a_joint_that_nobody_has_asked_for_long_may_be_anywhere():
     servos = ServoAngles(configs(TURRETS), TURRETS)
-    servos.take({i: answer(0.0) for i in range(1, 5)}, 0.0)
-    assert servos.take({i: answer(1.2) for i in range(1, 5)}, 5.0) == {1, 2, 3, 4}
+    servos.update({i: answer(0.0) for i in range(1, 5)}, 0.0)
+    assert servos.update({i: answer(1.2) for i in range(1, 5)}, 5.0) == {1, 2, 3, 4}
 
 
 def test_a_neck_without_servos_is_at_its_rest():

@@ -39,7 +39,7 @@ class VirtualLine:
         return 10.0 * count / self._baud
 
     def _check(self):
-        self._world.to(self._clock())
+        self._world.advance_to(self._clock())
         if self._world.faults.unplugged:
             raise HardwareError(f"{self.port}: the serial line is gone (was the cable pulled?)")
 
@@ -121,14 +121,14 @@ class VirtualClock(FakeClock):
     """Time in which a robot's drive has its say while somebody else sleeps.
 
     Attributes:
-        drive: drive whose `keep` moves the joints; None without one.
+        drive: drive whose `send_if_late` moves the joints; None without one.
     """
 
     drive = None
 
     def sleep(self, seconds):
         until_s = self.now + seconds
-        while self.drive is not None and self.now + (look_s := self.drive.keep()) < until_s:
+        while self.drive is not None and self.now + (look_s := self.drive.send_if_late()) < until_s:
             self.now += look_s
         self.now = max(self.now, until_s)
 
@@ -170,7 +170,7 @@ class VirtualRobot:
     def __init__(self, monkeypatch, appears=False, **safety):
         self.clock = VirtualClock(1000.0)
         self.world = World(HEAD, np.array([0.0, -0.1, 1.0]))
-        self.world.line.to(self.clock())
+        self.world.line.advance_to(self.clock())
         monkeypatch.setattr(
             bus, "SerialLine", lambda _port, baud: VirtualLine(self.world, self.clock, baud)
         )

@@ -44,7 +44,7 @@ class CheckCameras:
 
         states, findings = check_cameras(requests)
         if states:
-            print_table(_COLUMNS, [row for state in states for row in _rows(state)], text=(0, 1))
+            print_table(_COLUMNS, [row for state in states for row in _rows(state)], wrapped=(0, 1))
         for finding in sorted(findings, key=lambda finding: finding.warning):
             note(f"{'warning' if finding.warning else 'error'}: {finding}")
         return int(not all(finding.warning for finding in findings))

@@ -74,7 +74,7 @@ class _Notes(logging.Handler):
             note(f"{1e-3 * record.relativeCreated:.3f} s {name}: {level}{record.getMessage()}")
 
 
-def say_failures(failures: Sequence[str]) -> None:
+def print_failures(failures: Sequence[str]) -> None:
     """Print one line per file that could not be read, at most `_MOST_FAILURES`."""
     for text in failures[:_MOST_FAILURES]:
         note(f"error: {text}")
@@ -118,12 +118,12 @@ def _line_of_a_box(character: str) -> str:
 
 
 @contextmanager
-def progress(what: str) -> Iterator[Callable[[float], None]]:
+def progress(label: str) -> Iterator[Callable[[float], None]]:
     """Show a progress bar on standard error, only on a terminal and after two seconds."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     bar = Progress(*columns, console=console, transient=True)
-    task = bar.add_task(what, total=1.0)
+    task = bar.add_task(label, total=1.0)
     begun = time.monotonic()
     shown = False
 
@@ -145,7 +145,7 @@ _LINE_AFTER_S = 30.0
 """Time between two progress lines if there is no terminal, s."""
 
 
-class Bars:
+class ProgressListener:
     """Progress of experiments: a bar for each on a terminal, lines elsewhere."""
 
     def __init__(self) -> None:
@@ -159,7 +159,7 @@ class Bars:
         self._bars = Progress(*columns, console=self._console)
         self._tasks: dict[str, TaskID] = {}
 
-    def __enter__(self) -> "Bars":
+    def __enter__(self) -> "ProgressListener":
         if self._console.is_terminal:
             self._bars.start()
         return self

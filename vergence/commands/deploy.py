@@ -22,9 +22,9 @@ from vergence.eval.robot.config import DeployConfig
 if TYPE_CHECKING:
     from vergence.eval.robot.deploy import Present
 
-_TERMINAL_S: Final = 0.1
+_TERMINAL_PERIOD_S: Final = 0.1
 """Time between two updates on a terminal, s (chosen: prompt against processor load)."""
-_LINES_S: Final = 1.0
+_LINE_PERIOD_S: Final = 1.0
 """Time between two lines elsewhere, such as in a file, s (chosen: detail against length)."""
 
 
@@ -45,12 +45,12 @@ class Deploy:
 
         interrupts.guard_robot()
         log = self.log or dated_folder("deploy").with_suffix(".mcap")
-        with _Line(self.config) as line:
-            result = deploy(self.config, log, check=print_checks, show=line.show)
+        with _StatusPrinter(self.config) as status:
+            result = deploy(self.config, log, check=print_checks, show=status.show)
         if self.json:
             print(json.dumps(result.summary(), indent=2, allow_nan=False))
         elif self.config.dry_run:
-            print(f"dry run: nothing has moved\n{line.last()}")
+            print(f"dry run: nothing has moved\n{status.last()}")
         else:
             print_gazes(result.gazes.rows(), result.summary())
         if not self.json:
@@ -62,7 +62,7 @@ class Deploy:
         return 0
 
 
-class _Line:
+class _StatusPrinter:
     """Status of the running gaze, printed by a separate thread so that no terminal delays the loop.
 
     Args:
@@ -77,7 +77,7 @@ class _Line:
         self._console = Console(stderr=True, highlight=False)
         self._thread = threading.Thread(target=self._run, daemon=True, name="vergence line")
 
-    def __enter__(self) -> "_Line":
+    def __enter__(self) -> "_StatusPrinter":
         self._thread.start()
         return self
 
@@ -95,12 +95,12 @@ class _Line:
 
     def _run(self) -> None:
         if not self._console.is_terminal:
-            while not self._ended.wait(_LINES_S):
+            while not self._ended.wait(_LINE_PERIOD_S):
                 if self._present is not None:
                     print("  ".join(self._lines(self._present)), file=sys.stderr, flush=True)
             return
         with Live(console=self._console, auto_refresh=False, transient=True) as live:
-            while not self._ended.wait(_TERMINAL_S):
+            while not self._ended.wait(_TERMINAL_PERIOD_S):
                 if self._present is not None:
                     live.update(Text("\n".join(self._lines(self._present))), refresh=True)
 

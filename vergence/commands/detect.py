@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from vergence.commands.console import note, progress, say_failures
+from vergence.commands.console import note, print_failures, progress
 from vergence.commands.options import check_figure, parse_size
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
@@ -136,7 +136,7 @@ class Detect:
             _print(result)
         for text in result.remarks:
             note(text)
-        say_failures(result.failures)
+        print_failures(result.failures)
         if not result.sightings:
             count = len(result.images)
             where = f"any of {count} images" if count > 1 else str(result.images[0])
@@ -162,7 +162,7 @@ def _print(result: "DetectResult") -> None:
             ]
         )
     head = ["image", "target", "corners", "u (px)", "v (px)", "sigma u (px)", "sigma v (px)"]
-    print_table(head, rows, text=(0, 1), names=(0,))
+    print_table(head, rows, wrapped=(0, 1), shortenable=(0,))
     seen_in = len({sighting.image for sighting in result.sightings})
     if len(result.images) > 1:
         print(f"something found in {seen_in} of {len(result.images)} images")

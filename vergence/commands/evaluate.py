@@ -18,9 +18,15 @@ from tyro.conf import arg
 
 from vergence import interrupts
 from vergence.commands.checks import print_checks
-from vergence.commands.console import Bars, note
+from vergence.commands.console import ProgressListener, note
 from vergence.commands.extras import require
-from vergence.commands.options import Flat, Machines, Tables, dated_folder, output
+from vergence.commands.options import (
+    Flat,
+    JobOptions,
+    TableOptions,
+    claimed_run_folder,
+    dated_folder,
+)
 from vergence.commands.tables import print_cards, print_table
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.comparison.config import EvaluateConfig
@@ -46,8 +52,8 @@ class Evaluate:
     --margins."""
     resume: Annotated[Path | None, arg(help_behavior_hint="", metavar="RUN")] = None
     """Run the trials on a robot that are missing in this run folder."""
-    machines: Flat[Machines] = field(default_factory=Machines)
-    tables: Flat[Tables] = field(default_factory=Tables)
+    machines: Flat[JobOptions] = field(default_factory=JobOptions)
+    tables: Flat[TableOptions] = field(default_factory=TableOptions)
     json: bool = False
     """Print the rows as JSON, and nothing else, on standard output."""
     margins: bool = False
@@ -69,9 +75,15 @@ class Evaluate:
             return self._on_robot()
         from vergence.eval.comparison.lineup import tune_first
 
-        with output(self.out or dated_folder("margins" if self.margins else "evaluate")) as run:
+        with claimed_run_folder(
+            self.out or dated_folder("margins" if self.margins else "evaluate")
+        ) as run:
             # output of a user's own code must not mix with the result
-            with redirect_stdout(sys.stderr), Bars() as bars, self.machines.open_mapper() as mapper:
+            with (
+                redirect_stdout(sys.stderr),
+                ProgressListener() as bars,
+                self.machines.open_mapper() as mapper,
+            ):
                 if self.config.tune:
                     mapper.progress = bars.begin("tune")
                     tune_first(self.config, mapper, say=note)
@@ -79,7 +91,7 @@ class Evaluate:
                 result = self._margins(mapper) if self.margins else self._evaluation(mapper)
             for text in result.notes:
                 note(text)
-            run.conclude(partial(self._write, result), result.rows, result.show, as_json=self.json)
+            run.finish(partial(self._write, result), result.rows, result.show, as_json=self.json)
         # the other results are kept, and the exit code reports that some failed
         for text in result.failures:
             note(f"error: {text}")
@@ -101,7 +113,11 @@ class Evaluate:
         else:
             config = begun(run)
         with locked(run), _kept(run):
-            with redirect_stdout(sys.stderr), Bars() as bars, self.machines.open_mapper() as mapper:
+            with (
+                redirect_stdout(sys.stderr),
+                ProgressListener() as bars,
+                self.machines.open_mapper() as mapper,
+            ):
                 mapper.progress = bars.begin("evaluate")
                 found = evaluate_on_robot(
                     config, run, mapper, bars.begin("robot"), resume=self.resume is not None,

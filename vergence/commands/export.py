@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from vergence.commands.extras import require
-from vergence.commands.options import output
+from vergence.commands.options import claimed_run_folder
 from vergence.errors import ConfigurationError
 
 
@@ -30,7 +30,7 @@ class _ExportModel:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content)
 
-        with output(self.out or Path(f"export-{format}-{head.name}")) as export:
+        with claimed_run_folder(self.out or Path(f"export-{format}-{head.name}")) as export:
             if not export.save(write):
                 return 2
             for path in sorted(export.folder.rglob("*")):

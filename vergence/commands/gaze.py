@@ -10,7 +10,7 @@ from rich.console import Console
 
 from vergence import interrupts
 from vergence.commands.console import note, progress
-from vergence.commands.options import Flat, Tables, dated_folder, output
+from vergence.commands.options import Flat, TableOptions, claimed_run_folder, dated_folder
 from vergence.commands.tables import print_table
 from vergence.eval.gaze_config import GazeConfig
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from vergence.eval.gaze import GazeResult
     from vergence.models.head import HeadModel
 
-BESIDE: Final = (
+COMPILED_AHEAD: Final = (
     "vergence.vision.tags.detector:compile_fit",
     "vergence.models.fixation:fixate",
     "vergence.models.kinematics:base_pose",
@@ -38,7 +38,7 @@ class Gaze:
     config: Flat[GazeConfig] = field(default_factory=GazeConfig)
     out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder, new or empty; runs/gaze-DATE-TIME by default."""
-    tables: Flat[Tables] = field(default_factory=Tables)
+    tables: Flat[TableOptions] = field(default_factory=TableOptions)
     json: bool = False
     """Print the result as JSON, and nothing else, on standard output."""
 
@@ -47,7 +47,7 @@ class Gaze:
         self.tables.check()
         from vergence._ahead import compile_ahead
 
-        compile_ahead(BESIDE)
+        compile_ahead(COMPILED_AHEAD)
         from vergence.eval.gaze import GazeResult, run_gaze
         from vergence.eval.gaze_figure import draw_gaze
         from vergence.eval.reporting.runs import write_config, write_json
@@ -63,10 +63,10 @@ class Gaze:
 
         if self.config.hardware is not None:
             interrupts.guard_robot()
-        with output(self.out or dated_folder("gaze")) as run:
+        with claimed_run_folder(self.out or dated_folder("gaze")) as run:
             with progress("gaze") as report:
                 result: GazeResult = run_gaze(self.config, report)
-            run.conclude(write, result.summary, lambda: _print_gaze(result), as_json=self.json)
+            run.finish(write, result.summary, lambda: _print_gaze(result), as_json=self.json)
         return _verdict(result) if run.saved else 2
 
 

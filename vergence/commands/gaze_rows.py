@@ -30,7 +30,7 @@ def print_gazes(rows: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]) -
         cells = [
             [_cell(row[name], decimals) for name, (_, decimals) in _COLUMNS.items()] for row in rows
         ]
-        print_table([head for head, _ in _COLUMNS.values()], cells, text=())
+        print_table([head for head, _ in _COLUMNS.values()], cells, wrapped=())
         print(_LEGEND)
     count, settled = summary["gazes"], summary["settled_fraction"]
     if settled is None:

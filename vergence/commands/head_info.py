@@ -68,7 +68,7 @@ def _print_tables(summary: "HeadSummary") -> None:
         *_reach(summary),
         *_depth_errors(summary),
     ]
-    print_table(["number", "value"], rows, title=f"head {summary.name}", text=(0, 1))
+    print_table(["number", "value"], rows, title=f"head {summary.name}", wrapped=(0, 1))
     print_joints("joints", summary.joints)
     print_joints("actuators of the eyes", summary.actuators)
     if not summary.moves:
@@ -124,12 +124,12 @@ def _depth_errors(summary: "HeadSummary") -> list[list[str]]:
         ["", f"one standard deviation of one fix, from {noise}; no error of calibration is in it"]
     )
     if summary.least_error_px >= LEAST_RESIDUAL_PX:
-        most, why = f"up to {summary.least_error_px:.3g} px", _why_not_exact(summary)
+        most, why = f"up to {summary.least_error_px:.3g} px", _fixation_limit(summary)
         rows.append(["least pixel error", f"{most} at these depths and sides: {why}"])
     return rows
 
 
-def _why_not_exact(summary: "HeadSummary") -> str:
+def _fixation_limit(summary: "HeadSummary") -> str:
     """Reason why the eyes of this head cannot both fixate a point exactly."""
     own = {
         eye.name: sum(joint.moves in (f"{eye.name} eye", "both eyes") for joint in summary.joints)

@@ -43,7 +43,7 @@ def print_joints(title: str, joints: "Sequence[JointSummary]") -> None:
         for joint in joints
     ]
     columns = ["name", "moves", "range deg", "deg/s", "rad/s^2"]
-    print_table(columns, rows, title=title, text=(0, 1))
+    print_table(columns, rows, title=title, wrapped=(0, 1))
 
 
 def print_cameras(eyes: "Sequence[EyeSummary]") -> None:
@@ -64,7 +64,7 @@ def print_cameras(eyes: "Sequence[EyeSummary]") -> None:
         for eye in eyes
     ]
     columns = ["eye", "image px", "focal px", "principal px", "view deg", "lens"]
-    print_table(columns, rows, title="cameras", text=(0, 5))
+    print_table(columns, rows, title="cameras", wrapped=(0, 5))
 
 
 def print_record(record: "CalibrationRecord") -> None:
@@ -85,7 +85,7 @@ def print_record(record: "CalibrationRecord") -> None:
             told = ", ".join(f"{scale * record.sigma[key]:.3g}" for key in keys)
             rows.append([f"sigma, {name}", f"{told} {unit}"])
     rows.append(["versions", record.versions])
-    print_table(["number", "value"], rows, title="calibration", text=(0, 1))
+    print_table(["number", "value"], rows, title="calibration", wrapped=(0, 1))
 
 
 def warn_of_folds(eyes: "Sequence[EyeSummary]") -> None:
@@ -113,7 +113,7 @@ def print_assumptions(assumptions: "Sequence[Assumed]") -> None:
     rows = [[", ".join(keys), value, why] for keys, value, why in assumptions]
     if rows:
         columns = ["assumed, not measured", "value", "why"]
-        print_table(columns, rows, title="assumptions", text=(0, 1, 2))
+        print_table(columns, rows, title="assumptions", wrapped=(0, 1, 2))
 
 
 def warn_of_rest(joints: "Sequence[JointSummary]") -> None:

@@ -61,7 +61,7 @@ class Info:
                 ]
             )
         columns = ["head", "cameras", "loop", "digest"]
-        print_table(columns, rows, title="presets", text=(0, 2))
+        print_table(columns, rows, title="presets", wrapped=(0, 2))
         known = (name for name in gymnasium.registry if name.startswith("vergence/"))
         rows = [
             ["plants", ", ".join(PLANTS)],
@@ -71,7 +71,7 @@ class Info:
             ["scenarios", ", ".join(SCENARIOS)],
             ["experiments", ", ".join(EXPERIMENTS)],
         ]
-        print_table(["kind", "names"], rows, title="registries", text=(0, 1))
+        print_table(["kind", "names"], rows, title="registries", wrapped=(0, 1))
         parts = ("onnx", "onnxruntime", "optuna", "pyarrow", "pygame", "ray")
         found = versions((*parts, "stable-baselines3", "torch"))
         rows = [
@@ -92,7 +92,7 @@ class Info:
         if failure is not None:
             state = f"not available ({failure}): a schematic is drawn instead"
         rows.append(["OpenGL (view of the head in render())", state])
-        print_table(["part", "state"], rows, title="optional parts", text=(0, 1))
+        print_table(["part", "state"], rows, title="optional parts", wrapped=(0, 1))
         return 0
 
 

@@ -27,7 +27,7 @@ off       switch its torque off, to turn it by hand
 list      show all joints
 write     write signs and zeros into the configuration
 quit      leave; torque stays as it is"""
-_WORDS: Final = ("+", "-", "step", "flip", "zero", "off", "list", "write", "quit", "help")
+_COMMANDS: Final = ("+", "-", "step", "flip", "zero", "off", "list", "write", "quit", "help")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ class Jog:
                 note(f"warning: {finding}")
             session = Session(Joints(config, bus), self.config, step_rad, _say)
             session.begin()
-            _take_all(session, sys.stdin)
+            _execute_all(session, sys.stdin)
             session.end()
         except KeyboardInterrupt:
             if session is not None and session.wrote:
@@ -95,13 +95,13 @@ class Session:
         self._say("one joint at a time, without limits: keep a hand at the power; help lists words")
         self._list()
 
-    def take(self, line: str) -> bool:
+    def execute_line(self, line: str) -> bool:
         """Carry out one line; return False if it is `quit`."""
         words = line.split()
         if words[:1] == ["quit"]:
             return False
         try:
-            self._carry_out(words)
+            self._execute(words)
         except (VergenceError, OSError) as error:
             self.failed = True
             self._say(f"error: {error}")
@@ -112,7 +112,7 @@ class Session:
         if self._jog.servos != self._written:
             self._say(f"left without write: {self._path} has the signs and zeros that it had")
 
-    def _carry_out(self, words: list[str]) -> None:
+    def _execute(self, words: list[str]) -> None:
         match words:
             case []:
                 pass
@@ -162,7 +162,7 @@ class Session:
         )
 
     def _refuse(self, text: str) -> None:
-        known = [*_WORDS, *self._jog.servos]
+        known = [*_COMMANDS, *self._jog.servos]
         raise ConfigurationError(
             f"expected one of {', '.join(known)}, got {text!r:.80}{did_you_mean(text, known)}"
         )
@@ -187,11 +187,11 @@ def _say(text: str) -> None:
     print(text, flush=True)
 
 
-def _take_all(session: Session, stream: TextIO) -> None:
+def _execute_all(session: Session, stream: TextIO) -> None:
     """Carry out the lines of a stream until its end, with a prompt on a terminal."""
     while True:
         if stream.isatty():
             print(f"{session.name}> ", end="", file=sys.stderr, flush=True)
         line = stream.readline()
-        if not line or not session.take(line):
+        if not line or not session.execute_line(line):
             return

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 
-from vergence.commands.console import note, progress, say_failures
-from vergence.commands.options import Flat, Tables, dated_folder, output
+from vergence.commands.console import note, print_failures, progress
+from vergence.commands.options import Flat, TableOptions, claimed_run_folder, dated_folder
 from vergence.perception.locate_config import LocateConfig
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ class Locate:
     config: Flat[LocateConfig]
     out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder, new or empty; runs/locate-DATE-TIME by default."""
-    tables: Flat[Tables] = field(default_factory=Tables)
+    tables: Flat[TableOptions] = field(default_factory=TableOptions)
     json: bool = False
     """Print the located targets as a JSON list, and nothing else, on standard output."""
 
@@ -44,15 +44,15 @@ class Locate:
             write_config(folder, result.config, result.head)
             draw_located(result, folder / "locate.png")
 
-        with output(self.out or dated_folder("locate")) as run:
+        with claimed_run_folder(self.out or dated_folder("locate")) as run:
             with progress("locate") as report:
                 result: LocateResult = locate(self.config, report)
             if self.config.joints is None:
                 _say_rest(result.head)
-            run.conclude(write, result.rows, lambda: print_located(result), as_json=self.json)
+            run.finish(write, result.rows, lambda: print_located(result), as_json=self.json)
         for text in result.notes():  # below the table: some explain its rows
             note(text)
-        say_failures(result.failures)
+        print_failures(result.failures)
         if not result.found:
             note(f"error: {_nothing(result)}")
         if not run.saved or result.failures:

@@ -30,7 +30,7 @@ def print_located(result: LocateResult) -> None:
             ]
         target = every[0].target
         title = f"tags of {target.family}" if isinstance(target, AprilTag) else str(target)
-        print_table(head, rows, title=title, names=(0,))
+        print_table(head, rows, title=title, shortenable=(0,))
         print(f"{_together(result, every)}\n")
 
 

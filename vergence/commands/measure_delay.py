@@ -83,7 +83,7 @@ class MeasureDelay:
 
 
 def _as_json(found: "LoopMeasurement") -> dict[str, object]:
-    return {"rows": found.rows(), "untold": found.untold(), "doubts": found.doubts()}
+    return {"rows": found.rows(), "untold": found.undetermined(), "doubts": found.misfits()}
 
 
 def _print(found: "LoopMeasurement") -> None:
@@ -99,9 +99,9 @@ def _print(found: "LoopMeasurement") -> None:
         for row in found.rows()
     ]
     print_table(["eye", "actuator", "", "value", "", "unit"], rows)
-    for line in found.untold():
+    for line in found.undetermined():
         print(f"not told: {line}")
-    for line in found.doubts():
+    for line in found.misfits():
         print(f"doubtful: {line}")
 
 

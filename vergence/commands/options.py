@@ -27,7 +27,7 @@ Flat = Annotated[T, tyro.conf.arg(name="")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Machines:
+class JobOptions:
     """Processes and machines that run a command's jobs."""
 
     workers: Annotated[int | None, tyro.conf.arg(help_behavior_hint="", metavar="INT")] = None
@@ -43,7 +43,7 @@ class Machines:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tables:
+class TableOptions:
     """File formats of a command's tables."""
 
     parquet: bool = False
@@ -77,7 +77,7 @@ class Tables:
                     ) from error
 
 
-class Output:
+class RunFolder:
     """Run folder of a command, written at its end.
 
     Attributes:
@@ -110,11 +110,11 @@ class Output:
         self.folder, self.saved = place, True
         return True
 
-    def conclude(
+    def finish(
         self,
         write: Callable[[Path], None],
-        found: Callable[[], object],
-        show: Callable[[], None],
+        result: Callable[[], object],
+        print_text: Callable[[], None],
         *,
         as_json: bool,
     ) -> None:
@@ -122,21 +122,21 @@ class Output:
 
         Args:
             write: see `save`.
-            found: returns the result as plain values.
-            show: prints the result as text.
+            result: returns the result as plain values.
+            print_text: prints the result as text.
             as_json: True to print the result as JSON, and nothing else.
         """
         self.save(write)
         if as_json:
-            print(json.dumps(found(), indent=2, allow_nan=False))
+            print(json.dumps(result(), indent=2, allow_nan=False))
             return
-        show()
+        print_text()
         if self.saved:
             print(f"written to {self.folder}")
 
 
 @contextmanager
-def output(folder: Path) -> Iterator[Output]:
+def claimed_run_folder(folder: Path) -> Iterator[RunFolder]:
     """Claim the run folder of a command until its end, and report its path on an interrupt.
 
     Args:
@@ -151,7 +151,7 @@ def output(folder: Path) -> Iterator[Output]:
     """
     from vergence.eval.reporting.runs import locked_run_folder
 
-    found = Output(folder)
+    found = RunFolder(folder)
     with locked_run_folder(found.folder):
         try:
             yield found

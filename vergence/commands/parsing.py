@@ -15,14 +15,14 @@ from vergence.commands.console import note
 from vergence.errors import UnknownNameError, did_you_mean
 
 
-class Runs(Protocol):
+class Runnable(Protocol):
     """A command with its options."""
 
     def run(self) -> int:
         """Run the command and return its exit code."""
 
 
-def parse(words: list[str]) -> Runs:
+def parse(words: list[str]) -> Runnable:
     """Parse the words of a command line into a command.
 
     Args:
@@ -39,14 +39,14 @@ def parse(words: list[str]) -> Runs:
         with redirect_stdout(sys.stderr), suppress(SystemExit):
             _call(["--help"])
         raise SystemExit(2)
-    said = io.StringIO()
+    parser_output = io.StringIO()
     try:
-        with redirect_stderr(said):
+        with redirect_stderr(parser_output):
             return _call(_with_axes_joined(words))
     except SystemExit as stop:
         if stop.code == 2:
             path, commands = _command_of(words)
-            reason = _reason(said.getvalue(), path, commands, words[len(path) :])
+            reason = _reason(parser_output.getvalue(), path, commands, words[len(path) :])
             note(f"error: {reason} (see {' '.join(['vergence', *path])} --help)")
         raise
 
@@ -62,8 +62,8 @@ def split_verbosity(words: list[str]) -> tuple[list[str], int]:
     return others, sum(1 if word == "--verbose" else len(word) - 1 for word in asked)
 
 
-def _call(words: list[str]) -> Runs:
-    command: Runs = tyro.cli(
+def _call(words: list[str]) -> Runnable:
+    command: Runnable = tyro.cli(
         Command,
         prog="vergence",
         description=(
@@ -77,10 +77,10 @@ def _call(words: list[str]) -> Runs:
 
 
 def _help(path: list[str]) -> str:
-    said = io.StringIO()
-    with redirect_stdout(said), suppress(SystemExit):
+    parser_output = io.StringIO()
+    with redirect_stdout(parser_output), suppress(SystemExit):
         _call([*path, "--help"])
-    return said.getvalue()
+    return parser_output.getvalue()
 
 
 _AXES: Final = re.compile(r"-[xyz](,[+-]?[xyz]){2}")
@@ -110,11 +110,11 @@ def _command_of(words: list[str]) -> tuple[list[str], list[str]]:
         path += following
 
 
-def _reason(box: str, path: list[str], commands: list[str], words: list[str]) -> str:
+def _reason(parser_output: str, path: list[str], commands: list[str], words: list[str]) -> str:
     """Reason why words are not a valid command.
 
     Args:
-        box: error output of the parser, framed by box characters.
+        parser_output: error output of the parser, framed by box characters.
         path: commands before the words.
         commands: subcommands, one of which has to follow; empty if none has to.
         words: words after the path.
@@ -128,13 +128,13 @@ def _reason(box: str, path: list[str], commands: list[str], words: list[str]) ->
         option = word.partition("=")[0].replace("_", "-")
         if re.match("--[a-z]", option) and option not in options:
             return f"{option}: no option of {' '.join(path)}{did_you_mean(option, options)}"
-    return _in_our_words(_first_statement(box), box, words)
+    return _reworded_error(_first_statement(parser_output), parser_output, words)
 
 
-_KINDS: Final = {"INT": "a whole number", "FLOAT": "a number"}
+_TYPE_NAMES: Final = {"INT": "a whole number", "FLOAT": "a number"}
 
 
-def _in_our_words(statement: str, box: str, words: list[str]) -> str:
+def _reworded_error(statement: str, parser_output: str, words: list[str]) -> str:
     """First error of the parser, reworded without Python types and internal names."""
     if statement.startswith("Missing from "):
         each = [one.split() for one in statement.partition(": ")[2].split("(required)")[:-1]]
@@ -146,12 +146,12 @@ def _in_our_words(statement: str, box: str, words: list[str]) -> str:
     if choice := re.match(r"invalid choice '(.*)' for argument '(\S+)'.*\((.*)\)", statement):
         known = [name for name in sorted(re.findall(r"'([^']*)'", choice[3])) if name != "None"]
         return str(UnknownNameError(choice[2], choice[1], known))
-    shown = re.search(r"Argument helptext:[\s│]*(--\S+) ([^\n│,]*)", box)
+    shown = re.search(r"Argument helptext:[\s│]*(--\S+) ([^\n│,]*)", parser_output)
     if statement.startswith("Error parsing --") and shown:
         option, metavar = shown[1], shown[2].strip()
         given = _values(words, statement.split()[2].rstrip(":").split("/"), len(metavar.split()))
-        return f"{option}: expected {_KINDS.get(metavar, f'numbers {metavar}')}, got {given}"
-    return statement + _one_word(statement, words)
+        return f"{option}: expected {_TYPE_NAMES.get(metavar, f'numbers {metavar}')}, got {given}"
+    return statement + _size_hint(statement, words)
 
 
 def _values(words: list[str], options: list[str], count: int) -> str:
@@ -163,7 +163,7 @@ def _values(words: list[str], options: list[str], count: int) -> str:
     return "another"
 
 
-def _one_word(statement: str, words: list[str]) -> str:
+def _size_hint(statement: str, words: list[str]) -> str:
     """Hint for a size that was given as two numbers instead of one word."""
     if statement.startswith("Unrecognized options: "):
         for option, first, second in zip(words, words[1:], words[2:], strict=False):
@@ -172,9 +172,9 @@ def _one_word(statement: str, words: list[str]) -> str:
     return ""
 
 
-def _first_statement(box: str) -> str:
+def _first_statement(parser_output: str) -> str:
     """First error in tyro's framed output, without the help texts that follow it."""
-    lines = [line.strip("│╭╮╰╯ ") for line in box.splitlines()]
+    lines = [line.strip("│╭╮╰╯ ") for line in parser_output.splitlines()]
     # skip the title, which is followed by a rule if the frame is in ASCII
     inside = list(dropwhile(_is_rule, (line for line in lines[1:] if line)))
     return " ".join(takewhile(lambda line: not _is_rule(line), inside)) or " ".join(lines)

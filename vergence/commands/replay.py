@@ -9,7 +9,7 @@ import tyro
 from vergence.commands.console import note, progress
 from vergence.commands.extras import require
 from vergence.commands.gaze_rows import print_gazes
-from vergence.commands.options import Flat, Tables, dated_folder, output
+from vergence.commands.options import Flat, TableOptions, claimed_run_folder, dated_folder
 from vergence.commands.tables import print_table
 from vergence.eval.robot.config import ReplayConfig
 
@@ -24,7 +24,7 @@ class ReplayLog:
     config: Flat[ReplayConfig]
     out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder, new or empty; runs/replay-DATE-TIME by default."""
-    tables: Flat[Tables] = field(default_factory=Tables)
+    tables: Flat[TableOptions] = field(default_factory=TableOptions)
     json: bool = False
     """Print the result as JSON, and nothing else, on standard output."""
 
@@ -35,7 +35,7 @@ class ReplayLog:
         from vergence.eval.robot.replay import replay
         from vergence.eval.robot.replay_folder import write_replay
 
-        with output(self.out or dated_folder("replay")) as run:
+        with claimed_run_folder(self.out or dated_folder("replay")) as run:
             with progress("replay") as report:
                 result = replay(self.config, report)
             for text in result.notes:
@@ -49,7 +49,7 @@ class ReplayLog:
                 write_replay(folder, result, self.config.gaze)
                 self.tables.convert(*sorted(folder.glob("*.csv")))
 
-            run.conclude(write, result.summary, lambda: _print(result), as_json=self.json)
+            run.finish(write, result.summary, lambda: _print(result), as_json=self.json)
         for text in result.log.faults:
             note(f"the log has a fault: {text}")
         return 0 if run.saved else 2
@@ -72,4 +72,4 @@ def _print(result: "Replay") -> None:
     ]
     title = f"{result.again.controller}, asked again on the log's readings"
     columns = ("gaze", "identical commands", "rms difference (rad/s)", "greatest (rad/s)")
-    print_table(columns, rows, title=title, text=())
+    print_table(columns, rows, title=title, wrapped=())

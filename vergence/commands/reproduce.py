@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from vergence.commands.console import Bars
-from vergence.commands.options import Flat, Machines, Tables
+from vergence.commands.console import ProgressListener
+from vergence.commands.options import Flat, JobOptions, TableOptions
 from vergence.commands.tables import print_table
 from vergence.eval.article.config import ReproduceConfig
 
@@ -19,8 +19,8 @@ class Reproduce:
     """Run the article's experiments and report the results; finished experiments are kept."""
 
     config: Flat[ReproduceConfig] = field(default_factory=ReproduceConfig)
-    machines: Flat[Machines] = field(default_factory=Machines)
-    tables: Flat[Tables] = field(default_factory=Tables)
+    machines: Flat[JobOptions] = field(default_factory=JobOptions)
+    tables: Flat[TableOptions] = field(default_factory=TableOptions)
 
     def run(self) -> int:
         """Run the command."""
@@ -29,7 +29,7 @@ class Reproduce:
 
         folder = self.config.folder
         try:
-            with self.machines.open_mapper() as mapper, Bars() as bars:
+            with self.machines.open_mapper() as mapper, ProgressListener() as bars:
                 sections = reproduce(self.config, bars, mapper)
             self.tables.convert(*sorted((folder / "tables").glob("*.csv")))
             _print_summary(sections)
@@ -63,7 +63,7 @@ def _print_summary(sections: "list[Section]") -> None:
     ]
     console = Console(highlight=False)
     if rows:
-        print_table(["result", "the article", "ours", "verdict"], rows, text=(0, 3))
+        print_table(["result", "the article", "ours", "verdict"], rows, wrapped=(0, 3))
         counts = tally(sections)
         console.print(
             f"{counts.get(REPRODUCED, 0)} of {len(judged)} results reproduced: "

@@ -53,7 +53,7 @@ class ScanBus:
         if not found.servos:
             _say_nobody(self.port, found)
             return 1
-        print_table(_COLUMNS, [_row(servo) for servo in found.servos], text=(1, 4))
+        print_table(_COLUMNS, [_row(servo) for servo in found.servos], wrapped=(1, 4))
         return 0
 
 

@@ -20,8 +20,8 @@ def print_table(
     rows: Sequence[Row],
     *,
     title: str = "",
-    text: Sequence[int] = (0,),
-    names: Sequence[int] = (),
+    wrapped: Sequence[int] = (0,),
+    shortenable: Sequence[int] = (),
     console: Console | None = None,
 ) -> None:
     """Print a table, or a card for each row if the terminal is too narrow for a table.
@@ -30,15 +30,15 @@ def print_table(
         columns: headings of the columns.
         rows: cells of each row.
         title: line above the table; empty for none.
-        text: indices of the columns that wrap between words; all others are right-aligned and
+        wrapped: indices of the columns that wrap between words; all others are right-aligned and
             never broken.
-        names: indices of the columns whose cells may be shortened to their end.
+        shortenable: indices of the columns whose cells may be shortened to their end.
         console: console to print on; standard output by default.
     """
     console = console or Console(highlight=False)
-    for cells in (rows, _with_short(rows, names)):
-        for broken, padding in ((False, 2), (True, 2), (True, 1)):
-            table = _table(columns, cells, title, text, padding, broken)
+    for cells in (rows, _with_short(rows, shortenable)):
+        for stacked_heads, padding in ((False, 2), (True, 2), (True, 1)):
+            table = _table(columns, cells, title, wrapped, padding, stacked_heads)
             if least_width(table) <= console.width:
                 _fit(table, cells, console.width)
                 console.print(table)
@@ -68,10 +68,10 @@ def print_cards(
         console.print(line, markup=False, soft_wrap=True)
 
 
-def _with_short(rows: Sequence[Row], names: Sequence[int]) -> Sequence[Row]:
+def _with_short(rows: Sequence[Row], shortenable: Sequence[int]) -> Sequence[Row]:
     """Rows with long names shortened to their ends, if these are still distinct."""
     out = [list(row) for row in rows]
-    for place in names:
+    for place in shortenable:
         for length in (_SHORT, 2 * _SHORT):
             short = {row[place]: _end(row[place], length) for row in rows}
             if len(set(short.values())) == len(short):
@@ -109,18 +109,23 @@ def _fit(table: Table, rows: Sequence[Row], width: int) -> None:
 
 
 def _table(
-    columns: Row, rows: Sequence[Row], title: str, text: Sequence[int], padding: int, broken: bool
+    columns: Row,
+    rows: Sequence[Row],
+    title: str,
+    wrapped: Sequence[int],
+    padding: int,
+    stacked_heads: bool,
 ) -> Table:
-    """Table whose columns have a least width; `broken` headings have one word per line."""
+    """Table whose columns have a least width; stacked headings have one word per line."""
     table = Table(
         title=title or None, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, show_edge=False,
         padding=(0, padding, 0, 0),
     )  # fmt: skip
     for place, head in enumerate(columns):
         cells = [row[place] for row in rows]
-        wraps = place in text
+        wraps = place in wrapped
         parts = [part for cell in cells for part in (cell.split() if wraps else cell.splitlines())]
-        head_parts = head.split() if broken else [head]
+        head_parts = head.split() if stacked_heads else [head]
         table.add_column(
             escape("\n".join(head_parts)),
             justify="left" if wraps else "right",

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from vergence.commands.console import note, progress
 from vergence.commands.extras import require
-from vergence.commands.options import Flat, Machines
+from vergence.commands.options import Flat, JobOptions
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 from vergence.eval.tuning.config import TuneConfig
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from vergence.eval.tuning.tune import TuneResult
     from vergence.models.head import HeadModel
 
-_SHOWN = 5
+_PRINTED_POINTS = 5
 """Number of best points that are printed."""
 
 
@@ -38,7 +38,7 @@ class Tune:
     """For maintainers: save the result in the package's table; only for presets and the
     scenario's own head."""
 
-    machines: Flat[Machines] = field(default_factory=Machines)
+    machines: Flat[JobOptions] = field(default_factory=JobOptions)
 
     def run(self) -> int:
         """Run the command."""
@@ -140,13 +140,13 @@ class Tune:
             head=head.name,
             digest=head.digest,
             plant=config.plant,
-            command=command_of(config, trials=not result.config.grid),
+            command=repeat_command(config, trials=not result.config.grid),
             seed=config.seed,
             options={name: float(f"{value:.6g}") for name, value in options.items()},
         )
 
 
-def command_of(config: TuneConfig, *, trials: bool) -> str:
+def repeat_command(config: TuneConfig, *, trials: bool) -> str:
     """Command line that repeats a search, from any folder.
 
     Args:
@@ -171,7 +171,7 @@ def command_of(config: TuneConfig, *, trials: bool) -> str:
 def _print(result: "TuneResult") -> None:
     """Print the best points."""
     console = Console(highlight=False)
-    shown = sorted(result.attempts, key=lambda attempt: attempt.rank)[:_SHOWN]
+    shown = sorted(result.attempts, key=lambda attempt: attempt.rank)[:_PRINTED_POINTS]
     rows = [
         [f"headline ({result.unit})", *(f"{a.found['headline']:z.4f}" for a in shown)],
         [f"mean ({result.unit})", *(f"{a.found['mean']:z.4f}" for a in shown)],

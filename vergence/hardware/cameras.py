@@ -76,7 +76,7 @@ class EyeThread(threading.Thread):
         self._head = head
         self._tracker = self._tracker_of(target)
         self._new: deque[SearchedImage] = deque(maxlen=64)
-        self._forget = self._ended = self._sees = False
+        self._forget = self._ended = self._target_visible = False
         self._steady = threading.Event()
         self._last_s = self._newest_s = clock()
         self._fault = ""
@@ -166,9 +166,11 @@ class EyeThread(threading.Thread):
         pixel = np.full(2, np.nan) if found is None else found.point_px.copy()
         if not self.images:
             _LOG.info("%s: first image", self.config.name)
-        if self._sees != (found is not None):
-            self._sees = not self._sees
-            _LOG.debug("%s: target %s", self.config.name, "found" if self._sees else "lost")
+        if self._target_visible != (found is not None):
+            self._target_visible = not self._target_visible
+            _LOG.debug(
+                "%s: target %s", self.config.name, "found" if self._target_visible else "lost"
+            )
         self.images += 1
         self.found += found is not None
         self.frame = grey
@@ -204,11 +206,11 @@ class EyeThread(threading.Thread):
             )
 
     def take(self) -> list[SearchedImage]:
-        """Sights of the images since the last call, in the order of exposure."""
-        sights = []
+        """Searched images since the last call, in the order of exposure."""
+        images = []
         while self._new:
-            sights.append(self._new.popleft())
-        return sights
+            images.append(self._new.popleft())
+        return images
 
     def look_for(self, target: Target) -> None:
         """Detect another target from the next image on."""

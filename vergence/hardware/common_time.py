@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from vergence.hardware.history import JointHistory
-from vergence.hardware.pairing import Sights
+from vergence.hardware.pairing import SearchedPair
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import DEPTH_RANGE_M
@@ -80,23 +80,25 @@ def _depths(origins: FloatArray, directions: FloatArray) -> FloatArray:
     return np.clip(np.where(depths > 0.0, depths, DEPTH_RANGE_M[1]), *DEPTH_RANGE_M)
 
 
-def as_one(head: HeadModel, sights: Sights, history: JointHistory) -> tuple[float, FloatArray]:
+def merge_pair(
+    head: HeadModel, pair: SearchedPair, history: JointHistory
+) -> tuple[float, FloatArray]:
     """Merge a pair of images into one exposure time, s, and (2, 2) pixels of that time.
 
     If only one eye has found the target, the time is its own exposure's.
 
     Args:
         head: the model of the head.
-        sights: a pair of images, or one eye's alone.
+        pair: a pair of images, or one eye's alone.
         history: joint angles by time.
     """
     pixels = np.full((2, 2), np.nan)
-    for eye, sight in enumerate(sights):
-        if sight is not None:
-            pixels[eye] = sight.pixel
-    seeing = [one for one in sights if one is not None and np.isfinite(one.pixel).all()]
+    for eye, image in enumerate(pair):
+        if image is not None:
+            pixels[eye] = image.pixel
+    seeing = [one for one in pair if one is not None and np.isfinite(one.pixel).all()]
     if len(seeing) < 2:
-        return (seeing[0].exposed_s if seeing else sights.exposed_s), pixels
-    common_s = sights.exposed_s
+        return (seeing[0].exposed_s if seeing else pair.exposed_s), pixels
+    common_s = pair.exposed_s
     exposed = np.stack([history.at(one.exposed_s) for one in seeing])
     return common_s, at_common_time(head, pixels, exposed, history.at(common_s))

@@ -44,7 +44,7 @@ from vergence.hardware.config_parts import (
     BusConfig,
     CameraConfig,
     LoopConfig,
-    Place,
+    MeasuredTarget,
     ServoConfig,
     actuator_slots,
 )
@@ -108,7 +108,7 @@ class HardwareConfig:
     """Safety bounds in addition to the limits of the head file."""
     loop: LoopConfig | None = None
     """Measured latencies and responses of the loop; None for the values of the head file."""
-    places: tuple[Place, ...] = ()
+    places: tuple[MeasuredTarget, ...] = ()
     """Further targets at measured points, between which trials switch."""
     text: str = ""
     """Content of the file."""
@@ -190,7 +190,7 @@ def _parse(table: Table, path: str) -> HardwareConfig:
     with mistakes:
         if table.has("loop"):
             loop = read_loop(table.table("loop"))
-    places: tuple[Place, ...] = ()
+    places: tuple[MeasuredTarget, ...] = ()
     with mistakes:
         if table.has("places"):
             places = read_places(table.tables("places"), mistakes)

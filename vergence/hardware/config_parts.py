@@ -103,7 +103,7 @@ class LoopConfig:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Place:
+class MeasuredTarget:
     """A target at a measured point."""
 
     target: Target

@@ -16,7 +16,7 @@ from vergence.hardware.config_parts import (
     BusConfig,
     CameraConfig,
     LoopConfig,
-    Place,
+    MeasuredTarget,
     ServoConfig,
     actuator_slots,
 )
@@ -264,9 +264,9 @@ def _loop_rule(name: str) -> Rule:
     return (lambda x: is_within(name, x, x), expected(name))
 
 
-def read_places(tables: Sequence[Table], mistakes: Mistakes) -> tuple[Place, ...]:
+def read_places(tables: Sequence[Table], mistakes: Mistakes) -> tuple[MeasuredTarget, ...]:
     """Read the targets at measured points; those with mistakes are left out."""
-    places: list[Place] = []
+    places: list[MeasuredTarget] = []
     told: dict[str, str] = {}
     for table in tables:
         with mistakes:
@@ -284,7 +284,7 @@ def read_places(tables: Sequence[Table], mistakes: Mistakes) -> tuple[Place, ...
             point = table.numbers("point_mm", (3,), _FAR)
             if np.linalg.norm(point) < _NEAREST_MM:
                 raise HeadFileError(table.key("point_mm"), point.tolist(), _BESIDE)
-            places.append(Place(target=target, point=point / 1000.0))
+            places.append(MeasuredTarget(target=target, point=point / 1000.0))
             table.close()
     if len(tables) == 1:
         mistakes.found.append(

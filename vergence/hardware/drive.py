@@ -19,7 +19,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.count_log import CountLog
 from vergence.hardware.history import JointHistory
-from vergence.hardware.safety.motion import HELD
+from vergence.hardware.safety.motion import HOLD_PERIODS
 from vergence.hardware.safety.supervisor import RobotState, Supervisor
 from vergence.hardware.servos import HeadServos
 from vergence.models.parts import FloatArray
@@ -29,7 +29,7 @@ from vergence.recording.schema import CommandOrigin, LoggedCommand
 _LOG: Final = logging.getLogger(__name__)
 _OLD: Final = 1.0
 """Joint angles older than this are read again before a command, control periods (chosen)."""
-_KEPT: Final = 3.0
+_REPEAT_PERIODS: Final = 3.0
 """Control periods for which a requested command is repeated; then the joints brake (chosen)."""
 _REST_TIMEOUT_S: Final = 1.0
 """Longest time for braking by commands, s (chosen)."""
@@ -50,9 +50,9 @@ class DriveThread(threading.Thread):
     """Sends commands to open servos, and keeps sending if the caller is late.
 
     Args:
-        line: the servos.
+        servos: the servos.
         config: the hardware configuration.
-        supervisor: turns requested velocities (wishes) into safe commands.
+        supervisor: turns requested velocities into safe commands.
         history: receives every reading of the joints.
         log: receives the readings and all commands; None for no log.
         clock: a monotonic clock, s.
@@ -61,7 +61,7 @@ class DriveThread(threading.Thread):
 
     def __init__(
         self,
-        line: HeadServos,
+        servos: HeadServos,
         config: HardwareConfig,
         supervisor: Supervisor,
         history: JointHistory,
@@ -71,7 +71,7 @@ class DriveThread(threading.Thread):
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         super().__init__(daemon=True, name="vergence servos")
-        self._line = line
+        self._servos = servos
         self._supervisor, self._history = supervisor, history
         self._period_s = config.head.timing.period_s
         self._log, self._clock, self._sleep = log, clock, sleep
@@ -79,16 +79,16 @@ class DriveThread(threading.Thread):
         self._closed = threading.Event()
         self._pid = os.getpid()
         self._late = CountLog(_LOG, logging.INFO, "wishes late, the last command kept: %d", clock)
-        self._wish = np.zeros(7)
-        self._wished_s = self._sent_s = self._kept_s = -np.inf
+        self._last_sent = np.zeros(7)
+        self._requested_s = self._sent_s = self._repeated_s = -np.inf
 
     @property
     def misses(self) -> int:
         """Number of answers that did not arrive."""
-        return self._line.misses
+        return self._servos.misses
 
     @contextmanager
-    def alone(self) -> Iterator[HeadServos]:
+    def exclusive(self) -> Iterator[HeadServos]:
         """Give exclusive access to the servos: nobody else sends meanwhile.
 
         Raises:
@@ -96,45 +96,45 @@ class DriveThread(threading.Thread):
         """
         self._refuse_others()
         with self._lock:
-            yield self._line
+            yield self._servos
 
     def sense(self) -> None:
         """Read the joints and add them to the history.
 
         Raises:
-            HardwareError: see `HeadServos.sense` and `alone`.
+            HardwareError: see `HeadServos.sense` and `exclusive`.
         """
-        with self.alone():
-            sensed = self._line.sense()
+        with self.exclusive():
+            sensed = self._servos.sense()
             self._history.add(*sensed)
         if self._log is not None:
             self._log.joints(*sensed)
 
-    def send(self, wish: FloatArray, trial: InTrial | None = None) -> FloatArray:
+    def send(self, requested: FloatArray, trial: InTrial | None = None) -> FloatArray:
         """Send the supervisor's command for some requested velocities.
 
         Args:
-            wish: (7,) requested velocities, rad/s.
+            requested: (7,) requested velocities, rad/s.
             trial: state of the running trial; None outside a trial.
 
         Returns:
             (7,) velocities that were sent, rad/s.
 
         Raises:
-            HardwareError: the line is gone; see `alone`.
+            HardwareError: the line is gone; see `exclusive`.
         """
         while True:
-            with self.alone():
+            with self.exclusive():
                 # at least a period after a command of the thread
-                ahead_s = self._kept_s + self._period_s - self._clock()
+                ahead_s = self._repeated_s + self._period_s - self._clock()
                 if ahead_s <= 0.0:
-                    self._wished_s = self._clock()
-                    return self._send(wish, trial)
+                    self._requested_s = self._clock()
+                    return self._send(requested, trial)
             self._sleep(ahead_s)
 
-    def _send(self, wish: FloatArray, trial: InTrial | None = None) -> FloatArray:
+    def _send(self, requested: FloatArray, trial: InTrial | None = None) -> FloatArray:
         self._refuse_others()  # again, under the lock
-        line = self._line
+        servos = self._servos
         old_s = self._clock() - self._history.newest()[0]
         if old_s > _OLD * self._period_s and not self._supervisor.fault:
             self.sense()  # the caller was slow
@@ -142,34 +142,34 @@ class DriveThread(threading.Thread):
         now = self._clock()
         state = RobotState(
             now_s=now,
-            angles=line.angles.angles + (now - measured_s) * line.angles.speeds,
-            speeds=line.angles.speeds,
+            angles=servos.angles.angles + (now - measured_s) * servos.angles.speeds,
+            speeds=servos.angles.speeds,
             joints=joints,
-            age_s=line.angles.ages(now),
+            age_s=servos.angles.ages(now),
             images_s=None if trial is None else trial.images_s,
             seen=trial is not None and trial.seen,
             goals=None if trial is None else trial.goals,
             missed=0 if trial is None else trial.missed,
         )
-        sent = line.send(self._supervisor.command(state, wish))
+        sent = servos.send(self._supervisor.command(state, requested))
         if self._log is not None:
             asked = CommandOrigin.ROBOT if trial is None else CommandOrigin.POLICY
             verdict = self._supervisor.verdict.value
-            self._log.command(LoggedCommand(self._clock(), wish, sent, verdict, asked.value))
-        self._wish = sent  # repeated if the next wish is late
+            self._log.command(LoggedCommand(self._clock(), requested, sent, verdict, asked.value))
+        self._last_sent = sent  # repeated if the next command is late
         self._sent_s = self._clock()
-        self._supervisor.took(sent)
+        self._supervisor.on_sent(sent)
         return sent
 
     def _refuse_others(self) -> None:
         if self._closed.is_set() or os.getpid() != self._pid:
             raise HardwareError("the head is closed: expected a reset first")
 
-    def move(self, wish: FloatArray) -> float:
+    def move(self, requested: FloatArray) -> float:
         """Send requested velocities for one period outside a trial.
 
         Args:
-            wish: (7,) requested velocities, rad/s.
+            requested: (7,) requested velocities, rad/s.
 
         Returns:
             Time at the end of the period, s.
@@ -177,7 +177,7 @@ class DriveThread(threading.Thread):
         Raises:
             HardwareError: something is wrong; the caller has to call `brake`.
         """
-        self.send(wish)
+        self.send(requested)
         if self._supervisor.fault:
             raise HardwareError(self._supervisor.fault)
         self._sleep(self._period_s)
@@ -205,7 +205,7 @@ class DriveThread(threading.Thread):
         elif moved:
             _LOG.warning("expected to brake to rest within %g s", _REST_TIMEOUT_S)
 
-    def keep(self) -> float:
+    def send_if_late(self) -> float:
         """Send a command if the caller's next one is late.
 
         Returns:
@@ -213,28 +213,28 @@ class DriveThread(threading.Thread):
         """
         with self._lock:
             now = self._clock()
-            left_s = self._sent_s + HELD * self._period_s - now
+            left_s = self._sent_s + HOLD_PERIODS * self._period_s - now
             if self._supervisor.at_rest or self._closed.is_set():
                 return self._period_s
             if left_s > 0.0:
                 return left_s
-            late = now - self._wished_s > _KEPT * self._period_s
+            late = now - self._requested_s > _REPEAT_PERIODS * self._period_s
             try:
                 self.sense()
-                self._send(np.zeros(7) if late else self._wish)
+                self._send(np.zeros(7) if late else self._last_sent)
             except Exception as error:  # a thread that ended could not brake
                 self._supervisor.stop(str(error))
                 with suppress(HardwareError):
                     self._send(np.zeros(7))
-            first = self._kept_s < self._wished_s
-            self._sent_s = self._kept_s = self._clock()
+            first = self._repeated_s < self._requested_s
+            self._sent_s = self._repeated_s = self._clock()
             if first:
                 self._late.add(1)
             return self._period_s
 
     def run(self) -> None:
-        """Call `keep` until the drive is closed."""
-        while not self._closed.wait(self.keep()):
+        """Call `send_if_late` until the drive is closed."""
+        while not self._closed.wait(self.send_if_late()):
             pass
 
     def close(self) -> None:
@@ -243,10 +243,10 @@ class DriveThread(threading.Thread):
         In a forked child process the servos are left alone, as they belong to its parent.
         """
         if os.getpid() != self._pid:
-            self._line.abandon()
+            self._servos.abandon()
             return
         self._closed.set()
         if self.is_alive() and threading.current_thread() is not self:
             self.join(_JOIN_S)
         with self._lock:
-            self._line.close()
+            self._servos.close()

@@ -11,7 +11,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.cameras import EyeThread
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.history import JointHistory
-from vergence.hardware.pairing import Counts, Pairing, SearchedImage, Sights
+from vergence.hardware.pairing import Counts, Pairing, SearchedImage, SearchedPair
 from vergence.models.boards import Target
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
@@ -96,35 +96,35 @@ class Eyes:
         for eye in self.threads:
             eye.check()
 
-    def newest(self) -> Sights | None:
+    def newest(self) -> SearchedPair | None:
         """The newest pair or lone image since the last call; None if there is none."""
         for eye, thread in enumerate(self.threads):
-            for sight in thread.take():
-                self._pairing.add(eye, sight)
+            for image in thread.take():
+                self._pairing.add(eye, image)
                 if self._log is not None:
-                    self._keep(self._log, eye, sight)
+                    self._keep(self._log, eye, image)
         newest, now = None, self._clock()
-        while (sights := self._pairing.next(now)) is not None:
-            newest = sights
+        while (pair := self._pairing.next(now)) is not None:
+            newest = pair
         return newest
 
-    def _keep(self, log: RobotListener, eye: int, sight: SearchedImage) -> None:
+    def _keep(self, log: RobotListener, eye: int, searched: SearchedImage) -> None:
         """Log the detection of an eye, and its image if the log takes images."""
-        found, nothing = sight.detection, np.empty((0, 2))
+        found, nothing = searched.detection, np.empty((0, 2))
         log.detection(
             LoggedDetection(
                 eye=EYE_NAMES[eye],
-                exposed_s=sight.exposed_s,
-                ready_s=sight.ready_s,
-                positions=self._history.at(sight.exposed_s),
-                point_px=sight.pixel,
+                exposed_s=searched.exposed_s,
+                ready_s=searched.ready_s,
+                positions=self._history.at(searched.exposed_s),
+                point_px=searched.pixel,
                 sigma_px=np.full(2, np.nan) if found is None else found.sigma_px,
                 corners_px=nothing if found is None else found.corners_px,
                 corners_sigma_px=nothing if found is None else found.corners_sigma_px,
             )
         )
-        if log.images and sight.image is not None:
-            log.image(eye, sight.image, sight.exposed_s)
+        if log.images and searched.image is not None:
+            log.image(eye, searched.image, searched.exposed_s)
 
     def look_for(self, target: Target) -> None:
         """Detect another target from the next images on."""

@@ -72,7 +72,7 @@ class HealthLimits:
     """Least voltage, V."""
     most_v: float
     """Greatest voltage, V."""
-    full_load: float
+    load_scale: float
     """PRESENT_LOAD at full torque or at the current limit; nan if unknown."""
 
 
@@ -105,7 +105,7 @@ def read_limits(bus: Bus, id: int) -> HealthLimits:
         temperature_c=float(memory.get(table.TEMPERATURE_LIMIT)),
         least_v=0.1 * memory.get(table.MIN_VOLTAGE_LIMIT),
         most_v=0.1 * memory.get(table.MAX_VOLTAGE_LIMIT),
-        full_load=full,
+        load_scale=full,
     )
 
 
@@ -133,7 +133,7 @@ def read_health(bus: Bus, limits: Mapping[int, HealthLimits]) -> dict[int, Healt
         found[id] = Health(
             temperature_c=float(memory.get(table.PRESENT_TEMPERATURE)),
             voltage_v=0.1 * memory.get(table.PRESENT_INPUT_VOLTAGE),
-            load=memory.get(table.PRESENT_LOAD) / limits[id].full_load,
+            load=memory.get(table.PRESENT_LOAD) / limits[id].load_scale,
             errors=errors,
         )
     return found
@@ -150,7 +150,7 @@ class HealthWatch:
         self.limits = limits
         self._full = 0
 
-    def take(self, health: Health) -> Judgement:
+    def judge(self, health: Health) -> Judgement:
         """Judge a reading; full load stops the head only after three readings in a row."""
         hot, temperature = self._temperature(health.temperature_c)
         judged = [

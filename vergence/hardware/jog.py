@@ -76,7 +76,7 @@ class Jogger:
         servo = self.servos[name]
         angles = ServoAngles((servo,), self._config.head)
         position = table.PRESENT_POSITION.encode(self.ticks(name))
-        angles.take({servo.id: bytes(table.PRESENT_VELOCITY.length) + position}, self._clock())
+        angles.update({servo.id: bytes(table.PRESENT_VELOCITY.length) + position}, self._clock())
         return float(angles.angles[servo.slot])
 
     def step(self, name: str, way_rad: float) -> float:

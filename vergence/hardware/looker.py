@@ -102,9 +102,9 @@ class RobotLooker:
             left = goal - actuation.actuators_of(heard.positions)[self._slots]
             if np.abs(left).max() < _NEAR_RAD:
                 break
-            wish = still.copy()
-            wish[self._slots] = np.clip(_GAIN * left, -_MOST_RAD_S, _MOST_RAD_S)
-            yield wish
+            requested = still.copy()
+            requested[self._slots] = np.clip(_GAIN * left, -_MOST_RAD_S, _MOST_RAD_S)
+            yield requested
         rested, until_s = 0, heard.clock_s + _TIMEOUT_S
         while rested < _RESTED and heard.clock_s < until_s:
             yield still

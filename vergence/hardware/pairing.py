@@ -29,7 +29,7 @@ class SearchedImage(NamedTuple):
     """The image itself, grey levels."""
 
 
-class Sights(NamedTuple):
+class SearchedPair(NamedTuple):
     """A pair of images, or one eye's image alone."""
 
     left: SearchedImage | None
@@ -52,8 +52,8 @@ class Counts:
     """Numbers of pairs and of images without a partner."""
 
     pairs: int = 0
-    alone_left: int = 0
-    alone_right: int = 0
+    unpaired_left: int = 0
+    unpaired_right: int = 0
 
 
 class Pairing:
@@ -78,11 +78,11 @@ class Pairing:
         for queue in self._waiting:
             queue.clear()
 
-    def add(self, eye: int, sight: SearchedImage) -> None:
+    def add(self, eye: int, image: SearchedImage) -> None:
         """Add an image of an eye, 0 for left; each eye's images come in order of exposure."""
-        self._waiting[eye].append(sight)
+        self._waiting[eye].append(image)
 
-    def next(self, now_s: float) -> Sights | None:
+    def next(self, now_s: float) -> SearchedPair | None:
         """The next pair or lone image, in the order of exposure; None while all wait.
 
         Args:
@@ -93,17 +93,17 @@ class Pairing:
             apart_s = left[0].exposed_s - right[0].exposed_s
             if abs(apart_s) <= self._tolerance_s:
                 self.counts.pairs += 1
-                return Sights(left.popleft(), right.popleft())
-            return self._alone(0 if apart_s < 0.0 else 1)
+                return SearchedPair(left.popleft(), right.popleft())
+            return self._pop_unpaired(0 if apart_s < 0.0 else 1)
         for eye, queue in enumerate(self._waiting):
             if queue and now_s - queue[0].ready_s > self._wait_s:
-                return self._alone(eye)
+                return self._pop_unpaired(eye)
         return None
 
-    def _alone(self, eye: int) -> Sights:
-        sight = self._waiting[eye].popleft()
+    def _pop_unpaired(self, eye: int) -> SearchedPair:
+        image = self._waiting[eye].popleft()
         if eye == 0:
-            self.counts.alone_left += 1
-            return Sights(sight, None)
-        self.counts.alone_right += 1
-        return Sights(None, sight)
+            self.counts.unpaired_left += 1
+            return SearchedPair(image, None)
+        self.counts.unpaired_right += 1
+        return SearchedPair(None, image)

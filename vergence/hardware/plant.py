@@ -23,7 +23,7 @@ from vergence.envs.targets.board import POINT, Board
 from vergence.errors import ChecksFailedError, ConfigurationError, HardwareError, VergenceWarning
 from vergence.hardware.checks.cameras import check_devices
 from vergence.hardware.checks.servos import refuse_errors
-from vergence.hardware.common_time import as_one
+from vergence.hardware.common_time import merge_pair
 from vergence.hardware.compiling import compile_loop
 from vergence.hardware.config import (
     HardwareConfig,
@@ -37,9 +37,9 @@ from vergence.hardware.emulator.client import EmulatedWorld
 from vergence.hardware.eyes import Eyes
 from vergence.hardware.history import JointHistory
 from vergence.hardware.opened import OpenedHead
-from vergence.hardware.pairing import Sights
+from vergence.hardware.pairing import SearchedPair
 from vergence.hardware.safety.goals import joint_goals
-from vergence.hardware.safety.motion import HELD
+from vergence.hardware.safety.motion import HOLD_PERIODS
 from vergence.hardware.safety.supervisor import Supervisor
 from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.servos import HeadServos
@@ -114,9 +114,9 @@ class HardwarePlant(Plant):
         # runs when the plant is deleted or the process ends, whichever comes first
         weakref.finalize(self, self._open.close)
         self._prepared = self._ready = self._begun = False
-        self._told_way = ""
+        self._warned_posture = ""
         self.begun_s = 0.0
-        self._tick = self._told_overruns = self.trials = 0
+        self._tick = self._reported_overruns = self.trials = 0
         self._missed = CountLog(_LOG, logging.WARNING, "periods missed: %d", clock)
         self._goals = np.full(4, np.nan)
         self._truth: Truth | None = None
@@ -127,7 +127,7 @@ class HardwarePlant(Plant):
         for servo in self.config.servos:
             lower[servo.slot], upper[servo.slot] = servo.lower_rad, servo.upper_rad
         # longest action of a command: its hold, the watchdog time, and the watchdog's time unit
-        last_s = HELD * self._period_s + self.config.bus.watchdog_s + table.WATCHDOG_S
+        last_s = HOLD_PERIODS * self._period_s + self.config.bus.watchdog_s + table.WATCHDOG_S
         return Supervisor(self.config.safety, self.head, lower, upper, self.config.slots, last_s)
 
     @property
@@ -233,9 +233,9 @@ class HardwarePlant(Plant):
         self._ready = self._begun = False
         self._drive.brake()
         try:
-            with self._drive.alone() as line:
-                line.switch_on()
-                angles = line.angles
+            with self._drive.exclusive() as servos:
+                servos.switch_on()
+                angles = servos.angles
             rested_s = self._come_to_start(positions[0], angles) if self._moves else self._clock()
         except HardwareError as error:
             self.rest(str(error))
@@ -244,14 +244,14 @@ class HardwarePlant(Plant):
         blank = Reading.empty(1)
         for own, empty in zip(self._reading, blank, strict=True):
             own[:] = empty
-        sights = self._first_images(rested_s)
+        pair = self._first_images(rested_s)
         self.begun_s, self._tick = self._clock(), 0
         if self._open.world is not None:
             self._open.world.begin(self.begun_s)
-        self._report(sights)
+        self._report(pair)
         self._reading.frame[0] = 0
         self._reading.command[:] = 0.0
-        self._ready, self._told_way = True, ""
+        self._ready, self._warned_posture = True, ""
         self.trials += 1
         _LOG.info("trial %d begins", self.trials)
         if self._log is not None:
@@ -277,8 +277,8 @@ class HardwarePlant(Plant):
             self._begin()
         try:
             self._check_watchdog()
-            missed = self.overruns - self._told_overruns
-            self._told_overruns = self.overruns
+            missed = self.overruns - self._reported_overruns
+            self._reported_overruns = self.overruns
             trial = InTrial(
                 images_s=self._open.eyes.newest_s,
                 seen=bool(self._reading.visible[0].any()),
@@ -286,7 +286,7 @@ class HardwarePlant(Plant):
                 missed=missed,
             )
             self._reading.command[0] = self._drive.send(command[0], trial)
-            self._tell_what_is_in_the_way()
+            self._warn_of_limiting_posture()
             self._wait()
             self._sense()
             self._check_health()
@@ -324,8 +324,8 @@ class HardwarePlant(Plant):
         counts = self._open.eyes.counts
         return {
             "image_pairs": counts.pairs,
-            "images_alone_left": counts.alone_left,
-            "images_alone_right": counts.alone_right,
+            "images_alone_left": counts.unpaired_left,
+            "images_alone_right": counts.unpaired_right,
             "late_periods": self.overruns,
             "missed_answers": 0 if self._open.drive is None else self._open.drive.misses,
         }
@@ -343,19 +343,20 @@ class HardwarePlant(Plant):
             said = (f"{name.replace('_', ' ')} {count}" for name, count in counts.items())
             _LOG.info("closed: %s", ", ".join(said))
 
-    def exercise(self, wishes: Iterable[FloatArray]) -> None:
+    def exercise(self, velocities: Iterable[FloatArray]) -> None:
         """Move the joints outside a trial, one command per period, as far as safe; then brake.
 
         Args:
-            wishes: requested velocities, (7,) each, rad/s; each is drawn just before it is sent.
+            velocities: requested velocities, (7,) each, rad/s; each is drawn just before it is
+                sent.
 
         Raises:
             HardwareError: the head has been stopped, or stops.
         """
         self._refuse_fault()
         try:
-            for wish in wishes:
-                self._move(wish)
+            for requested in velocities:
+                self._move(requested)
                 self._open.eyes.newest()
             self._drive.brake()
         except HardwareError as error:
@@ -385,10 +386,10 @@ class HardwarePlant(Plant):
         _LOG.info("neck and actuators driven to %s rad in %.1f s", goal.round(3).tolist(), way_s)
         return rested_s
 
-    def _move(self, wish: FloatArray) -> float:
+    def _move(self, requested: FloatArray) -> float:
         """Send requested velocities for one period outside a trial; return the time after it, s."""
         self._check_watchdog()
-        now = self._drive.move(wish)
+        now = self._drive.move(requested)
         self._open.eyes.check()
         self._check_health()
         return now
@@ -399,27 +400,27 @@ class HardwarePlant(Plant):
             self._log.stopped(self._supervisor.fault)
         if self._open.drive is not None:
             self._open.drive.brake()
-            with suppress(HardwareError), self._open.drive.alone() as line:
-                line.let_go_if_hot()
+            with suppress(HardwareError), self._open.drive.exclusive() as servos:
+                servos.let_go_if_hot()
         _LOG.error("stopped: %s", self._supervisor.fault)
 
-    def _tell_what_is_in_the_way(self) -> None:
+    def _warn_of_limiting_posture(self) -> None:
         """Warn, once a trial, of a forbidden posture that the policy's commands would enter."""
-        name = self._supervisor.in_the_way
-        if name and name != self._told_way:
-            self._told_way = name
+        name = self._supervisor.limiting_posture
+        if name and name != self._warned_posture:
+            self._warned_posture = name
             _warn(f"safety: the forbidden posture {name!r} is in the policy's way")
 
     def _check_health(self) -> None:
-        with self._drive.alone() as line:
-            told = line.check_health()
-        for text in told:
+        with self._drive.exclusive() as servos:
+            texts = servos.check_health()
+        for text in texts:
             _warn(text)
 
     def _check_watchdog(self) -> None:
         """Raise an error if the servos' watchdog has stopped them."""
-        with self._drive.alone() as line:
-            paused_s = line.paused_s()
+        with self._drive.exclusive() as servos:
+            paused_s = servos.paused_s()
         if paused_s:
             self.trips += 1
             raise HardwareError(
@@ -430,12 +431,12 @@ class HardwarePlant(Plant):
 
     def _begin(self) -> None:
         """Start the trial's time at its first command, as nothing has moved until then."""
-        with self._drive.alone() as line:
-            if line.paused_s():
-                line.switch_on()
+        with self._drive.exclusive() as servos:
+            if servos.paused_s():
+                servos.switch_on()
         now = self._clock()
         self._supervisor.begin(now)
-        self._told_overruns = self.overruns
+        self._reported_overruns = self.overruns
         later = now - self.begun_s
         self.begun_s, self._tick, self._begun = now, 0, True
         for times in (self._reading.exposure_s, self._reading.received_s, self._reading.joints_s):
@@ -461,40 +462,38 @@ class HardwarePlant(Plant):
         self._drive.sense()
         self._open.eyes.check()
 
-    def _first_images(self, rested_s: float) -> Sights | None:
+    def _first_images(self, rested_s: float) -> SearchedPair | None:
         """Wait for images of the head at rest; the newest ones if none arrives in time."""
-        sights = None
+        pair = None
         until = self._clock() + _FIRST_IMAGES_S
         while self._clock() < until:
             self._sleep(self._period_s)
             self._check_watchdog()
             self._sense()
             self._drive.send(np.zeros(7))
-            sights = self._open.eyes.newest()
-            if sights is not None and sights.exposed_s > rested_s:
-                _LOG.info(
-                    "first image at rest, exposed %.3f s after it", sights.exposed_s - rested_s
-                )
+            pair = self._open.eyes.newest()
+            if pair is not None and pair.exposed_s > rested_s:
+                _LOG.info("first image at rest, exposed %.3f s after it", pair.exposed_s - rested_s)
                 break
         else:
             _LOG.warning("expected an image of the head at rest within %g s", _FIRST_IMAGES_S)
-        return sights
+        return pair
 
-    def _report(self, sights: Sights | None) -> None:
+    def _report(self, pair: SearchedPair | None) -> None:
         """Update the reading from the newest joint angles and images."""
         reading, self._truth = self._reading, None
         measured_s, q, v = self._history.newest()
         reading.time_s[0] = self._tick * self._period_s
         reading.joints_s[0] = measured_s - self.begun_s
         reading.positions[0], reading.velocities[0] = q, v
-        if sights is None:
+        if pair is None:
             return
-        exposed_s, pixels = as_one(self.head, sights, self._history)
+        exposed_s, pixels = merge_pair(self.head, pair, self._history)
         if self._appears and exposed_s < self.begun_s:
             return
         reading.frame[0] += 1
         reading.exposure_s[0] = exposed_s - self.begun_s
-        reading.received_s[0] = sights.ready_s - self.begun_s
+        reading.received_s[0] = pair.ready_s - self.begun_s
         reading.positions_at_exposure[0] = self._history.at(exposed_s)
         self._goals = joint_goals(self.head, reading.positions_at_exposure[0], pixels)
         reading.pixels[0] = pixels

@@ -61,7 +61,7 @@ def scan(
     *,
     rates: Sequence[int] = RATES,
     ids: Iterable[int] | None = None,
-    turn_s: float = _TURN_S,
+    wait_per_id_s: float = _TURN_S,
     report: Callable[[float], None] = lambda _done: None,
 ) -> Scan:
     """Ping for servos at each baud rate.
@@ -70,7 +70,7 @@ def scan(
         port: device file of the line.
         rates: baud rates, bit/s.
         ids: ids to ping one by one; None pings all at once.
-        turn_s: wait per id if all are pinged at once, s.
+        wait_per_id_s: wait per id if all are pinged at once, s.
         report: progress callback, called with the fraction that is done.
 
     Raises:
@@ -90,7 +90,7 @@ def scan(
         try:
             answered = asked or []
             if asked is None:
-                answered, rejected = _everybody(bus, turn_s)
+                answered, rejected = _everybody(bus, wait_per_id_s)
                 damaged += rejected
             servos = [_found(bus, ident, rate) for ident in answered]
             found += [servo for servo in servos if servo is not None]
@@ -100,11 +100,11 @@ def scan(
     return Scan(servos=found, left_out=left_out, damaged=damaged)
 
 
-def _everybody(bus: Bus, turn_s: float) -> tuple[list[int], int]:
+def _everybody(bus: Bus, wait_per_id_s: float) -> tuple[list[int], int]:
     """Ids that answer a broadcast ping, and the number of damaged answers."""
     bus.line.drain()
     bus.line.send(instruction_packet(BROADCAST, Instruction.PING))
-    wait_s = (MOST_ID + 1) * (turn_s + bus.line.wire_s(_STATUS_BYTES))
+    wait_s = (MOST_ID + 1) * (wait_per_id_s + bus.line.wire_s(_STATUS_BYTES))
     until_s = time.monotonic() + wait_s
     parser = Parser()
     ids: set[int] = set()

@@ -31,10 +31,10 @@ class ServoAngles:
     Attributes:
         angles: (7,) estimated angles of the neck's joints and the actuators of the eyes, rad.
         speeds: (7,) their speeds, rad/s.
-        there: (7,) True for slots with a servo.
+        has_servo: (7,) True for slots with a servo.
         lower: (7,) least angles, rad.
         upper: (7,) greatest angles, rad.
-        carried: (7,) rounding error carried over to the next command, ticks.
+        rounding_error: (7,) rounding error carried over to the next command, ticks.
         limit_ticks: greatest speeds by id, ticks.
     """
 
@@ -44,26 +44,26 @@ class ServoAngles:
         self.ids = [servo.id for servo in servos]
         self.angles, self.speeds = np.zeros(7), np.zeros(7)
         self.lower, self.upper = np.zeros(7), np.zeros(7)
-        self.there = np.zeros(7, dtype=np.bool_)
-        self.carried = np.zeros(7)
+        self.has_servo = np.zeros(7, dtype=np.bool_)
+        self.rounding_error = np.zeros(7)
         self.limit_ticks: dict[int, int] = {}
         self._measured_s = np.full(7, np.nan)
-        self._believed_s = np.full(7, np.nan)
+        self._accepted_s = np.full(7, np.nan)
         for servo in servos:
             self.lower[servo.slot], self.upper[servo.slot] = servo.lower_rad, servo.upper_rad
-            self.there[servo.slot] = True
+            self.has_servo[servo.slot] = True
         self._fastest = _FASTER * head.actuation.velocity
 
     def ages(self, now_s: float) -> FloatArray:
         """(7,) time since the last accepted answer of each servo, s; 0 in slots without one."""
-        return np.where(self.there, now_s - self._believed_s, 0.0)
+        return np.where(self.has_servo, now_s - self._accepted_s, 0.0)
 
     @property
-    def known(self) -> bool:
+    def all_reported(self) -> bool:
         """True if each servo has reported its angle."""
-        return not np.isnan(self._believed_s[self.there]).any()
+        return not np.isnan(self._accepted_s[self.has_servo]).any()
 
-    def take(self, answers: dict[int, bytes], measured_s: float) -> set[int]:
+    def update(self, answers: dict[int, bytes], measured_s: float) -> set[int]:
         """Update angles and speeds from answers; without one a joint continues at its speed.
 
         Args:
@@ -73,30 +73,30 @@ class ServoAngles:
         Returns:
             The ids of the servos whose answers are accepted.
         """
-        believed = set()
+        accepted = set()
         for servo in self._servos:
             slot, data = servo.slot, answers.get(servo.id)
-            since_s = measured_s - self._believed_s[slot]  # nan before the first answer
-            told = None if data is None else self._told(servo, data)
-            if told is not None and self._is_possible(slot, *told, since_s):
-                self.angles[slot], self.speeds[slot] = told
-                self._believed_s[slot] = measured_s
-                believed.add(servo.id)
+            since_s = measured_s - self._accepted_s[slot]  # nan before the first answer
+            decoded = None if data is None else self._decoded(servo, data)
+            if decoded is not None and self._is_plausible(slot, *decoded, since_s):
+                self.angles[slot], self.speeds[slot] = decoded
+                self._accepted_s[slot] = measured_s
+                accepted.add(servo.id)
             elif not np.isnan(since_s):
                 # after a longer silence the caller stops the head, or no read took place
                 ahead_s = min(measured_s - self._measured_s[slot], SILENT_S)
                 self.angles[slot] += self.speeds[slot] * ahead_s
             self._measured_s[slot] = measured_s
-        return believed
+        return accepted
 
-    def _told(self, servo: ServoConfig, data: bytes) -> tuple[float, float]:
+    def _decoded(self, servo: ServoConfig, data: bytes) -> tuple[float, float]:
         """Decode angle and speed of the joint from a servo's answer."""
         speed = int.from_bytes(data[:4], "little", signed=True)
         ticks = int.from_bytes(data[4:], "little", signed=True)
         turns = servo.sign / servo.gear_ratio
         return self._angle(servo, ticks), turns * speed * table.TICK_RAD_S
 
-    def _is_possible(self, slot: int, angle: float, speed: float, since_s: float) -> bool:
+    def _is_plausible(self, slot: int, angle: float, speed: float, since_s: float) -> bool:
         fastest = float(self._fastest[slot])
         if np.isnan(since_s):
             return True
@@ -118,10 +118,10 @@ class ServoAngles:
         if not actuation.direct:
             v[EYES] = actuation.to_joints @ self.speeds[EYES]
         rest = self._head.rest()
-        q[NECK] = np.where(self.there[NECK], q[NECK], rest[NECK])
+        q[NECK] = np.where(self.has_servo[NECK], q[NECK], rest[NECK])
         return q, v
 
-    def ticks(self, velocity: FloatArray) -> tuple[dict[int, int], FloatArray]:
+    def quantise(self, velocity: FloatArray) -> tuple[dict[int, int], FloatArray]:
         """Quantise velocities to the units of the servos.
 
         Args:
@@ -135,10 +135,10 @@ class ServoAngles:
             slot, per_tick = servo.slot, servo.sign / servo.gear_ratio * table.TICK_RAD_S
             exact = velocity[slot] / per_tick
             most = self.limit_ticks.get(servo.id, 0)
-            ticks = int(np.clip(np.rint(exact + self.carried[slot]), -most, most))
+            ticks = int(np.clip(np.rint(exact + self.rounding_error[slot]), -most, most))
             still = abs(exact) < _STILL_TICKS
-            self.carried[slot] = (
-                0.0 if still else np.clip(exact + self.carried[slot] - ticks, -1, 1)
+            self.rounding_error[slot] = (
+                0.0 if still else np.clip(exact + self.rounding_error[slot] - ticks, -1, 1)
             )
             out[servo.id] = 0 if still else ticks
             sent[slot] = out[servo.id] * per_tick

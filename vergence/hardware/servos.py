@@ -73,7 +73,7 @@ class HeadServos:
                 self._set_up(servo)
             self._limits = {one: read_limits(self._bus, one) for one in self.angles.ids}
             self._watches = {one: HealthWatch(limits) for one, limits in self._limits.items()}
-            while not self.angles.known:
+            while not self.angles.all_reported:
                 self.sense()
         except BaseException:
             self._bus.close()
@@ -115,7 +115,7 @@ class HeadServos:
             _LOG.info("torque on")
         _LOG.info("watchdog armed: %g s", steps * table.WATCHDOG_S)
         self._torque = True
-        self.angles.carried[:] = 0.0
+        self.angles.rounding_error[:] = 0.0
         self._fed_s, self._pause_s = self._clock(), 0.0
 
     def _write(self, ident: int, register: table.Register, value: int) -> None:
@@ -151,9 +151,9 @@ class HeadServos:
         self._fed()
         # the packets left the servos about half the exchange ago
         measured_s = 0.5 * (asked_s + now)
-        believed = self.angles.take(answers, measured_s)
+        accepted = self.angles.update(answers, measured_s)
         for servo in self._config.servos:
-            if servo.id in believed:
+            if servo.id in accepted:
                 self._missed.pop(servo.id, None)
                 continue
             missed = self._missed.setdefault(servo.id, [])
@@ -217,7 +217,7 @@ class HeadServos:
         for servo in self._config.servos:
             if servo.id not in found:
                 continue
-            verdict = self._watches[servo.id].take(found[servo.id])
+            verdict = self._watches[servo.id].judge(found[servo.id])
             text = f"servos: {servo.name}: {verdict.text}"
             if verdict.hot:
                 self._hot.add(servo.id)
@@ -238,7 +238,7 @@ class HeadServos:
 
     def send(self, velocity: FloatArray) -> FloatArray:
         """Send velocities to the servos; return the quantised ones; both (7,) rad/s."""
-        ticks, sent = self.angles.ticks(velocity)
+        ticks, sent = self.angles.quantise(velocity)
         self._bus.sync_write(table.GOAL_VELOCITY, ticks)
         self._fed()
         return sent

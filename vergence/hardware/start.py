@@ -61,20 +61,20 @@ def come_to_start(
         HardwareError: a trial must not begin there, or the joints do not get there; see `move`.
     """
     goal = np.clip(goal, angles.lower, angles.upper)
-    hurt = inside(config.safety.forbidden, goal)
-    if hurt is not None:
+    entered = inside(config.safety.forbidden, goal)
+    if entered is not None:
         raise HardwareError(
-            f"safety: start: {hurt.refusal(goal, config.slots)}; cure: another start"
+            f"safety: start: {entered.refusal(goal, config.slots)}; cure: another start"
         )
-    unproved = angles.there & ~supervisor.proved
-    slowest = float(supervisor.most[angles.there].min())
+    unproved = angles.has_servo & ~supervisor.proved
+    slowest = float(supervisor.max_speed[angles.has_servo].min())
     if unproved.any():
         prove(unproved, config.servos, angles, move)
     try:
-        way_s = float(np.abs(goal - angles.angles)[angles.there].max()) / slowest
+        way_s = float(np.abs(goal - angles.angles)[angles.has_servo].max()) / slowest
         return drive_to(goal, config.servos, angles, move, _TIMEOUT_S + way_s)
     except NotThereError as error:
-        name = supervisor.in_the_way
+        name = supervisor.limiting_posture
         why = f": the forbidden posture {name!r} is in the way" if name else ""
         raise HardwareError(f"{error}{why}") from None
 
@@ -106,13 +106,13 @@ def drive_to(
     now_s = begun_s = move(np.zeros(7))
     moved_s, rested = begun_s, 0
     while rested < _RESTED:
-        error = np.where(angles.there, goal - angles.angles, 0.0)
-        there = np.abs(error).max() < _WITHIN_RAD
+        error = np.where(angles.has_servo, goal - angles.angles, 0.0)
+        arrived = np.abs(error).max() < _WITHIN_RAD
         resting = np.abs(angles.speeds).max() < _REST_RAD_S
-        rested = rested + 1 if there and resting else 0
+        rested = rested + 1 if arrived and resting else 0
         moved_s = moved_s if resting else now_s
-        wish = np.clip(_GAIN * error, -_MOST_RAD_S, _MOST_RAD_S)
-        now_s = move(np.zeros(7) if there else wish)
+        requested = np.clip(_GAIN * error, -_MOST_RAD_S, _MOST_RAD_S)
+        now_s = move(np.zeros(7) if arrived else requested)
         waited_s, rested_s = now_s - begun_s, now_s - moved_s
         if waited_s > timeout_s or rested_s > _BLOCKED_S:
             worst = max(servos, key=lambda one: abs(error[one.slot]))

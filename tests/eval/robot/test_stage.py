@@ -10,12 +10,14 @@ from tests.hardware.desk import desk_config
 from vergence.errors import ConfigurationError
 from vergence.eval.robot.stage import make_stage
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.hardware.config_parts import Place
+from vergence.hardware.config_parts import MeasuredTarget
 from vergence.hardware.plant import HardwarePlant
 from vergence.models.board_text import parse_target
 
 PLACES = tuple(
-    Place(target=parse_target(f"tag:36h11:{ident}:120"), point=np.array([0.1 * ident, 0.0, 1.0]))
+    MeasuredTarget(
+        target=parse_target(f"tag:36h11:{ident}:120"), point=np.array([0.1 * ident, 0.0, 1.0])
+    )
     for ident in range(3)
 )
 DESK = desk_config("/dev/null")
@@ -49,7 +51,10 @@ def test_places_take_turns_and_the_eyes_look_for_each(monkeypatch):
 
 
 def test_a_place_that_the_eyes_cannot_look_at_is_refused():
-    behind = (*PLACES, Place(target=parse_target("tag:36h11:9:120"), point=np.array([0, 0, -1.0])))
+    behind = (
+        *PLACES,
+        MeasuredTarget(target=parse_target("tag:36h11:9:120"), point=np.array([0, 0, -1.0])),
+    )
     with pytest.raises(
         ConfigurationError, match=r"places\[3\]\.point_mm .* got \[0.0, 0.0, -1000.0\]"
     ):

@@ -14,7 +14,7 @@ from optuna.samplers import RandomSampler
 from sqlalchemy.exc import OperationalError
 
 from tests.test_cli import call
-from vergence.commands.tune import command_of
+from vergence.commands.tune import repeat_command
 from vergence.controllers.controller import make_controller
 from vergence.controllers.tuned import TUNED_FILE, find_tuned, load_tuned, tuned_options
 from vergence.errors import ConfigurationError
@@ -365,12 +365,12 @@ def test_the_result_is_kept_in_the_users_table_for_its_head_and_never_in_the_pac
 
 def test_the_recorded_command_names_all_that_changes_the_result():
     full = TuneConfig(controller="pid", head="physical", plant="mujoco", trials=7, seed=5)
-    assert command_of(full, trials=True) == (
+    assert repeat_command(full, trials=True) == (
         "vergence tune pid --scenario workspace --head physical --plant mujoco --trials 7 "
         "--episodes 400 --seed 5"
     )
     grid = TuneConfig(controller="delay-compensated", grid=True)
-    assert "--grid" in command_of(grid, trials=False)
+    assert "--grid" in repeat_command(grid, trials=False)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim, lti
 
-from vergence.hardware.delay.excitation import speeds, wishes
+from vergence.hardware.delay.excitation import requested_velocities, speeds
 from vergence.hardware.delay.image_fit import fit_images
 from vergence.hardware.delay.joint_fit import FittedMotor, fit_joint, path_of, respond
 from vergence.models.files.head_file import load_head
@@ -16,7 +16,7 @@ PERIOD_S = HEAD.timing.period_s
 STEP_RAD = 0.0015339807878856412
 SLOT, EYE = 3, 0
 POINT = np.array([0.02, -0.1, 1.1])
-GUESS = FittedMotor(latency_s=0.0, lag_s=0.03, gain=1.0, per_acceleration=1.0 / 80.0)
+GUESS = FittedMotor(latency_s=0.0, lag_s=0.03, gain=1.0, inverse_acceleration=1.0 / 80.0)
 
 
 def samples(motor, seed=0, way=None):
@@ -32,8 +32,8 @@ def samples(motor, seed=0, way=None):
 @pytest.mark.parametrize(
     "motor",
     [
-        FittedMotor(latency_s=0.012, lag_s=0.045, gain=0.87, per_acceleration=1.0 / 50.0),
-        FittedMotor(latency_s=0.03, lag_s=0.018, gain=1.1, per_acceleration=1.0 / 40.0),
+        FittedMotor(latency_s=0.012, lag_s=0.045, gain=0.87, inverse_acceleration=1.0 / 50.0),
+        FittedMotor(latency_s=0.03, lag_s=0.018, gain=1.1, inverse_acceleration=1.0 / 40.0),
     ],
 )
 def test_a_motor_is_found_within_its_uncertainty(motor):
@@ -41,14 +41,14 @@ def test_a_motor_is_found_within_its_uncertainty(motor):
     assert found.motor == pytest.approx(motor, rel=0.02, abs=5e-4)
     off = (np.array(found.motor) - np.array(motor)) / np.array(found.sigma)
     assert np.abs(off).max() < 4.5
-    assert found.acceleration_rad_s2 == pytest.approx(1.0 / motor.per_acceleration, rel=0.02)
+    assert found.acceleration_rad_s2 == pytest.approx(1.0 / motor.inverse_acceleration, rel=0.02)
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("greatest_rad_s2", [105.0, 500.0])
 def test_an_acceleration_that_was_not_reached_is_not_told(greatest_rad_s2, seed):
     strong = FittedMotor(
-        latency_s=0.0, lag_s=0.05, gain=1.0, per_acceleration=1.0 / greatest_rad_s2
+        latency_s=0.0, lag_s=0.05, gain=1.0, inverse_acceleration=1.0 / greatest_rad_s2
     )
     found = fit_joint(*samples(strong, seed), GUESS, STEP_RAD)
     assert found.acceleration_rad_s2 is None
@@ -74,7 +74,7 @@ def test_a_servo_that_overshoots_is_beside_a_lag():
     [(0.04, 0.0, 0.0, 1.0), (0.12, 0.01, 0.003, 1.0), (0.07, 0.0, 0.001, 0.85)],
 )
 def test_images_tell_latency_jitter_and_play(latency_s, jitter_s, backlash_rad, focal):
-    motor = FittedMotor(latency_s=0.01, lag_s=0.03, gain=0.95, per_acceleration=1.0 / 80.0)
+    motor = FittedMotor(latency_s=0.01, lag_s=0.03, gain=0.95, inverse_acceleration=1.0 / 80.0)
     told = samples(motor)
     path = path_of(motor, *told)
     rng = np.random.default_rng(1)
@@ -116,11 +116,11 @@ def test_an_eye_that_sees_nothing_tells_nothing():
 
 
 def test_the_way_stays_about_its_middle_and_within_its_reach():
-    motor = FittedMotor(latency_s=0.015, lag_s=0.04, gain=0.85, per_acceleration=1.0 / 60.0)
+    motor = FittedMotor(latency_s=0.015, lag_s=0.04, gain=0.85, inverse_acceleration=1.0 / 60.0)
     way, sent, angle = speeds(0.2, 5.0, PERIOD_S), [], [0.3]
-    for wish in wishes(SLOT, way, PERIOD_S, lambda: angle[-1]):
-        assert np.flatnonzero(wish).tolist() in ([], [SLOT])
-        sent.append(wish[SLOT])
+    for requested in requested_velocities(SLOT, way, PERIOD_S, lambda: angle[-1]):
+        assert np.flatnonzero(requested).tolist() in ([], [SLOT])
+        sent.append(requested[SLOT])
         times = PERIOD_S * np.arange(len(sent))
         angle.append(0.3 + respond(motor, times, np.array(sent), times[-1:] + PERIOD_S)[0][0])
     assert np.abs(np.array(angle) - 0.3).max() < 0.25

@@ -10,8 +10,8 @@ from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, clustered
 from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
 
 FIT = JointFit(
-    motor=FittedMotor(latency_s=0.01, lag_s=0.03, gain=0.9, per_acceleration=1.0 / 20.0),
-    sigma=FittedMotor(latency_s=1e-3, lag_s=1e-3, gain=1e-3, per_acceleration=1e-4),
+    motor=FittedMotor(latency_s=0.01, lag_s=0.03, gain=0.9, inverse_acceleration=1.0 / 20.0),
+    sigma=FittedMotor(latency_s=1e-3, lag_s=1e-3, gain=1e-3, inverse_acceleration=1e-4),
     greatest_rad_s2=20.0, residual_rad=1e-3, limited=True, correlation=-0.5,
 )  # fmt: skip
 IMAGE = ImageFit(
@@ -36,7 +36,7 @@ def test_a_jitter_that_was_not_told_is_left_out_and_said():
     found = LoopMeasurement(eyes=(slow,))
     assert found.loop().jitter_s is None
     assert np.isfinite(list(found.loop().sigma.values())).all()
-    assert any("too slowly to tell the jitter" in line for line in found.untold())
+    assert any("too slowly to tell the jitter" in line for line in found.undetermined())
 
 
 def test_what_only_the_prior_knows_has_the_priors_deviation():
@@ -50,18 +50,20 @@ def test_what_only_the_prior_knows_has_the_priors_deviation():
 
 
 def test_a_latency_that_a_lag_may_stand_for_is_said():
-    assert not any("told badly" in line for line in LoopMeasurement(eyes=(EYE,)).untold())
+    assert not any("told badly" in line for line in LoopMeasurement(eyes=(EYE,)).undetermined())
     together = replace(EYE, joint=replace(FIT, correlation=-0.95))
-    (line,) = (line for line in LoopMeasurement(eyes=(together,)).untold() if "told badly" in line)
+    (line,) = (
+        line for line in LoopMeasurement(eyes=(together,)).undetermined() if "told badly" in line
+    )
     assert line.startswith("left_pan: command latency and lag")
     assert "correlation -0.95" in line
 
 
 def test_what_the_model_does_not_have_is_said():
-    assert LoopMeasurement(eyes=(EYE,)).doubts() == []
+    assert LoopMeasurement(eyes=(EYE,)).misfits() == []
     swinging = replace(EYE, joint=replace(FIT, residual_rad=8e-3))
-    (line,) = LoopMeasurement(eyes=(swinging,)).doubts()
+    (line,) = LoopMeasurement(eyes=(swinging,)).misfits()
     assert line.startswith("left_pan: its angles are 8.0 mrad (rms) beside")
     shorter = replace(EYE, image=replace(IMAGE, scale=0.9))
-    (line,) = LoopMeasurement(eyes=(shorter,)).doubts()
+    (line,) = LoopMeasurement(eyes=(shorter,)).misfits()
     assert "the image moves by 10 % less" in line

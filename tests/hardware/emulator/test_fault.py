@@ -30,9 +30,9 @@ def test_an_eye_makes_it_a_fault_of_a_camera():
 
 def test_a_fault_of_cameras_alone_is_of_both_eyes_unless_told_otherwise():
     fault = parsed(what="torn")
-    assert fault.befalls(0)
-    assert fault.befalls(1)
-    assert not parsed(what="torn", eye="left").befalls(1)
+    assert fault.affects(0)
+    assert fault.affects(1)
+    assert not parsed(what="torn", eye="left").affects(1)
 
 
 @pytest.mark.parametrize(

@@ -6,14 +6,14 @@ import pytest
 from vergence.hardware.dynamixel.packets import Parser, status_packet
 from vergence.hardware.emulator.fault import parse_fault
 from vergence.hardware.emulator.line import TimedAnswer
-from vergence.hardware.emulator.line_faults import damage
+from vergence.hardware.emulator.line_faults import apply_line_faults
 
 ANSWERS = [TimedAnswer(id, 0.0, status_packet(id, b"abcd")) for id in (1, 2, 3)]
 
 
 def sent(*faults, seed=0):
     made = [parse_fault(fault, (1, 2, 3), timed=False) for fault in faults]
-    return damage(ANSWERS, made, np.random.default_rng(seed))
+    return apply_line_faults(ANSWERS, made, np.random.default_rng(seed))
 
 
 def heard(data):

@@ -29,7 +29,7 @@ def world():
         acceleration_rad_s2=1000.0,
     )  # fmt: skip
     made = World(HEAD, POINT, motors)
-    made.to(0.0)
+    made.advance_to(0.0)
     for servo in made.line.servos:
         servo.set(table.OPERATING_MODE, table.VELOCITY_MODE)
         servo.set(table.TORQUE_ENABLE, 1)
@@ -48,14 +48,14 @@ def test_what_servos_report_is_as_old_as_their_feedback():
     late_s = 0.0125
     now, late = (World(HEAD, POINT, MotorOptions(feedback_latency_s=one)) for one in (0.0, late_s))
     for world in (now, late):
-        world.to(0.0)
+        world.advance_to(0.0)
         for servo in world.line.servos:
             servo.set(table.OPERATING_MODE, table.VELOCITY_MODE)
             servo.set(table.TORQUE_ENABLE, 1)
         turn(world, TICKS, 0.1)
 
     def reported(world, at_s):
-        world.to(at_s)
+        world.advance_to(at_s)
         servo = world.line.servos[0]
         servo.read(table.PRESENT_POSITION.address, table.PRESENT_POSITION.length)
         return servo.get(table.PRESENT_POSITION), servo.get(table.PRESENT_VELOCITY)

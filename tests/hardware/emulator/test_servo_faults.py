@@ -37,7 +37,7 @@ def test_what_a_servo_does_not_hear_does_not_feed_its_watchdog():
     line = turning()
     write(line, 0.0, 1, table.BUS_WATCHDOG, 1)
     line.answer(SYNC_READ, 0.01, 57_600)
-    line.to(0.02)
+    line.advance_to(0.02)
     assert line.trips == 1
 
 
@@ -51,7 +51,7 @@ def test_a_reboot_forgets_the_turns():
 
 def test_a_position_goal_after_a_reboot_is_one_within_the_turn():
     line = turning(goal=265, lower=-99.0, upper=99.0)
-    line.to(5.0)
+    line.advance_to(5.0)
     ask(line, 5.0, REBOOT)
     here = read(line, 6.0, 1, table.PRESENT_POSITION)
     write(line, 6.0, 1, table.OPERATING_MODE, table.EXTENDED_POSITION_MODE)
@@ -62,10 +62,10 @@ def test_a_position_goal_after_a_reboot_is_one_within_the_turn():
 
 def test_a_joint_without_torque_comes_to_rest_with_its_lag():
     line = turning(goal=100, lower=-9.0, upper=9.0, acceleration=1e9)
-    line.to(1.0)
+    line.advance_to(1.0)
     speed, place = line.velocities()[0], line.positions()[0]
     line.servos[0].fail(1 << 5)
-    line.to(2.0)
+    line.advance_to(2.0)
     assert line.positions()[0] - place == pytest.approx(speed * line.servos[0].lag_s)
 
 
@@ -120,7 +120,7 @@ def test_a_servo_that_is_still_hot_fails_again_after_a_reboot():
 def test_a_stuck_joint_stands_still_against_its_command():
     line = turning()
     line.servos[0].stuck = True
-    line.to(0.5)
+    line.advance_to(0.5)
     assert (line.positions()[0], line.velocities()[0]) == (0.0, 0.0)
 
 
@@ -128,7 +128,7 @@ def test_a_joint_the_wrong_way_turns_against_its_command():
     right, wrong = turning(), turning()
     wrong.servos[0].wrong_way = True
     for line in (right, wrong):
-        line.to(0.1)
+        line.advance_to(0.1)
     assert wrong.positions() == pytest.approx(-right.positions())
     assert read(wrong, 0.1, 1, table.PRESENT_VELOCITY) < 0
 

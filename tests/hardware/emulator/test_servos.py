@@ -27,7 +27,7 @@ NOBODY = instruction_packet(100, Instruction.PING)
 
 def test_a_joint_follows_its_velocity_goal_with_its_lag():
     line = turning(lag_s=0.1, acceleration=1e9)
-    line.to(0.1)
+    line.advance_to(0.1)
     assert line.velocities() == pytest.approx(100 * TICK_RAD_S * (1 - exp(-1)), rel=1e-9)
 
 
@@ -35,7 +35,7 @@ def test_a_joint_without_torque_stands_still():
     line = ServoLine([make_servo(1)])
     write(line, 0.0, 1, table.OPERATING_MODE, table.VELOCITY_MODE)
     write(line, 0.0, 1, table.GOAL_VELOCITY, 100)
-    line.to(1.0)
+    line.advance_to(1.0)
     assert line.positions() == 0.0
 
 
@@ -47,20 +47,20 @@ def test_a_joint_comes_to_its_position_goal():
 
 def test_torque_in_position_mode_moves_nothing():
     line = turning(mode=table.POSITION_MODE, position_rad=0.5)
-    line.to(1.0)
+    line.advance_to(1.0)
     assert line.positions() == pytest.approx(0.5, abs=TICK_RAD)
 
 
 def test_a_joint_stops_at_its_end_stop():
     line = turning(upper=0.3)
-    line.to(2.0)
+    line.advance_to(2.0)
     assert (line.positions()[0], line.velocities()[0]) == (0.3, 0.0)
 
 
 def test_angles_are_the_joints_whatever_the_gear():
     line = turning(sign=-1, zero_ticks=1000, gear_ratio=2.0, position_rad=0.25, lower=-9.0)
     assert read(line, 0.0, 1, table.PRESENT_POSITION) == round(1000 - 0.5 / TICK_RAD)
-    line.to(1.0)
+    line.advance_to(1.0)
     assert line.velocities() == pytest.approx(-100 * TICK_RAD_S / 2)
     assert read(line, 1.0, 1, table.PRESENT_VELOCITY) == 100
 
@@ -74,11 +74,11 @@ def test_the_watchdog_stops_a_servo_at_its_own_instant():
     late, prompt = (turning(lower=-9.0, upper=9.0) for _ in range(2))
     for line in (late, prompt):
         write(line, 0.0, 1, table.BUS_WATCHDOG, 10)
-    late.to(2.0)  # in one go, past the instant
-    prompt.to(0.2)
+    late.advance_to(2.0)  # in one go, past the instant
+    prompt.advance_to(0.2)
     assert prompt.trips == late.trips == 1
     write(prompt, 0.2, 1, table.GOAL_VELOCITY, 100)
-    prompt.to(2.0)
+    prompt.advance_to(2.0)
     assert late.velocities() == pytest.approx(0.0, abs=1e-9)
     assert late.positions() == pytest.approx(prompt.positions(), abs=1e-9)
 
@@ -94,14 +94,14 @@ def test_any_packet_on_the_line_feeds_the_watchdog():
 def test_a_watchdog_waits_while_torque_is_off():
     line = ServoLine([make_servo(1)])
     write(line, 0.0, 1, table.BUS_WATCHDOG, 1)
-    line.to(10.0)
+    line.advance_to(10.0)
     assert line.trips == 0
 
 
 def test_a_tripped_watchdog_locks_goals_until_it_is_cleared():
     line = turning()
     write(line, 0.0, 1, table.BUS_WATCHDOG, 1)
-    line.to(0.1)
+    line.advance_to(0.1)
     assert read(line, 0.1, 1, table.BUS_WATCHDOG) == table.WATCHDOG_TRIPPED
     assert read(line, 0.1, 1, table.GOAL_VELOCITY) == 0
     assert write(line, 0.1, 1, table.GOAL_VELOCITY, 5)[0].error == ErrorNumber.DATA_RANGE
@@ -186,7 +186,7 @@ def test_a_hardware_error_is_an_alert_and_takes_the_torque():
 def test_no_packet_is_too_odd_to_answer(id, instruction, params):
     line = turning()
     answers = line.answer(Packet(id, instruction, params), 0.0)
-    line.to(0.01)
+    line.advance_to(0.01)
     assert all(Parser().feed(answer.data) for answer in answers)
 
 
@@ -210,7 +210,7 @@ class Steps(ServoLine):
 )
 def test_a_pause_of_an_hour_takes_few_steps(goal, stops):
     line = Steps(turning(goal, lower=-stops, upper=stops, speed_filter_s=0.05))
-    line.to(3600.0)
+    line.advance_to(3600.0)
     assert line.count < 2000
     expected = 3600.0 * goal * TICK_RAD_S if stops > 1.0 else min(goal, 1.0)
     assert line.positions() == pytest.approx(expected, rel=1e-4)
@@ -218,9 +218,9 @@ def test_a_pause_of_an_hour_takes_few_steps(goal, stops):
 
 def test_time_that_goes_back_changes_nothing():
     line = turning()
-    line.to(0.1)
+    line.advance_to(0.1)
     before = line.positions()
-    line.to(0.05)
+    line.advance_to(0.05)
     assert line.positions() == before
 
 

@@ -13,7 +13,7 @@ from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.config import load_hardware
 from vergence.hardware.emulator.board import parse_standing, standing
 from vergence.hardware.emulator.client import EmulatedWorld
-from vergence.hardware.emulator.emulator import desk
+from vergence.hardware.emulator.emulator import hardware_config_values
 from vergence.hardware.emulator.server import WorldServer
 from vergence.hardware.emulator.world import World
 from vergence.models.files.toml_text import toml_text
@@ -138,7 +138,7 @@ def test_a_controller_reads_the_configuration(tmp_path, name):
     try:
         server.streams = "http://127.0.0.1:1"
         path = tmp_path / "desk.toml"
-        values = desk(name, world.head.digest, world, server, "tag:36h11:0:150")
+        values = hardware_config_values(name, world.head.digest, world, server, "tag:36h11:0:150")
         path.write_text(toml_text(values), encoding="utf-8")
         config = load_hardware(path)
         assert config.head.digest == world.head.digest

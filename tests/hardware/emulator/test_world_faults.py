@@ -43,7 +43,7 @@ class Head:
         return self.world.answer(Packet(BROADCAST, Instruction.PING, b""), now_s, rate)
 
     def get(self, now_s, register, name="left_pan"):
-        self.world.to(now_s)
+        self.world.advance_to(now_s)
         return self.world.servos[name].get(register)
 
     @property
@@ -71,11 +71,11 @@ def test_a_fault_ends_at_its_own_instant():
     for head in (late, prompt):
         head.begin(1.0, what="stuck", ids=[1], for_s=0.5)
         head.write(1.0, table.GOAL_VELOCITY, 20)
-    late.world.to(2.0)  # in one go, past the end
-    prompt.world.to(1.5)
+    late.world.advance_to(2.0)  # in one go, past the end
+    prompt.world.advance_to(1.5)
     assert prompt.speeds[0] == 0.0
     assert prompt.speeds[1] > 0.1
-    prompt.world.to(2.0)
+    prompt.world.advance_to(2.0)
     assert late.world.line.positions() == pytest.approx(prompt.world.line.positions())
     assert late.speeds[0] > 0.1
 
@@ -96,7 +96,7 @@ def test_a_servo_that_shuts_down_lets_go_at_that_instant(fault):
     head.write(0.0, table.GOAL_VELOCITY, 20)
     head.begin(0.5, ids=[1], **fault)
     assert head.world.servos["left_pan"].get(table.TORQUE_ENABLE) == 0
-    head.world.to(2.0)
+    head.world.advance_to(2.0)
     assert head.speeds[0] == pytest.approx(0.0, abs=1e-6)
     assert head.speeds[1] > 0.1
 
@@ -120,12 +120,12 @@ def test_a_silent_servo_does_not_answer_until_it_is_cleared():
 
 def test_a_script_counts_from_the_torque_on():
     head = Head(torque=0, script=[{"what": "stuck", "at_s": 1.0, "for_s": 0.5}])
-    head.world.to(5.0)
+    head.world.advance_to(5.0)
     head.write(5.0, table.TORQUE_ENABLE, 1)
     head.write(5.0, table.GOAL_VELOCITY, 20)
     stuck = []
     for now_s in (5.9, 6.1, 6.6):
-        head.world.to(now_s)
+        head.world.advance_to(now_s)
         stuck.append(head.world.servos["left_pan"].stuck)
     assert stuck == [False, True, False]
 

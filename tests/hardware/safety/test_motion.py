@@ -1,11 +1,11 @@
-"""No command leads beyond a bound in the safety's own model, whatever is wished."""
+"""No command leads beyond a bound in the safety's own model, whatever is requested."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.safety import WISHES, Joints, exceeded
+from benchmarks.safety import POLICIES, Joints, exceeded
 from vergence import load_head
 from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
 from vergence.hardware.safety.motion import JointMotion
@@ -14,8 +14,8 @@ TURRETS = load_head("turrets")
 LOWER, UPPER = TURRETS.actuation.lower, TURRETS.actuation.upper
 
 
-@given(st.integers(0, 2**32), st.sampled_from(WISHES))
-def test_no_wish_leads_beyond_a_bound(seed, style):
+@given(st.integers(0, 2**32), st.sampled_from(POLICIES))
+def test_no_request_leads_beyond_a_bound(seed, style):
     beyond = exceeded(np.random.default_rng(seed), style)
     # rad, rad/s, share of the acceleration, whether inside a forbidden posture
     assert (beyond <= [0.0, 1e-9, 1e-9, 0.0]).all(), beyond
@@ -23,7 +23,7 @@ def test_no_wish_leads_beyond_a_bound(seed, style):
 
 def test_a_plain_loop_of_drawn_policies():
     for seed in range(100):
-        for style in WISHES:
+        for style in POLICIES:
             beyond = exceeded(np.random.default_rng((7, seed)), style)
             assert (beyond <= [0.0, 1e-9, 1e-9, 0.0]).all(), (seed, style, beyond)
 
@@ -31,18 +31,18 @@ def test_a_plain_loop_of_drawn_policies():
 @pytest.mark.parametrize("how", ["late", "ends"])
 def test_commands_that_last_lead_beyond_no_limit_and_into_no_posture(how):
     for seed in range(50):
-        for style in WISHES:
+        for style in POLICIES:
             beyond = exceeded(np.random.default_rng((8, seed)), style, how=how)
             assert (beyond[[0, 1, 3]] <= [0.0, 1e-9, 0.0]).all(), (seed, style, beyond)
 
 
-def drive(wish, start=None, config=None, steps=240):
+def drive(requested, start=None, config=None, steps=240):
     """Angles of the turrets after one constant request for 4 s."""
     motion = JointMotion(TURRETS, LOWER, UPPER, config or SafetyConfig())
     joints = Joints(TURRETS, np.zeros(7) if start is None else start)
     for _ in range(steps):
-        command = motion.allowed(joints.angles, joints.speeds, wish, motion.most)
-        motion.took(command)
+        command = motion.allowed(joints.angles, joints.speeds, requested, motion.max_speed)
+        motion.advance(command)
         joints.step(command)
     return joints.angles
 
@@ -56,8 +56,8 @@ def test_a_joint_beyond_its_limit_may_only_come_back():
     beyond = np.zeros(7)
     beyond[3:] = UPPER[3:] + 0.05
     motion = JointMotion(TURRETS, LOWER, UPPER, SafetyConfig())
-    out = motion.allowed(beyond, np.zeros(7), np.full(7, 1.0), motion.most)
-    back = motion.allowed(beyond, np.zeros(7), np.full(7, -1.0), motion.most)
+    out = motion.allowed(beyond, np.zeros(7), np.full(7, 1.0), motion.max_speed)
+    back = motion.allowed(beyond, np.zeros(7), np.full(7, -1.0), motion.max_speed)
     assert (out == 0.0).all()
     assert (back[3:] == -1.0).all()
 
@@ -68,14 +68,16 @@ def test_a_measured_speed_that_the_model_does_not_know_counts():
     near[3:] = UPPER[3:] - 0.1
     pushed = np.zeros(7)
     pushed[3:] = 4.0
-    command = motion.allowed(near, pushed, np.full(7, 1.0), motion.most)
+    command = motion.allowed(near, pushed, np.full(7, 1.0), motion.max_speed)
     assert (command[3:] == 0.0).all()
 
 
-def test_a_wish_within_all_bounds_is_the_command():
+def test_a_request_within_all_bounds_is_the_command():
     motion = JointMotion(TURRETS, LOWER, UPPER, SafetyConfig())
-    wish = np.array([0.0, 0.0, 0.0, 1.0, -0.5, 0.3, 0.0])
-    assert (motion.allowed(np.zeros(7), np.zeros(7), wish, motion.most) == wish).all()
+    requested = np.array([0.0, 0.0, 0.0, 1.0, -0.5, 0.3, 0.0])
+    assert (
+        motion.allowed(np.zeros(7), np.zeros(7), requested, motion.max_speed) == requested
+    ).all()
 
 
 def corner(lower, upper):
@@ -87,12 +89,12 @@ def corner(lower, upper):
 
 def test_an_eye_slides_along_a_forbidden_posture():
     config = SafetyConfig(forbidden=(corner([0.5, -1.0], [1.0, 0.6]),))
-    wish = np.zeros(7)
-    wish[3], wish[4] = 1.0, 0.25
-    end = drive(wish, config=config)
+    requested = np.zeros(7)
+    requested[3], requested[4] = 1.0, 0.25
+    end = drive(requested, config=config)
     # held before the face while the tilt is inside the range, free once it is above it
     assert end[4] > 0.6
     assert end[3] > 1.0
-    stay = wish.copy()
+    stay = requested.copy()
     stay[4] = 0.0
     assert 0.4 < drive(stay, config=config)[3] < 0.5

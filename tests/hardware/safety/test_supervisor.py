@@ -34,7 +34,7 @@ class Robot:
         self.changes = {}
         self.supervisor.begin(self.now_s)
 
-    def step(self, wish=None, **changes):
+    def step(self, requested=None, **changes):
         """One period; what is sent. What differs from a healthy state is given."""
         now = {
             "now_s": self.now_s,
@@ -47,17 +47,17 @@ class Robot:
             "goals": np.zeros(4),
         }
         state = RobotState(**{**now, **self.changes, **changes})
-        sent = self.supervisor.command(state, np.zeros(7) if wish is None else wish)
-        self.supervisor.took(sent)
+        sent = self.supervisor.command(state, np.zeros(7) if requested is None else requested)
+        self.supervisor.on_sent(sent)
         self.speeds = self.follows(sent)
         self.angles = self.angles + PERIOD_S * self.speeds
         self.now_s += PERIOD_S
         return sent
 
-    def run(self, seconds, wish=None, **changes):
+    def run(self, seconds, requested=None, **changes):
         """Some time; after how long it was stopped, s; None if it was not."""
         for period in range(round(seconds / PERIOD_S)):
-            self.step(wish() if callable(wish) else wish, **changes)
+            self.step(requested() if callable(requested) else requested, **changes)
             if self.supervisor.fault:
                 return period * PERIOD_S
         return None
@@ -158,8 +158,8 @@ def test_a_loaded_and_late_joint_follows():
     robot, rng = Robot(late_and_slow), np.random.default_rng(3)
     robot.prove()
     for _ in range(20):
-        wish = rng.normal(0.0, 1.0, 7)
-        assert robot.run(0.3, wish, images_s=None) is None, robot.supervisor.fault
+        requested = rng.normal(0.0, 1.0, 7)
+        assert robot.run(0.3, requested, images_s=None) is None, robot.supervisor.fault
 
 
 def test_a_joint_that_is_pushed_beyond_its_limit_stops():

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-from vergence.commands.console import note, progress, say_failures
-from vergence.commands.options import check_writable, dated_folder, output
+from vergence.commands.console import note, print_failures, progress
+from vergence.commands.options import check_writable, claimed_run_folder, dated_folder
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class CalibrationOptions:
         from vergence.files import write_atomic
 
         board, response = parse_board(self.target), self.parsed_response()
-        with output(self.report or dated_folder("calibrate")) as run:
+        with claimed_run_folder(self.report or dated_folder("calibrate")) as run:
             with progress("calibrate") as report:
                 found = calibrate(board, photographs, self.lens, report, response)
             content = text(found)
@@ -111,5 +111,5 @@ class CalibrationOptions:
                 print(f"written to {run.folder}")
         for line in advised:
             note(line)
-        say_failures(found.failures)
+        print_failures(found.failures)
         return 0 if run.saved and not found.failures else 2

@@ -9,13 +9,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from vergence.commands.console import note, progress, say_failures
-from vergence.commands.options import Flat, Machines, check_writable, dated_folder, output
+from vergence.commands.console import note, print_failures, progress
+from vergence.commands.options import (
+    Flat,
+    JobOptions,
+    check_writable,
+    claimed_run_folder,
+    dated_folder,
+)
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from vergence.calibration.head.job import HeadJob, HeadOutcome
-    from vergence.commands.options import Output
+    from vergence.commands.options import RunFolder
     from vergence.models.head import HeadModel
 
 
@@ -57,7 +63,7 @@ class CalibrateHead:
     """Replace existing result files."""
     json: bool = False
     """Print the result as JSON, and nothing else, on standard output."""
-    machines: Flat[Machines] = field(default_factory=Machines)
+    machines: Flat[JobOptions] = field(default_factory=JobOptions)
 
     def run(self) -> int:
         """Run the command."""
@@ -67,7 +73,7 @@ class CalibrateHead:
         self._check(outs)
         from vergence.files import write_atomic
 
-        with output(self.report or dated_folder("calibrate-head")) as run:
+        with claimed_run_folder(self.report or dated_folder("calibrate-head")) as run:
             jobs = self._jobs(outs)
             outcomes = self._run(jobs)
             if len(jobs) == 1 and outcomes[0].refused:
@@ -153,7 +159,7 @@ class CalibrateHead:
             with self.machines.open_mapper(lambda done, total: report(done / total)) as mapper:
                 return mapper(jobs)
 
-    def _show(self, outs: list[Path], outcomes: "list[HeadOutcome]", run: "Output") -> None:
+    def _show(self, outs: list[Path], outcomes: "list[HeadOutcome]", run: "RunFolder") -> None:
         from vergence.commands.calibrating.printed_head import print_head, print_heads
 
         if self.json:
@@ -174,7 +180,7 @@ class CalibrateHead:
                 continue
             for remark in outcome.document["remarks"]:
                 note(f"{before}{remark}")
-            say_failures(outcome.document["not_read"])
+            print_failures(outcome.document["not_read"])
 
 
 def _part(report: Callable[[float], None], number: int, count: int, done: float) -> None:

@@ -36,7 +36,7 @@ def print_calibration(found: "Calibration", out: Path) -> None:
         digits = max(2, 1 - math.floor(math.log10(max(deviation, 1e-9))))
         rows.append(["pair", "baseline (mm)", f"{baseline:.{digits}f}", f"{deviation:.{digits}f}"])
     print_table(
-        ["of", "number", "value", "sigma"], rows, title=f"cameras ({found.lens})", text=(0, 1)
+        ["of", "number", "value", "sigma"], rows, title=f"cameras ({found.lens})", wrapped=(0, 1)
     )
     rows = [
         [f"{name} by itself", f"{each:.3f}"]
@@ -46,10 +46,13 @@ def print_calibration(found: "Calibration", out: Path) -> None:
         rows.append(["both together", f"{rms(found.fit.solution.residuals_px):.3f}"])
     rows.append(["views held out", f"{rms(found.held_out_px):.3f}"])
     kept, every = int(found.fit.kept.sum()), len(found.fit.kept)
-    print_table(["residual", "rms (px)"], rows, title=f"{kept} of {every} views", text=(0,))
+    print_table(["residual", "rms (px)"], rows, title=f"{kept} of {every} views", wrapped=(0,))
     if found.dropped:
         print_table(
-            ["left out", "why"], [list(one) for one in found.dropped], text=(0, 1), names=(0,)
+            ["left out", "why"],
+            [list(one) for one in found.dropped],
+            wrapped=(0, 1),
+            shortenable=(0,),
         )
     if several:
         larger = f"if it is 1 % larger, the baseline is {1.01 * found.baseline_mm[0]:.2f} mm"

@@ -26,7 +26,7 @@ def print_head(outcome: "HeadOutcome", out: Path) -> None:
     ]
     print_table(
         ["distance", "file is off by (mm)", "sigma now (mm)", "one fixation's sigma (mm)"],
-        rows, title="depth straight ahead", text=(0,),
+        rows, title="depth straight ahead", wrapped=(0,),
     )  # fmt: skip
     print(
         f"{told['views']} of {told['views'] + told['left_out']} views in {told['poses']} poses, "
@@ -38,7 +38,7 @@ def print_head(outcome: "HeadOutcome", out: Path) -> None:
         print_table(
             ["not told by this recording", "cure", "cost"],
             [[one.what, one.cure or "none needed", one.cost] for one in outcome.unseen],
-            text=(0, 1, 2), names=(0, 1, 2),
+            wrapped=(0, 1, 2), shortenable=(0, 1, 2),
         )  # fmt: skip
     print(out)
 
@@ -67,7 +67,7 @@ def print_heads(outcomes: "list[HeadOutcome]", outs: list[Path]) -> None:
     )
     print_table(
         ["head", "views", "rms (px)", f"file off at {far} (mm)", "sigma now (mm)"],
-        rows, text=(0, 1), names=(0,),
+        rows, wrapped=(0, 1), shortenable=(0,),
     )  # fmt: skip
 
 

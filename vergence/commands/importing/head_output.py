@@ -11,7 +11,7 @@ from vergence.errors import ConfigurationError
 if TYPE_CHECKING:
     from vergence.models.head import HeadModel
 
-Words = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction]
+RepeatableValues = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction]
 """Values of a repeatable option; each occurrence may have several values."""
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from vergence.commands.importing.head_output import HeadOutput, Words, flat
+from vergence.commands.importing.head_output import HeadOutput, RepeatableValues, flat
 from vergence.errors import ConfigurationError
 
 
@@ -28,15 +28,15 @@ class ImportUrdf(HeadOutput):
     """Frame of the right camera."""
     neck: Annotated[tuple[str, ...], tyro.conf.arg(help_behavior_hint="", metavar="JOINT...")] = ()
     """Joints of the neck, up to three, from the base up."""
-    lock: Annotated[Words, tyro.conf.arg(metavar="JOINT=DEG")] = ()
+    lock: Annotated[RepeatableValues, tyro.conf.arg(metavar="JOINT=DEG")] = ()
     """Joints between the base and the cameras to hold at these angles; a prismatic joint as
     JOINT=0.1m."""
-    camera_axes: Annotated[Words, tyro.conf.arg(metavar="RIGHT,DOWN,FORWARD")] = ()
+    camera_axes: Annotated[RepeatableValues, tyro.conf.arg(metavar="RIGHT,DOWN,FORWARD")] = ()
     """Axes of the camera frames that point right in the image, down in it, and forward, such as
     x,-y,-z; optical frames are x,y,z. Given twice: the left camera's, then the right one's."""
-    speed: Annotated[Words, tyro.conf.arg(metavar="RAD_S|JOINT=RAD_S")] = ()
+    speed: Annotated[RepeatableValues, tyro.conf.arg(metavar="RAD_S|JOINT=RAD_S")] = ()
     """Speed limit of a joint, or of all joints whose limit is missing or a placeholder."""
-    acceleration: Annotated[Words, tyro.conf.arg(metavar="RAD_S2|JOINT=RAD_S2")] = ()
+    acceleration: Annotated[RepeatableValues, tyro.conf.arg(metavar="RAD_S2|JOINT=RAD_S2")] = ()
     """Acceleration limit of a joint, or of all joints; neither URDF nor MJCF states it."""
     actuators: Annotated[
         tuple[Literal["common-tilt", "version-vergence"], ...],

@@ -17,7 +17,7 @@ from vergence.envs.targets.target import fixating_angles
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import Assignment
 from vergence.hardware.config import HardwareConfig
-from vergence.hardware.config_parts import Place
+from vergence.hardware.config_parts import MeasuredTarget
 from vergence.hardware.plant import HardwarePlant
 from vergence.models.parts import FloatArray
 
@@ -110,7 +110,7 @@ class PlacesStage(TargetStage):
         "tags at measured places; errors are the measured ones, and intervals hold for these tags"
     )
 
-    def __init__(self, places: tuple[Place, ...], seed: int = 0) -> None:
+    def __init__(self, places: tuple[MeasuredTarget, ...], seed: int = 0) -> None:
         self._places = places
         self._order = np.random.default_rng(seed).permutation(len(places))
 

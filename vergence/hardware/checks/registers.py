@@ -179,7 +179,7 @@ def joint_angle(config: HardwareConfig, servo: ServoConfig, memory: ServoMemory)
     """Angle of a servo's joint from its registers, rad."""
     angles = ServoAngles((servo,), config.head)
     state = bytes(4) + table.PRESENT_POSITION.encode(memory.get(table.PRESENT_POSITION))
-    angles.take({servo.id: state}, 0.0)
+    angles.update({servo.id: state}, 0.0)
     return float(angles.angles[servo.slot])
 
 

@@ -25,23 +25,25 @@ _LATE: Final = 3
 """Rough delay of a joint behind its commands, control periods (chosen)."""
 
 
-def speeds(reach_rad: float, most_rad_s: float, period_s: float) -> FloatArray:
+def speeds(reach_rad: float, max_speed_rad_s: float, period_s: float) -> FloatArray:
     """Speeds of the excitation, one per control period.
 
     Args:
         reach_rad: greatest distance from the start angle, rad.
-        most_rad_s: greatest speed, rad/s.
+        max_speed_rad_s: greatest speed, rad/s.
         period_s: the control period, s.
 
     Returns:
         (n,) speeds, rad/s.
     """
-    slow = _to_and_fro(min(_SLOW_RAD, reach_rad), min(SLOW_RAD_S, most_rad_s), _SLOW_S, period_s)
-    quick = min(QUICK_RAD_S, most_rad_s)
+    slow = _to_and_fro(
+        min(_SLOW_RAD, reach_rad), min(SLOW_RAD_S, max_speed_rad_s), _SLOW_S, period_s
+    )
+    quick = min(QUICK_RAD_S, max_speed_rad_s)
     return np.concatenate(
         [
             slow,
-            _chirp(reach_rad, min(CHIRP_RAD_S, most_rad_s), period_s),
+            _chirp(reach_rad, min(CHIRP_RAD_S, max_speed_rad_s), period_s),
             _to_and_fro(reach_rad, quick, _QUICK_S, period_s),
             slow,
         ]
@@ -67,7 +69,7 @@ def _chirp(reach_rad: float, speed_rad_s: float, period_s: float) -> FloatArray:
     return np.asarray(most * np.cos(phase))
 
 
-def wishes(
+def requested_velocities(
     slot: int, way: FloatArray, period_s: float, angle: Callable[[], float]
 ) -> Iterator[FloatArray]:
     """Requested velocities for one actuator, with a slow correction against drift.
@@ -84,6 +86,6 @@ def wishes(
     middle = angle()
     places = middle + period_s * np.concatenate([np.zeros(_LATE + 1), np.cumsum(way)])
     for speed, place in zip(way, places, strict=False):
-        wish = np.zeros(7)
-        wish[slot] = speed + _BACK * (place - angle())
-        yield wish
+        requested = np.zeros(7)
+        requested[slot] = speed + _BACK * (place - angle())
+        yield requested

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from vergence.envs.streams import IntArray
-from vergence.hardware.delay.joint_fit import STRETCH_S, clustered
+from vergence.hardware.delay.joint_fit import CLUSTER_S, clustered
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -104,7 +104,7 @@ def fit_images(
     def predicted(
         latency_s: float, backlash_rad: float, at: FloatArray, scale: float = 1.0
     ) -> FloatArray:
-        joint = angles if backlash_rad == 0.0 else _within_play(angles, backlash_rad)
+        joint = angles if backlash_rad == 0.0 else _through_backlash(angles, backlash_rad)
         motors = np.tile(base, (len(seen), 1))
         motors[:, slot] = np.interp(received_s[seen] - latency_s, grid, joint)
         found = head.project(head.actuation.joints_of(motors), at)[:, eye]
@@ -116,9 +116,9 @@ def fit_images(
         return None
 
     def spread(latency_s: float) -> float:
-        gap = pixels[seen] - predicted(latency_s, 0.0, point)
-        gap -= np.median(gap, axis=0)
-        return float(np.abs(gap).sum())
+        residual = pixels[seen] - predicted(latency_s, 0.0, point)
+        residual -= np.median(residual, axis=0)
+        return float(np.abs(residual).sum())
 
     coarse = min(np.arange(0.0, _MOST_S, 0.01), key=spread)
     slow = np.abs(np.interp(received_s[seen] - coarse, grid, speeds)) < fastest_rad_s
@@ -127,32 +127,32 @@ def fit_images(
         return None
     away = float(np.linalg.norm(point))
 
-    def residual(values: FloatArray) -> FloatArray:
+    def weighted_residual(values: FloatArray) -> FloatArray:
         at = point + away * values[2:5]
-        gap = pixels[seen] - predicted(values[0], abs(values[1]), at, 1.0 + values[5])
-        return np.concatenate([gap.ravel() / noise, values[2:] / before])
+        residual = pixels[seen] - predicted(values[0], abs(values[1]), at, 1.0 + values[5])
+        return np.concatenate([residual.ravel() / noise, values[2:] / before])
 
     noise = 0.3
     before = np.array([_DEPTH, _DEPTH, _DEPTH, _SCALE])
     start = np.array([coarse, 1e-3, 0.0, 0.0, 0.0, 0.0])
     for _ in range(2):  # again with the estimated noise
         found = least_squares(
-            residual, start, x_scale=[0.01, 1e-3, *[0.01] * 4], loss="soft_l1", f_scale=_SOFT,
-            jac="3-point", diff_step=[1e-3] * 6,
+            weighted_residual, start, x_scale=[0.01, 1e-3, *[0.01] * 4], loss="soft_l1",
+            f_scale=_SOFT, jac="3-point", diff_step=[1e-3] * 6,
         )  # fmt: skip
         start = found.x
-        gap = noise * residual(found.x)[: -len(before)].reshape(-1, 2)
-        noise = max(1.4826 * float(np.median(np.abs(gap))), _LEAST_PX)
-    stretches = ((received_s[seen] - received_s[seen][0]) / STRETCH_S).astype(np.int64)
+        residual = noise * weighted_residual(found.x)[: -len(before)].reshape(-1, 2)
+        noise = max(1.4826 * float(np.median(np.abs(residual))), _LEAST_PX)
+    clusters = ((received_s[seen] - received_s[seen][0]) / CLUSTER_S).astype(np.int64)
     covariance = clustered(
-        np.asarray(found.jac), found.fun, np.repeat(stretches, 2), _SOFT, known=len(before)
+        np.asarray(found.jac), found.fun, np.repeat(clusters, 2), _SOFT, known=len(before)
     )
     sigma = np.sqrt(np.diagonal(covariance))
     at, scale = point + away * found.x[2:5], 1.0 + float(found.x[5])
     ahead, behind = (
         predicted(found.x[0] + late_s, abs(found.x[1]), at, scale) for late_s in (-0.001, 0.001)
     )
-    jitter_s, jitter_sigma_s = _jitter(gap, (ahead - behind) / 0.002, stretches)
+    jitter_s, jitter_sigma_s = _jitter(residual, (ahead - behind) / 0.002, clusters)
     return ImageFit(
         latency_s=float(found.x[0]),
         latency_sigma_s=float(sigma[0]),
@@ -160,14 +160,14 @@ def fit_images(
         jitter_sigma_s=jitter_sigma_s,
         backlash_rad=abs(float(found.x[1])),
         backlash_sigma_rad=float(sigma[1]),
-        residual_px=float(np.sqrt(np.mean(gap**2))),
+        residual_px=float(np.sqrt(np.mean(residual**2))),
         scale=scale,
         scale_sigma=float(sigma[5]),
         images=len(seen),
     )
 
 
-def _within_play(angles: FloatArray, backlash_rad: float) -> FloatArray:
+def _through_backlash(angles: FloatArray, backlash_rad: float) -> FloatArray:
     """(n,) camera angles behind a backlash, pushed by the encoder's angles."""
     half, out = 0.5 * backlash_rad, []
     joint = float(angles[0])
@@ -178,28 +178,28 @@ def _within_play(angles: FloatArray, backlash_rad: float) -> FloatArray:
 
 
 def _jitter(
-    gap: FloatArray, velocity: FloatArray, stretches: IntArray
+    residual: FloatArray, velocity: FloatArray, clusters: IntArray
 ) -> tuple[float | None, float]:
     """Width of the distribution of latencies, None if unobservable, and its standard deviation, s.
 
     Args:
-        gap: (n, 2) measured minus predicted pixels, px.
+        residual: (n, 2) measured minus predicted pixels, px.
         velocity: (n, 2) image velocity of the target, px/s.
-        stretches: (n,) index of the stretch in which residuals are dependent.
+        clusters: (n,) index of the cluster in which residuals are dependent.
     """
     speed = np.linalg.norm(velocity, axis=-1)
     fast = speed > _FAST_PX_S
     if fast.sum() < 10:
         return None, np.inf
-    along = np.sum(gap * velocity, axis=-1)[fast] / speed[fast]
-    slow = np.abs(gap[speed < 0.5 * _FAST_PX_S])
+    along = np.sum(residual * velocity, axis=-1)[fast] / speed[fast]
+    slow = np.abs(residual[speed < 0.5 * _FAST_PX_S])
     noise_px = 1.4826 * float(np.median(slow)) if len(slow) else 0.0
     late_s = along / speed[fast]
     late_s = late_s - np.median(late_s)
     kept = np.abs(late_s) < 6.0 * 1.4826 * max(float(np.median(np.abs(late_s))), 1e-4)
     square = late_s[kept] ** 2
     variance = float(np.mean(square - (noise_px / speed[fast][kept]) ** 2))
-    together = np.bincount(stretches[fast][kept], square - square.mean())
+    together = np.bincount(clusters[fast][kept], square - square.mean())
     sigma = float(np.sqrt(np.sum(together**2))) / len(square)
     width = np.sqrt(12.0 * max(variance, 0.0))
     return float(width), float(6.0 * sigma / max(width, np.sqrt(12.0 * sigma)))

@@ -17,8 +17,8 @@ from vergence.envs.streams import IntArray
 from vergence.models.joint_response import follow_joint, lag_decay
 from vergence.models.parts import FloatArray
 
-STRETCH_S: Final = 1.0
-"""Length of stretches in which drift is removed and residuals count as dependent, s (chosen)."""
+CLUSTER_S: Final = 1.0
+"""Length of clusters in which drift is removed and residuals count as dependent, s (chosen)."""
 _ROUNDED: Final = 12.0**-0.5
 """Standard deviation of a quantised number per quantisation step (numerical)."""
 _LATENCIES_S: Final = (0.0, 0.02, 0.05, 0.1)
@@ -47,7 +47,7 @@ class FittedMotor(NamedTuple):
     lag_s: float
     gain: float
     """Steady-state speed per commanded speed."""
-    per_acceleration: float
+    inverse_acceleration: float
     """Inverse of the greatest acceleration, s^2/rad."""
 
 
@@ -70,13 +70,13 @@ class JointFit:
     @property
     def acceleration_rad_s2(self) -> float | None:
         """Acceleration limit of the motor, rad/s^2; None if it was not reached."""
-        certain = self.sigma.per_acceleration < _SEEN * self.motor.per_acceleration
-        return 1.0 / self.motor.per_acceleration if self.limited and certain else None
+        certain = self.sigma.inverse_acceleration < _SEEN * self.motor.inverse_acceleration
+        return 1.0 / self.motor.inverse_acceleration if self.limited and certain else None
 
     @property
     def acceleration_sigma(self) -> float:
         """Its standard deviation, rad/s^2."""
-        return self.sigma.per_acceleration / self.motor.per_acceleration**2
+        return self.sigma.inverse_acceleration / self.motor.inverse_acceleration**2
 
 
 def respond(
@@ -93,9 +93,9 @@ def respond(
     Returns:
         (m,) angles, rad, and (m,) speeds, rad/s.
     """
-    greatest = 1.0 / motor.per_acceleration
+    greatest = 1.0 / motor.inverse_acceleration
     begins = [*(sent_s + motor.latency_s).tolist(), np.inf]
-    told = [0.0, *(motor.gain * sent).tolist()]
+    commanded = [0.0, *(motor.gain * sent).tolist()]
     found = np.empty((2, len(times)))
     at_s, q, v, place = min(begins[0], float(times[0])), 0.0, 0.0, 0
 
@@ -103,7 +103,7 @@ def respond(
         wait_s = until_s - at_s
         decay = _left(wait_s, motor.lag_s)
         result: tuple[float, float] = _follow(
-            q, v, told[place], motor.lag_s, greatest, wait_s, decay
+            q, v, commanded[place], motor.lag_s, greatest, wait_s, decay
         )
         return result
 
@@ -137,20 +137,20 @@ def fit_joint(
     Returns:
         The robust least-squares fit. Its uncertainty counts residuals within a second as dependent.
     """
-    stretches = ((joints_s - joints_s[0]) / STRETCH_S).astype(np.int64)
-    straight = _Straight(joints_s, stretches)
+    clusters = ((joints_s - joints_s[0]) / CLUSTER_S).astype(np.int64)
+    detrender = _Detrender(joints_s, clusters)
     rounded = max(_ROUNDED * step_rad, 1e-5)
     sigma = np.full(len(angles), rounded)
 
-    def residual(values: FloatArray) -> FloatArray:
-        gap = angles - respond(FittedMotor(*values), sent_s, sent, joints_s)[0]
-        return np.asarray(straight.without(gap) / sigma)
+    def weighted_residual(values: FloatArray) -> FloatArray:
+        residual = angles - respond(FittedMotor(*values), sent_s, sent, joints_s)[0]
+        return np.asarray(detrender.detrended(residual) / sigma)
 
     starts = [np.array(guess._replace(latency_s=latency)) for latency in _LATENCIES_S]
-    start = min(starts, key=lambda values: float(np.abs(residual(values)).sum()))
+    start = min(starts, key=lambda values: float(np.abs(weighted_residual(values)).sum()))
     for _ in range(2):  # again with the estimated timing error of the readings
         found = least_squares(
-            residual,
+            weighted_residual,
             start,
             bounds=([-0.05, 1e-3, 0.01, _NO_LIMIT], [0.5, 1.0, 3.0, 10.0]),
             x_scale=[0.01, 0.01, 0.1, 0.01],
@@ -162,13 +162,13 @@ def fit_joint(
         start, motor = found.x, FittedMotor(*found.x.tolist())
         speed = np.abs(respond(motor, sent_s, sent, joints_s)[1])
         fast = speed > _FAST_RAD_S
-        late_s = np.abs(sigma * residual(found.x))[fast] / speed[fast]
-        dated_s = 1.4826 * float(np.median(late_s)) if fast.any() else 0.0
-        sigma = np.hypot(rounded, dated_s * speed)
-    without = residual(np.array(motor._replace(per_acceleration=_NO_LIMIT)))
-    square = float(np.mean(residual(found.x) ** 2))
+        late_s = np.abs(sigma * weighted_residual(found.x))[fast] / speed[fast]
+        timestamp_sigma_s = 1.4826 * float(np.median(late_s)) if fast.any() else 0.0
+        sigma = np.hypot(rounded, timestamp_sigma_s * speed)
+    without = weighted_residual(np.array(motor._replace(inverse_acceleration=_NO_LIMIT)))
+    square = float(np.mean(weighted_residual(found.x) ** 2))
     worse = (float(np.sum(without**2)) / square - len(without)) > _WORSE
-    covariance = clustered(np.asarray(found.jac), found.fun, stretches, _SOFT)
+    covariance = clustered(np.asarray(found.jac), found.fun, clusters, _SOFT)
     times = np.arange(joints_s[0], joints_s[-1], 0.002)
     speeds = respond(motor, sent_s, sent, times)[1]
     deviations = np.sqrt(np.diagonal(covariance))
@@ -177,43 +177,43 @@ def fit_joint(
         sigma=FittedMotor(*deviations.tolist()),
         correlation=float(covariance[0, 1] / (deviations[0] * deviations[1])),
         greatest_rad_s2=float(np.abs(np.diff(speeds)).max() / 0.002),
-        residual_rad=float(np.sqrt(np.mean((sigma * residual(found.x)) ** 2))),
+        residual_rad=float(np.sqrt(np.mean((sigma * weighted_residual(found.x)) ** 2))),
         limited=worse,
     )
 
 
-class _Straight:
-    """Removes the linear drift of values in each stretch."""
+class _Detrender:
+    """Removes the linear drift of values in each cluster."""
 
-    def __init__(self, times: FloatArray, stretches: IntArray) -> None:
-        self._stretches = stretches
-        self._counts = np.maximum(np.bincount(stretches), 1)
-        self._times = times - self._mean(times)[stretches]
-        self._squares = np.maximum(np.bincount(stretches, self._times**2), 1e-12)
+    def __init__(self, times: FloatArray, clusters: IntArray) -> None:
+        self._clusters = clusters
+        self._counts = np.maximum(np.bincount(clusters), 1)
+        self._times = times - self._mean(times)[clusters]
+        self._squares = np.maximum(np.bincount(clusters, self._times**2), 1e-12)
 
     def _mean(self, values: FloatArray) -> FloatArray:
-        return np.asarray(np.bincount(self._stretches, values) / self._counts)
+        return np.asarray(np.bincount(self._clusters, values) / self._counts)
 
-    def without(self, values: FloatArray) -> FloatArray:
-        """Subtract a fitted straight line from the values of each stretch."""
-        slopes = np.bincount(self._stretches, values * self._times) / self._squares
-        lines = self._mean(values)[self._stretches] + slopes[self._stretches] * self._times
+    def detrended(self, values: FloatArray) -> FloatArray:
+        """Subtract a fitted straight line from the values of each cluster."""
+        slopes = np.bincount(self._clusters, values * self._times) / self._squares
+        lines = self._mean(values)[self._clusters] + slopes[self._clusters] * self._times
         return np.asarray(values - lines)
 
 
 def clustered(
-    jacobian: FloatArray, residual: FloatArray, stretches: IntArray, soft: float, known: int = 0
+    jacobian: FloatArray, residual: FloatArray, clusters: IntArray, soft: float, known: int = 0
 ) -> FloatArray:
     """Covariance of a least-squares estimate whose residuals depend on their neighbours.
 
-    It is the jackknife over stretches, from the linearised change of the estimate without each of
-    them: CR3 of Bell and McCaffrey, Survey Methodology 28, 2002. If a few stretches carry most of
+    It is the jackknife over clusters, from the linearised change of the estimate without each of
+    them: CR3 of Bell and McCaffrey, Survey Methodology 28, 2002. If a few clusters carry most of
     the information it is less biased than the sandwich estimator.
 
     Args:
         jacobian: (m, p) Jacobian of `least_squares`, scaled by its loss `soft_l1`.
         residual: (m,) residuals of `least_squares`, not scaled.
-        stretches: (m - known,) index of each residual's stretch.
+        clusters: (m - known,) index of each residual's cluster.
         soft: `f_scale` of the loss.
         known: number of priors with standard deviation 1, which are the last residuals.
 
@@ -223,8 +223,8 @@ def clustered(
     whole, measured = jacobian.T @ jacobian, len(residual) - known
     scaled = residual * (1.0 + (residual / soft) ** 2) ** 0.25
     changes = []
-    for stretch in np.unique(stretches):
-        rows = np.flatnonzero(stretches == stretch)
+    for cluster in np.unique(clusters):
+        rows = np.flatnonzero(clusters == cluster)
         part, score = jacobian[rows], jacobian[rows].T @ scaled[rows]
         changes.append(np.linalg.pinv(whole - part.T @ part, hermitian=True) @ score)
     found = (1.0 - 1.0 / len(changes)) * np.transpose(changes) @ np.array(changes)
@@ -255,11 +255,13 @@ def path_of(
     Returns:
         A function of increasing times, s, that returns angles, rad.
     """
-    gap = angles - respond(motor, sent_s, sent, joints_s)[0]
+    residual = angles - respond(motor, sent_s, sent, joints_s)[0]
     rate_hz = (len(joints_s) - 1) / (joints_s[-1] - joints_s[0])
-    width = max(3, round(0.5 * STRETCH_S * rate_hz))
+    width = max(3, round(0.5 * CLUSTER_S * rate_hz))
     kernel = np.ones(width)
-    smooth = np.convolve(gap, kernel, "same") / np.convolve(np.ones_like(gap), kernel, "same")
+    smooth = np.convolve(residual, kernel, "same") / np.convolve(
+        np.ones_like(residual), kernel, "same"
+    )
 
     def path(times: FloatArray) -> FloatArray:
         angle = respond(motor, sent_s, sent, times)[0]

@@ -13,7 +13,7 @@ from vergence.envs.rollout import run_trial
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.config import HardwareConfig
-from vergence.hardware.delay.excitation import CHIRP_RAD_S, speeds, wishes
+from vergence.hardware.delay.excitation import CHIRP_RAD_S, requested_velocities, speeds
 from vergence.hardware.delay.image_fit import ImageFit, fit_images
 from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, fit_joint, path_of
 from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
@@ -132,15 +132,15 @@ def _turn(
         motors: FloatArray = head.actuation.actuators_of(collector.newest)
         return float(motors[slot])
 
-    most = min(float(head.actuation.velocity[slot]), config.safety.speed_rad_s)
-    way = speeds(reach, most, period_s)
+    max_speed = min(float(head.actuation.velocity[slot]), config.safety.speed_rad_s)
+    way = speeds(reach, max_speed, period_s)
     quiet = round(_QUIET_S / period_s)
     collector.clear()
 
     def all_of_them() -> Iterator[FloatArray]:
-        for k, wish in enumerate(wishes(slot, way, period_s, angle)):
+        for k, requested in enumerate(requested_velocities(slot, way, period_s, angle)):
             progress(k / len(way))
-            yield wish
+            yield requested
         yield from np.zeros((quiet, 7))
 
     task.plant.exercise(all_of_them())
@@ -151,10 +151,10 @@ def _turn(
 def _fitted(config: HardwareConfig, turn: _Turn) -> EyeLoop:
     samples = turn.samples
     fit, image = _fit(config.head, turn.eye, turn.slot, samples, _point(config.head, turn))
-    late = float(np.hypot(fit.sigma.latency_s, samples.dated_s))
+    late = float(np.hypot(fit.sigma.latency_s, samples.timestamp_sigma_s))
     fit = replace(fit, sigma=fit.sigma._replace(latency_s=late))
     if image is not None:
-        late = float(np.hypot(image.latency_sigma_s, samples.dated_s))
+        late = float(np.hypot(image.latency_sigma_s, samples.timestamp_sigma_s))
         image = replace(image, latency_sigma_s=late)
     return EyeLoop(
         eye=EYE_NAMES[turn.eye],
@@ -164,7 +164,7 @@ def _fitted(config: HardwareConfig, turn: _Turn) -> EyeLoop:
         joint=fit,
         image=image,
         computing_s=turn.reply_s
-        + (float(np.median(samples.found_s)) if len(samples.found_s) else 0.0),
+        + (float(np.median(samples.detection_time_s)) if len(samples.detection_time_s) else 0.0),
     )
 
 
@@ -177,13 +177,13 @@ def _fit(
         latency_s=timing.command_latency_s + timing.feedback_latency_s,
         lag_s=max(float(timing.lag_s * head.actuation.lag_ratio[k]), 2e-3),
         gain=1.0,
-        per_acceleration=float(np.clip(1.0 / head.actuation.acceleration[k], 2e-4, 5.0)),
+        inverse_acceleration=float(np.clip(1.0 / head.actuation.acceleration[k], 2e-4, 5.0)),
     )
     step = max(float(head.sensor.encoder_resolution_rad), 1e-5)
-    told = samples.sent_s, samples.sent, samples.joints_s, motors[:, slot]
-    fit = fit_joint(*told, guess, step)
+    recorded = samples.sent_s, samples.sent, samples.joints_s, motors[:, slot]
+    fit = fit_joint(*recorded, guess, step)
     image = fit_images(
-        head, eye, slot, np.median(motors, axis=0), path_of(fit.motor, *told),
+        head, eye, slot, np.median(motors, axis=0), path_of(fit.motor, *recorded),
         (float(samples.joints_s[0]), float(samples.joints_s[-1])),
         samples.received_s, samples.pixels, point, 1.5 * CHIRP_RAD_S,
     )  # fmt: skip

@@ -101,7 +101,7 @@ class LoopMeasurement:
             **values,
         )
 
-    def doubts(self) -> list[str]:
+    def misfits(self) -> list[str]:
         """Texts, a line each, on misfits of the model of a robot."""
         lines = []
         for one in self.eyes:
@@ -127,7 +127,7 @@ class LoopMeasurement:
         """One row per eye and quantity: `eye`, `actuator`, `what`, `value`, `sigma`, `unit`."""
         return [row for one in self.eyes for row in _rows(one)]
 
-    def untold(self) -> list[str]:
+    def undetermined(self) -> list[str]:
         """Texts, a line each, on quantities that the measurement cannot determine."""
         lines = [
             "image latency is told beside the feedback's, and command latency with it: how old "
@@ -183,7 +183,7 @@ def _mean(pairs: Sequence[tuple[float, float]], shared: bool) -> tuple[float, fl
 
 def _rows(one: EyeLoop) -> Iterator[dict[str, Any]]:
     motor, sigma, image = one.joint.motor, one.joint.sigma, one.image
-    told: list[tuple[str, float | None, float, str]] = [
+    rows: list[tuple[str, float | None, float, str]] = [
         ("command + feedback latency", 1e3 * motor.latency_s, 1e3 * sigma.latency_s, "ms"),
         ("joint lag", 1e3 * motor.lag_s, 1e3 * sigma.lag_s, "ms"),
         ("speed gain", motor.gain, sigma.gain, ""),
@@ -196,14 +196,14 @@ def _rows(one: EyeLoop) -> Iterator[dict[str, Any]]:
     ]
     if image is not None:
         jitter_ms = None if image.jitter_s is None else 1e3 * image.jitter_s
-        told += [
+        rows += [
             ("image - feedback latency", 1e3 * image.least_s, 1e3 * image.least_sigma_s, "ms"),
             ("image jitter", jitter_ms, 1e3 * image.jitter_sigma_s, "ms"),
             ("play", 1e3 * image.backlash_rad, 1e3 * image.backlash_sigma_rad, "mrad"),
             ("image scale", image.scale, image.scale_sigma, ""),
         ]
-    told.append(("computing, in total", 1e3 * one.computing_s, np.nan, "ms"))
-    for what, value, deviation, unit in told:
+    rows.append(("computing, in total", 1e3 * one.computing_s, np.nan, "ms"))
+    for what, value, deviation, unit in rows:
         yield {
             "eye": one.eye,
             "actuator": one.actuator,

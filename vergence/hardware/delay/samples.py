@@ -22,13 +22,13 @@ class Samples(NamedTuple):
     """(m,) times of the joint measurements, s."""
     positions: FloatArray
     """(m, 7) joint angles, rad."""
-    dated_s: float
+    timestamp_sigma_s: float
     """Standard deviation of a common error of `joints_s`, s."""
     received_s: FloatArray
     """(k,) times of receipt of the images, s."""
     pixels: FloatArray
     """(k, 2) raw pixels of the target; nan if it was not found."""
-    found_s: FloatArray
+    detection_time_s: FloatArray
     """(k,) times from an image's receipt to the end of its detection, s."""
 
 
@@ -97,8 +97,10 @@ class Collector(RobotListener):
             joints_s=np.array([one[0] for one in self._joints]),
             positions=np.array([one[1] for one in self._joints]).reshape(-1, 7),
             # a reading is dated at the middle of its exchange, but measured at any time in it
-            dated_s=float(np.median(self._answered_s)) / np.sqrt(3.0) if self._joints else 0.0,
+            timestamp_sigma_s=float(np.median(self._answered_s)) / np.sqrt(3.0)
+            if self._joints
+            else 0.0,
             received_s=received_s,
             pixels=np.array([one.point_px for one in seen]).reshape(-1, 2),
-            found_s=np.array([one.ready_s for one in seen]) - received_s,
+            detection_time_s=np.array([one.ready_s for one in seen]) - received_s,
         )

@@ -52,7 +52,7 @@ class CameraFaults:
         return new
 
     def _of(self, eye: int, what: str) -> list[Fault]:
-        return [fault for fault in self._on if fault.what == what and fault.befalls(eye)]
+        return [fault for fault in self._on if fault.what == what and fault.affects(eye)]
 
     def _falls(self, eye: int, what: str) -> bool:
         return any(self._rng.random() < fault.probability for fault in self._of(eye, what))

@@ -71,7 +71,9 @@ def emulate(
         server.serve(lambda: bool(server.streams) or not process.is_alive())
         if server.streams:
             target = str(board or make_planar_target("tag"))
-            values = desk(from_anywhere(config.head), head.digest, world, server, target)
+            values = hardware_config_values(
+                from_anywhere(config.head), head.digest, world, server, target
+            )
             ready(toml_text(values))
             server.serve(lambda: stop() or not process.is_alive())
         if not stop() and not process.is_alive():
@@ -84,7 +86,9 @@ def emulate(
         process.join()
 
 
-def desk(head: str, digest: str, world: World, server: WorldServer, target: str) -> dict[str, Any]:
+def hardware_config_values(
+    head: str, digest: str, world: World, server: WorldServer, target: str
+) -> dict[str, Any]:
     """The plain values of a configuration of this emulated head, see `vergence.hardware.config`.
 
     Args:

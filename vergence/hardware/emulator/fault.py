@@ -115,7 +115,7 @@ class Fault:
     at_s: float = 0.0
     """Time of its beginning in a script, s after torque was switched on."""
 
-    def befalls(self, eye: int) -> bool:
+    def affects(self, eye: int) -> bool:
         """True if this fault of a camera affects an eye, 0 for left."""
         return self.eye in (BOTH, EYE_NAMES[eye])
 

@@ -74,7 +74,7 @@ class Faults:
         self._on.append((now_s + fault.for_s, fault))
         self._apply()
 
-    def to(self, now_s: float) -> None:
+    def advance_to(self, now_s: float) -> None:
         """Begin and end the faults that are due; the servos have to be advanced to this time."""
         for end_s, fault in self._on:
             if end_s <= now_s:

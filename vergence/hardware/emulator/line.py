@@ -60,10 +60,10 @@ class ServoLine:
         """Number of times that watchdogs have stopped servos."""
         return sum(servo.trips for servo in self.servos)
 
-    def to(self, now_s: float) -> None:
+    def advance_to(self, now_s: float) -> None:
         """Advance all joints to a time, s; an earlier time than before changes nothing."""
         for servo in self.servos:
-            servo.to(now_s)
+            servo.advance_to(now_s)
 
     def positions(self) -> FloatArray:
         """True angles of the joints, rad, shape (n,)."""
@@ -80,11 +80,11 @@ class ServoLine:
 
         Args:
             packet: any packet from the line.
-            now_s: time of its arrival, on the clock of `to`, s.
+            now_s: time of its arrival, on the clock of `advance_to`, s.
             baud_rate: baud rate at which it was sent; servos with another rate do not receive it.
                 None for each servo's own.
         """
-        self.to(now_s)
+        self.advance_to(now_s)
         if packet.instruction == Instruction.STATUS:
             return []
         present = [

@@ -14,7 +14,7 @@ _CRC_FLIPPED: Final = 0x01
 """Bits of the checksum's last byte that are flipped (chosen)."""
 
 
-def damage(
+def apply_line_faults(
     answers: Sequence[TimedAnswer], faults: Iterable[Fault], rng: np.random.Generator
 ) -> list[tuple[float, bytes]]:
     """Apply the faults of the line to the answers to one request.

@@ -93,7 +93,7 @@ class WorldServer:
         """Advance due faults and send due answers."""
         now_s = self._clock()
         if self._world.faults.due_s <= now_s:
-            self._world.to(now_s)
+            self._world.advance_to(now_s)
         if self._world.faults.unplugged:
             self._unplug()
         # answers due soon are sent before the next request is served, which may take longer

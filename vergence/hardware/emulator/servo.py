@@ -164,7 +164,7 @@ class Servo:
         """Receive an instruction packet for any servo: it restarts the watchdog's time."""
         self._fed_s = now_s
 
-    def to(self, now_s: float) -> None:
+    def advance_to(self, now_s: float) -> None:
         """Advance the joint to a time; on the way the watchdog trips if it is due."""
         if self._at_s is None:
             self._at_s = self._fed_s = now_s

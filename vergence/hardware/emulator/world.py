@@ -24,7 +24,7 @@ from vergence.hardware.dynamixel.packets import Instruction, Packet
 from vergence.hardware.emulator.fault import Fault
 from vergence.hardware.emulator.faults import Faults
 from vergence.hardware.emulator.line import ServoLine
-from vergence.hardware.emulator.line_faults import damage
+from vergence.hardware.emulator.line_faults import apply_line_faults
 from vergence.hardware.emulator.servo import Servo
 from vergence.hardware.emulator.trace import rest_since
 from vergence.models.head import HeadModel
@@ -135,19 +135,19 @@ class World:
         """Start the target's own time."""
         self._begun_s = now_s
 
-    def to(self, now_s: float) -> None:
+    def advance_to(self, now_s: float) -> None:
         """Advance joints and faults to a time, not before an earlier call's, s."""
         while True:
             command_s = self._commands[0][0] if self._commands else np.inf
             due_s = min(command_s, self.faults.due_s)
             if due_s > now_s:
                 break
-            self.line.to(due_s)
+            self.line.advance_to(due_s)
             if command_s <= due_s:
                 self.line.answer(self._commands.popleft()[1], due_s)
             else:
-                self.faults.to(due_s)
-        self.line.to(now_s)
+                self.faults.advance_to(due_s)
+        self.line.advance_to(now_s)
 
     def answer(self, packet: Packet, now_s: float, baud_rate: int) -> list[tuple[float, bytes]]:
         """Answers of the servos to a packet, with the active faults of the line.
@@ -160,7 +160,7 @@ class World:
         Returns:
             Pairs of the delay after the packet, without the time on the wire, s, and the bytes.
         """
-        self.to(now_s)
+        self.advance_to(now_s)
         if packet.instruction == Instruction.SYNC_WRITE and self._command_latency_s:
             self._commands.append((now_s + self._command_latency_s, packet))
             for servo in self.line.servos:
@@ -170,23 +170,23 @@ class World:
         if any(servo.get(table.TORQUE_ENABLE) for servo in self.line.servos):
             self.faults.start_script(now_s)
         delay_s = sum(answer.delay_s for answer in answers)
-        sent = damage(answers, self.faults.on("line"), self._rng)
+        sent = apply_line_faults(answers, self.faults.on("line"), self._rng)
         return [(delay_s + late_s, data) for late_s, data in sent]
 
     def begin_fault(self, fault: Fault, now_s: float) -> None:
         """Begin a fault."""
-        self.to(now_s)
+        self.advance_to(now_s)
         self.faults.begin(fault, now_s)
-        self.line.to(now_s)
+        self.line.advance_to(now_s)
 
     def clear_faults(self, now_s: float) -> None:
         """End all active faults."""
-        self.to(now_s)
+        self.advance_to(now_s)
         self.faults.clear()
 
     def rest(self, since_s: float, now_s: float) -> dict[str, Any]:
         """Start of the present rest, `rested_s`, and `fastest`, see `rest_since`."""
-        self.to(now_s)
+        self.advance_to(now_s)
         rested_s, fastest = rest_since([servo.trace for servo in self.line.servos], since_s)
         return {"rested_s": rested_s, "fastest": fastest}
 
@@ -197,7 +197,7 @@ class World:
             By the joint's name `times`, `positions` and `velocities`, at least every 2 ms while the
             velocity changes.
         """
-        self.to(now_s)
+        self.advance_to(now_s)
         moments = {name: one.trace.since(self._told_s) for name, one in self.servos.items()}
         self._told_s = now_s
         return {
@@ -220,7 +220,7 @@ class World:
         Args:
             now_s: time, s of the monotonic clock, not before an earlier call's.
         """
-        self.to(now_s)
+        self.advance_to(now_s)
         q, motors, v = self._joints()
         if not self.head.actuation.direct:
             v[3:] = self.head.actuation.to_joints @ v[3:]

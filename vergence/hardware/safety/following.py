@@ -54,15 +54,15 @@ class Following:
 
     Args:
         head: the model of the head.
-        most: (7,) greatest speeds, rad/s.
+        max_speed: (7,) greatest speeds, rad/s.
 
     Attributes:
         proved: (7,) True for joints that have been seen to follow their commands.
     """
 
-    def __init__(self, head: HeadModel, most: FloatArray) -> None:
+    def __init__(self, head: HeadModel, max_speed: FloatArray) -> None:
         timing, actuation = head.timing, head.actuation
-        ramp_s = most / np.clip(actuation.acceleration, 1.0, None)
+        ramp_s = max_speed / np.clip(actuation.acceleration, 1.0, None)
         late_s = _LAGS * timing.lag_s * actuation.lag_ratio + ramp_s
         delay_s = float(late_s.max()) + timing.command_latency_s + _SPARE_S
         self._comparisons = [_Comparison(window, delay_s) for window in _WINDOWS]
@@ -70,7 +70,7 @@ class Following:
         self._last_s = np.nan
         self.proved = np.zeros(7, dtype=np.bool_)
 
-    def take(self, now_s: float, angles: FloatArray, command: FloatArray) -> FloatArray:
+    def update(self, now_s: float, angles: FloatArray, command: FloatArray) -> FloatArray:
         """Compare the joints' motion with their commands.
 
         Args:
@@ -87,7 +87,7 @@ class Following:
         self._last_s = now_s
         off, went = np.full(7, -np.inf), np.zeros(7)
         for comparison in self._comparisons:
-            off = np.maximum(off, comparison.take(now_s, self._sum, angles))
+            off = np.maximum(off, comparison.update(now_s, self._sum, angles))
             wanted, moved = comparison.last
             went = np.maximum(went, np.minimum(np.abs(wanted), np.sign(wanted) * moved))
         self.proved |= (went > _PROVED_RAD) & (off <= 0.0)
@@ -106,8 +106,8 @@ class _Comparison:
         self._rows: deque[tuple[float, FloatArray, FloatArray]] = deque()
         self.last = np.zeros(7), np.zeros(7)
 
-    def take(self, now_s: float, total: FloatArray, angles: FloatArray) -> FloatArray:
-        """See `Following.take`; `total` is the time integral C of the commands, (7,) rad."""
+    def update(self, now_s: float, total: FloatArray, angles: FloatArray) -> FloatArray:
+        """See `Following.update`; `total` is the time integral C of the commands, (7,) rad."""
         length_s, rows = self._window.length_s, self._rows
         oldest_s = now_s - length_s - self._delay_s
         if not rows:
@@ -121,12 +121,12 @@ class _Comparison:
         times = np.array([row[0] for row in rows])
         totals = np.array([row[1] for row in rows])
         delayed = times[times >= now_s - self._delay_s]
-        told = _at(times, totals, delayed) - _at(times, totals, delayed - length_s)
+        commanded = _at(times, totals, delayed) - _at(times, totals, delayed - length_s)
         turned = np.array([row[2] for row in rows])
         moved = angles - _at(times, turned, np.array([now_s - length_s]))[0]
-        least, greatest = told.min(axis=0), told.max(axis=0)
+        least, greatest = commanded.min(axis=0), commanded.max(axis=0)
         spare = self._window.least_rad + _SHARE * np.maximum(np.abs(least), np.abs(greatest))
-        self.last = told[-1], moved
+        self.last = commanded[-1], moved
         off = np.maximum(least - moved, moved - greatest) - spare
         return np.asarray(np.maximum(off, self._stillness(now_s, times, totals, turned)))
 
@@ -136,10 +136,10 @@ class _Comparison:
         """(7,) required minus measured range of each joint's motion, rad; -inf if not tested."""
         begin_s = now_s - self._delay_s - _STILL_SHARE * self._window.length_s
         angles = turned[times >= begin_s]
-        told = totals[(times >= begin_s) & (times <= now_s - self._delay_s)]
-        if len(told) == 0:
+        commanded = totals[(times >= begin_s) & (times <= now_s - self._delay_s)]
+        if len(commanded) == 0:
             return np.full(7, -np.inf)
-        wanted = np.ptp(told, axis=0)
+        wanted = np.ptp(commanded, axis=0)
         return np.where(wanted > _TURNED_RAD, _STILL * wanted - np.ptp(angles, axis=0), -np.inf)
 
 

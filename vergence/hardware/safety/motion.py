@@ -41,13 +41,13 @@ _SPARE: Final = 0.7
 rounded up, so braking begins a little late (numerical)."""
 _QUICK: Final = 0.25
 """Least lag that braking assumes, control periods (numerical)."""
-_EDGE_RAD: Final = 0.005
+_LIMIT_MARGIN_RAD: Final = 0.005
 """Margin to a joint limit, rad: three steps of an encoder of 4,096 (chosen)."""
-_FACE_RAD: Final = 0.01
+_POSTURE_MARGIN_RAD: Final = 0.01
 """Margin to a forbidden posture, rad: several steps of an encoder of 4,096 (chosen)."""
 _NO_LAG_S: Final = 1e-12
 """Lag in place of none, s (numerical)."""
-HELD: Final = 1.5
+HOLD_PERIODS: Final = 1.5
 """Control periods for which a command may be held, as the next one may be late (chosen)."""
 _LATE: Final = 1e-9
 """Tolerance, in control periods, for the rounding up of latencies to whole periods (numerical)."""
@@ -58,7 +58,7 @@ _follow = getattr(follow_joint, "py_func", follow_joint)
 class _Reach(NamedTuple):
     """State of the joints towards one side when the next command begins to act."""
 
-    sure: FloatArray
+    unavoidable: FloatArray
     """(7,) motion that is unavoidable: coasting, and commands in transit, rad."""
     speed: FloatArray
     """(7,) speed when the next command begins to act, rad/s."""
@@ -77,9 +77,9 @@ class JointMotion:
 
     Attributes:
         speed: (7,) speeds of the model, rad/s.
-        most: (7,) greatest speeds, rad/s.
+        max_speed: (7,) greatest speeds, rad/s.
         acceleration: (7,) greatest accelerations, rad/s^2.
-        in_the_way: name of the forbidden posture that limited the last command, or empty.
+        limiting_posture: name of the forbidden posture that limited the last command, or empty.
     """
 
     def __init__(
@@ -92,29 +92,29 @@ class JointMotion:
     ) -> None:
         actuation, timing = head.actuation, head.timing
         self._period_s = timing.period_s
-        self._lower, self._upper = lower + _EDGE_RAD, upper - _EDGE_RAD
+        self._lower, self._upper = lower + _LIMIT_MARGIN_RAD, upper - _LIMIT_MARGIN_RAD
         self._forbidden = config.forbidden
-        self.most = np.minimum(actuation.velocity, config.speed_rad_s)
+        self.max_speed = np.minimum(actuation.velocity, config.speed_rad_s)
         own = np.clip(actuation.acceleration, _LEAST_RAD_S2, _MOST_RAD_S2)
         self._own_acceleration = own
         self.acceleration = np.minimum(own, config.acceleration_rad_s2)
         self._lag_s = timing.lag_s * actuation.lag_ratio
         # a joint with a lag much shorter than the period still takes time to brake
         planned_s = np.maximum(self._lag_s, _QUICK * self._period_s)
-        self._share = 1.0 - np.exp(-self._period_s / planned_s)
-        self._late_share = 1.0 - np.exp(-HELD * self._period_s / planned_s)
+        self._lag_fraction = 1.0 - np.exp(-self._period_s / planned_s)
+        self._held_lag_fraction = 1.0 - np.exp(-HOLD_PERIODS * self._period_s / planned_s)
         late = ceil(timing.command_latency_s / self._period_s - _LATE)
-        self._lasts = max(HELD, last_s / self._period_s + late)
-        self._last_share = 1.0 - np.exp(-self._lasts * self._period_s / planned_s)
+        self._longest_hold = max(HOLD_PERIODS, last_s / self._period_s + late)
+        self._longest_lag_fraction = 1.0 - np.exp(-self._longest_hold * self._period_s / planned_s)
         self._planned_s = planned_s
-        self._true_share = -np.expm1(-self._period_s / np.maximum(self._lag_s, _NO_LAG_S))
-        brake = np.minimum(_BRAKING * own, own * planned_s * self._share / self._period_s)
+        self._model_lag_fraction = -np.expm1(-self._period_s / np.maximum(self._lag_s, _NO_LAG_S))
+        brake = np.minimum(_BRAKING * own, own * planned_s * self._lag_fraction / self._period_s)
         self._brake = np.minimum(brake, _SPARE * self.acceleration)
         # change of the command that changes the speed at the acceleration limit for a period; a
         # joint that saturates at its own limit needs more
         self._change = np.where(
             self.acceleration < own,
-            self.acceleration * self._period_s / self._true_share,
+            self.acceleration * self._period_s / self._model_lag_fraction,
             own * (self._period_s + self._lag_s),
         )
         # a joint whose braking saturates its acceleration travels this much farther
@@ -124,14 +124,14 @@ class JointMotion:
         self._sent: deque[FloatArray] = deque([np.zeros(7)] * late, maxlen=late or None)
         self._late = late
         self.speed = np.zeros(7)
-        self.in_the_way = ""
+        self.limiting_posture = ""
 
     def begin(self) -> None:
         """Reset the model to joints at rest."""
         self.speed = np.zeros(7)
         self._sent.extend([np.zeros(7)] * self._late)
 
-    def took(self, command: FloatArray) -> None:
+    def advance(self, command: FloatArray) -> None:
         """Advance the model by a period in which a command, (7,) rad/s, was sent."""
         acts = command
         if self._late:
@@ -145,79 +145,86 @@ class JointMotion:
                     acts.tolist(),
                     self._lag_s.tolist(),
                     self._own_acceleration.tolist(),
-                    (1.0 - self._true_share).tolist(),
+                    (1.0 - self._model_lag_fraction).tolist(),
                     strict=True,
                 )
             ]
         )
 
     def allowed(
-        self, angles: FloatArray, measured: FloatArray, wish: FloatArray, most: FloatArray
+        self, angles: FloatArray, measured: FloatArray, requested: FloatArray, max_speed: FloatArray
     ) -> FloatArray:
         """Limit requested velocities so that the joints can still brake inside their bounds.
 
         Args:
             angles: (7,) present angles, rad.
             measured: (7,) measured speeds, rad/s; the greater of these and the model's count.
-            wish: (7,) requested velocities, rad/s, finite or infinite.
-            most: (7,) present greatest speeds, rad/s.
+            requested: (7,) requested velocities, rad/s, finite or infinite.
+            max_speed: (7,) present greatest speeds, rad/s.
 
         Returns:
             (7,) commands, the nearest safe ones, rad/s.
         """
-        command = self._window(np.clip(wish, -most, most))
+        command = self._window(np.clip(requested, -max_speed, max_speed))
         up, down = self._reach(measured, 1.0), self._reach(measured, -1.0)
-        highest = self._greatest(self._upper - angles - up.sure, up)
-        lowest = -self._greatest(angles - self._lower - down.sure, down)
+        highest = self._greatest(self._upper - angles - up.unavoidable, up)
+        lowest = -self._greatest(angles - self._lower - down.unavoidable, down)
         command = np.clip(command, lowest, highest)
-        self.in_the_way = ""
+        self.limiting_posture = ""
         for posture in self._forbidden:
             kept_out = self._keep_out(posture, angles, command, up, down)
             if (kept_out != command).any():
-                self.in_the_way = posture.name
+                self.limiting_posture = posture.name
             command = kept_out
         return command
 
-    def _window(self, wish: FloatArray) -> FloatArray:
+    def _window(self, requested: FloatArray) -> FloatArray:
         """Limit requested velocities to the change of speed at the greatest acceleration."""
         speed = self.speed
         for sent in self._sent:
-            speed = speed + (sent - speed) * self._true_share
-        return np.asarray(np.clip(wish, speed - self._change, speed + self._change))
+            speed = speed + (sent - speed) * self._model_lag_fraction
+        return np.asarray(np.clip(requested, speed - self._change, speed + self._change))
 
     def _reach(self, measured: FloatArray, side: float) -> _Reach:
         speed = np.maximum(np.maximum(side * self.speed, side * measured), 0.0)
-        sure = self._planned_s * speed + self._spare
+        unavoidable = self._planned_s * speed + self._spare
         for sent in self._sent:
             towards = np.maximum(side * sent, 0.0)
-            sure = sure + HELD * self._period_s * towards
-            share = np.where(towards > speed, self._late_share, self._share)
-            speed = speed + (towards - speed) * share
-        return _Reach(sure, speed)
+            unavoidable = unavoidable + HOLD_PERIODS * self._period_s * towards
+            lag_fraction = np.where(towards > speed, self._held_lag_fraction, self._lag_fraction)
+            speed = speed + (towards - speed) * lag_fraction
+        return _Reach(unavoidable, speed)
 
     def _greatest(self, room: FloatArray, reach: _Reach) -> FloatArray:
         """Greatest command towards a side, 0 or more, whose motion ends within the room, rad."""
-        slower = self._solve(room, reach.speed, self._share)
-        faster = self._solve(room, reach.speed, self._last_share)
+        slower = self._solve(room, reach.speed, self._lag_fraction)
+        faster = self._solve(room, reach.speed, self._longest_lag_fraction)
         return np.maximum(np.where(slower <= reach.speed, slower, faster), 0.0)
 
-    def _solve(self, room: FloatArray, speed: FloatArray, share: FloatArray) -> FloatArray:
-        """Command whose motion, see `_way`, equals the room; `share` is k over its duration."""
+    def _solve(self, room: FloatArray, speed: FloatArray, lag_fraction: FloatArray) -> FloatArray:
+        """Command whose motion, see `_stopping_motion`, equals the room.
+
+        `lag_fraction` is k over its duration.
+        """
         step = self._brake * self._period_s
         ways = room / self._period_s
-        off = (1.0 - share) * speed - step / self._share + 0.5 * step
-        part = self._lasts / share
+        off = (1.0 - lag_fraction) * speed - step / self._lag_fraction + 0.5 * step
+        part = self._longest_hold / lag_fraction
         y = -part + np.sqrt(np.maximum(part**2 + 2.0 * (ways + part * off) / step, 0.0))
-        return np.where(y > 0.0, (step * y - off) / share, ways / self._lasts)
+        return np.where(y > 0.0, (step * y - off) / lag_fraction, ways / self._longest_hold)
 
-    def _way(self, command: FloatArray, reach: _Reach) -> FloatArray:
+    def _stopping_motion(self, command: FloatArray, reach: _Reach) -> FloatArray:
         """Motion towards a side by a command and the braking after it, rad."""
         step = self._brake * self._period_s
         # the worse case: for a slower command one period, for a faster one its longest hold
-        share = np.where(command > reach.speed, self._last_share, self._share)
-        after = reach.speed + share * (command - reach.speed)
-        y = np.maximum((after - step / self._share) / step + 0.5, 0.0)
-        return np.asarray(reach.sure + self._period_s * (self._lasts * command + 0.5 * step * y**2))
+        lag_fraction = np.where(
+            command > reach.speed, self._longest_lag_fraction, self._lag_fraction
+        )
+        after = reach.speed + lag_fraction * (command - reach.speed)
+        y = np.maximum((after - step / self._lag_fraction) / step + 0.5, 0.0)
+        return np.asarray(
+            reach.unavoidable + self._period_s * (self._longest_hold * command + 0.5 * step * y**2)
+        )
 
     def _keep_out(
         self,
@@ -230,12 +237,12 @@ class JointMotion:
         own = list(posture.slots)
         rest = self._window(np.zeros(7))
 
-        def span(told: FloatArray) -> tuple[FloatArray, FloatArray]:
-            low = angles - self._way(np.maximum(-told, 0.0), down)
-            high = angles + self._way(np.maximum(told, 0.0), up)
+        def span(velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+            low = angles - self._stopping_motion(np.maximum(-velocity, 0.0), down)
+            high = angles + self._stopping_motion(np.maximum(velocity, 0.0), up)
             return low[own], high[own]
 
-        lower, upper = posture.lower - _FACE_RAD, posture.upper + _FACE_RAD
+        lower, upper = posture.lower - _POSTURE_MARGIN_RAD, posture.upper + _POSTURE_MARGIN_RAD
         low, high = span(command)
         if not ((high > lower) & (low < upper)).all():
             return command
@@ -246,10 +253,10 @@ class JointMotion:
         slot = own[one]
         command = command.copy()
         if lower[one] - high[one] >= low[one] - upper[one]:
-            left = np.full(7, lower[one]) - angles - up.sure
+            left = np.full(7, lower[one]) - angles - up.unavoidable
             command[slot] = min(command[slot], self._greatest(left, up)[slot])
         else:
-            left = angles - np.full(7, upper[one]) - down.sure
+            left = angles - np.full(7, upper[one]) - down.unavoidable
             command[slot] = max(command[slot], -self._greatest(left, down)[slot])
         return command
 

@@ -32,7 +32,7 @@ class SpiralSearch:
         self._head = head
         self._goal = head.actuation.actuators_of(head.rest())
 
-    def wish(self, time_s: float, angles: FloatArray, joints: FloatArray) -> FloatArray:
+    def velocities(self, time_s: float, angles: FloatArray, joints: FloatArray) -> FloatArray:
         """Velocities along the spiral.
 
         Args:
@@ -51,6 +51,6 @@ class SpiralSearch:
         goal = self._head.fixate(point, joints[NECK], warn=False)
         if np.isfinite(goal).all():
             self._goal = self._head.actuation.actuators_of(goal)
-        wish = np.clip(_GAIN * (self._goal - angles), -2.0 * _SLOW_RAD_S, 2.0 * _SLOW_RAD_S)
-        wish[NECK] = 0.0
-        return np.asarray(wish)
+        requested = np.clip(_GAIN * (self._goal - angles), -2.0 * _SLOW_RAD_S, 2.0 * _SLOW_RAD_S)
+        requested[NECK] = 0.0
+        return np.asarray(requested)

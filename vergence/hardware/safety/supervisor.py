@@ -1,8 +1,8 @@
 """The supervisor of a robot head: turns a policy's requested velocities into safe commands.
 
 It reads no clock and touches no hardware. In each period the plant passes it the robot's state and
-the requested velocities (the wish), sends the command that it returns, and reports what was sent. A
-stop latches: from then on all commands brake, until the plant is released.
+the requested velocities, sends the command that it returns, and reports what was sent. A stop
+latches: from then on all commands brake, until the plant is released.
 """
 
 from collections import deque
@@ -15,8 +15,8 @@ from vergence.envs.reading import BoolArray
 from vergence.hardware.safety.config import SafetyConfig
 from vergence.hardware.safety.following import Following
 from vergence.hardware.safety.motion import JointMotion, inside
+from vergence.hardware.safety.oscillation import OscillationDetector
 from vergence.hardware.safety.searching import SpiralSearch
-from vergence.hardware.safety.swings import Swings
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES
 from vergence.models.parts import FloatArray
@@ -104,10 +104,10 @@ class Supervisor:
         self._lower, self._upper = lower, upper
         self._names = names
         self._motion = JointMotion(head, lower, upper, config, last_s)
-        self._following = Following(head, self._motion.most)
-        self._swings = Swings()
+        self._following = Following(head, self._motion.max_speed)
+        self._oscillation = OscillationDetector()
         self._search = SpiralSearch(head)
-        self._told = np.zeros(7)
+        self._last_sent = np.zeros(7)
         self._missed: deque[tuple[float, int]] = deque()
         self._seen_s = self._begun_s = np.nan
         self.verdict = Verdict.GO
@@ -116,7 +116,7 @@ class Supervisor:
     def begin(self, now_s: float) -> None:
         """Begin a trial at a time, s, and watch its images, target and missed periods."""
         self._begun_s = self._seen_s = now_s
-        self._swings.begin()
+        self._oscillation.begin()
         self._missed.clear()
 
     def stop(self, reason: str) -> None:
@@ -124,31 +124,32 @@ class Supervisor:
         self.fault = self.fault or reason
         self.verdict = Verdict.STOP
 
-    def command(self, state: RobotState, wish: FloatArray) -> FloatArray:
+    def command(self, state: RobotState, requested: FloatArray) -> FloatArray:
         """Compute the command for the next period.
 
         Args:
             state: present state of the robot.
-            wish: (7,) requested velocities of the neck's joints and the eyes' actuators, rad/s.
+            requested: (7,) requested velocities of the neck's joints and the eyes' actuators,
+                rad/s.
 
         Returns:
-            (7,) command, rad/s; `verdict` and `fault` explain a difference from the wish.
+            (7,) command, rad/s; `verdict` and `fault` explain a difference from the request.
         """
-        if np.isnan(wish).any():
+        if np.isnan(requested).any():
             self.stop("policy: expected numbers for a command, got nan")
         self._judge(state)
         if self.fault:
-            wish, self.verdict = np.zeros(7), Verdict.STOP
+            requested, self.verdict = np.zeros(7), Verdict.STOP
         else:
-            wish = self._while_lost(state, wish)
-        first = np.minimum(np.maximum(_FIRST * self.most, _FIRST_RAD_S), self.most)
-        most = np.where(self._following.proved, self.most, first)
-        return self._motion.allowed(state.angles, state.speeds, wish, most)
+            requested = self._while_lost(state, requested)
+        first = np.minimum(np.maximum(_FIRST * self.max_speed, _FIRST_RAD_S), self.max_speed)
+        max_speed = np.where(self._following.proved, self.max_speed, first)
+        return self._motion.allowed(state.angles, state.speeds, requested, max_speed)
 
-    def took(self, sent: FloatArray) -> None:
+    def on_sent(self, sent: FloatArray) -> None:
         """Report the command, (7,) rad/s, that was sent for a period."""
-        self._motion.took(sent)
-        self._told = sent.copy()
+        self._motion.advance(sent)
+        self._last_sent = sent.copy()
 
     @property
     def proved(self) -> BoolArray:
@@ -156,19 +157,19 @@ class Supervisor:
         return self._following.proved
 
     @property
-    def most(self) -> FloatArray:
+    def max_speed(self) -> FloatArray:
         """(7,) greatest speeds of proved joints, rad/s."""
-        return self._motion.most
+        return self._motion.max_speed
 
     @property
-    def in_the_way(self) -> str:
+    def limiting_posture(self) -> str:
         """Name of the forbidden posture that limited the last command; empty for none."""
-        return self._motion.in_the_way
+        return self._motion.limiting_posture
 
     @property
     def at_rest(self) -> bool:
         """True if the last command was zero."""
-        return not self._told.any()
+        return not self._last_sent.any()
 
     def _judge(self, state: RobotState) -> None:
         """Stop if joints, limits or forbidden postures are violated, or the trial's loop fails."""
@@ -188,13 +189,13 @@ class Supervisor:
                     f"rad, got {angle:.3f} rad: it was pushed, or commands came late; cure: turn "
                     "it back by hand with torque off (`vergence jog`: off)"
                 )
-        hurt = inside(self._config.forbidden, state.angles)
-        if hurt is not None:
+        entered = inside(self._config.forbidden, state.angles)
+        if entered is not None:
             self.stop(
-                f"safety: {hurt.refusal(state.angles, self._names)}; cure: turn it out of there by "
-                "hand with torque off (`vergence jog`: off)"
+                f"safety: {entered.refusal(state.angles, self._names)}; cure: turn it out of there "
+                "by hand with torque off (`vergence jog`: off)"
             )
-        off = self._following.take(state.now_s, state.angles, self._told)
+        off = self._following.update(state.now_s, state.angles, self._last_sent)
         for name, slot in self._names.items():
             if off[slot] > 0.0:
                 self.stop(
@@ -229,7 +230,7 @@ class Supervisor:
                 "control_rate_hz in the head file"
             )
         goals = np.full(4, np.nan) if state.goals is None else state.goals
-        joint = self._swings.take(state.now_s, state.joints[EYES], goals)
+        joint = self._oscillation.update(state.now_s, state.joints[EYES], goals)
         if joint is not None:
             self.stop(
                 f"{SWINGING}, got {self._head.joints[EYES][joint]} swinging at speed; cure: a "
@@ -237,18 +238,18 @@ class Supervisor:
                 "state-feedback"
             )
 
-    def _while_lost(self, state: RobotState, wish: FloatArray) -> FloatArray:
-        """Replace the wish while the target is lost: by rest, or by the search."""
+    def _while_lost(self, state: RobotState, requested: FloatArray) -> FloatArray:
+        """Replace the requested velocities while the target is lost: by rest, or by the search."""
         self.verdict = Verdict.GO
         if state.images_s is None:
-            return wish
+            return requested
         if state.seen:
             self._seen_s = state.now_s
         lost_s = state.now_s - self._seen_s - self._config.lost_s
         if lost_s <= 0.0:
-            return wish
+            return requested
         if not self._config.search:
             self.verdict = Verdict.HOLD
             return np.zeros(7)
         self.verdict = Verdict.SEARCH
-        return self._search.wish(lost_s, state.angles, state.joints)
+        return self._search.velocities(lost_s, state.angles, state.joints)

@@ -23,7 +23,7 @@ _WINDOW_S: Final = 4.0
 """Length of the window, s (chosen)."""
 
 
-class Swings:
+class OscillationDetector:
     """Counter of the half swings of the four eye joints."""
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class Swings:
         self._most_goal = np.full(4, -np.inf)
         self._counted: list[deque[float]] = [deque() for _ in range(4)]
 
-    def take(self, now_s: float, angles: FloatArray, goals: FloatArray) -> int | None:
+    def update(self, now_s: float, angles: FloatArray, goals: FloatArray) -> int | None:
         """Update the counts with new angles and goals.
 
         Args:
