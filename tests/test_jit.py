@@ -13,7 +13,7 @@ import pytest
 from numba.core.caching import IndexDataCacheFile
 
 from vergence import _jit, _runs
-from vergence.models.pose import Pose, turn
+from vergence.models.pose import Pose, direction_to_outer
 from vergence.triangulation.rays import triangulate
 
 HELPER = "from heads import _jit\n\n@_jit.device\ndef scale(x):\n    return {factor} * x\n"
@@ -140,7 +140,7 @@ def test_a_kernel_is_pickled_by_its_name():
 
 def test_a_device_called_from_python_runs_as_python():
     pose = tuple(float(i) for i in range(12))
-    assert turn(Pose(*pose), 1.0, 0.0, 0.0) == (0.0, 4.0, 8.0)
+    assert direction_to_outer(Pose(*pose), 1.0, 0.0, 0.0) == (0.0, 4.0, 8.0)
 
 
 def test_compiling_is_said_once_and_not_when_it_is_kept(monkeypatch, tmp_path):

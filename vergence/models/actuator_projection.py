@@ -20,7 +20,7 @@ from vergence.models.actuation import SLOTS
 from vergence.models.packed import PackedHead, joint_per_actuator
 from vergence.models.parts import FloatArray
 
-_SMALL: Final = 1e-11
+_DAMPING: Final = 1e-11
 """Damping of the normal equations, as a fraction of their trace (numerical)."""
 
 
@@ -29,8 +29,8 @@ def actuator_least_squares(
     p: PackedHead,
     jacobian: FloatArray,
     wanted: FloatArray,
-    left: bool,
-    right: bool,
+    use_left: bool,
+    use_right: bool,
     out: FloatArray,
 ) -> None:
     """Solve for the actuators' motions that best give the wanted motions of both images.
@@ -39,13 +39,13 @@ def actuator_least_squares(
         p: a packed head.
         jacobian: (2, 2, 2) by eye, image axis and joint of that eye, px/rad.
         wanted: (2, 2) by eye and image axis, px or px/s.
-        left: True if the left eye's wanted motion counts.
-        right: True if the right eye's wanted motion counts.
+        use_left: True if the left eye's wanted motion counts.
+        use_right: True if the right eye's wanted motion counts.
         out: (4,) result, rad or rad/s.
     """
     rows = np.zeros((4, SLOTS))
     for eye in range(2):
-        if not (right if eye else left):
+        if not (use_right if eye else use_left):
             continue
         for axis in range(2):
             for k in range(SLOTS):
@@ -59,15 +59,15 @@ def actuator_least_squares(
     for k in range(SLOTS):
         out[k] = 0.0
         for r in range(4):
-            wish = wanted[r // 2, r % 2] if rows[r, k] != 0.0 else 0.0
-            out[k] += rows[r, k] * wish
+            value = wanted[r // 2, r % 2] if rows[r, k] != 0.0 else 0.0
+            out[k] += rows[r, k] * value
             for i in range(k + 1):
                 normal[k, i] += rows[r, k] * rows[r, i]
         trace += normal[k, k]
     if not trace > 0.0:
         return
     for k in range(SLOTS):
-        normal[k, k] += _SMALL * trace
+        normal[k, k] += _DAMPING * trace
     # Cholesky factor in place, then forward and back substitution
     for k in range(SLOTS):
         for i in range(k):

@@ -8,7 +8,7 @@ import numpy as np
 from vergence.models.head import HeadModel
 from vergence.models.joint_axes import JointAxes
 from vergence.models.joints import NECK
-from vergence.models.links import product
+from vergence.models.links import multiply_poses
 
 _NO_MORE: Final = ("links", "eyes")
 """Prefixes of assumption keys whose numbers a file of a head by `JointAxes` does not have."""
@@ -40,7 +40,7 @@ def as_axes(head: HeadModel) -> HeadModel:
     return replace(
         head,
         links=links,
-        head_eye=product(mounts, head.head_eye),
+        head_eye=multiply_poses(mounts, head.head_eye),
         calibration=record,
         assumptions={
             key: why for key, why in head.assumptions.items() if not key.startswith(_NO_MORE)

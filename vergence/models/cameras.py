@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray, Parameter, frozen_array
+from vergence.models.parts import FloatArray, Parameter, readonly_array
 from vergence.models.response import Response, parse_response
 
 BROWN_CONRADY: Final = "brown-conrady"
@@ -50,8 +50,8 @@ class Cameras:
         lens = _pair_of_lenses(self.lens)
         values = {
             "size": _pair_of_sizes(self.size),
-            "focal": frozen_array(self.focal),
-            "principal": frozen_array(self.principal),
+            "focal": readonly_array(self.focal),
+            "principal": readonly_array(self.principal),
             "distortion": _coefficients(self.distortion, lens),
             "lens": lens,
             "response": _pair_of_responses(self.response),
@@ -135,4 +135,4 @@ def _coefficients(distortion: ArrayLike, lens: tuple[str, str]) -> FloatArray:
             )
     if count < slots:
         values = np.concatenate([values, np.zeros((*values.shape[:-1], slots - count))], axis=-1)
-    return frozen_array(values[..., :slots])
+    return readonly_array(values[..., :slots])

@@ -27,17 +27,17 @@ import numpy as np
 
 from vergence.models.cameras import BROWN_CONRADY, Cameras
 from vergence.models.joint_axes import JointAxes
-from vergence.models.parts import LoopTiming, is_names
+from vergence.models.parts import LoopTiming, is_name_tuple
 
 FORM_VERSION: Final = 1
 """Version of the form described above (numerical)."""
 _LENSES: Final = {BROWN_CONRADY: 1, "rational": 2, "fisheye": 3}
-_WHOLE: Final = 1e-9
+_WHOLE_PERIODS_TOLERANCE: Final = 1e-9
 """Tolerance for a whole number of control periods (numerical)."""
 _POSES: Final = ("links", "head_eye")
 _DECIMALS: Final = 12
 """Decimals that rounding keeps of a `JointAxes` head's poses (numerical)."""
-_WORDS: Final = ("name", "names", "assumptions", "calibration")
+_EXCLUDED: Final = ("name", "names", "assumptions", "calibration")
 """Fields for human readers, left out of the digest."""
 
 
@@ -54,10 +54,10 @@ def digest_of(head: Any) -> str:
     sha = hashlib.sha256()
     by_axes = isinstance(getattr(head, "links", None), JointAxes)
     for part in dataclasses.fields(head):
-        if part.name in _WORDS or _is_later(part, getattr(head, part.name)):
+        if part.name in _EXCLUDED or _is_later(part, getattr(head, part.name)):
             continue
         for field, value in _hashed_numbers(getattr(head, part.name)):
-            if is_names(value) or isinstance(value, str):
+            if is_name_tuple(value) or isinstance(value, str):
                 sha.update(f"{part.name}.{field}{value}".encode())
                 continue
             array = np.asarray(value, dtype="<f8")
@@ -81,7 +81,7 @@ def _hashed_numbers(part: Any) -> Iterator[tuple[str, Any]]:
     values = {
         field.name: getattr(part, field.name)
         for field in dataclasses.fields(part)
-        if field.name not in _WORDS and not _is_later(field, getattr(part, field.name))
+        if field.name not in _EXCLUDED and not _is_later(field, getattr(part, field.name))
     }
     if isinstance(part, LoopTiming):
         _translate_timing(part, values)
@@ -92,7 +92,7 @@ def _hashed_numbers(part: Any) -> Iterator[tuple[str, Any]]:
 
 def _translate_timing(timing: LoopTiming, values: dict[str, Any]) -> None:
     periods = timing.latency_s * timing.control_rate_hz
-    if abs(periods - timing.latency_frames) < _WHOLE:
+    if abs(periods - timing.latency_frames) < _WHOLE_PERIODS_TOLERANCE:
         del values["latency_s"]
         values["latency_frames"] = timing.latency_frames
 

@@ -16,7 +16,7 @@ from vergence.models.actuator_projection import actuator_least_squares
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import PACKED, PackedHead, camera_of, joint_at
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Vector, into, point_rate
+from vergence.models.pose import Vector, point_rate, point_to_local
 
 _STEPS: Final = 60
 """Iteration limit of Newton's method, and half that of Gauss-Newton (numerical)."""
@@ -42,7 +42,7 @@ def fixate_step(
     stays smooth for a point behind the camera, so limited steps converge from any direction.
     """
     frames = eye_frames(p, eye, q1, q2)
-    cx, cy, cz = into(frames.camera, x, y, z)
+    cx, cy, cz = point_to_local(frames.camera, x, y, z)
     r2 = cx * cx + cz * cz
     if not r2 > 0.0:
         return nan, nan
@@ -78,7 +78,7 @@ def fixate_eye(p: PackedHead, eye: int, x: float, y: float, z: float) -> tuple[f
         pan += scale * dp
         if step < _TOLERANCE_RAD:
             break
-    cx, cy, cz = into(eye_frames(p, eye, tilt, pan).camera, x, y, z)
+    cx, cy, cz = point_to_local(eye_frames(p, eye, tilt, pan).camera, x, y, z)
     # a tolerance two orders above rounding: a larger error means that there is no solution
     if cz > 0.0 and abs(cx) + abs(cy) < 1e-12 * (1.0 + cz):
         return tilt, pan
@@ -112,7 +112,7 @@ def _aim_error(
         for a point behind the camera.
     """
     frames = eye_frames(p, eye, joints[2 * eye], joints[2 * eye + 1])
-    cx, cy, cz = into(frames.camera, point[0], point[1], point[2])
+    cx, cy, cz = point_to_local(frames.camera, point[0], point[1], point[2])
     r2 = cx * cx + cz * cz
     if not (r2 > 0.0 if bearings else cz > 0.0):
         return False

@@ -24,8 +24,8 @@ from vergence.models.parts import (
     LoopTiming,
     Rendering,
     SensorModel,
-    frozen_array,
-    replaced,
+    readonly_array,
+    replace_fields,
 )
 from vergence.models.perturbation import ModelErrors, perturb_geometry
 from vergence.models.point_warnings import FixationBounds, warn_of_point
@@ -82,7 +82,7 @@ class HeadModel:
     """Record of the cameras' calibration; None if the file has none."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "head_eye", frozen_array(self.head_eye))
+        object.__setattr__(self, "head_eye", readonly_array(self.head_eye))
         object.__setattr__(self, "assumptions", MappingProxyType(dict(self.assumptions)))
 
     @cached_property
@@ -174,7 +174,7 @@ class HeadModel:
         """
         if {"links", "head_eye", "cameras"} & set(parts):
             parts = {"calibration": None} | parts  # the record does not apply to another geometry
-        return replaced(self, "head", parts)
+        return replace_fields(self, "head", parts)
 
     def base_pose(self, q: ArrayLike) -> FloatArray:
         """Pose of frame N in the base frame 0.

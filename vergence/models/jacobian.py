@@ -16,7 +16,7 @@ from vergence.models.kinematics import EyeFrames, eye_frames
 from vergence.models.lens import CameraRow
 from vergence.models.packed import PACKED, PackedHead, camera_of, neck_link
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Vector, compose, inverse, out_of, point_rate, rotate_z
+from vergence.models.pose import Vector, compose, inverse, point_rate, point_to_outer, rotate_z
 
 
 @inlined
@@ -49,7 +49,7 @@ def eye_jacobian(
     """
     camera = camera_of(p, eye)
     x, y = pinhole_ray(camera, u, v)
-    px, py, pz = out_of(frames.camera, x * depth, y * depth, depth)
+    px, py, pz = point_to_outer(frames.camera, x * depth, y * depth, depth)
     tilting = point_rate(frames.first, frames.camera, px, py, pz)
     panning = point_rate(frames.second, frames.camera, px, py, pz)
     ut, vt = pixel_rate(camera, x, y, depth, tilting)
@@ -75,7 +75,7 @@ def image_jacobian(
         frames = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye])
         x, y = pinhole_ray(camera, pixels[eye, 0], pixels[eye, 1])
         z = depth[eye]
-        px, py, pz = out_of(frames.camera, x * z, y * z, z)
+        px, py, pz = point_to_outer(frames.camera, x * z, y * z, z)
         for j in range(7):
             out[eye, 0, j] = out[eye, 1, j] = 0.0
         for j, axis in (

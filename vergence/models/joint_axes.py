@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.models.joints import EYE_NAMES, JOINTS, NECK
-from vergence.models.links import Body, inverse_pose, pose_twists, product
+from vergence.models.links import Body, inverse_pose, multiply_poses, pose_twists
 from vergence.models.parts import FloatArray, FrozenArrays, Parameter
 
 PARTS: Final = ("neck", "both", "left", "right")
@@ -80,11 +80,11 @@ class JointAxes(FrozenArrays):
         """See `Links.arrays`."""
         return {"pose": (self.pose, 3), "frame": (self.frame, 2)}
 
-    def fields(self, about: "JointAxes") -> dict[str, FloatArray]:
+    def fields(self, reference: "JointAxes") -> dict[str, FloatArray]:
         """See `Links.fields`."""
         rotation = np.zeros((*self.pose.shape[:-3], 3 * len(self.names)))
-        if about is not self and self.names:
-            relative = np.swapaxes(about.pose[..., :3, :3], -1, -2) @ self.pose[..., :3, :3]
+        if reference is not self and self.names:
+            relative = np.swapaxes(reference.pose[..., :3, :3], -1, -2) @ self.pose[..., :3, :3]
             vectors = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec()
             rotation = vectors.reshape(*relative.shape[:-3], 3 * len(self.names))
         position = self.pose[..., :3, 3]
@@ -117,18 +117,18 @@ class JointAxes(FrozenArrays):
                     poses[place] = pose
                 else:
                     eye, second = divmod(place - NECK.stop, 2)
-                    poses[4 + 3 * eye + second] = pose if second else product(into_n, pose)
+                    poses[4 + 3 * eye + second] = pose if second else multiply_poses(into_n, pose)
         return poses
 
-    def twists(self, about: "JointAxes") -> FloatArray:
+    def twists(self, reference: "JointAxes") -> FloatArray:
         """See `Links.twists`."""
-        rotations = self.fields(about)["axis_rotation"].reshape(-1, 3)
+        rotations = self.fields(reference)["axis_rotation"].reshape(-1, 3)
         out = np.zeros((len(self.parameters), 6, 6))
         row = 0
         for joint, places in enumerate(self.places):
             if self.parts[joint] == "neck":
                 continue
-            twists = pose_twists(about.pose[joint], rotations[joint])
+            twists = pose_twists(reference.pose[joint], rotations[joint])
             for place in places:
                 eye, second = divmod(place - NECK.stop, 2)
                 out[row : row + 6, 3 * eye + second] = twists

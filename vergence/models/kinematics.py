@@ -20,7 +20,16 @@ from vergence.models.cameras import Cameras
 from vergence.models.links import Links
 from vergence.models.packed import PACKED, PackedHead, eye_link, neck_link, pack
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Pose, Vector, compose, into, inverse, pose_of, rotate_z, store_pose
+from vergence.models.pose import (
+    Pose,
+    Vector,
+    compose,
+    inverse,
+    point_to_local,
+    pose_of,
+    rotate_z,
+    store_pose,
+)
 
 PAIR: Final = np.zeros(2)
 """Operand of the dimension "two eyes" (or "u and v"), for kernels with this dimension only in a
@@ -85,11 +94,11 @@ def point_in_eye(
     p: PackedHead, eye: int, q1: float, q2: float, x: float, y: float, z: float
 ) -> Vector:
     """Transform a point from N to one eye's camera frame, link by link."""
-    x, y, z = into(eye_link(p, eye, 0), x, y, z)
+    x, y, z = point_to_local(eye_link(p, eye, 0), x, y, z)
     x, y = _unrotate_z(x, y, q1)
-    x, y, z = into(eye_link(p, eye, 1), x, y, z)
+    x, y, z = point_to_local(eye_link(p, eye, 1), x, y, z)
     x, y = _unrotate_z(x, y, q2)
-    return into(eye_link(p, eye, 2), x, y, z)
+    return point_to_local(eye_link(p, eye, 2), x, y, z)
 
 
 @inlined

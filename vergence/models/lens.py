@@ -44,7 +44,7 @@ _RESIDUAL: Final = 1e-13
 
 _SEARCH_STEPS: Final = 200
 """Iteration limit of the damped search (numerical)."""
-_LEAST_SHARE: Final = 1e-6
+_LEAST_STEP_FRACTION: Final = 1e-6
 """Smallest fraction of a Newton step that the damped search tries (numerical)."""
 _FARTHEST: Final = 1e20
 """Largest distorted coordinate that is inverted: far beyond any image; powers of more overflow
@@ -77,7 +77,7 @@ class CameraRow(NamedTuple):
     """Squared ideal radius within which the Jacobian is guaranteed to be positive definite."""
 
 
-class Bent(NamedTuple):
+class Distorted(NamedTuple):
     """Distorted normalised coordinates and their derivatives by the ideal ones."""
 
     x: float
@@ -95,21 +95,21 @@ def is_distorted(camera: CameraRow) -> bool:
 
 
 @inlined
-def distort(camera: CameraRow, x: float, y: float) -> Bent:
+def distort(camera: CameraRow, x: float, y: float) -> Distorted:
     """Distort a ray's ideal normalised coordinates."""
     if camera.lens > POLYNOMIAL:
-        return _distort_otherwise(camera, x, y)
+        return _distort_rational_or_fisheye(camera, x, y)
     return _distort_by_polynomial(camera, x, y)
 
 
 @inlined
-def keeps_order(camera: CameraRow, x: float, y: float, bent: Bent) -> bool:
+def is_invertible(camera: CameraRow, x: float, y: float, distorted: Distorted) -> bool:
     """True if the model is invertible at a ray: before the fold, Jacobian positive definite."""
     r2 = x * x + y * y
     return r2 < camera.safe_radius_squared or (
         r2 < camera.fold_radius_squared
-        and bent.dxx > 0.0
-        and bent.dxx * bent.dyy > bent.dxy * bent.dxy
+        and distorted.dxx > 0.0
+        and distorted.dxx * distorted.dyy > distorted.dxy * distorted.dxy
     )
 
 
@@ -124,11 +124,11 @@ def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float
     x, y = xd, yd
     converged = False
     for _ in range(_NEWTON_STEPS):
-        bent = _distort_by_polynomial(camera, x, y)
-        fx, fy = bent.x - xd, bent.y - yd
-        det = bent.dxx * bent.dyy - bent.dxy * bent.dxy
-        sx = (bent.dyy * fx - bent.dxy * fy) / det
-        sy = (bent.dxx * fy - bent.dxy * fx) / det
+        distorted = _distort_by_polynomial(camera, x, y)
+        fx, fy = distorted.x - xd, distorted.y - yd
+        det = distorted.dxx * distorted.dyy - distorted.dxy * distorted.dxy
+        sx = (distorted.dyy * fx - distorted.dxy * fy) / det
+        sy = (distorted.dxx * fy - distorted.dxy * fx) / det
         x -= sx
         y -= sy
         if abs(sx) + abs(sy) < _NEWTON_TOLERANCE * (1.0 + abs(x) + abs(y)):
@@ -142,19 +142,21 @@ def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float
 
 
 @inlined
-def _distort_by_polynomial(camera: CameraRow, x: float, y: float) -> Bent:
+def _distort_by_polynomial(camera: CameraRow, x: float, y: float) -> Distorted:
     k1, k2, k3 = camera.k1, camera.k2, camera.k3
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
-    return _bend(camera, x, y, r2, radial, slope)
+    return _radial_and_tangential(camera, x, y, r2, radial, slope)
 
 
 @inlined
-def _bend(camera: CameraRow, x: float, y: float, r2: float, radial: float, slope: float) -> Bent:
+def _radial_and_tangential(
+    camera: CameraRow, x: float, y: float, r2: float, radial: float, slope: float
+) -> Distorted:
     """Combine the radial and tangential terms; slope is the derivative of radial by r^2."""
     p1, p2 = camera.p1, camera.p2
-    return Bent(
+    return Distorted(
         x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
         y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
         radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x,
@@ -164,7 +166,7 @@ def _bend(camera: CameraRow, x: float, y: float, r2: float, radial: float, slope
 
 
 @subroutine
-def _distort_by_any(camera: CameraRow, x: float, y: float) -> Bent:
+def _distort_generic(camera: CameraRow, x: float, y: float) -> Distorted:
     """`distort` of all models except the fisheye, and of the fisheye for angles instead of x and y.
 
     The angles are (x, y) t / r; in them the fisheye is a polynomial too. A polynomial is computed
@@ -177,27 +179,27 @@ def _distort_by_any(camera: CameraRow, x: float, y: float) -> Bent:
     below_slope = below_k1 + r2 * (2.0 * camera.k5 + 3.0 * r2 * camera.k6)
     radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))) / below
     slope = k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3 + 4.0 * r2 * k4))
-    return _bend(camera, x, y, r2, radial, (slope - radial * below_slope) / below)
+    return _radial_and_tangential(camera, x, y, r2, radial, (slope - radial * below_slope) / below)
 
 
 @subroutine
-def _distort_otherwise(camera: CameraRow, x: float, y: float) -> Bent:
+def _distort_rational_or_fisheye(camera: CameraRow, x: float, y: float) -> Distorted:
     """`distort` of the rational and the fisheye model."""
     r2 = x * x + y * y
     if camera.lens != FISHEYE or r2 < 1e-24:
-        return _distort_by_any(camera, x, y)
+        return _distort_generic(camera, x, y)
     r = sqrt(r2)
     ratio = atan(r) / r
-    bent = _distort_by_any(camera, ratio * x, ratio * y)
+    distorted = _distort_generic(camera, ratio * x, ratio * y)
     # derivative of the angles: the ratio across the radius, 1 / (1 + r^2) along it
     more = (1.0 / (1.0 + r2) - ratio) / r2
     axx, axy, ayy = ratio + x * x * more, x * y * more, ratio + y * y * more
-    return Bent(
-        bent.x,
-        bent.y,
-        bent.dxx * axx + bent.dxy * axy,
-        bent.dxx * axy + bent.dxy * ayy,
-        bent.dxy * axy + bent.dyy * ayy,
+    return Distorted(
+        distorted.x,
+        distorted.y,
+        distorted.dxx * axx + distorted.dxy * axy,
+        distorted.dxx * axy + distorted.dxy * ayy,
+        distorted.dxy * axy + distorted.dyy * ayy,
     )
 
 
@@ -216,23 +218,23 @@ def _search(camera: CameraRow, xd: float, yd: float, x: float, y: float) -> tupl
     limit = camera.fold_radius_squared
     if camera.lens == FISHEYE:
         limit = atan(sqrt(limit)) ** 2
-    step_x, step_y, share, least = -x, -y, 1.0, inf
+    step_x, step_y, fraction, least = -x, -y, 1.0, inf
     x = y = 0.0
     for _ in range(_SEARCH_STEPS):
-        new_x, new_y = x - share * step_x, y - share * step_y
-        bent = _distort_by_any(camera, new_x, new_y)
-        fx, fy = bent.x - xd, bent.y - yd
-        off, det = abs(fx) + abs(fy), bent.dxx * bent.dyy - bent.dxy * bent.dxy
-        inside = new_x * new_x + new_y * new_y < limit and bent.dxx > 0.0 and det > 0.0
+        new_x, new_y = x - fraction * step_x, y - fraction * step_y
+        distorted = _distort_generic(camera, new_x, new_y)
+        fx, fy = distorted.x - xd, distorted.y - yd
+        off, det = abs(fx) + abs(fy), distorted.dxx * distorted.dyy - distorted.dxy * distorted.dxy
+        inside = new_x * new_x + new_y * new_y < limit and distorted.dxx > 0.0 and det > 0.0
         if inside and off < least:
-            step_x = (bent.dyy * fx - bent.dxy * fy) / det
-            step_y = (bent.dxx * fy - bent.dxy * fx) / det
-            x, y, least, share = new_x, new_y, off, 1.0
+            step_x = (distorted.dyy * fx - distorted.dxy * fy) / det
+            step_y = (distorted.dxx * fy - distorted.dxy * fx) / det
+            x, y, least, fraction = new_x, new_y, off, 1.0
             if abs(step_x) + abs(step_y) < 2.0 * _NEWTON_TOLERANCE * (1.0 + abs(x) + abs(y)):
                 break
         else:
-            share *= 0.5
-            if share < _LEAST_SHARE:
+            fraction *= 0.5
+            if fraction < _LEAST_STEP_FRACTION:
                 break
     if not least < _RESIDUAL * (1.0 + size):
         return nan, nan

@@ -49,8 +49,8 @@ class Links(Protocol):
     def arrays(self) -> Mapping[str, tuple[FloatArray, int]]:
         """The numeric fields by name, each with its number of dimensions for one head."""
 
-    def fields(self, about: Any) -> dict[str, FloatArray]:
-        """Arrays that hold the parameters, (..., k) each; rotations are relative to `about`."""
+    def fields(self, reference: Any) -> dict[str, FloatArray]:
+        """Arrays that hold the parameters, (..., k) each; rotations are relative to `reference`."""
 
     def with_fields(self, fields: Mapping[str, FloatArray]) -> Any:
         """A copy of these links with other parameters: the inverse of `fields`."""
@@ -61,11 +61,11 @@ class Links(Protocol):
         M_2 does not include the head-eye transform, which is its last factor.
         """
 
-    def twists(self, about: Any) -> FloatArray:
+    def twists(self, reference: Any) -> FloatArray:
         """Exact derivatives of the eyes' constants of `folded` by the parameters, for one head.
 
         Args:
-            about: the links that rotations are relative to, see `fields`.
+            reference: the links that rotations are relative to, see `fields`.
 
         Returns:
             (n, 6, 6) by parameter, by constant (M_0 to M_2 of the left eye, then of the right) and
@@ -121,8 +121,8 @@ class DenavitHartenberg(FrozenArrays):
         """See `Links.arrays`."""
         return {name: (value, 1) for name, value in vars(self).items()}
 
-    def fields(self, about: "DenavitHartenberg") -> dict[str, FloatArray]:
-        """See `Links.fields`; none of them is a rotation vector, so `about` is not used."""
+    def fields(self, reference: "DenavitHartenberg") -> dict[str, FloatArray]:
+        """See `Links.fields`; none of them is a rotation vector, so `reference` is not used."""
         return dict(vars(self))
 
     def with_fields(self, fields: Mapping[str, FloatArray]) -> "DenavitHartenberg":
@@ -151,7 +151,7 @@ class DenavitHartenberg(FrozenArrays):
             poses += [T_3_N @ pre[tilt], post[tilt] @ pre[tilt + 1], fixed]
         return poses
 
-    def twists(self, about: "DenavitHartenberg") -> FloatArray:
+    def twists(self, reference: "DenavitHartenberg") -> FloatArray:
         """See `Links.twists`: each factor of a constant commutes with its own generator."""
         found: dict[tuple[str, int], tuple[int, FloatArray]] = {}
         for eye, tilt in enumerate((3, 6)):
@@ -240,11 +240,11 @@ def twist_of(matrix: FloatArray) -> FloatArray:
     )  # fmt: skip
 
 
-def pose_twists(about: FloatArray, rotation: FloatArray) -> FloatArray:
+def pose_twists(reference: FloatArray, rotation: FloatArray) -> FloatArray:
     """Derivatives of the pose `[R exp([r]), p]` by r and p, as body twists.
 
     Args:
-        about: (4, 4) pose with the rotation R.
+        reference: (4, 4) pose with the rotation R.
         rotation: (3,) the rotation vector r.
 
     Returns:
@@ -261,17 +261,17 @@ def pose_twists(about: FloatArray, rotation: FloatArray) -> FloatArray:
     turn = np.eye(3) + (1.0 - angle**2 * two) * cross + one * cross @ cross
     out = np.zeros((6, 6))
     out[:3, :3] = jacobian.T
-    out[3:, 3:] = about[:3, :3] @ turn
+    out[3:, 3:] = reference[:3, :3] @ turn
     return out
 
 
-def picked(links: Any, pick: Callable[[FloatArray, int], FloatArray]) -> Any:
+def map_arrays(links: Any, pick: Callable[[FloatArray, int], FloatArray]) -> Any:
     """Copy links; each array becomes `pick(array, its number of dimensions for one head)`."""
     arrays = {name: pick(value, own) for name, (value, own) in links.arrays().items()}
     return replace(links, **arrays)
 
 
-def product(*poses: FloatArray) -> FloatArray:
+def multiply_poses(*poses: FloatArray) -> FloatArray:
     """(..., 4, 4) the product of poses, bit for bit equal on every machine.
 
     Linear algebra libraries sum in an order that depends on the processor; the digest of a head

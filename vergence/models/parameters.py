@@ -56,19 +56,19 @@ class Parameters(NamedTuple):
     """(..., n): one vector per head."""
 
 
-def parameters_of(geometry: Geometry, about: Geometry | None = None) -> Parameters:
+def parameters_of(geometry: Geometry, reference: Geometry | None = None) -> Parameters:
     """Flatten a geometry to a vector.
 
     Args:
         geometry: geometry of one head or a population.
-        about: the reference geometry for rotation vectors; None for `geometry` itself, whose
+        reference: the reference geometry for rotation vectors; None for `geometry` itself, whose
             rotation vectors are then zero.
 
     Returns:
-        Names, units and values; `geometry_with(about, values)` is the inverse.
+        Names, units and values; `geometry_with(reference, values)` is the inverse.
     """
     parameters = _parameters(geometry)
-    fields = _fields(geometry, geometry if about is None else about)
+    fields = _fields(geometry, geometry if reference is None else reference)
     batch = np.broadcast_shapes(*(field.shape[:-1] for field in fields.values()))
     values = np.empty((*batch, len(parameters)))
     for name, (columns, places) in _places(parameters).items():
@@ -80,12 +80,12 @@ def parameters_of(geometry: Geometry, about: Geometry | None = None) -> Paramete
     )
 
 
-def geometry_with(about: Geometry, values: ArrayLike) -> Geometry:
+def geometry_with(reference: Geometry, values: ArrayLike) -> Geometry:
     """Rebuild a geometry from a vector: the inverse of `parameters_of`.
 
     Args:
-        about: geometry of one head, the reference for rotation vectors; parts that the vector does
-            not hold, such as the neck, are copied from it.
+        reference: geometry of one head, the reference for rotation vectors; parts that the vector
+            does not hold, such as the neck, are copied from it.
         values: (..., n) in the order of `parameters_of`.
 
     Returns:
@@ -94,24 +94,24 @@ def geometry_with(about: Geometry, values: ArrayLike) -> Geometry:
     Raises:
         ConfigurationError: the vector has the wrong length.
     """
-    parameters = _parameters(about)
+    parameters = _parameters(reference)
     vector = as_operand("values", values, len(parameters))
     batch = vector.shape[:-1]
     fields = {
         name: np.broadcast_to(field, (*batch, field.shape[-1])).copy()
-        for name, field in _fields(about, about).items()
+        for name, field in _fields(reference, reference).items()
     }
     for name, (columns, places) in _places(parameters).items():
         fields[name][..., columns] = vector[..., places]
     rotation = Rotation.from_rotvec(fields["rotation"].reshape(-1, 3)).as_matrix()
-    head_eye = np.broadcast_to(about.head_eye, (*batch, 2, 4, 4)).copy()
+    head_eye = np.broadcast_to(reference.head_eye, (*batch, 2, 4, 4)).copy()
     head_eye[..., :3, :3] @= rotation.reshape(*batch, 2, 3, 3)
     head_eye[..., :3, 3] = fields["position"].reshape(*batch, 2, 3)
     cameras: dict[str, Any] = {name: fields[name].reshape(*batch, 2, -1) for name in _CAMERA_FIELDS}
     return Geometry(
-        about.links.with_fields(fields),
+        reference.links.with_fields(fields),
         head_eye,
-        dataclasses.replace(about.cameras, **cameras),
+        dataclasses.replace(reference.cameras, **cameras),
     )
 
 
@@ -130,17 +130,17 @@ def _places(parameters: tuple[Parameter, ...]) -> dict[str, tuple[list[int], lis
     return groups
 
 
-def _fields(geometry: Geometry, about: Geometry) -> dict[str, FloatArray]:
+def _fields(geometry: Geometry, reference: Geometry) -> dict[str, FloatArray]:
     """Every field that holds parameters, by name, with its own dimensions flattened."""
     links, head_eye, cameras = geometry
     rotation = np.zeros((2, 3))
-    if about is not geometry:
-        relative = np.swapaxes(about.head_eye[..., :3, :3], -1, -2) @ head_eye[..., :3, :3]
+    if reference is not geometry:
+        relative = np.swapaxes(reference.head_eye[..., :3, :3], -1, -2) @ head_eye[..., :3, :3]
         vectors = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec()
         rotation = vectors.reshape(*relative.shape[:-2], 3)
     pairs = {name: getattr(cameras, name) for name in _CAMERA_FIELDS}
     pairs |= {"rotation": rotation, "position": head_eye[..., :3, 3]}
-    return links.fields(about.links) | {
+    return links.fields(reference.links) | {
         name: pair.reshape(*pair.shape[:-2], pair.shape[-2] * pair.shape[-1])
         for name, pair in pairs.items()
     }

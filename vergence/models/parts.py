@@ -16,19 +16,19 @@ FloatArray = NDArray[np.float64]
 ENCODER_SIDES: Final = ("motor", "output")
 
 
-def frozen_array(values: ArrayLike) -> FloatArray:
+def readonly_array(values: ArrayLike) -> FloatArray:
     """A read-only float64 copy of the values."""
     array = np.array(values, dtype=np.float64)
     array.flags.writeable = False
     return array
 
 
-def is_names(value: object) -> bool:
+def is_name_tuple(value: object) -> bool:
     """True for a tuple of strings, which a field of names holds."""
     return isinstance(value, tuple) and all(isinstance(one, str) for one in value)
 
 
-def replaced(part: T, name: str, fields: Mapping[str, Any]) -> T:
+def replace_fields(part: T, name: str, fields: Mapping[str, Any]) -> T:
     """Copy a head, or a part of one, with some fields changed.
 
     Args:
@@ -44,7 +44,7 @@ def replaced(part: T, name: str, fields: Mapping[str, Any]) -> T:
     new = {}
     for key, value in fields.items():
         if isinstance(value, Mapping) and dataclasses.is_dataclass(getattr(part, key)):
-            new[key] = replaced(getattr(part, key), key, value)
+            new[key] = replace_fields(getattr(part, key), key, value)
         else:
             new[key] = _checked(f"{name}.{key}", value, getattr(part, key))
     made: T = dataclasses.replace(known, **new)
@@ -73,8 +73,8 @@ class FrozenArrays:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if isinstance(value, np.ndarray | list | tuple) and not is_names(value):
-                object.__setattr__(self, name, frozen_array(value))
+            if isinstance(value, np.ndarray | list | tuple) and not is_name_tuple(value):
+                object.__setattr__(self, name, readonly_array(value))
 
 
 class _NotNegative:

@@ -7,9 +7,9 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.errors import ConfigurationError
-from vergence.models.links import picked
+from vergence.models.links import map_arrays
 from vergence.models.parameters import Geometry
-from vergence.models.parts import FloatArray, replaced
+from vergence.models.parts import FloatArray, replace_fields
 
 _CAMERA_FIELDS: Final = ("focal", "principal", "distortion")
 
@@ -29,7 +29,7 @@ def pick(geometry: Geometry, batch: tuple[int, ...], index: Any) -> Geometry:
 
     cameras: Any = {name: taken(getattr(geometry.cameras, name), 2) for name in _CAMERA_FIELDS}
     return Geometry(
-        picked(geometry.links, taken),
+        map_arrays(geometry.links, taken),
         taken(geometry.head_eye, 3),
         dataclasses.replace(geometry.cameras, **cameras),
     )
@@ -61,7 +61,7 @@ def stack(geometries: Sequence[Geometry]) -> Geometry:
         for name in _CAMERA_FIELDS
     }
     return Geometry(
-        replaced(first.links, "links", links),
+        replace_fields(first.links, "links", links),
         np.stack([geometry.head_eye for geometry in geometries]),
         dataclasses.replace(first.cameras, **cameras),
     )

@@ -95,7 +95,7 @@ def inverse(m: Pose) -> Pose:
 
 
 @inlined
-def turn(m: Pose, x: float, y: float, z: float) -> Vector:
+def direction_to_outer(m: Pose, x: float, y: float, z: float) -> Vector:
     """Rotate a direction from the pose's own frame to the outer frame."""
     return (
         m.xx * x + m.xy * y + m.xz * z,
@@ -105,7 +105,7 @@ def turn(m: Pose, x: float, y: float, z: float) -> Vector:
 
 
 @inlined
-def turn_back(m: Pose, x: float, y: float, z: float) -> Vector:
+def direction_to_local(m: Pose, x: float, y: float, z: float) -> Vector:
     """Rotate a direction from the outer frame to the pose's own frame."""
     return (
         m.xx * x + m.yx * y + m.zx * z,
@@ -115,13 +115,13 @@ def turn_back(m: Pose, x: float, y: float, z: float) -> Vector:
 
 
 @inlined
-def into(m: Pose, x: float, y: float, z: float) -> Vector:
+def point_to_local(m: Pose, x: float, y: float, z: float) -> Vector:
     """Transform a point from the outer frame to the pose's own frame."""
-    return turn_back(m, x - m.x, y - m.y, z - m.z)
+    return direction_to_local(m, x - m.x, y - m.y, z - m.z)
 
 
 @inlined
-def out_of(m: Pose, x: float, y: float, z: float) -> Vector:
+def point_to_outer(m: Pose, x: float, y: float, z: float) -> Vector:
     """Transform a point from the pose's own frame to the outer frame."""
     return (
         m.xx * x + m.xy * y + m.xz * z + m.x,
@@ -140,4 +140,4 @@ def point_rate(axis: Pose, camera: Pose, x: float, y: float, z: float) -> Vector
     wx = axis.zz * ry - axis.yz * rz
     wy = axis.xz * rz - axis.zz * rx
     wz = axis.yz * rx - axis.xz * ry
-    return turn_back(camera, wx, wy, wz)
+    return direction_to_local(camera, wx, wy, wz)

@@ -95,10 +95,10 @@ class Noise:
 
 
 @lru_cache(maxsize=64)
-def _noise_of(pixel_px: float, steps_rad: bytes, plays_rad: bytes) -> Noise:
+def _noise_of(pixel_px: float, resolutions_rad: bytes, backlashes_rad: bytes) -> Noise:
     # without backlash, bit for bit the standard deviation of the quantisation
-    sd = np.frombuffer(steps_rad) / np.sqrt(12.0)
-    half = 0.5 * np.frombuffer(plays_rad)
+    sd = np.frombuffer(resolutions_rad) / np.sqrt(12.0)
+    half = 0.5 * np.frombuffer(backlashes_rad)
     return Noise(pixel_px=pixel_px, joint_rad=np.where(half > 0.0, np.hypot(sd, half), sd))
 
 

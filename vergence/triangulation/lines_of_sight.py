@@ -5,8 +5,8 @@ from typing import Final, NamedTuple
 from vergence._jit import inlined
 from vergence.models.packed import PackedHead, camera_of
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Pose, out_of
-from vergence.triangulation.rays import Ray, nearest
+from vergence.models.pose import Pose, point_to_outer
+from vergence.triangulation.rays import Ray, distances_to_perpendicular
 
 DEFAULT_DEPTH_M: Final = 1.0
 """Depth if triangulation fails, m (chosen: the geometric mean of `DEPTH_RANGE_M`)."""
@@ -38,7 +38,7 @@ def ray_of_error(p: PackedHead, eye: int, camera: Pose, error_u: float, error_v:
         The ray. Its direction has unit z in the camera, so the distance along it is the depth.
     """
     lens = camera_of(p, eye)
-    tip = out_of(camera, error_u / lens.focal_u, error_v / lens.focal_v, 1.0)
+    tip = point_to_outer(camera, error_u / lens.focal_u, error_v / lens.focal_v, 1.0)
     origin = (camera.x, camera.y, camera.z)
     return Ray(origin, (tip[0] - camera.x, tip[1] - camera.y, tip[2] - camera.z))
 
@@ -65,7 +65,7 @@ def rays_of_image(p: PackedHead, left: Pose, right: Pose, error: FloatArray) -> 
 @inlined
 def depths_on_rays(left: Ray, right: Ray) -> Depths:
     """Triangulate the depths along both rays, clipped to `DEPTH_RANGE_M`; else the default."""
-    s, t, found = nearest(left, right)
+    s, t, found = distances_to_perpendicular(left, right)
     if not found:
         return Depths(DEFAULT_DEPTH_M, DEFAULT_DEPTH_M, False)
     return Depths(

@@ -24,7 +24,7 @@ from vergence.models.kinematics import EyeFrames, eye_frames
 from vergence.models.lens import distort, is_distorted
 from vergence.models.packed import PACKED, PackedHead, camera_of, is_direct, joint_per_actuator
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Pose, Vector, turn
+from vergence.models.pose import Pose, Vector, direction_to_outer
 
 MIN_ANGLE_RAD: Final = 1e-4
 """Least angle between two rays for a fix, rad; with a baseline of 92 mm they cross at 900 m
@@ -94,11 +94,11 @@ def ray_of_pixel(p: PackedHead, eye: int, camera: Pose, u: float, v: float) -> R
     """Compute the ray in N of a raw pixel, with unit z in the camera; nan if the lens has none."""
     u, v = undistort_pixel(p, eye, u, v)
     x, y = pinhole_ray(camera_of(p, eye), u, v)
-    return Ray((camera.x, camera.y, camera.z), turn(camera, x, y, 1.0))
+    return Ray((camera.x, camera.y, camera.z), direction_to_outer(camera, x, y, 1.0))
 
 
 @inlined
-def nearest(left: Ray, right: Ray) -> tuple[float, float, bool]:
+def distances_to_perpendicular(left: Ray, right: Ray) -> tuple[float, float, bool]:
     """Distances along two rays to their common perpendicular, and True if there is a fix."""
     (ol, dl), (orr, dr) = left, right
     w = _minus(ol, orr)
@@ -138,8 +138,8 @@ def _add_pixel_noise(
         det = bent.dxx * bent.dyy - bent.dxy * bent.dxy
         jxx, jxy, jyy = bent.dyy / det, -bent.dxy / det, bent.dxx / det
     still = (0.0, 0.0, 0.0)
-    du = turn(pose, jxx / camera.focal_u, jxy / camera.focal_u, 0.0)
-    dv = turn(pose, jxy / camera.focal_v, jyy / camera.focal_v, 0.0)
+    du = direction_to_outer(pose, jxx / camera.focal_u, jxy / camera.focal_u, 0.0)
+    dv = direction_to_outer(pose, jxy / camera.focal_v, jyy / camera.focal_v, 0.0)
     _add_outer(covariance, _midpoint_rate(crossing, eye, still, du), sigma[0])
     _add_outer(covariance, _midpoint_rate(crossing, eye, still, dv), sigma[1])
 
@@ -201,7 +201,7 @@ def triangulate(
     left_eye, right_eye = eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6])
     left = ray_of_pixel(p, 0, left_eye.camera, pixels[0, 0], pixels[0, 1])
     right = ray_of_pixel(p, 1, right_eye.camera, pixels[1, 0], pixels[1, 1])
-    s, t, found = nearest(left, right)
+    s, t, found = distances_to_perpendicular(left, right)
     valid[0] = found
     fill = 0.0 if found else nan
     for row in range(3):

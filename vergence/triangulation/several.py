@@ -29,7 +29,7 @@ _STEP_RAD: Final = 1e-6
 _STEP_M: Final = 1e-6
 """Step of central differences by the point, m: far above rounding, far below a head's size
 (numerical)."""
-_WIDER: Final = (8.0, 4.0, 2.0, 1.0, 1.0)
+_SOFTENING: Final = (8.0, 4.0, 2.0, 1.0, 1.0)
 """Factors on s in successive solutions: a first fix may lie outside many intervals, so their ends
 start soft (numerical)."""
 _NEWTON_STEPS: Final = 20
@@ -93,30 +93,32 @@ def triangulate_fixations(
         )
     q, pixels = q[seen], pixels[seen]
     own = head.actuation
-    half = 0.5 * (own.angle_step + own.backlash)[EYES]
-    used = half > 0.0
+    half_width = 0.5 * (own.angle_step + own.backlash)[EYES]
+    used = half_width > 0.0
     point = np.median(each.point[seen], axis=0)
     pixel_px = np.broadcast_to((Noise.of(head) if noise is None else noise).pixel_px, (2, 2))
     information = np.zeros((3, 3))
-    for wider in _WIDER:
-        by_angle, by_point, left = _linearised(head, q, pixels, point)
+    for softening in _SOFTENING:
+        by_angle, by_point, residual = _linearised(head, q, pixels, point)
         scale = 1.0 / np.maximum(pixel_px.reshape(4), 1e-6)
         A = by_angle[..., used] * scale[:, None]
-        B, r = by_point * scale[:, None], left * scale
+        B, r = by_point * scale[:, None], residual * scale
         inner = np.linalg.inv(A.transpose(0, 2, 1) @ A) if used.any() else np.zeros((len(q), 0, 0))
         back = inner @ A.transpose(0, 2, 1)
         # errors of the readings as functions of the point, and residuals that they do not explain
         error, slope = (back @ r[..., None])[..., 0], -back @ B
-        rest, rest_slope = r - (A @ error[..., None])[..., 0], -B - A @ slope
+        residual_null, residual_null_slope = r - (A @ error[..., None])[..., 0], -B - A @ slope
         deviation = np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
-        ends = wider * np.maximum(deviation, _LEAST_SHARE * half[used])
+        sd = softening * np.maximum(deviation, _LEAST_SHARE * half_width[used])
         step = np.zeros(3)
         for _ in range(_NEWTON_STEPS):
-            first, second = _log_interval(error + slope @ step, half[used], ends)
+            first, second = _log_interval(error + slope @ step, half_width[used], sd)
             gradient = np.einsum("kj,kji->i", first, slope)
-            gradient -= np.einsum("kr,kri->i", rest + rest_slope @ step, rest_slope)
+            gradient -= np.einsum(
+                "kr,kri->i", residual_null + residual_null_slope @ step, residual_null_slope
+            )
             information = np.einsum("kji,kj,kjl->il", slope, -second, slope)
-            information += np.einsum("kri,krl->il", rest_slope, rest_slope)
+            information += np.einsum("kri,krl->il", residual_null_slope, residual_null_slope)
             change = np.linalg.solve(information, gradient)
             step = step + change
             if np.abs(change).max() < _SMALL_M:
@@ -148,28 +150,28 @@ def _linearised(
             columns.append((seen(step, moved) - seen(-step, -moved)) / (2.0 * length))
         return np.stack(columns, axis=-1)
 
-    left = pixels.reshape(len(q), 4) - seen(np.zeros(7), np.zeros(3))
-    return slopes(4, _STEP_RAD, False), slopes(3, _STEP_M, True), left
+    residual = pixels.reshape(len(q), 4) - seen(np.zeros(7), np.zeros(3))
+    return slopes(4, _STEP_RAD, False), slopes(3, _STEP_M, True), residual
 
 
 def _log_interval(
-    error: FloatArray, half: FloatArray, ends: FloatArray
+    error: FloatArray, half_width: FloatArray, sd: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """First and second derivatives by e of log(Phi((h - e) / s) - Phi((-h - e) / s)).
 
     Args:
         error: (k, j) errors of the readings e, rad.
-        half: (j,) half widths of the intervals h, rad.
-        ends: (k, j) standard deviations s, rad.
+        half_width: (j,) half widths of the intervals h, rad.
+        sd: (k, j) standard deviations s, rad.
     """
     # the function is even in e, and the difference is exact in the lower tail
     sign, e = np.sign(error), np.abs(error)
-    upper, lower = (half - e) / ends, (-half - e) / ends
+    upper, lower = (half_width - e) / sd, (-half_width - e) / sd
     log_upper, log_lower = log_ndtr(upper), log_ndtr(lower)
     log_mass = log_upper + np.log1p(-np.exp(log_lower - log_upper))
     at_upper, at_lower = (
         np.exp(-0.5 * x**2 - 0.5 * np.log(2.0 * np.pi) - log_mass) for x in (upper, lower)
     )
-    first = -(at_upper - at_lower) / ends
-    second = -(upper * at_upper - lower * at_lower) / ends**2 - first**2
+    first = -(at_upper - at_lower) / sd
+    second = -(upper * at_upper - lower * at_lower) / sd**2 - first**2
     return sign * first, second

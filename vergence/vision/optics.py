@@ -158,8 +158,8 @@ class EyeCamera:
         Returns:
             The derivative of distorted with respect to ideal normalised coordinates, shape (2, 2).
         """
-        bent = distort(camera_at(self.row, 0), x, y)
-        return np.array([[bent.dxx, bent.dxy], [bent.dxy, bent.dyy]])
+        distorted = distort(camera_at(self.row, 0), x, y)
+        return np.array([[distorted.dxx, distorted.dxy], [distorted.dxy, distorted.dyy]])
 
     def rays(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Undistorted rays (x / z, y / z) of distorted pixels, shape (n, 2) for (n, 2).

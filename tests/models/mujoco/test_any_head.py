@@ -12,7 +12,7 @@ from tests.models.mujoco.test_model import mujoco_pixel
 from tests.naming import named
 from vergence.models import load_head, parse_head
 from vergence.models.files.import_urdf import UrdfSource, import_urdf
-from vergence.models.mujoco.drives import ties_of
+from vergence.models.mujoco.drives import couplings_of
 from vergence.models.mujoco.export import export_files
 from vergence.models.mujoco.loads import loads_of
 from vergence.models.mujoco.model import addresses_of, compile_model
@@ -151,13 +151,15 @@ class TestTies:
 
     def test_a_joint_may_follow_two_others_from_an_offset(self):
         head = any_head("three_from_two")
-        ties = {tie.joint: tie for tie in ties_of(head)}
-        assert ties
+        couplings = {coupling.joint: coupling for coupling in couplings_of(head)}
+        assert couplings
         for q in postures(head, np.random.default_rng(3)):
             angles = dict(zip(head.joints, q, strict=True))
-            for tie in ties.values():
-                follows = tie.offset + sum(factor * angles[name] for name, factor in tie.follows)
-                assert angles[tie.joint] == pytest.approx(follows, abs=1e-12)
+            for coupling in couplings.values():
+                follows = coupling.offset + sum(
+                    factor * angles[name] for name, factor in coupling.follows
+                )
+                assert angles[coupling.joint] == pytest.approx(follows, abs=1e-12)
 
     def test_a_rotor_makes_most_of_every_load(self):
         for name in MOVING:

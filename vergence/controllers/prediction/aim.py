@@ -17,7 +17,7 @@ from vergence.models.jacobian import eye_jacobian, pixel_rate
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import PackedHead, camera_of, joint_at
 from vergence.models.parts import FloatArray
-from vergence.models.pose import into, out_of, point_rate
+from vergence.models.pose import point_rate, point_to_local, point_to_outer
 
 _STEPS: Final = 12
 """Iteration limit of Gauss-Newton (numerical)."""
@@ -59,7 +59,9 @@ def aim(
             continue
         depth = depth_right if eye else depth_left
         frames, camera = eye_frames(p, eye, goals[eye, 0], goals[eye, 1]), camera_of(p, eye)
-        points[eye, 0], points[eye, 1], points[eye, 2] = out_of(frames.camera, 0.0, 0.0, depth)
+        points[eye, 0], points[eye, 1], points[eye, 2] = point_to_outer(
+            frames.camera, 0.0, 0.0, depth
+        )
         u1, u2, v1, v2 = eye_jacobian(p, eye, frames, camera.centre_u, camera.centre_v, depth)
         jacobian[eye, 0, 0], jacobian[eye, 0, 1] = u1, u2
         jacobian[eye, 1, 0], jacobian[eye, 1, 1] = v1, v2
@@ -76,7 +78,7 @@ def aim(
             q1, q2 = joint_at(p, 2 * eye, out), joint_at(p, 2 * eye + 1, out)
             frames, camera = eye_frames(p, eye, q1, q2), camera_of(p, eye)
             x, y, z = points[eye, 0], points[eye, 1], points[eye, 2]
-            cx, cy, cz = into(frames.camera, x, y, z)
+            cx, cy, cz = point_to_local(frames.camera, x, y, z)
             if not cz > 0.0:
                 return
             a, b = cx / cz, cy / cz

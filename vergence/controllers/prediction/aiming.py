@@ -10,7 +10,7 @@ from vergence.controllers.prediction.moving import extrapolate, slow_share
 from vergence.controllers.prediction.response import model_of
 from vergence.models.kinematics import eye_frames, point_in_eye
 from vergence.models.packed import PackedHead, camera_of
-from vergence.models.pose import out_of
+from vergence.models.pose import point_to_outer
 
 _SURE: Final = 0.9
 """Probability of rest above which a target is treated as resting (chosen)."""
@@ -82,7 +82,7 @@ def present_error(
         return nan, nan
     # the point on the optical axis once the eye has turned to its aim
     camera = eye_frames(p, eye, memory.aims[eye, 0], memory.aims[eye, 1]).camera
-    px, py, pz = out_of(camera, 0.0, 0.0, memory.fixated_depth[eye])
+    px, py, pz = point_to_outer(camera, 0.0, 0.0, memory.fixated_depth[eye])
     x, y, z = point_in_eye(p, eye, first, second, px, py, pz)
     if not z > 0.0:
         return nan, nan

@@ -36,7 +36,7 @@ from vergence.controllers.prediction.response import (
     model_of,
     speed_at,
 )
-from vergence.models.joint_pace import follow_pace, pace_of
+from vergence.models.held_response import follow_held, held_response
 from vergence.models.parts import FloatArray
 
 _WINDOW_S: Final = 0.117
@@ -158,13 +158,16 @@ def _posterior_cost(
         gain = exp(model.gain[j])
         v, w = speed_at(response, first, j), model.accelerations[j]
         lag, a = rig.lag_ratio[j] * exp(log_lag), rig.acceleration[j] * exp(ratio)
-        before, after = pace_of(lag, build_up, a, rest), pace_of(lag, build_up, a, period - rest)
+        before, after = (
+            held_response(lag, build_up, a, rest),
+            held_response(lag, build_up, a, period - rest),
+        )
         mean_sd = _mean_step(rig, j)
         for i in range(first, tick):
             u = gain * command_at(response, i - whole - 1, j)
-            q, v, w = follow_pace(0.0, v, w, u, before)
+            q, v, w = follow_held(0.0, v, w, u, before)
             u = gain * command_at(response, i - whole, j)
-            q, v, w = follow_pace(q, v, w, u, after)
+            q, v, w = follow_held(q, v, w, u, after)
             measured, simulated, step_sd = mean_at(response, i + 1, j), q / period, mean_sd
             if response.prompt > 0.5:
                 measured, simulated, step_sd = speed_at(response, i + 1, j), v, rig.speed_step[j]
@@ -234,7 +237,7 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
         own_right[j] = own[j] * (model.gain_prior[j] - model.gain[j])
         if not (rig.speed[j] > 0.0 and _is_excited(response, rig, first, tick, j)):
             continue
-        paces = [pace_of(1.0, 0.0, 1.0, 0.0)] * 12
+        responses = [held_response(1.0, 0.0, 1.0, 0.0)] * 12
         for m in range(size + 2):  # nominal (0), gain (1) or a parameter perturbed
             latency = model.parameters[0] + (_DIFFERENCES[0] if m == 2 else 0.0)
             ratio = model.parameters[1] + (_DIFFERENCES[1] if m == 3 else 0.0)
@@ -244,15 +247,15 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
             holds[m] = int(latency / period + 1e-9)
             rest, lag = latency - holds[m] * period, rig.lag_ratio[j] * exp(log_lag)
             a = rig.acceleration[j] * exp(ratio)
-            paces[2 * m] = pace_of(lag, build_up, a, rest)
-            paces[2 * m + 1] = pace_of(lag, build_up, a, period - rest)
+            responses[2 * m] = held_response(lag, build_up, a, rest)
+            responses[2 * m + 1] = held_response(lag, build_up, a, period - rest)
             v[m], w[m] = speed_at(response, first, j), model.accelerations[j]
         for i in range(first, tick):
             for m in range(size + 2):
                 u = gains[m] * command_at(response, i - holds[m] - 1, j)
-                distance, v[m], w[m] = follow_pace(0.0, v[m], w[m], u, paces[2 * m])
+                distance, v[m], w[m] = follow_held(0.0, v[m], w[m], u, responses[2 * m])
                 u = gains[m] * command_at(response, i - holds[m], j)
-                distance, v[m], w[m] = follow_pace(distance, v[m], w[m], u, paces[2 * m + 1])
+                distance, v[m], w[m] = follow_held(distance, v[m], w[m], u, responses[2 * m + 1])
                 distances[m] = distance / period
             measured, step_sd, simulated = (
                 mean_at(response, i + 1, j),

@@ -11,7 +11,7 @@ from vergence.models.fixation import fixate_step
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
-from vergence.models.pose import into
+from vergence.models.pose import point_to_local
 from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
 
 _MODEL: Final = 0.004
@@ -143,7 +143,7 @@ def measure_goals(
         if source != eye:
             continue
         frames = eye_frames(p, eye, q1, q2)
-        memory.fixated_depth[eye] = into(frames.camera, x, y, z)[2]
+        memory.fixated_depth[eye] = point_to_local(frames.camera, x, y, z)[2]
     return gap
 
 

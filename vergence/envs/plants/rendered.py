@@ -31,7 +31,7 @@ from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.kinematics import eye_frames
 from vergence.models.parts import FloatArray
-from vergence.models.pose import into, turn_back
+from vergence.models.pose import direction_to_local, point_to_local
 from vergence.vision.detectors import make_detector
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
@@ -250,8 +250,8 @@ def poses_in_cameras(
         out = T_C_T[eye]
         for j in range(3):
             axis = axes[j]
-            out[0, j], out[1, j], out[2, j] = turn_back(camera, axis[0], axis[1], axis[2])
-        out[0, 3], out[1, 3], out[2, 3] = into(camera, x, y, z)
+            out[0, j], out[1, j], out[2, j] = direction_to_local(camera, axis[0], axis[1], axis[2])
+        out[0, 3], out[1, 3], out[2, 3] = point_to_local(camera, x, y, z)
         out[3, 0] = out[3, 1] = out[3, 2] = 0.0
         out[3, 3] = 1.0
         du = dv = 0.0

@@ -13,7 +13,7 @@ from vergence.models.camera import inside_image, pixel_error, point_to_pixel
 from vergence.models.kinematics import neck_frame, point_in_eye
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Vector, into, out_of
+from vergence.models.pose import Vector, point_to_local, point_to_outer
 
 
 class Scene(NamedTuple):
@@ -49,8 +49,8 @@ def target_in_n(
     if neck[0] == neck_at_start[0] and neck[1] == neck_at_start[1] and neck[2] == neck_at_start[2]:
         return x, y, z
     start = neck_frame(p, neck_at_start[0], neck_at_start[1], neck_at_start[2])
-    x, y, z = out_of(start, x, y, z)
-    return into(neck_frame(p, neck[0], neck[1], neck[2]), x, y, z)
+    x, y, z = point_to_outer(start, x, y, z)
+    return point_to_local(neck_frame(p, neck[0], neck[1], neck[2]), x, y, z)
 
 
 @inlined

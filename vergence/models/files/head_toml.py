@@ -44,7 +44,7 @@ from vergence.models.files.toml_text import toml_text
 from vergence.models.head import HeadModel
 from vergence.models.joint_axes import JointAxes
 from vergence.models.joints import EYE_NAMES, JOINTS, LINKS
-from vergence.models.links import DenavitHartenberg, product
+from vergence.models.links import DenavitHartenberg, multiply_poses
 from vergence.models.parts import (
     ENCODER_SIDES,
     FloatArray,
@@ -102,15 +102,19 @@ def _parse_axes(root: Table, mounts: FloatArray) -> dict[str, Any]:
         root.close(
             ("frame", "actuators", "timing", "sensor", "rendering", "assumptions", "calibration")
         )
-    head_eye = np.stack([product(carried[eye], mounts[i]) for i, eye in enumerate(EYE_NAMES)])
+    head_eye = np.stack(
+        [multiply_poses(carried[eye], mounts[i]) for i, eye in enumerate(EYE_NAMES)]
+    )
     frame = parse_frame(root)
     # N is fixed to the neck's last link, whose frame is rotated from that of the neck's last joint
     unframed = JointAxes(names=tuple(names), parts=tuple(parts), pose=pose, frame=carried["neck"])
     if frame is None:
         eyes = [unframed.folded()[4 + 3 * eye : 7 + 3 * eye] for eye in range(2)]
-        chains = [product(m0, m1, m2, head_eye[eye]) for eye, (m0, m1, m2) in enumerate(eyes)]
+        chains = [
+            multiply_poses(m0, m1, m2, head_eye[eye]) for eye, (m0, m1, m2) in enumerate(eyes)
+        ]
         frame = frame_between(np.stack(chains))
-    links = dataclasses.replace(unframed, frame=product(carried["neck"], frame))
+    links = dataclasses.replace(unframed, frame=multiply_poses(carried["neck"], frame))
     actuators = parse_actuators(root, links)
     return {
         "links": links,

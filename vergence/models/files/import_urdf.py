@@ -225,7 +225,7 @@ def _motors(
     couplings: Sequence[Coupling],
 ) -> list[EyeMotor]:
     """Motors of the eyes; empty if each joint has its own."""
-    if not chains.ties and not couplings:
+    if not chains.mimic_joints and not couplings:
         return []
     between = frame_between(np.stack([eye.pose for eye in eyes]))
     joints = []
@@ -234,7 +234,7 @@ def _motors(
             axis = chains.axis(name) @ between[:3, :3]
             joints.append(EyeJoint(name=name, part=part, axis=axis, range=ranges[name]))
     baseline = float(np.linalg.norm(eyes[1].pose[:3, 3] - eyes[0].pose[:3, 3]))
-    return motors(joints, chains.ties, couplings, baseline)
+    return motors(joints, chains.mimic_joints, couplings, baseline)
 
 
 def _of_motors(assumed: Mapping[str, str], moved: Sequence[EyeMotor]) -> dict[str, str]:

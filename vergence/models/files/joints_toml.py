@@ -25,7 +25,7 @@ from vergence.models.files.head_rules import (
 from vergence.models.files.toml_table import Table
 from vergence.models.joint_axes import PARTS, JointAxes
 from vergence.models.joints import EYE_NAMES
-from vergence.models.links import product
+from vergence.models.links import multiply_poses
 from vergence.models.parts import FloatArray, JointLimits
 
 _MOST: Final = {"neck": 3, "eye": 2}
@@ -71,7 +71,7 @@ def parse_joints(root: Table) -> Chains:
         pose, out = _parse_pose(table)
         names.append(name)
         parts.append(part)
-        poses.append(product(before, pose))
+        poses.append(multiply_poses(before, pose))
         limits.append(_parse_limits(table, name))
         for chain in {"neck": tuple(carried), "both": EYE_NAMES}.get(part, (part,)):
             carried[chain] = out
@@ -123,7 +123,7 @@ def _parse_pose(table: Table) -> tuple[FloatArray, FloatArray]:
     turn[:3, :3] = _z_to(axis / length)
     back = np.eye(4)
     back[:3, :3] = turn[:3, :3].T
-    return product(pose, turn), back
+    return multiply_poses(pose, turn), back
 
 
 def _z_to(axis: FloatArray) -> FloatArray:

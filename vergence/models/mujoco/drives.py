@@ -33,7 +33,7 @@ class Transmission(NamedTuple):
     """Least value of that sum, rad."""
     upper: float
     """Greatest value of that sum, rad."""
-    own_joint: str
+    joint_or_rotor: str
     """Joint that only this actuator turns, over the joint's whole range, or the actuator's rotor,
     see `has_rotors`; empty for neither."""
 
@@ -80,20 +80,22 @@ def drives_of(head: HeadModel) -> tuple[Transmission, ...]:
         shift = float(row @ offset)
         lower, upper = own.lower[slot] + shift, own.upper[slot] + shift
         turned = [(name, float(f)) for name, f in zip(names, row, strict=True) if f]
-        alone = ""
+        joint_or_rotor = ""
         if len(turned) == 1 and turned[0][1] == 1.0:
             joint = turned[0][0]
             place, column = places[joint], matrix[names.index(joint)]
             same = (lower, upper) == (limits.lower[place], limits.upper[place])
-            alone = joint if same and np.count_nonzero(column) == 1 else ""
+            joint_or_rotor = joint if same and np.count_nonzero(column) == 1 else ""
         name = f"eyes_{actuator}" if actuator in head.joints[NECK] else actuator
         if has_rotors(head):
-            alone, lower, upper = rotor_name(name), own.lower[slot], own.upper[slot]
-        out.append(Transmission(name, slot, tuple(turned), float(lower), float(upper), alone))
+            joint_or_rotor, lower, upper = rotor_name(name), own.lower[slot], own.upper[slot]
+        out.append(
+            Transmission(name, slot, tuple(turned), float(lower), float(upper), joint_or_rotor)
+        )
     return tuple(out)
 
 
-def ties_of(head: HeadModel) -> tuple[JointCoupling, ...]:
+def couplings_of(head: HeadModel) -> tuple[JointCoupling, ...]:
     """List the coupled joints of the eyes; empty if every joint can move by itself."""
     names, matrix, offset = _map(head)
     leading: list[int] = []
@@ -138,10 +140,10 @@ def rotor_name(drive: str) -> str:
     return f"{drive}_rotor"
 
 
-def rotor_ties(head: HeadModel, drives: Sequence[Transmission]) -> tuple[JointCoupling, ...]:
+def rotor_couplings(head: HeadModel, drives: Sequence[Transmission]) -> tuple[JointCoupling, ...]:
     """Couplings of the eyes' joints to the rotors, for a head with rotors as bodies."""
     names, matrix, offset = _map(head)
-    rotors = [drive.own_joint for drive in drives if drive.slot >= NECK.stop]
+    rotors = [drive.joint_or_rotor for drive in drives if drive.slot >= NECK.stop]
     return tuple(
         JointCoupling(
             name, tuple((r, float(f)) for r, f in zip(rotors, row, strict=True) if f), float(start)

@@ -19,14 +19,14 @@ from vergence.models.mujoco import scene as mujoco_scene
 from vergence.models.mujoco.appearance import add_appearance
 from vergence.models.mujoco.bodies import add_bodies, add_cameras
 from vergence.models.mujoco.drives import (
+    couplings_of,
     drives_of,
     has_rotors,
     joint_places,
-    rotor_ties,
-    ties_of,
+    rotor_couplings,
 )
 from vergence.models.mujoco.loads import loads_of
-from vergence.models.mujoco.servos import add_rotors, add_servos, add_ties
+from vergence.models.mujoco.servos import add_couplings, add_rotors, add_servos
 
 SUBSTEPS: Final = 4
 """Default number of simulation steps per control period: 1/480 s at 120 Hz (chosen: accuracy
@@ -111,8 +111,8 @@ def head_spec(
     spec.modelname = head.name
     timestep_s = head.timing.period_s / SUBSTEPS if timestep_s is None else timestep_s
     drives, rotors = drives_of(head), has_rotors(head)
-    ties = rotor_ties(head, drives) if rotors else ties_of(head)
-    _set_options(spec, timestep_s, gravity, bool(ties))
+    couplings = rotor_couplings(head, drives) if rotors else couplings_of(head)
+    _set_options(spec, timestep_s, gravity, bool(couplings))
     angles = np.broadcast_to(np.asarray(neck_position, np.float64), (3,)).tolist()
     named = zip(head.joints[NECK], angles, strict=True)
     held = {name: angle for name, angle in named if name and neck == "welded"}
@@ -121,9 +121,9 @@ def head_spec(
     add_cameras(spec, head, bodies)
     if rotors:
         add_rotors(spec, drives, loads.rotors)
-    moving = [drive for drive in drives if drive.own_joint not in held]
+    moving = [drive for drive in drives if drive.joint_or_rotor not in held]
     add_servos(spec, head, moving, loads.actuators)
-    add_ties(spec, ties)
+    add_couplings(spec, couplings)
     spec.option.gravity = mujoco_scene.surroundings_of(head).gravity
     if visuals:
         add_appearance(spec, bodies, head)
@@ -172,7 +172,7 @@ def addresses_of(model: mujoco.MjModel, head: HeadModel) -> Addresses:
         moving = {name: place for name, place in places.items() if place >= first}
         driven = {drive.name: drive.slot for drive in drives if drive.slot >= first}
         rotors = {
-            drive.own_joint: drive.slot
+            drive.joint_or_rotor: drive.slot
             for drive in drives
             if drive.slot >= NECK.stop and has_rotors(head)
         }

@@ -56,13 +56,13 @@ def add_servos(
         speed = own.velocity[drive.slot]
         torque = loads[drive.slot] * own.acceleration[drive.slot]
         rate = servo_rate(head.timing.lag_s * own.lag_ratio[drive.slot], spec.option.timestep)
-        if not drive.own_joint:
+        if not drive.joint_or_rotor:
             _add_tendon(spec, drive)
         joint, tendon = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_TENDON
         servo = spec.add_actuator(
             name=drive.name,
-            target=drive.own_joint or drive.name,
-            trntype=joint if drive.own_joint else tendon,
+            target=drive.joint_or_rotor or drive.name,
+            trntype=joint if drive.joint_or_rotor else tendon,
             ctrllimited=mujoco.mjtLimited.mjLIMITED_TRUE,
             ctrlrange=[-speed, speed],
         )
@@ -97,11 +97,11 @@ def add_rotors(spec: mujoco.MjSpec, drives: Sequence[Transmission], inertia: Flo
     """
     for drive in drives:
         if drive.slot >= NECK.stop:
-            body = spec.worldbody.add_body(name=drive.own_joint)
+            body = spec.worldbody.add_body(name=drive.joint_or_rotor)
             body.mass, body.ipos, body.inertia = _ROTOR_MASS, np.zeros(3), [_ROTOR_INERTIA] * 3
             body.explicitinertial = True
             body.add_joint(
-                name=drive.own_joint,
+                name=drive.joint_or_rotor,
                 type=mujoco.mjtJoint.mjJNT_HINGE,
                 axis=[0.0, 0.0, 1.0],
                 limited=mujoco.mjtLimited.mjLIMITED_TRUE,
@@ -111,28 +111,28 @@ def add_rotors(spec: mujoco.MjSpec, drives: Sequence[Transmission], inertia: Flo
             )
 
 
-def add_ties(spec: mujoco.MjSpec, ties: Sequence[JointCoupling]) -> None:
+def add_couplings(spec: mujoco.MjSpec, couplings: Sequence[JointCoupling]) -> None:
     """Add equality constraints for coupled joints.
 
     Args:
         spec: the specification to extend; its time step is set.
-        ties: the coupled joints.
+        couplings: the coupled joints.
     """
     objects = {
         mujoco.mjtEq.mjEQ_JOINT: mujoco.mjtObj.mjOBJ_JOINT,
         mujoco.mjtEq.mjEQ_TENDON: mujoco.mjtObj.mjOBJ_TENDON,
     }
-    for tie in ties:
-        name, polynomial = f"{tie.joint}_tie", np.zeros(mujoco.mjNEQDATA)
-        if len(tie.follows) < 2:
-            kind, first = mujoco.mjtEq.mjEQ_JOINT, tie.joint
-            polynomial[:2] = tie.offset, tie.follows[0][1] if tie.follows else 0.0
-            second = tie.follows[0][0] if tie.follows else ""
+    for coupling in couplings:
+        name, polynomial = f"{coupling.joint}_tie", np.zeros(mujoco.mjNEQDATA)
+        if len(coupling.follows) < 2:
+            kind, first = mujoco.mjtEq.mjEQ_JOINT, coupling.joint
+            polynomial[:2] = coupling.offset, coupling.follows[0][1] if coupling.follows else 0.0
+            second = coupling.follows[0][0] if coupling.follows else ""
         else:
             kind, first, second = mujoco.mjtEq.mjEQ_TENDON, name, ""
-            polynomial[0] = tie.offset
-            others = [(joint, -factor) for joint, factor in tie.follows]
-            _tendon(spec, name, [(tie.joint, 1.0), *others])
+            polynomial[0] = coupling.offset
+            others = [(joint, -factor) for joint, factor in coupling.follows]
+            _tendon(spec, name, [(coupling.joint, 1.0), *others])
         spec.add_equality(
             name=name,
             type=kind,

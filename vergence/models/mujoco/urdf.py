@@ -11,7 +11,7 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.links import chain_end
 from vergence.models.mujoco.bodies import body_name
-from vergence.models.mujoco.drives import JointCoupling, coupled, ties_of
+from vergence.models.mujoco.drives import JointCoupling, coupled, couplings_of
 from vergence.models.mujoco.inertia import link_inertia
 from vergence.models.mujoco.loads import loads_of
 from vergence.models.parts import FloatArray
@@ -47,7 +47,7 @@ def to_urdf(head: HeadModel) -> str:
     compiler = ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler")
     compiler.set("fusestatic", "false")
     ET.SubElement(robot, "link", name="base")
-    ties = {tie.joint: tie for tie in ties_of(head)}
+    couplings = {coupling.joint: coupling for coupling in couplings_of(head)}
     for sum_of_several in coupled(head):
         robot.append(ET.Comment(f" {_comment(sum_of_several)} "))
     bodies, loads = head.links.bodies(), loads_of(head)
@@ -57,8 +57,8 @@ def to_urdf(head: HeadModel) -> str:
         joint = _add_joint(robot, body.name, links[body.parent], links[place], "revolute")
         _add_origin(joint, body.pose)
         _add_limits(joint, head, body.joints[0], loads.joints)
-        if body.name in ties:
-            _add_tie(joint, ties[body.name])
+        if body.name in couplings:
+            _add_coupling(joint, couplings[body.name])
     fixed = {"N": (links[chain_end(bodies, None)], head.links.base_frame())}
     for eye, name in enumerate(EYE_NAMES):
         parent = links[chain_end(bodies, eye)]
@@ -126,16 +126,16 @@ def _add_limits(joint: ET.Element, head: HeadModel, index: int, inertia: FloatAr
     )
 
 
-def _add_tie(joint: ET.Element, tie: JointCoupling) -> None:
-    if len(tie.follows) == 1:
-        ((other, factor),) = tie.follows
+def _add_coupling(joint: ET.Element, coupling: JointCoupling) -> None:
+    if len(coupling.follows) == 1:
+        ((other, factor),) = coupling.follows
         ET.SubElement(
-            joint, "mimic", joint=other, multiplier=_text(factor), offset=_text(tie.offset)
+            joint, "mimic", joint=other, multiplier=_text(factor), offset=_text(coupling.offset)
         )
         return
-    terms = [f"{factor:+.15g} {other}" for other, factor in tie.follows]
-    followed = " ".join([f"{tie.offset:.15g}", *terms])
-    joint.append(ET.Comment(f" {_comment(f'{tie.joint} = {followed}')} "))
+    terms = [f"{factor:+.15g} {other}" for other, factor in coupling.follows]
+    followed = " ".join([f"{coupling.offset:.15g}", *terms])
+    joint.append(ET.Comment(f" {_comment(f'{coupling.joint} = {followed}')} "))
 
 
 def _comment(text: str) -> str:

@@ -27,10 +27,10 @@ class MotionLimits:
     velocity: float
     acceleration: float
 
-    def through(self, tie: MimicJoint) -> "MotionLimits":
+    def through(self, mimic: MimicJoint) -> "MotionLimits":
         """Limits that a joint with these ones sets its master, `joint = m master + offset`."""
-        ends = [(end - tie.offset) / tie.multiplier for end in (self.lower, self.upper)]
-        size = abs(tie.multiplier)
+        ends = [(end - mimic.offset) / mimic.multiplier for end in (self.lower, self.upper)]
+        size = abs(mimic.multiplier)
         return MotionLimits(min(ends), max(ends), self.velocity / size, self.acceleration / size)
 
     def within(self, other: "MotionLimits") -> "MotionLimits":
@@ -88,7 +88,7 @@ class EyeJoint:
 
 def motors(
     joints: Sequence[EyeJoint],
-    ties: Sequence[MimicJoint],
+    mimic_joints: Sequence[MimicJoint],
     couplings: Sequence[Coupling],
     baseline_m: float,
 ) -> list[EyeMotor]:
@@ -96,7 +96,7 @@ def motors(
 
     Args:
         joints: joints of the eyes.
-        ties: couplings among these joints in the file.
+        mimic_joints: couplings among these joints in the file.
         couplings: additional couplings of both eyes.
         baseline_m: distance between the cameras.
 
@@ -104,7 +104,11 @@ def motors(
         ConfigurationError: a coupling does not fit these joints, or leaves an empty range.
     """
     by_name = {joint.name: joint for joint in joints}
-    found = [_free(joint, ties, by_name) for joint in joints if joint.name not in _followers(ties)]
+    found = [
+        _free(joint, mimic_joints, by_name)
+        for joint in joints
+        if joint.name not in _followers(mimic_joints)
+    ]
     if "common-tilt" in couplings:
         left, right = _pair(found, by_name, "common-tilt", pans=False)
         found = _exchange(found, [left, right], [_common_tilt(left, right, by_name)])
@@ -114,25 +118,27 @@ def motors(
     return found
 
 
-def _followers(ties: Sequence[MimicJoint]) -> set[str]:
-    return {tie.joint for tie in ties}
+def _followers(mimic_joints: Sequence[MimicJoint]) -> set[str]:
+    return {mimic.joint for mimic in mimic_joints}
 
 
-def _free(joint: EyeJoint, ties: Sequence[MimicJoint], by_name: Mapping[str, EyeJoint]) -> EyeMotor:
+def _free(
+    joint: EyeJoint, mimic_joints: Sequence[MimicJoint], by_name: Mapping[str, EyeJoint]
+) -> EyeMotor:
     """Motor of an independent joint and of the joints coupled to it."""
-    mine = [tie for tie in ties if tie.master == joint.name]
+    mine = [mimic for mimic in mimic_joints if mimic.master == joint.name]
     allowed = joint.range
-    for tie in mine:
-        allowed = allowed.within(by_name[tie.joint].range.through(tie))
+    for mimic in mine:
+        allowed = allowed.within(by_name[mimic.joint].range.through(mimic))
     if not allowed.lower < allowed.upper:
         raise ConfigurationError(
             f"joint {joint.name}: expected a range that it and what follows it "
-            f"({', '.join(tie.joint for tie in mine)}) have in common, got none"
+            f"({', '.join(mimic.joint for mimic in mine)}) have in common, got none"
         )
     return EyeMotor(
         name=joint.name,
-        joints={joint.name: 1.0} | {tie.joint: tie.multiplier for tie in mine},
-        offsets={tie.joint: tie.offset for tie in mine if tie.offset},
+        joints={joint.name: 1.0} | {mimic.joint: mimic.multiplier for mimic in mine},
+        offsets={mimic.joint: mimic.offset for mimic in mine if mimic.offset},
         range=allowed,
     )
 
@@ -170,8 +176,8 @@ def _exchange(found: list[EyeMotor], former: list[EyeMotor], new: list[EyeMotor]
 def _common_tilt(left: EyeMotor, right: EyeMotor, by_name: Mapping[str, EyeJoint]) -> EyeMotor:
     axes = by_name[left.name].axis, by_name[right.name].axis
     factor = 1.0 if axes[0] @ axes[1] > 0.0 else -1.0
-    tie = MimicJoint(right.name, left.name, factor, 0.0)
-    allowed = left.range.within(right.range.through(tie))
+    mimic = MimicJoint(right.name, left.name, factor, 0.0)
+    allowed = left.range.within(right.range.through(mimic))
     if not allowed.lower < allowed.upper:
         raise ConfigurationError(
             f"actuators: expected for common-tilt a range that {left.name} and {right.name} have "

@@ -55,18 +55,18 @@ class KinematicChain:
 
 
 @dataclass(frozen=True)
-class Way:
+class JointPath:
     """Joints on the path from a base to a camera: up to the common ancestor, then down."""
 
     up: tuple[Joint, ...]
     down: tuple[Joint, ...]
 
 
-def way_to(mechanism: Mechanism, base: int, camera: int) -> Way:
+def path_to(mechanism: Mechanism, base: int, camera: int) -> JointPath:
     """Find the joints on the path from a base to a camera."""
     above, below = mechanism.ancestors(base), mechanism.ancestors(camera)
     frames = mechanism.frames
-    return Way(
+    return JointPath(
         up=tuple(j for i in above if i not in below for j in frames[i].joints),
         down=tuple(j for i in below if i not in above for j in frames[i].joints),
     )

@@ -50,7 +50,7 @@ def locked_joints(words: Sequence[str], joints: Mapping[str, Joint]) -> dict[str
 
 
 @dataclass(frozen=True)
-class Given:
+class PerJoint:
     """Numbers that the user gives for joints.
 
     Attributes:
@@ -62,13 +62,13 @@ class Given:
     others: float | None
 
 
-def given_by_joint(
+def parse_per_joint(
     option: str,
     words: Sequence[str],
     joints: Sequence[str],
     accepted: Callable[[float], bool],
     expected: str,
-) -> Given:
+) -> PerJoint:
     """Parse numbers from `NUMBER` and `JOINT=NUMBER`.
 
     Args:
@@ -101,4 +101,4 @@ def given_by_joint(
             each[name] = number
         else:
             others = number
-    return Given(each, others)
+    return PerJoint(each, others)

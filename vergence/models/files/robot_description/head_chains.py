@@ -9,10 +9,10 @@ import numpy as np
 from vergence.errors import ConfigurationError
 from vergence.models.files.robot_description.chain import (
     ChainJoint,
+    JointPath,
     KinematicChain,
-    Way,
     fold,
-    way_to,
+    path_to,
 )
 from vergence.models.files.robot_description.mechanism import Joint, Mechanism, MimicJoint, among
 from vergence.models.parts import FloatArray
@@ -30,13 +30,13 @@ class HeadChains:
     Attributes:
         chains: chains of the left and the right eye.
         parts: part by name of each moving joint, from the base up: neck, both, left or right.
-        ties: eye joints coupled to another eye joint.
+        mimic_joints: eye joints coupled to another eye joint.
         fixed: values of the fixed joints on the path by name, radians or metres.
     """
 
     chains: tuple[KinematicChain, KinematicChain]
     parts: Mapping[str, str]
-    ties: tuple[MimicJoint, ...]
+    mimic_joints: tuple[MimicJoint, ...]
     fixed: Mapping[str, float]
 
     def joint(self, name: str) -> ChainJoint:
@@ -69,12 +69,12 @@ def head_chains(
         ConfigurationError: a name is unknown, a joint is neither of the neck, locked nor of an
             eye, or a head file cannot express the mechanism; the message says why.
     """
-    ways = tuple(way_to(mechanism, base, camera) for camera in cameras)
-    on_way = list(dict.fromkeys(j.name for way in ways for j in (*way.up, *way.down)))
-    shared = [j.name for j in ways[0].down if j.name in {k.name for k in ways[1].down}]
-    _check_neck(mechanism, neck, on_way, shared, locked, ways)
+    paths = tuple(path_to(mechanism, base, camera) for camera in cameras)
+    on_way = list(dict.fromkeys(j.name for way in paths for j in (*way.up, *way.down)))
+    shared = [j.name for j in paths[0].down if j.name in {k.name for k in paths[1].down}]
+    _check_neck(mechanism, neck, on_way, shared, locked, paths)
     fixed = _stand_still(mechanism, on_way, neck, locked)
-    for way in ways:
+    for way in paths:
         for joint in way.up:
             if joint.name not in fixed:
                 held = f", or --lock {joint.name}=DEG" if joint.kind in ("hinge", "slide") else ""
@@ -91,11 +91,11 @@ def head_chains(
                     f"joint {joint.name}: expected an axis with a direction, got none"
                 )
     _check_frames(mechanism, base, cameras)
-    parts = _parts(ways, shared, neck, fixed)
+    parts = _parts(paths, shared, neck, fixed)
     return HeadChains(
         chains=tuple(fold(mechanism, base, camera, fixed) for camera in cameras),  # type: ignore[arg-type]
         parts=parts,
-        ties=_eye_ties(mechanism, parts),
+        mimic_joints=_eye_mimic_joints(mechanism, parts),
         fixed=fixed,
     )
 
@@ -122,7 +122,7 @@ def _check_neck(
     on_way: Sequence[str],
     shared: Sequence[str],
     locked: Mapping[str, float],
-    ways: Sequence[Way],
+    paths: Sequence[JointPath],
 ) -> None:
     known = mechanism.joints()
     for option, names in (("neck", neck), ("lock", locked)):
@@ -152,7 +152,7 @@ def _check_neck(
         named = [name for name in shared if name in neck]
         raise ConfigurationError(
             f"neck: expected up to three joints, got {len(neck)} ({' '.join(neck)}): hold the "
-            f"others, such as {_three_and_held(ways, named)}"
+            f"others, such as {_three_and_held(paths, named)}"
         )
 
 
@@ -166,37 +166,37 @@ def _stand_still(
     known = mechanism.joints()
     fixed = {}
     for name in on_way:
-        tie = mechanism.tie(name)
+        mimic = mechanism.mimic_of(name)
         if name in locked:
-            _check_lock(known[name], locked[name], tie, on_way, locked)
+            _check_lock(known[name], locked[name], mimic, on_way, locked)
             fixed[name] = locked[name]
-        elif tie is None:
+        elif mimic is None:
             continue
-        elif np.isnan(tie.multiplier):
+        elif np.isnan(mimic.multiplier):
             raise ConfigurationError(
-                f"joint {name}: expected one that follows {tie.master} by a straight line, which "
+                f"joint {name}: expected one that follows {mimic.master} by a straight line, which "
                 "is all that a head file can say, got a polynomial of higher degree"
             )
-        elif tie.multiplier == 0.0:
-            fixed[name] = tie.offset
-        elif tie.master in locked:
-            fixed[name] = tie.multiplier * locked[tie.master] + tie.offset
-        elif tie.master not in known:
+        elif mimic.multiplier == 0.0:
+            fixed[name] = mimic.offset
+        elif mimic.master in locked:
+            fixed[name] = mimic.multiplier * locked[mimic.master] + mimic.offset
+        elif mimic.master not in known:
             raise ConfigurationError(
                 f"joint {name}: expected one that follows "
-                f"{among('moving joint', tie.master, known)}, got one that follows "
-                f"{tie.master!r}, which is none"
+                f"{among('moving joint', mimic.master, known)}, got one that follows "
+                f"{mimic.master!r}, which is none"
             )
-        elif tie.master not in on_way:
+        elif mimic.master not in on_way:
             raise ConfigurationError(
                 f"joint {name}: expected one that follows no joint or one of an eye, got one that "
-                f"follows {tie.master}, which is not on the way to the cameras: --lock {name}=DEG"
+                f"follows {mimic.master}, which is not on the way to the cameras: --lock {name}=DEG"
             )
-        elif name in neck or tie.master in neck:
+        elif name in neck or mimic.master in neck:
             raise ConfigurationError(
                 f"joint {name}: expected a joint of the neck that moves by itself, got one that "
-                f"follows {tie.master}, which a head file cannot say of a neck: lock both, or one "
-                "motor could not move the two"
+                f"follows {mimic.master}, which a head file cannot say of a neck: lock both, or "
+                "one motor could not move the two"
             )
     return fixed
 
@@ -204,16 +204,16 @@ def _stand_still(
 def _check_lock(
     joint: Joint,
     value: float,
-    tie: MimicJoint | None,
+    mimic: MimicJoint | None,
     on_way: Sequence[str],
     locked: Mapping[str, float],
 ) -> None:
     if joint.kind not in ("hinge", "slide"):
         raise ConfigurationError(_why_not(joint))
-    if tie is not None and tie.master in on_way and tie.master not in locked:
+    if mimic is not None and mimic.master in on_way and mimic.master not in locked:
         raise ConfigurationError(
             f"lock: expected a joint that moves by itself, got {joint.name}, which follows "
-            f"{tie.master}: lock that one"
+            f"{mimic.master}: lock that one"
         )
     unit, scale = ("m", 1.0) if joint.kind == "slide" else ("deg", 180.0 / np.pi)
     # tolerance for degrees given with few decimals
@@ -239,7 +239,10 @@ def _why_not(joint: Joint) -> str:
 
 
 def _parts(
-    ways: Sequence[Way], shared: Sequence[str], neck: Sequence[str], fixed: Mapping[str, float]
+    paths: Sequence[JointPath],
+    shared: Sequence[str],
+    neck: Sequence[str],
+    fixed: Mapping[str, float],
 ) -> dict[str, str]:
     for name in neck:
         if name in fixed:
@@ -249,7 +252,7 @@ def _parts(
     moving = [name for name in shared if name not in fixed]
     own = {
         side: [j.name for j in way.down if j.name not in shared and j.name not in fixed]
-        for side, way in zip(_SIDES, ways, strict=True)
+        for side, way in zip(_SIDES, paths, strict=True)
     }
     last = max((moving.index(name) for name in neck), default=-1)
     unnamed = [name for name in moving[: last + 1] if name not in neck]
@@ -259,7 +262,7 @@ def _parts(
         # the uppermost may turn both eyes, as long as no eye has more than two joints
         below = moving[: len(moving) - max(EYE_JOINTS - longest, 0)]
         others = [name for name in below if name not in neck]
-        way_on = _held(ways, others) if neck else _three_and_held(ways, below)
+        way_on = _held(paths, others) if neck else _three_and_held(paths, below)
         raise ConfigurationError(
             "neck: expected every joint that both cameras stand on to be one of up to three of "
             "--neck, or held by --lock JOINT=DEG, or one of two that turn an eye, got "
@@ -271,21 +274,21 @@ def _parts(
             raise ConfigurationError(
                 f"{side} camera: expected up to two joints that move this eye alone, which is all "
                 f"that a head file can say, got {len(names)} ({', '.join(names)}): give "
-                f"{_held(ways, more)}, say"
+                f"{_held(paths, more)}, say"
             )
     parts = dict.fromkeys(moving[: last + 1], "neck") | dict.fromkeys(both, "both")
     return parts | {name: side for side, names in own.items() for name in names}
 
 
-def _three_and_held(ways: Sequence[Way], names: Sequence[str]) -> str:
+def _three_and_held(paths: Sequence[JointPath], names: Sequence[str]) -> str:
     """Options that make the uppermost joints the neck and lock the others."""
     neck, others = names[-NECK_JOINTS:], names[:-NECK_JOINTS]
-    return f"--neck {' '.join(neck)}" + (f" {_held(ways, others)}" if others else "")
+    return f"--neck {' '.join(neck)}" + (f" {_held(paths, others)}" if others else "")
 
 
-def _held(ways: Sequence[Way], names: Sequence[str]) -> str:
+def _held(paths: Sequence[JointPath], names: Sequence[str]) -> str:
     """Option that locks joints as near to zero as their limits allow."""
-    known = {joint.name: joint for way in ways for joint in way.down}
+    known = {joint.name: joint for way in paths for joint in way.down}
     said = []
     for name in names:
         joint = known[name]
@@ -296,6 +299,6 @@ def _held(ways: Sequence[Way], names: Sequence[str]) -> str:
     return f"--lock {' '.join(said)}"
 
 
-def _eye_ties(mechanism: Mechanism, parts: Mapping[str, str]) -> tuple[MimicJoint, ...]:
-    found = (mechanism.tie(name) for name in parts)
-    return tuple(tie for tie in found if tie is not None)
+def _eye_mimic_joints(mechanism: Mechanism, parts: Mapping[str, str]) -> tuple[MimicJoint, ...]:
+    found = (mechanism.mimic_of(name) for name in parts)
+    return tuple(mimic for mimic in found if mimic is not None)

@@ -8,7 +8,7 @@ import numpy as np
 from vergence.errors import ConfigurationError
 from vergence.models.files.head_rules import ACCELERATION, RADIANS, SPEED
 from vergence.models.files.robot_description.actuators import MotionLimits
-from vergence.models.files.robot_description.given import Given, given_by_joint
+from vergence.models.files.robot_description.given import PerJoint, parse_per_joint
 from vergence.models.files.robot_description.mechanism import Joint
 
 ASSUMED_ACCELERATION: Final = 40.0
@@ -34,8 +34,8 @@ def joint_ranges(
         ConfigurationError: a limit in the file is invalid, or a speed is missing.
     """
     names = [joint.name for joint in joints]
-    speeds = given_by_joint("speed", speed, names, *SPEED)
-    accelerations = given_by_joint("acceleration", acceleration, names, *ACCELERATION)
+    speeds = parse_per_joint("speed", speed, names, *SPEED)
+    accelerations = parse_per_joint("acceleration", acceleration, names, *ACCELERATION)
     _refuse_without_speed(joints, speeds)
     ranges: dict[str, MotionLimits] = {}
     assumed: dict[str, str] = {}
@@ -84,7 +84,7 @@ def _is_real(velocity: float) -> bool:
     return not np.isnan(velocity) and SPEED[0](velocity)
 
 
-def _velocity(joint: Joint, speeds: Given) -> tuple[float, str]:
+def _velocity(joint: Joint, speeds: PerJoint) -> tuple[float, str]:
     if joint.name in speeds.each:
         return speeds.each[joint.name], _override(joint)
     if _is_real(joint.velocity):
@@ -99,7 +99,7 @@ def _override(joint: Joint) -> str:
     return f"given by --speed in place of {joint.velocity:g} rad/s in the file"
 
 
-def _refuse_without_speed(joints: Sequence[Joint], speeds: Given) -> None:
+def _refuse_without_speed(joints: Sequence[Joint], speeds: PerJoint) -> None:
     if speeds.others is not None:
         return
     lacking: Mapping[str, float] = {

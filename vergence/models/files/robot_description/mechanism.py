@@ -122,12 +122,12 @@ class Mechanism:
     Attributes:
         name: the robot's name in the file.
         frames: the tree.
-        ties: coupling by name of each coupled joint.
+        mimic_joints: coupling by name of each coupled joint.
     """
 
     name: str
     frames: tuple[Frame, ...]
-    ties: Mapping[str, MimicJoint]
+    mimic_joints: Mapping[str, MimicJoint]
 
     def joints(self) -> dict[str, Joint]:
         """All joints by name."""
@@ -190,12 +190,12 @@ class Mechanism:
     def _value(self, joint: Joint, values: Mapping[str, float]) -> float:
         if joint.name in values:
             return values[joint.name]
-        tie = self.tie(joint.name)
-        if tie is None:
+        mimic = self.mimic_of(joint.name)
+        if mimic is None:
             return joint.reference
-        return tie.multiplier * values.get(tie.master, 0.0) + tie.offset
+        return mimic.multiplier * values.get(mimic.master, 0.0) + mimic.offset
 
-    def tie(self, joint: str) -> MimicJoint | None:
+    def mimic_of(self, joint: str) -> MimicJoint | None:
         """Coupling of a joint to the independent joint at the end of its chain of couplings.
 
         None if the joint itself is independent.
@@ -205,9 +205,9 @@ class Mechanism:
         """
         master, factor, offset = joint, 1.0, 0.0
         seen = {joint}
-        while (tie := self.ties.get(master)) is not None:
-            master, offset = tie.master, factor * tie.offset + offset
-            factor *= tie.multiplier
+        while (mimic := self.mimic_joints.get(master)) is not None:
+            master, offset = mimic.master, factor * mimic.offset + offset
+            factor *= mimic.multiplier
             if factor == 0.0:
                 break
             if master in seen:

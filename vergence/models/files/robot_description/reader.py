@@ -20,11 +20,11 @@ from vergence.models.files.robot_description.mechanism import (
 from vergence.models.files.robot_description.robot_xml import (
     EXPECTED,
     Limits,
-    Written,
+    UrdfExtras,
     check_names,
     parse_xml,
-    urdf_ties,
-    urdf_written,
+    urdf_extras,
+    urdf_mimic_joints,
 )
 from vergence.models.parts import FloatArray
 
@@ -72,11 +72,11 @@ def _mechanism(spec: Any, root: ET.Element) -> Mechanism:
         world = "world" if any(link.get("name") == "world" for link in root.iter("link")) else ""
         return Mechanism(
             name=root.get("name", ""),
-            frames=_frames(spec, world, urdf_written(root)),
-            ties=urdf_ties(root),
+            frames=_frames(spec, world, urdf_extras(root)),
+            mimic_joints=urdf_mimic_joints(root),
         )
-    frames = _frames(spec, "world", Written({}, {}, {}))
-    return Mechanism(name=spec.modelname, frames=frames, ties=_mjcf_ties(spec))
+    frames = _frames(spec, "world", UrdfExtras({}, {}, {}))
+    return Mechanism(name=spec.modelname, frames=frames, mimic_joints=_mjcf_mimic_joints(spec))
 
 
 def _unreadable(name: str, error: Exception) -> HeadFileError:
@@ -85,10 +85,10 @@ def _unreadable(name: str, error: Exception) -> HeadFileError:
     return HeadFileError(name, reason, f"{EXPECTED} that MuJoCo can read")
 
 
-def _mjcf_ties(spec: Any) -> dict[str, MimicJoint]:
+def _mjcf_mimic_joints(spec: Any) -> dict[str, MimicJoint]:
     """Couplings by active joint equalities, `y - y0 = a0 + a1 (x - x0)`; y0, x0: references."""
     references = {joint.name: float(joint.ref) * _unit(joint) for joint in spec.joints}
-    ties = {}
+    mimic_joints = {}
     for equality in spec.equalities:
         if equality.type != mujoco.mjtEq.mjEQ_JOINT or not equality.active:
             continue
@@ -101,11 +101,11 @@ def _mjcf_ties(spec: Any) -> dict[str, MimicJoint]:
             factor = np.nan
         else:
             offset -= factor * references.get(master, 0.0)
-        ties[follower] = MimicJoint(follower, master, factor, offset)
-    return ties
+        mimic_joints[follower] = MimicJoint(follower, master, factor, offset)
+    return mimic_joints
 
 
-def _frames(spec: Any, world: str, written: Written) -> tuple[Frame, ...]:
+def _frames(spec: Any, world: str, extras: UrdfExtras) -> tuple[Frame, ...]:
     frames: list[Frame] = []
     speeds = _servo_speeds(spec)
     pending = [(spec.worldbody, -1)]
@@ -114,14 +114,14 @@ def _frames(spec: Any, world: str, written: Written) -> tuple[Frame, ...]:
         index = len(frames)
         name = body.name if index else world
         joints = tuple(
-            _joint(spec, joint, f"{name}#{i}", written.limits, speeds)
+            _joint(spec, joint, f"{name}#{i}", extras.limits, speeds)
             for i, joint in enumerate(body.joints)
         )
-        if name in written.kinds:  # MuJoCo splits a planar joint into three
-            whole, kind = written.kinds[name]
+        if name in extras.kinds:  # MuJoCo splits a planar joint into three
+            whole, kind = extras.kinds[name]
             joints = tuple(replace(joint, name=whole, kind=kind) for joint in joints[:1])
         pose = _placed(spec, body)
-        fault = written.faults.get(name, "")
+        fault = extras.faults.get(name, "")
         frames.append(
             Frame(name=name, kind="body", parent=parent, pose=pose, joints=joints, fault=fault)
         )

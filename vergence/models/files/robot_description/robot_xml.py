@@ -80,7 +80,7 @@ Limits = dict[str, tuple[float, float, float]]
 """Lower limit, upper limit and speed limit by joint; nan if the file has none."""
 
 
-class Written(NamedTuple):
+class UrdfExtras(NamedTuple):
     """Values of a URDF's joints that MuJoCo's parser drops or changes."""
 
     limits: Limits
@@ -90,23 +90,23 @@ class Written(NamedTuple):
     """Reason why no path to a camera may pass a link, by link."""
 
 
-def urdf_written(root: ET.Element) -> Written:
-    """Read the values of `Written` from a URDF."""
-    written = Written(_limits(root), {}, {})
+def urdf_extras(root: ET.Element) -> UrdfExtras:
+    """Read the values of `UrdfExtras` from a URDF."""
+    extras = UrdfExtras(_limits(root), {}, {})
     for joint in root.findall("joint"):
         name, child, origin = joint.get("name", ""), joint.find("child"), joint.find("origin")
         link = "" if child is None else child.get("link", "")
         if joint.get("type") == "planar":
-            written.kinds[link] = name, "planar"
+            extras.kinds[link] = name, "planar"
         elif joint.get("type") == "floating":
-            written.kinds[link] = name, "floating"
+            extras.kinds[link] = name, "floating"
         angles = "" if origin is None else origin.get("rpy", "")
         if any(abs(_number(angle)) > _TURN for angle in angles.split()):
-            written.faults[link] = (
+            extras.faults[link] = (
                 f"joint {name}: expected an origin with rpy in radians within one turn, got "
                 f"{angles!r:.80} (is it in degrees?)"
             )
-    return written
+    return extras
 
 
 _TURN: Final = 6.29
@@ -128,18 +128,18 @@ def _limits(root: ET.Element) -> Limits:
     return found
 
 
-def urdf_ties(root: ET.Element) -> dict[str, MimicJoint]:
+def urdf_mimic_joints(root: ET.Element) -> dict[str, MimicJoint]:
     """Read the mimic couplings of a URDF."""
-    ties = {}
+    mimic_joints = {}
     for joint in root.findall("joint"):
         mimic = joint.find("mimic")
         if mimic is not None:
             name = joint.get("name", "")
             factor = _number(mimic.get("multiplier", "1"))
-            ties[name] = MimicJoint(
+            mimic_joints[name] = MimicJoint(
                 name, mimic.get("joint", ""), factor, _number(mimic.get("offset", "0"))
             )
-    return ties
+    return mimic_joints
 
 
 def _number(text: str | None) -> float:

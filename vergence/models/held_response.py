@@ -26,11 +26,11 @@ _CRITICAL: Final = 1e-5
 zero at critical damping (numerical)."""
 
 
-class Pace(NamedTuple):
+class HeldResponse(NamedTuple):
     """Coefficients of the response to a command held for a fixed time, split into equal parts.
 
     Over a part, the state (gap, w), with the gap v - u, changes linearly to
-    `(kept gap + pushed w, drawn gap + builds w)`.
+    `(gap_gap gap + gap_w w, w_gap gap + w_w w)`.
     """
 
     lag: float
@@ -43,19 +43,19 @@ class Pace(NamedTuple):
     """Duration of one part, s."""
     parts: int
     """Number of parts of the hold time."""
-    kept: float
+    gap_gap: float
     """Factor from the gap to the gap after a part."""
-    pushed: float
+    gap_w: float
     """Factor from the acceleration to the gap after a part, s."""
-    builds: float
+    w_w: float
     """Factor from the acceleration to the acceleration after a part."""
-    drawn: float
+    w_gap: float
     """Factor from the gap to the acceleration after a part, 1/s."""
 
 
 @inlined
-def _shares(lag: float, square: float, t: float) -> tuple[float, float, float, float]:
-    """`kept`, `pushed`, `builds` and `drawn` for the time t."""
+def _transition(lag: float, square: float, t: float) -> tuple[float, float, float, float]:
+    """`gap_gap`, `gap_w`, `w_w` and `w_gap` for the time t."""
     decay = 0.5 * lag / square
     gap = decay * decay - 1.0 / square
     if gap < 0.0:
@@ -69,7 +69,7 @@ def _shares(lag: float, square: float, t: float) -> tuple[float, float, float, f
 
 
 @inlined
-def pace_of(lag: float, build_up: float, a: float, time: float) -> Pace:
+def held_response(lag: float, build_up: float, a: float, time: float) -> HeldResponse:
     """Prepare the coefficients.
 
     Args:
@@ -79,30 +79,32 @@ def pace_of(lag: float, build_up: float, a: float, time: float) -> Pace:
         time: hold time of a command, s.
     """
     if build_up < _LEAST or time <= 0.0:
-        return Pace(lag, 0.0, a, time, 1, lag_decay(time, lag), 0.0, 0.0, 0.0)
+        return HeldResponse(lag, 0.0, a, time, 1, lag_decay(time, lag), 0.0, 0.0, 0.0)
     square, parts = build_up * lag * lag, 1
     if a < inf:
         parts = min(int(time / (_PART * sqrt(square))) + 1, _MOST_PARTS)
-    kept, pushed, builds, drawn = _shares(lag, square, time / parts)
-    return Pace(lag, square, a, time / parts, parts, kept, pushed, builds, drawn)
+    gap_gap, gap_w, w_w, w_gap = _transition(lag, square, time / parts)
+    return HeldResponse(lag, square, a, time / parts, parts, gap_gap, gap_w, w_w, w_gap)
 
 
 @inlined
-def _free(
-    q: float, v: float, w: float, u: float, pace: Pace, t: float
+def _unlimited(
+    q: float, v: float, w: float, u: float, response: HeldResponse, t: float
 ) -> tuple[float, float, float]:
     """State after the time t, without a limit on the acceleration."""
-    kept, pushed, builds, drawn = _shares(pace.lag, pace.square, t)
+    gap_gap, gap_w, w_w, w_gap = _transition(response.lag, response.square, t)
     gap = v - u
-    after, then = gap * kept + w * pushed, w * builds + gap * drawn
+    after, then = gap * gap_gap + w * gap_w, w * w_w + gap * w_gap
     # integral of the equation of motion
-    q += u * t - pace.square * (then - w) - pace.lag * (after - gap)
+    q += u * t - response.square * (then - w) - response.lag * (after - gap)
     return q, u + after, then
 
 
 @inlined
-def follow_pace(q: float, v: float, w: float, u: float, pace: Pace) -> tuple[float, float, float]:
-    """Move a joint by the hold time of a pace, without position limits.
+def follow_held(
+    q: float, v: float, w: float, u: float, response: HeldResponse
+) -> tuple[float, float, float]:
+    """Move a joint by the hold time of a response, without position limits.
 
     The result is exact if the acceleration stays within its limit. Otherwise the error is within
     half a percent of the distance moved, if the hold time is at most 1.5 time constants.
@@ -112,41 +114,44 @@ def follow_pace(q: float, v: float, w: float, u: float, pace: Pace) -> tuple[flo
         v: velocity, rad/s.
         w: acceleration, rad/s^2; ignored by a first-order lag.
         u: velocity command, rad/s.
-        pace: coefficients from `pace_of`.
+        response: coefficients from `held_response`.
 
     Returns:
         Angle, velocity and acceleration; rad, rad/s and rad/s^2.
     """
-    a = pace.a
-    if pace.square == 0.0:
-        q, v = follow_joint(q, v, u, pace.lag, a, pace.time, pace.kept)
-        return q, v, min(max((u - v) / pace.lag, -a), a)
-    for _ in range(pace.parts):
-        t = pace.time
+    a = response.a
+    if response.square == 0.0:
+        q, v = follow_joint(q, v, u, response.lag, a, response.time, response.gap_gap)
+        return q, v, min(max((u - v) / response.lag, -a), a)
+    for _ in range(response.parts):
+        t = response.time
         w = min(max(w, -a), a)
         # at the limit until the equation demands a smaller |w|
         held = 0.0
         if abs(w) == a:
-            held = min(max((u - v - pace.lag * w) / w, 0.0), t)
+            held = min(max((u - v - response.lag * w) / w, 0.0), t)
             q, v, t = q + (v + 0.5 * w * held) * held, v + w * held, t - held
             if t <= 0.0:
                 continue
         gap = v - u
-        after, then = gap * pace.kept + w * pace.pushed, w * pace.builds + gap * pace.drawn
+        after, then = (
+            gap * response.gap_gap + w * response.gap_w,
+            w * response.w_w + gap * response.w_gap,
+        )
         if held > 0.0:
-            q, v, w = _free(q, v, w, u, pace, t)
+            q, v, w = _unlimited(q, v, w, u, response, t)
         elif abs(then) <= a:
-            q += u * t - pace.square * (then - w) - pace.lag * (after - gap)
+            q += u * t - response.square * (then - w) - response.lag * (after - gap)
             v, w = u + after, then
         else:
             # time until the limit: linear extrapolation, then one secant step
             limit = a if then > 0.0 else -a
-            slope = -(gap + pace.lag * w) / pace.square
+            slope = -(gap + response.lag * w) / response.square
             meets = min(max((limit - w) / slope, 0.0), t) if slope != 0.0 else 0.0
-            came = _free(q, v, w, u, pace, meets)[2]
+            came = _unlimited(q, v, w, u, response, meets)[2]
             if came != w:
                 meets = min(max(meets * (limit - w) / (came - w), 0.0), t)
-            q, v, w = _free(q, v, w, u, pace, meets)
+            q, v, w = _unlimited(q, v, w, u, response, meets)
             w, t = limit, t - meets
             q, v = q + (v + 0.5 * w * t) * t, v + w * t
     return q, v, w
