@@ -97,7 +97,7 @@ class Case(NamedTuple):
         if self.fault == DESK:
             return load_scenario(DESK)
         scenario = replace(
-            load_scenario("hardware"), head=self.head, parts={}, duration_s=DURATION_S
+            load_scenario("hardware"), head=self.head, head_overrides={}, duration_s=DURATION_S
         )
         for name, value in FAULTS[self.fault](scenario.model().timing).items():
             scenario = moved(scenario, name, value)
@@ -144,7 +144,7 @@ def far_out() -> Iterator[tuple[str, Scenario]]:
 
     An end at the expected value is left out: its trials are those of `hardware`, or milder.
     """
-    yield from ((name, one) for name, one in SCENARIOS.items() if not one.moving)
+    yield from ((name, one) for name, one in SCENARIOS.items() if not one.target_moves)
     hardware = load_scenario("hardware")
     head = hardware.model()
     for name in SEARCHED:

@@ -14,7 +14,7 @@ from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 
 WORKSPACE = load_scenario("workspace")
-KNOWN = Scenario(name="known", what="a step", target=STEP.target, duration_s=0.5)
+KNOWN = Scenario(name="known", description="a step", target=STEP.target, duration_s=0.5)
 
 
 def measured(controller, name: str, value: float, scenario: Scenario = KNOWN) -> Point:

@@ -42,9 +42,9 @@ class Forgetful:
 
 def outcome(*recorded, controller="state-feedback"):
     contestant = contestants((controller,), given=GivenOptions())[0]
-    fitted = contestant.fitted(DESK.head, SCENARIO.name)
+    resolved = contestant.resolve_options(DESK.head, SCENARIO.name)
     job = RobotJob(
-        contestant=contestant, fitted=fitted, scenario=SCENARIO, plant=ROBOT, head=DESK.head,
+        contestant=contestant, resolved=resolved, scenario=SCENARIO, plant=ROBOT, head=DESK.head,
         episodes=len(recorded), seed=0, keep_going=True, hardware=DESK, recorded=recorded,
     )  # fmt: skip
     return job()

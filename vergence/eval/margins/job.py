@@ -39,5 +39,5 @@ class MarginJob(ContestantJob[Margin]):
             points=measure.points,
             head=made.head,
             options=made.options,
-            tuned=self.fitted.tuned,
+            tuned=self.resolved.tuned,
         )

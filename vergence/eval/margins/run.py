@@ -64,8 +64,8 @@ def measure_margins(
     mapper = mapper or SerialMapper()
     lineup = line_up(config, others, mapper, options, baseline=False)
     for scenario, _ in lineup.pairs:
-        if scenario.moving:
-            rest = ", ".join(one.name for one in SCENARIOS.values() if not one.moving)
+        if scenario.target_moves:
+            rest = ", ".join(one.name for one in SCENARIOS.values() if not one.target_moves)
             raise ConfigurationError(
                 f"scenario: expected one of {rest} with --margins, got {scenario.name}, whose "
                 "target never comes to rest"
@@ -76,10 +76,10 @@ def measure_margins(
         notes += left_out
         jobs += [
             MarginJob(
-                contestant=one, fitted=fitted, scenario=scenario, plant=plant, head=lineup.head,
+                contestant=one, resolved=resolved, scenario=scenario, plant=plant, head=lineup.head,
                 imperfection=name, episodes=config.trials, seed=config.seed, keep_going=keep_going,
             )
-            for one, fitted in lineup.able[scenario.name]
+            for one, resolved in lineup.contestants[scenario.name]
             for name in names
         ]  # fmt: skip
     results = mapper(jobs)
@@ -96,7 +96,7 @@ def measure_margins(
         config=config,
         found=found,
         notes=[*lineup.notes, *notes],
-        failures=list(dict.fromkeys(one.told for one in failed)),
+        failures=list(dict.fromkeys(one.text for one in failed)),
     )
 
 

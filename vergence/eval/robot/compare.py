@@ -100,8 +100,8 @@ class RobotRun:
     ) -> dict[str, RobotController]:
         """Make the controllers, by label; refuse one that differs from its earlier trials."""
         found = {}
-        for contestant, fitted in self.lineup.able[scenario.name]:
-            made = RobotController(contestant, self.hardware.head, fitted.options)
+        for contestant, resolved in self.lineup.contestants[scenario.name]:
+            made = RobotController(contestant, self.hardware.head, resolved.options)
             for one in recorded.values():
                 entry = one.entry
                 same = (entry.controller_sha256, entry.options) == (
@@ -142,12 +142,12 @@ class RobotRun:
         without = {(one.scenario, one.controller) for one in failed}
         found = []
         for scenario in self.scenarios:
-            for contestant, fitted in self.lineup.able[scenario.name]:
+            for contestant, resolved in self.lineup.contestants[scenario.name]:
                 if (scenario.name, contestant.label) in without:
                     continue
                 keys = (TrialKey(scenario.name, contestant.label, i) for i in range(self.episodes))
                 job = RobotJob(
-                    contestant=contestant, fitted=fitted, scenario=scenario, plant=ROBOT,
+                    contestant=contestant, resolved=resolved, scenario=scenario, plant=ROBOT,
                     head=self.hardware.head, episodes=self.episodes, seed=self.seed,
                     keep_going=keep_going, hardware=self.hardware,
                     recorded=tuple(recorded[key] for key in keys),
@@ -178,7 +178,7 @@ class RobotRun:
         )
         return (
             f"{ROBOT} is a robot: {hardware.head.name} of {hardware.path}, before "
-            f"{self.stage.what}; the bound is {loop}; {missed} of {passed} "
+            f"{self.stage.description}; the bound is {loop}; {missed} of {passed} "
             f"control periods were missed{stops}"
         )
 
@@ -278,7 +278,7 @@ class _Connection:
         """Let a controller act; returns false if it failed and is left out from now on."""
         made = self._ready[label]
         try:
-            with made.blamed():
+            with made.attributing_errors():
                 act(made)
         except ControllerError as error:
             if not self._keep_going:

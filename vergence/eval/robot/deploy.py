@@ -142,7 +142,7 @@ def _gaze(
             gazes.add(task, record)
 
     try:
-        with robot.blamed():
+        with robot.attributing_errors():
             task.prepare(robot.policy)
             for number in range(config.gazes):
                 gaze(number)

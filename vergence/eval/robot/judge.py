@@ -13,7 +13,7 @@ from vergence.envs.reading import BoolArray, Reading, Truth
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.eval.comparison.job import EvaluationJob
-from vergence.eval.comparison.own_code import errors_attributed_to
+from vergence.eval.comparison.user_code import errors_attributed_to
 from vergence.eval.robot.sessions import RecordedTrial
 from vergence.eval.robot.stage import REST
 from vergence.eval.trials.bound import settle_bound
@@ -67,7 +67,7 @@ class RobotJob(EvaluationJob):
             points.append(known if np.isfinite(known).all() else _measured(head, one.trial))
             found.append(trials)
         all_of_them = join(found)
-        if scenario.moving:
+        if scenario.target_moves:
             return all_of_them
         return replace(all_of_them, bounds_s=bounds(self.hardware, all_of_them, np.array(points)))
 

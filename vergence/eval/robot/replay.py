@@ -131,7 +131,7 @@ def replay(
     if same and config.controller in CONTROLLERS and config.options is None:
         options = _options(log)
     again = RobotController.of(config.controller, log.head, config.options, options)
-    with again.blamed():
+    with again.attributing_errors():
         return _run(log, again, tuple(_notes(log, config, again)), progress)
 
 

@@ -86,7 +86,7 @@ class TrialsJob:
             head=self.head,
             first_trial=self.numbers.start,
         )
-        if trials.moving:
+        if trials.target_moves:
             return trials.tracking_px, ~trials.lost
         band_px = trials.band_px
         return trials.settle_or_trial_s(band_px), np.isfinite(trials.settle_s(band_px))

@@ -72,7 +72,7 @@ def tune(
         storage=config.storage_in(folder),
     )
     keys = ("controller", "scenario", "plant", "episodes", "steps")
-    band = {} if scenario.moving else {"band_px": scenario.band_px}
+    band = {} if scenario.target_moves else {"band_px": scenario.band_px}
     search = SearchSpec(
         name=config.name,
         storage=config.storage_in(folder),
@@ -94,7 +94,7 @@ def tune(
         config=config,
         best=min(attempts, key=lambda attempt: attempt.rank),
         attempts=attempts,
-        unit="px" if scenario.moving else "s",
+        unit="px" if scenario.target_moves else "s",
     )
     _write(folder, result, spans, head)
     return result
