@@ -231,7 +231,7 @@ def test_an_object_that_raises_is_told_by_its_place_and_keeps_its_error():
             raise OSError(5, "no camera")
 
     with pytest.raises(
-        ControllerError, match=r"test_own_code\.py:\d+ in predict: OSError"
+        ControllerError, match=r"test_user_code\.py:\d+ in predict: OSError"
     ) as caught:
         evaluate(EvaluateConfig(episodes=2), {"mine": Rash()})
     assert isinstance(caught.value.__cause__, OSError)

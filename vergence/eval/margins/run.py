@@ -18,8 +18,8 @@ from vergence.eval.jobs import Mapper, SerialMapper
 from vergence.eval.margins.config import MarginsConfig
 from vergence.eval.margins.job import MarginJob
 from vergence.eval.margins.margins import Margin, Margins
-from vergence.eval.margins.measure import moved
-from vergence.eval.margins.ranges import SEARCHED, matters, range_of
+from vergence.eval.margins.measure import with_imperfection
+from vergence.eval.margins.ranges import SEARCHED, has_effect, range_of
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 
 __all__ = ["MarginsConfig", "measure_margins"]
@@ -106,7 +106,7 @@ def _imperfections(
     """Imperfections to vary in a scenario, and a note for each one that is left out."""
     head = scenario.model() if lineup.head is None else lineup.head
     asked = [name for name in SEARCHED if name in (config.imperfections or SEARCHED)]
-    names = [name for name in asked if matters(name, scenario)]
+    names = [name for name in asked if has_effect(name, scenario)]
     notes = [
         f"{name} is left out of {scenario.name}: it has no outliers"
         for name in asked
@@ -116,7 +116,9 @@ def _imperfections(
     refused = []
     for name in names:
         try:
-            moved(scenario, name, expected[name]).task(1, plant=plant, head=lineup.head).close()
+            with_imperfection(scenario, name, expected[name]).task(
+                1, plant=plant, head=lineup.head
+            ).close()
         except ConfigurationError as error:
             refused.append(name)
             notes.append(f"{name} is left out of {scenario.name} on {plant}: {error}")

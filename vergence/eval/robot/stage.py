@@ -25,7 +25,7 @@ STAGES: Final = ("emulator", "places", "hand", "still")
 """Names of the stages; by default the first available one is used."""
 _JUMPS: Final = ("double-step", "occluded")
 """Kinds of targets that disappear or jump after they have appeared."""
-REST: Final = {"kind": "static", "point": (0.0, 0.0, 1.0)}
+REST_TARGET: Final = {"kind": "static", "point": (0.0, 0.0, 1.0)}
 """The task's target for a robot; it only makes trials begin at rest."""
 
 
@@ -53,7 +53,7 @@ class TargetStage(ABC):
                 f"scenario: expected one whose target stands still before a robot, got "
                 f"{scenario.name}, whose target is {kind!r}; an emulated head has any"
             )
-        return REST
+        return REST_TARGET
 
     def check(self) -> None:
         """Check, before anything moves, that targets can be placed.

@@ -118,12 +118,12 @@ def controller_objective(
             )
             for pair in pairwise(ends)
         ]
-        return judged(mapper(jobs))
+        return summarise_trials(mapper(jobs))
 
     return judge
 
 
-def judged(parts: Sequence[tuple[FloatArray, NDArray[np.bool_]]]) -> dict[str, float]:
+def summarise_trials(parts: Sequence[tuple[FloatArray, NDArray[np.bool_]]]) -> dict[str, float]:
     """Summarise the trials of a point.
 
     Args:
