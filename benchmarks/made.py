@@ -21,8 +21,8 @@ def imperfections() -> list[str]:
     for name, one in IMPERFECTIONS.items():
         below = "below " if one.unit == "s" else ""
         span = f"{one.least:g} to {below}{one.most:g}" if one.most < inf else f"from {one.least:g}"
-        said = f"`{one.of_head}`" if one.of_head else f"{one.otherwise:g}"
-        rows.append(f"| `{name}` | {one.unit} | {span} | {said} | {one.what} |")
+        said = f"`{one.head_path}`" if one.head_path else f"{one.default:g}"
+        rows.append(f"| `{name}` | {one.unit} | {span} | {said} | {one.description} |")
     return rows
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vergence import load_head
-from vergence.controllers.command_steps import CommandSteps
+from vergence.controllers.command_steps import CommandQuantiser
 
 STEP = 0.024
 LIMITS = np.full(4, 6.0)
@@ -15,8 +15,8 @@ HEAD = load_head("simulated").replace(sensor={"command_resolution_rad_s": STEP})
 
 def sent(commands: np.ndarray) -> np.ndarray:
     """(steps, 4) what is sent of a series of commands."""
-    steps, carried = CommandSteps(HEAD, LIMITS), np.zeros(4)
-    return np.array([steps.sent(command, carried) for command in commands])
+    steps, carried = CommandQuantiser(HEAD, LIMITS), np.zeros(4)
+    return np.array([steps.quantise(command, carried) for command in commands])
 
 
 @given(st.lists(st.floats(-5.9, 5.9), min_size=4, max_size=4))
@@ -42,7 +42,7 @@ def test_a_command_of_rest_rests_and_forgets() -> None:
 
 
 def test_where_commands_have_no_steps_they_are_sent_as_they_are() -> None:
-    steps, carried = CommandSteps(load_head("simulated"), LIMITS), np.zeros(4)
+    steps, carried = CommandQuantiser(load_head("simulated"), LIMITS), np.zeros(4)
     command = np.array([0.001, -0.002, 3.0, 0.0])
-    assert np.array_equal(steps.sent(command, carried), command)
+    assert np.array_equal(steps.quantise(command, carried), command)
     assert not carried.any()

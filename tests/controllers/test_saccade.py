@@ -28,16 +28,16 @@ def settled(trial, band_px=1.0):
     return settle_time(np.arange(len(trial.errors)) * PERIOD_S, trial.errors, band_px)
 
 
-def move(to_go: float, v: float, periods: int, lag: float = 0.03) -> np.ndarray:
+def move(angle_error: float, v: float, periods: int, lag: float = 0.03) -> np.ndarray:
     """(periods + 1, 2) what is left and the velocity of one joint that follows its commands."""
     rig = joint_rig(load_head("simulated"))
     q, speed = np.zeros((1, 7)), np.zeros((1, 7))
     speed[0, 3] = v
-    states = [(to_go, v)]
+    states = [(angle_error, v)]
     for _ in range(periods):
         command = np.zeros((1, 7))
         command[:, 3:] = saccade_command(
-            [[to_go - q[0, 3], 0.0, 0.0, 0.0]],
+            [[angle_error - q[0, 3], 0.0, 0.0, 0.0]],
             speed[:, 3:],
             np.zeros((1, 4)),
             np.zeros((1, 4)),
@@ -51,14 +51,14 @@ def move(to_go: float, v: float, periods: int, lag: float = 0.03) -> np.ndarray:
         )
         assert np.abs(command).max() <= 6.0
         q, speed = respond(q, speed, command, lag, 120.0, PERIOD_S)
-        states.append((to_go - q[0, 3], speed[0, 3]))
+        states.append((angle_error - q[0, 3], speed[0, 3]))
     return np.array(states)
 
 
 def test_a_small_angle_takes_two_periods_and_ends_at_rest() -> None:
-    for lag, to_go in some_of([0.015, 0.03, 0.06], [0.002, -0.002, 0.003]):
-        with named(lag, to_go):
-            after = move(to_go, 0.0, 2, lag)[-1]
+    for lag, angle_error in some_of([0.015, 0.03, 0.06], [0.002, -0.002, 0.003]):
+        with named(lag, angle_error):
+            after = move(angle_error, 0.0, 2, lag)[-1]
             assert abs(after[0]) < 1e-9
             assert abs(after[1]) < 1e-6
 
@@ -66,20 +66,20 @@ def test_a_small_angle_takes_two_periods_and_ends_at_rest() -> None:
 def test_a_joint_that_could_stop_does_not_pass_its_goal() -> None:
     for v, degrees, lag in some_of([0.0, 2.0, -3.0], [-30.0, -4.0, 7.0, 15.0, 40.0], [0.015, 0.03]):
         with named(v, degrees, lag):
-            to_go = np.radians(degrees)
-            way = move(to_go, np.sign(to_go) * v, 60, lag)
-            assert abs(way[-1, 0]) < 1e-6
-            assert abs(way[-1, 1]) < 1e-4
+            angle_error = np.radians(degrees)
+            motion = move(angle_error, np.sign(angle_error) * v, 60, lag)
+            assert abs(motion[-1, 0]) < 1e-6
+            assert abs(motion[-1, 1]) < 1e-4
             # a hundredth of a pixel
-            assert (way[:, 0] * np.sign(to_go)).min() > -1.6e-5
+            assert (motion[:, 0] * np.sign(angle_error)).min() > -1.6e-5
 
 
 def test_a_joint_stops_as_soon_as_bang_bang_control_could() -> None:
     for degrees in [5.0, 10.0, 20.0, 30.0]:
         with named(degrees):
             fastest = {5.0: 0.054, 10.0: 0.077, 20.0: 0.113, 30.0: 0.145}[degrees]
-            way = move(np.radians(degrees), 0.0, 40)
-            outside = np.flatnonzero(np.abs(way[:, 0]) > 1e-3)
+            motion = move(np.radians(degrees), 0.0, 40)
+            outside = np.flatnonzero(np.abs(motion[:, 0]) > 1e-3)
             # 1 mrad is passed up to 5 ms before the end; commands change at whole periods, so the
             # switch and the end each wait for one
             assert fastest - PERIOD_S < (outside[-1] + 1) * PERIOD_S < fastest + 2.0 * PERIOD_S

@@ -20,25 +20,25 @@ PERIOD_S = HEAD.timing.period_s
 
 
 def asked(
-    to_go,
+    angle_error,
     velocity,
     *,
     lag_s=0.03,
     build_up=0.0,
     known=(True, True),
     gain=1.0,
-    swings=0.0,
+    half_swings=0.0,
     law=(20.0, 1.0),
 ):
     """(4,) commands to motors, rad/s."""
     return feedback_command(
-        np.full(4, to_go),
+        np.full(4, angle_error),
         np.full(4, velocity),
         np.zeros(4),
         known,
         [lag_s, build_up],
         np.full(4, gain),
-        swings,
+        half_swings,
         joint_rig(HEAD),
         law,
     )
@@ -56,8 +56,8 @@ def test_a_servo_whose_own_loop_swings_is_damped_whatever_the_option_says(dampin
 
 
 def test_each_swing_too_many_halves_the_rate_down_to_one_that_is_slow() -> None:
-    assert asked(0.1, 0.0, swings=4.0) == pytest.approx(asked(0.1, 0.0) / 4.0)
-    assert asked(0.1, 0.0, swings=6.0, law=(2.0, 1.0)) == pytest.approx(1.0 * 0.1)
+    assert asked(0.1, 0.0, half_swings=4.0) == pytest.approx(asked(0.1, 0.0) / 4.0)
+    assert asked(0.1, 0.0, half_swings=6.0, law=(2.0, 1.0)) == pytest.approx(1.0 * 0.1)
 
 
 def test_a_motor_that_turns_faster_than_it_is_told_is_told_less() -> None:
@@ -76,13 +76,15 @@ def test_an_eye_without_a_target_is_held() -> None:
 
 @pytest.mark.parametrize("gain", [5.0, 20.0])
 def test_with_full_damping_what_is_left_decays_at_the_rate_of_the_gain(gain) -> None:
-    q, v, to_go = 0.0, 0.0, 0.02
+    q, v, angle_error = 0.0, 0.0, 0.02
     for _ in range(60):
-        u = asked(to_go - q, v, law=(gain, 1.0))[1]
-        before = to_go - q - 0.03 * v
+        u = asked(angle_error - q, v, law=(gain, 1.0))[1]
+        before = angle_error - q - 0.03 * v
         q, v = respond(q, v, u, 0.03, 1e6, PERIOD_S)
         # one pole cancels the lag
-        assert to_go - q - 0.03 * v == pytest.approx(before * (1.0 - gain * PERIOD_S), abs=1e-12)
+        assert angle_error - q - 0.03 * v == pytest.approx(
+            before * (1.0 - gain * PERIOD_S), abs=1e-12
+        )
 
 
 @pytest.mark.parametrize("plant", ["kinematic", "mujoco"])

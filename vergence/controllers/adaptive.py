@@ -82,8 +82,8 @@ class AdaptiveIBVS(ImageLaw):
         gains = self.gains(reducible(self.head, q, error, self._depth))
         return servo(self.head, q, error, gains, self._depth, self._limit)
 
-    def _law(self, sight: GatedDetections, own: FloatArray) -> FloatArray:
-        return self.command(sight.positions_at_exposure, sight.pixel_error)
+    def _law(self, detections: GatedDetections, own: FloatArray) -> FloatArray:
+        return self.command(detections.positions_at_exposure, detections.pixel_error)
 
 
 @kernel(["(f8[:,:],f8[:],f8[:],f8[:,:])"], f"(2,2),(3),({PACKED})->(2,2)")

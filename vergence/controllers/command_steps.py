@@ -19,7 +19,7 @@ _ROUNDING: Final = 1e-9
 """Relative tolerance for rounding the limit to whole steps (numerical)."""
 
 
-class CommandSteps:
+class CommandQuantiser:
     """Quantises a head's commands and carries the rounding errors over.
 
     Args:
@@ -31,7 +31,7 @@ class CommandSteps:
         self.step_rad_s = head.sensor.command_resolution_rad_s
         self._limits = np.array(limits)
 
-    def sent(self, command: FloatArray, carried: FloatArray) -> FloatArray:
+    def quantise(self, command: FloatArray, carried: FloatArray) -> FloatArray:
         """Compute the commands to send; without quantisation they are the requested ones.
 
         Args:
@@ -44,12 +44,12 @@ class CommandSteps:
         """
         if not self.step_rad_s > 0.0:
             return command
-        carried[...], sent = in_steps(carried, command, self.step_rad_s, self._limits)
-        return np.asarray(sent)
+        carried[...], quantised = quantise_command(carried, command, self.step_rad_s, self._limits)
+        return np.asarray(quantised)
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"], "(4),(4),(),(4)->(4),(4)")
-def in_steps(
+def quantise_command(
     before: FloatArray,
     command: FloatArray,
     step: FloatArray,

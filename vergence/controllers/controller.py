@@ -7,7 +7,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.controllers.fitting import fitting_layout
+from vergence.controllers.fitting import checked_layout
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError, did_you_mean
 from vergence.models.head import HeadModel
@@ -89,7 +89,7 @@ def make_controller(
     """
     if not isinstance(head, HeadModel):
         raise ConfigurationError(f"head: expected a HeadModel, see load_head, got {head!r:.80}")
-    layout = fitting_layout(head, layout)
+    layout = checked_layout(head, layout)
     make = entry_of(name)
     try:
         inspect.signature(make).bind(head=head, layout=layout, **options)

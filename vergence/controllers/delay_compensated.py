@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.controllers.command_steps import CommandSteps
+from vergence.controllers.command_steps import CommandQuantiser
 from vergence.controllers.ibvs import IBVS
+from vergence.controllers.prediction.oscillation import MANY_HALF_SWINGS
 from vergence.controllers.prediction.predictor import Predictor
-from vergence.controllers.prediction.swinging import MANY
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.actuation import SLOTS
@@ -55,7 +55,7 @@ class DelayCompensated(StatefulController):
         super().__init__(head=head, layout=layout)
         self.law = IBVS(head=head, layout=layout, gain=gain, depth=depth, speed_limit=speed_limit)
         self.predictor = Predictor(head=head, layout=layout, delay=delay, lag=delay)
-        self._steps = CommandSteps(head, self.layout.action_limits)
+        self._quantiser = CommandQuantiser(head, self.layout.action_limits)
 
     def _initial(self) -> FloatArray:
         return np.concatenate([self.predictor.initial(), np.zeros(SLOTS)])
@@ -66,5 +66,6 @@ class DelayCompensated(StatefulController):
         q[..., EYES] = present.positions
         command = self.law.command(q, present.pixel_error)
         # the law is linear: scaling its command scales its gain
-        command = command * np.exp2(-np.maximum(present.swings - MANY, 0.0))[..., None]
-        return self._steps.sent(command, state[..., -SLOTS:])
+        excess = np.maximum(present.half_swings - MANY_HALF_SWINGS, 0.0)
+        command = command * np.exp2(-excess)[..., None]
+        return self._quantiser.quantise(command, state[..., -SLOTS:])

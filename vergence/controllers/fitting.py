@@ -5,7 +5,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 
 
-def fitting_layout(head: HeadModel, layout: ObservationLayout | None) -> ObservationLayout:
+def checked_layout(head: HeadModel, layout: ObservationLayout | None) -> ObservationLayout:
     """Return the layout for a controller of a head.
 
     Args:

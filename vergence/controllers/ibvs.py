@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import inlined, kernel
 from vergence.controllers.coupled import coupled_command
-from vergence.controllers.fitting import fitting_layout
+from vergence.controllers.fitting import checked_layout
 from vergence.envs.fields import float_array, number
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError
@@ -57,7 +57,7 @@ class IBVS:
         speed_limit: float | None = None,
     ) -> None:
         self.head = head
-        self.layout = fitting_layout(head, layout)
+        self.layout = checked_layout(head, layout)
         self.gain = as_gains("gain", gain)
         self._depth = as_depth(depth)
         self._limit = speed_limits(layout, speed_limit)

@@ -8,7 +8,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from vergence.controllers.command_steps import CommandSteps
+from vergence.controllers.command_steps import CommandQuantiser
 from vergence.controllers.outlier_gate import GatedDetections, OutlierGate
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import Observation, ObservationLayout
@@ -18,7 +18,7 @@ from vergence.models.parts import FloatArray
 
 
 class ImageLaw(StatefulController):
-    """A law on pixel errors between an `OutlierGate` and `CommandSteps`.
+    """A law on pixel errors between an `OutlierGate` and `CommandQuantiser`.
 
     The state is that of the gate, then the law's own, then the rounding errors of the commands.
 
@@ -30,14 +30,14 @@ class ImageLaw(StatefulController):
     def __init__(self, *, head: HeadModel, layout: ObservationLayout) -> None:
         super().__init__(head=head, layout=layout)
         self._gate = OutlierGate(head, self.layout)
-        self._steps = CommandSteps(head, self.layout.action_limits)
+        self._quantiser = CommandQuantiser(head, self.layout.action_limits)
 
     def _own_initial(self) -> FloatArray:
         """(S,) the law's own state at a trial's start; empty unless overridden."""
         return np.zeros(0)
 
     @abstractmethod
-    def _law(self, sight: GatedDetections, own: FloatArray) -> FloatArray:
+    def _law(self, detections: GatedDetections, own: FloatArray) -> FloatArray:
         """(..., 4) velocities of the eyes' actuators, rad/s; changes `own` (..., S) in place."""
 
     def _initial(self) -> FloatArray:
@@ -46,4 +46,4 @@ class ImageLaw(StatefulController):
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         gate, own = state[..., : OutlierGate.size], state[..., OutlierGate.size : -SLOTS]
         command = self._law(self._gate.update(seen, gate), own)
-        return self._steps.sent(command, state[..., -SLOTS:])
+        return self._quantiser.quantise(command, state[..., -SLOTS:])

@@ -5,13 +5,13 @@ from vergence.controllers.prediction.joints import PredictorModel
 
 
 @inlined
-def least_command(u: float, to_go: float, rig: PredictorModel, gain: float) -> float:
+def least_command(u: float, resting_error: float, rig: PredictorModel, gain: float) -> float:
     """Replace a command too small to move the motor by the smallest effective pulse, or by zero.
 
     Args:
         u: the command, rad/s.
-        to_go: distance from the goal at which the actuator would come to rest under zero command,
-            rad.
+        resting_error: distance from the goal at which the actuator would come to rest under zero
+            command, rad.
         rig: the head's parameters.
         gain: ratio of the actuator's velocity to its command.
     """
@@ -19,6 +19,6 @@ def least_command(u: float, to_go: float, rig: PredictorModel, gain: float) -> f
     if step == 0.0 or abs(u) >= 1.5 * step:
         return u
     push = 2.0 * step
-    if abs(u) > 0.3 * step and abs(to_go) > 0.6 * push * gain * rig.period_s:
+    if abs(u) > 0.3 * step and abs(resting_error) > 0.6 * push * gain * rig.period_s:
         return push if u > 0.0 else -push
     return 0.0

@@ -160,7 +160,7 @@ class OutlierGate:
 
 
 @inlined
-def _judged(g: EyeGate, law: GateLaw, u: float, v: float) -> int:
+def _classify(g: EyeGate, law: GateLaw, u: float, v: float) -> int:
     """Classify a detection as held back, accepted or a jump; consistent motion raises the speed."""
     if g.sees < 0.5:
         return _ACCEPTED
@@ -198,7 +198,7 @@ def pass_gate(
     velocities: FloatArray,
     law_row: FloatArray,
     after: FloatArray,
-    passed: FloatArray,
+    accepted: FloatArray,
     at: FloatArray,
     fresh: FloatArray,
     jumped: FloatArray,
@@ -225,7 +225,7 @@ def pass_gate(
             pass
         elif isfinite(u) and isfinite(v):
             g.missed = 0.0
-            verdict = _judged(g, law, u, v)
+            verdict = _classify(g, law, u, v)
             if verdict != _HELD:
                 g.error[0], g.error[1] = u, v
                 g.angles[0], g.angles[1] = q[first], q[first + 1]
@@ -242,7 +242,7 @@ def pass_gate(
             if g.sees < 0.5 or late or g.speed_px_s > law.smearing_px_s:
                 g.sees = g.held = 0.0
                 fresh[eye] = 1.0
-        passed[eye, 0] = passed[eye, 1] = nan
+        accepted[eye, 0] = accepted[eye, 1] = nan
         if g.sees > 0.5:
-            passed[eye, 0], passed[eye, 1] = g.error[0], g.error[1]
+            accepted[eye, 0], accepted[eye, 1] = g.error[0], g.error[1]
             at[first], at[first + 1] = g.angles[0], g.angles[1]

@@ -126,14 +126,14 @@ class PID(ImageLaw):
     def _own_initial(self) -> FloatArray:
         return make_row(PID_STATE)
 
-    def _law(self, sight: GatedDetections, own: FloatArray) -> FloatArray:
-        error, q = sight.pixel_error, sight.positions_at_exposure
+    def _law(self, detections: GatedDetections, own: FloatArray) -> FloatArray:
+        error, q = detections.pixel_error, detections.positions_at_exposure
         own[...], command = self._ask(
             own,
             error,
             reducible(self.head, q, error, self._depth),
-            sight.fresh,
-            sight.jumped,
+            detections.fresh,
+            detections.jumped,
             q,
             self._constants,
             self._limit,

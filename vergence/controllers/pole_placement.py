@@ -3,11 +3,11 @@ r"""A linear law that turns an actuator to its goal and damps the oscillation of
 An actuator follows its command by `m l^2 dw/dt + l w + v = u`, see
 `vergence.controllers.prediction.response`. The law
 
-    u = k (to_go - l' v - m l^2 w) - (l' - l) w,   l' = max(l, 2 d sqrt(m) l)
+    u = k (e - l' v - m l^2 w) - (l' - l) w,   l' = max(l, 2 d sqrt(m) l)
 
 places three poles: one at the rate k, and two at the servo's own natural frequency, with a damping
 ratio of at least d. If k is fast for the servo, it overshoots the goal by up to one or two percent
-of the angle. With m = 0 the law reduces to `u = k (to_go - l v)`.
+of the angle. With m = 0 the law reduces to `u = k (e - l v)`.
 """
 
 from math import sqrt
@@ -21,12 +21,12 @@ _DAMPING: Final = 0.8
 
 @inlined
 def placed_command(
-    to_go: float, v: float, w: float, rate: float, lag: float, build_up: float
+    angle_error: float, v: float, w: float, rate: float, lag: float, build_up: float
 ) -> float:
     """Compute the command of the law, rad/s.
 
     Args:
-        to_go: angle to the goal, rad.
+        angle_error: angle to the goal, rad.
         v: velocity, rad/s.
         w: acceleration, rad/s^2.
         rate: k, 1/s.
@@ -34,4 +34,4 @@ def placed_command(
         build_up: m.
     """
     damped = max(lag, 2.0 * _DAMPING * sqrt(build_up) * lag)
-    return rate * (to_go - damped * v - build_up * lag * lag * w) - (damped - lag) * w
+    return rate * (angle_error - damped * v - build_up * lag * lag * w) - (damped - lag) * w

@@ -22,7 +22,7 @@ class PredictiveController(StatefulController):
         ConfigurationError: an option has an invalid value.
     """
 
-    _follows: ClassVar[bool] = False
+    _targets_move: ClassVar[bool] = False
     """True if targets may move other than by jumps."""
 
     def __init__(
@@ -35,7 +35,7 @@ class PredictiveController(StatefulController):
     ) -> None:
         super().__init__(head=head, layout=layout)
         self.predictor = Predictor(
-            head=head, layout=layout, delay=delay, lag=lag, moving=self._follows
+            head=head, layout=layout, delay=delay, lag=lag, moving=self._targets_move
         )
 
     def _initial(self) -> FloatArray:

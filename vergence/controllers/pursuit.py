@@ -24,4 +24,4 @@ class Pursuit(Saccade):
     The options are those of `Saccade`.
     """
 
-    _follows: ClassVar[bool] = True
+    _targets_move: ClassVar[bool] = True

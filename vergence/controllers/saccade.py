@@ -8,9 +8,9 @@ encoders, a soft law takes over, `u = k (goal - q - lag v)`, which approaches th
 overshoot at the rate k.
 
 Late braking requires a well-known motor. A linear law is used for the whole turn if the eyes have
-oscillated about a goal (`vergence.controllers.prediction.swinging`), or if the target rests and the
-response model does not explain the eyes' motion; its rate falls with each further half swing. The
-linear law is also used if the lag builds up, as in a servo that overshoots
+oscillated about a goal (`vergence.controllers.prediction.oscillation`), or if the target rests and
+the response model does not explain the eyes' motion; its rate falls with each further half swing.
+The linear law is also used if the lag builds up, as in a servo that overshoots
 (`vergence.controllers.pole_placement`).
 
 The same law follows a moving target (`vergence.controllers.pursuit`): it acts on the joint's motion
@@ -27,7 +27,7 @@ from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
 from vergence.controllers.pole_placement import placed_command
 from vergence.controllers.prediction.joints import RIG, RIG_SIZE, PredictorModel
-from vergence.controllers.prediction.swinging import MANY, calm_rate
+from vergence.controllers.prediction.oscillation import MANY_HALF_SWINGS, calmed_rate
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import record_view
 from vergence.controllers.time_optimal import fastest_command, joint_timing
@@ -54,9 +54,9 @@ _BLIND_S: Final = 0.12
 """Approximate longest time for which a catch-up saccade exceeds that speed, s (chosen)."""
 _LEAST_LAG_S: Final = 0.004
 """Lower bound of the lag in the soft law's rate, s (numerical)."""
-SURE: Final = (
-    "acceleration_ratio", "acceleration_sd", "latency_sd_s", "noise_rad", "misfit", "swings",
-    "build_up",
+TRUST_FIELDS: Final = (
+    "acceleration_ratio", "acceleration_sd", "latency_sd_s", "noise_rad", "misfit",
+    "half_swings", "build_up",
 )  # fmt: skip
 """Fields of a `Prediction` that determine how fast the law may be."""
 _UNEXPLAINED: Final = 4.0
@@ -113,9 +113,9 @@ class Saccade(PredictiveController):
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         now = self.predictor.update(seen, state)
-        sure = np.stack([getattr(now, name) for name in SURE], axis=-1)
+        trust = np.stack([getattr(now, name) for name in TRUST_FIELDS], axis=-1)
         command = saccade_command(
-            now.to_go,
+            now.angle_error,
             now.velocities,
             now.accelerations,
             now.rates,
@@ -123,7 +123,7 @@ class Saccade(PredictiveController):
             now.known,
             now.lag_s,
             now.speed_gain,
-            sure,
+            trust,
             self.predictor.rig,
             self._law,
         )
@@ -132,10 +132,10 @@ class Saccade(PredictiveController):
 
 @kernel(
     ["(f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    f"(4),(4),(4),(4),(4),(2),(),(4),({len(SURE)}),({RIG_SIZE}),(4)->(4)",
+    f"(4),(4),(4),(4),(4),(2),(),(4),({len(TRUST_FIELDS)}),({RIG_SIZE}),(4)->(4)",
 )
 def saccade_command(
-    to_go: FloatArray,
+    angle_error: FloatArray,
     velocity: FloatArray,
     acceleration: FloatArray,
     rate: FloatArray,
@@ -143,7 +143,7 @@ def saccade_command(
     known: NDArray[np.bool_],
     lag_s: FloatArray,
     gain: FloatArray,
-    sure: FloatArray,
+    trust: FloatArray,
     rig_row: FloatArray,
     law: FloatArray,
     out: FloatArray,
@@ -151,7 +151,7 @@ def saccade_command(
     """Compute the actuators' commands of one period, rad/s.
 
     Args:
-        to_go: (4,) angles to the goals, rad.
+        angle_error: (4,) angles to the goals, rad.
         velocity: (4,) velocities of the actuators, rad/s.
         acceleration: (4,) accelerations of the actuators, rad/s^2.
         rate: (4,) velocities of the goals, rad/s.
@@ -159,9 +159,9 @@ def saccade_command(
         known: (2,) True if an eye has a goal; an actuator that moves no such eye is held still.
         lag_s: () lag in the head's timing, s.
         gain: (4,) ratios of velocity to command.
-        sure: (7,) ratio of the accelerations to the model's; standard deviations of its logarithm,
+        trust: (7,) ratio of the accelerations to the model's; standard deviations of its logarithm,
             of the latency, s, and of a detection, rad; misfit of the response; count of half
-            swings; build-up of the lag. See `SURE`.
+            swings; build-up of the lag. See `TRUST_FIELDS`.
         rig_row: a row of `vergence.controllers.prediction.joints.PredictorModel`.
         law: options `braking` and `caution`, the angle of a joint below which the soft law acts,
             rad, and its rate, 1/s.
@@ -169,8 +169,9 @@ def saccade_command(
     """
     rig: PredictorModel = record_view(rig_row, RIG)
     period = rig.period_s
-    unsure = min(sure[1] + sure[2] / period, 1.0)
-    swings, unexplained, builds_up = sure[5] > MANY, sure[4] > _UNEXPLAINED, sure[6] > 0.0
+    unsure = min(trust[1] + trust[2] / period, 1.0)
+    oscillates = trust[5] > MANY_HALF_SWINGS
+    unexplained, builds_up = trust[4] > _UNEXPLAINED, trust[6] > 0.0
     for j in range(4):
         out[j] = 0.0
         if not ((known[0] and rig.moves[j, 0] > 0.5) or (known[1] and rig.moves[j, 1] > 0.5)):
@@ -179,22 +180,25 @@ def saccade_command(
         v, lag = velocity[j] - rate[j], rig.lag_ratio[j] * lag_s[0]
         speed = max(gain[j] * rig.speed[j] - abs(rate[j]), 0.1 * gain[j] * rig.speed[j])
         if rate[j] != 0.0:  # lose sight only briefly of a target that may reverse
-            calm = max(_SEES * rig.sees / rig.leverage[j], abs(to_go[j]) / _BLIND_S)
-            speed = min(speed, calm)
-        a = sure[0] * rig.acceleration[j]
+            visible_speed = max(
+                _SEES * rig.max_slip_rad_s / rig.leverage[j], abs(angle_error[j]) / _BLIND_S
+            )
+            speed = min(speed, visible_speed)
+        a = trust[0] * rig.acceleration[j]
         # uncertain part of the angle turned in a period at full acceleration
         wide = law[2] if rate[j] == 0.0 else _MOVING * law[2]
-        soft = max(wide, _NOISY * sure[3]) / rig.leverage[j]
+        soft = max(wide, _NOISY * trust[3]) / rig.leverage[j]
         near = max(soft, _NEAR * min(a, _MOST_ACCELERATION) * period**2 * unsure)
-        calm = swings or (unexplained and rate[j] == 0.0)
+        calm = oscillates or (unexplained and rate[j] == 0.0)
         if calm or builds_up:
-            linear_rate = calm_rate(_CALM_RATE, sure[5]) if calm else _LINEAR_RATE
-            u = placed_command(to_go[j], v, acceleration[j], linear_rate, lag, sure[6])
-        elif abs(to_go[j]) < near and abs(v) * lag < 3.0 * near:
-            u = min(law[3], _RATE / max(lag, _LEAST_LAG_S)) * (to_go[j] - lag * v)
+            linear_rate = calmed_rate(_CALM_RATE, trust[5]) if calm else _LINEAR_RATE
+            u = placed_command(angle_error[j], v, acceleration[j], linear_rate, lag, trust[6])
+        elif abs(angle_error[j]) < near and abs(v) * lag < 3.0 * near:
+            u = min(law[3], _RATE / max(lag, _LEAST_LAG_S)) * (angle_error[j] - lag * v)
         else:
-            slow = joint_timing(lag, speed, law[0] * exp(-min(law[1] * sure[1], 1.0)) * a, period)
-            u = fastest_command(to_go[j], v, a, slow)
+            braking = law[0] * exp(-min(law[1] * trust[1], 1.0)) * a
+            trusted = joint_timing(lag, speed, braking, period)
+            u = fastest_command(angle_error[j], v, a, trusted)
         u = (min(max(u, -speed), speed) + later_rate[j]) / gain[j]
-        rests = to_go[j] - lag * (v + sure[6] * lag * acceleration[j])
-        out[j] = least_command(u, rests, rig, gain[j])
+        resting_error = angle_error[j] - lag * (v + trust[6] * lag * acceleration[j])
+        out[j] = least_command(u, resting_error, rig, gain[j])

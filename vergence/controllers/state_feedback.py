@@ -1,14 +1,14 @@
 r"""Linear state feedback on the prediction: the simplest law for a known present state.
 
-With to_go the angle that an actuator still has to turn when the command begins to act, v its
+With e the angle that an actuator still has to turn when the command begins to act, v its
 velocity at that time and g its ratio of velocity to command, all of them predicted
 (`vergence.controllers.prediction.predictor`),
 
-    u = k (to_go - c lag v) / g
+    u = k (e - c lag v) / g
 
 An actuator that follows its command with a lag is a second-order system; the constants k (1/s) and
 c place its two poles. With c = 1 one of them cancels the lag, and the other one is at the rate k. k
-is reduced if the eyes oscillate nevertheless (`vergence.controllers.prediction.swinging`). An
+is reduced if the eyes oscillate nevertheless (`vergence.controllers.prediction.oscillation`). An
 actuator whose lag builds up, such as a servo that overshoots, has one more pole, see
 `vergence.controllers.pole_placement`.
 """
@@ -22,8 +22,8 @@ from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
 from vergence.controllers.pole_placement import placed_command
 from vergence.controllers.prediction.joints import RIG, RIG_SIZE, PredictorModel
+from vergence.controllers.prediction.oscillation import calmed_rate
 from vergence.controllers.prediction.predictor import Prediction
-from vergence.controllers.prediction.swinging import calm_rate
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import record_view
 from vergence.envs.fields import at_least_zero, finite_above_zero
@@ -80,10 +80,10 @@ def linear_command(now: Prediction, rig: FloatArray, law: ArrayLike) -> FloatArr
     Returns:
         (..., 4) by actuator, rad/s.
     """
-    follows = np.stack([now.lag_s, now.build_up], axis=-1)
+    lag_values = np.stack([now.lag_s, now.build_up], axis=-1)
     command = feedback_command(
-        now.to_go, now.velocities, now.accelerations, now.known, follows, now.speed_gain,
-        now.swings, rig, law,
+        now.angle_error, now.velocities, now.accelerations, now.known, lag_values, now.speed_gain,
+        now.half_swings, rig, law,
     )  # fmt: skip
     return np.asarray(command)
 
@@ -93,13 +93,13 @@ def linear_command(now: Prediction, rig: FloatArray, law: ArrayLike) -> FloatArr
     f"(4),(4),(4),(2),(2),(4),(),({RIG_SIZE}),(2)->(4)",
 )
 def feedback_command(
-    to_go: FloatArray,
+    angle_error: FloatArray,
     velocity: FloatArray,
     acceleration: FloatArray,
     known: NDArray[np.bool_],
-    follows: FloatArray,
+    lag_values: FloatArray,
     gain: FloatArray,
-    swings: FloatArray,
+    half_swings: FloatArray,
     rig_row: FloatArray,
     law: FloatArray,
     out: FloatArray,
@@ -107,27 +107,27 @@ def feedback_command(
     """Compute the actuators' commands of one period, rad/s.
 
     Args:
-        to_go: (4,) angles to the goals, rad.
+        angle_error: (4,) angles to the goals, rad.
         velocity: (4,) velocities of the actuators, rad/s.
         acceleration: (4,) accelerations of the actuators, rad/s^2.
         known: (2,) True if an eye has a goal; an actuator that moves no such eye is held still.
-        follows: (2,) lag in the head's timing, s, and its build-up.
+        lag_values: (2,) lag in the head's timing, s, and its build-up.
         gain: (4,) ratios of velocity to command.
-        swings: () decayed count of half swings of oscillation.
+        half_swings: () decayed count of half swings of oscillation.
         rig_row: a row of `vergence.controllers.prediction.joints.PredictorModel`.
         law: the options `gain` and `damping`.
         out: (4,) result: the commands, rad/s.
     """
     rig: PredictorModel = record_view(rig_row, RIG)
-    k = calm_rate(law[0], swings[0])
+    k = calmed_rate(law[0], half_swings[0])
     for j in range(4):
         out[j] = 0.0
         if not ((known[0] and rig.moves[j, 0] > 0.5) or (known[1] and rig.moves[j, 1] > 0.5)):
             continue
-        v, w, lag = velocity[j], acceleration[j], rig.lag_ratio[j] * follows[0]
+        v, w, lag = velocity[j], acceleration[j], rig.lag_ratio[j] * lag_values[0]
         limit = gain[j] * rig.speed[j]
-        damping = law[1] if follows[1] == 0.0 else 1.0
-        u = placed_command(to_go[j], v, w, k, damping * lag, follows[1])
+        damping = law[1] if lag_values[1] == 0.0 else 1.0
+        u = placed_command(angle_error[j], v, w, k, damping * lag, lag_values[1])
         u = min(max(u, -limit), limit)
-        rests = to_go[j] - lag * (v + follows[1] * lag * w)
-        out[j] = least_command(u / gain[j], rests, rig, gain[j])
+        resting_error = angle_error[j] - lag * (v + lag_values[1] * lag * w)
+        out[j] = least_command(u / gain[j], resting_error, rig, gain[j])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.controllers.fitting import fitting_layout
+from vergence.controllers.fitting import checked_layout
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -33,7 +33,7 @@ class StatefulController(ABC):
 
     def __init__(self, *, head: HeadModel, layout: ObservationLayout) -> None:
         self.head = head
-        self.layout = fitting_layout(head, layout)
+        self.layout = checked_layout(head, layout)
 
     @abstractmethod
     def _initial(self) -> FloatArray:

@@ -47,9 +47,9 @@ class JointTiming(NamedTuple):
     """Largest speed that a last period can stop within the acceleration limit, rad/s."""
     last: float
     """Largest speed that a last period can stop at all, rad/s."""
-    way_per_speed: float
+    distance_per_speed: float
     """Distance moved in a last period per unit of its initial speed, up to `smooth`, s."""
-    last_way: float
+    last_distance: float
     """Distance moved in a last period from the speed `last`, rad."""
 
 
@@ -60,65 +60,66 @@ def joint_timing(lag: float, u_max: float, a: float, period: float) -> JointTimi
     e = exp(-period / lag)
     per_speed = lag - period * e / (1.0 - e)
     smooth = min(a * lag * (1.0 - e), u_max * (1.0 - e) / e if e > 0.0 else inf)
-    last, way = smooth, per_speed * smooth
+    last, distance = smooth, per_speed * smooth
     if a * lag <= u_max and a * period > smooth:
-        last, way = a * period, 0.5 * a * period * period
-    return JointTiming(lag, u_max, a, period, e, smooth, last, per_speed, way)
+        last, distance = a * period, 0.5 * a * period * period
+    return JointTiming(lag, u_max, a, period, e, smooth, last, per_speed, distance)
 
 
 @inlined
-def stopping_way(v: float, joint: JointTiming) -> float:
+def stopping_distance(v: float, joint: JointTiming) -> float:
     """Shortest signed distance that a joint moves until it rests, in the direction of v, rad."""
     side = 1.0 if v >= 0.0 else -1.0
     v = abs(v)
-    way: float = 0.0
+    distance: float = 0.0
     for _ in range(_LONGEST):  # a joint that needs longer cannot be stopped
         if not v > joint.last:
             break
         dq, v = follow_joint(0.0, v, -joint.u_max, joint.lag, joint.a, joint.period, joint.decay)
-        way += dq
+        distance += dq
     if v <= joint.smooth:
-        way += joint.way_per_speed * v
+        distance += joint.distance_per_speed * v
     else:
-        smooth_way = joint.way_per_speed * joint.smooth
+        smooth_distance = joint.distance_per_speed * joint.smooth
         share = (v - joint.smooth) / (joint.last - joint.smooth)
-        way += smooth_way + share * (joint.last_way - smooth_way)
-    return side * way
+        distance += smooth_distance + share * (joint.last_distance - smooth_distance)
+    return side * distance
 
 
 @inlined
-def _end(u: float, to_go: float, v: float, a: float, slow: JointTiming) -> float:
+def _overrun(u: float, angle_error: float, v: float, a: float, trusted: JointTiming) -> float:
     """Compute how far beyond the goal the joint stops after a period of command u, rad."""
-    q, after = follow_joint(0.0, v, u, slow.lag, a, slow.period, slow.decay)
-    return q + stopping_way(after, slow) - to_go
+    q, after = follow_joint(0.0, v, u, trusted.lag, a, trusted.period, trusted.decay)
+    return q + stopping_distance(after, trusted) - angle_error
 
 
 @inlined
-def fastest_command(to_go: float, v: float, a: float, slow: JointTiming) -> float:
+def fastest_command(angle_error: float, v: float, a: float, trusted: JointTiming) -> float:
     """Compute this period's command of the time-optimal motion.
 
     Args:
-        to_go: angle to the goal, rad.
+        angle_error: angle to the goal, rad.
         v: velocity, rad/s.
-        a: acceleration limit in this period, rad/s^2, at least that of `slow`.
-        slow: timing from `joint_timing`, with the acceleration that is trusted for later braking.
+        a: acceleration limit in this period, rad/s^2, at least that of `trusted`.
+        trusted: timing from `joint_timing`, with the acceleration that is trusted for later
+            braking.
 
     Returns:
         The command, rad/s.
     """
-    e, u_max, period = slow.decay, slow.u_max, slow.period
-    u = (to_go - slow.lag * v + v * period * e * e / (1.0 - e)) / (period * (1.0 - e))
-    calm = abs(u - v) <= slow.a * slow.lag and abs(u + (v - u) * e) <= slow.smooth
+    e, u_max, period = trusted.decay, trusted.u_max, trusted.period
+    u = (angle_error - trusted.lag * v + v * period * e * e / (1.0 - e)) / (period * (1.0 - e))
+    calm = abs(u - v) <= trusted.a * trusted.lag and abs(u + (v - u) * e) <= trusted.smooth
     if abs(u) <= u_max and calm:
         return u
-    below = _end(-u_max, to_go, v, a, slow)
+    below = _overrun(-u_max, angle_error, v, a, trusted)
     if below >= 0.0:
         return -u_max
-    above = _end(u_max, to_go, v, a, slow)
+    above = _overrun(u_max, angle_error, v, a, trusted)
     if above <= 0.0:
         return u_max
     # beyond these the acceleration limit holds all period, and u changes nothing
-    widest = a * (slow.lag + period)
+    widest = a * (trusted.lag + period)
     low, high = max(-u_max, v - widest), min(u_max, v + widest)
     # regula falsi, Illinois variant
     kept = 0
@@ -126,16 +127,16 @@ def fastest_command(to_go: float, v: float, a: float, slow: JointTiming) -> floa
         if not above > below:  # converged to rounding
             break
         u = (low * above - high * below) / (above - below)
-        end = _end(u, to_go, v, a, slow)
-        if abs(end) < _TOLERANCE_RAD:
+        overrun = _overrun(u, angle_error, v, a, trusted)
+        if abs(overrun) < _TOLERANCE_RAD:
             break
-        if end > 0.0:
-            high, above = u, end
+        if overrun > 0.0:
+            high, above = u, overrun
             if kept == 1:
                 below *= 0.5
             kept = 1
         else:
-            low, below = u, end
+            low, below = u, overrun
             if kept == -1:
                 above *= 0.5
             kept = -1

@@ -66,5 +66,5 @@ class TunedIBVS(ImageLaw):
         """Compute the law's velocities, see `IBVS.command`."""
         return self.law.command(q, pixel_error)
 
-    def _law(self, sight: GatedDetections, own: FloatArray) -> FloatArray:
-        return self.law.command(sight.positions_at_exposure, sight.pixel_error)
+    def _law(self, detections: GatedDetections, own: FloatArray) -> FloatArray:
+        return self.law.command(detections.positions_at_exposure, detections.pixel_error)

@@ -36,19 +36,19 @@ COARSE: Final = 0
 FINE: Final = 4
 VISIBLE: Final = 8
 AGE: Final = 10
-OF_ACTUATORS: Final = 11
+ACTUATORS: Final = 11
 """First index of the actuators' numbers."""
 
 
 def fields_of(actuators: int) -> dict[str, slice]:
     """Slice of each field in an observation, for a head with this many eye actuators."""
     groups = ("positions", "positions_at_exposure", "velocities", "last_action")
-    starts = [OF_ACTUATORS + actuators * i for i in range(len(groups) + 1)]
+    starts = [ACTUATORS + actuators * i for i in range(len(groups) + 1)]
     return {
         "pixel_error": slice(COARSE, FINE),
         "pixel_error_fine": slice(FINE, VISIBLE),
         "visible": slice(VISIBLE, AGE),
-        "image_age": slice(AGE, OF_ACTUATORS),
+        "image_age": slice(AGE, ACTUATORS),
         **{name: slice(starts[i], starts[i + 1]) for i, name in enumerate(groups)},
     }
 
@@ -152,7 +152,7 @@ def encode(
     reading: Reading,
     n: int,
     action: FloatArray,
-    tied: PackedHead | None,
+    coupled_head: PackedHead | None,
 ) -> None:
     """Write the observation of one environment.
 
@@ -163,7 +163,7 @@ def encode(
         reading: readings of the batch.
         n: environment index.
         action: (m,) action of the present period.
-        tied: the packed head if its eye joints are coupled, else None.
+        coupled_head: the packed head if its eye joints are coupled, else None.
     """
     for eye in range(2):
         seen = reading.visible[n, eye]
@@ -176,7 +176,7 @@ def encode(
     out[AGE] = 1.0 if age_s != age_s else min(age_s / AGE_S, 1.0)
     m = len(action)
     for k in range(m):
-        if tied is None:
+        if coupled_head is None:
             angle, rate = reading.positions[n, 3 + k], reading.velocities[n, 3 + k]
             at_exposure = reading.positions_at_exposure[n, 3 + k]
         else:
@@ -184,7 +184,7 @@ def encode(
             at_exposure = _actuators(scaling, k, reading.positions_at_exposure[n], 1.0)
             rate = _actuators(scaling, k, reading.velocities[n], 0.0)
         centre, half = scaling[CENTRE + k], scaling[HALF + k]
-        i = OF_ACTUATORS + k
+        i = ACTUATORS + k
         out[i] = _clip((angle - centre) / half)
         out[i + m] = _clip((at_exposure - centre) / half)
         out[i + 2 * m] = _clip(rate / scaling[SPEED + k])
@@ -234,7 +234,7 @@ def _decode(
 ) -> None:
     """Compute the fields of `Observation`; the three arguments after `scaling` are `_SHAPES`.
 
-    At least `OF_ACTUATORS` numbers are read, so callers must have checked the length.
+    At least `ACTUATORS` numbers are read, so callers must have checked the length.
     """
     for eye in range(2):
         seen = obs[VISIBLE + eye] > 0.5
@@ -253,9 +253,9 @@ def _decode(
         start = 0.0 if direct else scaling[OFFSET + j]
         positions[3 + j] = at_exposure[3 + j] = start
         velocities[3 + j] = command[j] = 0.0
-    m = min((len(obs) - OF_ACTUATORS) // 4, SLOTS)
+    m = min((len(obs) - ACTUATORS) // 4, SLOTS)
     for k in range(m):
-        i, centre, half = OF_ACTUATORS + k, scaling[CENTRE + k], scaling[HALF + k]
+        i, centre, half = ACTUATORS + k, scaling[CENTRE + k], scaling[HALF + k]
         angle, then = centre + half * obs[i], centre + half * obs[i + m]
         rate = scaling[SPEED + k] * obs[i + 2 * m]
         command[k] = scaling[LIMIT + k] * obs[i + 3 * m]

@@ -243,7 +243,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         viewer = self._view()
         if viewer is None:
             return None
-        return tuple(viewer.picture(place) for place in range(self.num_envs))
+        return tuple(viewer.picture(env) for env in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Bring the heads to rest and release the plant."""

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.envs.encoding import (
+    ACTUATORS,
     AGE_S,
     DIRECT,
     FINE_PX,
     LIMIT,
-    OF_ACTUATORS,
     OFFSET,
     RESTING_NECK,
     RIGHT_WIDTH,
@@ -111,7 +111,7 @@ class ObservationLayout:
     @property
     def size(self) -> int:
         """Length of an observation."""
-        return OF_ACTUATORS + 4 * self.count
+        return ACTUATORS + 4 * self.count
 
     @property
     def fields(self) -> dict[str, slice]:
@@ -126,7 +126,7 @@ class ObservationLayout:
     def low(self) -> NDArray[np.float32]:
         """(size,) the least value of each number of an observation."""
         low = np.full(self.size, -1.0, dtype=np.float32)
-        low[VISIBLE:OF_ACTUATORS] = 0.0
+        low[VISIBLE:ACTUATORS] = 0.0
         return low
 
     def high(self) -> NDArray[np.float32]:
@@ -169,7 +169,7 @@ class ObservationLayout:
         """
         row = self.scaling
         one_width = row[WIDTH] == row[RIGHT_WIDTH]
-        tied = {
+        coupling = {
             "joints_per_actuator": row[TO_JOINTS:OFFSET].reshape(SLOTS, SLOTS).tolist(),
             "joint_offsets": row[OFFSET:TO_ACTUATORS].tolist(),
         }
@@ -181,5 +181,5 @@ class ObservationLayout:
             "age_s": AGE_S,
             "latency_s": self.latency_s,
             "period_s": self.period_s,
-            **({} if row[DIRECT] else tied),
+            **({} if row[DIRECT] else coupling),
         }

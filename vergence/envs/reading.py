@@ -67,11 +67,11 @@ class Reading(NamedTuple):
         )
 
     @classmethod
-    def of(cls, told: object, num: int) -> "Reading":
+    def of(cls, returned: object, num: int) -> "Reading":
         """Check a plant's reading, and convert its arrays to types that kernels can read.
 
         Args:
-            told: object returned by the plant.
+            returned: object returned by the plant.
             num: expected number of heads.
 
         Returns:
@@ -80,18 +80,18 @@ class Reading(NamedTuple):
         Raises:
             ConfigurationError: the object is not a reading of this many heads.
         """
-        if not isinstance(told, Reading):
-            raise ConfigurationError(f"plant: expected to return a Reading, got {told!r:.80}")
+        if not isinstance(returned, Reading):
+            raise ConfigurationError(f"plant: expected to return a Reading, got {returned!r:.80}")
         arrays: list[Any] = []
-        for name, value, form in zip(cls._fields, told, cls.empty(num), strict=True):
+        for name, value, form in zip(cls._fields, returned, cls.empty(num), strict=True):
             array = as_operand(f"plant: Reading.{name}", value, *form.shape)
             if array.shape != form.shape:
                 raise ConfigurationError(
                     f"plant: Reading.{name}: expected shape {form.shape}, got {array.shape}"
                 )
             arrays.append(np.ascontiguousarray(value, dtype=form.dtype))
-        same = all(new is old for new, old in zip(arrays, told, strict=True))
-        return told if same else cls(*arrays)
+        same = all(new is old for new, old in zip(arrays, returned, strict=True))
+        return returned if same else cls(*arrays)
 
     def copy(self) -> "Reading":
         """Copy the reading and its arrays."""

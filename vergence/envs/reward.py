@@ -153,7 +153,7 @@ def assess(
     action: FloatArray,
     progress: Progress,
     outcome: StepResult,
-    tied: PackedHead | None,
+    coupled_head: PackedHead | None,
 ) -> None:
     """Compute observations, rewards and terminations of some environments of a batch.
 
@@ -166,8 +166,8 @@ def assess(
         action: (n, m) the actions applied.
         progress: updated in place.
         outcome: the result.
-        tied: the packed head again if its eye joints are coupled, else None; code for coupled
-            joints is then not compiled.
+        coupled_head: the packed head again if its eye joints are coupled, else None; code for
+            coupled joints is then not compiled.
     """
     rules, reading = Rules(*rules), Reading(*reading)
     progress, outcome = Progress(*progress), StepResult(*outcome)
@@ -186,16 +186,16 @@ def assess(
             error[n, eye, 0], error[n, eye, 1] = pixel_error(head, eye, u, v)
         if both:
             goal = error[n]
-            if tied is not None:
+            if coupled_head is not None:
                 q, goal = reading.positions_at_exposure[n], np.empty((2, 2))
-                reducible_error(tied, q, error[n], left, right, goal)
+                reducible_error(coupled_head, q, error[n], left, right, goal)
             for eye in range(2):
                 size = _norm(error[n, eye, 0], error[n, eye, 1])
                 tracking += (_NEAR_PX / (_NEAR_PX + size) + _FAR_PX / (_FAR_PX + size)) / 6.0
                 size = _norm(goal[eye, 0], goal[eye, 1])
                 precision += _PRECISE_PX / (_PRECISE_PX + size) / 6.0
                 settled = settled and size < SETTLED_PX
-        encode(outcome.observation[n], scaling, error[n], reading, n, action[n], tied)
+        encode(outcome.observation[n], scaling, error[n], reading, n, action[n], coupled_head)
         square = 0.0
         for j in range(m):
             square += action[n, j] * action[n, j]

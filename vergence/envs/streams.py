@@ -104,11 +104,11 @@ class Streams:
         self.seeds[ids] = seeds
         self.trials[ids] = trials
 
-    def at(self, place: int, purpose: Purpose, block: int = 0) -> np.random.Generator:
+    def at(self, n: int, purpose: Purpose, block: int = 0) -> np.random.Generator:
         """The generator of one environment, purpose and block, valid until the next call.
 
         Args:
-            place: environment index.
+            n: environment index.
             purpose: purpose of the numbers.
             block: index of a block of the purpose's numbers.
 
@@ -117,8 +117,8 @@ class Streams:
         """
         state = self._state
         inner = state["state"]
-        inner["key"][0] = self.seeds[place]
-        inner["key"][1] = self.trials[place]
+        inner["key"][0] = self.seeds[n]
+        inner["key"][1] = self.trials[n]
         inner["counter"][:] = (0, 0, purpose, block)
         state["buffer_pos"] = 4
         state["has_uint32"] = 0

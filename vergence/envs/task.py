@@ -135,7 +135,7 @@ class GazeTask:
         self.reward, self.success = self._outcome.reward, self._outcome.success
         self.lost = self._outcome.lost
         # made once: every step hands them to a kernel
-        self._tied = None if self.head.actuation.direct else self.head.packed
+        self._coupled_head = None if self.head.actuation.direct else self.head.packed
         self._judged = (self.head.packed, self.layout.scaling, untyped_tuple(Rules.of(self.head)))
         self._result = (self._action, untyped_tuple(self._progress), untyped_tuple(self._outcome))
 
@@ -200,13 +200,13 @@ class GazeTask:
         self._take(self.plant.step(self._command))
         self._assess(self._all)
 
-    def _take(self, told: Reading) -> None:
+    def _take(self, reading: Reading) -> None:
         """Keep a plant's reading; the package's own plants return the same object each time."""
-        if told is not self.reading:
-            self.reading = Reading.of(told, self.num)
+        if reading is not self.reading:
+            self.reading = Reading.of(reading, self.num)
 
     def _assess(self, ids: IntArray) -> None:
-        assess(ids, *self._judged, untyped_tuple(self.reading), *self._result, self._tied)
+        assess(ids, *self._judged, untyped_tuple(self.reading), *self._result, self._coupled_head)
 
     def state(self) -> SavedState:
         """Copy the complete state of the running trials.

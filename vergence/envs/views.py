@@ -31,12 +31,12 @@ def opengl_works() -> bool:
     return opengl_failure() is None
 
 
-def posture(task: GazeTask, place: int) -> tuple[FloatArray, FloatArray]:
+def posture(task: GazeTask, n: int) -> tuple[FloatArray, FloatArray]:
     """Best known joint angles and target position of one head.
 
     Args:
         task: the task.
-        place: environment index.
+        n: environment index.
 
     Returns:
         (7,) joint angles, rad, and (3,) the target in N, m: the ground truth if it is known, else
@@ -44,29 +44,29 @@ def posture(task: GazeTask, place: int) -> tuple[FloatArray, FloatArray]:
     """
     truth = task.truth()
     if truth is not None:
-        return truth.positions[place], truth.target[place]
+        return truth.positions[n], truth.target[n]
     gaze, _views = task.fixes()
-    return task.reading.positions[place], gaze.point[place]
+    return task.reading.positions[n], gaze.point[n]
 
 
-def eye_images(task: GazeTask, place: int) -> tuple[Image, Image] | None:
+def eye_images(task: GazeTask, n: int) -> tuple[Image, Image] | None:
     """Present images of one head's eyes.
 
     Args:
         task: the task.
-        place: environment index.
+        n: environment index.
 
     Returns:
         Left and right image, (height, width) grey levels: the plant's own, or, for a simulation
         without images, drawn noise-free at the present posture; None for a robot without images.
     """
-    frames = task.plant.frames(place)
+    frames = task.plant.frames(n)
     if frames is not None:
         left, right = frames
         return left.copy(), right.copy()
     if not isinstance(task.plant, Simulation):
         return None
-    positions, target = posture(task, place)
+    positions, target = posture(task, n)
     left, right = _views(task.head).draw(positions, np.zeros(7), target)
     return left.copy(), right.copy()
 
@@ -100,20 +100,20 @@ class Viewer:
         self._window.show(picture, self._fps)
         return None
 
-    def picture(self, place: int) -> Image:
+    def picture(self, n: int) -> Image:
         """The picture of one head.
 
         Args:
-            place: environment index.
+            n: environment index.
 
         Returns:
             (height, width, 3) RGB.
         """
-        images = eye_images(self._task, place) or (None, None)
-        eyes = [self._eye(place, eye, image) for eye, image in enumerate(images)]
+        images = eye_images(self._task, n) or (None, None)
+        eyes = [self._eye(n, eye, image) for eye, image in enumerate(images)]
         highest = max(len(eye) for eye in eyes)
         top = np.concatenate([_padded(eye, highest) for eye in eyes], axis=1)
-        positions, target = posture(self._task, place)
+        positions, target = posture(self._task, n)
         width, known = top.shape[1], self._task.truth() is not None
         if self._scene is None:
             below = schematic(self._task.head, positions, target, width, VIEW_HEIGHT, known=known)
@@ -121,9 +121,9 @@ class Viewer:
             below = self._scene.draw(positions, target, width, VIEW_HEIGHT, board=known)
         return np.concatenate([top, below], axis=0)
 
-    def _eye(self, place: int, eye: int, image: Image | None) -> Image:
+    def _eye(self, n: int, eye: int, image: Image | None) -> Image:
         head = self._task.head
-        origin = "" if self._task.plant.frames(place) is not None else ", drawn"
+        origin = "" if self._task.plant.frames(n) is not None else ", drawn"
         if image is None:
             image, origin = np.full(head.cameras.size[eye, ::-1], _PAPER, np.uint8), ", no image"
         scale = EYE_WIDTH / image.shape[1]
@@ -132,15 +132,15 @@ class Viewer:
         out = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
         colour = EYE_COLOURS[eye]
         _cross(out, scale * head.cameras.principal[eye], colour, 14)
-        pixel = self._task.reading.pixels[place, eye]
+        pixel = self._task.reading.pixels[n, eye]
         if np.isfinite(pixel).all():
             _cross(out, scale * pixel, _MARK, 9)
-        error = float(np.hypot(*self._task.pixel_error[place, eye]))
+        error = float(np.hypot(*self._task.pixel_error[n, eye]))
         text = f"{('left', 'right')[eye]} eye{origin}   error "
         text += f"{error:.1f} px" if np.isfinite(error) else "-"
         _label(out, text, (10, 24))
         if eye == 0:
-            _label(out, f"t = {self._task.reading.time_s[place]:.3f} s", (10, size[1] - 12))
+            _label(out, f"t = {self._task.reading.time_s[n]:.3f} s", (10, size[1] - 12))
         return out
 
     def close(self) -> None:
@@ -189,7 +189,7 @@ def schematic(
         scale = (half - 2 * margin) / depth
         middle = height // 2
 
-        def place(
+        def pixel_of(
             point: FloatArray, axis: int = axis, sign: float = sign, left: int = left,
             scale: float = scale, middle: int = middle,
         ) -> tuple[int, int]:  # fmt: skip
@@ -199,13 +199,13 @@ def schematic(
         for eye, colour in enumerate(EYE_COLOURS):
             origin, direction = poses[eye, :3, 3], poses[eye, :3, 2]
             view = out[:, left : left + half]
-            a, b = place(origin), place(origin + 1.5 * depth * direction)
+            a, b = pixel_of(origin), pixel_of(origin + 1.5 * depth * direction)
             cv2.line(view, (a[0] - left, a[1]), (b[0] - left, b[1]), colour, 2, cv2.LINE_AA)
             cv2.circle(view, (a[0] - left, a[1]), 8, colour, -1, cv2.LINE_AA)
         if anywhere and known:
-            cv2.circle(out, place(target), 6, _MARK, 2, cv2.LINE_AA)
+            cv2.circle(out, pixel_of(target), 6, _MARK, 2, cv2.LINE_AA)
         elif anywhere:
-            _cross(out, np.array(place(target)), _MARK, 9)
+            _cross(out, np.array(pixel_of(target)), _MARK, 9)
         _label(out, title, (left + 12, 24))
     cv2.line(out, (half, 10), (half, height - 10), (200, 200, 200), 1)
     return out

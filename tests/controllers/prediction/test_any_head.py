@@ -35,8 +35,8 @@ def skewed():
 @pytest.mark.parametrize("name", ["panfirst", "simulated"])
 def test_axes_at_right_angles_are_told_from_others(name) -> None:
     head = load_head(name) if name == "simulated" else head_of(name)
-    assert (joint_rig(head).view(RIG)["square"] == 1.0).all()
-    assert (joint_rig(skewed()).view(RIG)["square"] == 0.0).all()
+    assert (joint_rig(head).view(RIG)["orthogonal"] == 1.0).all()
+    assert (joint_rig(skewed()).view(RIG)["orthogonal"] == 0.0).all()
 
 
 @pytest.mark.parametrize(

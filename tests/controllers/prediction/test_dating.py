@@ -57,7 +57,8 @@ def test_images_of_an_unknown_delay_do_not_lead_a_saccade_astray(delay_s) -> Non
     head = HEAD.replace(sensor={"detection_noise_px": 0.0})
     task = GazeTask(12, head=head, plant="kinematic", plant_options={"latency_s": delay_s})
     trial = run(task, "saccade", 60)
-    goals = np.array([p.positions + p.to_go for p in trial.predicted])[round(delay_s * 120) + 1 :]
+    goals = np.array([one.positions + one.angle_error for one in trial.predicted])
+    goals = goals[round(delay_s * 120) + 1 :]
     # the first image shows eyes at rest, which no delay makes wrong; 1 mrad is 0.6 px
     assert np.abs(goals - goals[0]).max() < 0.003
     assert np.abs(goals[-1] - goals[0]).max() < 0.001

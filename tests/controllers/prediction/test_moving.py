@@ -27,7 +27,7 @@ def seen(target, steps=120, spoil=None, noise_px=0.02):
     # a little late, so that a response that is later than likely is none that oscillates
     ahead = np.array([one.latency_s + 0.5 * one.latency_sd_s for one in every])
     return (
-        np.array([one.positions + one.to_go for one in every]),
+        np.array([one.positions + one.angle_error for one in every]),
         np.array([one.rates for one in every]),
         np.arange(steps) * PERIOD_S + ahead,
     )

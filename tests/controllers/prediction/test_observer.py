@@ -16,10 +16,10 @@ PERIOD_S = HEAD.timing.period_s
 
 def filtered(speeds: FloatArray) -> FloatArray:
     """Through a low-pass of first order of 60 ms, speeds going straight from reading to reading."""
-    told, shown = [speeds[0]], np.exp(-PERIOD_S / 0.06)
+    reported, shown = [speeds[0]], np.exp(-PERIOD_S / 0.06)
     for before, now in pairwise(speeds):
-        told.append(shown * told[-1] + (1.0 - shown) * 0.5 * (before + now))
-    return np.array(told)
+        reported.append(shown * reported[-1] + (1.0 - shown) * 0.5 * (before + now))
+    return np.array(reported)
 
 
 def late(speeds: FloatArray) -> FloatArray:
@@ -44,8 +44,8 @@ def test_speeds_are_observed_and_their_delay_is_found_however_they_are_read(read
     predictor = predictor_of(HEAD)
     state = predictor.initial()
     observed = []
-    for seen, told in zip(way.observations, spoilt(speeds), strict=True):
-        predictor.update(seen._replace(velocities=told), state)
+    for seen, reported in zip(way.observations, spoilt(speeds), strict=True):
+        predictor.update(seen._replace(velocities=reported), state)
         memory = state.view(MEMORY)[0]
         observed.append(memory["velocity"].copy())
     if delay_s is not None:

@@ -56,8 +56,8 @@ def test_what_is_left_to_turn_ends_where_both_eyes_fixate(name) -> None:
     assert known[8:].all()
     assert not known[:8].any()
     for now in trial.predicted[8:]:
-        assert np.abs(now.positions + now.to_go - goal).max() < 1e-3  # 0.6 px, in full motion
-    assert np.abs(now.positions + now.to_go - goal).max() < 2e-4
+        assert np.abs(now.positions + now.angle_error - goal).max() < 1e-3  # 0.6 px, in full motion
+    assert np.abs(now.positions + now.angle_error - goal).max() < 2e-4
 
 
 def test_the_pixel_error_is_that_of_the_predicted_angles() -> None:
@@ -98,10 +98,10 @@ def test_a_target_that_is_lost_is_held_for_a_while_then_forgotten() -> None:
     hold = round(HOLD_S * 120)
     for _ in range(hold):
         held = predictor.update(blind, state)
-    np.testing.assert_allclose(held.to_go, seen.to_go)
+    np.testing.assert_allclose(held.angle_error, seen.angle_error)
     lost = predictor.update(blind, state)
     assert not lost.known.any()
-    assert (lost.to_go == 0.0).all()
+    assert (lost.angle_error == 0.0).all()
     assert np.isnan(lost.pixel_error).all()
 
 
@@ -112,7 +112,7 @@ def test_a_state_may_have_rows_of_the_callers_behind_it() -> None:
     own = predictor.initial()
     for seen in record(head, turns(head, 30)).observations:
         alone, behind = predictor.update(seen, own), predictor.update(seen, longer)
-        assert np.array_equal(alone.to_go, behind.to_go)
+        assert np.array_equal(alone.angle_error, behind.angle_error)
     assert longer[-2:].tolist() == [7.0, 8.0]
     assert len(own) == predictor.size
 

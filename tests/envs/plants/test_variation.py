@@ -14,7 +14,7 @@ from tests.naming import named
 from vergence import HeadModel, ModelErrors, load_head
 from vergence.envs.plant import make_plant
 from vergence.envs.plants.conditions import Conditions
-from vergence.envs.plants.imperfections import IMPERFECTIONS, OWN, SCALARS
+from vergence.envs.plants.imperfections import IMPERFECTIONS, PER_ACTUATOR, PER_TRIAL
 from vergence.envs.plants.kinematic import KinematicPlant
 from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
@@ -100,7 +100,7 @@ def test_draws_are_uniform_in_their_ranges_and_independent() -> None:
         # far below what chance gives once in a hundred for one of them, and far above a wrong one's
         assert stats.kstest(sample, "uniform").pvalue > 1e-4
     pairs = np.corrcoef(samples) - np.eye(len(samples))
-    assert len(samples) == len(SCALARS) + 4 * len(OWN)
+    assert len(samples) == len(PER_TRIAL) + 4 * len(PER_ACTUATOR)
     assert np.abs(pairs).max() < 0.09
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vergence.envs.targets.motion import motion_rows, target_position
-from vergence.envs.targets.path import point_on
+from vergence.envs.targets.path import point_at
 
 EYE = np.array([0.02, -0.1, 0.05])
 SPEED = 0.6
@@ -34,14 +34,14 @@ PATHS = st.builds(path_of, st.integers(0, 2**32 - 1))
 @given(PATHS)
 def test_a_path_is_at_each_knot_in_its_time(path) -> None:
     for t, *point in path.reshape(-1, 4)[1:]:
-        assert point_on(path, t) == pytest.approx(point, abs=1e-12)
+        assert point_at(path, t) == pytest.approx(point, abs=1e-12)
 
 
 @given(PATHS, st.integers(0, 2), st.floats(0.0, 0.95))
 def test_between_knots_sight_turns_and_nearness_changes_at_constant_rates(path, k, share) -> None:
     span = TIMES[k + 1] - TIMES[k]
     t = TIMES[k] + span * np.array([share, share + 0.02, share + 0.04])
-    sight = np.array([point_on(path, one) for one in t]) - EYE
+    sight = np.array([point_at(path, one) for one in t]) - EYE
     distance = np.linalg.norm(sight, axis=-1)
     sight /= distance[:, None]
     turned = 2.0 * np.arcsin(0.5 * np.linalg.norm(np.diff(sight, axis=0), axis=-1))
@@ -56,7 +56,7 @@ def test_between_knots_sight_turns_and_nearness_changes_at_constant_rates(path, 
 def test_after_its_end_a_path_leads_back_and_forth_again(path, s) -> None:
     for there in (2.0 * END - s, 2.0 * END + s, 1000.0 * END - s):
         # a time of a thousand ends is rounded by 1e-13 of itself
-        assert point_on(path, there) == pytest.approx(point_on(path, s), abs=1e-10)
+        assert point_at(path, there) == pytest.approx(point_at(path, s), abs=1e-10)
 
 
 def test_a_target_stands_still_until_its_path_begins() -> None:
@@ -64,4 +64,4 @@ def test_a_target_stands_still_until_its_path_begins() -> None:
     beginning = path[5:8]
     rows = motion_rows(beginning, before=beginning[None], path=path[None])
     assert np.array_equal(target_position(rows[0], [-5.0, -1e-9]), [beginning, beginning])
-    assert target_position(rows[0], 0.5) == pytest.approx(point_on(path, 0.5), abs=1e-15)
+    assert target_position(rows[0], 0.5) == pytest.approx(point_at(path, 0.5), abs=1e-15)

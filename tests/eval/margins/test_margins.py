@@ -106,7 +106,7 @@ def test_who_was_not_asked_for_does_not_run(known):
 def test_every_imperfection_is_moved_by_default_but_sizes_of_what_never_happens(known):
     margins = known(toy=KnowsTheWay(5), episodes=1)
     assert [row["imperfection"] for row in margins.rows()] == [
-        name for name in SEARCHED if not IMPERFECTIONS[name].of_chance
+        name for name in SEARCHED if not IMPERFECTIONS[name].probability
     ]
     for one in margins.found:
         low, high = one.settles_low, one.settles_high

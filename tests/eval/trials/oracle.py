@@ -138,7 +138,7 @@ def run(task: GazeTask, steps: int, beyond_px: float) -> tuple[Array, Array]:
     goal += side * (beyond_px / task.head.cameras.focal.mean())
     play = conditions.backlash_rad[:, 3:]
     goal += 0.5 * side * play
-    first = np.ceil(simulation.first_sights()[0] / period - 1e-6)
+    first = np.ceil(simulation.first_detection_times()[0] / period - 1e-6)
     late = conditions.command_latency_s
     whole = np.floor(late / period + 1e-9).astype(int)
     rest = np.broadcast_to(np.maximum(late - whole * period, 0.0)[:, None], goal.shape)

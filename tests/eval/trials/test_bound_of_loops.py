@@ -82,7 +82,7 @@ def test_a_linear_program_agrees_with_the_bound_to_a_period() -> None:
     bound = settle_bound(task, 2.0) + simulation.onset_s()
     goal, half_band = np.empty((2, num, 4))
     bands_of_eyes(conditions.heads, task.head.packed, truth.target, 2.0, goal, half_band)
-    first = np.ceil(simulation.first_sights()[0] / period - 1e-6) * period
+    first = np.ceil(simulation.first_detection_times()[0] / period - 1e-6) * period
     own = simulation.true_head.actuation
     for n in range(num):
         actuators = [
@@ -117,7 +117,7 @@ def test_the_first_sight_is_when_the_target_is_seen_first(plant, target) -> None
     num = 60
     task = begin(GazeTask(num, plant=plant, target=target, variation=faults), 3)
     simulation = simulation_of(task.plant)
-    sights, _last = simulation.first_sights()
+    sights, _last = simulation.first_detection_times()
     onset_s = simulation.onset_s()
     found = np.full(num, np.nan)
     for _ in range(240):

@@ -11,7 +11,7 @@ creep while they wait would move away from where the target will appear.
 A linear law can override the network. If the eyes have oscillated about their goals too often, or
 the servos' own loop overshoots (no channel shows this), the law of `state-feedback` turns them.
 This applies to networks whose inputs contain a prediction, since only the predictor detects both.
-These commands bypass `CommandSteps`: on a resting target they move the motors as they are.
+These commands bypass `CommandQuantiser`: on a resting target they move the motors as they are.
 
 Training environments and deployed controllers run this same code.
 """
@@ -19,12 +19,12 @@ Training environments and deployed controllers run this same code.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.command_steps import CommandSteps
+from vergence.controllers.command_steps import CommandQuantiser
 from vergence.controllers.gain_schedule import ScheduledLaw
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.outlier_gate import OutlierGate
+from vergence.controllers.prediction.oscillation import MANY_HALF_SWINGS
 from vergence.controllers.prediction.predictor import Prediction
-from vergence.controllers.prediction.swinging import MANY
 from vergence.controllers.state_feedback import DEFAULT_LAW, linear_command
 from vergence.models.actuation import SLOTS
 from vergence.models.parts import FloatArray
@@ -46,7 +46,7 @@ class Acting:
         self._layout = layout = inputs.layout
         self._law = ScheduledLaw(inputs.head, layout) if schedule else None
         self._gate = OutlierGate(inputs.head, layout) if schedule else None
-        self._steps = CommandSteps(inputs.head, layout.action_limits)
+        self._quantiser = CommandQuantiser(inputs.head, layout.action_limits)
         rows = [inputs.initial()]
         if self._gate is not None:
             rows.append(self._gate.initial())
@@ -55,7 +55,7 @@ class Acting:
             first = sum(map(len, rows))
             self._of_calm = slice(first, first + SLOTS)
             rows.append(np.full(SLOTS, np.nan))
-        if self._steps.step_rad_s > 0.0:
+        if self._quantiser.step_rad_s > 0.0:
             rows.append(np.zeros(SLOTS))
         self._initial = np.concatenate(rows)
         self._known = inputs.tells_known
@@ -85,17 +85,17 @@ class Acting:
         assert self.inputs.predictor is not None
         against = now._replace(velocities=now.velocities - now.rates)
         command = linear_command(against, self.inputs.predictor.rig, DEFAULT_LAW)
-        calm = (now.swings > MANY) | (now.build_up > 0.0)
+        calm = (now.half_swings > MANY_HALF_SWINGS) | (now.build_up > 0.0)
         return np.where(calm[..., None], command + now.later_rates / now.speed_gain, np.nan)
 
     def turn(
-        self, seen: NDArray[np.float32], share: NDArray[np.float32], state: FloatArray
+        self, seen: NDArray[np.float32], fraction: NDArray[np.float32], state: FloatArray
     ) -> NDArray[np.float32]:
         """Compute the action of a policy.
 
         Args:
             seen: (..., size) inputs of the network, from `see`.
-            share: (..., m) actuator velocities as fractions of their limits, -1 to 1.
+            fraction: (..., m) actuator velocities as fractions of their limits, -1 to 1.
             state: (..., S) updated in place.
 
         Returns:
@@ -103,10 +103,10 @@ class Acting:
         """
         if self._known is not None:
             known = (seen[..., self._known] > 0.5).any(axis=-2)
-            share = np.where(known, share, np.float32(0.0))
-        command = np.zeros((*share.shape[:-1], SLOTS))
-        command[..., : self._layout.count] = share
-        return self._sent(command * self._layout.action_limits, state)
+            fraction = np.where(known, fraction, np.float32(0.0))
+        command = np.zeros((*fraction.shape[:-1], SLOTS))
+        command[..., : self._layout.count] = fraction
+        return self._action(command * self._layout.action_limits, state)
 
     def servo(
         self, observation: ArrayLike, gains: ArrayLike, state: FloatArray
@@ -124,15 +124,16 @@ class Acting:
         assert self._law is not None
         assert self._gate is not None
         seen = self._layout.decode(observation)
-        sight = self._gate.update(seen, state[..., self._of_gate])
+        detections = self._gate.update(seen, state[..., self._of_gate])
         guarded = seen._replace(
-            pixel_error=sight.pixel_error, positions_at_exposure=sight.positions_at_exposure
+            pixel_error=detections.pixel_error,
+            positions_at_exposure=detections.positions_at_exposure,
         )
-        return self._sent(self._law.command(guarded, gains), state)
+        return self._action(self._law.command(guarded, gains), state)
 
-    def _sent(self, command: FloatArray, state: FloatArray) -> NDArray[np.float32]:
-        if self._steps.step_rad_s > 0.0:
-            command = self._steps.sent(command, state[..., -SLOTS:])
+    def _action(self, command: FloatArray, state: FloatArray) -> NDArray[np.float32]:
+        if self._quantiser.step_rad_s > 0.0:
+            command = self._quantiser.quantise(command, state[..., -SLOTS:])
         calm = state[..., self._of_calm]
         if calm.size:
             command = np.where(np.isnan(calm), command, calm)

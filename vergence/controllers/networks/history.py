@@ -138,7 +138,7 @@ class History:
     def update(
         self,
         seen: Observation,
-        sight: GatedDetections,
+        detections: GatedDetections,
         asked: FloatArray,
         state: FloatArray,
         shape: FloatArray,
@@ -147,8 +147,8 @@ class History:
 
         Args:
             seen: the observation.
-            sight: detections that passed the outlier gate.
-            asked: (..., 4) turns requested by the images of `sight`, rad.
+            detections: detections that passed the outlier gate.
+            asked: (..., 4) turns requested by the images of `detections`, rad.
             state: (..., S) updated in place.
             shape: (channels, 4) array of any values; only its shape counts, which is that of the
                 result.
@@ -159,9 +159,9 @@ class History:
         state[...], out = see_history(
             state,
             asked,
-            sight.pixel_error,
-            sight.positions_at_exposure,
-            sight.fresh,
+            detections.pixel_error,
+            detections.positions_at_exposure,
+            detections.fresh,
             seen.image_age_s,
             seen.positions,
             seen.velocities,

@@ -176,19 +176,20 @@ class Inputs:
         limits, shape = self.layout.action_limits, np.empty((len(CHANNELS[self.kind]), 4))
         at, error, asked = seen.positions_at_exposure, seen.pixel_error, np.zeros(4)
         if self._gate is not None:
-            sight = self._gate.update(seen, state[..., self._of_gate])
-            at, error = sight.positions_at_exposure, sight.pixel_error
+            detections = self._gate.update(seen, state[..., self._of_gate])
+            at, error = detections.positions_at_exposure, detections.pixel_error
             asked = servo(self.head, at, error, _UNIT, np.nan, _UNLIMITED)
             if self._history is not None:
                 memory = state[..., self._of_history]
-                return self._flat(self._history.update(seen, sight, asked, memory, shape)), None
+                channels = self._history.update(seen, detections, asked, memory, shape)
+                return self._flat(channels), None
         if self.predictor is None:
             sees = np.isfinite(error).all(axis=-1)
             return self._flat(see_error(asked, sees @ self._moved, shape)), None
         now = self.predictor.update(seen, state)
         sure = (now.acceleration_ratio, now.acceleration_sd, now.latency_s, now.latency_sd_s)
         out = see_present(
-            asked, now.to_go, now.velocities, seen.last_command, limits, self._acceleration,
+            asked, now.angle_error, now.velocities, seen.last_command, limits, self._acceleration,
             now.lag_s[..., None] * self._lag_ratio, now.rates, now.later_rates, now.speed_gain,
             np.stack(sure, axis=-1), now.known @ self._moved, shape,
         )  # fmt: skip

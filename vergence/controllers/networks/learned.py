@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.controllers.controller import Controller
-from vergence.controllers.fitting import fitting_layout
+from vergence.controllers.fitting import checked_layout
 from vergence.controllers.gain_schedule import GAIN_LIMIT, GAIN_NAMES, gain_names, gain_order
 from vergence.controllers.networks.acting import Acting
 from vergence.controllers.networks.bundle import (
@@ -200,7 +200,7 @@ class NetworkPolicy(_Learned):
         data = read_limited(path, MAX_NETWORK_BYTES)
         with naming(str(path)):
             network = read_network(data)
-        inputs = Inputs.of("observation", head, fitting_layout(head, layout))
+        inputs = Inputs.of("observation", head, checked_layout(head, layout))
         super().__init__(inputs, network, str(path))
 
     def _action(
@@ -230,7 +230,7 @@ def load_policy(
         BundleError: it cannot be read, is damaged, not allowed, or does not fit.
         ConfigurationError: onnxruntime is not installed, or the layout is another head's.
     """
-    layout = fitting_layout(head, layout)
+    layout = checked_layout(head, layout)
     if Path(path).suffix == ".onnx":
         return NetworkPolicy(head=head, layout=layout, path=path)
     if Path(path).suffix != SUFFIX:

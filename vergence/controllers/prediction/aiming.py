@@ -6,8 +6,8 @@ from typing import Final
 from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.memory import PredictorState
-from vergence.controllers.prediction.moving import ahead_of, slow_share
-from vergence.controllers.prediction.response import answer_of
+from vergence.controllers.prediction.moving import extrapolate, slow_share
+from vergence.controllers.prediction.response import model_of
 from vergence.models.kinematics import eye_frames, point_in_eye
 from vergence.models.packed import PackedHead, camera_of
 from vergence.models.pose import out_of
@@ -15,8 +15,8 @@ from vergence.models.pose import out_of
 _SURE: Final = 0.9
 """Probability of rest above which a target is treated as resting (chosen)."""
 _CLEARLY: Final = 0.5
-"""Fraction of the motion-blur speed limit (`PredictorModel.sees`) that an eye may reach relative to
-its target (chosen: margin for exposure against speed of pursuit)."""
+"""Fraction of the motion-blur speed limit (`PredictorModel.max_slip_rad_s`) that an eye may reach
+relative to its target (chosen: margin for exposure against speed of pursuit)."""
 _GRACE_S: Final = 0.03
 """Time after the next image is due during which an eye keeps following the extrapolated motion, s
 (chosen: tolerates late frames)."""
@@ -29,8 +29,8 @@ def aim_ahead(memory: PredictorState, rig: PredictorModel, tick: float) -> None:
     `later_rates` are the rates when that command shows in the motion, a lag and half a period
     later.
     """
-    moves = rig.follows > 0.5 and memory.ways[0] < _SURE
-    shows_s = exp(answer_of(memory.response).found[2]) + 0.5 * rig.period_s
+    moves = rig.targets_move > 0.5 and memory.mode_probabilities[0] < _SURE
+    effect_delay_s = exp(model_of(memory.response).parameters[2]) + 0.5 * rig.period_s
     expected_s = memory.delay_s + rig.frame_s + (tick - memory.count) * rig.period_s + _GRACE_S
     slow = 1.0
     for eye in range(2):
@@ -41,14 +41,22 @@ def aim_ahead(memory: PredictorState, rig: PredictorModel, tick: float) -> None:
                 time_s = (tick - memory.moved_at) * rig.period_s
                 motions, resting = memory.motions[eye], memory.goals[eye, joint]
                 if joint == 0:
-                    slow = slow_share(motions, memory.ways, _CLEARLY * rig.sees)
-                angle, rate = ahead_of(
-                    motions, memory.ways, resting, joint, time_s, expected_s, slow
+                    slow = slow_share(
+                        motions, memory.mode_probabilities, _CLEARLY * rig.max_slip_rad_s
+                    )
+                angle, rate = extrapolate(
+                    motions, memory.mode_probabilities, resting, joint, time_s, expected_s, slow
                 )
                 memory.aims[eye, joint], memory.rates[eye, joint] = angle, rate
-                time_s += shows_s
-                _, rate = ahead_of(
-                    motions, memory.ways, resting, joint, time_s, expected_s + shows_s, slow
+                time_s += effect_delay_s
+                _, rate = extrapolate(
+                    motions,
+                    memory.mode_probabilities,
+                    resting,
+                    joint,
+                    time_s,
+                    expected_s + effect_delay_s,
+                    slow,
                 )
                 memory.later_rates[eye, joint] = rate
 

@@ -17,7 +17,7 @@ from vergence.controllers.prediction.moving import MODELS, Motions
 from vergence.models.packed import PackedHead, joint_per_actuator
 from vergence.models.parts import FloatArray
 
-_PLAY_RAD: Final = 0.0006
+_BACKLASH_RAD: Final = 0.0006
 """Shift of a goal while a motor crosses its backlash, standard deviation, rad (chosen)."""
 _MOST_RAD: Final = 0.012
 """Largest shift that is taken for backlash, rad (chosen)."""
@@ -35,7 +35,7 @@ _FORGET: Final = 0.98
 
 
 @inlined
-def cross_play(memory: PredictorState, p: PackedHead, command: FloatArray) -> None:
+def cross_backlash(memory: PredictorState, p: PackedHead, command: FloatArray) -> None:
     """Increase the variance of goals whose motors are about to reverse and cross their backlash.
 
     Args:
@@ -54,23 +54,23 @@ def cross_play(memory: PredictorState, p: PackedHead, command: FloatArray) -> No
             share = joint_per_actuator(p, j, k)
             if share == 0.0:
                 continue
-            eye, joint, play = j // 2, j % 2, _PLAY_RAD * share
-            memory.variance[eye, joint] += play * play
-            memory.turned[eye, joint] = memory.count
+            eye, joint, backlash = j // 2, j % 2, _BACKLASH_RAD * share
+            memory.variance[eye, joint] += backlash * backlash
+            memory.reversed_at[eye, joint] = memory.count
             motions: Motions = memory.motions[eye]
             for m in range(MODELS):  # half, as the covariance is common to both joints
-                motions[m].covariance[0] += 0.5 * play * play
+                motions[m].covariance[0] += 0.5 * backlash * backlash
 
 
 @inlined
-def play_variance(
+def backlash_variance(
     memory: PredictorState,
     rig: PredictorModel,
     exposed: float,
     eye: int,
     joint: int,
     goal: float,
-    rests: bool,
+    at_rest: bool,
 ) -> float:
     """Update the backlash estimate with a measured goal; return its contribution to the variance.
 
@@ -81,21 +81,23 @@ def play_variance(
         eye: index of the eye.
         joint: index of its joint.
         goal: the measured goal, rad.
-        rests: True if the target is taken to rest.
+        at_rest: True if the target is taken to rest.
 
     Returns:
         The variance, rad^2; 0 if the motor has not reversed recently.
     """
-    memory.play[eye, joint] *= _FORGET
-    since_s = (exposed - memory.turned[eye, joint]) * rig.period_s
+    memory.backlash_variance[eye, joint] *= _FORGET
+    since_s = (exposed - memory.reversed_at[eye, joint]) * rig.period_s
     if since_s > _LATELY_S:
         return 0.0
     off = goal - memory.goals[eye, joint]
     clear = off * off > max(_CLEAR * memory.noise, _LEAST_RAD * _LEAST_RAD)
-    if rests and clear and abs(off) < _MOST_RAD:
+    if at_rest and clear and abs(off) < _MOST_RAD:
         half = 0.5 * off
-        if memory.flip[eye, joint] * off < 0.0:
-            memory.play[eye, joint] = max(memory.play[eye, joint], half * half)
-        memory.flip[eye, joint] = 1.0 if off > 0.0 else -1.0
-    found: float = memory.play[eye, joint]
+        if memory.jump_sign[eye, joint] * off < 0.0:
+            memory.backlash_variance[eye, joint] = max(
+                memory.backlash_variance[eye, joint], half * half
+            )
+        memory.jump_sign[eye, joint] = 1.0 if off > 0.0 else -1.0
+    found: float = memory.backlash_variance[eye, joint]
     return found

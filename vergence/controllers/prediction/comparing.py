@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from vergence._jit import subroutine
-from vergence.controllers.prediction.dating import HYPOTHESES, SPACING_S, add_misfit
+from vergence.controllers.prediction.dating import HYPOTHESES, SPACING_S, add_cost
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.memory import PredictorState, angle_at
 from vergence.models.parts import FloatArray
@@ -22,7 +22,7 @@ evidence on the delay rarer, smaller ones take target motion for a delay error).
 EXACT_RAD: Final = 0.0004
 """Standard deviation that an innovation keeps even if everything is known, rad (chosen: model
 errors without a term of their own)."""
-TELLS: Final = 16.0
+INFORMATIVE_RATIO: Final = 16.0
 """Squared eye motion between the extreme delays, relative to the variance of a measured goal, above
 which an image carries evidence on the delay (chosen: 4 sigma)."""
 
@@ -31,11 +31,11 @@ which an image carries evidence on the delay (chosen: 4 sigma)."""
 def compare_delays(
     memory: PredictorState,
     rig: PredictorModel,
-    came: float,
+    arrived: float,
     low: int,
     high: int,
-    then: FloatArray,
-    angles: FloatArray,
+    angles_at_exposure: FloatArray,
+    angles_by_delay: FloatArray,
     goals: FloatArray,
     variance: FloatArray,
     added: FloatArray,
@@ -45,17 +45,18 @@ def compare_delays(
     Args:
         memory: the predictor's state.
         rig: the head's parameters.
-        came: arrival of the image (its stamp if the camera stamps exposures), in periods.
+        arrived: arrival of the image (its stamp if the camera stamps exposures), in periods.
         low: index of the first delay hypothesis that is not ruled out.
         high: index one past the last of them.
-        then: (2, 2) mean joint angles at the exposure, from which the goals were computed, rad.
-        angles: (HYPOTHESES, 2, 2) joint angles at the exposure under each delay, rad.
+        angles_at_exposure: (2, 2) mean joint angles at the exposure, from which the goals were
+            computed, rad.
+        angles_by_delay: (HYPOTHESES, 2, 2) joint angles at the exposure under each delay, rad.
         goals: (2, 2) measured goals, rad; nan for none.
         variance: (2, 2) variances of the measured goals, rad^2.
-        added: (HYPOTHESES,) misfit that the image adds to each delay, changed in place.
+        added: (HYPOTHESES,) cost that the image adds to each delay, changed in place.
     """
     one, two = memory.images[0], memory.images[1]
-    first, second = came - one.came, one.came - two.came
+    first, second = arrived - one.arrived, one.arrived - two.arrived
     if not (0.0 < second < 40.0 and 0.0 < first < 40.0):
         return
     ratio = first / second
@@ -65,19 +66,19 @@ def compare_delays(
         if not isfinite(goals[eye, 0] + one.goals[eye, 0] + two.goals[eye, 0]):
             continue
         for joint in range(2):
-            spread = more * variance[eye, joint] + swing * swing + EXACT_RAD**2
-            rest = goals[eye, joint] - then[eye, joint]
-            rest -= (1.0 + ratio) * (one.goals[eye, joint] - one.then[eye, joint])
-            rest += ratio * (two.goals[eye, joint] - two.then[eye, joint])
+            innovation_variance = more * variance[eye, joint] + swing * swing + EXACT_RAD**2
+            rest = goals[eye, joint] - angles_at_exposure[eye, joint]
+            rest -= (1.0 + ratio) * (one.goals[eye, joint] - one.angles_at_exposure[eye, joint])
+            rest += ratio * (two.goals[eye, joint] - two.angles_at_exposure[eye, joint])
             least, most = inf, -inf
             for i in range(low, high):
                 own = (memory.first_delay_s + SPACING_S * i) / rig.period_s
-                turn = angles[i, eye, joint]
-                before = angle_at(memory, rig.keep_every, one.came - own, eye, joint)
+                turn = angles_by_delay[i, eye, joint]
+                before = angle_at(memory, rig.keep_every, one.arrived - own, eye, joint)
                 turn -= (1.0 + ratio) * before
-                turn += ratio * angle_at(memory, rig.keep_every, two.came - own, eye, joint)
+                turn += ratio * angle_at(memory, rig.keep_every, two.arrived - own, eye, joint)
                 turns[i], least, most = turn, min(least, turn), max(most, turn)
             # an eye that follows as smoothly as its target moves carries no evidence on the delay
-            if (most - least) ** 2 > TELLS * spread:
+            if (most - least) ** 2 > INFORMATIVE_RATIO * innovation_variance:
                 for i in range(low, high):
-                    add_misfit(added, (rest + turns[i]) ** 2 / spread, i)
+                    add_cost(added, (rest + turns[i]) ** 2 / innovation_variance, i)

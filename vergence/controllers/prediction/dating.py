@@ -5,8 +5,8 @@ angles at the exposure plus the angles that the eye still had to turn. The joint
 belongs to the exposure is found by the delay D: the latency of images minus the latency of joint
 readings. Each hypothesis of D has its own filtered goal. Under the true delay the goal of a target
 stays where it was, whatever the eye does; under a wrong one the eye's own motion leaks into it. The
-misfit of a hypothesis is the sum of its squared normalised innovations, and its weight is
-exp(-misfit / 2), normalised. While the eyes rest, all hypotheses agree and nothing is learned;
+cost of a hypothesis is the sum of its squared normalised innovations, and its weight is
+exp(-cost / 2), normalised. While the eyes rest, all hypotheses agree and nothing is learned;
 during a saccade, 8 ms of delay are tens of pixels.
 
 The angles left to turn depend on the pose at the exposure too. To first order the goal moves with
@@ -37,19 +37,19 @@ _SD_S: Final = 0.035
 against the time to find a wrong one)."""
 _STAMPED_SD_S: Final = 0.012
 """The prior standard deviation if the camera stamps exposures, s (chosen)."""
-_WORST: Final = 16.0
-"""Upper bound of the misfit of one joint in one image (chosen): an image that fits no hypothesis is
+_LARGEST_TERM: Final = 16.0
+"""Upper bound of the cost of one joint in one image (chosen): an image that fits no hypothesis is
 no evidence."""
-_OUT: Final = 150.0
-"""Excess of a misfit over the least one above which a delay is ruled out (chosen: its weight is
+_RULED_OUT: Final = 150.0
+"""Excess of a cost over the least one above which a delay is ruled out (chosen: its weight is
 below exp(-75))."""
-_MOST: Final = 2000.0
-"""Upper bound of a misfit, so that a ruled-out delay can return (chosen)."""
+_LARGEST_COST: Final = 2000.0
+"""Upper bound of a cost, so that a ruled-out delay can return (chosen)."""
 _FORGET: Final = 0.97
-"""Factor that remains of old misfits after a fully informative image (chosen: noise against
+"""Factor that remains of old costs after a fully informative image (chosen: noise against
 tracking of a delay that changes)."""
-_DOUBT: Final = 0.5
-"""Factor that remains of the misfits once no hypothesis explains the images (chosen)."""
+_KEPT_IN_DOUBT: Final = 0.5
+"""Factor that remains of the costs once no hypothesis explains the images (chosen)."""
 
 
 def first_delay(latency_s: float) -> float:
@@ -58,8 +58,8 @@ def first_delay(latency_s: float) -> float:
     return latency_s - earlier * SPACING_S
 
 
-def first_misfits(latency_s: float, stamped: bool, learn: bool) -> FloatArray:
-    """(HYPOTHESES,) misfits of the delays before the first image: the Gaussian prior.
+def prior_costs(latency_s: float, stamped: bool, learn: bool) -> FloatArray:
+    """(HYPOTHESES,) costs of the delays before the first image: the Gaussian prior.
 
     Args:
         latency_s: the head's nominal delay, s.
@@ -72,72 +72,72 @@ def first_misfits(latency_s: float, stamped: bool, learn: bool) -> FloatArray:
 
 
 @inlined
-def in_question(misfit: FloatArray) -> tuple[int, int]:
+def active_range(cost: FloatArray) -> tuple[int, int]:
     """Index of the first delay that is not ruled out, and one past the last."""
-    least = misfit[0]
+    least = cost[0]
     for i in range(HYPOTHESES):
-        least = min(least, misfit[i])
+        least = min(least, cost[i])
     low, high = 0, HYPOTHESES
-    while misfit[low] - least > _OUT:
+    while cost[low] - least > _RULED_OUT:
         low += 1
-    while misfit[high - 1] - least > _OUT:
+    while cost[high - 1] - least > _RULED_OUT:
         high -= 1
     return low, high
 
 
 @inlined
-def weigh(misfit: FloatArray, low: int, high: int, weights: FloatArray) -> None:
+def delay_posterior(cost: FloatArray, low: int, high: int, weights: FloatArray) -> None:
     """Compute the normalised weights of the delays from `low` to below `high`."""
-    least = misfit[low]
+    least = cost[low]
     for i in range(low, high):
-        least = min(least, misfit[i])
+        least = min(least, cost[i])
     total = 0.0
     for i in range(low, high):
-        weights[i] = exp(-0.5 * (misfit[i] - least))
+        weights[i] = exp(-0.5 * (cost[i] - least))
         total += weights[i]
     for i in range(low, high):
         weights[i] /= total
 
 
 @inlined
-def add_misfit(added: FloatArray, square: float, i: int) -> None:
-    """Add a bounded squared normalised innovation to the misfit that an image adds to delay `i`."""
-    added[i] += min(square, _WORST)
+def add_cost(added: FloatArray, square: float, i: int) -> None:
+    """Add a bounded squared normalised innovation to the cost that an image adds to delay `i`."""
+    added[i] += min(square, _LARGEST_TERM)
 
 
 @inlined
-def unlikely(misfit: FloatArray, low: int, high: int, added: FloatArray) -> float:
-    """Negative log-likelihood of an image over all delays, from the misfits that it adds."""
-    least, first = misfit[low], added[low]
+def negative_log_likelihood(cost: FloatArray, low: int, high: int, added: FloatArray) -> float:
+    """Negative log-likelihood of an image over all delays, from the costs that it adds."""
+    least, first = cost[low], added[low]
     for i in range(low, high):
-        least, first = min(least, misfit[i]), min(first, added[i])
+        least, first = min(least, cost[i]), min(first, added[i])
     total = likely = 0.0
     for i in range(low, high):
-        weight = exp(-0.5 * (misfit[i] - least))
+        weight = exp(-0.5 * (cost[i] - least))
         total, likely = total + weight, likely + weight * exp(-0.5 * (added[i] - first))
-    surprise: float = 0.5 * first - log(max(likely / total, 1e-30))
-    return surprise
+    nll: float = 0.5 * first - log(max(likely / total, 1e-30))
+    return nll
 
 
 @inlined
-def take_misfits(misfit: FloatArray, low: int, high: int, added: FloatArray) -> None:
-    """Add an image's misfits to the accumulated ones; old ones decay as informative images come.
+def accumulate_costs(cost: FloatArray, low: int, high: int, added: FloatArray) -> None:
+    """Add an image's costs to the accumulated ones; old ones decay as informative images come.
 
-    The misfits of ruled-out delays decay too, until these are considered again.
+    The costs of ruled-out delays decay too, until these are considered again.
     """
     least = most = added[low]
     for i in range(low, high):
         least, most = min(least, added[i]), max(most, added[i])
     forget = 1.0 - (1.0 - _FORGET) * min(most - least, 1.0)
     for i in range(HYPOTHESES):
-        misfit[i] *= forget
+        cost[i] *= forget
         if low <= i < high:
-            misfit[i] += added[i] - least
-        misfit[i] = min(misfit[i], _MOST)
+            cost[i] += added[i] - least
+        cost[i] = min(cost[i], _LARGEST_COST)
 
 
 @inlined
-def doubt_delays(misfit: FloatArray) -> None:
+def forget_delay_evidence(cost: FloatArray) -> None:
     """Forget part of the evidence on the delay."""
     for i in range(HYPOTHESES):
-        misfit[i] *= _DOUBT
+        cost[i] *= _KEPT_IN_DOUBT

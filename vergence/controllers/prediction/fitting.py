@@ -23,17 +23,17 @@ import numpy as np
 from vergence._jit import inlined, subroutine
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.response import (
-    ANSWERS,
-    BUILDING,
-    PLAIN,
+    FIRST_ORDER,
+    RESPONSE_MODELS,
+    SECOND_ORDER,
     SPEEDS,
     Response,
     ResponseModel,
     advance,
-    answer_of,
     command_at,
     longest_latency,
     mean_at,
+    model_of,
     speed_at,
 )
 from vergence.models.joint_pace import follow_pace, pace_of
@@ -90,10 +90,10 @@ gain (numerical)."""
 _EVIDENCE: Final = 15.0
 """Excess of squared normalised residuals of the plain model, relative to the misfit of the other
 one, above which the model with a build-up is used (chosen)."""
-_TELLS_S: Final = 0.06
+_INFORMATIVE_S: Final = 0.06
 """Shortest window that carries evidence on the build-up, s (chosen): while actuators have only just
 begun to move, both models fit."""
-_SWINGS: Final = 0.25
+_LEAST_BUILD_UP: Final = 0.25
 """Least build-up that is used; the critical damping limit, below which nothing overshoots
 (physical: 1/4 of the second-order lag)."""
 _REMEMBERED: Final = 0.7
@@ -134,9 +134,9 @@ def _is_excited(response: Response, rig: PredictorModel, first: int, tick: int, 
 
 
 @subroutine
-def _misfit(
+def _posterior_cost(
     response: Response,
-    answer: ResponseModel,
+    model: ResponseModel,
     rig: PredictorModel,
     tick: int,
     latency: float,
@@ -148,15 +148,15 @@ def _misfit(
     Each squared normalised residual is bounded.
     """
     first = int(response.begun)
-    off = (latency - answer.prior[0], ratio - answer.prior[1], log_lag - answer.prior[2])
+    deviation = (latency - model.prior[0], ratio - model.prior[1], log_lag - model.prior[2])
     total = 0.0
     for i in range(3):
-        total += off[i] * off[i] * answer.information[i]
+        total += deviation[i] * deviation[i] * model.information[i]
     period, whole = rig.period_s, int(latency / rig.period_s + 1e-9)
-    rest, build_up = latency - whole * period, answer.found[3]
+    rest, build_up = latency - whole * period, model.parameters[3]
     for j in range(4):
-        gain = exp(answer.gain[j])
-        v, w = speed_at(response, first, j), answer.accelerations[j]
+        gain = exp(model.gain[j])
+        v, w = speed_at(response, first, j), model.accelerations[j]
         lag, a = rig.lag_ratio[j] * exp(log_lag), rig.acceleration[j] * exp(ratio)
         before, after = pace_of(lag, build_up, a, rest), pace_of(lag, build_up, a, period - rest)
         mean_sd = _mean_step(rig, j)
@@ -165,37 +165,37 @@ def _misfit(
             q, v, w = follow_pace(0.0, v, w, u, before)
             u = gain * command_at(response, i - whole, j)
             q, v, w = follow_pace(q, v, w, u, after)
-            read, told, step_sd = mean_at(response, i + 1, j), q / period, mean_sd
+            measured, simulated, step_sd = mean_at(response, i + 1, j), q / period, mean_sd
             if response.prompt > 0.5:
-                read, told, step_sd = speed_at(response, i + 1, j), v, rig.speed_step[j]
-            spread = step_sd * step_sd + 0.05**2 + 0.01 * read * read
-            total += min((read - told) ** 2 / spread, 30.0)
+                measured, simulated, step_sd = speed_at(response, i + 1, j), v, rig.speed_step[j]
+            residual_variance = step_sd * step_sd + 0.05**2 + 0.01 * measured * measured
+            total += min((measured - simulated) ** 2 / residual_variance, 30.0)
     return total
 
 
 @subroutine
-def _try_others(response: Response, answer: ResponseModel, rig: PredictorModel, tick: int) -> None:
+def _try_others(response: Response, model: ResponseModel, rig: PredictorModel, tick: int) -> None:
     """Restart the fit at other parameter values where these explain the window better."""
-    known, free = answer.found, answer.variance[0] > _SURE_S**2
-    best = _misfit(response, answer, rig, tick, known[0], known[1], known[2]) - _BETTER
+    known, free = model.parameters, model.variance[0] > _SURE_S**2
+    best = _posterior_cost(response, model, rig, tick, known[0], known[1], known[2]) - _BETTER
     for i in range(_TRIED if free else 0):
         latency = min(_SPACING_S * i, longest_latency(rig))
-        found = _misfit(response, answer, rig, tick, latency, known[1], known[2])
-        if found < best:
-            best, known[0] = found, latency
+        cost = _posterior_cost(response, model, rig, tick, latency, known[1], known[2])
+        if cost < best:
+            best, known[0] = cost, latency
     for m in range(8):  # 8 of 72 combinations per period, all in nine periods
         i = (8 * tick + m) % 72
         latency, ratio = 0.008 * (i % 6), log(0.4) + 0.5 * (i // 6 % 3)
         log_lag = log(0.016) + 0.45 * (i // 18)
-        found = _misfit(response, answer, rig, tick, latency, ratio, log_lag)
-        if found < best:
-            best, known[0], known[1], known[2] = found, latency, ratio, log_lag
+        cost = _posterior_cost(response, model, rig, tick, latency, ratio, log_lag)
+        if cost < best:
+            best, known[0], known[1], known[2] = cost, latency, ratio, log_lag
     for m in range(2):  # 2 of 16 per period, all in eight: motors very unlike the model
         i = (2 * tick + m) % 16
         ratio, log_lag = log(_FASTER[i % 4]), log(_FASTER_LAGS_S[i // 4])
-        found = _misfit(response, answer, rig, tick, known[0], ratio, log_lag)
-        if found < best:
-            best, known[1], known[2] = found, ratio, log_lag
+        cost = _posterior_cost(response, model, rig, tick, known[0], ratio, log_lag)
+        if cost < best:
+            best, known[1], known[2] = cost, ratio, log_lag
 
 
 @inlined
@@ -216,63 +216,67 @@ def _solve(matrix: FloatArray, right: FloatArray, out: FloatArray) -> None:
 
 
 @subroutine
-def _fit(response: Response, answer: ResponseModel, rig: PredictorModel, tick: int) -> None:
+def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: int) -> None:
     """Take one Gauss-Newton step on the window."""
     first, period = int(response.begun), rig.period_s
-    builds_up = answer.found[3] > 0.0
+    builds_up = model.parameters[3] > 0.0
     size = 4 if builds_up else 3
     normal, right = np.zeros((size, size)), np.zeros(size)
     mixed, own, own_right = np.zeros((4, size)), np.zeros(4), np.zeros(4)
     slope, holds, gains = np.zeros(size), np.zeros(6, dtype=np.int64), np.zeros(6)
-    v, w, ways = np.zeros(6), np.zeros(6), np.zeros(6)
+    v, w, distances = np.zeros(6), np.zeros(6), np.zeros(6)
     for i in range(size):
-        normal[i, i] = answer.information[i]
-        right[i] = answer.information[i] * (answer.prior[i] - answer.found[i])
+        normal[i, i] = model.information[i]
+        right[i] = model.information[i] * (model.prior[i] - model.parameters[i])
     residuals = count = 0.0
     for j in range(4):
         own[j] = 1.0 / _GAIN_SD**2
-        own_right[j] = own[j] * (answer.gain_prior[j] - answer.gain[j])
+        own_right[j] = own[j] * (model.gain_prior[j] - model.gain[j])
         if not (rig.speed[j] > 0.0 and _is_excited(response, rig, first, tick, j)):
             continue
         paces = [pace_of(1.0, 0.0, 1.0, 0.0)] * 12
         for m in range(size + 2):  # nominal (0), gain (1) or a parameter perturbed
-            latency = answer.found[0] + (_DIFFERENCES[0] if m == 2 else 0.0)
-            ratio = answer.found[1] + (_DIFFERENCES[1] if m == 3 else 0.0)
-            log_lag = answer.found[2] + (_DIFFERENCES[2] if m == 4 else 0.0)
-            build_up = answer.found[3] + (_DIFFERENCES[3] if m == 5 else 0.0)
-            gains[m] = exp(answer.gain[j] + (_DIFFERENCES[4] if m == 1 else 0.0))
+            latency = model.parameters[0] + (_DIFFERENCES[0] if m == 2 else 0.0)
+            ratio = model.parameters[1] + (_DIFFERENCES[1] if m == 3 else 0.0)
+            log_lag = model.parameters[2] + (_DIFFERENCES[2] if m == 4 else 0.0)
+            build_up = model.parameters[3] + (_DIFFERENCES[3] if m == 5 else 0.0)
+            gains[m] = exp(model.gain[j] + (_DIFFERENCES[4] if m == 1 else 0.0))
             holds[m] = int(latency / period + 1e-9)
             rest, lag = latency - holds[m] * period, rig.lag_ratio[j] * exp(log_lag)
             a = rig.acceleration[j] * exp(ratio)
             paces[2 * m] = pace_of(lag, build_up, a, rest)
             paces[2 * m + 1] = pace_of(lag, build_up, a, period - rest)
-            v[m], w[m] = speed_at(response, first, j), answer.accelerations[j]
+            v[m], w[m] = speed_at(response, first, j), model.accelerations[j]
         for i in range(first, tick):
             for m in range(size + 2):
                 u = gains[m] * command_at(response, i - holds[m] - 1, j)
-                way, v[m], w[m] = follow_pace(0.0, v[m], w[m], u, paces[2 * m])
+                distance, v[m], w[m] = follow_pace(0.0, v[m], w[m], u, paces[2 * m])
                 u = gains[m] * command_at(response, i - holds[m], j)
-                way, v[m], w[m] = follow_pace(way, v[m], w[m], u, paces[2 * m + 1])
-                ways[m] = way / period
-            read, step_sd, told = mean_at(response, i + 1, j), _mean_step(rig, j), ways
+                distance, v[m], w[m] = follow_pace(distance, v[m], w[m], u, paces[2 * m + 1])
+                distances[m] = distance / period
+            measured, step_sd, simulated = (
+                mean_at(response, i + 1, j),
+                _mean_step(rig, j),
+                distances,
+            )
             if response.prompt > 0.5:
-                read, step_sd, told = speed_at(response, i + 1, j), rig.speed_step[j], v
-            off = read - told[0]
-            spread = step_sd * step_sd + _SPEED_SD**2 * (1.0 + read * read)
-            share = off * off / spread
-            residuals, count = residuals + min(share, 100.0), count + 1.0
+                measured, step_sd, simulated = speed_at(response, i + 1, j), rig.speed_step[j], v
+            residual = measured - simulated[0]
+            residual_variance = step_sd * step_sd + _SPEED_SD**2 * (1.0 + measured * measured)
+            square = residual * residual / residual_variance
+            residuals, count = residuals + min(square, 100.0), count + 1.0
             # Cauchy weight: outliers count for little
-            weight = 1.0 / spread / (1.0 + share / 9.0)
-            gain_slope = (told[1] - told[0]) / _DIFFERENCES[4]
+            weight = 1.0 / residual_variance / (1.0 + square / 9.0)
+            gain_slope = (simulated[1] - simulated[0]) / _DIFFERENCES[4]
             for m in range(size):
-                slope[m] = (told[m + 2] - told[0]) / _DIFFERENCES[m]
+                slope[m] = (simulated[m + 2] - simulated[0]) / _DIFFERENCES[m]
             for r in range(size):
-                right[r] += weight * slope[r] * off
+                right[r] += weight * slope[r] * residual
                 mixed[j, r] += weight * slope[r] * gain_slope
                 for c in range(size):
                     normal[r, c] += weight * slope[r] * slope[c]
             own[j] += weight * gain_slope * gain_slope
-            own_right[j] += weight * gain_slope * off
+            own_right[j] += weight * gain_slope * residual
     for j in range(4):
         for r in range(size):
             right[r] -= mixed[j, r] * own_right[j] / own[j]
@@ -284,47 +288,47 @@ def _fit(response: Response, answer: ResponseModel, rig: PredictorModel, tick: i
         return
     least = (0.0, log(_RATIOS[0]), log(_LAGS_S[0]), _BUILD_UPS[0])
     most = (longest_latency(rig), log(_RATIOS[1]), log(_LAGS_S[1]), _BUILD_UPS[1])
-    answer.residuals, answer.misfit = residuals, residuals / max(count, 1.0)
-    worse = max(1.0, answer.misfit)
+    model.residuals, model.misfit = residuals, residuals / max(count, 1.0)
+    worse = max(1.0, model.misfit)
     for i in range(size):
-        found = answer.found[i] + min(max(step[i], -_LIMITS[i]), _LIMITS[i])
-        answer.found[i] = min(max(found, least[i]), most[i])
+        updated = model.parameters[i] + min(max(step[i], -_LIMITS[i]), _LIMITS[i])
+        model.parameters[i] = min(max(updated, least[i]), most[i])
         for r in range(size):
             unit[r] = 1.0 if r == i else 0.0
         _solve(normal, unit, column)
-        answer.variance[i] = worse * column[i]
+        model.variance[i] = worse * column[i]
     for j in range(4):
         change = own_right[j]
         for r in range(size):
             change -= mixed[j, r] * step[r]
-        gain = answer.gain[j] + min(max(change / own[j], -0.1), 0.1)
-        answer.gain[j] = min(max(gain, -_MOST_GAIN), _MOST_GAIN)
+        gain = model.gain[j] + min(max(change / own[j], -0.1), 0.1)
+        model.gain[j] = min(max(gain, -_MOST_GAIN), _MOST_GAIN)
 
 
 @inlined
-def _choose(response: Response, lasted_s: float, ends: bool) -> None:
+def _select(response: Response, lasted_s: float, ends: bool) -> None:
     """Select the model that explains the windows better."""
-    plain, building = response.answers[PLAIN], response.answers[BUILDING]
-    says = 0.0
-    if lasted_s >= _TELLS_S:
-        says = (plain.residuals - building.residuals) / max(building.misfit, 1.0)
-    better = response.evidence + says > _EVIDENCE
-    overshoots = building.found[3] > _SWINGS
-    response.chosen = BUILDING if better and overshoots else PLAIN
+    first_order, second_order = response.models[FIRST_ORDER], response.models[SECOND_ORDER]
+    excess = 0.0
+    if lasted_s >= _INFORMATIVE_S:
+        excess = (first_order.residuals - second_order.residuals) / max(second_order.misfit, 1.0)
+    better = response.evidence + excess > _EVIDENCE
+    overshoots = second_order.parameters[3] > _LEAST_BUILD_UP
+    response.selected = SECOND_ORDER if better and overshoots else FIRST_ORDER
     if ends:
-        response.evidence = _REMEMBERED * (response.evidence + says)
+        response.evidence = _REMEMBERED * (response.evidence + excess)
 
 
 @subroutine
 def _replay(
-    response: Response, answer: ResponseModel, rig: PredictorModel, tick: int, out: FloatArray
+    response: Response, model: ResponseModel, rig: PredictorModel, tick: int, out: FloatArray
 ) -> None:
-    """(4,) accelerations at the end of the window, simulated with an answer, rad/s^2."""
+    """(4,) accelerations at the end of the window, simulated with a response model, rad/s^2."""
     first = int(response.begun)
     for j in range(4):
-        v, out[j] = speed_at(response, first, j), answer.accelerations[j]
+        v, out[j] = speed_at(response, first, j), model.accelerations[j]
         for i in range(first, tick):
-            _q, v, out[j] = advance(response, answer, rig, i, j, 0.0, v, out[j])
+            _q, v, out[j] = advance(response, model, rig, i, j, 0.0, v, out[j])
 
 
 @inlined
@@ -341,8 +345,8 @@ def learn_response(response: Response, rig: PredictorModel, tick: int) -> None:
         if not moving:
             return
         response.begun = tick - 1.0
-        for i in range(ANSWERS if response.ended != response.begun else 0):
-            response.answers[i].accelerations[:] = 0.0
+        for i in range(RESPONSE_MODELS if response.ended != response.begun else 0):
+            response.models[i].accelerations[:] = 0.0
     first = int(response.begun)
     window = min(max(int(_WINDOW_S / rig.period_s + 0.5), _LEAST_WINDOW), SPEEDS - 4)
     ends = tick - first >= window or not moving
@@ -350,23 +354,23 @@ def learn_response(response: Response, rig: PredictorModel, tick: int) -> None:
     for j in range(4):
         excited = excited or (rig.speed[j] > 0.0 and _is_excited(response, rig, first, tick, j))
     # a well-known response is updated only once a window
-    answer = answer_of(response)
-    sure = answer.variance[0] < _SURE_S**2 and answer.misfit < _GOOD
-    if excited and (ends or not sure or answer.variance[1] > _SURE_RATIO**2):
-        for i in range(ANSWERS):
-            if not sure:
-                _try_others(response, response.answers[i], rig, tick)
-            _fit(response, response.answers[i], rig, tick)
-        _choose(response, (tick - first) * rig.period_s, ends)
-        _replay(response, answer_of(response), rig, tick, response.accelerations)
+    model = model_of(response)
+    well_known = model.variance[0] < _SURE_S**2 and model.misfit < _GOOD
+    if excited and (ends or not well_known or model.variance[1] > _SURE_RATIO**2):
+        for i in range(RESPONSE_MODELS):
+            if not well_known:
+                _try_others(response, response.models[i], rig, tick)
+            _fit(response, response.models[i], rig, tick)
+        _select(response, (tick - first) * rig.period_s, ends)
+        _replay(response, model_of(response), rig, tick, response.accelerations)
     if ends:
-        for i in range(ANSWERS):
-            answer = response.answers[i]
-            _replay(response, answer, rig, tick, answer.accelerations)
+        for i in range(RESPONSE_MODELS):
+            model = response.models[i]
+            _replay(response, model, rig, tick, model.accelerations)
             for n in range(4):
-                answer.prior[n] = answer.found[n]
-                variance = max(1.2 * answer.variance[n], _FLOORS[n] ** 2)
-                answer.information[n] = 1.0 / variance
-                answer.gain_prior[n] = answer.gain[n]
+                model.prior[n] = model.parameters[n]
+                variance = max(1.2 * model.variance[n], _FLOORS[n] ** 2)
+                model.information[n] = 1.0 / variance
+                model.gain_prior[n] = model.gain[n]
         response.begun, response.ended = -1.0, float(tick)
         response.windows += 1.0

@@ -8,7 +8,13 @@ from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.measuring import JITTER_S
 from vergence.controllers.prediction.memory import PredictorState, angle_at
-from vergence.controllers.prediction.moving import MODELS, carry_on, mix, rate_of, switch
+from vergence.controllers.prediction.moving import (
+    MODELS,
+    mix,
+    predict_modes,
+    predict_motions,
+    rate_of,
+)
 from vergence.models.parts import FloatArray
 
 _SLOW_RAD_S: Final = 0.02
@@ -24,7 +30,7 @@ third more in the loop of scenario `hardware`, by two thirds more with the head 
 
 
 @inlined
-def carry_motions(memory: PredictorState, rig: PredictorModel, exposed: float) -> None:
+def predict_to_exposure(memory: PredictorState, rig: PredictorModel, exposed: float) -> None:
     """Predict the target motion models to the exposure of an image (IMM mixing and time update).
 
     Args:
@@ -36,9 +42,9 @@ def carry_motions(memory: PredictorState, rig: PredictorModel, exposed: float) -
     mixed = np.zeros((MODELS, 12))
     for eye in range(2):
         if memory.known[eye] > 0.5:
-            mix(memory.motions[eye], memory.ways, mixed)
-            carry_on(memory.motions[eye], time_s)
-    switch(memory.ways)
+            mix(memory.motions[eye], memory.mode_probabilities, mixed)
+            predict_motions(memory.motions[eye], time_s)
+    predict_modes(memory.mode_probabilities)
     memory.moved_at = exposed
 
 
@@ -48,7 +54,7 @@ def slip_variances(
     rig: PredictorModel,
     exposed: float,
     variance: FloatArray,
-    spread: FloatArray,
+    delay_variance: FloatArray,
     slip: FloatArray,
 ) -> None:
     """Compute the variances of measured angles of moving targets.
@@ -61,7 +67,7 @@ def slip_variances(
         rig: the head's parameters.
         exposed: exposure time of the image, in periods.
         variance: (2, 2) variances of the goals for a known delay, rad^2.
-        spread: (2, 2) variances that the uncertain delay adds for a resting target, rad^2.
+        delay_variance: (2, 2) variances that the uncertain delay adds for a resting target, rad^2.
         slip: (2, 2) result: variances for a moving target, rad^2.
     """
     for eye in range(2):
@@ -69,9 +75,9 @@ def slip_variances(
             after = angle_at(memory, rig.keep_every, exposed + 0.5, eye, joint)
             before = angle_at(memory, rig.keep_every, exposed - 0.5, eye, joint)
             speed = (after - before) / rig.period_s
-            share = speed - rate_of(memory.motions[eye], memory.ways, joint)
+            share = speed - rate_of(memory.motions[eye], memory.mode_probabilities, joint)
             share = min((share / max(abs(speed), _SLOW_RAD_S)) ** 2, 1.0)
             dating = JITTER_S * JITTER_S * speed * speed
             own = variance[eye, joint] - (1.0 - share) * dating
             step = _ENCODER * rig.joint_step[eye, joint]
-            slip[eye, joint] = own + step * step + share * spread[eye, joint]
+            slip[eye, joint] = own + step * step + share * delay_variance[eye, joint]

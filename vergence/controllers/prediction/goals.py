@@ -22,39 +22,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.comparing import EXACT_RAD, TELLS, compare_delays
+from vergence.controllers.prediction.comparing import EXACT_RAD, INFORMATIVE_RATIO, compare_delays
 from vergence.controllers.prediction.dating import (
     HYPOTHESES,
-    add_misfit,
-    doubt_delays,
-    in_question,
-    take_misfits,
-    weigh,
+    accumulate_costs,
+    active_range,
+    add_cost,
+    delay_posterior,
+    forget_delay_evidence,
 )
-from vergence.controllers.prediction.joints import RING, PredictorModel
+from vergence.controllers.prediction.joints import RING_LENGTH, PredictorModel
 from vergence.controllers.prediction.jumps import has_jumped
 from vergence.controllers.prediction.measuring import (
     date_image,
+    goal_variance,
     measure_goals,
-    variance_of,
 )
 from vergence.controllers.prediction.memory import PredictorState, angle_at
 from vergence.controllers.prediction.moving import (
-    WEIGHTS,
+    MODES,
     Motions,
+    begin_modes,
     begin_motion,
-    begin_weights,
     infer,
-    weigh_motions,
+    update_modes,
 )
+from vergence.controllers.prediction.oscillation import reduce_count
 from vergence.controllers.prediction.rest_or_motion import (
+    classify_innovations,
     expect_motion,
-    follow,
     likely_model,
-    sees_directly,
-    tell_apart,
+    mark_direct,
+    update_motion,
 )
-from vergence.controllers.prediction.swinging import forgive
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 
@@ -78,8 +78,8 @@ _MOST_NOISE_PX: Final = 3.0
 
 
 @inlined
-def _mix(memory: PredictorState, low: int, high: int, weights: FloatArray) -> None:
-    """Compute the mean of the goals over the delay hypotheses, and their variance `doubt`."""
+def _average_goals(memory: PredictorState, low: int, high: int, weights: FloatArray) -> None:
+    """Compute the mean and the variance of the goals over the delay hypotheses."""
     for eye in range(2):
         for joint in range(2):
             mean = square = 0.0
@@ -89,11 +89,11 @@ def _mix(memory: PredictorState, low: int, high: int, weights: FloatArray) -> No
                 mean += weights[i] * off
                 square += weights[i] * off * off
             memory.goals[eye, joint] = first + mean
-            memory.doubt[eye, joint] = max(square - mean * mean, 0.0)
+            memory.goal_variance_over_delays[eye, joint] = max(square - mean * mean, 0.0)
 
 
 @inlined
-def _widen(memory: PredictorState, low: int, high: int) -> None:
+def _readmit_delays(memory: PredictorState, low: int, high: int) -> None:
     """Initialise the goals of delays that are considered again with the current mean goals."""
     for i in range(low, high):
         if memory.low <= i < memory.high:
@@ -117,68 +117,77 @@ def take_image(
         p: a packed head.
         learn: True to estimate the delay on line.
     """
-    weights, then, spread = np.zeros(HYPOTHESES), np.zeros((2, 2)), np.zeros((2, 2))
-    angles, goals = np.zeros((HYPOTHESES, 2, 2)), np.zeros((2, 2))
+    weights, delay_variance = np.zeros(HYPOTHESES), np.zeros((2, 2))
+    angles_at_exposure, angles_by_delay = np.zeros((2, 2)), np.zeros((HYPOTHESES, 2, 2))
+    goals = np.zeros((2, 2))
     inferred = np.zeros(2, dtype=np.bool_)
-    came = memory.count - (memory.image_age_s - rig.dated_s) / rig.period_s
-    low, high = in_question(memory.misfit)
-    _widen(memory, low, high)
-    weigh(memory.misfit, low, high, weights)
+    arrived = memory.count - (memory.image_age_s - rig.image_latency_s) / rig.period_s
+    low, high = active_range(memory.delay_cost)
+    _readmit_delays(memory, low, high)
+    delay_posterior(memory.delay_cost, low, high, weights)
     # eyes at rest for longer than the longest delay: every delay gives the present angles
-    still = memory.still > (RING - 4.0) * rig.keep_every
+    still = memory.still > (RING_LENGTH - 4.0) * rig.keep_every
     if still:
-        exposed = came - memory.delay_s / rig.period_s
+        exposed = arrived - memory.delay_s / rig.period_s
         for eye in range(2):
             for joint in range(2):
-                then[eye, joint] = angle_at(memory, rig.keep_every, exposed, eye, joint)
+                angles_at_exposure[eye, joint] = angle_at(
+                    memory, rig.keep_every, exposed, eye, joint
+                )
                 for i in range(low, high):
-                    angles[i, eye, joint] = then[eye, joint]
+                    angles_by_delay[i, eye, joint] = angles_at_exposure[eye, joint]
     else:
-        memory.delay_s = date_image(memory, rig, came, low, high, weights, angles, then, spread)
-        exposed = came - memory.delay_s / rig.period_s
+        memory.delay_s = date_image(
+            memory, rig, arrived, low, high, weights, angles_by_delay, angles_at_exposure,
+            delay_variance,
+        )  # fmt: skip
+        exposed = arrived - memory.delay_s / rig.period_s
     depth = (memory.depth[0], memory.depth[1])
     most = rig.gap_rad + 4.0 * sqrt(2.0 * memory.noise)
-    agree = measure_goals(memory, p, then, error, most, goals) < most
+    agree = measure_goals(memory, p, angles_at_exposure, error, most, goals) < most
     for eye in range(2):
         inferred[eye] = not isfinite(error[eye, 0] + error[eye, 1])
     learn = learn and not still
     _filter(
-        memory, rig, came, exposed, low, high, then, spread, angles, goals, inferred, depth, agree,
-        learn,
+        memory, rig, arrived, exposed, low, high, angles_at_exposure, delay_variance,
+        angles_by_delay, goals, inferred, depth, agree, learn,
     )  # fmt: skip
-    _mix(memory, low, high, weights)
+    _average_goals(memory, low, high, weights)
 
 
 @inlined
-def _begin(
+def _begin_goals(
     memory: PredictorState,
     eye: int,
     low: int,
     high: int,
     goals: FloatArray,
-    then: FloatArray,
-    angles: FloatArray,
+    angles_at_exposure: FloatArray,
+    angles_by_delay: FloatArray,
     variance: FloatArray,
     agree: bool,
 ) -> None:
     """Initialise an eye's goals with an image."""
-    memory.known[eye], memory.sure[eye] = 1.0, 1.0 if agree else 0.0
+    memory.known[eye], memory.confirmations[eye] = 1.0, 1.0 if agree else 0.0
     for joint in range(2):
         memory.variance[eye, joint] = variance[eye, joint]
         for i in range(low, high):
-            off = angles[i, eye, joint] - then[eye, joint]
+            off = angles_by_delay[i, eye, joint] - angles_at_exposure[eye, joint]
             memory.goals_by_delay[i, eye, joint] = goals[eye, joint] + off
 
 
 @inlined
-def _keep(memory: PredictorState, came: float, goals: FloatArray, then: FloatArray) -> None:
+def _store_image(
+    memory: PredictorState, arrived: float, goals: FloatArray, angles_at_exposure: FloatArray
+) -> None:
     """Store an image as the last one."""
     memory.images[1] = memory.images[0]
     image = memory.images[0]
-    image.came = came
+    image.arrived = arrived
     for eye in range(2):
         for joint in range(2):
-            image.goals[eye, joint], image.then[eye, joint] = goals[eye, joint], then[eye, joint]
+            image.goals[eye, joint] = goals[eye, joint]
+            image.angles_at_exposure[eye, joint] = angles_at_exposure[eye, joint]
 
 
 @inlined
@@ -197,35 +206,37 @@ def _filter_joint(
     joint: int,
     low: int,
     high: int,
-    then: FloatArray,
-    angles: FloatArray,
+    angles_at_exposure: FloatArray,
+    angles_by_delay: FloatArray,
     goals: FloatArray,
     variance: FloatArray,
-    spread: FloatArray,
+    delay_variance: FloatArray,
     moves: bool,
     added: FloatArray,
 ) -> float:
-    """Update one joint's filtered goals, and the misfits of the delays.
+    """Update one joint's filtered goals, and the costs of the delays.
 
     Returns:
         Squared deviation due to detection noise, rad^2; negative if other terms hide it.
     """
     before = memory.variance[eye, joint] + _PROCESS * memory.noise
     own = variance[eye, joint]
-    gain = before / (before + own + spread[eye, joint])
+    gain = before / (before + own + delay_variance[eye, joint])
     least, most = inf, -inf
     for i in range(low, high):
-        least, most = min(least, angles[i, eye, joint]), max(most, angles[i, eye, joint])
+        angle = angles_by_delay[i, eye, joint]
+        least, most = min(least, angle), max(most, angle)
     expected = before + own + EXACT_RAD**2
-    tells = not moves and (most - least) ** 2 > max(TELLS * expected, _CREEPS_RAD**2)
+    bound = max(INFORMATIVE_RATIO * expected, _CREEPS_RAD**2)
+    informative = not moves and (most - least) ** 2 > bound
     for i in range(low, high):
-        off = angles[i, eye, joint] - then[eye, joint]
+        off = angles_by_delay[i, eye, joint] - angles_at_exposure[eye, joint]
         innovation = goals[eye, joint] + off - memory.goals_by_delay[i, eye, joint]
-        if tells:
-            add_misfit(added, innovation * innovation / expected, i)
+        if informative:
+            add_cost(added, innovation * innovation / expected, i)
         memory.goals_by_delay[i, eye, joint] += gain * innovation
     memory.variance[eye, joint] = (1.0 - gain) * before
-    calm = spread[eye, joint] < 0.1 * memory.noise and own < 1.1 * memory.noise
+    calm = delay_variance[eye, joint] < 0.1 * memory.noise and own < 1.1 * memory.noise
     if moves or not calm:
         return -1.0
     off = goals[eye, joint] - memory.goals[eye, joint]
@@ -237,44 +248,45 @@ def _filter_joint(
 def _filter(
     memory: PredictorState,
     rig: PredictorModel,
-    came: float,
+    arrived: float,
     exposed: float,
     low: int,
     high: int,
-    then: FloatArray,
-    spread: FloatArray,
-    angles: FloatArray,
+    angles_at_exposure: FloatArray,
+    delay_variance: FloatArray,
+    angles_by_delay: FloatArray,
     goals: FloatArray,
     inferred: NDArray[np.bool_],
     depth: tuple[float, float],
     agree: bool,
     learn: bool,
 ) -> None:
-    """Update the filtered goals and the misfits of the delays with a new image's goals."""
+    """Update the filtered goals and the costs of the delays with a new image's goals."""
     variance, added = np.zeros((2, 2)), np.zeros(HYPOTHESES)
-    apart = 0.0
-    follows = rig.follows > 0.5
-    moves = follows and memory.ways[0] < 0.5
+    outliers = 0.0
+    targets_move = rig.targets_move > 0.5
+    moves = targets_move and memory.mode_probabilities[0] < 0.5
     for eye in range(2):
         if not isfinite(goals[eye, 0]):
             continue
         for joint in range(2):
-            turn = goals[eye, joint] - then[eye, joint]
-            variance[eye, joint] = variance_of(memory, rig, exposed, eye, joint, turn)
-    slip, play, direct = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2, dtype=np.bool_)
-    elsewhere, on_its_way = np.zeros(2, dtype=np.bool_), np.zeros(2, dtype=np.bool_)
-    sees_directly(memory, goals, inferred, direct)
-    if follows:
-        expect_motion(memory, rig, exposed, goals, direct, variance, spread, slip, play)
-    apart = tell_apart(
-        memory, rig, goals, direct, variance, spread, slip, agree, elsewhere, on_its_way
-    )
-    if apart == 1:  # one of the eyes shows an outlier, so the triangulated depth is wrong too
+            turn = goals[eye, joint] - angles_at_exposure[eye, joint]
+            variance[eye, joint] = goal_variance(memory, rig, exposed, eye, joint, turn)
+    slip, backlash, direct = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2, dtype=np.bool_)
+    is_outlier, matches_motion = np.zeros(2, dtype=np.bool_), np.zeros(2, dtype=np.bool_)
+    mark_direct(memory, goals, inferred, direct)
+    if targets_move:
+        expect_motion(memory, rig, exposed, goals, direct, variance, delay_variance, slip, backlash)
+    outliers = classify_innovations(
+        memory, rig, goals, direct, variance, delay_variance, slip, agree, is_outlier,
+        matches_motion,
+    )  # fmt: skip
+    if outliers == 1:  # one of the eyes shows an outlier, so the triangulated depth is wrong too
         memory.depth[0], memory.depth[1] = depth[0], depth[1]
     scatter, count = 0.0, 0
-    surprises, likely = np.zeros(WEIGHTS), likely_model(memory)
-    if follows and memory.known[0] + memory.known[1] == 0.0:
-        begin_weights(memory.ways)
+    nll, likely = np.zeros(MODES), likely_model(memory)
+    if targets_move and memory.known[0] + memory.known[1] == 0.0:
+        begin_modes(memory.mode_probabilities)
     # an eye whose goals are inferred from the other one is processed second
     first = 1 if inferred[0] else 0
     for number in range(2):
@@ -283,48 +295,55 @@ def _filter(
             continue
         motions: Motions = memory.motions[eye]
         if inferred[eye]:
-            if moves and memory.apart[1 - eye] < 0.5:
+            if moves and memory.displaced_count[1 - eye] < 0.5:
                 infer(motions, goals[eye], slip[eye])
             goals[eye, 0] = goals[eye, 1] = nan
             continue
-        if elsewhere[eye] and not on_its_way[eye]:
+        if is_outlier[eye] and not matches_motion[eye]:
             other = 1 - eye
-            alone = direct[other] and not elsewhere[other]
-            jumped = (apart == 2 and agree) or memory.sure[eye] < 0.5
-            if not (jumped or has_jumped(memory, rig, eye, goals, variance, spread, alone)):
+            alone = direct[other] and not is_outlier[other]
+            jumped = (outliers == 2 and agree) or memory.confirmations[eye] < 0.5
+            if not (jumped or has_jumped(memory, rig, eye, goals, variance, delay_variance, alone)):
                 continue
-        memory.apart[eye] = 0.0
-        if on_its_way[eye]:
-            own_scatter = follow(
-                memory, rig, eye, low, high, then, angles, goals, variance, slip, play, likely,
-                surprises,
+        memory.displaced_count[eye] = 0.0
+        if matches_motion[eye]:
+            own_scatter = update_motion(
+                memory, rig, eye, low, high, angles_at_exposure, angles_by_delay, goals, variance,
+                slip, backlash, likely, nll,
             )  # fmt: skip
-            if moves and not elsewhere[eye]:
+            if moves and not is_outlier[eye]:
                 scatter, count = scatter + own_scatter, count + 2
-        elif follows:
+        elif targets_move:
             begin_motion(motions, goals[eye], variance[eye, 0])
-        if elsewhere[eye] or memory.known[eye] < 0.5:
-            forgive(memory.swinging)
-            _begin(memory, eye, low, high, goals, then, angles, variance, agree or on_its_way[eye])
+        if is_outlier[eye] or memory.known[eye] < 0.5:
+            reduce_count(memory.oscillation)
+            _begin_goals(
+                memory, eye, low, high, goals, angles_at_exposure, angles_by_delay, variance, agree
+                or matches_motion[eye],
+            )  # fmt: skip
             continue
-        memory.sure[eye] += 1.0
+        memory.confirmations[eye] += 1.0
         for joint in range(2):
             square = _filter_joint(
-                memory, eye, joint, low, high, then, angles, goals, variance, spread, moves, added
-            )
+                memory, eye, joint, low, high, angles_at_exposure, angles_by_delay, goals, variance,
+                delay_variance, moves, added,
+            )  # fmt: skip
             if square >= 0.0:
                 scatter, count = scatter + square, count + 1
-    if follows:
-        weigh_motions(memory.ways, surprises)
+    if targets_move:
+        update_modes(memory.mode_probabilities, nll)
     if learn and moves:
-        compare_delays(memory, rig, came, low, high, then, angles, goals, variance, added)
+        compare_delays(
+            memory, rig, arrived, low, high, angles_at_exposure, angles_by_delay, goals, variance,
+            added,
+        )  # fmt: skip
     if learn:
-        take_misfits(memory.misfit, low, high, added)
+        accumulate_costs(memory.delay_cost, low, high, added)
         # if rest and motion alternate, neither explains the images: the delay may be wrong
-        turned = moves != (follows and memory.ways[0] < 0.5)
+        turned = moves != (targets_move and memory.mode_probabilities[0] < 0.5)
         memory.turns = _CALMS * memory.turns + (1.0 if turned else 0.0)
         if turned and memory.turns > _MANY_TURNS:
-            doubt_delays(memory.misfit)
-    _keep(memory, came, goals, then)
+            forget_delay_evidence(memory.delay_cost)
+    _store_image(memory, arrived, goals, angles_at_exposure)
     if count > 0:
         _learn_noise(memory, rig, scatter, count)

@@ -19,9 +19,9 @@ _GAP_RAD: Final = 0.008
 _NO_LIMIT: Final = 1e6
 """Acceleration limit used for an actuator that has none, rad/s^2 (numerical)."""
 
-RING: Final = 64
+RING_LENGTH: Final = 64
 """Number of past joint angles in the ring buffer, a power of two (numerical)."""
-_KEPT_S: Final = 0.45
+_RING_S: Final = 0.45
 """Least time that the ring buffer covers, s (numerical: longer than every delay hypothesis)."""
 
 
@@ -37,7 +37,7 @@ class PredictorModel:
     latency_s: float
     """Nominal latency of images (0 if the camera stamps exposures) minus that of joint readings,
     s."""
-    dated_s: float
+    image_latency_s: float
     """Nominal latency from exposure to arrival, s; 0 if the camera stamps exposures."""
     response_s: float
     """Nominal latency of commands plus that of joint readings, s."""
@@ -53,9 +53,9 @@ class PredictorModel:
     """Resolution of the commands, rad/s; 0 if not quantised."""
     frame_s: float
     """Nominal time between frames, s."""
-    sees: float
+    max_slip_rad_s: float
     """Largest eye-target angular rate before motion blur hides the target, rad/s."""
-    follows: float
+    targets_move: float
     """1 if targets may move, 0 if they rest except for jumps."""
     gap_rad: float
     """Largest miss distance of both eyes' rays to one target, divided by its distance."""
@@ -79,14 +79,14 @@ class PredictorModel:
     """1 if an actuator turns an eye, otherwise 0; by actuator and eye."""
     joint_step: Annotated[FloatArray, 2, 2]
     """Resolution of each eye's joint angles, from that of the encoders, rad."""
-    square: Annotated[FloatArray, 2]
+    orthogonal: Annotated[FloatArray, 2]
     """1 for each eye whose two joint axes and optical axis are at right angles at zero, otherwise
     0."""
 
 
 RIG: Final = row_layout(PredictorModel)
 RIG_SIZE: Final = row_size(RIG)
-_SQUARE: Final = 0.1
+_ORTHOGONAL: Final = 0.1
 """Largest cosine between two axes that count as at right angles (chosen)."""
 
 
@@ -109,16 +109,16 @@ def joint_rig(head: HeadModel, moving: bool = True) -> FloatArray:
         RIG,
         period_s=timing.period_s,
         latency_s=(0.0 if timing.exposure_stamps else timing.latency_s) - timing.feedback_latency_s,
-        dated_s=0.0 if timing.exposure_stamps else timing.latency_s,
+        image_latency_s=0.0 if timing.exposure_stamps else timing.latency_s,
         response_s=timing.command_latency_s + timing.feedback_latency_s,
-        keep_every=np.ceil(_KEPT_S * timing.control_rate_hz / (RING - 4)),
+        keep_every=np.ceil(_RING_S * timing.control_rate_hz / (RING_LENGTH - 4)),
         lag_s=timing.lag_s,
         pixel_rad=pixel_rad,
         detection_px=sensor.detection_noise_px,
         command_step=sensor.command_resolution_rad_s,
         frame_s=1.0 / timing.frame_rate_hz,
-        sees=min(sensor.max_smear_px * pixel_rad / max(timing.exposure_s, 1e-6), 1e6),
-        follows=moving,
+        max_slip_rad_s=min(sensor.max_smear_px * pixel_rad / max(timing.exposure_s, 1e-6), 1e6),
+        targets_move=moving,
         gap_rad=_GAP_RAD,
         lag_ratio=actuation.lag_ratio[EYES],
         angle_step=actuation.angle_step[EYES],
@@ -133,7 +133,7 @@ def joint_rig(head: HeadModel, moving: bool = True) -> FloatArray:
         leverage=np.where(leverage > 0.0, leverage, 1.0),
         moves=eyes_moved(head),
         joint_step=joint_steps(head).reshape(2, 2),
-        square=[_is_square(packed, eye) for eye in range(2)],
+        orthogonal=[_is_orthogonal(packed, eye) for eye in range(2)],
     )
 
 
@@ -149,13 +149,13 @@ def joint_steps(head: HeadModel) -> FloatArray:
     return steps
 
 
-def _is_square(packed: FloatArray, eye: int) -> bool:
+def _is_orthogonal(packed: FloatArray, eye: int) -> bool:
     frames = eye_frames(packed, eye, 0.0, 0.0)
     axes = np.array([[frame.xz, frame.yz, frame.zz] for frame in frames])
-    return bool(np.abs((axes @ axes.T)[np.triu_indices(3, 1)]).max() < _SQUARE)
+    return bool(np.abs((axes @ axes.T)[np.triu_indices(3, 1)]).max() < _ORTHOGONAL)
 
 
 @inlined
-def within(value: float, reading: float, step: float) -> float:
+def clip_to_quantisation(value: float, reading: float, step: float) -> float:
     """Clip a value to the interval step / 2 about a quantised reading; step 0 gives the reading."""
     return min(max(value, reading - 0.5 * step), reading + 0.5 * step)

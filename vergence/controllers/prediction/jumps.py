@@ -8,10 +8,10 @@ from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.memory import PredictorState
 from vergence.models.parts import FloatArray
 
-ELSEWHERE: Final = 36.0
+DISPLACED_GATE: Final = 36.0
 """Squared Mahalanobis distance of an innovation above which a goal is displaced (chosen: 6
 sigma)."""
-BESIDE: Final = 9.0
+UNMOVED_GATE: Final = 9.0
 """Squared Mahalanobis distance up to which a goal is where it was (chosen: 3 sigma)."""
 _ALONE_S: Final = 0.25
 """Time for which one eye has to see its target displaced while the other sees it unmoved, s
@@ -21,8 +21,12 @@ _DOUBTED_S: Final = 0.1
 
 
 @inlined
-def how_far(
-    memory: PredictorState, eye: int, goals: FloatArray, variance: FloatArray, spread: FloatArray
+def squared_mahalanobis(
+    memory: PredictorState,
+    eye: int,
+    goals: FloatArray,
+    variance: FloatArray,
+    delay_variance: FloatArray,
 ) -> float:
     """Squared Mahalanobis distance of an image's goals of one eye from the filtered ones.
 
@@ -31,7 +35,7 @@ def how_far(
         eye: index of the eye.
         goals: (2, 2) goals of the image, rad.
         variance: (2, 2) variances of the goals for a known delay, rad^2.
-        spread: (2, 2) variances that the uncertain delay adds, rad^2.
+        delay_variance: (2, 2) variances that the uncertain delay adds, rad^2.
 
     Returns:
         Larger distance of the two joints.
@@ -39,8 +43,8 @@ def how_far(
     most = 0.0
     for joint in range(2):
         off = goals[eye, joint] - memory.goals[eye, joint]
-        known = memory.variance[eye, joint] + memory.doubt[eye, joint]
-        known += variance[eye, joint] + spread[eye, joint]
+        known = memory.variance[eye, joint] + memory.goal_variance_over_delays[eye, joint]
+        known += variance[eye, joint] + delay_variance[eye, joint]
         most = max(most, off * off / known)
     return most
 
@@ -52,7 +56,7 @@ def has_jumped(
     eye: int,
     goals: FloatArray,
     variance: FloatArray,
-    spread: FloatArray,
+    delay_variance: FloatArray,
     alone: bool,
 ) -> bool:
     """True if the displaced detection of one eye has stayed long enough to be its target.
@@ -67,16 +71,16 @@ def has_jumped(
         eye: index of the eye.
         goals: (2, 2) goals of the image, rad.
         variance: (2, 2) variances of the goals for a known delay, rad^2.
-        spread: (2, 2) variances that the uncertain delay adds, rad^2.
+        delay_variance: (2, 2) variances that the uncertain delay adds, rad^2.
         alone: True if the other eye sees its target where it was.
     """
-    again = memory.apart[eye] > 0.5
+    again = memory.displaced_count[eye] > 0.5
     for joint in range(2):
-        off = goals[eye, joint] - memory.elsewhere[eye, joint]
-        known = 2.0 * (variance[eye, joint] + spread[eye, joint]) + 2.0 * EXACT_RAD**2
-        again = again and off * off <= ELSEWHERE * known
-    memory.apart[eye] = memory.apart[eye] + 1.0 if again else 1.0
+        off = goals[eye, joint] - memory.displaced_goals[eye, joint]
+        known = 2.0 * (variance[eye, joint] + delay_variance[eye, joint]) + 2.0 * EXACT_RAD**2
+        again = again and off * off <= DISPLACED_GATE * known
+    memory.displaced_count[eye] = memory.displaced_count[eye] + 1.0 if again else 1.0
     for joint in range(2):
-        memory.elsewhere[eye, joint] = goals[eye, joint]
+        memory.displaced_goals[eye, joint] = goals[eye, joint]
     most = max(round((_ALONE_S if alone else _DOUBTED_S) / rig.frame_s), 2)
-    return bool(memory.apart[eye] > min(max(memory.sure[eye], 2.0), most) - 0.5)
+    return bool(memory.displaced_count[eye] > min(max(memory.confirmations[eye], 2.0), most) - 0.5)

@@ -31,26 +31,27 @@ _NEWTON: Final = 10
 def date_image(
     memory: PredictorState,
     rig: PredictorModel,
-    came: float,
+    arrived: float,
     low: int,
     high: int,
     weights: FloatArray,
-    angles: FloatArray,
-    then: FloatArray,
-    spread: FloatArray,
+    angles_by_delay: FloatArray,
+    angles_at_exposure: FloatArray,
+    delay_variance: FloatArray,
 ) -> float:
     """Average the exposure time of an image, and the joint angles then, over the delay hypotheses.
 
     Args:
         memory: the predictor's state.
         rig: the head's parameters.
-        came: arrival of the image (its stamp if the camera stamps exposures), in periods.
+        arrived: arrival of the image (its stamp if the camera stamps exposures), in periods.
         low: index of the first delay hypothesis that is not ruled out.
         high: index one past the last of them.
         weights: (HYPOTHESES,) weights of the delays.
-        angles: (HYPOTHESES, 2, 2) result: joint angles at the exposure under each delay, rad.
-        then: (2, 2) result: their weighted means, rad.
-        spread: (2, 2) result: their weighted variances, rad^2.
+        angles_by_delay: (HYPOTHESES, 2, 2) result: joint angles at the exposure under each delay,
+            rad.
+        angles_at_exposure: (2, 2) result: their weighted means, rad.
+        delay_variance: (2, 2) result: their weighted variances, rad^2.
 
     Returns:
         The mean delay, s.
@@ -61,17 +62,17 @@ def date_image(
         delay += weights[i] * own
         for eye in range(2):
             for joint in range(2):
-                tick = came - own / rig.period_s
-                angles[i, eye, joint] = angle_at(memory, rig.keep_every, tick, eye, joint)
+                tick = arrived - own / rig.period_s
+                angles_by_delay[i, eye, joint] = angle_at(memory, rig.keep_every, tick, eye, joint)
     for eye in range(2):
         for joint in range(2):
             mean = square = 0.0
             for i in range(low, high):
-                off = angles[i, eye, joint] - angles[low, eye, joint]
+                off = angles_by_delay[i, eye, joint] - angles_by_delay[low, eye, joint]
                 mean += weights[i] * off
                 square += weights[i] * off * off
-            then[eye, joint] = angles[low, eye, joint] + mean
-            spread[eye, joint] = max(square - mean * mean, 0.0)
+            angles_at_exposure[eye, joint] = angles_by_delay[low, eye, joint] + mean
+            delay_variance[eye, joint] = max(square - mean * mean, 0.0)
     return delay
 
 
@@ -79,7 +80,7 @@ def date_image(
 def measure_goals(
     memory: PredictorState,
     p: PackedHead,
-    then: FloatArray,
+    angles_at_exposure: FloatArray,
     error: FloatArray,
     most: float,
     goals: FloatArray,
@@ -92,7 +93,7 @@ def measure_goals(
     Args:
         memory: the predictor's state; its depths are changed in place.
         p: a packed head.
-        then: (2, 2) joint angles at the exposure, rad.
+        angles_at_exposure: (2, 2) joint angles at the exposure, rad.
         error: (2, 2) undistorted pixel errors by eye and image axis, px; nan where not visible.
         most: largest miss distance of two rays to one target, divided by the target's distance.
         goals: (2, 2) result: joint angles that fixate the target, rad; nan for none.
@@ -103,8 +104,8 @@ def measure_goals(
     """
     left, right = rays_of_image(
         p,
-        eye_frames(p, 0, then[0, 0], then[0, 1]).camera,
-        eye_frames(p, 1, then[1, 0], then[1, 1]).camera,
+        eye_frames(p, 0, angles_at_exposure[0, 0], angles_at_exposure[0, 1]).camera,
+        eye_frames(p, 1, angles_at_exposure[1, 0], angles_at_exposure[1, 1]).camera,
         error,
     )
     depths = depths_on_rays(left, right)
@@ -120,16 +121,16 @@ def measure_goals(
         if gap < most or memory.known[0] + memory.known[1] == 0.0:
             memory.depth[0], memory.depth[1] = depths.left, depths.right
     for eye in range(2):
-        sees = eye
+        source = eye
         if not (isfinite(error[eye, 0]) and isfinite(error[eye, 1])):
-            sees = 1 - eye
-            if memory.known[eye] < 0.5 or not isfinite(error[sees, 0] + error[sees, 1]):
+            source = 1 - eye
+            if memory.known[eye] < 0.5 or not isfinite(error[source, 0] + error[source, 1]):
                 goals[eye, 0] = goals[eye, 1] = nan
                 continue
-        z = memory.depth[sees]
-        o, d = left if sees == 0 else right
+        z = memory.depth[source]
+        o, d = left if source == 0 else right
         x, y, z = o[0] + z * d[0], o[1] + z * d[1], o[2] + z * d[2]
-        q1, q2 = then[eye, 0], then[eye, 1]
+        q1, q2 = angles_at_exposure[eye, 0], angles_at_exposure[eye, 1]
         if memory.known[eye] > 0.5:  # Newton's method from the last goal needs one step
             q1, q2 = memory.goals[eye, 0], memory.goals[eye, 1]
         for _ in range(_NEWTON):
@@ -139,7 +140,7 @@ def measure_goals(
             if abs(d1) + abs(d2) < 1e-4:  # the error left is the square of this step
                 break
         goals[eye, 0], goals[eye, 1] = q1, q2
-        if sees != eye:
+        if source != eye:
             continue
         frames = eye_frames(p, eye, q1, q2)
         memory.fixated_depth[eye] = into(frames.camera, x, y, z)[2]
@@ -147,7 +148,7 @@ def measure_goals(
 
 
 @inlined
-def variance_of(
+def goal_variance(
     memory: PredictorState, rig: PredictorModel, exposed: float, eye: int, joint: int, turn: float
 ) -> float:
     """Variance of a measured goal for a known delay, rad^2.

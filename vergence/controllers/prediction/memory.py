@@ -9,24 +9,24 @@ from typing import Annotated, Final
 import numpy as np
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.dating import HYPOTHESES, first_delay, first_misfits
+from vergence.controllers.prediction.dating import HYPOTHESES, first_delay, prior_costs
 from vergence.controllers.prediction.fitting import learn_response
-from vergence.controllers.prediction.joints import RIG, RING, PredictorModel
-from vergence.controllers.prediction.moving import MODELS, WEIGHTS, EyeMotion
+from vergence.controllers.prediction.joints import RIG, RING_LENGTH, PredictorModel
+from vergence.controllers.prediction.moving import MODELS, MODES, EyeMotion
 from vergence.controllers.prediction.observer import Observer, begin_comparison, is_prompt, observe
+from vergence.controllers.prediction.oscillation import (
+    FIRST_PATIENCE_S,
+    Oscillation,
+    begin_watch,
+)
 from vergence.controllers.prediction.response import (
     COMMANDS,
     SPEEDS,
     Response,
     advance,
-    answer_of,
-    first_answers,
-    sent,
-)
-from vergence.controllers.prediction.swinging import (
-    FIRST_PATIENCE_S,
-    Swinging,
-    begin_watch,
+    effective_command,
+    initial_models,
+    model_of,
 )
 from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.envs.layout import AGE_S
@@ -43,11 +43,11 @@ NOISE_PX: Final = 0.25
 class Image:
     """An earlier image."""
 
-    came: float
+    arrived: float
     """Its arrival (its stamp if the camera stamps exposures), in periods; negative for none."""
     goals: Annotated[FloatArray, 2, 2]
     """Joint angles that fixate its target, rad; nan for an eye that did not see it."""
-    then: Annotated[FloatArray, 2, 2]
+    angles_at_exposure: Annotated[FloatArray, 2, 2]
     """Joint angles at the exposure, from which the goals were computed, rad."""
 
 
@@ -60,7 +60,7 @@ class PredictorState:
     """Age of the newest image, s; the next period compares it to detect a new image."""
     response: Response
     observer: Observer
-    swinging: Swinging
+    oscillation: Oscillation
     actuators: Annotated[FloatArray, 4]
     """Estimated actuator angles, finer than the encoders' resolution, rad."""
     velocity: Annotated[FloatArray, 4]
@@ -69,19 +69,19 @@ class PredictorState:
     """Periods since an actuator last moved."""
     direction: Annotated[FloatArray, 4]
     """Sign of each actuator's last command to move: 1, -1, or 0 for none yet."""
-    turned: Annotated[FloatArray, 2, 2]
+    reversed_at: Annotated[FloatArray, 2, 2]
     """Period in which an actuator of each joint last reversed its command."""
-    flip: Annotated[FloatArray, 2, 2]
+    jump_sign: Annotated[FloatArray, 2, 2]
     """Sign of a goal's last jump after such a reversal: 1, -1, or 0."""
-    play: Annotated[FloatArray, 2, 2]
+    backlash_variance: Annotated[FloatArray, 2, 2]
     """Variance that the backlash found so far adds to a measured goal, rad^2."""
-    angles: Annotated[FloatArray, RING, 2, 2]
+    angles: Annotated[FloatArray, RING_LENGTH, 2, 2]
     """Ring buffer of joint angles, one entry every `PredictorModel.keep_every` periods, rad;
-    entry k is at index k modulo `RING`."""
+    entry k is at index k modulo `RING_LENGTH`."""
     first_delay_s: float
     """Delay of hypothesis 0, s."""
-    misfit: Annotated[FloatArray, HYPOTHESES]
-    """Accumulated misfit of each delay hypothesis, see `dating`."""
+    delay_cost: Annotated[FloatArray, HYPOTHESES]
+    """Accumulated cost of each delay hypothesis, see `dating`."""
     low: float
     """Index of the first delay hypothesis that is not ruled out."""
     high: float
@@ -92,7 +92,7 @@ class PredictorState:
     """Filtered goals of a resting target under each delay: angles that fixate it, rad."""
     goals: Annotated[FloatArray, 2, 2]
     """Mean of these goals over the delays, rad."""
-    doubt: Annotated[FloatArray, 2, 2]
+    goal_variance_over_delays: Annotated[FloatArray, 2, 2]
     """Variance of these goals over the delays, rad^2."""
     variance: Annotated[FloatArray, 2, 2]
     """Variance of the Kalman filter of each goal, common to all delays, rad^2."""
@@ -100,12 +100,12 @@ class PredictorState:
     """Detection variance, divided by the squared focal length, rad^2."""
     known: Annotated[FloatArray, 2]
     """1 if an eye's target is known, otherwise 0."""
-    sure: Annotated[FloatArray, 2]
+    confirmations: Annotated[FloatArray, 2]
     """Number of images that have confirmed it."""
-    apart: Annotated[FloatArray, 2]
+    displaced_count: Annotated[FloatArray, 2]
     """Number of successive images, up to the last one, that showed the target at one displaced
     position."""
-    elsewhere: Annotated[FloatArray, 2, 2]
+    displaced_goals: Annotated[FloatArray, 2, 2]
     """Joint angles that fixate that displaced position, rad."""
     motions: Annotated[list[EyeMotion], 2, MODELS]
     """Target motion models, by eye and model."""
@@ -115,7 +115,7 @@ class PredictorState:
     """The last image and the one before it."""
     moved_at: float
     """Time to which the motion models were predicted: exposure of the last image, in periods."""
-    ways: Annotated[FloatArray, WEIGHTS]
+    mode_probabilities: Annotated[FloatArray, MODES]
     """Mode probabilities: rest, then each motion model."""
     aims: Annotated[FloatArray, 2, 2]
     """Joint angles that fixate the targets at the time the next command acts, rad."""
@@ -151,21 +151,21 @@ def initial_row(
     rig: PredictorModel = rig_row.view(RIG)[0]
     response = np.zeros(1, dtype=MEMORY["response"])
     response["begun"] = -1.0
-    for name, value in first_answers(rig.response_s, rig.lag_s, learn_response).items():
-        response["answers"][name] = value
-    swinging = np.zeros(1, dtype=MEMORY["swinging"])
-    swinging["patience_s"] = FIRST_PATIENCE_S
+    for name, value in initial_models(rig.response_s, rig.lag_s, learn_response).items():
+        response["models"][name] = value
+    oscillation = np.zeros(1, dtype=MEMORY["oscillation"])
+    oscillation["patience_s"] = FIRST_PATIENCE_S
     images = np.zeros(2, dtype=MEMORY["images"].base)
-    images["came"] = -1e9
+    images["arrived"] = -1e9
     return make_row(
         MEMORY,
         count=-1.0,
-        turned=-1e9,
+        reversed_at=-1e9,
         image_age_s=AGE_S,
         response=response,
-        swinging=swinging,
+        oscillation=oscillation,
         first_delay_s=first_delay(rig.latency_s),
-        misfit=first_misfits(rig.latency_s, stamped, learn_delay),
+        delay_cost=prior_costs(rig.latency_s, stamped, learn_delay),
         high=HYPOTHESES,
         delay_s=rig.latency_s,
         noise=(max(rig.detection_px, NOISE_PX) * rig.pixel_rad) ** 2,
@@ -186,13 +186,13 @@ def angle_at(memory: PredictorState, every: float, tick: float, eye: int, joint:
         joint: index of its joint.
     """
     last = np.floor(memory.count / every)
-    tick = min(max(tick / every, last - (RING - 4.0)), last)
+    tick = min(max(tick / every, last - (RING_LENGTH - 4.0)), last)
     i = min(int(np.floor(tick)), int(last) - 2)
     s = tick - i
-    a = memory.angles[np.uintp((i - 1) & (RING - 1)), eye, joint]
-    b = memory.angles[np.uintp(i & (RING - 1)), eye, joint]
-    c = memory.angles[np.uintp((i + 1) & (RING - 1)), eye, joint]
-    d = memory.angles[np.uintp((i + 2) & (RING - 1)), eye, joint]
+    a = memory.angles[np.uintp((i - 1) & (RING_LENGTH - 1)), eye, joint]
+    b = memory.angles[np.uintp(i & (RING_LENGTH - 1)), eye, joint]
+    c = memory.angles[np.uintp((i + 1) & (RING_LENGTH - 1)), eye, joint]
+    d = memory.angles[np.uintp((i + 2) & (RING_LENGTH - 1)), eye, joint]
     near = (s + 1.0) * (s - 2.0)
     angle: float = (s * (s - 1.0) / 6.0) * ((s + 1.0) * d - (s - 2.0) * a)
     angle += 0.5 * near * ((s - 1.0) * b - s * c)
@@ -224,7 +224,7 @@ def track(
     memory.still += 1.0
     tick, direct, begins = int(memory.count), is_direct(p), memory.count == 0.0
     response = memory.response
-    answer = answer_of(response)
+    model = model_of(response)
     prompt = is_prompt(memory.observer)
     response.prompt = 1.0 if prompt else 0.0
     before, now = np.uintp((tick - 1) & (COMMANDS - 1)), np.uintp(tick & (SPEEDS - 1))
@@ -238,10 +238,10 @@ def track(
             response.angles[j] = angle
             begin_comparison(memory.observer, j, angle, rate)
             continue
-        response.commands[before, j] = sent(rig, command[j])
+        response.commands[before, j] = effective_command(rig, command[j])
         q, v = memory.actuators[j], memory.velocity[j]
         w = response.accelerations[j]
-        ahead_q, ahead_v, w = advance(response, answer, rig, tick - 1, j, q, v, w)
+        ahead_q, ahead_v, w = advance(response, model, rig, tick - 1, j, q, v, w)
         response.accelerations[j] = w
         q, v = observe(
             memory.observer, response, rig, tick - 1, j, v, ahead_q, ahead_v, angle, rate
@@ -253,12 +253,12 @@ def track(
         if abs(memory.velocity[j]) > _STILL_RAD_S:
             memory.still = 0.0
     every = int(rig.keep_every)
-    slot = np.uintp(tick // every & (RING - 1))
+    slot = np.uintp(tick // every & (RING_LENGTH - 1))
     for j in range(4 if tick % every == 0 else 0):
         q = memory.actuators[j] if direct else joint_at(p, j, memory.actuators)
         if begins:
-            begin_watch(memory.swinging, j // 2, j % 2, q)
-            for place in range(RING):
+            begin_watch(memory.oscillation, j // 2, j % 2, q)
+            for place in range(RING_LENGTH):
                 memory.angles[place, j // 2, j % 2] = q
         memory.angles[slot, j // 2, j % 2] = q
     if learn and not begins:

@@ -28,7 +28,7 @@ from vergence.models.parts import FloatArray
 
 MODELS: Final = 3
 """Number of motion models (numerical)."""
-WEIGHTS: Final = MODELS + 1
+MODES: Final = MODELS + 1
 """Number of mode probabilities: rest, then the motion models (numerical)."""
 ERRATIC: Final = MODELS - 1
 """Index of the model of a target that changes direction at random (numerical)."""
@@ -93,10 +93,10 @@ Motions: TypeAlias = Any
 
 
 @inlined
-def begin_weights(weights: FloatArray) -> None:
+def begin_modes(probabilities: FloatArray) -> None:
     """Initialise the mode probabilities of a new target."""
-    for m in range(WEIGHTS):
-        weights[m] = _RESTS if m == 0 else (1.0 - _RESTS) / MODELS
+    for m in range(MODES):
+        probabilities[m] = _RESTS if m == 0 else (1.0 - _RESTS) / MODELS
 
 
 @inlined
@@ -113,38 +113,38 @@ def begin_motion(motions: Motions, goals: FloatArray, variance: float) -> None:
 
 
 @inlined
-def switch(weights: FloatArray) -> None:
+def predict_modes(probabilities: FloatArray) -> None:
     """Predict the mode probabilities to the next image with the Markov transition matrix."""
     other = _SWITCHES / MODELS
-    for m in range(WEIGHTS):
-        weights[m] = (1.0 - _SWITCHES - other) * weights[m] + other
+    for m in range(MODES):
+        probabilities[m] = (1.0 - _SWITCHES - other) * probabilities[m] + other
 
 
 @inlined
-def mix(motions: Motions, weights: FloatArray, mixed: FloatArray) -> None:
+def mix(motions: Motions, probabilities: FloatArray, mixed: FloatArray) -> None:
     """Start each model from the mixture of the models that may have switched to it.
 
     Args:
         motions: motion models of one eye, changed in place.
-        weights: (WEIGHTS,) mode probabilities after the last image.
+        probabilities: (MODES,) mode probabilities after the last image.
         mixed: (MODELS, 12) work space.
     """
     other = _SWITCHES / MODELS
     for m in range(MODELS):
         total = 1e-12
         for n in range(MODELS):
-            total += ((1.0 - _SWITCHES) if n == m else other) * weights[n + 1]
+            total += ((1.0 - _SWITCHES) if n == m else other) * probabilities[n + 1]
         for i in range(12):
             mixed[m, i] = 0.0
         for n in range(MODELS):
-            share = ((1.0 - _SWITCHES) if n == m else other) * weights[n + 1] / total
+            share = ((1.0 - _SWITCHES) if n == m else other) * probabilities[n + 1] / total
             motion: EyeMotion = motions[n]
             for joint in range(2):
                 mixed[m, joint] += share * motion.angle[joint]
                 mixed[m, 2 + joint] += share * motion.rate[joint]
                 mixed[m, 4 + joint] += share * motion.acceleration[joint]
         for n in range(MODELS):
-            share = ((1.0 - _SWITCHES) if n == m else other) * weights[n + 1] / total
+            share = ((1.0 - _SWITCHES) if n == m else other) * probabilities[n + 1] / total
             motion = motions[n]
             for i in range(6):
                 mixed[m, 6 + i] += share * motion.covariance[i]
@@ -171,7 +171,7 @@ def mix(motions: Motions, weights: FloatArray, mixed: FloatArray) -> None:
 
 
 @inlined
-def carry_on(motions: Motions, time_s: float) -> None:
+def predict_motions(motions: Motions, time_s: float) -> None:
     """Predict the models by a time; process noise in the limit of times much shorter than T_a."""
     t = time_s
     t2, t3 = t * t, t * t * t
@@ -200,15 +200,19 @@ def carry_on(motions: Motions, time_s: float) -> None:
 
 
 @inlined
-def fits(motions: Motions, weights: FloatArray, goals: FloatArray, variance: FloatArray) -> bool:
+def passes_gate(
+    motions: Motions, probabilities: FloatArray, goals: FloatArray, variance: FloatArray
+) -> bool:
     """True if measured angles (2,) of given variances pass the gate of a model."""
     for m in range(MODELS):
         motion: EyeMotion = motions[m]
-        within, gate = True, _GATE if weights[m + 1] > _LIKELY else _NARROW
+        inside, gate = True, _GATE if probabilities[m + 1] > _LIKELY else _NARROW
         for joint in range(2):
-            off = goals[joint] - motion.angle[joint]
-            within = within and off * off < gate * (motion.covariance[0] + variance[joint])
-        if within:
+            innovation = goals[joint] - motion.angle[joint]
+            inside = inside and innovation * innovation < gate * (
+                motion.covariance[0] + variance[joint]
+            )
+        if inside:
             return True
     return False
 
@@ -217,14 +221,14 @@ def fits(motions: Motions, weights: FloatArray, goals: FloatArray, variance: Flo
 def update(motion: EyeMotion, goals: FloatArray, variance: float) -> None:
     """Kalman update of one model with measured angles (2,) of one variance, rad^2."""
     c = motion.covariance
-    spread = c[0] + variance
-    k1, k2, k3 = c[0] / spread, c[1] / spread, c[2] / spread
+    innovation_variance = c[0] + variance
+    k1, k2, k3 = c[0] / innovation_variance, c[1] / innovation_variance, c[2] / innovation_variance
     for joint in range(2):
-        off = goals[joint] - motion.angle[joint]
-        motion.angle[joint] += k1 * off
-        rate = motion.rate[joint] + k2 * off
+        innovation = goals[joint] - motion.angle[joint]
+        motion.angle[joint] += k1 * innovation
+        rate = motion.rate[joint] + k2 * innovation
         motion.rate[joint] = min(max(rate, -_FASTEST), _FASTEST)
-        motion.acceleration[joint] += k3 * off
+        motion.acceleration[joint] += k3 * innovation
     p11, p12, p13 = c[0], c[1], c[2]
     c[0], c[1], c[2] = p11 - k1 * p11, p12 - k1 * p12, p13 - k1 * p13
     c[3] -= k2 * p12
@@ -233,12 +237,12 @@ def update(motion: EyeMotion, goals: FloatArray, variance: float) -> None:
 
 
 @inlined
-def take_in(
+def update_models(
     motions: Motions,
     goals: FloatArray,
     variance: FloatArray,
     exact: FloatArray,
-    surprises: FloatArray,
+    nll: FloatArray,
 ) -> None:
     """Update all models with measured angles, and add their negative log-likelihoods.
 
@@ -247,15 +251,15 @@ def take_in(
         goals: (2,) measured angles, rad.
         variance: (2,) their variances, rad^2.
         exact: (2,) variances added to every prediction, rad^2.
-        surprises: (WEIGHTS,) negative log-likelihoods, added to in place.
+        nll: (MODES,) negative log-likelihoods, added to in place.
     """
     own = 0.5 * (variance[0] + variance[1])
     for m in range(MODELS):
         motion: EyeMotion = motions[m]
         for joint in range(2):
-            off = goals[joint] - motion.angle[joint]
+            innovation = goals[joint] - motion.angle[joint]
             known = motion.covariance[0] + variance[joint] + exact[joint]
-            surprises[m + 1] += surprise(off, known)
+            nll[m + 1] += innovation_nll(innovation, known)
         update(motion, goals, own)
 
 
@@ -268,61 +272,61 @@ def infer(motions: Motions, goals: FloatArray, variance: FloatArray) -> None:
 
 
 @inlined
-def surprise(off: float, variance: float) -> float:
+def innovation_nll(innovation: float, variance: float) -> float:
     """Negative log-likelihood of an innovation of a given variance, with a bounded square."""
-    return 0.5 * (min(off * off / variance, _WORST) + log(variance))
+    return 0.5 * (min(innovation * innovation / variance, _WORST) + log(variance))
 
 
 @inlined
-def add_surprises(surprises: FloatArray, own: FloatArray) -> None:
-    """Add the negative log-likelihoods of one eye (WEIGHTS,), bounded relative to the best mode.
+def add_nll(nll: FloatArray, own: FloatArray) -> None:
+    """Add the negative log-likelihoods of one eye (MODES,), bounded relative to the best mode.
 
     The bound keeps an outlier of one eye from ruling out a mode with one image.
     """
     least = own[0]
-    for m in range(1, WEIGHTS):
+    for m in range(1, MODES):
         least = min(least, own[m])
-    for m in range(WEIGHTS):
-        surprises[m] += min(own[m] - least, _DOUBT)
+    for m in range(MODES):
+        nll[m] += min(own[m] - least, _DOUBT)
 
 
 @inlined
-def weigh_motions(weights: FloatArray, surprises: FloatArray) -> None:
+def update_modes(probabilities: FloatArray, nll: FloatArray) -> None:
     """Update the mode probabilities with the negative log-likelihoods of an image."""
-    rest = _REST if weights[0] > 0.5 else _STOPS
-    least = surprises[0] - rest
+    rest = _REST if probabilities[0] > 0.5 else _STOPS
+    least = nll[0] - rest
     for m in range(MODELS):
-        least = min(least, surprises[m + 1])
+        least = min(least, nll[m + 1])
     total = 0.0
-    for m in range(WEIGHTS):
-        more = surprises[m] - (rest if m == 0 else 0.0) - least
-        weights[m] = max(weights[m] * exp(-min(more, 50.0)), 1e-12)
-        total += weights[m]
-    for m in range(WEIGHTS):
-        weights[m] /= total
+    for m in range(MODES):
+        more = nll[m] - (rest if m == 0 else 0.0) - least
+        probabilities[m] = max(probabilities[m] * exp(-min(more, 50.0)), 1e-12)
+        total += probabilities[m]
+    for m in range(MODES):
+        probabilities[m] /= total
 
 
 @inlined
-def rate_of(motions: Motions, weights: FloatArray, joint: int) -> float:
+def rate_of(motions: Motions, probabilities: FloatArray, joint: int) -> float:
     """Mean rate of an eye's target over the motion models, rad/s."""
     total, rate = 1e-12, 0.0
     for m in range(MODELS):
-        total += weights[m + 1]
-        rate += weights[m + 1] * motions[m].rate[joint]
+        total += probabilities[m + 1]
+        rate += probabilities[m + 1] * motions[m].rate[joint]
     return rate / total
 
 
 @inlined
-def slow_share(motions: Motions, weights: FloatArray, sees: float) -> float:
+def slow_share(motions: Motions, probabilities: FloatArray, max_slip_rad_s: float) -> float:
     """Fraction of the target's speed at which an eye still sees it even if it has reversed."""
-    speed = hypot(rate_of(motions, weights, 0), rate_of(motions, weights, 1))
-    return min(max((sees - speed) / max(speed, 1e-6), _LEAST_SHARE), 1.0)
+    speed = hypot(rate_of(motions, probabilities, 0), rate_of(motions, probabilities, 1))
+    return min(max((max_slip_rad_s - speed) / max(speed, 1e-6), _LEAST_SHARE), 1.0)
 
 
 @inlined
-def ahead_of(
+def extrapolate(
     motions: Motions,
-    weights: FloatArray,
+    probabilities: FloatArray,
     resting: float,
     joint: int,
     time_s: float,
@@ -333,7 +337,7 @@ def ahead_of(
 
     Args:
         motions: motion models of one eye.
-        weights: (WEIGHTS,) mode probabilities.
+        probabilities: (MODES,) mode probabilities.
         resting: filtered goal of the target if it rests, rad.
         joint: index of the joint.
         time_s: time since the exposure of the newest image, s.
@@ -344,7 +348,7 @@ def ahead_of(
     slow = slow_share * max(min(time_s, _UNSEEN_S) - expected_s, 0.0)
     slower = left * (slow_share if time_s > expected_s else 1.0)
     time_s = min(time_s, _UNSEEN_S, expected_s)
-    way = rate = 0.0
+    offset = rate = 0.0
     for m in range(MODELS):
         motion: EyeMotion = motions[m]
         forgets, w, a = _FORGETS_S[m], motion.rate[joint], motion.acceleration[joint]
@@ -355,6 +359,8 @@ def ahead_of(
         if m == ERRATIC:  # it may have changed direction by then
             share, lasts = slow_share, exp(-time_s / _LASTS_S)
             now, turn = lasts * now, turn * _LASTS_S * (1.0 - lasts) / max(time_s, 1e-9)
-        way += weights[m + 1] * (motion.angle[joint] - resting + share * (turn + slow * now))
-        rate += weights[m + 1] * share * slower * now
-    return resting + left * way, rate
+        offset += probabilities[m + 1] * (
+            motion.angle[joint] - resting + share * (turn + slow * now)
+        )
+        rate += probabilities[m + 1] * share * slower * now
+    return resting + left * offset, rate

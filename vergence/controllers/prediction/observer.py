@@ -21,17 +21,17 @@ from math import exp, sqrt
 from typing import Annotated, Final
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.joints import PredictorModel, within
+from vergence.controllers.prediction.joints import PredictorModel, clip_to_quantisation
 from vergence.controllers.prediction.response import (
     Response,
-    answer_of,
     command_at,
     longest_latency,
+    model_of,
 )
 from vergence.models.joint_response import lag_decay
 from vergence.models.parts import FloatArray
 
-_SHARE: Final = 0.1
+_ACCELERATION_SHARE: Final = 0.1
 """Relative error of the acceleration predicted by a known response (chosen)."""
 _PUSHED_RAD_S: Final = 0.005
 """Change of velocity per period without a command, standard deviation, rad/s (chosen)."""
@@ -59,7 +59,7 @@ _OLDEST_S: Final = 0.2
 """Longest delay of velocities, s (chosen)."""
 _COMPARED_S: Final = 0.25
 """Longest interval over which angles and integrated velocities are compared, s (chosen)."""
-_TELLS_RAD_S: Final = 0.1
+_INFORMATIVE_RAD_S: Final = 0.1
 """Changes of velocity below this carry no evidence on the delay, rad/s (chosen)."""
 _TRAVEL: Final = 0.02
 """Relative error of the integrated velocity (chosen)."""
@@ -79,11 +79,11 @@ class Observer:
     covariance: Annotated[FloatArray, 4, 3]
     """Covariance of an actuator's angle and velocity: angle variance, cross term, velocity
     variance."""
-    told: Annotated[FloatArray, 4]
+    expected_velocity: Annotated[FloatArray, 4]
     """Velocity that the servo is expected to report, rad/s."""
-    change: Annotated[FloatArray, 4]
+    recent_acceleration: Annotated[FloatArray, 4]
     """Recent magnitude of the acceleration, rad/s^2."""
-    read: Annotated[FloatArray, 4]
+    last_velocity: Annotated[FloatArray, 4]
     """Last measured velocity, rad/s."""
     first_angle: Annotated[FloatArray, 4]
     """Measured angle at the start of the comparison, rad."""
@@ -108,7 +108,7 @@ def begin_comparison(observer: Observer, j: int, angle: float, rate: float) -> N
     """Start comparing the angles and the velocities of an actuator."""
     observer.first_angle[j], observer.first_speed[j] = angle, rate
     observer.summed[j] = observer.compared[j] = 0.0
-    observer.read[j] = rate
+    observer.last_velocity[j] = rate
 
 
 @inlined
@@ -117,19 +117,21 @@ def _delay_sd(observer: Observer) -> float:
 
 
 @inlined
-def _compare(observer: Observer, rig: PredictorModel, j: int, angle: float, rate: float) -> None:
+def _update_delay(
+    observer: Observer, rig: PredictorModel, j: int, angle: float, rate: float
+) -> None:
     """Update the delay of the velocities with a reading."""
     period = rig.period_s
-    observer.summed[j] += 0.5 * period * (rate + observer.read[j])
+    observer.summed[j] += 0.5 * period * (rate + observer.last_velocity[j])
     observer.compared[j] += 1.0
-    observer.read[j] = rate
+    observer.last_velocity[j] = rate
     travel = angle - observer.first_angle[j]
     change = rate - observer.first_speed[j]
     ahead = travel - observer.summed[j]
     steps = 0.4 * rig.angle_step[j] + 0.3 * period * rig.speed_step[j] * sqrt(observer.compared[j])
     share = _TRAVEL * travel
     variance = steps * steps + share * share + _ANGLE_RAD * _ANGLE_RAD
-    if abs(change) > _TELLS_RAD_S:
+    if abs(change) > _INFORMATIVE_RAD_S:
         weight = 0.25 / variance  # successive readings have correlated errors
         observer.information = _FORGET * observer.information + weight * change * change
         observer.moment = _FORGET * observer.moment + weight * change * ahead
@@ -139,8 +141,8 @@ def _compare(observer: Observer, rig: PredictorModel, j: int, angle: float, rate
         observer.misfit += _SETTLES * (square - observer.misfit)
     delay_s = observer.moment * _delay_sd(observer) ** 2
     observer.delay_s = min(max(delay_s, 0.0), _OLDEST_S)
-    rests = rate == 0.0 and abs(travel - observer.summed[j]) <= rig.angle_step[j]
-    if rests or observer.compared[j] * period > _COMPARED_S:
+    at_rest = rate == 0.0 and abs(travel - observer.summed[j]) <= rig.angle_step[j]
+    if at_rest or observer.compared[j] * period > _COMPARED_S:
         begin_comparison(observer, j, angle, rate)
 
 
@@ -151,11 +153,11 @@ def is_prompt(observer: Observer) -> bool:
 
 
 @inlined
-def _unsure(response: Response, period: float) -> float:
+def _relative_acceleration_sd(response: Response, period: float) -> float:
     """Relative standard deviation of an actuator's predicted acceleration."""
-    answer = answer_of(response)
-    v = answer.variance
-    square = _SHARE * _SHARE * max(answer.misfit, 1.0)
+    model = model_of(response)
+    v = model.variance
+    square = _ACCELERATION_SHARE * _ACCELERATION_SHARE * max(model.misfit, 1.0)
     square += max(v[0], 0.0) / (period * period) + max(v[1], 0.0) + max(v[2], 0.0)
     return min(sqrt(square), 1.0)
 
@@ -190,45 +192,47 @@ def observe(
     Returns:
         The angle, within the resolution about the reading, rad, and the velocity, rad/s.
     """
-    period, c, answer = rig.period_s, observer.covariance[j], answer_of(response)
-    lag = rig.lag_ratio[j] * exp(answer.found[2])
-    late_s = answer.found[0] + 2.0 * sqrt(max(answer.variance[0], 0.0))
-    asked, gain = 0.0, exp(answer.gain[j])
+    period, c, model = rig.period_s, observer.covariance[j], model_of(response)
+    lag = rig.lag_ratio[j] * exp(model.parameters[2])
+    late_s = model.parameters[0] + 2.0 * sqrt(max(model.variance[0], 0.0))
+    asked, gain = 0.0, exp(model.gain[j])
     for i in range(int(min(late_s, longest_latency(rig)) / period) + 2):
         asked = max(asked, abs(gain * command_at(response, tick - i, j) - v))
-    most = rig.acceleration[j] * exp(answer.found[1] + sqrt(max(answer.variance[1], 0.0)))
-    sd = _unsure(response, period) * period * min(most, asked / lag)
+    most = rig.acceleration[j] * exp(model.parameters[1] + sqrt(max(model.variance[1], 0.0)))
+    sd = _relative_acceleration_sd(response, period) * period * min(most, asked / lag)
     noise = sd * sd + _PUSHED_RAD_S * _PUSHED_RAD_S
     left = lag_decay(period, lag)
     c[0] += period * (2.0 * c[1] + period * (c[2] + noise / 3.0))
     c[1] = left * (c[1] + period * c[2]) + 0.5 * period * noise
     c[2] = left * left * c[2] + noise
     step = _ANGLE * rig.angle_step[j]
-    spread = c[0] + step * step + _ANGLE_RAD * _ANGLE_RAD
-    off = within(q, angle, rig.angle_step[j]) - q
-    k, kv = c[0] / spread, c[1] / spread
-    q, v = q + k * off, v + kv * off
+    innovation_variance = c[0] + step * step + _ANGLE_RAD * _ANGLE_RAD
+    innovation = clip_to_quantisation(q, angle, rig.angle_step[j]) - q
+    k, kv = c[0] / innovation_variance, c[1] / innovation_variance
+    q, v = q + k * innovation, v + kv * innovation
     c[2] -= kv * c[1]
     c[1] *= 1.0 - k
     c[0] *= 1.0 - k
-    _compare(observer, rig, j, angle, rate)
+    _update_delay(observer, rig, j, angle, rate)
     # measurement update with the reported velocity
     delay = observer.delay_s
     taken = 1.0 - lag_decay(period, delay)
-    expected = observer.told[j] + taken * (v - observer.told[j])
-    observer.change[j] = max(0.8 * observer.change[j], abs(v - before) / period)
-    doubt = _delay_sd(observer) + _SHAPE * delay
-    spread = _SPEED * rig.speed_step[j] + _SPEED_RAD_S + _SPEED_SHARE * abs(v)
-    spread += observer.change[j] * doubt
-    spread = c[2] + spread * spread * max(observer.misfit, 1.0)
-    off = within(expected, rate, rig.speed_step[j]) - expected
-    spread += off * off / 9.0  # Cauchy weight: outliers count for little
-    k, kv = c[1] / spread, c[2] / spread
-    q, v = q + k * off, v + kv * off
+    expected = observer.expected_velocity[j] + taken * (v - observer.expected_velocity[j])
+    acceleration = abs(v - before) / period
+    observer.recent_acceleration[j] = max(0.8 * observer.recent_acceleration[j], acceleration)
+    delay_sd = _delay_sd(observer) + _SHAPE * delay
+    speed_sd = _SPEED * rig.speed_step[j] + _SPEED_RAD_S + _SPEED_SHARE * abs(v)
+    speed_sd += observer.recent_acceleration[j] * delay_sd
+    innovation_variance = c[2] + speed_sd * speed_sd * max(observer.misfit, 1.0)
+    innovation = clip_to_quantisation(expected, rate, rig.speed_step[j]) - expected
+    # Cauchy weight: outliers count for little
+    innovation_variance += innovation * innovation / 9.0
+    k, kv = c[1] / innovation_variance, c[2] / innovation_variance
+    q, v = q + k * innovation, v + kv * innovation
     c[0] -= k * c[1]
     c[1] *= 1.0 - kv
     c[2] *= 1.0 - kv
-    observer.told[j] = expected + kv * off
+    observer.expected_velocity[j] = expected + kv * innovation
     # bound the effect of a corrupted packet
     fastest = _FASTEST * rig.speed[j]
-    return within(q, angle, rig.angle_step[j]), min(max(v, -fastest), fastest)
+    return clip_to_quantisation(q, angle, rig.angle_step[j]), min(max(v, -fastest), fastest)

@@ -26,12 +26,12 @@ from vergence._jit import compiled, inlined
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.prediction.aim import aim
 from vergence.controllers.prediction.aiming import aim_ahead, present_error
-from vergence.controllers.prediction.backlash import cross_play
+from vergence.controllers.prediction.backlash import cross_backlash
 from vergence.controllers.prediction.goals import take_image
 from vergence.controllers.prediction.joints import RIG, PredictorModel, joint_rig
 from vergence.controllers.prediction.memory import MEMORY, SIZE, PredictorState, initial_row, track
-from vergence.controllers.prediction.response import answer_of, longest_latency, when_next_acts
-from vergence.controllers.prediction.swinging import forget, watch
+from vergence.controllers.prediction.oscillation import decay_count, watch
+from vergence.controllers.prediction.response import longest_latency, model_of, when_next_acts
 from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
 from vergence.controllers.rows import record_view, row_layout, row_size
 from vergence.envs.layout import Observation, ObservationLayout
@@ -58,7 +58,7 @@ class Prediction(NamedTuple):
     eye joints has its own motor.
     """
 
-    to_go: FloatArray
+    angle_error: FloatArray
     """(..., 4) angles that each actuator still has to turn at that time, rad; 0 for one that moves
     no eye whose target is known."""
     pixel_error: FloatArray
@@ -102,15 +102,15 @@ class Prediction(NamedTuple):
     misfit: FloatArray
     """(...) mean squared normalised residual of the response model; 0 before the first window of
     the fit has ended."""
-    swings: FloatArray
+    half_swings: FloatArray
     """(...) decayed count of half swings of sustained oscillation about the goals, see
-    `vergence.controllers.prediction.swinging`."""
+    `vergence.controllers.prediction.oscillation`."""
 
 
-class _Present:
+class _PredictionRow:
     """`Prediction` of one head, packed into a row."""
 
-    to_go: Annotated[FloatArray, 4]
+    angle_error: Annotated[FloatArray, 4]
     pixel_error: Annotated[FloatArray, 2, 2]
     known: Annotated[FloatArray, 2]
     positions: Annotated[FloatArray, 4]
@@ -129,11 +129,11 @@ class _Present:
     acceleration_sd: float
     noise_rad: float
     misfit: float
-    swings: float
+    half_swings: float
 
 
-_PRESENT: Final = row_layout(_Present)
-_NUMBERS: Final = row_size(_PRESENT)
+_PREDICTION: Final = row_layout(_PredictionRow)
+_PREDICTION_SIZE: Final = row_size(_PREDICTION)
 
 
 class Predictor:
@@ -210,7 +210,7 @@ class Predictor:
         """
         leading = state.shape[:-1]
         rows = state.reshape(-1, state.shape[-1])
-        present = np.empty((*leading, _NUMBERS))
+        present = np.empty((*leading, _PREDICTION_SIZE))
         _update(
             rows,
             np.ascontiguousarray(seen.positions).reshape(-1, 7),
@@ -222,17 +222,17 @@ class Predictor:
             self._packed,
             self._learn_delay,
             self._learn_response,
-            present.reshape(-1, _NUMBERS),
+            present.reshape(-1, _PREDICTION_SIZE),
         )
         if not self.head.actuation.direct:
-            _aim(rows, self.rig, self._packed, present.reshape(-1, _NUMBERS))
-        fields: Any = present.view(_PRESENT)[..., 0]
-        told: dict[str, Any] = {name: fields[name] for name in Prediction._fields}
-        return Prediction(**{**told, "known": told["known"] > 0.5})
+            _fill_coupled(rows, self.rig, self._packed, present.reshape(-1, _PREDICTION_SIZE))
+        fields: Any = present.view(_PREDICTION)[..., 0]
+        values: dict[str, Any] = {name: fields[name] for name in Prediction._fields}
+        return Prediction(**{**values, "known": values["known"] > 0.5})
 
 
 @inlined
-def _see(
+def _update_goals(
     memory: PredictorState,
     rig: PredictorModel,
     age_s: float,
@@ -251,25 +251,28 @@ def _see(
         take_image(memory, rig, error, p, learn_delay)
     for eye in range(2):
         unseen = memory.unseen[eye]
-        if rig.follows > 0.5 and memory.ways[0] < 0.5:  # the target is inferred from the other eye
+        # the other eye shows where a moving target is
+        if rig.targets_move > 0.5 and memory.mode_probabilities[0] < 0.5:
             unseen = min(unseen, memory.unseen[1 - eye])
         if unseen > round(HOLD_S / rig.period_s):
             memory.known[eye] = 0.0
 
 
 @inlined
-def _tell(memory: PredictorState, rig: PredictorModel, p: PackedHead, present: _Present) -> None:
+def _fill_prediction(
+    memory: PredictorState, rig: PredictorModel, p: PackedHead, present: _PredictionRow
+) -> None:
     """Fill in the prediction: the state and the angles left to turn when the next command acts."""
     response, direct = memory.response, is_direct(p)
-    answer = answer_of(response)
-    sd = sqrt(max(answer.variance[0], 0.0))
-    latency = min(answer.found[0] + _LATER * sd, longest_latency(rig))
+    model = model_of(response)
+    sd = sqrt(max(model.variance[0], 0.0))
+    latency = min(model.parameters[0] + _LATER * sd, longest_latency(rig))
     for j in range(4):
         q, v = memory.actuators[j], memory.velocity[j]
         q, v, w = when_next_acts(response, rig, int(memory.count), j, q, v, latency)
         present.actuators[j] = min(max(q, rig.lower[j]), rig.upper[j])
         present.velocities[j], present.accelerations[j] = v, w
-        present.speed_gain[j] = exp(answer.gain[j])
+        present.speed_gain[j] = exp(model.gain[j])
     aim_ahead(memory, rig, memory.count + latency / rig.period_s)
     for j in range(4):
         present.positions[j] = present.actuators[j]
@@ -281,23 +284,23 @@ def _tell(memory: PredictorState, rig: PredictorModel, p: PackedHead, present: _
         u, v = present_error(memory, p, eye, first, second)
         present.pixel_error[eye, 0], present.pixel_error[eye, 1] = u, v
     for j in range(4):
-        present.to_go[j] = present.rates[j] = present.later_rates[j] = 0.0
-        # `_aim` computes this for coupled joints
+        present.angle_error[j] = present.rates[j] = present.later_rates[j] = 0.0
+        # `_fill_coupled` computes this for coupled joints
         if direct and present.known[j // 2] > 0.5:
             aim, rate = memory.aims[j // 2, j % 2], memory.rates[j // 2, j % 2]
             goal = min(max(aim, rig.lower[j]), rig.upper[j])
-            present.to_go[j] = goal - present.actuators[j]
+            present.angle_error[j] = goal - present.actuators[j]
             if goal == aim:
                 present.rates[j] = rate
                 present.later_rates[j] = memory.later_rates[j // 2, j % 2]
-    present.delay_s, present.lag_s = memory.delay_s, exp(answer.found[2])
-    present.build_up = answer.found[3]
-    present.latency_s, present.latency_sd_s = answer.found[0], sd
-    present.acceleration_ratio = exp(answer.found[1])
-    present.acceleration_sd = sqrt(max(answer.variance[1], 0.0))
+    present.delay_s, present.lag_s = memory.delay_s, exp(model.parameters[2])
+    present.build_up = model.parameters[3]
+    present.latency_s, present.latency_sd_s = model.parameters[0], sd
+    present.acceleration_ratio = exp(model.parameters[1])
+    present.acceleration_sd = sqrt(max(model.variance[1], 0.0))
     present.noise_rad = sqrt(memory.noise)
-    present.misfit = answer.misfit if response.windows > 0.5 else 0.0
-    present.swings = memory.swinging.count
+    present.misfit = model.misfit if response.windows > 0.5 else 0.0
+    present.half_swings = memory.oscillation.count
 
 
 @compiled
@@ -318,26 +321,28 @@ def _update(
     for n in range(rows.shape[0]):
         memory: PredictorState = record_view(rows[n][:SIZE], MEMORY)
         track(memory, rig, p, positions[n], velocities[n], command[n], learn_response)
-        _see(memory, rig, age_s[n], error[n], p, learn_delay)
-        cross_play(memory, p, command[n])
-        forget(memory.swinging, rig.period_s)
+        _update_goals(memory, rig, age_s[n], error[n], p, learn_delay)
+        cross_backlash(memory, p, command[n])
+        decay_count(memory.oscillation, rig.period_s)
         for eye in range(2):
             for joint in range(2 if memory.known[eye] > 0.5 else 0):
                 q = joint_at(p, 2 * eye + joint, memory.actuators)
                 aim = memory.aims[eye, joint]
-                watch(memory.swinging, rig, eye, joint, q, aim, memory.noise)
-        _tell(memory, rig, p, record_view(present_rows[n], _PRESENT))
+                watch(memory.oscillation, rig, eye, joint, q, aim, memory.noise)
+        _fill_prediction(memory, rig, p, record_view(present_rows[n], _PREDICTION))
 
 
 @compiled
-def _aim(rows: FloatArray, rig_row: FloatArray, p: PackedHead, present_rows: FloatArray) -> None:
+def _fill_coupled(
+    rows: FloatArray, rig_row: FloatArray, p: PackedHead, present_rows: FloatArray
+) -> None:
     """Compute the angles left to turn where actuators couple the eyes' joints."""
     rig: PredictorModel = record_view(rig_row, RIG)
-    goals, then, jacobian = np.zeros(4), np.zeros(4), np.zeros((2, 2, 2))
+    goals, ahead, jacobian = np.zeros(4), np.zeros(4), np.zeros((2, 2, 2))
     later, shown = np.zeros((2, 2)), np.zeros(4)
     for n in range(rows.shape[0]):
         memory: PredictorState = record_view(rows[n][:SIZE], MEMORY)
-        present: _Present = record_view(present_rows[n], _PRESENT)
+        present: _PredictionRow = record_view(present_rows[n], _PREDICTION)
         left, right = present.known[0] > 0.5, present.known[1] > 0.5
         if not (left or right):
             continue
@@ -350,18 +355,18 @@ def _aim(rows: FloatArray, rig_row: FloatArray, p: PackedHead, present_rows: Flo
         if moves:
             for eye in range(2):
                 for joint in range(2):
-                    way = _AHEAD_S * memory.rates[eye, joint]
-                    later[eye, joint] = memory.aims[eye, joint] + way
-            aim(p, later, depth_l, depth_r, left, right, present.actuators, jacobian, then)
+                    turn = _AHEAD_S * memory.rates[eye, joint]
+                    later[eye, joint] = memory.aims[eye, joint] + turn
+            aim(p, later, depth_l, depth_r, left, right, present.actuators, jacobian, ahead)
             for eye in range(2):
                 for joint in range(2):
-                    way = _AHEAD_S * memory.later_rates[eye, joint]
-                    later[eye, joint] = memory.aims[eye, joint] + way
+                    turn = _AHEAD_S * memory.later_rates[eye, joint]
+                    later[eye, joint] = memory.aims[eye, joint] + turn
             aim(p, later, depth_l, depth_r, left, right, present.actuators, jacobian, shown)
         for j in range(4):
             if rig.moves[j, 0] * present.known[0] + rig.moves[j, 1] * present.known[1] > 0.0:
                 goal = min(max(goals[j], rig.lower[j]), rig.upper[j])
-                present.to_go[j] = goal - present.actuators[j]
+                present.angle_error[j] = goal - present.actuators[j]
                 if moves and goal == goals[j]:
-                    present.rates[j] = (then[j] - goals[j]) / _AHEAD_S
+                    present.rates[j] = (ahead[j] - goals[j]) / _AHEAD_S
                     present.later_rates[j] = (shown[j] - goals[j]) / _AHEAD_S

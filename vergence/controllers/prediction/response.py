@@ -8,7 +8,7 @@ L is the latency of commands plus that of readings, l the lag, m its build-up an
 speed gain; a is the acceleration limit, estimated as a ratio to the limit in the head's model. L,
 the ratio, the lag and the build-up are common to the four actuators; each has its own gain.
 
-Two models ("answers") are fitted side by side, see `vergence.controllers.prediction.fitting`: a
+Two models are fitted side by side, see `vergence.controllers.prediction.fitting`: a
 plain one with a first-order lag, m = 0, and one with a second-order lag, for a servo with an
 underdamped loop. The second one is used once it explains the readings better by more than chance.
 """
@@ -30,12 +30,12 @@ SPEEDS: Final = 32
 LONGEST_S: Final = 0.12
 """Longest latency of commands plus readings, s, unless the head's model has a longer one
 (chosen)."""
-PLAIN: Final = 0
-"""Index of the answer without build-up (numerical)."""
-BUILDING: Final = 1
-"""Index of the answer with build-up (numerical)."""
-ANSWERS: Final = 2
-"""Number of answers (numerical)."""
+FIRST_ORDER: Final = 0
+"""Index of the model without build-up (numerical)."""
+SECOND_ORDER: Final = 1
+"""Index of the model with build-up (numerical)."""
+RESPONSE_MODELS: Final = 2
+"""Number of response models (numerical)."""
 _LATENCY_SD_S: Final = 0.012
 """Prior standard deviation of the latency about its nominal value, s (chosen)."""
 _MORE_S: Final = 0.01
@@ -45,7 +45,7 @@ _RATIO_SD: Final = 0.35
 _LAG_SD: Final = 0.45
 """Prior standard deviation of the log lag (chosen)."""
 _BUILD_UP: Final = 0.8
-"""Prior mean of the build-up in the answer that has one: a servo with 12 % overshoot (chosen)."""
+"""Prior mean of the build-up in the model that has one: a servo with 12 % overshoot (chosen)."""
 _BUILD_UP_SD: Final = 0.7
 """Prior standard deviation of the build-up (chosen)."""
 _LEAST_LAG_S: Final = 0.004
@@ -59,7 +59,7 @@ class ResponseModel:
     and build-up. Gains and accelerations are by actuator.
     """
 
-    found: Annotated[FloatArray, 4]
+    parameters: Annotated[FloatArray, 4]
     """Estimated parameters."""
     variance: Annotated[FloatArray, 4]
     """Their variances."""
@@ -82,12 +82,12 @@ class ResponseModel:
 class Response:
     """State of the identification of a head's response."""
 
-    answers: Annotated[list[ResponseModel], ANSWERS]
-    chosen: float
-    """Index of the answer in use."""
+    models: Annotated[list[ResponseModel], RESPONSE_MODELS]
+    selected: float
+    """Index of the model in use."""
     evidence: float
-    """Decayed excess, over earlier windows, of the plain answer's squared normalised residuals over
-    those of the answer with build-up."""
+    """Decayed excess, over earlier windows, of the plain model's squared normalised residuals over
+    those of the model with build-up."""
     windows: float
     """Number of windows that have ended."""
     begun: float
@@ -109,8 +109,8 @@ class Response:
     """Last measured angles, rad."""
 
 
-def first_answers(latency_s: float, lag_s: float, learn: bool) -> dict[str, object]:
-    """Initial fields of the `ANSWERS`, before the head has moved.
+def initial_models(latency_s: float, lag_s: float, learn: bool) -> dict[str, object]:
+    """Initial fields of the `RESPONSE_MODELS`, before the head has moved.
 
     Args:
         latency_s: nominal latency of commands plus readings, s.
@@ -122,7 +122,7 @@ def first_answers(latency_s: float, lag_s: float, learn: bool) -> dict[str, obje
     known = [plain, (*plain[:3], _BUILD_UP)]
     sds = np.array([_LATENCY_SD_S, _RATIO_SD, _LAG_SD, _BUILD_UP_SD])
     return {
-        "found": known,
+        "parameters": known,
         "prior": known,
         "variance": sds**2 if learn else np.zeros(4),
         "information": 1.0 / sds**2,
@@ -131,9 +131,9 @@ def first_answers(latency_s: float, lag_s: float, learn: bool) -> dict[str, obje
 
 
 @inlined
-def answer_of(response: Response) -> ResponseModel:
-    """Return the answer in use."""
-    return response.answers[np.intp(response.chosen)]
+def model_of(response: Response) -> ResponseModel:
+    """Return the response model in use."""
+    return response.models[np.intp(response.selected)]
 
 
 @inlined
@@ -167,7 +167,7 @@ def mean_at(response: Response, tick: int, j: int) -> float:
 
 
 @inlined
-def sent(rig: PredictorModel, command: float) -> float:
+def effective_command(rig: PredictorModel, command: float) -> float:
     """Quantise a command to the motors' resolution; one single step counts as zero."""
     if rig.command_step == 0.0:
         return command
@@ -178,7 +178,7 @@ def sent(rig: PredictorModel, command: float) -> float:
 @inlined
 def advance(
     response: Response,
-    answer: ResponseModel,
+    model: ResponseModel,
     rig: PredictorModel,
     tick: int,
     j: int,
@@ -186,16 +186,16 @@ def advance(
     v: float,
     w: float,
 ) -> tuple[float, float, float]:
-    """Simulate one actuator with an answer over one period, from the end of period `tick`."""
-    latency, lag = answer.found[0], rig.lag_ratio[j] * exp(answer.found[2])
-    a, gain = rig.acceleration[j] * exp(answer.found[1]), exp(answer.gain[j])
+    """Simulate one actuator with a model over one period, from the end of period `tick`."""
+    latency, lag = model.parameters[0], rig.lag_ratio[j] * exp(model.parameters[2])
+    a, gain = rig.acceleration[j] * exp(model.parameters[1]), exp(model.gain[j])
     whole = int(latency / rig.period_s + 1e-9)
     rest = latency - whole * rig.period_s
     if rest > 1e-9:
         u = gain * command_at(response, tick - whole - 1, j)
-        q, v, w = follow_pace(q, v, w, u, pace_of(lag, answer.found[3], a, rest))
+        q, v, w = follow_pace(q, v, w, u, pace_of(lag, model.parameters[3], a, rest))
     u, time = gain * command_at(response, tick - whole, j), rig.period_s - rest
-    return follow_pace(q, v, w, u, pace_of(lag, answer.found[3], a, time))
+    return follow_pace(q, v, w, u, pace_of(lag, model.parameters[3], a, time))
 
 
 @inlined
@@ -215,9 +215,9 @@ def when_next_acts(
         v: its present velocity, rad/s.
         latency: time until the command acts, s.
     """
-    answer = answer_of(response)
-    lag, build_up = rig.lag_ratio[j] * exp(answer.found[2]), answer.found[3]
-    a, gain = rig.acceleration[j] * exp(answer.found[1]), exp(answer.gain[j])
+    model = model_of(response)
+    lag, build_up = rig.lag_ratio[j] * exp(model.parameters[2]), model.parameters[3]
+    a, gain = rig.acceleration[j] * exp(model.parameters[1]), exp(model.gain[j])
     w = response.accelerations[j]
     whole = int(latency / rig.period_s + 1e-9)
     rest = latency - whole * rig.period_s

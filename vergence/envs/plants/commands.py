@@ -13,8 +13,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence._jit import compiled, inlined
-from vergence.envs.plants.conditions import Loop
-from vergence.envs.plants.frames import SAME_S, ring_size
+from vergence.envs.plants.conditions import TrialConditions
+from vergence.envs.plants.frames import TIME_TOLERANCE_S, ring_size
 from vergence.envs.streams import IntArray, Purpose, StreamKey, random_words, to_uniform
 from vergence.models.parts import FloatArray
 
@@ -63,34 +63,36 @@ LOOP_STATE: Final = 3
 
 
 @inlined
-def is_lost(loop: Loop, key: StreamKey, step: int) -> bool:
+def is_lost(conditions: TrialConditions, key: StreamKey, step: int) -> bool:
     """True if a period's command never reaches the motors."""
-    chance = loop.lost_command_probability
+    chance = conditions.lost_command_probability
     if chance == 0.0:
         return False
     return to_uniform(random_words(key.seed, key.trial, _COMMAND, step, 1)[0]) < chance
 
 
 @inlined
-def stalled_until(loop: Loop, key: StreamKey, step: int, period_s: float, resumes: int) -> int:
+def stalled_until(
+    conditions: TrialConditions, key: StreamKey, step: int, period_s: float, resumes: int
+) -> int:
     """Compute the period in which the loop resumes: `step` or an earlier one if it is running.
 
     Between two stalls the loop runs for at least one period.
 
     Args:
-        loop: the trial's conditions.
+        conditions: the trial's conditions.
         key: key of the trial's random stream.
         step: number of the period, one more than in the last call.
         period_s: the control period, s.
         resumes: result of the last call.
     """
-    chance = loop.stall_probability
+    chance = conditions.stall_probability
     if chance == 0.0 or step == 0 or step <= resumes:
         return resumes
     words = random_words(key.seed, key.trial, _COMMAND, step, 1)
     if not to_uniform(words[1]) < chance:
         return resumes
-    return step + max(int(np.rint(to_uniform(words[2]) * loop.stall_s / period_s)), 1)
+    return step + max(int(np.rint(to_uniform(words[2]) * conditions.stall_s / period_s)), 1)
 
 
 @compiled
@@ -105,7 +107,7 @@ def take_commands(
 
     Args:
         command: (n, 7) velocity commands, rad/s.
-        commands: `bare`, updated in place.
+        commands: `untyped_tuple`, updated in place.
         loops: (n, LOOP_STATE) states of the control loops: stalls and lost commands.
         step: (n,) number of the period.
         sent: (n, 7) result: commands sent to the motors, rad/s; a stalled loop sends nothing and
@@ -170,6 +172,6 @@ def hold_of(late_s: float, step: int, ring: int, period_s: float) -> Hold:
     whole = int(late_s / period_s + _ROUNDING)
     rest = late_s - whole * period_s
     then = np.uintp((step - whole) & mask)
-    if rest < SAME_S:
+    if rest < TIME_TOLERANCE_S:
         return Hold(then, then, 0.0)
     return Hold(np.uintp((step - whole - 1) & mask), then, rest)

@@ -9,7 +9,7 @@ import numpy as np
 
 from vergence._jit import inlined
 from vergence._runs import run_of
-from vergence.envs.plants.imperfections import OWN, SCALARS, Imperfections
+from vergence.envs.plants.imperfections import PER_ACTUATOR, PER_TRIAL, Imperfections
 from vergence.models.parts import FloatArray
 
 EnvIndex = int | np.unsignedinteger[Any]
@@ -35,16 +35,16 @@ class PackedConditions(NamedTuple):
     """`Conditions` packed into three arrays, the form kernels take."""
 
     loop: FloatArray
-    """(n, LOOP) one row of `Loop` per trial."""
+    """(n, TRIAL_CONDITIONS) one row of `TrialConditions` per trial."""
     own: FloatArray
-    """(n, OWN, 7) speed gains, and backlashes in rad, per actuator."""
+    """(n, PER_ACTUATOR, 7) speed gains, and backlashes in rad, per actuator."""
     heads: FloatArray
     """(n or 1, PACKED) the true heads."""
 
 
 if TYPE_CHECKING:
 
-    class Loop(Imperfections[float]):
+    class TrialConditions(Imperfections[float]):
         """The scalar conditions of one trial."""
 
         frame_s: float
@@ -53,16 +53,16 @@ if TYPE_CHECKING:
         def __init__(self, *numbers: float) -> None: ...
 
 else:  # kernels take named tuples, but no dataclasses
-    Loop = namedtuple("Loop", (*SCALARS, "frame_s"))
+    TrialConditions = namedtuple("TrialConditions", (*PER_TRIAL, "frame_s"))
 
-LOOP: Final = len(SCALARS) + 1
-"""Length of a row of `Loop` (numerical)."""
-_loop_run = run_of(LOOP)
-GAIN: Final = OWN.index("speed_gain")
-BACKLASH: Final = OWN.index("backlash_rad")
+TRIAL_CONDITIONS: Final = len(PER_TRIAL) + 1
+"""Length of a row of `TrialConditions` (numerical)."""
+_row_run = run_of(TRIAL_CONDITIONS)
+GAIN: Final = PER_ACTUATOR.index("speed_gain")
+BACKLASH: Final = PER_ACTUATOR.index("backlash_rad")
 
 
 @inlined
-def loop_of(drawn: PackedConditions, n: EnvIndex) -> Loop:
+def conditions_of(packed: PackedConditions, n: EnvIndex) -> TrialConditions:
     """Unpack the scalar conditions of one trial."""
-    return Loop(*_loop_run(drawn.loop[n], 0))
+    return TrialConditions(*_row_run(packed.loop[n], 0))

@@ -7,9 +7,15 @@ import numpy as np
 
 from vergence._jit import compiled, inlined
 from vergence.envs.plants.commands import LOOP_STATE, READ, RESUMES
-from vergence.envs.plants.conditions import BACKLASH, PackedConditions, loop_of
-from vergence.envs.plants.frames import SAME_S, ring_size
-from vergence.envs.plants.motors import ActuatorCoupling, MotorState, MotorStates, driven_speed, tie
+from vergence.envs.plants.conditions import BACKLASH, PackedConditions, conditions_of
+from vergence.envs.plants.frames import TIME_TOLERANCE_S, ring_size
+from vergence.envs.plants.motors import (
+    ActuatorCoupling,
+    MotorState,
+    MotorStates,
+    joints_from_actuators,
+    output_speed,
+)
 from vergence.envs.reading import Reading
 from vergence.envs.streams import IntArray, Purpose, StreamKey, StreamKeys, random_words, to_normals
 from vergence.models.head import HeadModel
@@ -27,7 +33,7 @@ class Feedback(NamedTuple):
 
     measured: FloatArray
     """(n, R, 2, 7) angles, rad, and speeds, rad/s, on the encoders' side of the backlash."""
-    told: FloatArray
+    reported: FloatArray
     """(n, L, 7) joint angles as reported, rad."""
     loops: IntArray
     """(n, LOOP_STATE) states of the control loops, see `vergence.envs.plants.commands`."""
@@ -53,7 +59,7 @@ class Feedback(NamedTuple):
         period_s, own = head.timing.period_s, head.actuation
         return cls(
             measured=np.zeros((num, ring_size(ceil(longest_s / period_s) + 2), 2, 7)),
-            told=np.zeros((num, ring_size(ceil(oldest_s / period_s) + 3), 7)),
+            reported=np.zeros((num, ring_size(ceil(oldest_s / period_s) + 3), 7)),
             loops=np.zeros((num, LOOP_STATE), dtype=np.int64),
             filtered=np.zeros((num, 2, 7)),
             angle_step=own.angle_step,
@@ -62,8 +68,13 @@ class Feedback(NamedTuple):
         )
 
 
-STATE: Final = ("measured", "told", "loops", "filtered")
-"""Fields of `Feedback` that are part of a trial's state."""
+STATE: Final = {
+    "measured": "measured",
+    "told": "reported",
+    "loops": "loops",
+    "filtered": "filtered",
+}
+"""Fields of `Feedback` that are part of a trial's state, by their names in a saved state."""
 
 
 @inlined
@@ -73,7 +84,7 @@ def quantise(value: float, step: float) -> float:
 
 
 @inlined
-def between(
+def interpolate_joint(
     q0: float, v0: float, q1: float, v1: float, share: float, time_s: float
 ) -> tuple[float, float]:
     """Interpolate angle and velocity between two times.
@@ -106,7 +117,7 @@ def noise_of(
     return sigma * a, sigma * b, sigma * c, sigma * d
 
 
-class Between(NamedTuple):
+class RingInterval(NamedTuple):
     """Ring positions of two neighbouring steps, and a fraction of the way between them."""
 
     first: np.uintp
@@ -116,7 +127,7 @@ class Between(NamedTuple):
 
 
 @inlined
-def ago(periods: float, step: int, ring: int) -> Between:
+def measured_before(periods: float, step: int, ring: int) -> RingInterval:
     """Find the measurements around a time before the newest one; `first` is the later of them.
 
     Args:
@@ -124,10 +135,10 @@ def ago(periods: float, step: int, ring: int) -> Between:
         step: step of the newest measurement.
         ring: length of the ring buffer.
     """
-    whole, mask = int(periods + SAME_S), ring - 1
+    whole, mask = int(periods + TIME_TOLERANCE_S), ring - 1
     rest = periods - whole
-    share = rest if rest > SAME_S else 0.0
-    return Between(np.uintp((step - whole) & mask), np.uintp((step - whole - 1) & mask), share)
+    share = rest if rest > TIME_TOLERANCE_S else 0.0
+    return RingInterval(np.uintp((step - whole) & mask), np.uintp((step - whole - 1) & mask), share)
 
 
 @inlined
@@ -145,7 +156,7 @@ def low_pass(out: float, before: float, now: float, left: float, ramp: float) ->
 
 
 @inlined
-def told_at(periods: float, step: int, ring: int) -> Between:
+def reported_at(periods: float, step: int, ring: int) -> RingInterval:
     """Find the joint readings around a time, which is clamped to those in the ring buffer.
 
     Args:
@@ -154,22 +165,22 @@ def told_at(periods: float, step: int, ring: int) -> Between:
         ring: length of the ring buffer.
     """
     at = min(max(periods, step - ring + 1.0), float(step))
-    first = int(np.floor(at + SAME_S))
+    first = int(np.floor(at + TIME_TOLERANCE_S))
     share = at - first
-    share = share if share > SAME_S else 0.0
+    share = share if share > TIME_TOLERANCE_S else 0.0
     mask = ring - 1
-    return Between(np.uintp(first & mask), np.uintp((first + 1) & mask), share)
+    return RingInterval(np.uintp(first & mask), np.uintp((first + 1) & mask), share)
 
 
 @compiled
 def sense_joints(
     ids: IntArray,
     period_s: float,
-    drawn: PackedConditions,
+    packed: PackedConditions,
     keys: StreamKeys,
     steps: IntArray,
     motors: MotorStates,
-    tied: ActuatorCoupling | None,
+    coupling: ActuatorCoupling | None,
     feedback: Feedback,
     reading: Reading,
 ) -> None:
@@ -181,51 +192,52 @@ def sense_joints(
     Args:
         ids: (m,) environment indices.
         period_s: the control period, s.
-        drawn: conditions of the trials.
+        packed: conditions of the trials.
         keys: keys of the trials' random streams.
         steps: (n,) control periods since the trials' start.
         motors: the motors.
-        tied: coupling of the eye joints; None if each has its own motor.
+        coupling: coupling of the eye joints; None if each has its own motor.
         feedback: updated in place.
         reading: result: its positions and velocities.
     """
-    measured, told, loops, filtered, angle_step, speed_step, on_output = feedback
-    angles, speeds, driven, own = motors.angles, motors.speeds, motors.driven, drawn.own
+    measured, reported, loops, filtered, angle_step, speed_step, on_output = feedback
+    angles, speeds, output, own = motors.angles, motors.speeds, motors.output, packed.own
     positions, velocities = reading.positions, reading.velocities
-    ring, kept, rate = measured.shape[1], told.shape[1] - 1, 1.0 / period_s
-    for place in ids:
-        n = np.uintp(place)
-        step, loop = steps[n], loop_of(drawn, n)
+    ring, kept, rate = measured.shape[1], reported.shape[1] - 1, 1.0 / period_s
+    for env in ids:
+        n = np.uintp(env)
+        step, conditions = steps[n], conditions_of(packed, n)
         slot = np.uintp(step & (ring - 1))
         for k in range(7):
             speed = speeds[n, k]
             measured[n, slot, 0, k], measured[n, slot, 1, k] = angles[n, k], speed
             if on_output:
-                motor = MotorState(angles[n, k], speed, driven[n, k])
-                measured[n, slot, 0, k] = motor.driven
-                measured[n, slot, 1, k] = driven_speed(motor, own[n, BACKLASH, k])
-        late = loop.feedback_latency_s * rate
-        at, sped = ago(late, step, ring), ago(late + loop.speed_latency_s * rate, step, ring)
+                motor = MotorState(angles[n, k], speed, output[n, k])
+                measured[n, slot, 0, k] = motor.output
+                measured[n, slot, 1, k] = output_speed(motor, own[n, BACKLASH, k])
+        late = conditions.feedback_latency_s * rate
+        at = measured_before(late, step, ring)
+        sped = measured_before(late + conditions.speed_latency_s * rate, step, ring)
         rest, new, old = at.share, at.first, at.second
         left = ramp = 0.0
-        if loop.speed_filter_s > 0.0:
-            left = lag_decay(period_s, loop.speed_filter_s)
-            ramp = 1.0 - (1.0 - left) * loop.speed_filter_s * rate
+        if conditions.speed_filter_s > 0.0:
+            left = lag_decay(period_s, conditions.speed_filter_s)
+            ramp = 1.0 - (1.0 - left) * conditions.speed_filter_s * rate
         noise = rates = (0.0, 0.0, 0.0, 0.0)
-        if loop.angle_noise_rad > 0.0 or loop.speed_noise_rad_s > 0.0:
+        if conditions.angle_noise_rad > 0.0 or conditions.speed_noise_rad_s > 0.0:
             key = StreamKey(keys.seeds[n], keys.trials[n])
-            noise = noise_of(key, step, 1, loop.angle_noise_rad)
-            rates = noise_of(key, step, 2, loop.speed_noise_rad_s)
+            noise = noise_of(key, step, 1, conditions.angle_noise_rad)
+            rates = noise_of(key, step, 2, conditions.speed_noise_rad_s)
         stalled = step < loops[n, RESUMES]
         for k in range(7):
             q, v = measured[n, new, 0, k], measured[n, new, 1, k]
             if rest > 0.0 and not (v == 0.0 and measured[n, old, 1, k] == 0.0):
                 q0, v0 = measured[n, old, 0, k], measured[n, old, 1, k]
-                q, v = between(q0, v0, q, v, 1.0 - rest, period_s)
-            if loop.speed_latency_s > 0.0:
+                q, v = interpolate_joint(q0, v0, q, v, 1.0 - rest, period_s)
+            if conditions.speed_latency_s > 0.0:
                 v = measured[n, sped.first, 1, k]
                 v += sped.share * (measured[n, sped.second, 1, k] - v)
-            if loop.speed_filter_s > 0.0:
+            if conditions.speed_filter_s > 0.0:
                 v0, filtered[n, 1, k] = filtered[n, 1, k], v
                 v = filtered[n, 0, k] = low_pass(filtered[n, 0, k], v0, v, left, ramp)
             if stalled:
@@ -236,21 +248,22 @@ def sense_joints(
             velocities[n, k] = quantise(v, speed_step[k])
         if stalled:
             continue
-        if tied is not None:
-            tie(tied.room, tied.head, positions[n], velocities[n])
+        if coupling is not None:
+            joints_from_actuators(coupling.scratch, coupling.head, positions[n], velocities[n])
         since = step - loops[n, READ]
         for missed in range(1, since):
             share = missed / since
             then = np.uintp((step - missed) & kept)
             last = np.uintp(loops[n, READ] & kept)
             for k in range(7):
-                told[n, then, k] = positions[n, k] + share * (told[n, last, k] - positions[n, k])
+                q = positions[n, k]
+                reported[n, then, k] = q + share * (reported[n, last, k] - q)
         loops[n, READ] = step
-        span = int(np.rint(loop.speed_span_s * rate))
+        span = int(np.rint(conditions.speed_span_s * rate))
         if span > 0:
             slot = np.uintp((step - span) & kept)
             for k in range(7):
-                velocities[n, k] = (positions[n, k] - told[n, slot, k]) * rate / span
+                velocities[n, k] = (positions[n, k] - reported[n, slot, k]) * rate / span
         slot = np.uintp(step & kept)
         for k in range(7):
-            told[n, slot, k] = positions[n, k]
+            reported[n, slot, k] = positions[n, k]

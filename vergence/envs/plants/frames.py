@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence._jit import inlined, subroutine
-from vergence.envs.plants.conditions import Loop
+from vergence.envs.plants.conditions import TrialConditions
 from vergence.envs.reading import BoolArray
 from vergence.envs.streams import (
     IntArray,
@@ -28,7 +28,7 @@ from vergence.envs.streams import (
 )
 from vergence.models.parts import FloatArray
 
-SAME_S: Final = 1e-9
+TIME_TOLERANCE_S: Final = 1e-9
 """Difference below which two times are equal: rounding of sums of periods, s (numerical)."""
 _SENSOR: Final = int(Purpose.SENSOR)
 _BEFORE: Final = int(Purpose.BEFORE)
@@ -120,9 +120,9 @@ class FrameFaults(NamedTuple):
 
 
 @inlined
-def frame_time(loop: Loop, frame: int) -> float:
+def frame_time(conditions: TrialConditions, frame: int) -> float:
     """Time of a frame's (first) exposure since the trial's start, s."""
-    return (loop.frame_phase + frame) * loop.frame_s
+    return (conditions.frame_phase + frame) * conditions.frame_s
 
 
 class FrameOf(NamedTuple):
@@ -136,32 +136,32 @@ class FrameOf(NamedTuple):
 
 
 @inlined
-def frame_of(loop: Loop, exposure: int) -> FrameOf:
+def frame_of(conditions: TrialConditions, exposure: int) -> FrameOf:
     """Find the frame of an exposure, and the eyes that it exposes."""
-    if loop.skew_s == 0.0:
+    if conditions.skew_s == 0.0:
         return FrameOf(exposure, 0, 2)
     eye = exposure & 1
     return FrameOf(exposure >> 1, eye, eye + 1)
 
 
 @inlined
-def first_exposure(loop: Loop, frame: int) -> int:
+def first_exposure(conditions: TrialConditions, frame: int) -> int:
     """The first exposure of a frame."""
-    return frame if loop.skew_s == 0.0 else 2 * frame
+    return frame if conditions.skew_s == 0.0 else 2 * frame
 
 
 @inlined
-def skew_of(loop: Loop) -> float:
+def skew_of(conditions: TrialConditions) -> float:
     """Delay of the right eye's exposure after the left's, at most one frame time, s."""
-    return min(loop.skew_s, loop.frame_s)
+    return min(conditions.skew_s, conditions.frame_s)
 
 
 @inlined
-def exposure_time(loop: Loop, exposure: int) -> float:
+def exposure_time(conditions: TrialConditions, exposure: int) -> float:
     """Time of an exposure since the trial's start, s."""
-    if loop.skew_s == 0.0:
-        return frame_time(loop, exposure)
-    return frame_time(loop, exposure >> 1) + (exposure & 1) * skew_of(loop)
+    if conditions.skew_s == 0.0:
+        return frame_time(conditions, exposure)
+    return frame_time(conditions, exposure >> 1) + (exposure & 1) * skew_of(conditions)
 
 
 @inlined
@@ -173,10 +173,10 @@ def _words(key: StreamKey, frame: int, lane: int) -> Words:
 
 
 @inlined
-def faults_of(loop: Loop, key: StreamKey, frame: int) -> FrameFaults:
+def faults_of(conditions: TrialConditions, key: StreamKey, frame: int) -> FrameFaults:
     """Draw the faults of a frame."""
-    drop, jitter = loop.dropped_frame_probability, loop.jitter_s
-    miss = loop.missed_detection_probability
+    drop, jitter = conditions.dropped_frame_probability, conditions.jitter_s
+    miss = conditions.missed_detection_probability
     if drop + jitter + miss == 0.0:
         return FrameFaults(False, 0.0, False, False)
     words = _words(key, frame, 2)
@@ -189,9 +189,11 @@ def faults_of(loop: Loop, key: StreamKey, frame: int) -> FrameFaults:
 
 
 @inlined
-def pixel_noise(loop: Loop, key: StreamKey, frame: int) -> tuple[float, float, float, float]:
+def pixel_noise(
+    conditions: TrialConditions, key: StreamKey, frame: int
+) -> tuple[float, float, float, float]:
     """Detection noise in one pair of frames, px: u and v left, u and v right."""
-    sigma = loop.detection_noise_px
+    sigma = conditions.detection_noise_px
     if sigma == 0.0:
         return 0.0, 0.0, 0.0, 0.0
     words = _words(key, frame, 1)
@@ -201,30 +203,34 @@ def pixel_noise(loop: Loop, key: StreamKey, frame: int) -> tuple[float, float, f
 
 
 @inlined
-def _beside(most_px: float, size: np.uint64, direction: np.uint64) -> tuple[float, float]:
+def _random_offset(most_px: float, size: np.uint64, direction: np.uint64) -> tuple[float, float]:
     """Random offset, uniform in length and direction, px."""
     length, around = most_px * to_uniform(size), 2.0 * pi * to_uniform(direction)
     return length * cos(around), length * sin(around)
 
 
 @inlined
-def outlier(loop: Loop, key: StreamKey, frame: int, eye: int) -> tuple[float, float]:
+def outlier(
+    conditions: TrialConditions, key: StreamKey, frame: int, eye: int
+) -> tuple[float, float]:
     """Offset of an eye's detection from the target if it is an outlier, px; mostly zero."""
-    probability = loop.outlier_probability
+    probability = conditions.outlier_probability
     if probability == 0.0 or not to_uniform(_words(key, frame, 3)[eye]) < probability:
         return 0.0, 0.0
     words = _words(key, frame, 4 + eye)
-    return _beside(loop.outlier_px, words[0], words[1])
+    return _random_offset(conditions.outlier_px, words[0], words[1])
 
 
 @subroutine
-def false_detection(loop: Loop, key: StreamKey, frame: int, eye: int) -> tuple[float, float]:
+def false_detection(
+    conditions: TrialConditions, key: StreamKey, frame: int, eye: int
+) -> tuple[float, float]:
     """Offset of an eye's false detection from the target, px; mostly zero.
 
     A false detection that begins replaces one that is already under way.
     """
-    probability = loop.false_detection_probability
-    frames = loop.false_detection_s / loop.frame_s
+    probability = conditions.false_detection_probability
+    frames = conditions.false_detection_s / conditions.frame_s
     for age in range(max(int(np.rint(frames)), 1)):
         words = _words(key, frame - age, 6)
         if not to_uniform(words[0]) < probability:
@@ -237,19 +243,21 @@ def false_detection(loop: Loop, key: StreamKey, frame: int, eye: int) -> tuple[f
             continue
         words = _words(key, frame - age, 7)
         if eye == 0 or kind == 5:
-            return _beside(loop.false_detection_px, words[0], words[1])
-        return _beside(loop.false_detection_px, words[2], words[3])
+            return _random_offset(conditions.false_detection_px, words[0], words[1])
+        return _random_offset(conditions.false_detection_px, words[2], words[3])
     return 0.0, 0.0
 
 
 @inlined
-def comes_at(loop: Loop, exposed_s: float, late_s: float, latest_s: float) -> float:
+def comes_at(
+    conditions: TrialConditions, exposed_s: float, late_s: float, latest_s: float
+) -> float:
     """Time at which a frame becomes readable, never before an earlier frame, s.
 
     Args:
-        loop: the trial's conditions.
+        conditions: the trial's conditions.
         exposed_s: exposure time of its first eye, s.
         late_s: delay beyond the latency, s.
         latest_s: time at which the frame before becomes readable, s.
     """
-    return max(exposed_s + skew_of(loop) + loop.latency_s + late_s, latest_s)
+    return max(exposed_s + skew_of(conditions) + conditions.latency_s + late_s, latest_s)

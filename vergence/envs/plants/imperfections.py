@@ -25,7 +25,7 @@ class Imperfection(NamedTuple):
     """Part of the loop, one of `PARTS`."""
     label: str
     """Its name in tables and figures."""
-    what: str
+    description: str
     """One-line description for the docs."""
     unit: str
     least: float
@@ -34,12 +34,13 @@ class Imperfection(NamedTuple):
     searched: tuple[float, float]
     """Range in which margins are searched. It exceeds the values of existing robots, and ends where
     nothing more can be learned."""
-    of_head: str = ""
-    """Attribute path of the head's own value, which is the default; empty for `otherwise`."""
-    otherwise: float = 0.0
+    head_path: str = ""
+    """Attribute path of the head's own value, which is then the default; may be empty."""
+    default: float = 0.0
+    """Default value of a head without one of its own."""
     by_actuator: bool = False
     """True if each actuator has its own value."""
-    of_chance: str = ""
+    probability: str = ""
     """Name of the probability that must be above 0 for an effect; empty if there always is one."""
     shown: tuple[str, float] = ("", 1.0)
     """Unit for display, empty for a ratio, and the factor from `unit` to it."""
@@ -53,15 +54,15 @@ class Imperfection(NamedTuple):
         Returns:
             A number; possibly (7,) if each actuator has its own value.
         """
-        if not self.of_head:
-            return self.otherwise
-        value: float | FloatArray = attrgetter(self.of_head)(head)
+        if not self.head_path:
+            return self.default
+        value: float | FloatArray = attrgetter(self.head_path)(head)
         return value
 
 
 Value = TypeVar("Value", covariant=True)
 
-_LATE_S: Final = 1.0
+_MAX_DELAY_S: Final = 1.0
 """Upper limit of every delay and lag, excluded, s (chosen: above those of robots, yet low enough to
 catch values in milliseconds)."""
 _MS: Final = ("ms", 1e3)
@@ -72,14 +73,14 @@ _PERCENT: Final = ("%", 100.0)
 def _one(
     part: str,
     label: str,
-    what: str,
+    description: str,
     unit: str,
     span: tuple[float, float],
     searched: tuple[float, float],
     **others: Any,
 ) -> Any:
     """Define a field of `Imperfections`."""
-    one = Imperfection(part, label, what, unit, *span, searched, **others)
+    one = Imperfection(part, label, description, unit, *span, searched, **others)
     return field(default=None, metadata={"imperfection": one})
 
 
@@ -94,27 +95,27 @@ class Imperfections(Generic[Value]):
     latency_s: Value = _one(
         "camera", "image latency", "from the middle of an exposure to the image being readable; a "
         "reading dates its image by the model's latency, unless the cameras stamp it",
-        "s", (0.0, _LATE_S), (0.0, 0.3), of_head="timing.latency_s", shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.3), head_path="timing.latency_s", shown=_MS,
     )
     lag_s: Value = _one(
         # margins exclude 0: a joint without lag has no dynamics
         "motors", "joint lag", "time constant of the motors' response; above 0 for dynamics; an "
         "actuator with a lag of its own keeps its ratio to the head's",
-        "s", (0.0, _LATE_S), (0.001, 0.2), of_head="timing.lag_s", shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.001, 0.2), head_path="timing.lag_s", shown=_MS,
     )
     detection_noise_px: Value = _one(
         "camera", "detection noise", "standard deviation of a detection, each coordinate; not on "
         "`rendered`, whose detector has its own",
-        "px", (0.0, inf), (0.0, 3.0), of_head="sensor.detection_noise_px", shown=("px", 1.0),
+        "px", (0.0, inf), (0.0, 3.0), head_path="sensor.detection_noise_px", shown=("px", 1.0),
     )
     dropped_frame_probability: Value = _one(
         "camera", "dropped frames", "that a frame of both eyes never comes",
-        "1", (0.0, 1.0), (0.0, 0.9), of_head="sensor.dropped_frame_probability", shown=_PERCENT,
+        "1", (0.0, 1.0), (0.0, 0.9), head_path="sensor.dropped_frame_probability", shown=_PERCENT,
     )
     jitter_s: Value = _one(
         "camera", "frame jitter", "the most by which a frame comes later than the latency, "
         "uniform; frames keep their order",
-        "s", (0.0, _LATE_S), (0.0, 0.1), shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), shown=_MS,
     )
     missed_detection_probability: Value = _one(
         "camera", "missed detections", "that an eye's image shows the detector nothing, each eye "
@@ -127,12 +128,12 @@ class Imperfections(Generic[Value]):
     )
     outlier_px: Value = _one(
         "camera", "outlier size", "how far beside it at most: uniform from 0, in any direction",
-        "px", (0.0, inf), (0.0, 300.0), otherwise=100.0, of_chance="outlier_probability",
+        "px", (0.0, inf), (0.0, 300.0), default=100.0, probability="outlier_probability",
         shown=("px", 1.0),
     )
     frame_rate_hz: Value = _one(
         "camera", "frame rate", "frames per second",
-        "Hz", (1.0, 1000.0), (10.0, 240.0), of_head="timing.frame_rate_hz", shown=("Hz", 1.0),
+        "Hz", (1.0, 1000.0), (10.0, 240.0), head_path="timing.frame_rate_hz", shown=("Hz", 1.0),
     )
     frame_phase: Value = _one(
         "camera", "camera phase", "when the first frame after time zero is exposed, by the time "
@@ -145,11 +146,11 @@ class Imperfections(Generic[Value]):
     )
     command_latency_s: Value = _one(
         "motors", "command latency", "from a command to the motors' response",
-        "s", (0.0, _LATE_S), (0.0, 0.1), of_head="timing.command_latency_s", shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), head_path="timing.command_latency_s", shown=_MS,
     )
     feedback_latency_s: Value = _one(
         "encoders", "feedback latency", "from a measurement of the joints to its reading",
-        "s", (0.0, _LATE_S), (0.0, 0.1), of_head="timing.feedback_latency_s", shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), head_path="timing.feedback_latency_s", shown=_MS,
     )
     angle_noise_rad: Value = _one(
         "encoders", "encoder noise, angle", "standard deviation of an encoder's angle, before it "
@@ -163,7 +164,7 @@ class Imperfections(Generic[Value]):
     )
     acceleration_ratio: Value = _one(
         "motors", "acceleration by model", "greatest accelerations by those of the limits",
-        "1", (0.01, 100.0), (0.1, 3.0), otherwise=1.0,
+        "1", (0.01, 100.0), (0.1, 3.0), default=1.0,
     )
     torque_falloff: Value = _one(
         "motors", "torque falloff", "share of its acceleration that a motor has lost at its "
@@ -176,30 +177,30 @@ class Imperfections(Generic[Value]):
     )
     speed_gain: Value = _one(
         "motors", "speed gain", "speed at rest by command, each actuator its own",
-        "1", (0.01, 2.0), (0.4, 1.6), otherwise=1.0, by_actuator=True,
+        "1", (0.01, 2.0), (0.4, 1.6), default=1.0, by_actuator=True,
     )
     backlash_rad: Value = _one(
         "motors", "backlash", "play between motor and joint, whole width, each actuator its own "
         "(in a file `sensor.backlash_rad` or the actuator's); none in the neck",
-        "rad", (0.0, 0.2), (0.0, 0.02), of_head="actuation.backlash", by_actuator=True,
+        "rad", (0.0, 0.2), (0.0, 0.02), head_path="actuation.backlash", by_actuator=True,
         shown=_MRAD,
     )
     speed_filter_s: Value = _one(
         "encoders", "speed filter", "time constant of a servo's low-pass filter of first order on "
         "the speed that it reports; 0 for none",
-        "s", (0.0, _LATE_S), (0.0, 0.1), shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), shown=_MS,
     )
     speed_latency_s: Value = _one(
         "encoders", "speed latency", "by how much a reported speed is older than the angle beside "
         "it; the filter comes after it",
-        "s", (0.0, _LATE_S), (0.0, 0.1), shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), shown=_MS,
     )
     speed_span_s: Value = _one(
         "encoders", "speed as difference over", "of heads whose servos report no speed: it is the "
         "difference of the angles as read over this time, in whole periods; less than half a "
         "period for the servos' own speed, whose noise, steps, latency and filter differences do "
         "not have",
-        "s", (0.0, _LATE_S), (0.0, 0.1), shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), shown=_MS,
     )
     lost_command_probability: Value = _one(
         "motors", "lost commands", "that a period's command never reaches the motors, which go on "
@@ -214,7 +215,8 @@ class Imperfections(Generic[Value]):
     stall_s: Value = _one(
         "motors", "length of a stall", "for how long it stalls at most: uniform from 0, in whole "
         "periods and at least one",
-        "s", (0.0, _LATE_S), (0.0, 0.5), otherwise=0.1, of_chance="stall_probability", shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.5), default=0.1, probability="stall_probability",
+        shown=_MS,
     )
     false_detection_probability: Value = _one(
         "camera", "false detections", "that in a frame a lamp, a reflection or another mark begins "
@@ -225,13 +227,13 @@ class Imperfections(Generic[Value]):
     false_detection_s: Value = _one(
         "camera", "length of a false detection", "for how long it is taken for it at most: uniform "
         "from 0, in whole frames and at least one",
-        "s", (0.0, _LATE_S), (0.0, 0.5), otherwise=0.2, of_chance="false_detection_probability",
-        shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.5), default=0.2,
+        probability="false_detection_probability", shown=_MS,
     )
     false_detection_px: Value = _one(
         "camera", "distance of a false detection", "how far beside the target it is at most, in "
         "all of its frames alike: uniform from 0, in any direction",
-        "px", (0.0, inf), (0.0, 300.0), otherwise=100.0, of_chance="false_detection_probability",
+        "px", (0.0, inf), (0.0, 300.0), default=100.0, probability="false_detection_probability",
         shown=("px", 1.0),
     )
     overshoot: Value = _one(
@@ -243,7 +245,7 @@ class Imperfections(Generic[Value]):
         "camera", "right eye exposed later by", "by how much the right eye's frames are exposed "
         "after the left's, at most the time between two; a pair comes when the later one does, and "
         "a stamp is the left one's; not on `rendered`",
-        "s", (0.0, _LATE_S), (0.0, 0.1), shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), shown=_MS,
     )
 # fmt: on
 
@@ -252,9 +254,9 @@ IMPERFECTIONS: Final[dict[str, Imperfection]] = {
     one.name: one.metadata["imperfection"] for one in fields(Imperfections)
 }
 """Descriptions by name, in the order in which a trial draws the imperfections."""
-SCALARS: Final = tuple(name for name, one in IMPERFECTIONS.items() if not one.by_actuator)
+PER_TRIAL: Final = tuple(name for name, one in IMPERFECTIONS.items() if not one.by_actuator)
 """Names of the imperfections with one number per trial."""
-OWN: Final = tuple(name for name, one in IMPERFECTIONS.items() if one.by_actuator)
+PER_ACTUATOR: Final = tuple(name for name, one in IMPERFECTIONS.items() if one.by_actuator)
 """Names of the imperfections with one number per actuator."""
 
 

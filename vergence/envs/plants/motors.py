@@ -4,7 +4,7 @@ A motor follows its command with its own lag and acceleration limit and stops at
 drives the joints through backlash (play) of width b, with friction: its output stays in place while
 the motor crosses the backlash, and is then pushed along,
 
-    driven = clip(driven, motor - b / 2, motor + b / 2),   joints = A driven + offset
+    output = clip(output, motor - b / 2, motor + b / 2),   joints = A output + offset
 
 so a joint stands still for a moment whenever its motor reverses. The encoder sits on the motor's
 side of the backlash, or on the output's. If a joint reaches its own stop before its motors reach
@@ -51,7 +51,7 @@ class MotorStates(NamedTuple):
     """(n, 7) motor speeds, rad/s."""
     accelerations: FloatArray
     """(n, 7) accelerations of second-order servos, rad/s^2; 0 for others."""
-    driven: FloatArray
+    output: FloatArray
     """(n, 7) angles of the motors' outputs, within half the backlash of the motors, rad; if each
     eye joint has its own motor, these are the joint angles."""
     lower: FloatArray
@@ -80,7 +80,7 @@ class MotorStates(NamedTuple):
             angles=rest,
             speeds=np.zeros((num, 7)),
             accelerations=np.zeros((num, 7)),
-            driven=rest.copy(),
+            output=rest.copy(),
             lower=own.lower,
             upper=own.upper,
             velocity=own.velocity,
@@ -89,8 +89,13 @@ class MotorStates(NamedTuple):
         )
 
 
-MOVING: Final = ("angles", "speeds", "accelerations", "driven")
-"""Fields of `MotorStates` that are part of a trial's state."""
+MOVING: Final = {
+    "angles": "angles",
+    "speeds": "speeds",
+    "accelerations": "accelerations",
+    "driven": "output",
+}
+"""Fields of `MotorStates` that are part of a trial's state, by their names in a saved state."""
 
 
 class ActuatorCoupling(NamedTuple):
@@ -102,7 +107,7 @@ class ActuatorCoupling(NamedTuple):
     """(4,) upper angle limits of the eye joints, rad."""
     head: PackedHead
     """(PACKED,) the head that the controller knows; it converts encoder angles to joint angles."""
-    room: FloatArray
+    scratch: FloatArray
     """(4,) scratch array of kernels, one number per actuator."""
 
     @classmethod
@@ -119,7 +124,7 @@ class MotorState(NamedTuple):
 
     angle: float
     speed: float
-    driven: float
+    output: float
     """Angle of its output, rad."""
 
 
@@ -128,105 +133,120 @@ class MotorParams(NamedTuple):
 
     lag_s: float
     acceleration: float
-    fade: float
+    falloff: float
     """Fraction of the acceleration that is lost per rad/s of speed."""
     lower: float
     upper: float
-    play: float
+    backlash: float
     """Backlash, whole width, rad."""
 
 
 @inlined
-def pushed(driven: float, angle: float, play: float) -> float:
+def output_angle(output: float, angle: float, backlash: float) -> float:
     """Angle of a motor's output once the motor has moved to `angle`."""
-    return min(max(driven, angle - 0.5 * play), angle + 0.5 * play)
+    return min(max(output, angle - 0.5 * backlash), angle + 0.5 * backlash)
 
 
 @inlined
-def driven_speed(motor: MotorState, play: float) -> float:
+def output_speed(motor: MotorState, backlash: float) -> float:
     """Velocity of a motor's output: the motor's own while it pushes, else 0."""
-    behind, half = motor.angle - motor.driven, 0.5 * play - _CONTACT_RAD
+    behind, half = motor.angle - motor.output, 0.5 * backlash - _CONTACT_RAD
     pushes = behind >= half if motor.speed > 0.0 else -behind >= half
     return motor.speed if pushes else 0.0
 
 
 @inlined
-def moved(
-    motor: MotorState, drive: MotorParams, command: float, time_s: float, decay: float
+def advance_first_order(
+    motor: MotorState, params: MotorParams, command: float, time_s: float, decay: float
 ) -> MotorState:
     """Advance a motor by a time; its output is pushed only up to a reversal of the motor.
 
-    Callers push the output on with `pushed`.
+    Callers push the output on with `output_angle`.
 
     Args:
         motor: its state.
-        drive: its parameters.
+        params: its parameters.
         command: velocity command, rad/s, with the speed gain applied.
         time_s: duration, s.
-        decay: `lag_decay(time_s, drive.lag_s)`.
+        decay: `lag_decay(time_s, params.lag_s)`.
     """
-    q, v, driven = motor.angle, motor.speed, motor.driven
-    tau, a = drive.lag_s, drive.acceleration
-    if drive.play > 0.0 and v * command < 0.0:
+    q, v, output = motor.angle, motor.speed, motor.output
+    tau, a = params.lag_s, params.acceleration
+    if params.backlash > 0.0 and v * command < 0.0:
         turn = time_to_reversal(v, command, tau, a)
         if turn < time_s:  # the output stays at the turning point
             farthest, _rest = follow_joint(q, v, command, tau, a, turn, lag_decay(turn, tau))
-            driven = pushed(driven, min(max(farthest, drive.lower), drive.upper), drive.play)
-    if drive.fade > 0.0:
-        q, v = follow_torque_limited_joint(q, v, command, tau, a, drive.fade, time_s)
+            output = output_angle(
+                output, min(max(farthest, params.lower), params.upper), params.backlash
+            )
+    if params.falloff > 0.0:
+        q, v = follow_torque_limited_joint(q, v, command, tau, a, params.falloff, time_s)
     else:
         q, v = follow_joint(q, v, command, tau, a, time_s, decay)
-    if q < drive.lower:
-        q, v = drive.lower, max(v, 0.0)
-    elif q > drive.upper:
-        q, v = drive.upper, min(v, 0.0)
-    return MotorState(q, v, driven)
+    if q < params.lower:
+        q, v = params.lower, max(v, 0.0)
+    elif q > params.upper:
+        q, v = params.upper, min(v, 0.0)
+    return MotorState(q, v, output)
 
 
 @subroutine
-def swung(
+def advance_second_order(
     motor: MotorState,
     acceleration: float,
-    drive: MotorParams,
+    params: MotorParams,
     command: float,
     time_s: float,
     overshoot: float,
 ) -> tuple[MotorState, float]:
-    """Advance a second-order servo by a time; return it and its acceleration, else as `moved`.
+    """Advance a second-order servo by a time, see `advance_first_order`.
 
     Args:
         motor: its state.
         acceleration: its acceleration, rad/s^2.
-        drive: its parameters; the lag is above 0.
+        params: its parameters; the lag is above 0.
         command: velocity command, rad/s, with the speed gain applied.
         time_s: duration, s.
         overshoot: fraction by which its speed overshoots a step of the command, above 0.
+
+    Returns:
+        Its state, and its acceleration, rad/s^2.
     """
-    q, v, w, driven = motor.angle, motor.speed, acceleration, motor.driven
-    zeta, steps = damping_ratio(overshoot), int(np.ceil(time_s / (_SHORT * drive.lag_s)))
+    q, v, w, output = motor.angle, motor.speed, acceleration, motor.output
+    zeta, steps = damping_ratio(overshoot), int(np.ceil(time_s / (_SHORT * params.lag_s)))
     for _ in range(steps):
-        driven = pushed(driven, q, drive.play)
+        output = output_angle(output, q, params.backlash)
         q, v, w = follow_second_order_joint(
-            q, v, w, command, drive.lag_s, zeta, drive.acceleration, drive.fade, time_s / steps
+            q,
+            v,
+            w,
+            command,
+            params.lag_s,
+            zeta,
+            params.acceleration,
+            params.falloff,
+            time_s / steps,
         )
-        if q < drive.lower:
-            q, v, w = drive.lower, max(v, 0.0), max(w, 0.0)
-        elif q > drive.upper:
-            q, v, w = drive.upper, min(v, 0.0), min(w, 0.0)
-    return MotorState(q, v, driven), w
+        if q < params.lower:
+            q, v, w = params.lower, max(v, 0.0), max(w, 0.0)
+        elif q > params.upper:
+            q, v, w = params.upper, min(v, 0.0), min(w, 0.0)
+    return MotorState(q, v, output), w
 
 
 @subroutine
-def stop_at_joints(motors: MotorStates, tied: ActuatorCoupling, p: PackedHead, n: EnvIndex) -> None:
+def stop_at_joints(
+    motors: MotorStates, coupling: ActuatorCoupling, p: PackedHead, n: EnvIndex
+) -> None:
     """Move one head's motors back where they push a joint beyond its own stop.
 
     Args:
         motors: their angles and speeds are updated in place.
-        tied: coupling of the eye joints, with their limits.
+        coupling: coupling of the eye joints, with their limits.
         p: the true head.
         n: environment index.
     """
-    own = tied.room
+    own = coupling.scratch
     for _ in range(_PASSES):
         for j in range(SLOTS):
             square = rate = 0.0
@@ -236,7 +256,7 @@ def stop_at_joints(motors: MotorStates, tied: ActuatorCoupling, p: PackedHead, n
                 square += factor * factor
                 rate += factor * motors.speeds[n, 3 + k]
             angle = joint_at(p, j, own)
-            beyond = angle - min(max(angle, tied.joint_lower[j]), tied.joint_upper[j])
+            beyond = angle - min(max(angle, coupling.joint_lower[j]), coupling.joint_upper[j])
             if beyond == 0.0 or square == 0.0:
                 continue
             rate = rate if rate * beyond > 0.0 else 0.0
@@ -248,20 +268,22 @@ def stop_at_joints(motors: MotorStates, tied: ActuatorCoupling, p: PackedHead, n
 
 
 @subroutine
-def tie(room: FloatArray, p: PackedHead, positions: FloatArray, velocities: FloatArray) -> None:
+def joints_from_actuators(
+    scratch: FloatArray, p: PackedHead, positions: FloatArray, velocities: FloatArray
+) -> None:
     """Convert angles and velocities (7,) of actuators to those of joints, in place.
 
     Args:
-        room: (4,) scratch array.
+        scratch: (4,) scratch array.
         p: a packed head.
         positions: rad.
         velocities: rad/s.
     """
     for k in range(SLOTS):
-        room[k] = positions[3 + k]
+        scratch[k] = positions[3 + k]
     for j in range(SLOTS):
-        positions[3 + j] = joint_at(p, j, room)
+        positions[3 + j] = joint_at(p, j, scratch)
     for k in range(SLOTS):
-        room[k] = velocities[3 + k]
+        scratch[k] = velocities[3 + k]
     for j in range(SLOTS):
-        velocities[3 + j] = joint_rate(p, j, room)
+        velocities[3 + j] = joint_rate(p, j, scratch)

@@ -8,9 +8,15 @@ from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
 from vergence.envs.fields import count
-from vergence.envs.plants.frames import SAME_S
+from vergence.envs.plants.frames import TIME_TOLERANCE_S
 from vergence.envs.plants.simulated import SimulatedPlant
-from vergence.envs.plants.track import Track, expose_on_track, hold_commands, start_track, take
+from vergence.envs.plants.track import (
+    Track,
+    expose_on_track,
+    hold_commands,
+    read_joints,
+    start_track,
+)
 from vergence.envs.reading import Reading
 from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray
@@ -70,23 +76,23 @@ class MujocoPlant(SimulatedPlant):
         self._lag_ratios, self._which_lag = np.unique(
             true.actuation.lag_ratio[self._slots], return_inverse=True
         )
-        self._plays = whole.greatest("backlash_rad") > 0.0
-        self._motors_apart = self._plays or self._tied is not None
-        self._fades = whole.greatest("torque_falloff") > 0.0
-        self._forces_vary = self._fades or self._varies_at_all("acceleration_ratio", 1.0)
+        self._has_backlash = whole.greatest("backlash_rad") > 0.0
+        self._motors_apart = self._has_backlash or self._coupling is not None
+        self._has_falloff = whole.greatest("torque_falloff") > 0.0
+        self._forces_vary = self._has_falloff or self._varies_at_all("acceleration_ratio", 1.0)
         # a period is one piece unless something happens within it; outputs behind backlash are
         # pushed at every step, so that they do not miss the motors' turning points
         rate = head.timing.control_rate_hz / whole.greatest("frame_rate_hz")
         within = (
-            self._plays
-            or self._fades
+            self._has_backlash
+            or self._has_falloff
             or whole.greatest("command_latency_s") > 0.0
             or whole.greatest("overshoot") > 0.0
             or whole.greatest("skew_s") > 0.0
             or self._varies_at_all("frame_phase", 0.0)
             or self._varies_at_all("clock_drift", 0.0)
             or self._varies_at_all("frame_rate_hz", whole.greatest("frame_rate_hz"))
-            or abs(rate - round(rate)) > SAME_S
+            or abs(rate - round(rate)) > TIME_TOLERANCE_S
             or rate < 0.5
         )
         self._pieces = SUBSTEPS if within else 1
@@ -116,7 +122,7 @@ class MujocoPlant(SimulatedPlant):
             self._set_lags(np.arange(self.num))
         if self._forces_vary:
             self._force = self._batch.expand("actuator_forcerange")
-            self._most_force = self._force[0, :, 1].copy()
+            self._max_force = self._force[0, :, 1].copy()
 
     def _set_lags(self, ids: IntArray) -> None:
         """Set the servo gains of some environments from their lags."""
@@ -132,7 +138,7 @@ class MujocoPlant(SimulatedPlant):
         self._gain[ids, :, 0] = ratio[:, self._which_lag] * self._nominal_gain
         self._bias[ids, :, 2] = ratio[:, self._which_lag] * self._nominal_bias
 
-    def _place(self, ids: IntArray) -> None:
+    def _put_at_rest(self, ids: IntArray) -> None:
         if self._lags_vary:
             self._set_lags(ids)
         self._batch.state[ids] = self._unstarted
@@ -143,32 +149,32 @@ class MujocoPlant(SimulatedPlant):
         self._qpos[ids] = q[:, self._qpos_from]
 
     def _move(self) -> None:
-        own, period_s = self._bare, self.head.timing.period_s
+        own, period_s = self._arguments, self.head.timing.period_s
         start_track(own.scene, self._track)
         for piece in range(self._pieces):
             hold_commands(
-                piece, self._pieces, period_s, own.drawn, self._scene.step, own.commands,
+                piece, self._pieces, period_s, own.packed, self._scene.step, own.commands,
                 own.motors, self._slots, self._ctrl,
             )  # fmt: skip
             if self._forces_vary:
                 self._limit_forces()
             self._batch.step(None, SUBSTEPS // self._pieces)
-            take(
+            read_joints(
                 piece, self._qpos, self._qvel, self._half_step, self._joints, self.head.packed,
-                own.drawn, own.scene, own.motors, self._tied, self._track,
+                own.packed, own.scene, own.motors, self._coupling, self._track,
             )  # fmt: skip
         expose_on_track(
-            period_s, own.drawn, self._scene.step, own.frames, self._track, own.exposures
+            period_s, own.packed, self._scene.step, own.frames, self._track, own.exposures
         )
 
     def _limit_forces(self) -> None:
         """Set the servos' force limits from their trials' conditions and their present speeds."""
-        most = self.conditions.acceleration_ratio[:, None] * self._most_force
+        most = self.conditions.acceleration_ratio[:, None] * self._max_force
         top = self.conditions.speed_gain[:, self._slots] * self._motors.velocity[self._slots]
-        fade = self.conditions.torque_falloff[:, None] / top
+        falloff = self.conditions.torque_falloff[:, None] / top
         speeds = self._motors.speeds[:, self._slots]
-        self._force[:, :, 1] = most * (1.0 - fade * np.maximum(speeds, 0.0))
-        self._force[:, :, 0] = -most * (1.0 - fade * np.maximum(-speeds, 0.0))
+        self._force[:, :, 1] = most * (1.0 - falloff * np.maximum(speeds, 0.0))
+        self._force[:, :, 0] = -most * (1.0 - falloff * np.maximum(-speeds, 0.0))
 
     def restore(self, state: Arrays) -> Reading:
         """See `Simulation.restore`."""

@@ -6,10 +6,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from vergence._jit import compiled
-from vergence.envs.plants.conditions import PackedConditions, loop_of
+from vergence.envs.plants.conditions import PackedConditions, conditions_of
 from vergence.envs.plants.eye_views import EyeViews
 from vergence.envs.plants.frames import (
-    SAME_S,
+    TIME_TOLERANCE_S,
     Exposures,
     Frames,
     comes_at,
@@ -115,56 +115,56 @@ class RenderedPlant(MujocoPlant):
 
     def begin(self, start: TrialStart) -> Reading:
         """See `SimulatedPlant.begin`."""
-        for place in start.ids.tolist():
-            for tracker in self._trackers[place]:
+        for env in start.ids.tolist():
+            for tracker in self._trackers[env]:
                 tracker.forget()
         return super().begin(start)
 
     def _expose(self, ids: IntArray) -> None:
-        for place in ids.tolist():
-            count = int(self._exposures.taken[place])
-            first = int(self._frames.next[place])
+        for env in ids.tolist():
+            count = int(self._exposures.taken[env])
+            first = int(self._frames.next[env])
             for i in range(count):
-                self._photograph(place, first + i, i)
-        own = self._bare
+                self._photograph(env, first + i, i)
+        own = self._arguments
         take_detections(
-            ids, own.drawn, own.keys, own.exposures, own.frames, self._found, self._seen
+            ids, own.packed, own.keys, own.exposures, own.frames, self._found, self._seen
         )
 
-    def _photograph(self, place: int, frame: int, i: int) -> None:
+    def _photograph(self, env: int, frame: int, i: int) -> None:
         """Take both eyes' frames of the period's i-th exposure, and keep the detections."""
-        there = view(
-            place,
+        there = poses_in_cameras(
+            env,
             i,
             0.5 * self.head.timing.exposure_s,
             self._facing_head,
-            self._bare.scene,
-            self._bare.exposures,
-            float(self.conditions.onset_s[place]),
+            self._arguments.scene,
+            self._arguments.exposures,
+            float(self.conditions.onset_s[env]),
             self._T_C_T,
             self._smear_px,
         )
         if not there:
             self._T_C_T[:, 2, 3] = -1.0  # behind the cameras, where nothing is visible
         # camera poses by the head model that a controller knows
-        positions = self._exposures.positions[place, i]
+        positions = self._exposures.positions[env, i]
         T_0_C = self.head.base_pose(positions) @ self.head.camera_poses(positions)
         # frames before time zero have the odd blocks, later ones the even blocks
-        rng = self._streams.at(place, Purpose.IMAGE, 2 * frame if frame >= 0 else -2 * frame - 1)
-        views = self._views[place]
+        rng = self._streams.at(env, Purpose.IMAGE, 2 * frame if frame >= 0 else -2 * frame - 1)
+        views = self._views[env]
         frames = views.draw_poses(self._T_C_T, rng, self._smear_px)
-        for eye, tracker in enumerate(self._trackers[place]):
+        for eye, tracker in enumerate(self._trackers[env]):
             # plain background need not be searched
             found = tracker.find(frames[eye], T_0_C=T_0_C[eye], search=views.shown[eye])
-            self._seen[place, i, eye] = found is not None
+            self._seen[env, i, eye] = found is not None
             if found is not None:
-                self._found[place, i, eye] = found.point_px
+                self._found[env, i, eye] = found.point_px
 
 
 @compiled
 def take_detections(
     ids: IntArray,
-    drawn: PackedConditions,
+    packed: PackedConditions,
     keys: StreamKeys,
     exposures: Exposures,
     frames: Frames,
@@ -175,42 +175,42 @@ def take_detections(
 
     Args:
         ids: (m,) environment indices.
-        drawn: `bare`, as are the following three; conditions of the trials.
+        packed: `untyped_tuple`, as are the following three; conditions of the trials.
         keys: keys of the trials' random streams.
         exposures: times of the exposures.
         frames: ring buffers, updated in place.
         found: (n, E, 2, 2) detections, px.
         seen: (n, E, 2) True if the target was detected.
     """
-    drawn, keys = PackedConditions(*drawn), StreamKeys(*keys)
+    packed, keys = PackedConditions(*packed), StreamKeys(*keys)
     exposures, frames = Exposures(*exposures), Frames(*frames)
     mask = frames.dropped.shape[1] - 1
     for n in ids:
-        loop, key = loop_of(drawn, n), StreamKey(keys.seeds[n], keys.trials[n])
+        conditions, key = conditions_of(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
         for i in range(exposures.taken[n]):
             f, time_s = frames.next[n], exposures.time_s[n, i]
             frames.next[n] = f + 1
-            slot, faults = np.uintp(f & mask), faults_of(loop, key, f)
+            slot, faults = np.uintp(f & mask), faults_of(conditions, key, f)
             frames.exposed_s[n, slot], frames.dropped[n, slot] = time_s, faults.dropped
             if faults.dropped:
                 continue
-            comes_s = comes_at(loop, time_s, faults.late_s, frames.latest_s[n])
+            comes_s = comes_at(conditions, time_s, faults.late_s, frames.latest_s[n])
             frames.comes_s[n, slot] = frames.latest_s[n] = comes_s
             for eye in range(2):
                 missed = faults.missed_right if eye else faults.missed_left
                 visible = seen[n, i, eye] and not missed
                 frames.visible[n, slot, eye] = visible
                 if visible:
-                    du, dv = outlier(loop, key, f, eye)
+                    du, dv = outlier(conditions, key, f, eye)
                     false_u = false_v = 0.0
-                    if loop.false_detection_probability > 0.0:
-                        false_u, false_v = false_detection(loop, key, f, eye)
+                    if conditions.false_detection_probability > 0.0:
+                        false_u, false_v = false_detection(conditions, key, f, eye)
                     frames.pixels[n, slot, eye, 0] = found[n, i, eye, 0] + du + false_u
                     frames.pixels[n, slot, eye, 1] = found[n, i, eye, 1] + dv + false_v
 
 
 @compiled
-def view(
+def poses_in_cameras(
     n: int,
     i: int,
     half_s: float,
@@ -229,8 +229,8 @@ def view(
         half_s: half the exposure time, s.
         facing_head: True if the board is square to the line from N's origin, see
             `vergence.models.boards.board_pose`.
-        scene: `bare`.
-        exposures: `bare`.
+        scene: `untyped_tuple`.
+        exposures: `untyped_tuple`.
         onset_s: start of the target's own time, s.
         T_C_T: (2, 4, 4) result, the board's poses in the cameras.
         smear_px: (2, 2) result, displacement of the target's image during the exposure, px.
@@ -241,7 +241,7 @@ def view(
     scene, exposures = Scene(*scene), Exposures(*exposures)
     p, time_s = head_of(scene, n), exposures.time_s[n, i]
     q, v = exposures.positions[n, i], exposures.velocities[n, i]
-    motion, own_time_s = motion_of(scene.motions[n]), time_s - onset_s + SAME_S
+    motion, own_time_s = motion_of(scene.motions[n]), time_s - onset_s + TIME_TOLERANCE_S
     x, y, z = target_in_n(p, motion, scene.necks[n], q, own_time_s)
     # columns of the board's rotation in N
     axes = board_axes((x, y, z), facing_head)

@@ -105,7 +105,7 @@ def image_motion(
 
 
 @compiled
-def look(
+def update_truth(
     nominal: PackedHead, period_s: float, own_time_s: FloatArray, scene: Scene, truth: Truth
 ) -> None:
     """Update the ground truth.
@@ -114,8 +114,8 @@ def look(
         nominal: (PACKED,) the head that the controller knows.
         period_s: the control period.
         own_time_s: (n,) the targets' own times, s.
-        scene: `bare`.
-        truth: `bare`, the result.
+        scene: `untyped_tuple`.
+        truth: `untyped_tuple`, the result.
     """
     scene, truth = Scene(*scene), Truth(*truth)
     for n in range(scene.step.shape[0]):

@@ -18,10 +18,10 @@ import numpy as np
 
 from vergence._jit import compiled
 from vergence.envs.plants.commands import LOST, RESUMES, is_lost, stalled_until
-from vergence.envs.plants.conditions import PackedConditions, loop_of
-from vergence.envs.plants.feedback import Feedback, sense_joints, told_at
+from vergence.envs.plants.conditions import PackedConditions, conditions_of
+from vergence.envs.plants.feedback import Feedback, reported_at, sense_joints
 from vergence.envs.plants.frames import (
-    SAME_S,
+    TIME_TOLERANCE_S,
     Exposures,
     Frames,
     comes_at,
@@ -78,7 +78,7 @@ class Sensor(NamedTuple):
 def expose(
     ids: IntArray,
     sensor: Sensor,
-    drawn: PackedConditions,
+    packed: PackedConditions,
     keys: StreamKeys,
     scene: Scene,
     exposures: Exposures,
@@ -88,14 +88,14 @@ def expose(
 
     Args:
         ids: (m,) environment indices.
-        sensor: `bare`, as are the following.
-        drawn: conditions of the trials.
+        sensor: `untyped_tuple`, as are the following.
+        packed: conditions of the trials.
         keys: keys of the trials' random streams.
         scene: the true heads and their targets.
         exposures: times of the exposures, and the joints at these times.
         frames: ring buffers, updated in place.
     """
-    sensor, drawn, keys = Sensor(*sensor), PackedConditions(*drawn), StreamKeys(*keys)
+    sensor, packed, keys = Sensor(*sensor), PackedConditions(*packed), StreamKeys(*keys)
     scene, exposures, frames = Scene(*scene), Exposures(*exposures), Frames(*frames)
     # unpacked once, as numba would count references at each access in the loop
     heads, motions, necks, _steps, _positions, _velocities = scene
@@ -103,30 +103,32 @@ def expose(
     pixels, visible, dropped, exposed_s, comes_s, following, _pending, latest_s = frames
     half_s = 0.5 * sensor.exposure_s
     mask, many = dropped.shape[1] - 1, np.uintp(heads.shape[0] > 1)
-    for place in ids:
-        n = np.uintp(place)  # unsigned, so that no index is counted from the end
+    for env in ids:
+        n = np.uintp(env)  # unsigned, so that no index is counted from the end
         if counts[n] == 0:
             continue
-        loop, key = loop_of(drawn, n), StreamKey(keys.seeds[n], keys.trials[n])
+        conditions, key = conditions_of(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
         p, motion = heads[n * many], motion_of(motions[n])
         for i in range(counts[n]):
-            (f, first_eye, end_eye), time_s = frame_of(loop, following[n]), times[n, i]
+            (f, first_eye, end_eye), time_s = frame_of(conditions, following[n]), times[n, i]
             following[n] += 1
-            slot, faults = np.uintp(f & mask), faults_of(loop, key, f)
+            slot, faults = np.uintp(f & mask), faults_of(conditions, key, f)
             if first_eye == 0:
                 exposed_s[n, slot], dropped[n, slot] = time_s, faults.dropped
                 visible[n, slot, 0] = visible[n, slot, 1] = False
             if faults.dropped:
                 continue
             if first_eye == 0:
-                comes_s[n, slot] = latest_s[n] = comes_at(loop, time_s, faults.late_s, latest_s[n])
+                comes_s[n, slot] = latest_s[n] = comes_at(
+                    conditions, time_s, faults.late_s, latest_s[n]
+                )
             # a frame at a jump shows the target after the jump
-            own_time_s = time_s - loop.onset_s + SAME_S
+            own_time_s = time_s - conditions.onset_s + TIME_TOLERANCE_S
             if not is_shown(motion, own_time_s):
                 continue
             q = then_q[n, i]
             point = target_in_n(p, motion, necks[n], q, own_time_s)
-            noise = pixel_noise(loop, key, f)
+            noise = pixel_noise(conditions, key, f)
             for eye in range(first_eye, end_eye):
                 u, v = eye_pixel(p, eye, q, point)
                 missed = faults.missed_right if eye else faults.missed_left
@@ -138,10 +140,10 @@ def expose(
                     )
                     if not hypot(smear[0], smear[1]) <= sensor.max_smear_px:
                         continue
-                du, dv = outlier(loop, key, f, eye)
+                du, dv = outlier(conditions, key, f, eye)
                 false_u = false_v = 0.0
-                if loop.false_detection_probability > 0.0:
-                    false_u, false_v = false_detection(loop, key, f, eye)
+                if conditions.false_detection_probability > 0.0:
+                    false_u, false_v = false_detection(conditions, key, f, eye)
                 visible[n, slot, eye] = True
                 pixels[n, slot, eye, 0] = u + (noise[2] if eye else noise[0]) + du + false_u
                 pixels[n, slot, eye, 1] = v + (noise[3] if eye else noise[1]) + dv + false_v
@@ -151,11 +153,11 @@ def expose(
 def report(
     ids: IntArray,
     sensor: Sensor,
-    drawn: PackedConditions,
+    packed: PackedConditions,
     keys: StreamKeys,
     steps: IntArray,
     motors: MotorStates,
-    tied: ActuatorCoupling | None,
+    coupling: ActuatorCoupling | None,
     feedback: Feedback,
     frames: Frames,
     reading: Reading,
@@ -164,29 +166,30 @@ def report(
 
     Args:
         ids: (m,) environment indices.
-        sensor: `bare`, as are all but the steps and `tied`.
-        drawn: conditions of the trials.
+        sensor: `untyped_tuple`, as are all but the steps and `coupling`.
+        packed: conditions of the trials.
         keys: keys of the trials' random streams.
         steps: (n,) control periods since the trials' start.
         motors: the motors.
-        tied: coupling of the eye joints; None if each has its own motor.
+        coupling: coupling of the eye joints; None if each has its own motor.
         feedback: the encoders and the states of the control loops, updated in place.
         frames: ring buffers.
         reading: the result; its image fields are unchanged if no new frame has arrived.
     """
-    sensor, drawn, keys = Sensor(*sensor), PackedConditions(*drawn), StreamKeys(*keys)
+    sensor, packed, keys = Sensor(*sensor), PackedConditions(*packed), StreamKeys(*keys)
     frames, reading = Frames(*frames), Reading(*reading)
     period_s, loops = sensor.period_s, Feedback(*feedback).loops
-    for place in ids:
-        n = np.uintp(place)
-        loop, key, step = loop_of(drawn, n), StreamKey(keys.seeds[n], keys.trials[n]), steps[n]
-        loops[n, RESUMES] = stalled_until(loop, key, step, period_s, loops[n, RESUMES])
-        loops[n, LOST] = is_lost(loop, key, step)
+    for env in ids:
+        n = np.uintp(env)
+        conditions, step = conditions_of(packed, n), steps[n]
+        key = StreamKey(keys.seeds[n], keys.trials[n])
+        loops[n, RESUMES] = stalled_until(conditions, key, step, period_s, loops[n, RESUMES])
+        loops[n, LOST] = is_lost(conditions, key, step)
     sense_joints(
-        ids, period_s, drawn, keys, steps, MotorStates(*motors), tied, Feedback(*feedback),
+        ids, period_s, packed, keys, steps, MotorStates(*motors), coupling, Feedback(*feedback),
         reading,
     )  # fmt: skip
-    told = Feedback(*feedback).told
+    reported = Feedback(*feedback).reported
     # unpacked once, as numba would count references at each access in the loop
     pixels, visible, dropped, exposed_s, comes_s, following, pending, _latest_s = frames
     time_s, frame, read_pixels, read_visible = (
@@ -197,21 +200,21 @@ def report(
     )
     read_exposure_s, received_s, joints_s = reading.exposure_s, reading.received_s, reading.joints_s
     at_exposure = reading.positions_at_exposure
-    mask, kept, rate = dropped.shape[1] - 1, told.shape[1], 1.0 / period_s
-    for place in ids:
-        n = np.uintp(place)
+    mask, kept, rate = dropped.shape[1] - 1, reported.shape[1], 1.0 / period_s
+    for env in ids:
+        n = np.uintp(env)
         k = steps[n]
         now_s = k * period_s
         time_s[n] = now_s
         if k < loops[n, RESUMES]:
             continue
         joints_s[n] = now_s - sensor.feedback_latency_s
-        newest, f, loop = _NONE, pending[n], loop_of(drawn, n)
+        newest, f, conditions = _NONE, pending[n], conditions_of(packed, n)
         # a frame whose right eye is still to be exposed has not arrived
-        while first_exposure(loop, f) < following[n]:
+        while first_exposure(conditions, f) < following[n]:
             slot = np.uintp(f & mask)
             if not dropped[n, slot]:
-                if comes_s[n, slot] > now_s + SAME_S:
+                if comes_s[n, slot] > now_s + TIME_TOLERANCE_S:
                     break
                 newest = f
                 frame[n] += 1
@@ -223,12 +226,12 @@ def report(
         received_s[n] = comes_s[n, slot]
         date_s = exposed_s[n, slot] if sensor.stamped else comes_s[n, slot] - sensor.latency_s
         read_exposure_s[n] = date_s
-        at = told_at((date_s + sensor.feedback_latency_s) * rate, k, kept)
+        at = reported_at((date_s + sensor.feedback_latency_s) * rate, k, kept)
         for j in range(7):
-            old = told[n, at.first, j]
+            old = reported[n, at.first, j]
             at_exposure[n, j] = old
             if at.share > 0.0:
-                at_exposure[n, j] = old + at.share * (told[n, at.second, j] - old)
+                at_exposure[n, j] = old + at.share * (reported[n, at.second, j] - old)
         for eye in range(2):
             seen = visible[n, slot, eye]
             read_visible[n, eye] = seen

@@ -14,10 +14,10 @@ from vergence.envs.plants import starting
 from vergence.envs.plants.commands import Commands, take_commands
 from vergence.envs.plants.conditions import Conditions, PackedConditions
 from vergence.envs.plants.feedback import STATE, Feedback
-from vergence.envs.plants.frames import SAME_S, Exposures, Frames
+from vergence.envs.plants.frames import TIME_TOLERANCE_S, Exposures, Frames
 from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.envs.plants.motors import MOVING, ActuatorCoupling, MotorStates
-from vergence.envs.plants.scene import Scene, look
+from vergence.envs.plants.scene import Scene, update_truth
 from vergence.envs.plants.sensing import Sensor, expose, report
 from vergence.envs.plants.simulation import Simulation, TrialStart
 from vergence.envs.plants.true_heads import TrueHeads
@@ -35,11 +35,11 @@ _AHEAD: Final = (0.0, 0.0, 1.0)
 """Position of the targets until trials are drawn, in N, m (chosen: straight ahead)."""
 
 
-class _Bare(NamedTuple):
+class _KernelArguments(NamedTuple):
     """Arguments of the kernels of every step, `untyped_tuple`: made once."""
 
     sensor: Sensor
-    drawn: PackedConditions
+    packed: PackedConditions
     keys: StreamKeys
     scene: Scene
     motors: MotorStates
@@ -101,7 +101,7 @@ class SimulatedPlant(Simulation):
             )
         if true_head is not None and not isinstance(true_head, HeadModel):
             raise ConfigurationError(f"true_head: expected a HeadModel, got {true_head!r:.80}")
-        variation = self._followed(make_variation(variation))
+        variation = self._checked_variation(make_variation(variation))
         self._true_heads = heads = TrueHeads(
             head, num, true_head=true_head, given=loop, variation=variation
         )
@@ -120,7 +120,7 @@ class SimulatedPlant(Simulation):
         self._frames = Frames.empty(num, late_s + stalled_s + 2.0 * period_s, most_hz)
         self._exposures = Exposures.empty(num, period_s, most_hz, 2 if skew_s > 0.0 else 1)
         self._motors = MotorStates.of(head, heads.given, num)
-        self._tied = ActuatorCoupling.of(head, heads.given)
+        self._coupling = ActuatorCoupling.of(head, heads.given)
         self._commands = Commands.empty(
             num,
             heads.given.actuation.velocity,
@@ -134,17 +134,17 @@ class SimulatedPlant(Simulation):
         feedback_s = heads.greatest("feedback_latency_s") + heads.greatest("speed_latency_s")
         self._feedback = Feedback.of(head, num, feedback_s, oldest_s + stalled_s + period_s)
         self._scene = Scene(
-            heads=heads.drawn.heads,
+            heads=heads.packed.heads,
             motions=motion_rows(np.tile(_AHEAD, (num, 1))),
             necks=np.zeros((num, 3)),
             step=np.zeros(num, dtype=np.int64),
             positions=np.zeros((num, 7)),
             velocities=np.zeros((num, 7)),
         )
-        self._missing = np.flatnonzero([not name for name in head.joints])
-        self._bare = _Bare(
+        self._missing_joints = np.flatnonzero([not name for name in head.joints])
+        self._arguments = _KernelArguments(
             sensor=untyped_tuple(Sensor.of(head)),
-            drawn=untyped_tuple(heads.drawn),
+            packed=untyped_tuple(heads.packed),
             keys=untyped_tuple(self._streams.keys),
             scene=untyped_tuple(self._scene),
             motors=untyped_tuple(self._motors),
@@ -155,7 +155,7 @@ class SimulatedPlant(Simulation):
             reading=untyped_tuple(self.reading),
         )
 
-    def _followed(self, variation: Variation | None) -> Variation | None:
+    def _checked_variation(self, variation: Variation | None) -> Variation | None:
         for name in (*RANGES, "model_errors") if variation is not None else ():
             if name not in self._varies and getattr(variation, name) is not None:
                 raise ConfigurationError(
@@ -175,7 +175,7 @@ class SimulatedPlant(Simulation):
         return self._true_heads.conditions
 
     @abstractmethod
-    def _place(self, ids: IntArray) -> None:
+    def _put_at_rest(self, ids: IntArray) -> None:
         """Put the joints of some heads at rest, at the angles in scene and motors."""
 
     @abstractmethod
@@ -198,19 +198,19 @@ class SimulatedPlant(Simulation):
             The reading at time zero.
         """
         ids, positions = start.ids, start.positions
-        if len(self._missing):
+        if len(self._missing_joints):
             positions = positions.copy()
-            positions[:, self._missing] = 0.0
-        self._make_room(start.motions.shape[1])
-        own = self._bare
+            positions[:, self._missing_joints] = 0.0
+        self._widen_motions(start.motions.shape[1])
+        own = self._arguments
         self._streams.start(ids, start.seeds, start.trials)
         self._true_heads.draw(self._streams, ids)
         starting.begin(
-            ids, positions, start.motions, own.drawn, own.keys, own.scene, own.motors, self._tied,
-            own.commands, own.feedback, own.frames, own.reading,
+            ids, positions, start.motions, own.packed, own.keys, own.scene, own.motors,
+            self._coupling, own.commands, own.feedback, own.frames, own.reading,
         )  # fmt: skip
-        self._place(ids)
-        while starting.still(ids, own.drawn, own.scene, own.frames, own.exposures):
+        self._put_at_rest(ids)
+        while starting.expose_at_rest(ids, own.packed, own.scene, own.frames, own.exposures):
             self._expose(ids)
         self._report(ids)
         self.reading.frame[ids] = 0
@@ -228,7 +228,7 @@ class SimulatedPlant(Simulation):
             )
         loops = self._feedback.loops
         if not take_commands(
-            command, self._bare.commands, loops, self._scene.step, self.reading.command
+            command, self._arguments.commands, loops, self._scene.step, self.reading.command
         ):
             raise ConfigurationError("command: expected numbers, got nan")
         self._move()
@@ -241,18 +241,20 @@ class SimulatedPlant(Simulation):
         """Ground truth of the present, without delay or noise."""
         own_time_s = self._scene.step * self.head.timing.period_s - self.conditions.onset_s
         # a jump at the time of a control step counts as done
-        own_time_s[np.abs(own_time_s) < SAME_S] = 0.0
-        return self._look(own_time_s)
+        own_time_s[np.abs(own_time_s) < TIME_TOLERANCE_S] = 0.0
+        return self._truth_at(own_time_s)
 
     def truth_at_rest(self) -> Truth:
         """See `Simulation.truth_at_rest`."""
-        return self._look(last_jump(self._scene.motions))
+        return self._truth_at(last_jump(self._scene.motions))
 
-    def _look(self, own_time_s: FloatArray) -> Truth:
+    def _truth_at(self, own_time_s: FloatArray) -> Truth:
         """Ground truth of the present, with the targets at given own times."""
         truth = Truth.unknown(self.num)
         period_s = self.head.timing.period_s
-        look(self.head.packed, period_s, own_time_s, self._bare.scene, untyped_tuple(truth))
+        update_truth(
+            self.head.packed, period_s, own_time_s, self._arguments.scene, untyped_tuple(truth)
+        )
         truth.motors[:] = self._motors.angles
         return truth
 
@@ -260,46 +262,46 @@ class SimulatedPlant(Simulation):
         """See `Simulation.onset_s`."""
         return self.conditions.onset_s + last_jump(self._scene.motions)
 
-    def first_sights(self) -> tuple[FloatArray, FloatArray]:
-        """See `Simulation.first_sights`."""
-        own = self._bare
+    def first_detection_times(self) -> tuple[FloatArray, FloatArray]:
+        """See `Simulation.first_detection_times`."""
+        own = self._arguments
         first, last = np.empty((2, self.num))
         jumps = self._scene.motions[:, JUMP].copy()
-        starting.first_sights(own.drawn, own.keys, own.scene, jumps, first)
+        starting.first_detection_times(own.packed, own.keys, own.scene, jumps, first)
         jumps = last_jump(self._scene.motions)
-        starting.first_sights(own.drawn, own.keys, own.scene, jumps, last)
+        starting.first_detection_times(own.packed, own.keys, own.scene, jumps, last)
         return first, last
 
     def state(self) -> Arrays:
         """See `Simulation.state`."""
         return copied(self._arrays())
 
-    def _make_room(self, width: int) -> None:
+    def _widen_motions(self, width: int) -> None:
         """Lengthen the rows of the targets' motions to `width` if they are shorter."""
         rows = self._scene.motions
         if width > rows.shape[1]:
             wider = np.zeros((self.num, width))
             wider[:, : rows.shape[1]] = rows
             self._scene = self._scene._replace(motions=wider)
-            self._bare = self._bare._replace(scene=untyped_tuple(self._scene))
+            self._arguments = self._arguments._replace(scene=untyped_tuple(self._scene))
 
     def restore(self, state: Arrays) -> Reading:
         """See `Simulation.restore`."""
-        self._make_room(state["scene.motions"].shape[1] if "scene.motions" in state else 0)
+        self._widen_motions(state["scene.motions"].shape[1] if "scene.motions" in state else 0)
         put_back(self._arrays(), state)
         return self.reading
 
     def _arrays(self) -> Arrays:
         """State arrays, by name."""
-        scene = self._scene._asdict()
+        scene, feedback = self._scene._asdict(), self._feedback
         del scene["heads"]  # part of the conditions
         motors = self._motors
         return prefixed(
             conditions=self._true_heads.arrays(),
             keys=self._streams.keys._asdict(),
-            motors={name: getattr(motors, name) for name in MOVING},
+            motors={name: getattr(motors, field) for name, field in MOVING.items()},
             commands={"given": self._commands.given},
-            feedback={name: getattr(self._feedback, name) for name in STATE},
+            feedback={name: getattr(feedback, field) for name, field in STATE.items()},
             frames=self._frames._asdict(),
             scene=scene,
             reading=self.reading._asdict(),
@@ -312,17 +314,17 @@ class SimulatedPlant(Simulation):
         self._motors.accelerations[:] = 0.0
         self._commands.given[:] = 0.0
         self.reading.command[:] = 0.0
-        self._place(self._all)
+        self._put_at_rest(self._all)
 
     def _expose(self, ids: IntArray) -> None:
         """Take the last period's frames of some environments."""
-        own = self._bare
-        expose(ids, own.sensor, own.drawn, own.keys, own.scene, own.exposures, own.frames)
+        own = self._arguments
+        expose(ids, own.sensor, own.packed, own.keys, own.scene, own.exposures, own.frames)
 
     def _report(self, ids: IntArray) -> None:
         """Read the sensors of some environments."""
-        own = self._bare
+        own = self._arguments
         report(
-            ids, own.sensor, own.drawn, own.keys, self._scene.step, own.motors, self._tied,
+            ids, own.sensor, own.packed, own.keys, self._scene.step, own.motors, self._coupling,
             own.feedback, own.frames, own.reading,
         )  # fmt: skip

@@ -61,7 +61,7 @@ class Simulation(Plant):
         """
 
     @abstractmethod
-    def first_sights(self) -> tuple[FloatArray, FloatArray]:
+    def first_detection_times(self) -> tuple[FloatArray, FloatArray]:
         """Reading times of the first images in which an eye finds the target.
 
         Call it while the trials are at time zero. For a target that was there before, only images

@@ -7,10 +7,15 @@ import numpy as np
 
 from vergence._jit import compiled, inlined
 from vergence.envs.plants.commands import LOOP_STATE, Commands
-from vergence.envs.plants.conditions import BACKLASH, Loop, PackedConditions, loop_of
+from vergence.envs.plants.conditions import (
+    BACKLASH,
+    PackedConditions,
+    TrialConditions,
+    conditions_of,
+)
 from vergence.envs.plants.feedback import Feedback, quantise
 from vergence.envs.plants.frames import (
-    SAME_S,
+    TIME_TOLERANCE_S,
     Exposures,
     Frames,
     comes_at,
@@ -20,7 +25,7 @@ from vergence.envs.plants.frames import (
     frame_time,
     skew_of,
 )
-from vergence.envs.plants.motors import ActuatorCoupling, MotorStates, tie
+from vergence.envs.plants.motors import ActuatorCoupling, MotorStates, joints_from_actuators
 from vergence.envs.plants.scene import Scene, eye_pixel, head_of, target_in_n
 from vergence.envs.reading import Reading
 from vergence.envs.streams import IntArray, Purpose, StreamKey, StreamKeys, random_words, to_uniform
@@ -37,10 +42,10 @@ against late sights)."""
 
 
 @inlined
-def first_frame(loop: Loop) -> int:
+def first_frame(conditions: TrialConditions) -> int:
     """First frame to be exposed in a trial, early enough to have arrived by time zero."""
-    oldest = -(loop.latency_s + loop.jitter_s + skew_of(loop)) / loop.frame_s
-    return floor(oldest - loop.frame_phase - SAME_S)
+    oldest_s = conditions.latency_s + conditions.jitter_s + skew_of(conditions)
+    return floor(-oldest_s / conditions.frame_s - conditions.frame_phase - TIME_TOLERANCE_S)
 
 
 @compiled
@@ -48,11 +53,11 @@ def begin(
     ids: IntArray,
     positions: FloatArray,
     motions: FloatArray,
-    drawn: PackedConditions,
+    packed: PackedConditions,
     keys: StreamKeys,
     scene: Scene,
     motors: MotorStates,
-    tied: ActuatorCoupling | None,
+    coupling: ActuatorCoupling | None,
     commands: Commands,
     feedback: Feedback,
     frames: Frames,
@@ -66,23 +71,23 @@ def begin(
         ids: (m,) environment indices of the starting trials.
         positions: (m, 7) initial joint angles, rad.
         motions: (m, MOTION) motions of their targets.
-        drawn: `bare`, as are the following; conditions of the trials.
+        packed: `untyped_tuple`, as are the following; conditions of the trials.
         keys: keys of the trials' random streams.
         scene: result, as are the following.
         motors: the motors.
-        tied: coupling of the eye joints; None if each has its own motor.
+        coupling: coupling of the eye joints; None if each has its own motor.
         commands: set to none under way.
         feedback: the encoders.
         frames: ring buffers.
         reading: set to the reading of heads that have seen nothing yet.
     """
-    drawn, keys, scene = PackedConditions(*drawn), StreamKeys(*keys), Scene(*scene)
+    packed, keys, scene = PackedConditions(*packed), StreamKeys(*keys), Scene(*scene)
     motors, commands, feedback = MotorStates(*motors), Commands(*commands), Feedback(*feedback)
     frames, reading = Frames(*frames), Reading(*reading)
     share = np.full(8, 0.5)
     for m in range(ids.shape[0]):
         n = ids[m]
-        loop = loop_of(drawn, n)
+        conditions = conditions_of(packed, n)
         for i in range(motions.shape[1]):
             scene.motions[n, i] = motions[m, i]
         scene.step[n] = 0
@@ -95,34 +100,38 @@ def begin(
         for k in range(7):
             motors.angles[n, k] = positions[m, k]
             motors.speeds[n, k] = motors.accelerations[n, k] = 0.0
-        if tied is not None:
+        if coupling is not None:
             for k in range(SLOTS):
-                motors.angles[n, 3 + k] = actuator_at(tied.head, k, positions[m, 3:])
+                motors.angles[n, 3 + k] = actuator_at(coupling.head, k, positions[m, 3:])
         for k in range(7):
             # the output is anywhere within the backlash
-            offset = drawn.own[n, BACKLASH, k] * (share[k] - 0.5)
-            motors.driven[n, k] = scene.positions[n, k] = motors.angles[n, k] + offset
+            offset = packed.own[n, BACKLASH, k] * (share[k] - 0.5)
+            motors.output[n, k] = scene.positions[n, k] = motors.angles[n, k] + offset
             scene.velocities[n, k] = reading.command[n, k] = 0.0
             for slot in range(commands.given.shape[1]):
                 commands.given[n, slot, k] = 0.0
             feedback.filtered[n, 0, k] = feedback.filtered[n, 1, k] = 0.0
-            angle = motors.driven[n, k] if feedback.on_output else motors.angles[n, k]
+            angle = motors.output[n, k] if feedback.on_output else motors.angles[n, k]
             for slot in range(feedback.measured.shape[1]):
                 feedback.measured[n, slot, 0, k] = angle
                 feedback.measured[n, slot, 1, k] = 0.0
             reading.positions[n, k] = quantise(angle, feedback.angle_step[k])
             reading.velocities[n, k] = 0.0
-        if tied is not None:
-            tie(tied.room, head_of(scene, n), scene.positions[n], scene.velocities[n])
-            tie(tied.room, tied.head, reading.positions[n], reading.velocities[n])
+        if coupling is not None:
+            joints_from_actuators(
+                coupling.scratch, head_of(scene, n), scene.positions[n], scene.velocities[n]
+            )
+            joints_from_actuators(
+                coupling.scratch, coupling.head, reading.positions[n], reading.velocities[n]
+            )
         for k in range(7):
             reading.positions_at_exposure[n, k] = reading.positions[n, k]
-            for slot in range(feedback.told.shape[1]):
-                feedback.told[n, slot, k] = reading.positions[n, k]
+            for slot in range(feedback.reported.shape[1]):
+                feedback.reported[n, slot, k] = reading.positions[n, k]
         for j in range(3):
             scene.necks[n, j] = scene.positions[n, j]
-        frames.pending[n] = first_frame(loop)
-        frames.next[n] = first_exposure(loop, frames.pending[n])
+        frames.pending[n] = first_frame(conditions)
+        frames.next[n] = first_exposure(conditions, frames.pending[n])
         frames.latest_s[n] = -np.inf
         reading.frame[n] = 0
         for eye in range(2):
@@ -132,14 +141,14 @@ def begin(
 
 
 @compiled
-def still(
-    ids: IntArray, drawn: PackedConditions, scene: Scene, frames: Frames, exposures: Exposures
+def expose_at_rest(
+    ids: IntArray, packed: PackedConditions, scene: Scene, frames: Frames, exposures: Exposures
 ) -> bool:
     """Expose the next frames of starting trials up to time zero, as many as there is room for.
 
     Args:
         ids: (m,) environment indices of the starting trials.
-        drawn: `bare`, as are the following.
+        packed: `untyped_tuple`, as are the following.
         scene: their heads at rest.
         frames: ring buffers.
         exposures: the result.
@@ -147,14 +156,14 @@ def still(
     Returns:
         True if there are any.
     """
-    drawn, scene = PackedConditions(*drawn), Scene(*scene)
+    packed, scene = PackedConditions(*packed), Scene(*scene)
     frames, exposures = Frames(*frames), Exposures(*exposures)
     some = False
     for n in ids:
-        count, room, loop = 0, exposures.time_s.shape[1], loop_of(drawn, n)
-        while count < room:
-            time_s = exposure_time(loop, frames.next[n] + count)
-            if time_s > SAME_S:
+        count, most, conditions = 0, exposures.time_s.shape[1], conditions_of(packed, n)
+        while count < most:
+            time_s = exposure_time(conditions, frames.next[n] + count)
+            if time_s > TIME_TOLERANCE_S:
                 break
             exposures.time_s[n, count] = time_s
             for j in range(7):
@@ -167,12 +176,12 @@ def still(
 
 
 @compiled
-def first_sights(
-    drawn: PackedConditions,
+def first_detection_times(
+    packed: PackedConditions,
     keys: StreamKeys,
     scene: Scene,
     since_s: FloatArray,
-    sights_s: FloatArray,
+    times_s: FloatArray,
 ) -> None:
     """Find the time at which the first image of the target exposed from some moment on is read.
 
@@ -180,36 +189,38 @@ def first_sights(
     the frames; the eyes are assumed to rest until then.
 
     Args:
-        drawn: `bare`, as are the following two; conditions of the trials.
+        packed: `untyped_tuple`, as are the following two; conditions of the trials.
         keys: keys of the trials' random streams.
         scene: trials at time zero.
         since_s: (n,) the moments, in the targets' own time, s.
-        sights_s: (n,) result, s since the trial's start; inf for never.
+        times_s: (n,) result, s since the trial's start; inf for never.
     """
-    drawn, keys, scene = PackedConditions(*drawn), StreamKeys(*keys), Scene(*scene)
-    for n in range(len(sights_s)):
-        loop, key = loop_of(drawn, n), StreamKey(keys.seeds[n], keys.trials[n])
+    packed, keys, scene = PackedConditions(*packed), StreamKeys(*keys), Scene(*scene)
+    for n in range(len(times_s)):
+        conditions, key = conditions_of(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
         p, motion = head_of(scene, n), motion_of(scene.motions[n])
         q, neck = scene.positions[n], scene.necks[n]
-        frame, latest_s = first_frame(loop), -np.inf
-        sights_s[n] = np.inf
+        frame, latest_s = first_frame(conditions), -np.inf
+        times_s[n] = np.inf
         own_time_s = -np.inf
         while own_time_s < since_s[n] + _LONGEST_S:
-            time_s, faults = frame_time(loop, frame), faults_of(loop, key, frame)
-            own_time_s = time_s - loop.onset_s
+            time_s, faults = frame_time(conditions, frame), faults_of(conditions, key, frame)
+            own_time_s = time_s - conditions.onset_s
             frame += 1
             if faults.dropped:
                 continue
-            latest_s = comes_at(loop, time_s, faults.late_s, latest_s)
+            latest_s = comes_at(conditions, time_s, faults.late_s, latest_s)
             found = False
             for eye in range(2):
-                then_s = own_time_s + eye * skew_of(loop)
-                if then_s < since_s[n] - SAME_S or not is_shown(motion, then_s + SAME_S):
+                then_s = own_time_s + eye * skew_of(conditions)
+                if then_s < since_s[n] - TIME_TOLERANCE_S or not is_shown(
+                    motion, then_s + TIME_TOLERANCE_S
+                ):
                     continue
-                point = target_in_n(p, motion, neck, q, then_s + SAME_S)
+                point = target_in_n(p, motion, neck, q, then_s + TIME_TOLERANCE_S)
                 u, v = eye_pixel(p, eye, q, point)
                 missed = faults.missed_right if eye else faults.missed_left
                 found = found or (inside_image(p, eye, u, v) and not missed)
             if found:
-                sights_s[n] = latest_s
+                times_s[n] = latest_s
                 break

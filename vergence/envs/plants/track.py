@@ -10,16 +10,16 @@ import numpy as np
 
 from vergence._jit import compiled
 from vergence.envs.plants.commands import Commands, hold_of
-from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, loop_of
-from vergence.envs.plants.feedback import between
-from vergence.envs.plants.frames import SAME_S, Exposures, Frames, exposure_time
+from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, conditions_of
+from vergence.envs.plants.feedback import interpolate_joint
+from vergence.envs.plants.frames import TIME_TOLERANCE_S, Exposures, Frames, exposure_time
 from vergence.envs.plants.motors import (
     ActuatorCoupling,
     MotorState,
     MotorStates,
-    driven_speed,
-    pushed,
-    tie,
+    joints_from_actuators,
+    output_angle,
+    output_speed,
 )
 from vergence.envs.plants.scene import Scene, head_of
 from vergence.envs.streams import IntArray
@@ -44,7 +44,7 @@ class Track(NamedTuple):
 
 @compiled
 def start_track(scene: Scene, track: Track) -> None:
-    """Begin a period's track with the present joint states; both arguments are `bare`."""
+    """Begin a period's track with the present joint states; both arguments are `untyped_tuple`."""
     scene, track = Scene(*scene), Track(*track)
     for n in range(scene.step.shape[0]):
         for j in range(7):
@@ -57,7 +57,7 @@ def hold_commands(
     piece: int,
     pieces: int,
     period_s: float,
-    drawn: PackedConditions,
+    packed: PackedConditions,
     steps: IntArray,
     commands: Commands,
     motors: MotorStates,
@@ -73,48 +73,48 @@ def hold_commands(
         piece: index of the piece.
         pieces: number of pieces per period.
         period_s: the control period, s.
-        drawn: `bare`, conditions of the trials.
+        packed: `untyped_tuple`, conditions of the trials.
         steps: (n,) numbers of the periods.
-        commands: `bare`, ring buffers with the commands of the period.
-        motors: `bare`, their accelerations are updated in place.
+        commands: `untyped_tuple`, ring buffers with the commands of the period.
+        motors: `untyped_tuple`, their accelerations are updated in place.
         slots: (nu,) indices of the servos in an array of the neck's joints and the actuators.
         control: (n, nu) result, rad/s.
     """
-    drawn, given, motors = PackedConditions(*drawn), Commands(*commands).given, MotorStates(*motors)
-    length = period_s / pieces
+    packed, motors = PackedConditions(*packed), MotorStates(*motors)
+    given, length = Commands(*commands).given, period_s / pieces
     for n in range(len(steps)):
-        loop = loop_of(drawn, n)
-        hold = hold_of(loop.command_latency_s, steps[n], given.shape[1], period_s)
+        conditions = conditions_of(packed, n)
+        hold = hold_of(conditions.command_latency_s, steps[n], given.shape[1], period_s)
         before = min(max(hold.change_s - piece * length, 0.0), length) / length
         for i in range(slots.shape[0]):
             k = slots[i]
             u = before * given[n, hold.first, k] + (1.0 - before) * given[n, hold.then, k]
-            control[n, i] = u = drawn.own[n, GAIN, k] * u
-            if loop.overshoot == 0.0:
+            control[n, i] = u = packed.own[n, GAIN, k] * u
+            if conditions.overshoot == 0.0:
                 continue
-            v, lag_s = motors.speeds[n, k], loop.lag_s * motors.lag_ratio[k]
-            a = loop.acceleration_ratio * motors.acceleration[k]
-            fade = loop.torque_falloff / (drawn.own[n, GAIN, k] * motors.velocity[k])
+            v, lag_s = motors.speeds[n, k], conditions.lag_s * motors.lag_ratio[k]
+            a = conditions.acceleration_ratio * motors.acceleration[k]
+            falloff = conditions.torque_falloff / (packed.own[n, GAIN, k] * motors.velocity[k])
             _way, then, w = follow_second_order_joint(
-                0.0, v, motors.accelerations[n, k], u, lag_s, damping_ratio(loop.overshoot), a,
-                fade, length,
+                0.0, v, motors.accelerations[n, k], u, lag_s, damping_ratio(conditions.overshoot),
+                a, falloff, length,
             )  # fmt: skip
             motors.accelerations[n, k] = w
             control[n, i] = v + (then - v) / (1.0 - lag_decay(length, lag_s))
 
 
 @compiled
-def take(
+def read_joints(
     piece: int,
     qpos: FloatArray,
     qvel: FloatArray,
     half_step: float,
     addresses: IntArray,
     head: PackedHead,
-    drawn: PackedConditions,
+    packed: PackedConditions,
     scene: Scene,
     motors: MotorStates,
-    tied: ActuatorCoupling | None,
+    coupling: ActuatorCoupling | None,
     track: Track,
 ) -> None:
     """Read angles and velocities of motors and joints at the end of a piece.
@@ -129,18 +129,14 @@ def take(
         addresses: (7,) indices of the joints in `qpos` and `qvel`; -1 for a joint that does not
             move.
         head: (PACKED,) the head that the controller knows.
-        drawn: `bare`, as are the following; conditions of the trials.
+        packed: `untyped_tuple`, as are the following; conditions of the trials.
         scene: its joints are updated in place.
         motors: updated in place, to the motor angles nearest to MuJoCo's joints.
-        tied: coupling of the eye joints; None if each has its own motor.
+        coupling: coupling of the eye joints; None if each has its own motor.
         track: updated in place.
     """
-    drawn, scene, motors, track = (
-        PackedConditions(*drawn),
-        Scene(*scene),
-        MotorStates(*motors),
-        Track(*track),
-    )
+    packed, scene = PackedConditions(*packed), Scene(*scene)
+    motors, track = MotorStates(*motors), Track(*track)
     angles, rates = np.zeros(7), np.zeros(7)
     for n in range(motors.angles.shape[0]):
         for j in range(7):
@@ -148,20 +144,22 @@ def take(
             # a joint that does not move keeps its angle
             rates[j] = qvel[n, i] if i >= 0 else 0.0
             angles[j] = qpos[n, i] - half_step * rates[j] if i >= 0 else motors.angles[n, j]
-            if tied is not None and i < 0:
+            if coupling is not None and i < 0:
                 angles[j] = 0.0
         for k in range(7):
             q, v = angles[k], rates[k]
-            if tied is not None and k >= 3:
+            if coupling is not None and k >= 3:
                 q = actuator_at(head, k - 3, angles[3:])
                 v = actuator_rate(head, k - 3, rates[3:])
             motors.angles[n, k], motors.speeds[n, k] = q, v
-            play = drawn.own[n, BACKLASH, k]
-            driven = pushed(motors.driven[n, k], q, play)
-            motors.driven[n, k] = scene.positions[n, k] = driven
-            scene.velocities[n, k] = driven_speed(MotorState(q, v, driven), play)
-        if tied is not None:
-            tie(tied.room, head_of(scene, n), scene.positions[n], scene.velocities[n])
+            backlash = packed.own[n, BACKLASH, k]
+            output = output_angle(motors.output[n, k], q, backlash)
+            motors.output[n, k] = scene.positions[n, k] = output
+            scene.velocities[n, k] = output_speed(MotorState(q, v, output), backlash)
+        if coupling is not None:
+            joints_from_actuators(
+                coupling.scratch, head_of(scene, n), scene.positions[n], scene.velocities[n]
+            )
         for j in range(7):
             track.positions[n, piece + 1, j] = scene.positions[n, j]
             track.velocities[n, piece + 1, j] = scene.velocities[n, j]
@@ -170,7 +168,7 @@ def take(
 @compiled
 def expose_on_track(
     period_s: float,
-    drawn: PackedConditions,
+    packed: PackedConditions,
     steps: IntArray,
     frames: Frames,
     track: Track,
@@ -180,30 +178,30 @@ def expose_on_track(
 
     Args:
         period_s: the control period, s.
-        drawn: `bare`, conditions of the trials.
+        packed: `untyped_tuple`, conditions of the trials.
         steps: (n,) numbers of the periods.
-        frames: `bare`, with the numbers of the next exposures.
-        track: `bare`, joint states within the period.
-        exposures: `bare`, the result.
+        frames: `untyped_tuple`, with the numbers of the next exposures.
+        track: `untyped_tuple`, joint states within the period.
+        exposures: `untyped_tuple`, the result.
     """
-    drawn, frames = PackedConditions(*drawn), Frames(*frames)
+    packed, frames = PackedConditions(*packed), Frames(*frames)
     track, exposures = Track(*track), Exposures(*exposures)
     pieces = track.positions.shape[1] - 1
     length = period_s / pieces
     for n in range(len(steps)):
-        begin_s, count, loop = steps[n] * period_s, 0, loop_of(drawn, n)
+        begin_s, count, conditions = steps[n] * period_s, 0, conditions_of(packed, n)
         while True:
-            due = exposure_time(loop, frames.next[n] + count) - begin_s
-            if due > period_s + SAME_S:
+            due = exposure_time(conditions, frames.next[n] + count) - begin_s
+            if due > period_s + TIME_TOLERANCE_S:
                 break
             piece = min(max(int(due / length), 0), pieces - 1)
             share = min(max(due / length - piece, 0.0), 1.0)
-            last = share > 1.0 - SAME_S
+            last = share > 1.0 - TIME_TOLERANCE_S
             exposures.time_s[n, count] = begin_s + due
             for j in range(7):
                 a, b = track.positions[n, piece, j], track.positions[n, piece + 1, j]
                 va, vb = track.velocities[n, piece, j], track.velocities[n, piece + 1, j]
-                q, v = between(a, va, b, vb, share, length)
+                q, v = interpolate_joint(a, va, b, vb, share, length)
                 exposures.positions[n, count, j] = b if last else q
                 exposures.velocities[n, count, j] = vb if last else v
             count += 1

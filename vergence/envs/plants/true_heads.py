@@ -7,8 +7,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.envs.fields import float_array
-from vergence.envs.plants.conditions import LOOP, Conditions, PackedConditions
-from vergence.envs.plants.imperfections import IMPERFECTIONS, OWN, SCALARS, expected, is_within
+from vergence.envs.plants.conditions import TRIAL_CONDITIONS, Conditions, PackedConditions
+from vergence.envs.plants.imperfections import (
+    IMPERFECTIONS,
+    PER_ACTUATOR,
+    PER_TRIAL,
+    expected,
+    is_within,
+)
 from vergence.envs.plants.variation import Variation
 from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray, KeyArray, Streams
@@ -19,7 +25,7 @@ from vergence.models.parts import FloatArray
 from vergence.models.perturbation import DEVIATES
 
 
-class HeadsAhead:
+class HeadCache:
     """True heads of coming trials, made in advance: a few cost as much as a thousand.
 
     The environments of a batch usually go on to their next trials one by one. When one of them
@@ -37,7 +43,7 @@ class HeadsAhead:
         self._deviates = np.zeros((num, DEVIATES))
         self._packed = np.zeros((num, PACKED))
         self._seeds, self._trials = np.zeros((2, num), dtype=np.uint64)
-        self._there = np.zeros(num, dtype=np.bool_)
+        self._ready = np.zeros(num, dtype=np.bool_)
 
     def take(self, streams: Streams, ids: IntArray) -> tuple[FloatArray, FloatArray]:
         """Take the heads of the trials of some environments.
@@ -50,14 +56,14 @@ class HeadsAhead:
             (m, DEVIATES) the deviates, and (m, PACKED) the heads.
         """
         seeds, trials = streams.seeds[ids], streams.trials[ids]
-        hit = self._there[ids] & (self._seeds[ids] == seeds) & (self._trials[ids] == trials)
-        self._there[ids] = False
+        hit = self._ready[ids] & (self._seeds[ids] == seeds) & (self._trials[ids] == trials)
+        self._ready[ids] = False
         deviates, packed = self._deviates[ids], self._packed[ids]
         if hit.all():
             return deviates, packed
         missed = ~hit
         # none in advance if the whole batch begins: it may have no next trials
-        later = np.flatnonzero(~self._there) if len(ids) < len(self._there) else ids[:0]
+        later = np.flatnonzero(~self._ready) if len(ids) < len(self._ready) else ids[:0]
         next_seeds, next_trials = streams.seeds[later], streams.trials[later] + np.uint64(1)
         made = self._make(
             np.append(seeds[missed], next_seeds), np.append(trials[missed], next_trials)
@@ -66,7 +72,7 @@ class HeadsAhead:
         deviates[missed], packed[missed] = made[0][:count], made[1][:count]
         self._deviates[later], self._packed[later] = made[0][count:], made[1][count:]
         self._seeds[later], self._trials[later] = next_seeds, next_trials
-        self._there[later] = True
+        self._ready[later] = True
         return deviates, packed
 
     def _make(self, seeds: KeyArray, trials: KeyArray) -> tuple[FloatArray, FloatArray]:
@@ -115,17 +121,19 @@ class TrueHeads:
                 f"{', '.join(true.names) or 'none'}"
             )
         self._head = head
-        self._ahead: HeadsAhead | None = None
+        self._head_cache: HeadCache | None = None
         self.given = true_head
         """True heads before model errors are drawn; they set the limits."""
         heads = np.ascontiguousarray(true_head.packed.reshape(-1, PACKED))
         if variation is not None and self._heads_vary:
             heads = np.repeat(heads, num, axis=0)
             self._deviates = np.zeros((num, DEVIATES))
-            self._ahead = HeadsAhead(variation, true_head, num)
-        self.drawn = PackedConditions(np.empty((num, LOOP)), np.empty((num, len(OWN), 7)), heads)
+            self._head_cache = HeadCache(variation, true_head, num)
+        self.packed = PackedConditions(
+            np.empty((num, TRIAL_CONDITIONS)), np.empty((num, len(PER_ACTUATOR), 7)), heads
+        )
         """Conditions of the running trials, in packed arrays that the next trials change."""
-        self.conditions = _by_name(self.drawn)
+        self.conditions = _by_name(self.packed)
         """Conditions by name: views of the packed arrays."""
         for name in IMPERFECTIONS:
             getattr(self.conditions, name)[:] = _values(num, name, given.get(name), true_head)
@@ -138,12 +146,12 @@ class TrueHeads:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self.conditions = _by_name(self.drawn)
+        self.conditions = _by_name(self.packed)
 
     def _derive(self) -> None:
         """Update the time between frames, which follows from clock drift and frame rate."""
         now = self.conditions
-        self.drawn.loop[:, len(SCALARS)] = (1.0 + now.clock_drift) / now.frame_rate_hz
+        self.packed.loop[:, len(PER_TRIAL)] = (1.0 + now.clock_drift) / now.frame_rate_hz
 
     @property
     def model(self) -> HeadModel:
@@ -159,7 +167,7 @@ class TrueHeads:
 
     def arrays(self) -> Arrays:
         """Conditions of the running trials, as state arrays."""
-        arrays: Arrays = self.drawn._asdict()
+        arrays: Arrays = self.packed._asdict()
         if self._heads_vary:
             arrays["deviates"] = self._deviates
         else:
@@ -177,7 +185,7 @@ class TrueHeads:
         if variation is None:
             return
         drawn = variation.draw(streams, ids)
-        for names, numbers in ((SCALARS, drawn.shares), (OWN, drawn.own)):
+        for names, numbers in ((PER_TRIAL, drawn.shares), (PER_ACTUATOR, drawn.own)):
             for column, name in enumerate(names):
                 span = getattr(variation, name)
                 if span is not None:
@@ -186,15 +194,15 @@ class TrueHeads:
         self._derive()
         if variation.backlash_rad is not None:
             _only_eyes(self.conditions.backlash_rad, self._head)
-        if self._ahead is not None:
-            self._deviates[ids], self.conditions.heads[ids] = self._ahead.take(streams, ids)
+        if self._head_cache is not None:
+            self._deviates[ids], self.conditions.heads[ids] = self._head_cache.take(streams, ids)
 
 
-def _by_name(drawn: PackedConditions) -> Conditions:
+def _by_name(packed: PackedConditions) -> Conditions:
     """View packed conditions by name."""
-    views = {name: drawn.loop[:, i] for i, name in enumerate(SCALARS)}
-    views |= {name: drawn.own[:, i] for i, name in enumerate(OWN)}
-    return Conditions(**views, heads=drawn.heads)
+    views = {name: packed.loop[:, i] for i, name in enumerate(PER_TRIAL)}
+    views |= {name: packed.own[:, i] for i, name in enumerate(PER_ACTUATOR)}
+    return Conditions(**views, heads=packed.heads)
 
 
 def _only_eyes(backlash: FloatArray, head: HeadModel) -> None:
@@ -213,7 +221,7 @@ def _values(num: int, name: str, given: ArrayLike | None, head: HeadModel) -> Fl
         numbers = float_array(given)
         if one.by_actuator:
             shape += f", or ({num}, {head.actuation.count}) by actuator of the eyes"
-            values = np.full((num, 7), one.otherwise)
+            values = np.full((num, 7), one.default)
             eyes = values[:, 3 : 3 + head.actuation.count]
             eyes[:] = numbers[:, None] if numbers.ndim == 1 else numbers
         else:

@@ -16,8 +16,8 @@ from vergence._jit import compiled
 from vergence.envs.fields import float_array
 from vergence.envs.plants.imperfections import (
     IMPERFECTIONS,
-    OWN,
-    SCALARS,
+    PER_ACTUATOR,
+    PER_TRIAL,
     Imperfections,
     expected,
     is_within,
@@ -81,7 +81,9 @@ class Variation(Imperfections[Range | None]):
             streams: the trials' random streams.
             ids: (m,) environment indices.
         """
-        drawn = Draws(np.empty((len(ids), len(SCALARS))), np.empty((len(ids), len(OWN), 7)))
+        drawn = Draws(
+            np.empty((len(ids), len(PER_TRIAL))), np.empty((len(ids), len(PER_ACTUATOR), 7))
+        )
         _draw(streams.seeds, streams.trials, ids, *drawn)
         return drawn
 
@@ -119,9 +121,9 @@ class Draws(NamedTuple):
     """Random numbers of m trials."""
 
     shares: FloatArray
-    """(m, len(SCALARS)) uniform in [0, 1)."""
+    """(m, len(PER_TRIAL)) uniform in [0, 1)."""
     own: FloatArray
-    """(m, len(OWN), 7) uniform in [0, 1), for the neck's joints and the eye actuators."""
+    """(m, len(PER_ACTUATOR), 7) uniform in [0, 1), for the neck's joints and the eye actuators."""
 
 
 def make_variation(variation: Mapping[str, Any] | Variation | None) -> Variation | None:

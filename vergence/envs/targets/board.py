@@ -37,7 +37,7 @@ POINT: Final = Board(np.empty((0, 2)), nan, True, 0.0, 0.0, inf)
 """A target without a board: only its measured point must be visible."""
 
 
-def wholly(board: Board) -> str:
+def whole_board_text(board: Board) -> str:
     """Words that error messages add to "see" for targets with a board."""
     if not len(board.outline):
         return ""

@@ -10,13 +10,19 @@ from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random
 from vergence.envs.targets.board import POINT, Board, in_view
 from vergence.envs.targets.moments import draw_moments
 from vergence.envs.targets.motion import motion_rows
-from vergence.envs.targets.placement import ATTEMPTS, GazingHead, between_eyes, can_fixate, place
+from vergence.envs.targets.placement import (
+    ATTEMPTS,
+    GazingHead,
+    between_eyes,
+    can_fixate,
+    random_point,
+)
 from vergence.envs.targets.workspace import RandomTarget, Workspace, draw_target, turn_between
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _TASK: Final = int(Purpose.TASK)
-_SECONDS: Final = 100
+_SECOND_ATTEMPTS: Final = 100
 """Candidates for the second point per first point (numerical)."""
 
 
@@ -104,9 +110,9 @@ def choose_double_steps(
             if not fit:
                 continue
             first[n, 0], first[n, 1], first[n, 2] = point
-            for again in range(_SECONDS):
-                words = random_words(seed, trial, _TASK, attempt * _SECONDS + again, 3)
-                point = place(words, eye, space.near, space.far, space.eccentricity)
+            for again in range(_SECOND_ATTEMPTS):
+                words = random_words(seed, trial, _TASK, attempt * _SECOND_ATTEMPTS + again, 3)
+                point = random_point(words, eye, space.near, space.far, space.eccentricity)
                 found = (
                     can_fixate(gaze, space.margin, point, last)
                     and turn_between(goal, last) >= space.shift

@@ -6,7 +6,7 @@ import numpy as np
 
 from vergence._jit import compiled, untyped_tuple
 from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words
-from vergence.envs.targets.placement import between
+from vergence.envs.targets.placement import uniform_in
 from vergence.models.parts import FloatArray
 
 _TASK: Final = int(Purpose.TASK)
@@ -41,4 +41,4 @@ def _fill(keys: StreamKeys, earliest: float, latest: float, moments: FloatArray)
     keys = StreamKeys(*keys)
     for n in range(len(moments)):
         words = random_words(keys.seeds[n], keys.trials[n], _TASK, 0, _LANE)
-        moments[n] = between(words[0], earliest, latest)
+        moments[n] = uniform_in(words[0], earliest, latest)

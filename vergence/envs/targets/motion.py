@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from vergence._jit import inlined, kernel
 from vergence._runs import run_of
-from vergence.envs.targets.path import LEAST_PATH, point_on
+from vergence.envs.targets.path import LEAST_PATH, point_at
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
@@ -165,7 +165,7 @@ def position_at(motion: Motion, t: float) -> Vector:
     if t < motion.jump:
         return motion.before
     if len(motion.path):
-        return point_on(motion.path, t)
+        return point_at(motion.path, t)
     moved = min(t - motion.jump, motion.duration)
     c = s = 0.0
     if motion.omega != 0.0:

@@ -8,15 +8,15 @@ import numpy as np
 
 from vergence._jit import compiled, inlined, untyped_tuple
 from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words, to_uniform
-from vergence.envs.targets.board import POINT, Board, in_view, wholly
+from vergence.envs.targets.board import POINT, Board, in_view, whole_board_text
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.placement import (
     ATTEMPTS,
     GazingHead,
-    between,
     between_eyes,
     can_fixate,
-    place,
+    random_point,
+    uniform_in,
 )
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, TargetError
@@ -90,8 +90,8 @@ class OrbitTarget(Target):
         )
         if not found:
             raise TargetError(
-                f"target: expected ellipses that this head can follow and see{wholly(board)}, "
-                f"got none of {ATTEMPTS} of {self}"
+                f"target: expected ellipses that this head can follow and "
+                f"see{whole_board_text(board)}, got none of {ATTEMPTS} of {self}"
             )
         before = orbits.centre + orbits.cosine
         rows = motion_rows(
@@ -216,12 +216,14 @@ def choose_orbits(
     for n in range(len(orbits.omega)):
         seed, trial = keys.seeds[n], keys.trials[n]
         # one speed for all candidates, else the selection would favour slow targets
-        speed = between(random_words(seed, trial, _TASK, 0, 4)[0], ranges.slowest, ranges.fastest)
+        speed = uniform_in(
+            random_words(seed, trial, _TASK, 0, 4)[0], ranges.slowest, ranges.fastest
+        )
         found = False
         for attempt in range(ATTEMPTS):
             words = random_words(seed, trial, _TASK, attempt, 1)
-            centre = place(words, eye, ranges.near, ranges.far, ranges.eccentricity)
-            radius = between(words[3], ranges.least_radius, ranges.greatest_radius)
+            centre = random_point(words, eye, ranges.near, ranges.far, ranges.eccentricity)
+            radius = uniform_in(words[3], ranges.least_radius, ranges.greatest_radius)
             long = centre[2] * tan(radius)
             words = random_words(seed, trial, _TASK, attempt, 2)
             # any plane: its normal is uniform on the sphere, and the long axis within it too

@@ -25,7 +25,7 @@ LEAST_PATH: Final = 12
 
 
 @inlined
-def on_stretch(path: FloatArray, knot: int, t: float) -> Vector:
+def point_between_knots(path: FloatArray, knot: int, t: float) -> Vector:
     """Position between two knots.
 
     Args:
@@ -49,7 +49,7 @@ def on_stretch(path: FloatArray, knot: int, t: float) -> Vector:
 
 
 @subroutine
-def point_on(path: FloatArray, t: float) -> Vector:
+def point_at(path: FloatArray, t: float) -> Vector:
     """Position on a path at a time.
 
     Args:
@@ -67,4 +67,4 @@ def point_on(path: FloatArray, t: float) -> Vector:
             low = middle
         else:
             high = middle
-    return on_stretch(path, low, t)
+    return point_between_knots(path, low, t)

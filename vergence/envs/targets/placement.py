@@ -57,7 +57,7 @@ class GazingHead(NamedTuple):
 
 
 @inlined
-def between(word: np.uint64, low: float, high: float) -> float:
+def uniform_in(word: np.uint64, low: float, high: float) -> float:
     """Uniform number in a range, from a random word."""
     return low + to_uniform(word) * (high - low)
 
@@ -71,7 +71,7 @@ def between_eyes(p: PackedHead, rest: FloatArray) -> Vector:
 
 
 @inlined
-def place(words: Words, eye: Vector, near: float, far: float, eccentricity: float) -> Vector:
+def random_point(words: Words, eye: Vector, near: float, far: float, eccentricity: float) -> Vector:
     """Point from three random words: uniform in 1 / depth and in the angle from straight ahead.
 
     Args:
@@ -84,7 +84,7 @@ def place(words: Words, eye: Vector, near: float, far: float, eccentricity: floa
     Returns:
         x, y and z in N, m.
     """
-    z = 1.0 / between(words[0], 1.0 / far, 1.0 / near)
+    z = 1.0 / uniform_in(words[0], 1.0 / far, 1.0 / near)
     slope = z * tan(eccentricity * to_uniform(words[1]))
     around = 2.0 * pi * to_uniform(words[2])
     return eye[0] + slope * cos(around), eye[1] + slope * sin(around), z
@@ -115,7 +115,7 @@ def _can_fixate(
     angles: FloatArray,
 ) -> bool:
     if joints is not None:  # a function of its own, compiled only for coupled joints
-        return _can_fixate_tied(gaze, joints, margin, point, angles)
+        return _can_fixate_coupled(gaze, joints, margin, point, angles)
     for eye in range(2):
         k = 2 * eye
         angles[k], angles[k + 1] = fixate_eye(gaze.head, eye, point[0], point[1], point[2])
@@ -127,7 +127,7 @@ def _can_fixate(
 
 
 @inlined
-def _can_fixate_tied(
+def _can_fixate_coupled(
     gaze: GazingHead,
     joints: tuple[FloatArray, FloatArray],
     margin: float,

@@ -9,7 +9,7 @@ import numpy as np
 from vergence.envs.streams import IntArray, Streams
 from vergence.envs.targets.board import POINT, Board
 from vergence.envs.targets.motion import motion_rows
-from vergence.envs.targets.target import Target, fixating, refuse_unseen
+from vergence.envs.targets.target import Target, fixating_angles, refuse_unseen
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -30,26 +30,26 @@ class Prescribed(Target):
         """(1, MOTION) row of the motion, see `motion_rows`."""
 
     @abstractmethod
-    def _held(self) -> Point | FloatArray:
+    def _fixated_point(self) -> Point | FloatArray:
         """(3,) point that the eyes fixate at time zero for `start="fixation"`, in N, m."""
 
-    def _first(self) -> Point | FloatArray:
+    def _first_point(self) -> Point | FloatArray:
         """(3,) position of the target at time zero, in N, m."""
-        return self._held()
+        return self._fixated_point()
 
     def check(self, head: HeadModel) -> None:
         """See `Target.check`: an eye must see the first point, both must reach a lasting one."""
-        (q,) = self._begin(head, np.array([self._held()]))
-        first = np.array(self._first())
+        (q,) = self._begin(head, np.array([self._fixated_point()]))
+        first = np.array(self._first_point())
         refuse_unseen(head, self.seen_first, first, q)
         if self.stays:
-            fixating(head, self.seen_first, first[None])
+            fixating_angles(head, self.seen_first, first[None])
 
     def draw(
         self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`."""
-        held = np.broadcast_to(self._held(), (len(ids), 3))
+        held = np.broadcast_to(self._fixated_point(), (len(ids), 3))
         return np.repeat(self._motion(), len(ids), axis=0), self._begin(head, held)
 
 
@@ -64,7 +64,7 @@ class StaticTarget(Prescribed):
     point: Point = (0.0, -0.1, 1.0)
     """Position in N, m."""
 
-    def _held(self) -> Point:
+    def _fixated_point(self) -> Point:
         return self.point
 
     def _motion(self) -> FloatArray:
@@ -85,10 +85,10 @@ class StepTarget(Prescribed):
     """Position after the jump, in N, m."""
     start: Literal["rest", "fixation"] = "fixation"
 
-    def _held(self) -> Point:
+    def _fixated_point(self) -> Point:
         return self.before
 
-    def _first(self) -> Point:
+    def _first_point(self) -> Point:
         return self.after
 
     def _motion(self) -> FloatArray:
@@ -110,7 +110,7 @@ class CircleTarget(Prescribed):
     """Duration of a turn, s."""
     start: Literal["rest", "fixation"] = "fixation"
 
-    def _held(self) -> FloatArray:
+    def _fixated_point(self) -> FloatArray:
         x, y, z = self.centre
         return np.array([x, y + self.radius, z])
 
@@ -118,7 +118,7 @@ class CircleTarget(Prescribed):
         cosine, sine = np.array([0.0, self.radius, 0.0]), np.array([self.radius, 0.0, 0.0])
         return motion_rows(
             self.centre,
-            before=self._held()[None],
+            before=self._fixated_point()[None],
             cosine=cosine,
             sine=sine,
             omega=2.0 * np.pi / self.period,
@@ -140,7 +140,7 @@ class LineTarget(Prescribed):
     """Speed along the line, m/s."""
     start: Literal["rest", "fixation"] = "fixation"
 
-    def _held(self) -> Point:
+    def _fixated_point(self) -> Point:
         return self.origin
 
     def _motion(self) -> FloatArray:

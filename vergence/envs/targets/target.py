@@ -89,10 +89,10 @@ class Target(ABC):
     def _begin(self, head: HeadModel, fixated: FloatArray) -> FloatArray:
         if self.start == "rest":
             return np.broadcast_to(head.rest(), (len(fixated), 7)).copy()
-        return fixating(head, "start", fixated)
+        return fixating_angles(head, "start", fixated)
 
 
-def fixating(head: HeadModel, what: str, points: FloatArray) -> FloatArray:
+def fixating_angles(head: HeadModel, what: str, points: FloatArray) -> FloatArray:
     """Compute joint angles that put points on both optical axes, or as near as actuators can.
 
     Args:

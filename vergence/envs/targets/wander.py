@@ -16,16 +16,16 @@ from vergence.envs.streams import (
     random_words,
     to_uniform,
 )
-from vergence.envs.targets.board import POINT, Board, in_view, wholly
+from vergence.envs.targets.board import POINT, Board, in_view, whole_board_text
 from vergence.envs.targets.motion import motion_rows
-from vergence.envs.targets.path import on_stretch
+from vergence.envs.targets.path import point_between_knots
 from vergence.envs.targets.placement import (
     ATTEMPTS,
     GazingHead,
-    between,
     between_eyes,
     can_fixate,
-    place,
+    random_point,
+    uniform_in,
 )
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, TargetError
@@ -36,9 +36,9 @@ from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
 _TASK: Final = int(Purpose.TASK)
-_STRETCHES: Final = 32
+_SEGMENTS: Final = 32
 """Segments of a path, after which the target goes back (chosen: variety against time to draw)."""
-_TURNS: Final = 50
+_SEGMENT_ATTEMPTS: Final = 50
 """Candidates tried for a segment (numerical)."""
 _SAMPLES: Final = 4
 """Points of a segment at which fixation and the actuators' speeds are checked (numerical)."""
@@ -96,7 +96,7 @@ class WanderTarget(Target):
         self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; segments are drawn until one is valid."""
-        paths = np.empty((len(ids), 4 * (_STRETCHES + 2)))
+        paths = np.empty((len(ids), 4 * (_SEGMENTS + 2)))
         walk = Walk(
             *self.depth,
             self.eccentricity,
@@ -114,8 +114,8 @@ class WanderTarget(Target):
             paths,
         ):
             raise TargetError(
-                f"target: expected paths that this head can follow and see{wholly(board)}, "
-                f"got none of {ATTEMPTS} of {self}"
+                f"target: expected paths that this head can follow and "
+                f"see{whole_board_text(board)}, got none of {ATTEMPTS} of {self}"
             )
         beginning = paths[:, 5:8]
         return motion_rows(beginning, before=beginning, path=paths), self._begin(head, beginning)
@@ -136,7 +136,7 @@ class Walk(NamedTuple):
 
 
 @inlined
-def _go_on(path: FloatArray, knot: int, words: Words, walk: Walk) -> bool:
+def _draw_next_knot(path: FloatArray, knot: int, words: Words, walk: Walk) -> bool:
     """Draw the next knot of a path.
 
     Returns:
@@ -147,8 +147,8 @@ def _go_on(path: FloatArray, knot: int, words: Words, walk: Walk) -> bool:
     x, y, z = path[here + 1] - ex, path[here + 2] - ey, path[here + 3] - ez
     r = sqrt(x * x + y * y + z * z)
     x, y, z = x / r, y / r, z / r
-    span = between(words[0], walk.soonest, walk.latest)
-    nearness = 1.0 / r + between(words[1], -walk.approach, walk.approach) * span
+    span = uniform_in(words[0], walk.soonest, walk.latest)
+    nearness = 1.0 / r + uniform_in(words[1], -walk.approach, walk.approach) * span
     if nearness <= 0.0:
         return False
     # two directions orthogonal to the line of sight: one horizontal, one down
@@ -214,7 +214,7 @@ def _can_follow(
     eye = (path[1], path[2], path[3])
     step = (path[4 * knot + 4] - path[4 * knot]) / _SAMPLES
     for k in range(1, _SAMPLES + 1):
-        point = on_stretch(path, knot, path[4 * knot] + k * step)
+        point = point_between_knots(path, knot, path[4 * knot] + k * step)
         if not _can_look(gaze, walk, board, eye, point, angles, own[k]):
             return False
         for i in range(SLOTS):
@@ -246,21 +246,21 @@ def choose_paths(
     for n in range(len(paths)):
         seed, trial, path = keys.seeds[n], keys.trials[n], paths[n]
         # one speed for all candidates, else the selection would favour slow targets
-        path[0] = between(random_words(seed, trial, _TASK, 0, 4)[0], walk.slowest, walk.fastest)
+        path[0] = uniform_in(random_words(seed, trial, _TASK, 0, 4)[0], walk.slowest, walk.fastest)
         path[1], path[2], path[3] = eye
         knot = 0
         for attempt in range(ATTEMPTS):
             words = random_words(seed, trial, _TASK, attempt, 1)
-            point = place(words, eye, walk.near, walk.far, walk.eccentricity)
+            point = random_point(words, eye, walk.near, walk.far, walk.eccentricity)
             path[4] = 0.0
             path[5], path[6], path[7] = point
             knot = 1 if _can_look(gaze, walk, board, eye, point, angles, own[0]) else 0
             tried = 0
-            while 0 < knot < last and tried < _TURNS:
-                block = (attempt * last + knot) * _TURNS + tried
+            while 0 < knot < last and tried < _SEGMENT_ATTEMPTS:
+                block = (attempt * last + knot) * _SEGMENT_ATTEMPTS + tried
                 words = random_words(seed, trial, _TASK, block, 2)
                 tried += 1
-                if _go_on(path, knot, words, walk) and _can_follow(
+                if _draw_next_knot(path, knot, words, walk) and _can_follow(
                     gaze, walk, board, path, knot, angles, own
                 ):
                     own[0] = own[_SAMPLES]

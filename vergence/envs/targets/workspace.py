@@ -8,9 +8,15 @@ import numpy as np
 
 from vergence._jit import compiled, inlined, subroutine, untyped_tuple
 from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words
-from vergence.envs.targets.board import POINT, Board, in_view, wholly
+from vergence.envs.targets.board import POINT, Board, in_view, whole_board_text
 from vergence.envs.targets.motion import motion_rows
-from vergence.envs.targets.placement import ATTEMPTS, GazingHead, between_eyes, can_fixate, place
+from vergence.envs.targets.placement import (
+    ATTEMPTS,
+    GazingHead,
+    between_eyes,
+    can_fixate,
+    random_point,
+)
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, TargetError
 from vergence.models.head import HeadModel
@@ -18,7 +24,7 @@ from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
 _TASK: Final = int(Purpose.TASK)
-_STARTS: Final = 100
+_START_ATTEMPTS: Final = 100
 """Starts tried for a candidate target (numerical)."""
 
 
@@ -86,7 +92,8 @@ class RandomTarget(Target):
     def _unseen(self, what: str, board: Board) -> TargetError:
         return TargetError(
             f"target: expected a workspace that this head can look at, got none of "
-            f"{ATTEMPTS} {what} of {self} that both eyes can fixate and see{wholly(board)}"
+            f"{ATTEMPTS} {what} of {self} that both eyes can fixate and "
+            f"see{whole_board_text(board)}"
         )
 
 
@@ -139,14 +146,14 @@ def draw_target(
         True if target and start are valid, and the target's position in N, m.
     """
     words = random_words(seed, trial, _TASK, attempt, 1)
-    point = place(words, eye, space.near, space.far, space.eccentricity)
+    point = random_point(words, eye, space.near, space.far, space.eccentricity)
     if not can_fixate(gaze, space.margin, point, goal):
         return False, point
     # many starts for one target: if both were drawn anew, few peripheral targets would be left, as
     # they are visible from few points of the workspace
-    for again in range(_STARTS if space.fixating else 1):
+    for again in range(_START_ATTEMPTS if space.fixating else 1):
         words = random_words(seed, trial, _TASK, attempt + again, 2)
-        other = place(words, eye, space.near, space.far, space.eccentricity)
+        other = random_point(words, eye, space.near, space.far, space.eccentricity)
         if not space.fixating:
             begin[:] = gaze.rest[3:]
         elif not can_fixate(gaze, space.margin, other, begin):

@@ -69,7 +69,7 @@ def has_effect(name: str, scenario: Scenario) -> bool:
     The size or duration of random events, such as outliers, has one only if the scenario has such
     events.
     """
-    chance = IMPERFECTIONS[name].of_chance
+    chance = IMPERFECTIONS[name].probability
     if not chance:
         return True
     variation = scenario.variation

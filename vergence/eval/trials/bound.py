@@ -94,7 +94,11 @@ def settle_bound(
     )
     beyond = truth.pixel_error - least_measured_error(task, truth.target)
     inside = (np.linalg.norm(beyond, axis=-1) < band_px).all(axis=-1)
-    sights = simulation.first_sights() if sight_s is None else (sight_s, np.full(task.num, -inf))
+    sights = (
+        simulation.first_detection_times()
+        if sight_s is None
+        else (sight_s, np.full(task.num, -inf))
+    )
     first, last = (np.ceil(sight / period - _ROUNDING) for sight in sights)
     moves_s = first * period + conditions.command_latency_s
     # The joints' bands enclose the error circle: an eye outside the circle has to move even if its

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vergence.envs.plants.imperfections import OWN, SCALARS
+from vergence.envs.plants.imperfections import PER_ACTUATOR, PER_TRIAL
 from vergence.envs.plants.simulation import Simulation
 from vergence.envs.streams import IntArray
 from vergence.envs.task import GazeTask
@@ -132,8 +132,8 @@ def _conditions(task: GazeTask) -> dict[str, FloatArray]:
     if not isinstance(task.plant, Simulation):
         return {}
     conditions = task.plant.conditions
-    found = {name: getattr(conditions, name).copy() for name in SCALARS}
-    for name in OWN:
+    found = {name: getattr(conditions, name).copy() for name in PER_TRIAL}
+    for name in PER_ACTUATOR:
         of_eyes = getattr(conditions, name)[:, EYES]
         for j, actuator in enumerate(task.head.actuation.names):
             found[f"{name}_{actuator}"] = of_eyes[:, j].copy()

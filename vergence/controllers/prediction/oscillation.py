@@ -35,9 +35,9 @@ _LASTS: Final = 0.7
 """Ratio from which it is sustained: it counts 1, and proportionally in between (chosen)."""
 _JUMP_LEAVES: Final = 0.5
 """Factor that remains of the count after a jump of the target (chosen)."""
-MANY: Final = 2.0
+MANY_HALF_SWINGS: Final = 2.0
 """Count of half swings above which a law has to be calm (chosen)."""
-MOST: Final = 6.0
+MOST_HALF_SWINGS: Final = 6.0
 """Upper bound of the count (chosen)."""
 _SLOWEST: Final = 1.0
 """Lower bound of a calmed law's rate, 1/s (chosen)."""
@@ -45,7 +45,7 @@ FIRST_PATIENCE_S: Final = 1.0
 """Initial time constant with which the count decays, s (chosen)."""
 
 
-class Swinging:
+class Oscillation:
     """Reversals of each eye joint, (2, 2) by eye and joint, and the count of half swings."""
 
     side: Annotated[FloatArray, 2, 2]
@@ -56,46 +56,46 @@ class Swinging:
     """Farthest angle in the present direction since then, rad."""
     aim: Annotated[FloatArray, 2, 2]
     """Its goal when that reversal was detected, rad."""
-    went: Annotated[FloatArray, 2, 2, 2]
+    goal_moved: Annotated[FloatArray, 2, 2, 2]
     """Largest distance of the goal from `aim` since then, and in the half swing before, rad."""
     half: Annotated[FloatArray, 2, 2]
     """Length of the previous half swing, rad; 0 for none."""
     since: Annotated[FloatArray, 2, 2]
     """Periods since that reversal was detected."""
     count: float
-    """Decayed count of half swings, at most `MOST`."""
+    """Decayed count of half swings, at most `MOST_HALF_SWINGS`."""
     patience_s: float
     """Time constant with which the count decays, s; it doubles each time the count passes
-    `MANY`."""
+    `MANY_HALF_SWINGS`."""
 
 
 @inlined
-def calm_rate(rate: float, swings: float) -> float:
-    """Rate of a linear law, 1/s, halved for each half swing counted beyond `MANY`."""
-    return max(rate * exp2(-max(swings - MANY, 0.0)), min(rate, _SLOWEST))
+def calmed_rate(rate: float, half_swings: float) -> float:
+    """Rate of a linear law, 1/s, halved for each half swing counted beyond `MANY_HALF_SWINGS`."""
+    return max(rate * exp2(-max(half_swings - MANY_HALF_SWINGS, 0.0)), min(rate, _SLOWEST))
 
 
 @inlined
-def forgive(swinging: Swinging) -> None:
+def reduce_count(oscillation: Oscillation) -> None:
     """Reduce the count, because the target has jumped."""
-    swinging.count *= _JUMP_LEAVES
+    oscillation.count *= _JUMP_LEAVES
 
 
 @inlined
-def forget(swinging: Swinging, period_s: float) -> None:
+def decay_count(oscillation: Oscillation, period_s: float) -> None:
     """Let the count decay over a period."""
-    swinging.count -= swinging.count * min(period_s / swinging.patience_s, 1.0)
+    oscillation.count -= oscillation.count * min(period_s / oscillation.patience_s, 1.0)
 
 
 @inlined
-def begin_watch(swinging: Swinging, eye: int, joint: int, angle: float) -> None:
+def begin_watch(oscillation: Oscillation, eye: int, joint: int, angle: float) -> None:
     """Initialise a joint at rest at an angle, rad."""
-    swinging.turned_at[eye, joint] = swinging.farthest[eye, joint] = angle
+    oscillation.turned_at[eye, joint] = oscillation.farthest[eye, joint] = angle
 
 
 @inlined
 def watch(
-    swinging: Swinging,
+    oscillation: Oscillation,
     rig: PredictorModel,
     eye: int,
     joint: int,
@@ -106,7 +106,7 @@ def watch(
     """Update the detection of oscillation with one eye joint's angle and goal.
 
     Args:
-        swinging: changed in place.
+        oscillation: changed in place.
         rig: the head's parameters.
         eye: index of the eye.
         joint: index of its joint.
@@ -115,36 +115,37 @@ def watch(
         noise: detection variance, rad^2.
     """
     least = _LEAST_RAD + _STEPS * rig.joint_step[eye, joint] + _NOISES * sqrt(noise)
-    side, farthest = swinging.side[eye, joint], swinging.farthest[eye, joint]
-    swinging.since[eye, joint] += 1.0
-    went = abs(aim - swinging.aim[eye, joint])
-    swinging.went[eye, joint, 0] = max(swinging.went[eye, joint, 0], went)
-    if swinging.since[eye, joint] * rig.period_s > _SLOW_S:
-        swinging.half[eye, joint] = 0.0
+    side, farthest = oscillation.side[eye, joint], oscillation.farthest[eye, joint]
+    oscillation.since[eye, joint] += 1.0
+    goal_moved = abs(aim - oscillation.aim[eye, joint])
+    oscillation.goal_moved[eye, joint, 0] = max(oscillation.goal_moved[eye, joint, 0], goal_moved)
+    if oscillation.since[eye, joint] * rig.period_s > _SLOW_S:
+        oscillation.half[eye, joint] = 0.0
     if side == 0.0:
-        off = angle - swinging.turned_at[eye, joint]
+        off = angle - oscillation.turned_at[eye, joint]
         if abs(off) > least:
-            swinging.side[eye, joint] = 1.0 if off > 0.0 else -1.0
-            swinging.farthest[eye, joint] = angle
-            swinging.since[eye, joint], swinging.aim[eye, joint] = 0.0, aim
+            oscillation.side[eye, joint] = 1.0 if off > 0.0 else -1.0
+            oscillation.farthest[eye, joint] = angle
+            oscillation.since[eye, joint], oscillation.aim[eye, joint] = 0.0, aim
         return
     if side * (angle - farthest) >= 0.0:
-        swinging.farthest[eye, joint] = angle
+        oscillation.farthest[eye, joint] = angle
         return
     if side * (farthest - angle) < least:
         return
-    half = abs(farthest - swinging.turned_at[eye, joint])
-    went = max(swinging.went[eye, joint, 0], swinging.went[eye, joint, 1])
-    swinging.went[eye, joint, 1], swinging.went[eye, joint, 0] = swinging.went[eye, joint, 0], 0.0
-    before = swinging.half[eye, joint]
-    time_s = (swinging.since[eye, joint]) * rig.period_s
+    half = abs(farthest - oscillation.turned_at[eye, joint])
+    goal_moved = max(oscillation.goal_moved[eye, joint, 0], oscillation.goal_moved[eye, joint, 1])
+    oscillation.goal_moved[eye, joint, 1] = oscillation.goal_moved[eye, joint, 0]
+    oscillation.goal_moved[eye, joint, 0] = 0.0
+    before = oscillation.half[eye, joint]
+    time_s = (oscillation.since[eye, joint]) * rig.period_s
     fast = pi * half > _SLOW_RAD_S * time_s
-    if before > 0.0 and fast and half > _GOALS * went:
+    if before > 0.0 and fast and half > _GOALS * goal_moved:
         share = (half / before - _DIES) / (_LASTS - _DIES)
-        count = min(swinging.count + min(max(share, 0.0), 1.0), MOST)
-        if swinging.count <= MANY < count:
-            swinging.patience_s *= 2.0
-        swinging.count = count
-    swinging.half[eye, joint], swinging.aim[eye, joint] = half, aim
-    swinging.side[eye, joint], swinging.since[eye, joint] = -side, 0.0
-    swinging.turned_at[eye, joint], swinging.farthest[eye, joint] = farthest, angle
+        count = min(oscillation.count + min(max(share, 0.0), 1.0), MOST_HALF_SWINGS)
+        if oscillation.count <= MANY_HALF_SWINGS < count:
+            oscillation.patience_s *= 2.0
+        oscillation.count = count
+    oscillation.half[eye, joint], oscillation.aim[eye, joint] = half, aim
+    oscillation.side[eye, joint], oscillation.since[eye, joint] = -side, 0.0
+    oscillation.turned_at[eye, joint], oscillation.farthest[eye, joint] = farthest, angle

@@ -5,7 +5,13 @@ import pytest
 
 from vergence import load_head
 from vergence.controllers.prediction.joints import RIG, joint_rig
-from vergence.controllers.prediction.swinging import MANY, Swinging, begin_watch, forget, watch
+from vergence.controllers.prediction.oscillation import (
+    MANY_HALF_SWINGS,
+    Oscillation,
+    begin_watch,
+    decay_count,
+    watch,
+)
 from vergence.controllers.rows import row_layout
 
 HEAD = load_head("physical")
@@ -16,13 +22,13 @@ NOISE = 1e-8
 
 def swings(angle, aim=None):
     """The greatest number of swings of a joint at some angles, its goal at others."""
-    record = np.zeros(1, dtype=row_layout(Swinging))[0]
+    record = np.zeros(1, dtype=row_layout(Oscillation))[0]
     record["patience_s"] = 1.0
     rig = joint_rig(HEAD).view(RIG)[0]
     begin_watch(record, 0, 1, float(angle[0]))
     most = 0.0
     for one, goal in zip(angle, np.zeros_like(angle) if aim is None else aim, strict=True):
-        forget(record, rig.period_s)
+        decay_count(record, rig.period_s)
         watch(record, rig, 0, 1, float(one), float(goal), NOISE)
         most = max(most, float(record["count"]))
     return most
@@ -31,7 +37,7 @@ def swings(angle, aim=None):
 @pytest.mark.parametrize("hz", [2.0, 5.0])
 def test_an_eye_that_swings_about_a_goal_at_rest_is_found_within_a_second(hz) -> None:
     lasting = 0.02 * np.sin(2.0 * np.pi * hz * TIME_S)
-    assert swings(lasting[max(1.0, 3.0 / hz) > TIME_S]) > MANY
+    assert swings(lasting[max(1.0, 3.0 / hz) > TIME_S]) > MANY_HALF_SWINGS
 
 
 def dying(time_s):
