@@ -16,7 +16,7 @@ from vergence.models.parts import FloatArray
 from vergence.models.response import LINEAR, SRGB, Response, light_table
 from vergence.perception.spacing import neighbours
 from vergence.vision import Detection
-from vergence.vision.image import measured_levels
+from vergence.vision.image import measurement_channel
 
 _REACH_PX: Final = 4.0
 """Half width of the strip along an edge, px (chosen: the whole blur against other edges)."""
@@ -64,7 +64,7 @@ class ResponseCheck:
             stated: response with which it was read.
         """
         if stated == LINEAR and len(self._ratios) < _ENOUGH_EDGES:
-            self._ratios += edge_ratios(measured_levels(image), detections)
+            self._ratios += edge_ratios(measurement_channel(image), detections)
 
     def notes(self) -> list[str]:
         """One line if the edges contradict a linear response, else none."""

@@ -34,7 +34,7 @@ from vergence._jit import compiled, subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.packed import camera_at
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import View, ideal_of, look_along, ray_at
+from vergence.vision.plane import View, look_along, ray_at, undistorted_point
 from vergence.vision.tags.bend import estimate_bend_sigma, rms_of_bend
 from vergence.vision.tags.normal import variance_of_blocks
 from vergence.vision.tags.report import NO_FIT, TagFit, report
@@ -141,7 +141,7 @@ def fit_tag(
         np.zeros(UNKNOWNS - SPREAD),
     )  # fmt: skip
     for k in range(4):
-        u, v = ideal_of(rays, region.plane, start[k, 0], start[k, 1])
+        u, v = undistorted_point(rays, region.plane, start[k, 0], start[k, 1])
         state.corners[k, 0], state.corners[k, 1] = u, v
     scale = scale_of(state.corners, border, most[1])
     buffers = allocate_buffers(max(most[0], most[1]), scale.blocks_per_edge * scale.blocks_per_edge)

@@ -5,7 +5,7 @@ from typing import Final
 
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import through
+from vergence.vision.plane import transform_point
 from vergence.vision.tags.workspace import FitState, SearchRegion, TagPrint, sides_of
 
 _LEAST_SCALE: Final = 0.4
@@ -79,7 +79,7 @@ def gather_pixels(
             u, v = float(column), float(row)
             if view.lens:
                 x, y = rays[row, column, 0], rays[row, column, 1]
-                u, v = through(view.plane_from_ray, x, y)
+                u, v = transform_point(view.plane_from_ray, x, y)
             w = G[2, 0] * u + G[2, 1] * v + G[2, 2]
             x = (G[0, 0] * u + G[0, 1] * v + G[0, 2]) / w
             y = (G[1, 0] * u + G[1, 1] * v + G[1, 2]) / w

@@ -8,7 +8,7 @@ import numpy as np
 from vergence._jit import subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import View, grey_at, seen_at, through
+from vergence.vision.plane import View, distorted_pixel, grey_at, transform_point
 from vergence.vision.tags.bend import bend_at
 from vergence.vision.tags.cholesky import solve
 from vergence.vision.tags.reading import CellReading, read_cells
@@ -93,13 +93,13 @@ def report(
     moved = largest = 0.0
     for k in range(5):
         x, y = place_of(k)
-        u, v = through(state.H, x, y)
+        u, v = transform_point(state.H, x, y)
         a, b, c = _covariance_of(buffers.matrix, used, state.G, u, v, x, y)
         more = (
             unmodelled_variance if k < 4 else 0.25 * unmodelled_variance
         )  # the centre lies between four corners
         a, b, c = variance * a + more, variance * b, variance * c + more
-        u, v, sigma_u, sigma_v = _seen(camera, region.plane, u, v, a, b, c)
+        u, v, sigma_u, sigma_v = _to_image(camera, region.plane, u, v, a, b, c)
         points[k, 0], points[k, 1], sigmas[k, 0], sigmas[k, 1] = u, v, sigma_u, sigma_v
         if not (-0.5 < u < width - 0.5 and -0.5 < v < height - 0.5):
             return NO_FIT
@@ -140,8 +140,8 @@ def _light_at(
 ) -> float:
     """Light at a point of the tag's plane, half edges; 0 outside of the image."""
     dx, dy = bend_at(state.spread_and_bend, x, y)
-    u, v = through(state.H, x - dx, y - dy)
-    u, v = seen_at(camera, region.plane, u, v)
+    u, v = transform_point(state.H, x - dx, y - dy)
+    u, v = distorted_pixel(camera, region.plane, u, v)
     grey = grey_at(region.image, u, v)
     return float(region.light[int(grey + 0.5)]) if grey >= 0.0 else 0.0
 
@@ -181,7 +181,7 @@ def _read(
 
 
 @subroutine
-def _seen(
+def _to_image(
     camera: CameraRow, view: View, u: float, v: float, a: float, b: float, c: float
 ) -> tuple[float, float, float, float]:
     """Map a point and its standard deviations from the undistorted plane to the image.
@@ -199,16 +199,16 @@ def _seen(
         The pixel, and the standard deviations.
     """
     if view.lens:
-        left_u, left_v = seen_at(camera, view, u - 0.5, v)
-        right_u, right_v = seen_at(camera, view, u + 0.5, v)
-        above_u, above_v = seen_at(camera, view, u, v - 0.5)
-        below_u, below_v = seen_at(camera, view, u, v + 0.5)
+        left_u, left_v = distorted_pixel(camera, view, u - 0.5, v)
+        right_u, right_v = distorted_pixel(camera, view, u + 0.5, v)
+        above_u, above_v = distorted_pixel(camera, view, u, v - 0.5)
+        below_u, below_v = distorted_pixel(camera, view, u, v + 0.5)
         p, q, r, s = right_u - left_u, below_u - above_u, right_v - left_v, below_v - above_v
         a, c = (
             p * p * a + 2.0 * p * q * b + q * q * c,
             r * r * a + 2.0 * r * s * b + s * s * c,
         )
-    u, v = seen_at(camera, view, u, v)
+    u, v = distorted_pixel(camera, view, u, v)
     return u, v, sqrt(a), sqrt(c)
 
 

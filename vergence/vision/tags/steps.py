@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import back_of, through
+from vergence.vision.plane import inverse_homography, transform_point
 from vergence.vision.tags.cholesky import factorise, solve
 from vergence.vision.tags.levels import block_levels, block_weights
 from vergence.vision.tags.normal import add_priors, normal_equations
@@ -159,10 +159,10 @@ def _move_plane(G: FloatArray, step: FloatArray) -> None:
 def _move_corners(state: FitState) -> float:
     """Update H and the corners from G; return the largest move of a corner, px."""
     corners, H = state.corners, state.H
-    back_of(state.G, H)
+    inverse_homography(state.G, H)
     far = 0.0
     for k in range(4):
-        u, v = through(H, *place_of(k))
+        u, v = transform_point(H, *place_of(k))
         far = max(far, hypot(u - corners[k, 0], v - corners[k, 1]))
         corners[k, 0], corners[k, 1] = u, v
     return far

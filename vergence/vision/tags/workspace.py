@@ -59,7 +59,7 @@ class FitState(NamedTuple):
     G: FloatArray
     """(3, 3) homography from the undistorted image to the tag's plane, see `plane_of`."""
     H: FloatArray
-    """(3, 3) its inverse, see `back_of`."""
+    """(3, 3) its inverse, see `inverse_homography`."""
     blurs: FloatArray
     """(2,) across the edges along x and along y, px."""
     spread_and_bend: FloatArray
