@@ -28,8 +28,8 @@ from rich.progress import track
 from rich.table import Table
 
 from vergence.controllers.controller import make_controller
-from vergence.eval.margins.measure import moved
-from vergence.eval.margins.ranges import SEARCHED, matters, range_of
+from vergence.eval.margins.measure import with_imperfection
+from vergence.eval.margins.ranges import SEARCHED, has_effect, range_of
 from vergence.eval.trials.results import Trials
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario, load_scenario
@@ -97,10 +97,10 @@ class Case(NamedTuple):
         if self.fault == DESK:
             return load_scenario(DESK)
         scenario = replace(
-            load_scenario("hardware"), head=self.head, parts={}, duration_s=DURATION_S
+            load_scenario("hardware"), head=self.head, head_overrides={}, duration_s=DURATION_S
         )
         for name, value in FAULTS[self.fault](scenario.model().timing).items():
-            scenario = moved(scenario, name, value)
+            scenario = with_imperfection(scenario, name, value)
         return scenario
 
 
@@ -144,14 +144,14 @@ def far_out() -> Iterator[tuple[str, Scenario]]:
 
     An end at the expected value is left out: its trials are those of `hardware`, or milder.
     """
-    yield from ((name, one) for name, one in SCENARIOS.items() if not one.moving)
+    yield from ((name, one) for name, one in SCENARIOS.items() if not one.target_moves)
     hardware = load_scenario("hardware")
     head = hardware.model()
     for name in SEARCHED:
         span = range_of(name, hardware, head)
-        for value in (span.low, span.high) if matters(name, hardware) else ():
+        for value in (span.low, span.high) if has_effect(name, hardware) else ():
             if value != span.expected:
-                yield f"hardware, {name} = {value:g}", moved(hardware, name, value)
+                yield f"hardware, {name} = {value:g}", with_imperfection(hardware, name, value)
 
 
 def swinging(name: str, scenario: Scenario, law: str, episodes: int) -> dict[str, Any]:

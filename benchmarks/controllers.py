@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> None:
     cases = []
     for one in contestants(tuple(options.controllers)):
         try:
-            found = one.fitted(head, scenario.name)
+            found = one.resolve_options(head, scenario.name)
             cases.append(Case(one.label, one.make(head, layout, found.options)[0]))
         except VergenceError as error:
             print(f"{one.label}: left out: {error}", file=sys.stderr)

@@ -57,9 +57,9 @@ def main() -> None:
             found = replay(ReplayConfig(log=log, controller=LAW))
             missing_s.append(now_s - found.log.joints[-1].clock_s)
             assert found.log.cut_off
-            assert found.again is not None
-            commands += found.again.summary()["commands"]
-            identical += found.again.summary()["identical"]
+            assert found.rerun is not None
+            commands += found.rerun.summary()["commands"]
+            identical += found.rerun.summary()["identical"]
     print(
         f"{chosen.moments} kills: at most {1e3 * max(missing_s):.0f} ms missing, "
         f"{1e3 * float(np.median(missing_s)):.0f} ms in the median; {identical} of {commands} "

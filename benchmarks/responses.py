@@ -17,7 +17,7 @@ from vergence.errors import VergenceError
 from vergence.perception.light import edge_ratios
 from vergence.perception.photographs import SUFFIXES
 from vergence.vision import make_detector, parse_target
-from vergence.vision.image import as_taken, has_colours, measured_levels, read_pixels
+from vergence.vision.image import has_colours, measurement_channel, read_pixels, restore_grey
 
 _LARGEST_PX = 2600
 """Largest width or height of a photograph, px; larger ones are left out to save time."""
@@ -46,8 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 seen = detector.detect_all(image)
             except VergenceError:
                 continue
-            ratios = edge_ratios(measured_levels(image), seen)
-            found[has_colours(as_taken(image))].append(ratios)
+            ratios = edge_ratios(measurement_channel(image), seen)
+            found[has_colours(restore_grey(image))].append(ratios)
         for colour, images in found.items():
             every = np.array([ratio for ratios in images for ratio in ratios])
             if len(every) > 1:

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from vergence.training.checkpoint import read_checkpoint
-from vergence.training.choices import choose
+from vergence.training.choices import resolve_config
 from vergence.training.listener import Result
 from vergence.training.options import TrainOptions
 from vergence.training.run import resume, train
@@ -32,7 +32,7 @@ class StopsAfter:
     def begin(self, baselines: Any, unit: str) -> None:
         """See `vergence.training.listener.TrainingListener`."""
 
-    def going_on(self, done: int) -> None:
+    def resumed(self, done: int) -> None:
         """See `vergence.training.listener.TrainingListener`."""
 
     def step(self, done: int, total: int) -> None:
@@ -79,9 +79,9 @@ def main(arguments: list[str] | None = None) -> int:
             set=tuple(options.set),
         )
         with tempfile.TemporaryDirectory() as folder:
-            whole = train(Path(folder) / "whole", *choose(choice), StopsAfter())
+            whole = train(Path(folder) / "whole", *resolve_config(choice), StopsAfter())
             parts = Path(folder) / "parts"
-            part = train(parts, *choose(choice), StopsAfter(options.stop * options.steps))
+            part = train(parts, *resolve_config(choice), StopsAfter(options.stop * options.steps))
             resumed = resume(parts, StopsAfter())
             same = same_network(whole, resumed)
         all_same &= same

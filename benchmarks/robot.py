@@ -73,7 +73,7 @@ def gazes(robot: Path, seconds: float) -> tuple[int, int, list[float]]:
             raise found.error
         trials = read_log(found.log).trials
     lateness = [one for trial in trials for one in lateness_of(trial)]
-    return found.gazes.late, found.gazes.periods, lateness
+    return found.gazes.missed_periods, found.gazes.periods, lateness
 
 
 def stolen_by_now() -> FloatArray:

@@ -19,7 +19,7 @@ from rich.table import Table
 from benchmarks.wire import emulated
 from vergence.errors import VergenceError
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
-from vergence.eval.robot.deploy import Deployment, Present, deploy
+from vergence.eval.robot.deploy import Deployment, GazeState, deploy
 from vergence.eval.robot.replay import replay
 from vergence.hardware.checks.listing import check_robot
 from vergence.hardware.config import HardwareConfig
@@ -92,7 +92,7 @@ def checked(hardware: HardwareConfig) -> tuple[bool, str]:
 
 
 def deployed(
-    hardware: HardwareConfig, gazes: int, log: Path, show: Callable[[Present], None]
+    hardware: HardwareConfig, gazes: int, log: Path, show: Callable[[GazeState], None]
 ) -> Deployment:
     """Run gazes of the law; Ctrl-C in them ends the tour."""
     config = DeployConfig(controller=LAW, hardware=Path(hardware.path), gazes=gazes)
@@ -105,7 +105,7 @@ def deployed(
 def gazed(hardware: HardwareConfig, log: Path, console: Console) -> tuple[bool, str]:
     """Check that gazes settle and do not oscillate."""
 
-    def tell(present: Present) -> None:
+    def tell(present: GazeState) -> None:
         if present.step == 0 and present.number % 5 == 1:
             console.print(f"gaze {present.number} of {GAZES}")
 
@@ -132,7 +132,7 @@ def hurt(hardware: HardwareConfig, log: Path) -> tuple[bool, str]:
     world = EmulatedWorld(hardware.emulator)
     pulled_s: list[float] = []
 
-    def pull(present: Present) -> None:
+    def pull(present: GazeState) -> None:
         if present.number == 2 and present.step == 10 and not pulled_s:
             pulled_s.append(world.fault(what="unplug"))
 
@@ -166,8 +166,8 @@ def measured(hardware: HardwareConfig) -> tuple[bool, str]:
 def replayed(log: Path) -> tuple[bool, str]:
     """Check that the law gives identical commands when replayed on its own log."""
     found = replay(ReplayConfig(log=log, controller=LAW))
-    assert found.again is not None
-    summary = found.again.summary()
+    assert found.rerun is not None
+    summary = found.rerun.summary()
     same, commands = summary["identical"], summary["commands"]
     whole = commands > 0 and len(found.gazes.trials) == GAZES
     return same == commands and whole, f"{same} of {commands} commands are the same again"

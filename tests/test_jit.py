@@ -16,7 +16,7 @@ from vergence import _jit, _runs
 from vergence.models.pose import Pose, direction_to_outer
 from vergence.triangulation.rays import triangulate
 
-HELPER = "from heads import _jit\n\n@_jit.device\ndef scale(x):\n    return {factor} * x\n"
+HELPER = "from heads import _jit\n\n@_jit.inlined\ndef scale(x):\n    return {factor} * x\n"
 KERNELS = """
 from heads import _jit
 from heads.helper import scale

@@ -39,7 +39,7 @@ def test_each_fault_is_in_all_trials_on_every_head():
 def test_trials_are_counted_once():
     names, scenarios = zip(*far_out(), strict=True)
     assert len(set(names)) == len(names) > 40
-    assert not any(one.moving for one in scenarios)
+    assert not any(one.target_moves for one in scenarios)
     rows = [
         {"scenario": name, "law": law, "trials": 10, "swinging_trials": number}
         for number, name in enumerate(names[:3])

@@ -17,7 +17,7 @@ from tests.hardware.emulated import REAL_TIME, emulated
 from vergence.errors import ConfigurationError, HardwareError
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
-from vergence.eval.robot.deploy import Present, deploy
+from vergence.eval.robot.deploy import GazeState, deploy
 from vergence.eval.robot.evaluate import begun, evaluate_on_robot
 from vergence.eval.robot.replay import replay
 from vergence.hardware.config import load_hardware
@@ -83,15 +83,15 @@ def test_the_ten_lines_of_the_readme_run_on_it(desk: Path) -> None:
 
 def test_a_law_is_deployed_logged_and_asks_for_the_same_again(desk: Path, tmp_path: Path) -> None:
     config = DeployConfig(controller="state-feedback", hardware=desk, gazes=2, duration_s=1.0)
-    shown: list[Present] = []
+    shown: list[GazeState] = []
     result = deploy(config, tmp_path / "run.mcap", show=shown.append)
     summary = result.summary()
     assert (summary["gazes"], summary["settled_fraction"], summary["faults"]) == (2, 1.0, [])
     assert summary["point_error_median_mm"] < 100.0
     assert {present.number for present in shown} == {1, 2}
     again = replay(ReplayConfig(log=result.log, controller="state-feedback"))
-    assert again.again is not None
-    commands = again.again.summary()
+    assert again.rerun is not None
+    commands = again.rerun.summary()
     assert commands["identical"] == commands["commands"] == len(shown) - 2
     assert again.gazes.rows() == result.gazes.rows()
     assert all(one.images is not None for one in again.results)
@@ -126,7 +126,7 @@ def test_a_dry_run_asks_the_policy_and_moves_nothing(desk: Path, tmp_path: Path)
     log = read_log(result.log)
     positions = log.trials[0].truth.positions if log.trials[0].truth else np.empty(0)
     assert np.ptp(positions, axis=0).max() < 1e-6  # a lag that fades
-    assert np.abs(log.trials[0].asked()).max() > 0.01
+    assert np.abs(log.trials[0].requested()).max() > 0.01
     assert not log.trials[0].reading.command.any()
     assert result.summary()["settled_fraction"] is None
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from vergence.training import run
-from vergence.training.choices import choose
+from vergence.training.choices import resolve_config
 from vergence.training.config import TrainConfig
 from vergence.training.curve import draw_curve
 from vergence.training.listener import Result
@@ -47,7 +47,7 @@ class Silent:
         self.baselines = baselines
         self.unit = unit
 
-    def going_on(self, done: int) -> None:
+    def resumed(self, done: int) -> None:
         self.went_on_from = done
 
     def step(self, done: int, total: int) -> None:
@@ -62,7 +62,7 @@ class Silent:
 
 def small(kind: str = "gain-schedule", *changes: str, **words: Any) -> tuple[TrainConfig, Any]:
     words = {"steps": STEPS, **words}
-    return choose(TrainOptions(kind=kind, set=(*SMALL, *PPO, *changes), **words))
+    return resolve_config(TrainOptions(kind=kind, set=(*SMALL, *PPO, *changes), **words))
 
 
 def run_small(folder: Path, *changes: str, kind: str = "gain-schedule", **words: Any) -> Result:

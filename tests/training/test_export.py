@@ -22,7 +22,7 @@ from vergence.controllers.networks.runtime import Runtime
 from vergence.errors import BundleError, ConfigurationError
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.training.choices import choose
+from vergence.training.choices import resolve_config
 from vergence.training.export import export_run
 from vergence.training.networks import JointPolicy
 from vergence.training.onnx_export import (
@@ -151,7 +151,9 @@ def run(tmp_path_factory):
     """The folder of a run of two updates."""
     changes = ["evaluations=1", "episodes=2", "network=[16]"]
     changes += ["algorithm.n_steps=16", "algorithm.batch_size=64", "algorithm.n_epochs=1"]
-    config, head = choose(TrainOptions(kind="policy", seed=5, steps=128, envs=4, set=changes))
+    config, head = resolve_config(
+        TrainOptions(kind="policy", seed=5, steps=128, envs=4, set=changes)
+    )
     folder = tmp_path_factory.mktemp("runs") / "run"
     train(folder, config, head, Silent())
     return folder
@@ -185,7 +187,7 @@ def test_a_network_is_learned_and_exported_for_a_head_with_tied_joints(tmp_path,
     options = TrainOptions(
         kind=kind, head=str(tmp_path / "tied.toml"), steps=128, envs=4, set=changes
     )
-    config, head = choose(options)
+    config, head = resolve_config(options)
     train(tmp_path / "run", config, head, Silent())
     manifest = export_run(tmp_path / "run", tmp_path / "tied.vgp", "last")
     assert manifest.head["digest"] == head.digest
@@ -227,7 +229,7 @@ def test_the_command_in_the_manifest_makes_the_same_configuration(run, tmp_path)
     command = export_run(run, tmp_path / "a.vgp", "last").training["command"]
     program, name, *words = shlex.split(command)
     assert (program, name) == ("vergence", "train")
-    config, _head = choose(tyro.cli(Train, args=words).options)
+    config, _head = resolve_config(tyro.cli(Train, args=words).options)
     assert config == load_run(run)[0]
 
 

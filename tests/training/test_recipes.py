@@ -9,7 +9,7 @@ from vergence.errors import UnknownNameError
 from vergence.eval.trials.loops import LATEST_ONSET_S
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models import load_head
-from vergence.training.choices import choose
+from vergence.training.choices import resolve_config
 from vergence.training.export import command_of
 from vergence.training.options import TrainOptions
 from vergence.training.recipes import RECIPES, recipe
@@ -17,7 +17,7 @@ from vergence.training.recipes import RECIPES, recipe
 
 @pytest.mark.parametrize("kind", sorted(RECIPES))
 def test_a_recipe_is_a_runs_configuration(kind) -> None:
-    config, head = choose(TrainOptions(kind=kind))
+    config, head = resolve_config(TrainOptions(kind=kind))
     made = recipe(kind)
     assert config.scenario == "hardware"
     assert head.digest == load_scenario("hardware").model().digest
@@ -29,21 +29,21 @@ def test_a_recipe_is_a_runs_configuration(kind) -> None:
 @pytest.mark.parametrize("kind", sorted(RECIPES))
 def test_an_episode_goes_on_after_the_latest_onset(kind) -> None:
     """By as long as a turn takes at the slowest, 0.7 s or so."""
-    _config, head = choose(TrainOptions(kind=kind))
+    _config, head = resolve_config(TrainOptions(kind=kind))
     assert recipe(kind).episode_steps * head.timing.period_s > LATEST_ONSET_S + 0.7
 
 
 def test_a_head_that_is_named_is_that_head_and_none_is_the_scenarios() -> None:
-    ideal = choose(TrainOptions(kind="policy", head="simulated"))[1]
+    ideal = resolve_config(TrainOptions(kind="policy", head="simulated"))[1]
     assert ideal.digest == load_head("simulated").digest
     webcam = load_scenario("webcam").model()
-    assert choose(TrainOptions(kind="policy", scenario="webcam"))[1].digest == webcam.digest
+    assert resolve_config(TrainOptions(kind="policy", scenario="webcam"))[1].digest == webcam.digest
 
 
 @pytest.mark.parametrize("asked", [True, False, None])
 @pytest.mark.parametrize("kind", sorted(RECIPES))
 def test_randomising_is_as_asked_and_else_as_the_recipe_has_it(kind, asked) -> None:
-    config, _head = choose(TrainOptions(kind=kind, randomise=asked))
+    config, _head = resolve_config(TrainOptions(kind=kind, randomise=asked))
     assert config.randomise == (recipe(kind).randomise if asked is None else asked)
     words = shlex.split(command_of(config))
     usual = recipe(kind).randomise
@@ -56,19 +56,21 @@ def test_randomising_is_as_asked_and_else_as_the_recipe_has_it(kind, asked) -> N
 
 def test_what_is_asked_for_on_the_command_line_goes_before_the_recipe() -> None:
     asked = {"steps": 4096, "envs": 16, "inputs": "error"}
-    config, _head = choose(TrainOptions(kind="policy", **asked))
+    config, _head = resolve_config(TrainOptions(kind="policy", **asked))
     assert {name: getattr(config, name) for name in asked} == asked
 
 
 def test_what_cannot_be_shared_is_not_shared_unless_asked_for() -> None:
-    config, _head = choose(TrainOptions(kind="policy", inputs="observation"))
+    config, _head = resolve_config(TrainOptions(kind="policy", inputs="observation"))
     assert not config.shared
-    assert choose(TrainOptions(kind="policy", inputs="observation", set=("shared=true",)))[0].shared
+    assert resolve_config(TrainOptions(kind="policy", inputs="observation", set=("shared=true",)))[
+        0
+    ].shared
 
 
 def test_a_number_of_the_recipe_can_be_changed() -> None:
     changes = ("log_std_init=-2", "final_learning_rate=1e-4")
-    config, _head = choose(TrainOptions(kind="policy", set=changes))
+    config, _head = resolve_config(TrainOptions(kind="policy", set=changes))
     assert (config.log_std_init, config.final_learning_rate) == (-2, 1e-4)
 
 

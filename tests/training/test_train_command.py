@@ -18,7 +18,7 @@ from vergence.controllers.networks.inputs import KINDS
 from vergence.errors import ConfigurationError
 from vergence.files import PARTIAL
 from vergence.training.checkpoint import read_checkpoint
-from vergence.training.choices import choose
+from vergence.training.choices import resolve_config
 from vergence.training.config import PLANTS, load_run
 from vergence.training.options import TrainOptions
 
@@ -169,7 +169,7 @@ def test_the_help_names_the_plants_that_are_accepted_and_where_inputs_are_explai
 
 def test_a_plant_that_cannot_be_learned_on_is_refused_in_python_too():
     with pytest.raises(ConfigurationError, match="expected one of kinematic, mujoco, got 'rend"):
-        choose(TrainOptions(kind="policy", plant="rendered"))
+        resolve_config(TrainOptions(kind="policy", plant="rendered"))
 
 
 def test_a_file_that_is_no_folder_is_refused(tmp_path, capsys):

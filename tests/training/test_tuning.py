@@ -6,14 +6,14 @@ from tests.training.runs import PPO, SMALL
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.tune import tune
-from vergence.training.choices import choose
+from vergence.training.choices import resolve_config
 from vergence.training.options import TrainOptions
 from vergence.training.tuning import SPANS, recipe_changes, training_objective
 
 
 def test_every_option_of_the_search_is_a_change_of_the_recipe():
     middle = {name: 0.5 * (span.low + span.high) for name, span in SPANS.items()}
-    config, _ = choose(TrainOptions(kind="policy", set=tuple(recipe_changes(middle))))
+    config, _ = resolve_config(TrainOptions(kind="policy", set=tuple(recipe_changes(middle))))
     assert config.algorithm["learning_rate"] == middle["learning_rate"]
     assert config.algorithm["clip_range"] == middle["clip_range"]
     assert config.algorithm["gae_lambda"] == middle["gae_lambda"]

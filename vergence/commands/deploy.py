@@ -20,7 +20,7 @@ from vergence.commands.options import Flat, dated_folder
 from vergence.eval.robot.config import DeployConfig
 
 if TYPE_CHECKING:
-    from vergence.eval.robot.deploy import Present
+    from vergence.eval.robot.deploy import GazeState
 
 _TERMINAL_PERIOD_S: Final = 0.1
 """Time between two updates on a terminal, s (chosen: prompt against processor load)."""
@@ -71,8 +71,8 @@ class _StatusPrinter:
 
     def __init__(self, config: DeployConfig) -> None:
         self._config = config
-        self._present: Present | None = None
-        self._last: dict[int, Present] = {}
+        self._present: GazeState | None = None
+        self._last: dict[int, GazeState] = {}
         self._ended = threading.Event()
         self._console = Console(stderr=True, highlight=False)
         self._thread = threading.Thread(target=self._run, daemon=True, name="vergence line")
@@ -85,7 +85,7 @@ class _StatusPrinter:
         self._ended.set()
         self._thread.join(1.0)
 
-    def show(self, present: "Present") -> None:
+    def show(self, present: "GazeState") -> None:
         """Store the present state; the thread prints it at its next update."""
         self._present = self._last[present.number] = present
 
@@ -104,7 +104,7 @@ class _StatusPrinter:
                 if self._present is not None:
                     live.update(Text("\n".join(self._lines(self._present))), refresh=True)
 
-    def _lines(self, present: "Present") -> list[str]:
+    def _lines(self, present: "GazeState") -> list[str]:
         from vergence.triangulation import triangulate_gaze
 
         fix = triangulate_gaze(present.head, present.reading.positions)
@@ -114,12 +114,12 @@ class _StatusPrinter:
         lines = [
             f"gaze {present.number}/{self._config.gazes}  {time_s:.1f} s  "
             f"error {_number(left)} {_number(right)} px  {_number(rate_hz)} Hz  "
-            f"{present.late} late",
+            f"{present.late_periods} late",
             f"gap {_number(1e3 * float(fix.gap[0]), 2)} mm  "
             f"point {_three(1e3 * fix.point[0])} +- {_three(1e3 * fix.sigma[0])} mm",
         ]
         if self._config.dry_run:
-            asked = zip(present.head.actuation.names, present.asked[3:], strict=False)
+            asked = zip(present.head.actuation.names, present.requested[3:], strict=False)
             speeds = ", ".join(f"{name} {value:+.2f}" for name, value in asked)
             lines.append(f"asked: {speeds} rad/s")
         return lines

@@ -101,7 +101,7 @@ class Evaluate:
         """Run trials on a robot, or only the missing ones, and write the results of all."""
         require("robot", "mcap")
         from vergence.eval.reporting.runs import check_writable
-        from vergence.eval.robot.evaluate import begun, evaluate_on_robot
+        from vergence.eval.robot.evaluate import evaluate_on_robot, read_begun_config
         from vergence.files import atomic_files
         from vergence.locks import locked
 
@@ -111,7 +111,7 @@ class Evaluate:
         if self.resume is None:
             check_writable(run)
         else:
-            config = begun(run)
+            config = read_begun_config(run)
         with locked(run), _kept(run):
             with (
                 redirect_stdout(sys.stderr),
@@ -199,13 +199,13 @@ def _as_result(found: "Evaluation") -> _Result:
 @contextmanager
 def _kept(run: Path) -> Iterator[None]:
     """Report the kept trials and the command that continues, if the body is interrupted."""
-    from vergence.eval.robot.sessions import Sessions
+    from vergence.eval.robot.evaluation_record import EvaluationRecord
 
     how = f"vergence evaluate --resume {run} goes on"
 
     def kept() -> str:
         try:
-            count = Sessions(run).count()
+            count = EvaluationRecord(run).count()
         except ConfigurationError:
             return ""
         return f"trials kept in {run}: {count}; {how}" if count else ""

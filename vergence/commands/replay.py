@@ -59,7 +59,7 @@ def _print(result: "Replay") -> None:
     print_gazes(result.gazes.rows(), result.summary())
     if result.gazes.dry_run:
         print("a dry run: nothing has moved")
-    if result.again is None:
+    if result.rerun is None:
         return
     rows = [
         [
@@ -68,8 +68,8 @@ def _print(result: "Replay") -> None:
             f"{row['rms_difference_rad_s']:.3g}",
             f"{row['greatest_difference_rad_s']:.3g}",
         ]
-        for row in result.again.rows()
+        for row in result.rerun.rows()
     ]
-    title = f"{result.again.controller}, asked again on the log's readings"
+    title = f"{result.rerun.controller}, asked again on the log's readings"
     columns = ("gaze", "identical commands", "rms difference (rad/s)", "greatest (rad/s)")
     print_table(columns, rows, title=title, wrapped=())

@@ -39,14 +39,14 @@ class Train:
         """Run the command."""
         require("train", "torch", "stable_baselines3", "tensorboard")
         from vergence.locks import locked
-        from vergence.training.choices import choose
+        from vergence.training.choices import resolve_config
         from vergence.training.run import resume, train
 
         if self.resume is not None:
             self._check_nothing_else()
             with locked(self.resume), _watching(self.resume) as watch:
                 return _end(resume(self.resume, watch, steps=self.options.steps))
-        config, head = choose(self.options)
+        config, head = resolve_config(self.options)
         folder = self.out or dated_folder(f"train-{config.kind}")
         with locked(folder), _watching(folder) as watch:
             return _end(train(folder, config, head, watch))
@@ -90,8 +90,8 @@ class _Watch:
             said = ", ".join(f"{name} {b.headline:.3f} {unit}" for name, b in baselines.items())
             print(f"{self._folder}: to beat on validation trials: {said}", file=sys.stderr)
 
-    def going_on(self, done: int) -> None:
-        """See `Listener.going_on`."""
+    def resumed(self, done: int) -> None:
+        """See `Listener.resumed`."""
         note(f"goes on after {done} steps" if done else "nothing had been saved: begins at 0 steps")
 
     def step(self, done: int, total: int) -> None:

@@ -107,7 +107,7 @@ class ProcessMapper(Mapper):
         finished = False
         with _silent_manager():
             with _interrupts_withheld():
-                results = parallel(delayed(_alone)(job) for job in jobs)
+                results = parallel(delayed(_run_single_threaded)(job) for job in jobs)
             try:
                 yield from enumerate(results)
                 finished = True
@@ -164,7 +164,7 @@ def _interrupts_withheld() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _alone(job: Callable[[], T]) -> T:
+def _run_single_threaded(job: Callable[[], T]) -> T:
     """Run a job on one thread, as other jobs use the other processors."""
     import cv2
 
@@ -309,4 +309,4 @@ def _remote(job: Callable[[], T], expected: dict[str, str]) -> T:
         raise ConfigurationError(
             f"cluster: expected the same versions on every node as here, got others of {names}"
         )
-    return _alone(job)
+    return _run_single_threaded(job)

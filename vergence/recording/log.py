@@ -59,7 +59,7 @@ class LoggedTrial:
         """Number of control periods with a reading at their end."""
         return len(self.reading.time_s) - 1
 
-    def asked(self) -> FloatArray:
+    def requested(self) -> FloatArray:
         """(steps, 7) velocities that the policy asked for, rad/s."""
         return np.array([one.asked for one in self.commands[: self.steps]]).reshape(-1, 7)
 
@@ -107,10 +107,10 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         ConfigurationError: a message does not match its topic, a trial is inconsistent, or mcap is
             not installed.
     """
-    parts = _Parts()
+    parts = _LogBuilder()
     for record in records_of(path, parts.broken):
         try:
-            parts.take(record)
+            parts.add(record)
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from error
     if schema.HEAD_FILE not in parts.files or not parts.facts:
@@ -127,7 +127,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     except VergenceError as error:
         raise ConfigurationError(f"{path}: {schema.HEAD_FILE}: {error}") from error
     try:
-        trials = tuple(trial.whole() for trial in parts.trials if trial.readings)
+        trials = tuple(trial.finish() for trial in parts.trials if trial.readings)
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from error
     return Log(
@@ -156,7 +156,7 @@ class _OpenTrial:
         default_factory=lambda: ([], [])
     )
 
-    def whole(self) -> LoggedTrial:
+    def finish(self) -> LoggedTrial:
         """Convert the trial to arrays, and refuse inconsistent ones."""
         reading = Reading._make(_columns(self.readings))
         times = reading.time_s[:, 0]
@@ -189,7 +189,7 @@ def _columns(rows: Sequence[Reading] | Sequence[Truth]) -> Iterator[NDArray[Any]
         yield np.stack(column)[:, None]
 
 
-class _Parts:
+class _LogBuilder:
     """Content of the log read so far."""
 
     def __init__(self) -> None:
@@ -206,7 +206,7 @@ class _Parts:
         """Note that the file ends early."""
         self.cut_off = reason
 
-    def take(self, record: "McapRecord") -> None:
+    def add(self, record: "McapRecord") -> None:
         """Add a record of the file."""
         from mcap.records import Attachment, Channel, Message, Metadata
 
@@ -214,13 +214,13 @@ class _Parts:
             self._topics[record.id] = _KNOWN[record.topic]
         elif isinstance(record, Message) and record.channel_id in self._topics:
             topic = self._topics[record.channel_id]
-            self._take(topic, decode(topic, record.data))
+            self._add_message(topic, decode(topic, record.data))
         elif isinstance(record, Metadata) and record.name == schema.FACTS:
             self.facts = {name: printable(text) for name, text in record.metadata.items()}
         elif isinstance(record, Attachment):
             self.files[record.name] = record.data.decode("utf-8", "replace")
 
-    def _take(self, topic: Topic, fields: dict[str, Any]) -> None:
+    def _add_message(self, topic: Topic, fields: dict[str, Any]) -> None:
         if topic is schema.TRIAL:
             self.trials.append(_OpenTrial(**fields))
         elif topic is schema.DETECTION:

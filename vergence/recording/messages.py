@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from vergence.errors import ConfigurationError
 from vergence.recording.schema import Form, Topic, shape
 
-_MOST: Final = 1e15
+_MAX_NUMBER: Final = 1e15
 """Largest absolute value of a number (chosen: above any measurement, and products stay finite)."""
 _LATEST_S: Final = 2**33
 """Upper limit of times of day, s since 1970: some 270 years (chosen)."""
@@ -103,7 +103,9 @@ def _is_of(kind: str, value: Any) -> bool:
         return kind == "b" and isinstance(value, bool)
     if kind == "i":
         return isinstance(value, int)
-    return value is None or (isinstance(value, int | float) and -_MOST <= value <= _MOST)
+    return value is None or (
+        isinstance(value, int | float) and -_MAX_NUMBER <= value <= _MAX_NUMBER
+    )
 
 
 def _words(form: Form) -> str:
@@ -111,7 +113,7 @@ def _words(form: Form) -> str:
     if not isinstance(form, np.ndarray):
         return "a text" if form is str else "base64" if form is bytes else "a time of day"
     kind = {"b": "true or false", "i": "a whole number"}.get(
-        form.dtype.kind, f"a number up to {_MOST:g} in size, or null"
+        form.dtype.kind, f"a number up to {_MAX_NUMBER:g} in size, or null"
     )
     return f"{kind}, in the shape {shape(form)}" if form.ndim else kind
 

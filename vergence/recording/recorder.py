@@ -43,8 +43,8 @@ class Recorder:
         self._task = task
         self._length = steps + 1
         self._rows = 0
-        self._reading = _room(Reading.empty(task.num), reading, self._length)
-        self._asked = truth
+        self._reading = _allocate(Reading.empty(task.num), reading, self._length)
+        self._truth_fields = truth
         self._truth: Truth | None = None
         seen = self._length if "pixels" in reading else 0
         self._pixel_error = np.empty((seen, task.num, 2, 2))
@@ -58,15 +58,15 @@ class Recorder:
         """
         task = self._task
         self._rows = step + 1
-        _keep(self._reading, task.reading, step)
+        _store(self._reading, task.reading, step)
         if len(self._pixel_error):
             self._pixel_error[step] = task.pixel_error
         self._lost[step] = task.lost
-        truth = task.truth() if self._asked else None
+        truth = task.truth() if self._truth_fields else None
         if truth is not None and self._truth is None:
-            self._truth = _room(Truth.unknown(task.num), self._asked, self._length)
+            self._truth = _allocate(Truth.unknown(task.num), self._truth_fields, self._length)
         if self._truth is not None:
-            _keep(self._truth, Truth.unknown(task.num) if truth is None else truth, step)
+            _store(self._truth, Truth.unknown(task.num) if truth is None else truth, step)
 
     @property
     def reading(self) -> Reading:
@@ -91,16 +91,16 @@ class Recorder:
         return self._lost[: self._rows]
 
 
-def _room(one: _Part, asked: Collection[str], length: int) -> _Part:
+def _allocate(one: _Part, fields: Collection[str], length: int) -> _Part:
     """Allocate `length` rows for the fields that are asked for, and none for others."""
     rows = {
-        name: np.repeat(part[None], length if name in asked else 0, axis=0)
+        name: np.repeat(part[None], length if name in fields else 0, axis=0)
         for name, part in one._asdict().items()
     }
     return one._replace(**rows)
 
 
-def _keep(rows: _Part, present: _Part, step: int) -> None:
+def _store(rows: _Part, present: _Part, step: int) -> None:
     for part, now in zip(rows, present, strict=True):
         if len(part):
             part[step] = now

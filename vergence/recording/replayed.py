@@ -26,7 +26,7 @@ class ReplayedPlant(Plant):
         trials: the logged trials.
 
     Attributes:
-        asked: list of the velocities, (7,) rad/s, that the policy has commanded in the current
+        commands: list of the velocities, (7,) rad/s, that the policy has commanded in the current
             trial.
 
     Raises:
@@ -39,7 +39,7 @@ class ReplayedPlant(Plant):
         if num != 1:
             raise ConfigurationError(f"num: expected 1, as a log is of one head, got {num}")
         self.head, self.num = head, num
-        self.asked: list[FloatArray] = []
+        self.commands: list[FloatArray] = []
         self._trials = list(trials)
         self._place, self._step = -1, 0
 
@@ -52,7 +52,7 @@ class ReplayedPlant(Plant):
         if self._place + 1 >= len(self._trials):
             raise HardwareError(f"the log has no more than {len(self._trials)} trials")
         self._place += 1
-        self.asked, self._step = [], 0
+        self.commands, self._step = [], 0
         return self._reading()
 
     def step(self, command: FloatArray) -> Reading:
@@ -63,7 +63,7 @@ class ReplayedPlant(Plant):
         """
         if self._step >= self._trial.steps:
             raise HardwareError(f"the trial has no more than {self._trial.steps} control periods")
-        self.asked.append(np.array(command[0]))
+        self.commands.append(np.array(command[0]))
         self._step += 1
         return self._reading()
 

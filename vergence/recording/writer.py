@@ -31,7 +31,7 @@ from vergence.recording.schema import LoggedCommand, LoggedDetection, LoggedJoin
 _LOGGER: Final = logging.getLogger("vergence")
 _FLUSH_S: Final = 0.05
 """Time between two writes, s; a kill loses at most this (chosen: little loss, few flushes)."""
-_MOST_WAITING: Final = 5000
+_MAX_QUEUED: Final = 5000
 """Largest number of queued messages, about ten seconds; beyond it the log ends (chosen)."""
 _JPEG_QUALITY: Final = 90
 """JPEG quality of logged images, 0 to 100 (chosen: detail against size of the log)."""
@@ -236,7 +236,7 @@ class LogWriter(RobotListener):
     # ---- the thread ----
 
     def _put(self, topic: Topic, clock_s: float, message: dict[str, Any]) -> None:
-        if len(self._waiting) > _MOST_WAITING:
+        if len(self._waiting) > _MAX_QUEUED:
             self.fault = self.fault or f"log: {self.path} ends early: its disk is too slow"
         if not self.fault:
             self._waiting.append((topic, clock_s, message))

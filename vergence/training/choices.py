@@ -19,7 +19,7 @@ _OWN: Final = ("kind", "head", "scenario", "plant", "seed")
 """Fields with an option of their own on the command line, which `--set` does not take."""
 
 
-def choose(options: TrainOptions) -> tuple[TrainConfig, HeadModel]:
+def resolve_config(options: TrainOptions) -> tuple[TrainConfig, HeadModel]:
     """Resolve a run's configuration.
 
     Args:

@@ -15,7 +15,7 @@ from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.manifest import Manifest
 from vergence.errors import ConfigurationError
 from vergence.eval.reporting.runs import toml_value
-from vergence.training.choices import choose
+from vergence.training.choices import resolve_config
 from vergence.training.config import TrainConfig
 from vergence.training.learner import load_learner
 from vergence.training.onnx_export import network_of
@@ -87,7 +87,9 @@ def command_of(config: TrainConfig) -> str:
         words.append("--randomise")
     elif recipe(config.kind).randomise:
         words.append("--no-randomise")
-    usual, _head = choose(TrainOptions(kind=config.kind, **named, randomise=config.randomise))
+    usual, _head = resolve_config(
+        TrainOptions(kind=config.kind, **named, randomise=config.randomise)
+    )
     changes = _changes(dataclasses.asdict(usual), dataclasses.asdict(config))
     return shlex.join([*words, *(["--set", *changes] if changes else [])])
 

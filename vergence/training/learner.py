@@ -21,9 +21,9 @@ from vergence.errors import ConfigurationError, DivergedError
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models.head import HeadModel
 from vergence.training.config import TrainConfig, load_run
-from vergence.training.learner_state import restore, restore_surroundings
+from vergence.training.learner_state import restore, restore_running_episodes
 from vergence.training.networks import JointPolicy
-from vergence.training.run_checkpoints import SURROUNDINGS, RunCheckpoints
+from vergence.training.run_checkpoints import RUNNING_EPISODES, RunCheckpoints
 from vergence.training.vec_env import VectorEnvAdapter
 
 Actor = Callable[[NDArray[np.float32]], NDArray[np.float32]]
@@ -109,8 +109,8 @@ class Learner:
             ConfigurationError: the checkpoint belongs to another learner.
         """
         restore(content, self.model, self.normalisation)
-        if SURROUNDINGS in content:
-            restore_surroundings(content[SURROUNDINGS], self.model, self.normalisation)
+        if RUNNING_EPISODES in content:
+            restore_running_episodes(content[RUNNING_EPISODES], self.model, self.normalisation)
 
     def check_finite(self) -> None:
         """Raise an error if networks or optimisers hold nan or infinity.

@@ -31,7 +31,7 @@ def state_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any
     }
 
 
-def surroundings_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any]:
+def running_episodes_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any]:
     """State of a learner's running episodes.
 
     Args:
@@ -73,10 +73,10 @@ def restore(content: Mapping[str, Any], model: BaseAlgorithm, normalisation: Vec
         ) from error
 
 
-def restore_surroundings(
+def restore_running_episodes(
     content: Mapping[str, Any], model: BaseAlgorithm, normalisation: VecNormalize
 ) -> None:
-    """Restore a learner's running episodes, see `surroundings_of`.
+    """Restore a learner's running episodes, see `running_episodes_of`.
 
     Raises:
         ConfigurationError: the checkpoint belongs to other environments.

@@ -16,7 +16,7 @@ class TrainingListener(Protocol):
     def begin(self, baselines: dict[str, Score], unit: str) -> None:
         """Called after the baselines are evaluated; their headline metric is in `unit`."""
 
-    def going_on(self, done: int) -> None:
+    def resumed(self, done: int) -> None:
         """Called if a run is resumed after `done` control steps; 0 if nothing had been saved."""
 
     def step(self, done: int, total: int) -> None:

@@ -13,7 +13,7 @@ TrainingPlant = Literal["kinematic", "mujoco"]
 
 @dataclass(frozen=True, kw_only=True)
 class TrainOptions:
-    """Options of a training run, see `vergence.training.choices.choose`."""
+    """Options of a training run, see `vergence.training.choices.resolve_config`."""
 
     kind: Annotated[
         str | None, tyro.conf.Positional, tyro.conf.arg(help_behavior_hint="", metavar="KIND")

@@ -16,7 +16,7 @@ from vergence.models.head import HeadModel
 from vergence.training.config import PACKAGES, TrainConfig, begin_run, check_new, load_run
 from vergence.training.curve import draw_curve, write_curve
 from vergence.training.learner import Learner
-from vergence.training.learner_state import state_of, surroundings_of
+from vergence.training.learner_state import running_episodes_of, state_of
 from vergence.training.listener import Result, Row, TrainingListener
 from vergence.training.logs import make_logger
 from vergence.training.run_checkpoints import RunCheckpoints
@@ -98,7 +98,7 @@ def resume(
         if content is not None:
             learner.restore(content)
             rows = list(content["curve"])
-        listener.going_on(done)
+        listener.resumed(done)
         with _writing(folder):
             if steps is not None:
                 with atomic_files(folder, last="config.toml") as beside:
@@ -253,7 +253,7 @@ class _Run(BaseCallback):
             "curve": self._rows,
             "validation": dataclasses.asdict(score),
         }
-        self._checkpoints.write(content, surroundings_of(model, normalisation), best)
+        self._checkpoints.write(content, running_episodes_of(model, normalisation), best)
         write_curve(self._folder, self._rows)
         self._listener.row(row)
         self._rewards, self._lengths = [], []

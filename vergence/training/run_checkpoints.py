@@ -14,7 +14,7 @@ from vergence.training.checkpoint import checkpoint_bytes, read_checkpoint, writ
 from vergence.training.config import TrainConfig
 
 CHECKPOINTS: Final = ("best", "last")
-SURROUNDINGS: Final = "surroundings"
+RUNNING_EPISODES: Final = "surroundings"
 """Key of the state of running episodes, which only the last checkpoint holds."""
 _MAY_CHANGE: Final = ("steps",)
 """Fields of the configuration that may change if a run is resumed."""
@@ -67,17 +67,17 @@ class RunCheckpoints:
         return content
 
     def write(
-        self, content: Mapping[str, Any], surroundings: Mapping[str, Any], best: bool
+        self, content: Mapping[str, Any], running_episodes: Mapping[str, Any], best: bool
     ) -> None:
         """Write the last checkpoint, and also the best one if `best`.
 
         Args:
             content: content of both.
-            surroundings: state of the running episodes, only for the last one.
+            running_episodes: state of the running episodes, only for the last one.
             best: True if this is the best evaluation so far.
         """
         marked = {**content, "run": self._run()}
-        full = {**marked, SURROUNDINGS: surroundings}
+        full = {**marked, RUNNING_EPISODES: running_episodes}
         folder = self.path("last").parent
         folder.mkdir(exist_ok=True)
         # last.pt comes first: if the process is killed in between, `latest` makes best.pt from it
@@ -111,7 +111,7 @@ class RunCheckpoints:
                 f"resume: expected {best}, of {kept} steps, beside last.pt, "
                 f"got {'another' if best.exists() else 'no such file'} (put it back)"
             )
-        write_checkpoint(best, {k: v for k, v in content.items() if k != SURROUNDINGS})
+        write_checkpoint(best, {k: v for k, v in content.items() if k != RUNNING_EPISODES})
         return content
 
     def _run(self) -> dict[str, Any]:

@@ -7,17 +7,17 @@ from typing import Any, Final, cast
 
 from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.objective import Objective
-from vergence.eval.tuning.spaces import Options, Span
-from vergence.training.choices import choose
+from vergence.eval.tuning.spaces import Options, SearchRange
+from vergence.training.choices import resolve_config
 from vergence.training.options import TrainingPlant, TrainOptions
 from vergence.training.run import train
 
 SPANS: Final = {
-    "learning_rate": Span(1e-4, 5e-3, "log"),
-    "discount_time_steps": Span(10.0, 200.0, "log"),
-    "clip_range": Span(0.1, 0.4),
-    "gae_lambda": Span(0.85, 0.99),
-    "log_std_init": Span(-2.0, 0.0),
+    "learning_rate": SearchRange(1e-4, 5e-3, "log"),
+    "discount_time_steps": SearchRange(10.0, 200.0, "log"),
+    "clip_range": SearchRange(0.1, 0.4),
+    "gae_lambda": SearchRange(0.85, 0.99),
+    "log_std_init": SearchRange(-2.0, 0.0),
 }
 """Search ranges of a recipe's parameters; gamma = 1 - 1 / discount_time_steps."""
 
@@ -28,7 +28,7 @@ class _Silent:
     def begin(self, baselines: Any, unit: str) -> None:
         """See `vergence.training.listener.TrainingListener`."""
 
-    def going_on(self, done: int) -> None:
+    def resumed(self, done: int) -> None:
         """See `vergence.training.listener.TrainingListener`."""
 
     def step(self, done: int, total: int) -> None:
@@ -68,7 +68,7 @@ def training_objective(
     """
 
     def judge(options: Options) -> dict[str, float]:
-        choice, head = choose(
+        choice, head = resolve_config(
             TrainOptions(
                 kind=config.controller,
                 head=config.head,

@@ -33,7 +33,7 @@ class Score:
     @classmethod
     def of(cls, trials: Trials) -> "Score":
         """Score of a set of trials."""
-        if trials.moving:
+        if trials.target_moves:
             values, good = trials.tracking_px, ~trials.lost
         else:
             band_px = trials.band_px
@@ -72,7 +72,7 @@ class Validation:
     def __init__(
         self, scenario: Scenario, head: HeadModel, plant: str, seed: int, episodes: int
     ) -> None:
-        self.unit = "px" if scenario.moving else "s"
+        self.unit = "px" if scenario.target_moves else "s"
         self._run: dict[str, Any] = {
             "scenario": scenario,
             "head": head,
@@ -82,7 +82,7 @@ class Validation:
             "split": "validation",
         }
         self.baselines: dict[str, Score] = {}
-        for name in OF_MOVING if scenario.moving else BASELINES:
+        for name in OF_MOVING if scenario.target_moves else BASELINES:
             entry = find_tuned(name, scenario.name, head)
             if entry is not None:
                 label = name if is_for(entry, head) else f"{name} (untuned for this head)"

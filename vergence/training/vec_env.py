@@ -52,7 +52,7 @@ class VectorEnvAdapter(VecEnv):
             self.set_options({"trial": first_trial})
         self._returns = np.zeros(self.num_envs)
         self._lengths = np.zeros(self.num_envs, dtype=np.int64)
-        self._going_on: dict[str, Any] = {}
+        self._empty_info: dict[str, Any] = {}
 
     def reset(self) -> NDArray[np.float32]:
         """Begin an episode in every environment, with the seeds and options last given."""
@@ -90,7 +90,7 @@ class VectorEnvAdapter(VecEnv):
         done = np.asarray(terminated | truncated)
         self._returns += reward
         self._lengths += 1
-        infos = [self._going_on] * self.num_envs
+        infos = [self._empty_info] * self.num_envs
         if done.any():
             ended = np.flatnonzero(done)
             success = info.get("final_info", {}).get("is_success")
@@ -133,14 +133,14 @@ class VectorEnvAdapter(VecEnv):
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Set an attribute of the vector environment, common to all environments."""
-        self._all_places(indices, attr_name)
+        self._require_all_environments(indices, attr_name)
         setattr(self.env, attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
         """Call a method of the vector environment once for all environments."""
-        self._all_places(indices, method_name)
+        self._require_all_environments(indices, method_name)
         result = getattr(self.env, method_name)(*method_args, **method_kwargs)
         return [result] * self.num_envs
 
@@ -155,7 +155,7 @@ class VectorEnvAdapter(VecEnv):
         pictures: Any = self.env.render()
         return [None] * self.num_envs if pictures is None else list(pictures)
 
-    def _all_places(self, indices: Any, what: str) -> None:
+    def _require_all_environments(self, indices: Any, what: str) -> None:
         if indices is not None and len(list(self._get_indices(indices))) != self.num_envs:
             raise ConfigurationError(
                 f"{what}: expected all places of the vector environment, got {indices!r}"

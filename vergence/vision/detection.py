@@ -24,7 +24,7 @@ from vergence.models.response import (
     light_table,
     parse_response,
 )
-from vergence.vision.image import has_colours, measured_levels
+from vergence.vision.image import has_colours, measurement_channel
 from vergence.vision.optics import EyeCamera, FlatView, NoLens, ray_table
 
 _REGION_MARGIN_SHARE = 0.5
@@ -192,7 +192,7 @@ class Detector(ABC, Generic[TargetT]):
     def _grey(self, image: ArrayLike) -> NDArray[np.uint8]:
         """Grey levels of an image; also keeps the light by level for fits in this image."""
         self._light = light_table(self.response_of(image))
-        return measured_levels(image, self._size)
+        return measurement_channel(image, self._size)
 
     def _check(self, predicted: Detection) -> None:
         target = getattr(predicted, "target", None)

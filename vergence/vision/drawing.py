@@ -51,12 +51,12 @@ _LEAST_FINE_TEXEL = 0.22
 """Smallest size of a texel, in samples, for sharper images; the texture then has all the blur."""
 _FINE_BLURS = (1.35, 2.6)
 """Range of the texture's blur for these images, in texels."""
-_STEEP = 1.5
+_STEEP_RATIO = 1.5
 """Ratio of the scales across and along the foreshortened direction above which a view is steep:
 48 degrees."""
-_FINER = 1.1
+_OVERSAMPLING_MARGIN = 1.1
 """Factor on the number of samples of steep views, for safety."""
-_MOST_FINER = 6
+_MOST_OVERSAMPLING = 6
 """Largest factor on the number of samples along each axis."""
 _TEXTURE_RIM = 9
 """Surround of the board in a texture, texels."""
@@ -131,9 +131,9 @@ class TargetDrawing:
         if bounds is None:
             return
         spacing = self._sample_spacing(pose)
-        finer = _finer(spacing)
-        scale = finer * self.rendering.supersampling
-        texels, texture_blur, blur = self._choose_level(spacing, finer)
+        oversampling = _oversampling(spacing)
+        scale = oversampling * self.rendering.supersampling
+        texels, texture_blur, blur = self._choose_level(spacing, oversampling)
         smear = scale * np.asarray(smear_px, float)
         smear_length = math.hypot(smear[0], smear[1])
         half_kernel, sigma = gaussian_taps(blur)
@@ -142,7 +142,7 @@ class TargetDrawing:
         if window is None:
             return
         drawn, padded = window
-        samples: NDArray[Any] = self._sample(board, padded, texels, texture_blur, finer)
+        samples: NDArray[Any] = self._sample(board, padded, texels, texture_blur, oversampling)
         if half_kernel > 0:
             size = 2 * half_kernel + 1
             samples = cv2.GaussianBlur(samples, (size, size), sigma)
@@ -181,18 +181,20 @@ class TargetDrawing:
         a, b = f_u * (ax - x / z * cx) / z, f_u * (ay - x / z * cy) / z
         c, d = f_v * (bx - y / z * cx) / z, f_v * (by - y / z * cy) / z
         if self.camera.bends_boards:
-            (xx, xy), (_, yy) = self.camera.stretch(x / z, y / z).tolist()
+            (xx, xy), (_, yy) = self.camera.distortion_jacobian(x / z, y / z).tolist()
             k = f_u / f_v
             a, c = xx * a + xy * k * c, xy / k * a + yy * c
             b, d = xx * b + xy * k * d, xy / k * b + yy * d
         sum_, difference = math.hypot(a + d, b - c), math.hypot(a - d, b + c)
         return 0.5 * scale * abs(sum_ - difference), 0.5 * scale * (sum_ + difference)
 
-    def _choose_level(self, spacing: tuple[float, float], finer: int) -> tuple[int, float, float]:
+    def _choose_level(
+        self, spacing: tuple[float, float], oversampling: int
+    ) -> tuple[int, float, float]:
         """Texels per cell, the texture's blur in texels, and the remaining blur in samples."""
-        scale = finer * self.rendering.supersampling
+        scale = oversampling * self.rendering.supersampling
         wanted = (scale * self.rendering.blur_px) ** 2 + scale**2 / 12 - (scale**2 - 1) / 12
-        least, greatest = (finer * value * self.target.cell_m for value in spacing)
+        least, greatest = (oversampling * value * self.target.cell_m for value in spacing)
         mean = 0.5 * (least + greatest)
         texels = _texels(least, _LEAST_TEXEL)
         blur = _TEXTURE_BLUR
@@ -220,7 +222,12 @@ class TargetDrawing:
         return inner, (left, top, right, bottom)
 
     def _sample(
-        self, board: NDArray[np.float64], region: Region, texels: int, blur: float, finer: int
+        self,
+        board: NDArray[np.float64],
+        region: Region,
+        texels: int,
+        blur: float,
+        oversampling: int,
     ) -> NDArray[np.uint8]:
         """Grey of the board at each sample of a region, 0 black to 255 white."""
         scale = self.rendering.supersampling
@@ -233,15 +240,15 @@ class TargetDrawing:
                 (y0 + margin) * scale : (y1 + margin) * scale,
                 (x0 + margin) * scale : (x1 + margin) * scale,
             ]
-            if finer > 1:  # rays are linear within a sample
-                finest: Any = cv2.resize(rays, None, fx=finer, fy=finer)  # bilinear
+            if oversampling > 1:  # rays are linear within a sample
+                finest: Any = cv2.resize(rays, None, fx=oversampling, fy=oversampling)  # bilinear
                 rays = finest
             where = cv2.perspectiveTransform(rays, texture_from_ray)
             remap: Any = cv2.remap
             return np.asarray(
                 remap(image, where, None, cv2.INTER_LINEAR, borderValue=self._surround), np.uint8
             )
-        scale *= finer
+        scale *= oversampling
         half = 0.5 / scale - 0.5
         pixel_from_sample = np.array(
             [[1 / scale, 0, x0 + half], [0, 1 / scale, y0 + half], [0, 0, 1]]
@@ -315,12 +322,12 @@ def _encoding(rendering: Rendering, light: NDArray[np.float64]) -> tuple[float, 
     return surround, encoded
 
 
-def _finer(spacing: tuple[float, float]) -> int:
+def _oversampling(spacing: tuple[float, float]) -> int:
     """Factor on the number of samples along each axis for steep views; 1 for others."""
     least, greatest = spacing
-    if greatest <= _STEEP * least:
+    if greatest <= _STEEP_RATIO * least:
         return 1
-    return min(math.ceil(_FINER * greatest / least), _MOST_FINER)
+    return min(math.ceil(_OVERSAMPLING_MARGIN * greatest / least), _MOST_OVERSAMPLING)
 
 
 def _texels(samples: float, least: float) -> int:

@@ -112,7 +112,7 @@ def has_colours(image: ArrayLike) -> bool:
     return len(shape) == 3 and shape[2] in (3, 4)
 
 
-def measured_levels(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
+def measurement_channel(image: ArrayLike, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
     """8-bit levels in which targets are measured: grey, or the green channel of a colour image.
 
     Green has half of the pixels of a Bayer mosaic, and lies between red and blue in the chromatic
@@ -128,7 +128,7 @@ def measured_levels(image: ArrayLike, size: tuple[int, int] | None = None) -> ND
     return as_grey(np.asarray(image)[..., 1] if has_colours(image) else image, size)
 
 
-def as_taken(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def restore_grey(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Convert a video frame of a grey camera back to grey: OpenCV decodes grey as BGR.
 
     Args:

@@ -148,7 +148,7 @@ class EyeCamera:
         array = as_operand("points", points, "n", 3)
         return np.asarray(rays_to_pixels(array[:, :2] / array[:, 2:], self.row))
 
-    def stretch(self, x: float, y: float) -> NDArray[np.float64]:
+    def distortion_jacobian(self, x: float, y: float) -> NDArray[np.float64]:
         """Jacobian of the lens distortion at a ray.
 
         Args:
@@ -180,27 +180,27 @@ class FlatView:
     ray_from_plane: NDArray[np.float64]
     """(3, 3) inverse of it."""
 
-    def ideal(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_plane(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points of the plane for pixels of the image, shape (n, 2)."""
         rays = self.camera.rays(pixels)
         return np.asarray(cv2.perspectiveTransform(rays[None], self.plane_from_ray)[0])
 
-    def seen(self, ideal: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Pixels of the image for points of the plane, the inverse of `ideal`, shape (n, 2)."""
-        rays = cv2.perspectiveTransform(ideal[None], self.ray_from_plane)[0]
+    def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pixels of the image for points of the plane, the inverse of `to_plane`, shape (n, 2)."""
+        rays = cv2.perspectiveTransform(points[None], self.ray_from_plane)[0]
         return np.asarray(rays_to_pixels(np.asarray(rays, float), self.camera.row))
 
 
 class NoLens:
     """View of an image without lens distortion: the image itself."""
 
-    def ideal(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_plane(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the pixels, shape (n, 2)."""
         return pixels
 
-    def seen(self, ideal: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the points, shape (n, 2)."""
-        return ideal
+        return points
 
 
 @lru_cache(maxsize=4)

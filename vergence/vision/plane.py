@@ -43,7 +43,7 @@ def plane_of(corners: FloatArray, G: FloatArray) -> None:
 
 
 @subroutine
-def back_of(G: FloatArray, H: FloatArray) -> None:
+def inverse_homography(G: FloatArray, H: FloatArray) -> None:
     """Compute the homography from the plane to the image, the inverse of `plane_of`.
 
     Args:
@@ -140,14 +140,16 @@ def ray_at(rays: NDArray[np.float32], u: float, v: float) -> tuple[float, float]
 
 
 @subroutine
-def through(H: FloatArray, x: float, y: float) -> tuple[float, float]:
+def transform_point(H: FloatArray, x: float, y: float) -> tuple[float, float]:
     """Point transformed by a homography."""
     w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
     return (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w
 
 
 @subroutine
-def ideal_of(rays: NDArray[np.float32], view: View, u: float, v: float) -> tuple[float, float]:
+def undistorted_point(
+    rays: NDArray[np.float32], view: View, u: float, v: float
+) -> tuple[float, float]:
     """Approximate point of a view's plane for a pixel, by interpolated rays.
 
     Args:
@@ -159,15 +161,15 @@ def ideal_of(rays: NDArray[np.float32], view: View, u: float, v: float) -> tuple
     if not view.lens:
         return u, v
     x, y = ray_at(rays, u, v)
-    return through(view.plane_from_ray, x, y)
+    return transform_point(view.plane_from_ray, x, y)
 
 
 @subroutine
-def seen_at(camera: CameraRow, view: View, u: float, v: float) -> tuple[float, float]:
+def distorted_pixel(camera: CameraRow, view: View, u: float, v: float) -> tuple[float, float]:
     """Pixel of a point of a view's plane; nan beyond the lens model."""
     if not view.lens:
         return u, v
-    x, y = through(view.ray_from_plane, u, v)
+    x, y = transform_point(view.ray_from_plane, u, v)
     return ray_to_pixel(camera, x, y)
 
 

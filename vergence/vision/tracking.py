@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.vision.carrying import carry, is_pose
 from vergence.vision.detection import Detection, Detector, as_pixel
+from vergence.vision.motion_prediction import is_pose, predict_pixels
 
 _UNKNOWN_M: Final = np.empty((0, 2))
 """Corners of a target of unknown size (numerical)."""
@@ -64,7 +64,7 @@ class Tracker:
         predicted_px = None if predicted_px is None else as_pixel("predicted_px", predicted_px)
         found = carried_px = None
         if self._last is not None:
-            pixels = self._carried(self._last, pose)
+            pixels = self._predict_rest(self._last, pose)
             carried_px = pixels[-1]
             pixels = pixels + (self._motion if predicted_px is None else predicted_px - carried_px)
             expected = self._last._replace(corners_px=pixels[:-1], point_px=pixels[-1])
@@ -83,7 +83,9 @@ class Tracker:
         self._last, self._pose = found, pose
         return found
 
-    def _carried(self, last: Detection, pose: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    def _predict_rest(
+        self, last: Detection, pose: NDArray[np.float64] | None
+    ) -> NDArray[np.float64]:
         """Corners and point of the last detection, corrected for the camera's own motion.
 
         Returns:
@@ -95,7 +97,9 @@ class Tracker:
             return pixels
         corners_m = last.target.corners_m if last.target.size_known else _UNKNOWN_M
         out = np.empty(pixels.shape)
-        return out if carry(pixels, camera.row, self._pose, pose, corners_m, out) else pixels
+        return (
+            out if predict_pixels(pixels, camera.row, self._pose, pose, corners_m, out) else pixels
+        )
 
 
 def _pose(value: ArrayLike) -> NDArray[np.float64]:

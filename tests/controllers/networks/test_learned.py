@@ -21,7 +21,7 @@ from vergence.controllers.networks.bundle import pretrained, read_bundle
 from vergence.controllers.networks.learned import LearnedGain, LearnedPolicy, load_policy
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError
-from vergence.eval.margins.measure import moved
+from vergence.eval.margins.measure import with_imperfection
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models import ModelErrors
@@ -257,7 +257,7 @@ def test_the_shipped_networks_settle_in_a_robots_loop(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_shipped_networks_are_calm_on_servos_that_overshoot(kind):
-    scenario = moved(load_scenario("hardware"), "overshoot", 0.3)
+    scenario = with_imperfection(load_scenario("hardware"), "overshoot", 0.3)
     controller = make_controller(NAMES[kind], scenario.model())
     trials = run_trials(controller, scenario, episodes=60, split="validation")
     assert not trials.swings.any()

@@ -14,7 +14,7 @@ from vergence.eval.comparison.evaluate import (
     row_fields,
 )
 from vergence.eval.comparison.folder import write_evaluation
-from vergence.eval.comparison.summary import compare
+from vergence.eval.comparison.summary import speed_up
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 from vergence.eval.trials.settling import Band
 from vergence.models.files.head_file import save_head
@@ -38,7 +38,7 @@ def run(monkeypatch, tmp_path):
     def evaluated(band_px: float = 1.0, **toys: object) -> Evaluation:
         scenario = Scenario(
             name="known",
-            what="a step",
+            description="a step",
             target=STEP.target,
             duration_s=0.5,
             head=str(tmp_path / "ideal.toml"),
@@ -107,7 +107,7 @@ def test_the_leading_band_decides_who_is_faster(run, band_px, faster) -> None:
     evaluation = run(band_px, near=NEAR, steady=KnowsTheWay(40))
     near, steady = (outcome_of(evaluation, name) for name in ("near", "steady"))
     assert near.band_px == band_px
-    found = compare(near.trials, steady.trials, False, band_px, seed=0)
+    found = speed_up(near.trials, steady.trials, False, band_px, seed=0)
     assert found["faster"] == pytest.approx(faster)
 
 
@@ -136,7 +136,7 @@ def test_nothing_is_faster_where_less_than_half_of_the_trials_settled(run) -> No
     evaluation = run(few=few, steady=KnowsTheWay(40))
     tables = [outcome_of(evaluation, name).trials for name in ("few", "steady")]
     for ours, theirs in (tables, tables[::-1]):
-        assert np.isnan(compare(ours, theirs, False, 1.0, seed=0)["faster"])
+        assert np.isnan(speed_up(ours, theirs, False, 1.0, seed=0)["faster"])
     # the printed tables compare with a baseline that does not settle in half a second
     (row,) = (row for row in evaluation.summaries() if row["controller"] == "steady")
     assert np.isnan(row["faster"])

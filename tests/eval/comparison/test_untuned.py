@@ -17,7 +17,7 @@ from vergence.eval.comparison.tables import RESIDUAL_COLUMN, describe, legend, t
 from vergence.eval.jobs import ProcessMapper, SerialMapper
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning import baseline
-from vergence.eval.tuning.spaces import SEARCH_SPACES, Span
+from vergence.eval.tuning.spaces import SEARCH_SPACES, SearchRange
 from vergence.models.files.head_file import load_head, save_head
 
 MARK = "untuned for this head"
@@ -33,7 +33,7 @@ def mine(tmp_path):
 
 @pytest.fixture
 def few_gains(monkeypatch):
-    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": Span(3.0, 5.0, "linear", 0.05)})
+    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": SearchRange(3.0, 5.0, "linear", 0.05)})
     monkeypatch.setattr(baseline, "EPISODES", 6)
 
 
@@ -131,7 +131,7 @@ def test_the_search_finds_the_best_gain_of_the_grid_in_one_process_and_in_two(fe
 
 
 def test_a_best_gain_at_the_edge_of_the_search_is_refused(few_gains, monkeypatch):
-    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": Span(2.0, 3.0, "linear", 0.05)})
+    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": SearchRange(2.0, 3.0, "linear", 0.05)})
     scenario = load_scenario("workspace")
     with pytest.raises(ConfigurationError, match="a best gain below 3, the greatest that is tried"):
         baseline.best_gain(scenario, scenario.model(), SerialMapper())

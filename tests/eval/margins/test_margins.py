@@ -30,7 +30,7 @@ def known(monkeypatch, tmp_path):
     save_head(ideal_head(), tmp_path / "ideal.toml")
     scenario = Scenario(
         name="known",
-        what="a step",
+        description="a step",
         target=STEP.target,
         duration_s=0.5,
         head=str(tmp_path / "ideal.toml"),

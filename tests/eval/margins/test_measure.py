@@ -8,13 +8,13 @@ import pytest
 
 from tests.eval.trials.toys import PERIOD_S, STEP, InTwoTurns, KnowsTheWay, ideal_head
 from vergence import make_controller
-from vergence.eval.margins.measure import Measure, Point, band_px, moved
+from vergence.eval.margins.measure import Measure, Point, band_px, with_imperfection
 from vergence.eval.margins.ranges import SEARCHED, range_of
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 
 WORKSPACE = load_scenario("workspace")
-KNOWN = Scenario(name="known", what="a step", target=STEP.target, duration_s=0.5)
+KNOWN = Scenario(name="known", description="a step", target=STEP.target, duration_s=0.5)
 
 
 def measured(controller, name: str, value: float, scenario: Scenario = KNOWN) -> Point:
@@ -33,7 +33,7 @@ def test_at_the_expected_value_nothing_has_changed():
     untouched = run_trials(controller, scenario, episodes=3)
     for name in SEARCHED:
         expected = range_of(name, scenario, head).expected
-        trials = run_trials(controller, moved(scenario, name, expected), episodes=3)
+        trials = run_trials(controller, with_imperfection(scenario, name, expected), episodes=3)
         np.testing.assert_array_equal(trials.error, untouched.error, err_msg=name)
 
 
@@ -42,7 +42,7 @@ def test_all_else_stays_as_the_trial_draws_it():
     controller = make_controller("ibvs", scenario.model())
     one, other = (
         run_trials(controller, each, episodes=5)
-        for each in (scenario, moved(scenario, "latency_s", 0.2))
+        for each in (scenario, with_imperfection(scenario, "latency_s", 0.2))
     )
     np.testing.assert_array_equal(one.error[0], other.error[0])
     for name, values in one.conditions.items():
@@ -66,7 +66,7 @@ def test_ninety_nine_of_a_hundred_settle():
 
 def test_the_median_has_doubled_where_it_is_twice_that_of_the_untouched():
     for median_s, keeps in {0.39: True, 0.4: False, inf: False}.items():
-        assert Point(0.0, 1.0, 10, 10, median_s, 0.2).keeps_pace is keeps
+        assert Point(0.0, 1.0, 10, 10, median_s, 0.2).median_not_doubled is keeps
 
 
 def test_what_never_settled_untouched_does_not_count():
@@ -80,7 +80,7 @@ def test_what_no_longer_settles_never_does():
     assert (point.trials, point.settled) == (10, 0)
     assert point.median_s == inf
     assert not point.settles
-    assert not point.keeps_pace
+    assert not point.median_not_doubled
 
 
 def test_where_nothing_settles_untouched_nothing_is_good():
@@ -88,8 +88,8 @@ def test_where_nothing_settles_untouched_nothing_is_good():
     assert point.trials == 0
     assert np.isnan([point.median_s, point.untouched_median_s]).all()
     assert not point.settles
-    assert not point.keeps_pace
-    assert not Point(0.0, 1.0, 0, 0, nan, nan).keeps_pace
+    assert not point.median_not_doubled
+    assert not Point(0.0, 1.0, 0, 0, nan, nan).median_not_doubled
 
 
 def test_a_late_command_adds_to_the_settling_time():
@@ -117,7 +117,7 @@ def test_nothing_else_widens_the_band():
 
 
 def test_what_begins_later_has_as_much_time_left():
-    assert moved(KNOWN, "onset_s", 0.3).duration_s == pytest.approx(0.8)
+    assert with_imperfection(KNOWN, "onset_s", 0.3).duration_s == pytest.approx(0.8)
     hardware = load_scenario("hardware")
-    assert moved(hardware, "onset_s", 0.3).duration_s == hardware.duration_s
-    assert moved(KNOWN, "latency_s", 0.3).duration_s == KNOWN.duration_s
+    assert with_imperfection(hardware, "onset_s", 0.3).duration_s == hardware.duration_s
+    assert with_imperfection(KNOWN, "latency_s", 0.3).duration_s == KNOWN.duration_s

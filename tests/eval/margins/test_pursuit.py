@@ -49,10 +49,10 @@ def test_motors_that_a_head_file_knows_nothing_of_are_found(workspace, name, rat
     parts = {"limits": {"acceleration": np.array([120.0] * 3 + [2.0] * 4)}}
     slow = Scenario(
         name="slow",
-        what="a head whose file has a placeholder for its accelerations",
+        description="a head whose file has a placeholder for its accelerations",
         target=workspace.target,
         duration_s=workspace.duration_s,
-        parts=parts,
+        head_overrides=parts,
         variation=Variation(acceleration_ratio=(ratio, ratio)),
     )
     trials = run_trials(make_controller(name, slow.model()), slow, episodes=20)

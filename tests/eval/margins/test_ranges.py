@@ -6,7 +6,7 @@ import numpy as np
 
 from vergence.envs.plants.imperfections import IMPERFECTIONS, PARTS, is_within
 from vergence.envs.plants.variation import RANGES
-from vergence.eval.margins.ranges import SEARCHED, matters, range_of
+from vergence.eval.margins.ranges import SEARCHED, has_effect, range_of
 from vergence.eval.trials.scenarios import load_scenario
 
 WORKSPACE, HARDWARE = load_scenario("workspace"), load_scenario("hardware")
@@ -68,8 +68,8 @@ def test_a_head_with_play_is_expected_to_have_it():
 
 
 def test_the_size_of_outliers_matters_where_there_are_some():
-    assert matters("outlier_px", HARDWARE)
-    assert not matters("outlier_px", WORKSPACE)
+    assert has_effect("outlier_px", HARDWARE)
+    assert not has_effect("outlier_px", WORKSPACE)
     none = dataclasses.replace(HARDWARE.variation, outlier_probability=(0.0, 0.0))
-    assert not matters("outlier_px", dataclasses.replace(HARDWARE, variation=none))
-    assert matters("lag_s", WORKSPACE)
+    assert not has_effect("outlier_px", dataclasses.replace(HARDWARE, variation=none))
+    assert has_effect("lag_s", WORKSPACE)

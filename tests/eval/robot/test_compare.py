@@ -42,7 +42,9 @@ def test_simulation_has_the_robots_head_and_its_loop(desk):
     lineup = line_up(config, None, SerialMapper())
     (scenario, plant), head = lineup.pairs[0], load_hardware(desk).head
     assert (scenario.name, plant, lineup.head.digest) == ("webcam", "kinematic", head.digest)
-    assert all(fitted.tuned for _, fitted in lineup.able["webcam"])  # as for that head's servos
+    assert all(
+        resolved.tuned for _, resolved in lineup.contestants["webcam"]
+    )  # as for that head's servos
     trials = evaluate(config).trials()
     for name, value in (
         ("latency_s", 0.082),

@@ -11,8 +11,8 @@ from vergence.eval.comparison.config import ROBOT
 from vergence.eval.comparison.contestant_job import Failure
 from vergence.eval.comparison.contestants import contestants
 from vergence.eval.comparison.options import GivenOptions
+from vergence.eval.robot.evaluation_record import JournalEntry, RecordedTrial
 from vergence.eval.robot.judge import RobotJob
-from vergence.eval.robot.sessions import JournalEntry, RecordedTrial
 from vergence.eval.trials.run import periods
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.recording.log import read_log
@@ -42,9 +42,9 @@ class Forgetful:
 
 def outcome(*recorded, controller="state-feedback"):
     contestant = contestants((controller,), given=GivenOptions())[0]
-    fitted = contestant.fitted(DESK.head, SCENARIO.name)
+    resolved = contestant.resolve_options(DESK.head, SCENARIO.name)
     job = RobotJob(
-        contestant=contestant, fitted=fitted, scenario=SCENARIO, plant=ROBOT, head=DESK.head,
+        contestant=contestant, resolved=resolved, scenario=SCENARIO, plant=ROBOT, head=DESK.head,
         episodes=len(recorded), seed=0, keep_going=True, hardware=DESK, recorded=recorded,
     )  # fmt: skip
     return job()

@@ -23,7 +23,7 @@ def logged(tmp_path_factory):
 
 def test_the_same_law_asks_for_the_same_to_the_bit(logged):
     found = replay(ReplayConfig(log=logged[0], controller="state-feedback"))
-    assert found.again.summary() == {
+    assert found.rerun.summary() == {
         "controller": "state-feedback",
         "commands": 2 * STEPS,
         "identical": 2 * STEPS,
@@ -33,7 +33,7 @@ def test_the_same_law_asks_for_the_same_to_the_bit(logged):
 
 def test_another_law_asks_for_something_else_on_the_same_readings(logged):
     found = replay(ReplayConfig(log=logged[0], controller="ibvs"))
-    assert found.again.summary()["identical"] < STEPS
+    assert found.rerun.summary()["identical"] < STEPS
     kept = found.trajectory()["position_left_pan_rad"].to_numpy().reshape(2, -1)
     for positions, record in zip(kept, logged[1], strict=True):
         assert (positions == record.reading.positions[:, 0, 3]).all()
@@ -41,7 +41,7 @@ def test_another_law_asks_for_something_else_on_the_same_readings(logged):
 
 def test_metrics_are_those_of_what_was_true(logged):
     found = replay(ReplayConfig(log=logged[0]))
-    assert found.again is None
+    assert found.rerun is None
     for result, record in zip(found.results, logged[1], strict=True):
         assert (result.truth_m == record.truth.target[-1, 0]).all()
     rows = found.gazes.rows()

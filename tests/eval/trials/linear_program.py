@@ -19,7 +19,7 @@ class Actuator(NamedTuple):
 
     turn: float
     """Angle to turn, rad."""
-    slack: float
+    half_band: float
     """Half width of its band, rad."""
     lag: float
     acceleration: float
@@ -37,7 +37,7 @@ def is_in_time(one: Actuator, time_s: float, period_s: float, pieces: int = 5) -
         pieces: pieces of constant acceleration per period.
     """
     if time_s <= 0.0:
-        return abs(one.turn) <= one.slack
+        return abs(one.turn) <= one.half_band
     before = max(int(np.ceil(time_s / period_s * pieces - 1e-9)), 1)
     after = int(np.ceil(AFTER_S / period_s))
     length = np.concatenate(
@@ -56,8 +56,8 @@ def is_in_time(one: Actuator, time_s: float, period_s: float, pieces: int = 5) -
     limits = np.concatenate(
         [
             np.full(4 * len(length), one.top),
-            np.full(after + 1, one.turn + one.slack),
-            np.full(after + 1, one.slack - one.turn),
+            np.full(after + 1, one.turn + one.half_band),
+            np.full(after + 1, one.half_band - one.turn),
         ]
     )
     # lengths near one, for the solver's tolerances

@@ -11,13 +11,13 @@ from vergence.models.head import HeadModel
 POINT = np.array([0.1, 0.05, 0.8])
 
 
-def slack_of(head: HeadModel, find=bands_of_actuators) -> tuple[np.ndarray, np.ndarray]:
+def half_bands_of(head: HeadModel, find=bands_of_actuators) -> tuple[np.ndarray, np.ndarray]:
     """Goals and bands of the actuators, in a band of 1 px."""
-    goal, slack = np.full((2, 1, 4), np.nan)
-    find(head.packed[None], head.packed, POINT[None], 1.0, goal, slack)
+    goal, half_band = np.full((2, 1, 4), np.nan)
+    find(head.packed[None], head.packed, POINT[None], 1.0, goal, half_band)
     count = head.actuation.count
     assert np.isfinite(goal[0, :count]).all()
-    return goal[0, :count], slack[0, :count]
+    return goal[0, :count], half_band[0, :count]
 
 
 def furthest(head: HeadModel, goal: np.ndarray, k: int) -> float:
@@ -45,16 +45,16 @@ def furthest(head: HeadModel, goal: np.ndarray, k: int) -> float:
 def test_the_band_of_an_actuator_is_the_widest_that_both_circles_allow():
     for shape in MOVING:
         head = head_of(shape)
-        goal, slack = slack_of(head)
+        goal, half_band = half_bands_of(head)
         for k in range(len(goal)):
             true = furthest(head, goal, k)
             # a per cent for the bend of the image
-            assert true <= slack[k] <= 1.01 * true, (shape, k)
+            assert true <= half_band[k] <= 1.01 * true, (shape, k)
 
 
 def test_eyes_with_two_motors_each_have_the_same_bands_by_either_way():
     head = head_of("panfirst")
-    goal, slack = slack_of(head)
-    same, wide = slack_of(head, bands_of_eyes)
+    goal, half_band = half_bands_of(head)
+    same, wide = half_bands_of(head, bands_of_eyes)
     assert goal == pytest.approx(same, abs=1e-9)
-    assert slack == pytest.approx(wide, rel=1e-4)
+    assert half_band == pytest.approx(wide, rel=1e-4)

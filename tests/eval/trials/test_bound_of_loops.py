@@ -80,15 +80,15 @@ def test_a_linear_program_agrees_with_the_bound_to_a_period() -> None:
     simulation, period = simulation_of(task.plant), task.head.timing.period_s
     truth, conditions = simulation.truth_at_rest(), simulation.conditions
     bound = settle_bound(task, 2.0) + simulation.onset_s()
-    goal, slack = np.empty((2, num, 4))
-    bands_of_eyes(conditions.heads, task.head.packed, truth.target, 2.0, goal, slack)
+    goal, half_band = np.empty((2, num, 4))
+    bands_of_eyes(conditions.heads, task.head.packed, truth.target, 2.0, goal, half_band)
     first = np.ceil(simulation.first_detection_times()[0] / period - 1e-6) * period
     own = simulation.true_head.actuation
     for n in range(num):
         actuators = [
             Actuator(
                 turn=goal[n, k] - truth.positions[n, 3 + k],
-                slack=slack[n, k],
+                half_band=half_band[n, k],
                 lag=conditions.lag_s[n] * own.lag_ratio[3 + k],
                 acceleration=conditions.acceleration_ratio[n] * own.acceleration[3 + k],
                 top=conditions.speed_gain[n, 3 + k] * own.velocity[3 + k],

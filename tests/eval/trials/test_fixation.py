@@ -190,7 +190,7 @@ def test_without_truth_the_speed_is_that_of_the_measured_angles(monkeypatch):
 
 
 def test_of_a_target_that_never_rests_there_is_no_fixation():
-    trials = shaken((0, 1), dataclasses.replace(HELD, moving=True))
+    trials = shaken((0, 1), dataclasses.replace(HELD, target_moves=True))
     assert not trials.swings.any()
     assert not trials.left_again.any()
     assert np.isnan(trials.fixation_peak_to_peak_rad_s).all()
@@ -205,7 +205,7 @@ def test_trials_in_batches_are_as_those_at_once():
 
 
 def test_a_motor_that_swings_within_its_play_swings():
-    scenario = Scenario(name="play", what="a step", target=STEP.target, duration_s=2.0)
+    scenario = Scenario(name="play", description="a step", target=STEP.target, duration_s=2.0)
     head = ideal_head().replace(sensor={"backlash_rad": 0.02})
     trials = run_trials(Shaking(KnowsTheWay(5), SHARE, 10.0, (1,)), scenario, episodes=2, head=head)
     assert trials.swings.tolist() == [False, True]
@@ -213,7 +213,7 @@ def test_a_motor_that_swings_within_its_play_swings():
 
 def test_a_point_of_margins_tells_how_many_swing_and_counts_none_of_them():
     scenario = Scenario(
-        name="known", what="a step", target=STEP.target, duration_s=2.0, band_px=8.0
+        name="known", description="a step", target=STEP.target, duration_s=2.0, band_px=8.0
     )
     whose: list[int] = []
 
@@ -228,7 +228,7 @@ def test_a_point_of_margins_tells_how_many_swing_and_counts_none_of_them():
 
 
 def test_where_nothing_settles_untouched_a_point_tells_of_swings_all_the_same():
-    scenario = Scenario(name="known", what="a step", target=STEP.target, duration_s=2.0)
+    scenario = Scenario(name="known", description="a step", target=STEP.target, duration_s=2.0)
 
     def run(scenario: Scenario):
         law = Shaking(KnowsTheWay(5), SHARE, 10.0, (0, 1, 2, 3))

@@ -17,7 +17,7 @@ def late(low_s: float, high_s: float, **fields: object) -> Scenario:
     """The toys' step, at a moment of each trial's own."""
     options: dict = {"target": STEP.target, "duration_s": 1.0} | fields
     variation = Variation(onset_s=(low_s, high_s))
-    return Scenario(name="late", what="a late step", variation=variation, **options)
+    return Scenario(name="late", description="a late step", variation=variation, **options)
 
 
 def run(controller, scenario: Scenario, episodes: int = 12):
@@ -60,7 +60,7 @@ def test_overshoot_counts_from_the_onset() -> None:
 
 
 def test_tracking_counts_from_the_onset_and_the_time_to_catch_up() -> None:
-    scenario = late(0.0, 0.4, target={"kind": "circle"}, moving=True, catch_up_s=0.3)
+    scenario = late(0.0, 0.4, target={"kind": "circle"}, target_moves=True, catch_up_s=0.3)
     trials = run(make_controller("ibvs", ideal_head()), scenario)
     since = trials.time_s[:, None] - trials.onset_s
     error = np.where(since[..., None, None] >= 0.3 - 1e-9, 3.0, 500.0) * [[1.0, 0.0], [0.0, 1.0]]

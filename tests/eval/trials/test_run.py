@@ -100,13 +100,13 @@ def test_a_head_whose_eyes_have_two_motors_each_has_no_residual():
     trials = run_trials(ibvs(), RANDOM, episodes=2)
     assert not trials.residual.any()
     assert np.isnan(trials.residual_px).all()
-    assert trials.reducible is not trials.error
-    assert np.array_equal(trials.reducible, trials.error)
+    assert trials.reducible_error is not trials.error
+    assert np.array_equal(trials.reducible_error, trials.error)
 
 
 def test_of_a_moving_target_the_error_counts_as_it_is():
     head = head_of("common")
-    circle = ToyScenario("circle", duration_s=2.0, moving=True, head=head)
+    circle = ToyScenario("circle", duration_s=2.0, target_moves=True, head=head)
     trials = run_trials(make_controller("ibvs", head), circle, episodes=2)
     assert not trials.residual.any()
     assert (trials.tracking_px > 5.0).all()
@@ -143,7 +143,7 @@ def test_without_truth_the_measured_errors_stand_at_their_exposure(monkeypatch):
 
 def test_steady_eyes_trail_a_moving_target_by_the_inverse_of_the_gain():
     circle = ToyScenario(
-        {"kind": "circle", "period": 30.0}, duration_s=3.0, moving=True, head=ideal_head()
+        {"kind": "circle", "period": 30.0}, duration_s=3.0, target_moves=True, head=ideal_head()
     )
     trials = run_trials(ibvs(ideal_head(), gain=4.0), circle, episodes=2)
     # a first-order loop of gain k trails a ramp by 1 / k, whatever its delay

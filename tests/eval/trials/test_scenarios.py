@@ -87,11 +87,11 @@ def test_every_scenario_runs_on_each_of_its_plants(plant: str) -> None:
 def test_every_scenario_runs_with_any_head(name: str, shape: str) -> None:
     scenario, head = load_scenario(name), head_of(shape)
     trials = run_trials(make_controller("ibvs", head), scenario, episodes=4, head=head)
-    if name in LOOPS and not scenario.moving:
+    if name in LOOPS and not scenario.target_moves:
         # outliers, noise and play move eyes that have arrived
         assert (trials.steady_px < 8.0).all()
         return
-    assert np.isfinite(trials.tracking_px if scenario.moving else trials.settle_s()).all()
+    assert np.isfinite(trials.tracking_px if scenario.target_moves else trials.settle_s()).all()
 
 
 def test_a_target_that_a_head_cannot_look_at_is_told_with_its_scenario() -> None:

@@ -34,7 +34,7 @@ class ToyScenario:
     target: Any
     duration_s: float = 0.5
     band_px: float = 1.0
-    moving: bool = False
+    target_moves: bool = False
     catch_up_s: float = 1.0
     name: str = "toy"
     head: Any = "simulated"

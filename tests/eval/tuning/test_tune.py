@@ -22,12 +22,12 @@ from vergence.eval.trials.run import headline, run_trials
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.objective import controller_objective
-from vergence.eval.tuning.spaces import SEARCH_SPACES, Span
+from vergence.eval.tuning.spaces import SEARCH_SPACES, SearchRange
 from vergence.eval.tuning.study import SearchSpec, run_search
 from vergence.eval.tuning.study_storage import opened_study, without_password
 from vergence.models.files.head_file import load_head, save_head
 
-BOWL = {"x": Span(-2.0, 2.0), "y": Span(0.01, 100.0, "log")}
+BOWL = {"x": SearchRange(-2.0, 2.0), "y": SearchRange(0.01, 100.0, "log")}
 
 
 def bowl(options):
@@ -133,14 +133,18 @@ def test_a_search_without_a_possible_point_says_why(tmp_path):
 
 def test_a_study_does_not_go_on_with_another_setting(tmp_path):
     run_search(search(tmp_path, 2), bowl)
-    for changes in ({"setting": {"episodes": 4}}, {"seed": 1}, {"spans": {"x": Span(0.0, 1.0)}}):
+    for changes in (
+        {"setting": {"episodes": 4}},
+        {"seed": 1},
+        {"spans": {"x": SearchRange(0.0, 1.0)}},
+    ):
         with pytest.raises(ConfigurationError, match="with which it was begun"):
             run_search(search(tmp_path, 2, **changes), bowl)
 
 
 @pytest.mark.slow
 def test_a_grid_has_every_point_once_across_calls(tmp_path):
-    spans = {"x": Span(0.5, 1.0, "linear", 0.1)}
+    spans = {"x": SearchRange(0.5, 1.0, "linear", 0.1)}
     grid = search(tmp_path, spans=spans, grid=True)
     tried = []
 
@@ -162,7 +166,11 @@ def test_a_grid_has_every_point_once_across_calls(tmp_path):
 
 def test_a_grid_needs_steps(tmp_path):
     with pytest.raises(ConfigurationError, match="y without one"):
-        search(tmp_path, spans={"x": Span(0.0, 1.0, "linear", 0.5), "y": Span(1.0, 2.0)}, grid=True)
+        search(
+            tmp_path,
+            spans={"x": SearchRange(0.0, 1.0, "linear", 0.5), "y": SearchRange(1.0, 2.0)},
+            grid=True,
+        )
 
 
 def test_a_password_is_never_shown(tmp_path):
@@ -289,7 +297,7 @@ def test_a_gain_with_which_nothing_settles_counts_as_whole_trials():
 
 @pytest.fixture
 def three_gains(monkeypatch):
-    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": Span(3.0, 4.0, "linear", 0.5)})
+    monkeypatch.setitem(SEARCH_SPACES, "ibvs", {"gain": SearchRange(3.0, 4.0, "linear", 0.5)})
 
 
 @pytest.mark.slow

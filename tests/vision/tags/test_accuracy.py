@@ -343,7 +343,7 @@ def test_sigma_is_that_of_the_error_whatever_pixels_take_part(edge_px):
         drawn = scene(camera, TAG, T_C_T, rendering, rng)
         image = jpeg(70)(drawn.image, drawn.point)
         for most, share in shares.items():
-            found, _ = detector._fit(image, drawn.corners, TAG.id, (3, 8, 8), (200, most))
+            found, _ = detector._fit_once(image, drawn.corners, TAG.id, (3, 8, 8), (200, most))
             share.append((found.corners_px - drawn.corners) / found.corners_sigma_px)
     for share in shares.values():
         assert 0.6 < rms(share) < 1.6

@@ -9,7 +9,7 @@ from vergence.envs.layout import ObservationLayout
 from vergence.errors import ControllerError
 from vergence.eval.comparison.contestants import Contestant
 from vergence.eval.comparison.options import ResolvedOptions
-from vergence.eval.comparison.own_code import errors_attributed_to
+from vergence.eval.comparison.user_code import errors_attributed_to
 from vergence.eval.trials.run import Trials, run_trials
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
@@ -27,7 +27,7 @@ class Failure:
     message: str
 
     @property
-    def told(self) -> str:
+    def text(self) -> str:
         """The message, and the scenario and plant from which the controller is left out."""
         return f"{self.message} (left out of {self.scenario} on {self.plant})"
 
@@ -47,7 +47,7 @@ class ContestantJob(ABC, Generic[Found]):
     """Picklable job of a worker for one controller in one scenario on one plant."""
 
     contestant: Contestant
-    fitted: ResolvedOptions
+    resolved: ResolvedOptions
     """Options, resolved before the job is sent: another machine may have another table of tuned
     options."""
     scenario: Scenario
@@ -65,7 +65,7 @@ class ContestantJob(ABC, Generic[Found]):
         head = self.scenario.model() if self.head is None else self.head
         layout = ObservationLayout.of(head)
         try:
-            controller, options = self.contestant.make(head, layout, self.fitted.options)
+            controller, options = self.contestant.make(head, layout, self.resolved.options)
             return self._find(Made(controller, options, head, layout))
         except ControllerError as error:
             if not self.keep_going:

@@ -19,7 +19,7 @@ from vergence.errors import (
     did_you_mean,
 )
 from vergence.eval.comparison.options import GivenOptions, ResolvedOptions, resolve_options
-from vergence.eval.comparison.own_code import GuardedController, make_user_controller, option_names
+from vergence.eval.comparison.user_code import GuardedController, make_user_controller, option_names
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
 
@@ -55,7 +55,7 @@ class Contestant:
         word = self.source.word if isinstance(self.source, EntryPoint) else self.source
         return (word, self.label) if isinstance(word, str) else (self.label,)
 
-    def fitted(self, head: HeadModel, scenario: str) -> ResolvedOptions:
+    def resolve_options(self, head: HeadModel, scenario: str) -> ResolvedOptions:
         """Resolve the controller's options.
 
         Args:
@@ -126,24 +126,26 @@ class Contestant:
         Raises:
             VergenceError: it cannot run.
         """
-        found = self.fitted(head, scenario.name)
+        found = self.resolve_options(head, scenario.name)
         layout = ObservationLayout.of(head)
         try:
             controller, _ = self.make(head, layout, found.options)
         except (VergenceError, TypeError, ValueError) as error:
             if isinstance(error, ControllerError) or not found.given:
                 raise
-            name = self._culprit(head, layout, found)
+            name = self._failing_option(head, layout, found)
             raise ConfigurationError(
                 f"{self.given.where}: {self.label}.{name}: {_without_stack(error)}"
             ) from error
         if isinstance(self.source, EntryPoint) and isinstance(controller, GuardedController):
             task = scenario.task(_TRIED, plant="kinematic", head=head)
-            with controller.blamed():
+            with controller.attributing_errors():
                 rollout(task, controller, 1, lambda _step: None)
         return found
 
-    def _culprit(self, head: HeadModel, layout: ObservationLayout, found: ResolvedOptions) -> str:
+    def _failing_option(
+        self, head: HeadModel, layout: ObservationLayout, found: ResolvedOptions
+    ) -> str:
         """Name of the given option that alone prevents making it; all names if none does alone."""
         rest = {key: value for key, value in found.options.items() if key not in found.given}
         for name in found.given:
@@ -188,7 +190,7 @@ def contestants(
     return found
 
 
-def that_can_be_made(
+def available_contestants(
     found: list[Contestant], head: HeadModel, scenario: Scenario, named: Collection[str]
 ) -> tuple[list[tuple[Contestant, ResolvedOptions]], list[str]]:
     """Leave out contestants that cannot be made here, for example if a package is missing.
@@ -205,15 +207,15 @@ def that_can_be_made(
     Raises:
         VergenceError: a requested contestant cannot be made.
     """
-    able, notes = [], []
+    available, notes = [], []
     for one in found:
         try:
-            able.append((one, one.check(head, scenario)))
+            available.append((one, one.check(head, scenario)))
         except VergenceError as error:
             if not set(named).isdisjoint(one.names) or one.given.of(one.names, scenario.name):
                 raise
             notes.append(f"{one.label} is left out of {scenario.name}: {error}")
-    return able, notes
+    return available, notes
 
 
 def ladder() -> list[str]:

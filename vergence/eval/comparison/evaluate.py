@@ -89,12 +89,12 @@ def complete(
     """
     jobs = [
         EvaluationJob(
-            contestant=one, fitted=fitted, scenario=scenario, plant=plant, head=lineup.head,
+            contestant=one, resolved=resolved, scenario=scenario, plant=plant, head=lineup.head,
             episodes=config.trials, seed=config.seed, keep_going=keep_going,
         )
         for scenario, plant in lineup.pairs
         if plant != ROBOT
-        for one, fitted in lineup.able[scenario.name]
+        for one, resolved in lineup.contestants[scenario.name]
     ]  # fmt: skip
     results = mapper(jobs)
     outcomes = [one for one in (*results, *found) if isinstance(one, EvaluationResult)]
@@ -105,5 +105,5 @@ def complete(
         config=config,
         outcomes=outcomes,
         notes=lineup.notes,
-        failures=[one.told for one in failures],
+        failures=[one.text for one in failures],
     )

@@ -8,7 +8,7 @@ import pandas as pd
 
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.contestants import BASELINE
-from vergence.eval.comparison.summary import SWINGING, bound_summary, compare, of_bound
+from vergence.eval.comparison.summary import SWINGING, bound_summary, bound_trials, speed_up
 from vergence.eval.trials.settling import judged_bands
 from vergence.models.head import HeadModel
 
@@ -60,14 +60,14 @@ class EvaluationResult:
     scenario: str
     plant: str
     controller: str
-    moving: bool
+    target_moves: bool
     band_px: float
     """The scenario's leading band of settling, px."""
     duration_s: float
     options: dict[str, Any]
     """The controller's options."""
     tuned: bool | None
-    """True if the options were tuned for the head, see `Fitted`."""
+    """True if the options were tuned for the head, see `ResolvedOptions`."""
     given: tuple[str, ...]
     """Names of the user-given options."""
     trials: pd.DataFrame
@@ -115,14 +115,18 @@ class Evaluation:
             for one in group:
                 row = dict(one.summary)
                 if reference is not None:
-                    row |= compare(
-                        one.trials, reference.trials, one.moving, one.band_px, self.config.seed
+                    row |= speed_up(
+                        one.trials,
+                        reference.trials,
+                        one.target_moves,
+                        one.band_px,
+                        self.config.seed,
                     )
                     row["baseline_tuned"] = reference.tuned
                 rows.append(row)
-            if not group[0].moving:
+            if not group[0].target_moves:
                 band_px = group[0].band_px
-                least = of_bound([one.trials for one in group], band_px)
+                least = bound_trials([one.trials for one in group], band_px)
                 limit = bound_summary(least, band_px, self.config.seed)
                 rows.append(limit | {"head": group[0].head.name})
         return rows

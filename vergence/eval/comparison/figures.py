@@ -12,7 +12,7 @@ from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation, EvaluationResult
 from vergence.eval.comparison.statistics import median
 from vergence.eval.comparison.style import controller_styles, draw_line, shared_legend
-from vergence.eval.comparison.summary import counted, of_bound
+from vergence.eval.comparison.summary import bound_trials, fill_missing
 from vergence.eval.comparison.tables import has_residual
 from vergence.eval.reporting.style import GREY, new_figure, styled
 from vergence.eval.trials.settling import Band
@@ -64,7 +64,7 @@ def draw(evaluation: Evaluation) -> dict[str, Figure]:
         for (scenario, plant), group in evaluation.groups().items():
             tail = f"{scenario}-{plant}"
             where = f"{scenario}, {plant}"
-            if group[0].moving:
+            if group[0].target_moves:
                 figures[f"tracking-{tail}"] = _draw_tracking(
                     evaluation.summaries(scenario, plant), where
                 )
@@ -75,7 +75,7 @@ def draw(evaluation: Evaluation) -> dict[str, Figure]:
             if shown:
                 figures[f"gains-{tail}"] = _draw_gains(shown, where)
             delays = group[0].trials.get("latency_s")
-            if not group[0].moving and delays is not None and delays.nunique() > 1:
+            if not group[0].target_moves and delays is not None and delays.nunique() > 1:
                 figures[f"delay-{tail}"] = _draw_delays(group, where)
             if np.isfinite(group[0].curves["fix_error_p50_m"]).any():
                 figures[f"triangulation-{tail}"] = _draw_triangulation(group, where)
@@ -94,7 +94,7 @@ def _draw_settle_times(group: list[EvaluationResult], where: str) -> Figure:
     figure = new_figure(9.0, _height(len(styles), 4.2))
     axes = figure.subplots()
     times = {one.controller: one.trials[band.settle_s].to_numpy() for one in group}
-    least = of_bound([one.trials for one in group], band.px)
+    least = bound_trials([one.trials for one in group], band.px)
     times[BOUND] = least[band.bound_s].to_numpy()
     # trials that never settle: a marker beyond the trial's end, at the final settled fraction
     edge = 1.12 * duration
@@ -135,16 +135,18 @@ def _draw_errors(group: list[EvaluationResult], where: str) -> Figure:
             draw_line(axes, one.curves["time_s"], error, styles[one.controller], place)
         axes.set(title=f"{title} of the trials", xlabel=_TIME, yscale="log")
         axes.set_xlim(0.0, _last_s(group))
-        if not group[0].moving:
+        if not group[0].target_moves:
             axes.axhline(group[0].band_px, color=GREY, linewidth=1.0)
-    if group[0].moving:
+    if group[0].target_moves:
         # the trial begins on the target: the axis starts at the later errors instead
         panels[0].set_ylim(bottom=0.5 * _least_late_error(group))
     for axes in panels:
         _plain_log(axes, "y")
     least = " beyond the least" if has_residual(group) else ""
     panels[0].set_ylabel(f"error of the worse eye{least} (px)")
-    figure.suptitle(f"{'Tracking' if group[0].moving else 'Pixel'} error: {where}", fontsize=12)
+    figure.suptitle(
+        f"{'Tracking' if group[0].target_moves else 'Pixel'} error: {where}", fontsize=12
+    )
     shared_legend(figure, panels[0])
     return figure
 
@@ -214,7 +216,7 @@ def _draw_delays(group: list[EvaluationResult], where: str) -> Figure:
 
 def _by_delay(trials: pd.DataFrame, band_px: float) -> pd.DataFrame:
     """Bin trials by delay: mean delay, settled fraction and median settle time of each bin."""
-    values = counted(trials, band_px)
+    values = fill_missing(trials, band_px)
     delay, column = values["latency_s"], Band(band_px).settle_s
     settled = np.isfinite(trials[column])
     edges = np.linspace(delay.min(), delay.max() + 1e-9, _DELAY_BINS + 1)

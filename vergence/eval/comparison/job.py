@@ -42,10 +42,10 @@ class EvaluationJob(ContestantJob[EvaluationResult]):
             "controller": self.contestant.label,
             "head": head.name,
             "options": options,
-            "tuned": self.fitted.tuned,
-            "tuned_for": self.fitted.tuned_for,
-            "given": list(self.fitted.given),
-            **summarise(table, trials.moving, trials.duration_s, trials.band_px, self.seed),
+            "tuned": self.resolved.tuned,
+            "tuned_for": self.resolved.tuned_for,
+            "given": list(self.resolved.given),
+            **summarise(table, trials.target_moves, trials.duration_s, trials.band_px, self.seed),
             "predict_us": trials.predict_us,
             "predict_one_us": single_predict_us(controller, trials.observation),
         }
@@ -53,12 +53,12 @@ class EvaluationJob(ContestantJob[EvaluationResult]):
             scenario=self.scenario.name,
             plant=self.plant,
             controller=self.contestant.label,
-            moving=trials.moving,
+            target_moves=trials.target_moves,
             band_px=trials.band_px,
             duration_s=trials.duration_s,
             options=options,
-            tuned=self.fitted.tuned,
-            given=self.fitted.given,
+            tuned=self.resolved.tuned,
+            given=self.resolved.given,
             trials=table,
             summary=summary,
             curves=error_curves(trials),
@@ -77,7 +77,7 @@ def _gain_of(controller: Controller) -> dict[str, Any]:
 
 def _table(trials: Trials, label: str) -> pd.DataFrame:
     """Table with one row per trial; nan for undefined metrics and trials that never settle."""
-    settling = not trials.moving
+    settling = not trials.target_moves
     nothing = float("nan")
     judged = judged_bands(trials.band_px)
     columns = {
@@ -102,8 +102,8 @@ def _table(trials: Trials, label: str) -> pd.DataFrame:
         "fixation_peak_to_peak_rad_s": trials.fixation_peak_to_peak_rad_s,
         "energy_rad2_s": trials.energy,
         "peak_rad_s": trials.peak_rad_s,
-        "tracking_px": trials.tracking_px if trials.moving else nothing,
-        "tracking_lag_s": trials.tracking_lag_s if trials.moving else nothing,
+        "tracking_px": trials.tracking_px if trials.target_moves else nothing,
+        "tracking_lag_s": trials.tracking_lag_s if trials.target_moves else nothing,
         "fix_error_settled_m": trials.fix_error_at_settling_m() if settling else nothing,
         "fix_error_end_m": trials.fix_error_m[-1],
         **trials.conditions,

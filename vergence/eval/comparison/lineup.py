@@ -17,8 +17,8 @@ from vergence.eval.comparison.config import ROBOT, EvaluateConfig
 from vergence.eval.comparison.contestants import (
     BASELINE,
     Contestant,
+    available_contestants,
     contestants,
-    that_can_be_made,
 )
 from vergence.eval.comparison.options import UNTUNED, GivenOptions, ResolvedOptions, resolve_options
 from vergence.eval.jobs import Mapper
@@ -45,7 +45,7 @@ class Lineup:
     """The robot, if any."""
     pairs: list[tuple[Scenario, str]]
     """Each scenario with each plant that it runs on."""
-    able: dict[str, list[tuple[Contestant, ResolvedOptions]]]
+    contestants: dict[str, list[tuple[Contestant, ResolvedOptions]]]
     """Contestants that can be made, with their options, by scenario."""
     notes: list[str]
     """Notes on controllers and plants that are left out, and on untuned controllers."""
@@ -97,16 +97,16 @@ def line_up(
     if config.tune:
         tune_first(config, mapper, options)
     named = {*config.controllers, *others, BASELINE}
-    able = {}
+    available = {}
     for scenario in {scenario.name: scenario for scenario, _ in pairs}.values():
         model = scenario.model() if head is None else head
         if hardware is not None:
-            model = _stepping(hardware)
-        able[scenario.name], missing = that_can_be_made(everyone, model, scenario, named)
+            model = _with_command_quantisation(hardware)
+        available[scenario.name], missing = available_contestants(everyone, model, scenario, named)
         notes += missing
-        notes += _untuned(able[scenario.name], model, scenario, config, hardware)
+        notes += _untuned(available[scenario.name], model, scenario, config, hardware)
     notes = list(dict.fromkeys(notes))
-    return Lineup(head=head, hardware=hardware, pairs=pairs, able=able, notes=notes)
+    return Lineup(head=head, hardware=hardware, pairs=pairs, contestants=available, notes=notes)
 
 
 def tune_first(
@@ -168,7 +168,7 @@ def _head(config: EvaluateConfig, hardware: HardwareConfig | None) -> HeadModel 
     return None if config.head is None else load_head(config.head)
 
 
-def _stepping(hardware: HardwareConfig) -> HeadModel:
+def _with_command_quantisation(hardware: HardwareConfig) -> HeadModel:
     """A robot's head with its servos' command quantisation, which the scenarios' heads include."""
     step = TICK_RAD_S / min(servo.gear_ratio for servo in hardware.servos)
     return hardware.head.replace(sensor={"command_resolution_rad_s": step})
@@ -189,14 +189,14 @@ def _given(config: EvaluateConfig, options: Mapping[str, Mapping[str, Any]] | No
 
 
 def _untuned(
-    able: list[tuple[Contestant, ResolvedOptions]],
+    available: list[tuple[Contestant, ResolvedOptions]],
     head: HeadModel,
     scenario: Scenario,
     config: EvaluateConfig,
     hardware: HardwareConfig | None,
 ) -> list[str]:
     """Note on controllers that are untuned for this head."""
-    names = [one.label for one, fitted in able if fitted.tuned is False]
+    names = [one.label for one, resolved in available if resolved.tuned is False]
     if not names:
         return []
     source = _source(config, hardware)

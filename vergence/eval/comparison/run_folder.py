@@ -6,7 +6,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from vergence.eval.comparison.config import EvaluateConfig
-from vergence.eval.comparison.ran import Ran, what_ran, write_ran
+from vergence.eval.comparison.run_config import ControllerRun, config_with_notes, write_run_config
 from vergence.eval.reporting.report import ReportTable, Section, write_report
 from vergence.eval.reporting.section import SECTION_FILE, write_section
 from vergence.eval.reporting.style import save_figure
@@ -27,7 +27,7 @@ def write_report_of(
     config: EvaluateConfig,
     notes: list[str],
     failures: list[str],
-    outcomes: Iterable[Ran],
+    outcomes: Iterable[ControllerRun],
 ) -> None:
     """Write figures, configuration, section and report beside the tables of a run folder.
 
@@ -49,7 +49,7 @@ def write_report_of(
     (folder / "figures").mkdir()
     for figure_name, figure in figures.items():
         save_figure(figure, folder / "figures" / figure_name)
-    write_ran(folder, config, notes, failures, outcomes)
+    write_run_config(folder, config, notes, failures, outcomes)
     section = Section(
         name=name,
         title=title,
@@ -59,7 +59,7 @@ def write_report_of(
         summary=[],
         figures=[folder / "figures" / f"{figure_name}.svg" for figure_name in figures],
         rows=rows,
-        config=what_ran(config, notes, failures),
+        config=config_with_notes(config, notes, failures),
         seed=config.seed,
         data=data,
         tables=tables,

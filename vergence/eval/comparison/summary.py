@@ -60,7 +60,7 @@ def _of_bands(band_px: float) -> dict[str, tuple[str, Statistic]]:
     return found
 
 
-def counted(table: pd.DataFrame, band_px: float) -> dict[str, FloatArray]:
+def fill_missing(table: pd.DataFrame, band_px: float) -> dict[str, FloatArray]:
     """The trials' values with substitutes for missing ones, as summaries use them.
 
     Args:
@@ -96,13 +96,13 @@ def counted(table: pd.DataFrame, band_px: float) -> dict[str, FloatArray]:
 
 
 def summarise(
-    table: pd.DataFrame, moving: bool, duration_s: float, band_px: float, seed: int
+    table: pd.DataFrame, target_moves: bool, duration_s: float, band_px: float, seed: int
 ) -> dict[str, Any]:
     """All statistics of one controller's trials.
 
     Args:
         table: one row per trial.
-        moving: True if the scenario's target moves throughout.
+        target_moves: True if the scenario's target moves throughout.
         duration_s: duration of a trial, s.
         band_px: the scenario's leading band of settling, px.
         seed: seed of the bootstrap.
@@ -112,11 +112,11 @@ def summarise(
         interval have the suffixes `_low` and `_high`; nan if undefined.
     """
     bootstrap = Bootstrap(len(table), seed)
-    values = counted(table, band_px)
+    values = fill_missing(table, band_px)
     row: dict[str, Any] = {"trials": len(table), "duration_s": duration_s}
-    row[SWINGING] = np.nan if moving else int(values["swings"].sum())
+    row[SWINGING] = np.nan if target_moves else int(values["swings"].sum())
     settling = {**_of_bands(band_px), **_SETTLING}
-    has = {**(_MOVING if moving else settling), **_BOTH}
+    has = {**(_MOVING if target_moves else settling), **_BOTH}
     for name, (column, statistic) in {**settling, **_MOVING, **_BOTH}.items():
         found = Interval(np.nan, np.nan, np.nan)
         if name in has and not np.isnan(values[column]).any():
@@ -125,15 +125,16 @@ def summarise(
     return row
 
 
-def compare(
-    table: pd.DataFrame, reference: pd.DataFrame, moving: bool, band_px: float, seed: int
+def speed_up(
+    table: pd.DataFrame, reference: pd.DataFrame, target_moves: bool, band_px: float, seed: int
 ) -> dict[str, float]:
     """Speed-up over another controller on the same trials.
 
     Args:
         table: one row per trial.
         reference: one row per trial of the other controller.
-        moving: True if the scenario's target moves throughout: the tracking RMS is compared then.
+        target_moves: True if the scenario's target moves throughout: the tracking RMS is compared
+            then.
         band_px: the scenario's leading band of settling, px.
         seed: seed of the bootstrap.
 
@@ -142,9 +143,11 @@ def compare(
         RMS) to this one's, and the ends of its interval; nan if no more than half of the trials of
         either controller have settled, as the median is undefined then.
     """
-    column = "tracking_px" if moving else Band(band_px).settle_s
-    ours, theirs = (counted(one, band_px)[column] for one in (table, reference))
-    settled = moving or min(np.isfinite(one[column]).mean() for one in (table, reference)) > 0.5
+    column = "tracking_px" if target_moves else Band(band_px).settle_s
+    ours, theirs = (fill_missing(one, band_px)[column] for one in (table, reference))
+    settled = (
+        target_moves or min(np.isfinite(one[column]).mean() for one in (table, reference)) > 0.5
+    )
     row: dict[str, float] = {}
     found = Interval(np.nan, np.nan, np.nan)
     if settled:
@@ -154,7 +157,7 @@ def compare(
     return row
 
 
-def of_bound(tables: Sequence[pd.DataFrame], band_px: float) -> pd.DataFrame:
+def bound_trials(tables: Sequence[pd.DataFrame], band_px: float) -> pd.DataFrame:
     """Trials of the bound: the least bound of any controller's trial for each target.
 
     In simulation all controllers have the same bounds. On a robot each trial has its own, as its
@@ -175,14 +178,14 @@ def bound_summary(table: pd.DataFrame, band_px: float, seed: int) -> dict[str, A
     """The row of the time-optimal bound.
 
     Args:
-        table: one row per trial, see `of_bound`.
+        table: one row per trial, see `bound_trials`.
         band_px: the scenario's leading band of settling, px.
         seed: seed of the bootstrap.
 
     Returns:
         A row with the fields of `summarise`; nan for those that a bound does not have.
     """
-    limit = counted(table, band_px)
+    limit = fill_missing(table, band_px)
     bootstrap = Bootstrap(len(table), seed)
     row: dict[str, Any] = {name: table[name].iloc[0] for name in ("scenario", "plant")}
     row |= {"controller": BOUND, "options": {}, "trials": len(table)}

@@ -51,15 +51,15 @@ def tables(evaluation: Evaluation) -> list[ReportTable]:
     """
     found = []
     for (scenario, plant), group in evaluation.groups().items():
-        moving = group[0].moving
+        target_moves = group[0].target_moves
         found.append(
             ReportTable(
                 title=f"{scenario} on {plant}: {len(group[0].trials)} trials of "
                 f"{group[0].duration_s:g} s, head {group[0].head.name}"
-                + ("" if moving else f", settling in {group[0].band_px:g} px"),
+                + ("" if target_moves else f", settling in {group[0].band_px:g} px"),
                 columns=_columns(group),
                 rows=[
-                    _moving_row(row) if moving else _settling_row(row, group)
+                    _moving_row(row) if target_moves else _settling_row(row, group)
                     for row in evaluation.summaries(scenario, plant)
                 ],
             )
@@ -69,8 +69,8 @@ def tables(evaluation: Evaluation) -> list[ReportTable]:
 
 def _columns(group: list[EvaluationResult]) -> list[str]:
     """Column titles; the column of ratios says if the baseline is untuned or has given options."""
-    columns = list(MOVING_COLUMNS if group[0].moving else SETTLING_COLUMNS)
-    if not group[0].moving and group[0].band_px != 1.0:
+    columns = list(MOVING_COLUMNS if group[0].target_moves else SETTLING_COLUMNS)
+    if not group[0].target_moves and group[0].band_px != 1.0:
         columns.insert(columns.index("x bound"), ONE_PIXEL_COLUMN)
     if has_residual(group):
         columns.insert(columns.index("overshoot (%)"), RESIDUAL_COLUMN)
@@ -251,13 +251,13 @@ def describe(evaluation: Evaluation) -> SectionText:
     groups = []
     for (scenario, plant), group in evaluation.groups().items():
         band = Band(group[0].band_px)
-        judged = "tracking_rms_px" if group[0].moving else band.settle_median_s
+        judged = "tracking_rms_px" if group[0].target_moves else band.settle_median_s
         rivals = [r for r in evaluation.summaries(scenario, plant) if r["controller"] != BOUND]
         groups.append(
             {
                 "scenario": scenario,
                 "plant": plant,
-                "moving": group[0].moving,
+                "target_moves": group[0].target_moves,
                 "baseline": _named_baseline(group),
                 "best": min(rivals, key=itemgetter(judged)),
                 "least": min(rivals, key=itemgetter(band.settled_fraction)),

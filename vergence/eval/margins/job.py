@@ -24,7 +24,7 @@ class MarginJob(ContestantJob[Margin]):
             for end in (span.low, span.high)
         ]
         doubles = [
-            last_value(lambda value: measure(value).keeps_pace, span.expected, end)
+            last_value(lambda value: measure(value).median_not_doubled, span.expected, end)
             for end in (span.low, span.high)
         ]
         return Margin(
@@ -39,5 +39,5 @@ class MarginJob(ContestantJob[Margin]):
             points=measure.points,
             head=made.head,
             options=made.options,
-            tuned=self.fitted.tuned,
+            tuned=self.resolved.tuned,
         )

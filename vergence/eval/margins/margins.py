@@ -44,7 +44,7 @@ class Margin:
     options: dict[str, Any]
     """The controller's options."""
     tuned: bool | None
-    """True if the options were tuned for the head, see `Fitted`."""
+    """True if the options were tuned for the head, see `ResolvedOptions`."""
 
     @property
     def unit(self) -> str:

@@ -46,12 +46,12 @@ class Point(NamedTuple):
         return self.trials > 0 and 100 * self.settled >= _SETTLING_PERCENT * self.trials
 
     @property
-    def keeps_pace(self) -> bool:
+    def median_not_doubled(self) -> bool:
         """True if the median is less than twice the one in the unmodified scenario."""
         return self.median_s < _SLOWER * self.untouched_median_s
 
 
-def moved(scenario: Scenario, name: str, value: float) -> Scenario:
+def with_imperfection(scenario: Scenario, name: str, value: float) -> Scenario:
     """Copy a scenario with one imperfection fixed at a value in every trial.
 
     Args:
@@ -102,8 +102,8 @@ class Measure:
         self._run = run
         self._scenario = scenario
         self._name = name
-        self._untouched = run(scenario)
-        self._those = np.isfinite(self._untouched.settle_s(scenario.band_px))
+        self._unmodified = run(scenario)
+        self._settled_unmodified = np.isfinite(self._unmodified.settle_s(scenario.band_px))
         self._found: dict[float, Point] = {}
 
     def __call__(self, value: float) -> Point:
@@ -119,12 +119,12 @@ class Measure:
 
     def _at(self, value: float) -> Point:
         band = band_px(self._scenario, self._name, value)
-        count = int(self._those.sum())
-        trials = self._run(moved(self._scenario, self._name, value))
+        count = int(self._settled_unmodified.sum())
+        trials = self._run(with_imperfection(self._scenario, self._name, value))
         swinging = int(trials.swings.sum())
         if count == 0:
             return Point(value, band, 0, 0, np.nan, np.nan, swinging)
-        settle_s = trials.settle_s(band)[self._those]
+        settle_s = trials.settle_s(band)[self._settled_unmodified]
         return Point(
             value=value,
             band_px=band,
@@ -132,6 +132,8 @@ class Measure:
             settled=int(np.isfinite(settle_s).sum()),
             median_s=float(np.median(np.where(np.isnan(settle_s), np.inf, settle_s))),
             # trials that settle to the scenario's band also settle to a wider one
-            untouched_median_s=float(np.median(self._untouched.settle_s(band)[self._those])),
+            untouched_median_s=float(
+                np.median(self._unmodified.settle_s(band)[self._settled_unmodified])
+            ),
             swinging=swinging,
         )

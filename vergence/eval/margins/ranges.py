@@ -63,7 +63,7 @@ def range_of(name: str, scenario: Scenario, head: HeadModel) -> SearchInterval:
     return SearchInterval(min(searched.least, expected), expected, max(searched.most, expected))
 
 
-def matters(name: str, scenario: Scenario) -> bool:
+def has_effect(name: str, scenario: Scenario) -> bool:
     """True if an imperfection has an effect in a scenario.
 
     The size or duration of random events, such as outliers, has one only if the scenario has such

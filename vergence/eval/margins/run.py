@@ -18,8 +18,8 @@ from vergence.eval.jobs import Mapper, SerialMapper
 from vergence.eval.margins.config import MarginsConfig
 from vergence.eval.margins.job import MarginJob
 from vergence.eval.margins.margins import Margin, Margins
-from vergence.eval.margins.measure import moved
-from vergence.eval.margins.ranges import SEARCHED, matters, range_of
+from vergence.eval.margins.measure import with_imperfection
+from vergence.eval.margins.ranges import SEARCHED, has_effect, range_of
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 
 __all__ = ["MarginsConfig", "measure_margins"]
@@ -64,8 +64,8 @@ def measure_margins(
     mapper = mapper or SerialMapper()
     lineup = line_up(config, others, mapper, options, baseline=False)
     for scenario, _ in lineup.pairs:
-        if scenario.moving:
-            rest = ", ".join(one.name for one in SCENARIOS.values() if not one.moving)
+        if scenario.target_moves:
+            rest = ", ".join(one.name for one in SCENARIOS.values() if not one.target_moves)
             raise ConfigurationError(
                 f"scenario: expected one of {rest} with --margins, got {scenario.name}, whose "
                 "target never comes to rest"
@@ -76,10 +76,10 @@ def measure_margins(
         notes += left_out
         jobs += [
             MarginJob(
-                contestant=one, fitted=fitted, scenario=scenario, plant=plant, head=lineup.head,
+                contestant=one, resolved=resolved, scenario=scenario, plant=plant, head=lineup.head,
                 imperfection=name, episodes=config.trials, seed=config.seed, keep_going=keep_going,
             )
-            for one, fitted in lineup.able[scenario.name]
+            for one, resolved in lineup.contestants[scenario.name]
             for name in names
         ]  # fmt: skip
     results = mapper(jobs)
@@ -96,7 +96,7 @@ def measure_margins(
         config=config,
         found=found,
         notes=[*lineup.notes, *notes],
-        failures=list(dict.fromkeys(one.told for one in failed)),
+        failures=list(dict.fromkeys(one.text for one in failed)),
     )
 
 
@@ -106,7 +106,7 @@ def _imperfections(
     """Imperfections to vary in a scenario, and a note for each one that is left out."""
     head = scenario.model() if lineup.head is None else lineup.head
     asked = [name for name in SEARCHED if name in (config.imperfections or SEARCHED)]
-    names = [name for name in asked if matters(name, scenario)]
+    names = [name for name in asked if has_effect(name, scenario)]
     notes = [
         f"{name} is left out of {scenario.name}: it has no outliers"
         for name in asked
@@ -116,7 +116,9 @@ def _imperfections(
     refused = []
     for name in names:
         try:
-            moved(scenario, name, expected[name]).task(1, plant=plant, head=lineup.head).close()
+            with_imperfection(scenario, name, expected[name]).task(
+                1, plant=plant, head=lineup.head
+            ).close()
         except ConfigurationError as error:
             refused.append(name)
             notes.append(f"{name} is left out of {scenario.name} on {plant}: {error}")

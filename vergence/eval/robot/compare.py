@@ -21,8 +21,13 @@ from vergence.eval.comparison.evaluation import EvaluationResult
 from vergence.eval.comparison.lineup import Lineup
 from vergence.eval.reporting.runs import versions
 from vergence.eval.robot.controller import RobotController
+from vergence.eval.robot.evaluation_record import (
+    EvaluationRecord,
+    JournalEntry,
+    RecordedTrial,
+    TrialKey,
+)
 from vergence.eval.robot.judge import RobotJob, missed_periods
-from vergence.eval.robot.sessions import JournalEntry, RecordedTrial, Sessions, TrialKey
 from vergence.eval.robot.stage import TargetStage
 from vergence.eval.trials.run import periods
 from vergence.eval.trials.scenarios import Scenario
@@ -40,7 +45,7 @@ class RobotRun:
     hardware: HardwareConfig
     stage: TargetStage
     """Places the targets."""
-    sessions: Sessions
+    record: EvaluationRecord
     """The record of logs and completed trials."""
     episodes: int
     """Trials of each controller in each scenario."""
@@ -85,13 +90,13 @@ class RobotRun:
             check(self.hardware)
         progress(len(done), total)
 
-        def one_more(key: TrialKey) -> None:
+        def mark_done(key: TrialKey) -> None:
             done.add(key)
             progress(len(done), total)
 
         for scenario in self.scenarios:
             _Connection(self, scenario, ready[scenario.name], failed, keep_going).run(
-                done, one_more
+                done, mark_done
             )
         return failed
 
@@ -100,8 +105,8 @@ class RobotRun:
     ) -> dict[str, RobotController]:
         """Make the controllers, by label; refuse one that differs from its earlier trials."""
         found = {}
-        for contestant, fitted in self.lineup.able[scenario.name]:
-            made = RobotController(contestant, self.hardware.head, fitted.options)
+        for contestant, resolved in self.lineup.contestants[scenario.name]:
+            made = RobotController(contestant, self.hardware.head, resolved.options)
             for one in recorded.values():
                 entry = one.entry
                 same = (entry.controller_sha256, entry.options) == (
@@ -121,7 +126,7 @@ class RobotRun:
         """Read the completed trials of this run."""
         head = self.hardware.head
         steps = {one.name: periods(one, head, simulated=False)[1] for one in self.scenarios}
-        found = self.sessions.whole(lambda scenario: steps.get(scenario, sys.maxsize))
+        found = self.record.completed_trials(lambda scenario: steps.get(scenario, sys.maxsize))
         if not self.stage.emulated:  # do not use an emulated head's ground truth here
             found = {
                 key: replace(one, trial=replace(one.trial, truth=None))
@@ -142,12 +147,12 @@ class RobotRun:
         without = {(one.scenario, one.controller) for one in failed}
         found = []
         for scenario in self.scenarios:
-            for contestant, fitted in self.lineup.able[scenario.name]:
+            for contestant, resolved in self.lineup.contestants[scenario.name]:
                 if (scenario.name, contestant.label) in without:
                     continue
                 keys = (TrialKey(scenario.name, contestant.label, i) for i in range(self.episodes))
                 job = RobotJob(
-                    contestant=contestant, fitted=fitted, scenario=scenario, plant=ROBOT,
+                    contestant=contestant, resolved=resolved, scenario=scenario, plant=ROBOT,
                     head=self.hardware.head, episodes=self.episodes, seed=self.seed,
                     keep_going=keep_going, hardware=self.hardware,
                     recorded=tuple(recorded[key] for key in keys),
@@ -174,11 +179,11 @@ class RobotRun:
         stops = f"; trials that were stopped as they swung: {swung}" if swung else ""
         stops += "".join(
             f"; run again, as a log could not be read: {text}"
-            for text in self.sessions.unreadable.values()
+            for text in self.record.unreadable.values()
         )
         return (
             f"{ROBOT} is a robot: {hardware.head.name} of {hardware.path}, before "
-            f"{self.stage.what}; the bound is {loop}; {missed} of {passed} "
+            f"{self.stage.description}; the bound is {loop}; {missed} of {passed} "
             f"control periods were missed{stops}"
         )
 
@@ -197,16 +202,16 @@ class _Connection:
         self._run, self._scenario, self._ready = run, scenario, ready
         self._failed, self._keep_going = failed, keep_going
 
-    def run(self, done: set[TrialKey], one_more: Callable[[TrialKey], None]) -> None:
+    def run(self, done: set[TrialKey], mark_done: Callable[[TrialKey], None]) -> None:
         """Run the missing trials."""
         run, name = self._run, self._scenario.name
-        todo = []
+        pending = []
         for trial in range(run.episodes):
             keys = [TrialKey(name, label, trial) for label in self._ready]
             missing = [key for key in keys if key not in done]
             # if a target cannot be placed again, all controllers repeat the trial
-            todo += keys if missing and not run.stage.repeatable else missing
-        if not todo:
+            pending += keys if missing and not run.stage.repeatable else missing
+        if not pending:
             return
         head, hardware = run.hardware.head, run.hardware
         facts = {
@@ -214,29 +219,29 @@ class _Connection:
             "seed": str(run.seed),
             **{f"version {package}": text for package, text in versions().items()},
         }
-        path = run.sessions.new_log()
+        path = run.record.new_log()
         with LogWriter(path, head=head, config=hardware.text, facts=facts) as log:
             options = {"config": hardware, "log": log, "appears": True}
             target = run.stage.target(self._scenario)
             task = GazeTask(1, head=head, plant=ROBOT, target=target, plant_options=options)
             with closing(task):
-                for label in dict.fromkeys(key.controller for key in todo):
-                    self._blamed(label, lambda one: task.prepare(one.policy))
-                self._go(task, todo, log, one_more)
+                for label in dict.fromkeys(key.controller for key in pending):
+                    self._act_attributed(label, lambda one: task.prepare(one.policy))
+                self._run_pending(task, pending, log, mark_done)
 
-    def _go(
+    def _run_pending(
         self,
         task: GazeTask,
-        todo: list[TrialKey],
+        pending: list[TrialKey],
         log: LogWriter,
-        one_more: Callable[[TrialKey], None],
+        mark_done: Callable[[TrialKey], None],
     ) -> None:
         run = self._run
         assert isinstance(task.plant, HardwarePlant)
         _, steps = periods(self._scenario, task.head, simulated=False)
         seed = self._scenario.seed("test", run.seed)
         placed, point = -1, np.full(3, np.nan)
-        for key in todo:
+        for key in pending:
             if key.controller not in self._ready:
                 continue
             if key.trial != placed:
@@ -247,7 +252,7 @@ class _Connection:
                 run_trial(task, one.policy, steps, lambda step: None, seed=seed, first_trial=number)
 
             try:
-                went = self._blamed(key.controller, trial)
+                went = self._act_attributed(key.controller, trial)
             except HardwareError:
                 stopped = task.plant.fault
                 if not stopped.startswith(SWINGING):
@@ -261,7 +266,7 @@ class _Connection:
             if log.fault:
                 raise HardwareError(log.fault)
             made = self._ready[key.controller]
-            run.sessions.add(
+            run.record.add(
                 JournalEntry(
                     **key._asdict(),
                     log=log.path.name,
@@ -272,13 +277,13 @@ class _Connection:
                     stopped=stopped,
                 )
             )
-            one_more(key)
+            mark_done(key)
 
-    def _blamed(self, label: str, act: Callable[[RobotController], None]) -> bool:
+    def _act_attributed(self, label: str, act: Callable[[RobotController], None]) -> bool:
         """Let a controller act; returns false if it failed and is left out from now on."""
         made = self._ready[label]
         try:
-            with made.blamed():
+            with made.attributing_errors():
                 act(made)
         except ControllerError as error:
             if not self._keep_going:

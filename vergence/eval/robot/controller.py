@@ -13,7 +13,7 @@ from vergence.entry_points import EntryPoint
 from vergence.envs.layout import ObservationLayout
 from vergence.eval.comparison.contestants import Contestant, contestants
 from vergence.eval.comparison.options import GivenOptions
-from vergence.eval.comparison.own_code import errors_attributed_to
+from vergence.eval.comparison.user_code import errors_attributed_to
 from vergence.models.head import HeadModel
 
 LOOP: Final = "desk"
@@ -74,7 +74,7 @@ class RobotController:
         found = contestants((word,), given=over)[0]
         over.check_names(found.names)
         if options is None:
-            options = found.fitted(head, LOOP).options
+            options = found.resolve_options(head, LOOP).options
         return cls(found, head, options)
 
     @property
@@ -82,6 +82,6 @@ class RobotController:
         """The options as JSON, as a log states them."""
         return json.dumps(self.options, default=str)
 
-    def blamed(self) -> AbstractContextManager[None]:
+    def attributing_errors(self) -> AbstractContextManager[None]:
         """Context that attributes errors, except the robot's, to a controller of user code."""
         return errors_attributed_to(self.policy)

@@ -16,7 +16,7 @@ from vergence.eval.reporting.runs import versions
 from vergence.eval.robot.config import DeployConfig
 from vergence.eval.robot.controller import RobotController
 from vergence.eval.robot.gazes import MOST_PERIODS, Gazes
-from vergence.eval.robot.stage import REST
+from vergence.eval.robot.stage import REST_TARGET
 from vergence.hardware.config import HardwareConfig, load_hardware
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -27,7 +27,7 @@ _MOST_GAZES: Final = 10_000
 """Largest number of gazes of a deployment (chosen: bounds the log, far above a useful number)."""
 
 
-class Present(NamedTuple):
+class GazeState(NamedTuple):
     """State of a running gaze, for display."""
 
     head: HeadModel
@@ -40,9 +40,9 @@ class Present(NamedTuple):
     """The sensors' reading of one head."""
     pixel_error: FloatArray
     """(2, 2) measured pixel error by eye, px; nan if not visible."""
-    asked: FloatArray
+    requested: FloatArray
     """(7,) velocities that the policy asked for, rad/s."""
-    late: int
+    late_periods: int
     """Number of late control periods so far."""
 
 
@@ -72,7 +72,7 @@ def deploy(
     log: Path,
     *,
     check: Callable[[HardwareConfig], None] = lambda hardware: None,
-    show: Callable[[Present], None] = lambda present: None,
+    show: Callable[[GazeState], None] = lambda present: None,
 ) -> Deployment:
     """Run gazes on a robot.
 
@@ -116,10 +116,10 @@ def _gaze(
     robot: RobotController,
     gazes: Gazes,
     writer: LogWriter,
-    show: Callable[[Present], None],
+    show: Callable[[GazeState], None],
 ) -> None:
     # a real robot finds its target itself; the task's only makes trials begin at rest
-    target: Mapping[str, Any] = REST
+    target: Mapping[str, Any] = REST_TARGET
     if hardware.places_targets:
         target = {"kind": "random", "start": "rest"}
     options = {"config": hardware, "log": writer, "moves": not config.dry_run}
@@ -142,7 +142,7 @@ def _gaze(
             gazes.add(task, record)
 
     try:
-        with robot.blamed():
+        with robot.attributing_errors():
             task.prepare(robot.policy)
             for number in range(config.gazes):
                 gaze(number)
@@ -150,15 +150,15 @@ def _gaze(
         task.close()
 
 
-def _present(task: GazeTask, number: int, step: int) -> Present:
-    return Present(
+def _present(task: GazeTask, number: int, step: int) -> GazeState:
+    return GazeState(
         head=task.head,
         number=number + 1,
         step=step,
         reading=task.reading.copy(),
         pixel_error=task.pixel_error[0].copy(),
-        asked=task.command[0].copy(),
-        late=task.plant.diagnostics().get("late_periods", 0),
+        requested=task.command[0].copy(),
+        late_periods=task.plant.diagnostics().get("late_periods", 0),
     )
 
 

@@ -14,13 +14,13 @@ from vergence.eval.comparison.lineup import line_up
 from vergence.eval.jobs import Mapper, Progress, SerialMapper
 from vergence.eval.reporting.runs import toml_value
 from vergence.eval.robot.compare import RobotRun
-from vergence.eval.robot.sessions import Sessions
+from vergence.eval.robot.evaluation_record import EvaluationRecord
 from vergence.eval.robot.stage import make_stage
 from vergence.hardware.config import HardwareConfig
 from vergence.models.joints import EYE_NAMES
 
 
-def begun(run: Path) -> EvaluateConfig:
+def read_begun_config(run: Path) -> EvaluateConfig:
     """Read the configuration of an evaluation on a robot that was begun earlier.
 
     Args:
@@ -29,15 +29,18 @@ def begun(run: Path) -> EvaluateConfig:
     Raises:
         ConfigurationError: the folder holds no such evaluation.
     """
-    asked = Sessions(run).asked
+    configuration = EvaluationRecord(run).configuration
     for name in ("episodes", "seed"):
-        if type(asked.get(name)) not in (int, type(None)):
+        if type(configuration.get(name)) not in (int, type(None)):
             raise ConfigurationError(
-                f"resume: expected a whole number of {name} in {run}, got {asked[name]!r:.80}"
+                f"resume: expected a whole number of {name} in {run}, got "
+                f"{configuration[name]!r:.80}"
             )
     known = {field.name for field in dataclasses.fields(EvaluateConfig)}
     try:
-        values: dict[str, Any] = {name: value for name, value in asked.items() if name in known}
+        values: dict[str, Any] = {
+            name: value for name, value in configuration.items() if name in known
+        }
         for name in ("controllers", "scenarios", "plants"):
             values[name] = tuple(map(str, values[name]))
         for name in ("hardware", "options"):
@@ -84,12 +87,12 @@ def evaluate_on_robot(
     if hardware is None or not config.on_robot:
         raise ConfigurationError("plant: expected hardware among the plants, got none")
     stage = make_stage(config.stage, hardware, config.seed)
-    asked = {**_asked(config), "stage": stage.name, "robot": _robot(hardware)}
+    configuration = {**_with_absolute_paths(config), "stage": stage.name, "robot": _robot(hardware)}
     robot = RobotRun(
         lineup=lineup, hardware=hardware, stage=stage, episodes=config.trials, seed=config.seed,
-        sessions=Sessions(run, None if resume else toml_value(asked)),
+        record=EvaluationRecord(run, None if resume else toml_value(configuration)),
     )  # fmt: skip
-    before, now = robot.sessions.asked.get("robot", {}), toml_value(asked)["robot"]
+    before, now = robot.record.configuration.get("robot", {}), toml_value(configuration)["robot"]
     for name in sorted({*before, *now}):
         if before.get(name) != now.get(name):
             raise ConfigurationError(
@@ -115,7 +118,7 @@ def _robot(hardware: HardwareConfig) -> dict[str, Any]:
     return found
 
 
-def _asked(config: EvaluateConfig) -> dict[str, Any]:
+def _with_absolute_paths(config: EvaluateConfig) -> dict[str, Any]:
     """A configuration as values by field, with absolute paths."""
     values = config.resolved()
     for name in ("hardware", "options"):

@@ -31,7 +31,7 @@ class Gazes:
     """True if a fault has ended the last gaze; it then counts as not settled. A gaze that ended
     early for another reason, such as Ctrl-C or a kill, does not count."""
     trials: list[Trials] = field(default_factory=list)
-    late: int = 0
+    missed_periods: int = 0
     """Number of missed control periods."""
     periods: int = 0
     """Number of all control periods."""
@@ -43,7 +43,7 @@ class Gazes:
             return
         rate_hz = task.head.timing.control_rate_hz
         passed = round(float(record.reading.time_s[-1, 0]) * rate_hz)
-        self.late += passed - made
+        self.missed_periods += passed - made
         self.periods += passed
         steps = min(passed if self.steps is None else self.steps, MOST_PERIODS)
         self.trials.append(
@@ -77,7 +77,7 @@ class Gazes:
             "settle_2px_median_s": _median(settled),
             "fixation_speed_pp": _median([self._speed(one) for one in judged]),
             "point_error_median_mm": _median([self._error_mm(one) for one in judged]),
-            "overrun_fraction": self.late / self.periods if self.periods else None,
+            "overrun_fraction": self.missed_periods / self.periods if self.periods else None,
         }
 
     def _whole(self, trial: Trials) -> bool:

@@ -13,9 +13,9 @@ from vergence.envs.reading import BoolArray, Reading, Truth
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.eval.comparison.job import EvaluationJob
-from vergence.eval.comparison.own_code import errors_attributed_to
-from vergence.eval.robot.sessions import RecordedTrial
-from vergence.eval.robot.stage import REST
+from vergence.eval.comparison.user_code import errors_attributed_to
+from vergence.eval.robot.evaluation_record import RecordedTrial
+from vergence.eval.robot.stage import REST_TARGET
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.results import Trials, join
 from vergence.eval.trials.run import TimedController, periods, run_in
@@ -29,7 +29,7 @@ from vergence.recording.log import LoggedTrial
 from vergence.recording.replayed import REPLAYED
 from vergence.triangulation import triangulate_views
 
-_HELD_S: Final = 0.5
+_MEASURING_WINDOW_S: Final = 0.5
 """Time at a trial's end over which the target's position is measured, s (chosen)."""
 _FORWARD: Final = np.array([0.0, 0.0, 1.0])
 """(3,) placeholder that any head can look at, for trials with unknown targets, in N, m (chosen)."""
@@ -50,9 +50,9 @@ class RobotJob(EvaluationJob):
         for place, one in enumerate(self.recorded):
             trial = one.trial
             if one.entry.stopped:
-                trial = _to_the_end(trial, steps, head.timing.period_s)
+                trial = _extended_to_full_length(trial, steps, head.timing.period_s)
             options = {"trials": [trial]}
-            task = GazeTask(1, head=head, plant=REPLAYED, target=REST, plant_options=options)
+            task = GazeTask(1, head=head, plant=REPLAYED, target=REST_TARGET, plant_options=options)
             timed = TimedController(controller, int(place < observed))
             with errors_attributed_to(controller):
                 trials = run_in(task, timed, scenario, plant=self.plant)
@@ -64,10 +64,10 @@ class RobotJob(EvaluationJob):
             if np.isfinite(one.point).all():
                 trials = replace(trials, target=np.broadcast_to(one.point, trials.target.shape))
             known = trials.target[-1, 0]
-            points.append(known if np.isfinite(known).all() else _measured(head, one.trial))
+            points.append(known if np.isfinite(known).all() else _measured_target(head, one.trial))
             found.append(trials)
         all_of_them = join(found)
-        if scenario.moving:
+        if scenario.target_moves:
             return all_of_them
         return replace(all_of_them, bounds_s=bounds(self.hardware, all_of_them, np.array(points)))
 
@@ -78,7 +78,7 @@ def missed_periods(head: HeadModel, trial: LoggedTrial) -> int:
     return passed - trial.steps
 
 
-def _to_the_end(trial: LoggedTrial, steps: int, period_s: float) -> LoggedTrial:
+def _extended_to_full_length(trial: LoggedTrial, steps: int, period_s: float) -> LoggedTrial:
     """Extend a stopped trial to full length, with the head at rest and no new images."""
     missing = steps - trial.steps
 
@@ -95,10 +95,10 @@ def _to_the_end(trial: LoggedTrial, steps: int, period_s: float) -> LoggedTrial:
     return replace(trial, reading=reading, truth=truth)
 
 
-def _measured(head: HeadModel, trial: LoggedTrial) -> FloatArray:
+def _measured_target(head: HeadModel, trial: LoggedTrial) -> FloatArray:
     """(3,) target position triangulated at the trial's end, in N, m; nan if it was not visible."""
     reading = trial.reading
-    held = reading.time_s[:, 0] > reading.time_s[-1, 0] - _HELD_S
+    held = reading.time_s[:, 0] > reading.time_s[-1, 0] - _MEASURING_WINDOW_S
     rows = held & reading.visible[:, 0].all(axis=-1)
     if not rows.any():
         return np.full(3, np.nan)
@@ -124,7 +124,7 @@ def bounds(hardware: HardwareConfig, trials: Trials, points: FloatArray) -> dict
     seen = trials.visible.any(axis=-1)
     sight_s = np.where(seen.any(axis=0), trials.time_s[seen.argmax(axis=0)], np.inf)
     task = GazeTask(
-        trials.num, head=hardware.head, plant="kinematic", target=REST,
+        trials.num, head=hardware.head, plant="kinematic", target=REST_TARGET,
         variation=loop_variation(hardware),
     )  # fmt: skip
     keys = np.zeros(trials.num, dtype=np.uint64)

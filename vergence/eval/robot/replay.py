@@ -18,7 +18,7 @@ from vergence.eval.gaze_trajectory import MM
 from vergence.eval.robot.config import ReplayConfig
 from vergence.eval.robot.controller import RobotController
 from vergence.eval.robot.gazes import Gazes
-from vergence.eval.robot.stage import REST
+from vergence.eval.robot.stage import REST_TARGET
 from vergence.models.parts import FloatArray
 from vergence.recording import Recorder
 from vergence.recording.log import Log, LoggedTrial, read_log
@@ -37,19 +37,19 @@ class RerunCommands:
     controller: str
     logged: list[FloatArray]
     """(steps, 7) per gaze: commands in the log, rad/s."""
-    asked: list[FloatArray]
+    computed: list[FloatArray]
     """(steps, 7) per gaze: commands of the policy that was run again, rad/s."""
 
     def rows(self) -> list[dict[str, Any]]:
         """A row per gaze: number of commands, number of bitwise identical ones, and differences."""
         found = []
-        for place, (logged, asked) in enumerate(zip(self.logged, self.asked, strict=True)):
-            apart = np.nan_to_num(np.abs(asked - logged))
+        for place, (logged, computed) in enumerate(zip(self.logged, self.computed, strict=True)):
+            apart = np.nan_to_num(np.abs(computed - logged))
             found.append(
                 {
                     "gaze": place + 1,
                     "commands": len(apart),
-                    "identical": int((asked == logged).all(axis=-1).sum()),
+                    "identical": int((computed == logged).all(axis=-1).sum()),
                     "greatest_difference_rad_s": float(apart.max(initial=0.0)),
                     "rms_difference_rad_s": float(np.sqrt((apart**2).mean())) if len(apart) else 0,
                 }
@@ -76,7 +76,7 @@ class Replay:
     gazes: Gazes
     results: list[GazeResult]
     """One per gaze."""
-    again: RerunCommands | None
+    rerun: RerunCommands | None
     """Commands of the policy that was run again; None if there was none."""
     notes: tuple[str, ...]
     """Remarks for the user."""
@@ -98,7 +98,7 @@ class Replay:
             **self.gazes.summary(),
             "faults": list(self.log.faults),
             "rows": self.gazes.rows(),
-            "again": None if self.again is None else self.again.summary(),
+            "again": None if self.rerun is None else self.rerun.summary(),
         }
 
 
@@ -130,19 +130,19 @@ def replay(
     options = None
     if same and config.controller in CONTROLLERS and config.options is None:
         options = _options(log)
-    again = RobotController.of(config.controller, log.head, config.options, options)
-    with again.blamed():
-        return _run(log, again, tuple(_notes(log, config, again)), progress)
+    controller = RobotController.of(config.controller, log.head, config.options, options)
+    with controller.attributing_errors():
+        return _run(log, controller, tuple(_notes(log, config, controller)), progress)
 
 
-def _notes(log: Log, config: ReplayConfig, again: RobotController) -> Iterator[str]:
+def _notes(log: Log, config: ReplayConfig, controller: RobotController) -> Iterator[str]:
     """Yield notes on differences between the controller and the log's."""
     ran, options = log.facts.get("controller_sha256", ""), log.facts.get("options", "{}")
     if config.controller in CONTROLLERS or not ran:
         return
-    if ran != again.sha256:
-        yield f"{again.word} is not the file that ran: its SHA-256 differs from the log's"
-    elif config.options is None and options != again.stated_options:
+    if ran != controller.sha256:
+        yield f"{controller.word} is not the file that ran: its SHA-256 differs from the log's"
+    elif config.options is None and options != controller.stated_options:
         yield f"the log's controller ran with {options:.200}: --options gives them"
 
 
@@ -183,14 +183,14 @@ def _options(log: Log) -> dict[str, Any]:
 
 def _run(
     log: Log,
-    again: RobotController | None,
+    controller: RobotController | None,
     notes: tuple[str, ...],
     progress: Callable[[float], None],
 ) -> Replay:
-    policy = _Silent(log.head.actuation.count) if again is None else again.policy
+    policy = _Silent(log.head.actuation.count) if controller is None else controller.policy
     # the replayed plant starts each trial as the log has it
     task = GazeTask(
-        1, head=log.head, plant=REPLAYED, target=REST, plant_options={"trials": log.trials}
+        1, head=log.head, plant=REPLAYED, target=REST_TARGET, plant_options={"trials": log.trials}
     )
     plant = task.plant
     assert isinstance(plant, ReplayedPlant)
@@ -199,7 +199,7 @@ def _run(
         dry_run=log.facts.get("dry_run") == str(True),
         stopped=bool(log.faults),
     )
-    results, asked = [], []
+    results, computed = [], []
     total, done = sum(trial.steps for trial in log.trials), 0
 
     def gaze(trial: LoggedTrial) -> None:
@@ -213,7 +213,7 @@ def _run(
         gazes.add(task, record)
         config = _gaze_config(log, record)
         results.append(gaze_result(config, task, record, Ending.of(task)))
-        asked.append(np.array(plant.asked).reshape(-1, 7))
+        computed.append(np.array(plant.commands).reshape(-1, 7))
 
     # prepare as before a robot's first gaze, since a policy may count its calls
     task.prepare(policy)
@@ -221,10 +221,10 @@ def _run(
         gaze(trial)
         done += trial.steps
     found = None
-    if again is not None:
-        logged = [trial.asked() for trial in log.trials]
-        found = RerunCommands(controller=again.word, logged=logged, asked=asked)
-    return Replay(log=log, gazes=gazes, results=results, again=found, notes=notes)
+    if controller is not None:
+        logged = [trial.requested() for trial in log.trials]
+        found = RerunCommands(controller=controller.word, logged=logged, computed=computed)
+    return Replay(log=log, gazes=gazes, results=results, rerun=found, notes=notes)
 
 
 def _planned(log: Log) -> int | None:

@@ -24,8 +24,8 @@ def write_replay(folder: Path, replay: Replay, gaze: int | None = None) -> None:
     log = replay.log
     write_json(folder / "result.json", replay.summary())
     pd.DataFrame(replay.gazes.rows()).to_csv(folder / "gazes.csv", index=False)
-    if replay.again is not None and replay.results:
-        _commands(replay.again, log.head).to_csv(folder / "commands.csv", index=False)
+    if replay.rerun is not None and replay.results:
+        _commands(replay.rerun, log.head).to_csv(folder / "commands.csv", index=False)
     save_head(log.head, folder / schema.HEAD_FILE)
     (folder / schema.CONFIG_FILE).write_text(log.config, encoding="utf-8")
     if log.cut_off:
@@ -35,13 +35,13 @@ def write_replay(folder: Path, replay: Replay, gaze: int | None = None) -> None:
         draw_gaze(replay.results[-1 if gaze is None else gaze - 1], folder / "gaze.png")
 
 
-def _commands(again: RerunCommands, head: HeadModel) -> pd.DataFrame:
+def _commands(rerun: RerunCommands, head: HeadModel) -> pd.DataFrame:
     """A row per control period: commands of the log's policy and of the one run again, rad/s."""
     parts = []
-    for place, (logged, asked) in enumerate(zip(again.logged, again.asked, strict=True)):
+    for place, (logged, computed) in enumerate(zip(rerun.logged, rerun.computed, strict=True)):
         columns: dict[str, object] = {"gaze": place + 1, "period": range(1, len(logged) + 1)}
         for slot, name in enumerate(head.actuation.names, 3):
             columns[f"logged_{name}_rad_s"] = logged[:, slot]
-            columns[f"asked_{name}_rad_s"] = asked[:, slot]
+            columns[f"asked_{name}_rad_s"] = computed[:, slot]
         parts.append(pd.DataFrame(columns))
     return pd.concat(parts, ignore_index=True)

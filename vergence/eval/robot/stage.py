@@ -25,7 +25,7 @@ STAGES: Final = ("emulator", "places", "hand", "still")
 """Names of the stages; by default the first available one is used."""
 _JUMPS: Final = ("double-step", "occluded")
 """Kinds of targets that disappear or jump after they have appeared."""
-REST: Final = {"kind": "static", "point": (0.0, 0.0, 1.0)}
+REST_TARGET: Final = {"kind": "static", "point": (0.0, 0.0, 1.0)}
 """The task's target for a robot; it only makes trials begin at rest."""
 
 
@@ -34,7 +34,7 @@ class TargetStage(ABC):
 
     name: str
     """One of `STAGES`."""
-    what: str
+    description: str
     """Description for a report."""
     emulated: bool = False
     """True if errors are the true ones, as an emulated head knows them."""
@@ -48,12 +48,12 @@ class TargetStage(ABC):
             ConfigurationError: the stage cannot move a target like that.
         """
         kind = str(scenario.target.get("kind"))
-        if scenario.moving or kind in _JUMPS:
+        if scenario.target_moves or kind in _JUMPS:
             raise ConfigurationError(
                 f"scenario: expected one whose target stands still before a robot, got "
                 f"{scenario.name}, whose target is {kind!r}; an emulated head has any"
             )
-        return REST
+        return REST_TARGET
 
     def check(self) -> None:
         """Check, before anything moves, that targets can be placed.
@@ -79,7 +79,7 @@ class EmulatorStage(TargetStage):
     """Stage of an emulated head, in whose world the task's own targets appear."""
 
     name = "emulator"
-    what = "an emulated head, whose targets and errors are the true ones"
+    description = "an emulated head, whose targets and errors are the true ones"
     emulated = True
 
     def target(self, scenario: Assignment) -> Mapping[str, Any]:
@@ -106,7 +106,7 @@ class PlacesStage(TargetStage):
     """
 
     name = "places"
-    what = (
+    description = (
         "tags at measured places; errors are the measured ones, and intervals hold for these tags"
     )
 
@@ -131,7 +131,7 @@ class HandStage(TargetStage):
     """
 
     name = "hand"
-    what = "a target that a person moves; errors are the measured ones"
+    description = "a target that a person moves; errors are the measured ones"
     repeatable = False
 
     def __init__(self, ask: Callable[[str], object]) -> None:
@@ -153,7 +153,7 @@ class StillStage(TargetStage):
     """A target that stands still."""
 
     name = "still"
-    what = (
+    description = (
         "a target that stands still; errors are the measured ones, and intervals hold for it alone"
     )
 

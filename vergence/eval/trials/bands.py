@@ -37,7 +37,7 @@ def bands_of_eyes(
     targets: FloatArray,
     band: float,
     goal: FloatArray,
-    slack: FloatArray,
+    half_band: FloatArray,
 ) -> None:
     """Write the goals and bands of the joints of eyes with one motor for each joint.
 
@@ -47,7 +47,7 @@ def bands_of_eyes(
         targets: (n, 3) in N, m.
         band: settling band of an eye's error, px.
         goal: (n, 4) result, goal angles, rad; nan if no angles reach the target.
-        slack: (n, 4) result, largest deviations from the goals, rad.
+        half_band: (n, 4) result, largest deviations from the goals, rad.
     """
     for n in range(targets.shape[0]):
         true = heads[n] if heads.shape[0] > 1 else heads[0]
@@ -59,8 +59,8 @@ def bands_of_eyes(
             bend = 1.0 + band / camera_of(nominal, eye).focal_u
             widest = band * bend / abs(ut * vp - up * vt)
             goal[n, 2 * eye], goal[n, 2 * eye + 1] = found.tilt, found.pan
-            slack[n, 2 * eye] = widest * sqrt(up * up + vp * vp)
-            slack[n, 2 * eye + 1] = widest * sqrt(ut * ut + vt * vt)
+            half_band[n, 2 * eye] = widest * sqrt(up * up + vp * vp)
+            half_band[n, 2 * eye + 1] = widest * sqrt(ut * ut + vt * vt)
 
 
 @compiled
@@ -70,7 +70,7 @@ def bands_of_actuators(
     targets: FloatArray,
     band: float,
     goal: FloatArray,
-    slack: FloatArray,
+    half_band: FloatArray,
 ) -> None:
     """Write the goals and bands of the actuators of coupled joints, see `bands_of_eyes`."""
     error, jacobian = np.empty((2, 2)), np.empty((2, 2, 2))
@@ -95,7 +95,7 @@ def bands_of_actuators(
         # as for an eye alone; off the image's centre the nonlinearity grows with the distance
         bend = 1.0 + band / focal * (1.0 + 4.0 * off / focal)
         for k in range(SLOTS):
-            slack[n, k] = band * bend * _widest(squares, k)
+            half_band[n, k] = band * bend * _widest(squares, k)
 
 
 @inlined

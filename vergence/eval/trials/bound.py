@@ -76,18 +76,18 @@ def settle_bound(
         raise ConfigurationError(
             f"task: expected trials at time zero, got one at {truth.time_s.max():.3f} s"
         )
-    head, moved = task.head, simulation.true_head.actuation
+    head, actuation = task.head, simulation.true_head.actuation
     period = head.timing.period_s
     motion_s = np.empty(task.num)
-    goal, slack = np.empty((2, task.num, SLOTS))
-    find = bands_of_eyes if moved.direct else bands_of_actuators
-    find(conditions.heads, head.packed, truth.target, band_px, goal, slack)
+    goal, half_band = np.empty((2, task.num, SLOTS))
+    find = bands_of_eyes if actuation.direct else bands_of_actuators
+    find(conditions.heads, head.packed, truth.target, band_px, goal, half_band)
     _motion_times(
         goal,
-        slack,
-        np.ascontiguousarray(moved.actuators_of(truth.positions)[:, EYES]),
+        half_band,
+        np.ascontiguousarray(actuation.actuators_of(truth.positions)[:, EYES]),
         np.ascontiguousarray(truth.motors[:, EYES]),
-        untyped_tuple(MotorLimits.of(moved)),
+        untyped_tuple(MotorLimits.of(actuation)),
         untyped_tuple(MotorOverrides.of(conditions)),
         period,
         motion_s,
@@ -155,26 +155,26 @@ class MotorOverrides(NamedTuple):
         command, however it is driven. Its trials get this speed limit, their acceleration limit
         and no lag.
         """
-        able = cls(
+        overrides = cls(
             *(
                 np.array(values[:, EYES] if values.ndim > 1 else values)
                 for values in (getattr(conditions, name) for name in cls._fields)
             )
         )
         over = conditions.overshoot
-        able.lag_s[over > 0.0] = 0.0
-        able.speed_gain[:] *= ((1.0 + over) / (1.0 - over))[:, None]
-        return able
+        overrides.lag_s[over > 0.0] = 0.0
+        overrides.speed_gain[:] *= ((1.0 + over) / (1.0 - over))[:, None]
+        return overrides
 
 
 @compiled
 def _motion_times(
     goal: FloatArray,
-    slack: FloatArray,
+    half_band: FloatArray,
     start: FloatArray,
     begin: FloatArray,
     motors: MotorLimits,
-    able: MotorOverrides,
+    overrides: MotorOverrides,
     period: float,
     times: FloatArray,
 ) -> None:
@@ -182,15 +182,15 @@ def _motion_times(
 
     Args:
         goal: (n, 4) goal angles of the eyes' actuators, rad; nan for no goal.
-        slack: (n, 4) largest deviations from the goals, rad.
+        half_band: (n, 4) largest deviations from the goals, rad.
         start: (n, 4) present angles of the actuators, rad.
         begin: (n, 4) present angles of their motors, within the backlash, rad.
         motors: `MotorLimits`, made `untyped_tuple`.
-        able: `MotorOverrides`, made `untyped_tuple`.
+        overrides: `MotorOverrides`, made `untyped_tuple`.
         period: the control period, s.
         times: (n,) result, s.
     """
-    motors, able = MotorLimits(*motors), MotorOverrides(*able)
+    motors, overrides = MotorLimits(*motors), MotorOverrides(*overrides)
     for n in range(times.shape[0]):
         times[n] = 0.0
         for k in range(SLOTS):
@@ -201,20 +201,22 @@ def _motion_times(
                 turn = goal[n, k] - start[n, k]
                 behind = start[n, k] - begin[n, k]
                 # the motor's way through the backlash to the flank that pushes
-                play = 0.5 * able.backlash_rad[n, k] + (behind if turn > 0.0 else -behind)
+                backlash_way = 0.5 * overrides.backlash_rad[n, k] + (
+                    behind if turn > 0.0 else -behind
+                )
                 room = (
                     motors.upper[k] - begin[n, k] if turn > 0.0 else begin[n, k] - motors.lower[k]
                 )
-                top = able.speed_gain[n, k] * motors.speed[k]
+                top = overrides.speed_gain[n, k] * motors.speed[k]
                 entry = _entry(
                     turn,
-                    slack[n, k],
-                    max(play, 0.0),
+                    half_band[n, k],
+                    max(backlash_way, 0.0),
                     room,
-                    able.lag_s[n] * motors.lag_ratio[k],
-                    able.acceleration_ratio[n] * motors.acceleration[k],
+                    overrides.lag_s[n] * motors.lag_ratio[k],
+                    overrides.acceleration_ratio[n] * motors.acceleration[k],
                     top,
-                    able.torque_falloff[n] / top,
+                    overrides.torque_falloff[n] / top,
                     period,
                 )
             times[n] = max(times[n], entry)
@@ -223,8 +225,8 @@ def _motion_times(
 @inlined
 def _entry(
     turn: float,
-    slack: float,
-    play: float,
+    half_band: float,
+    backlash_way: float,
     room: float,
     lag: float,
     acceleration: float,
@@ -236,8 +238,8 @@ def _entry(
 
     Args:
         turn: angle from the actuator to its goal, signed, rad.
-        slack: largest deviation from the goal, rad.
-        play: backlash that the motor has to cross before the actuator moves, rad.
+        half_band: largest deviation from the goal, rad.
+        backlash_way: backlash that the motor has to cross before the actuator moves, rad.
         room: angle up to the motor's limit in that direction, rad.
         lag: time constant of the response, s.
         acceleration: greatest acceleration, rad/s^2.
@@ -245,10 +247,10 @@ def _entry(
         fade: loss of acceleration with speed, as a fraction per rad/s.
         period: the control period, s.
     """
-    near = abs(turn) - slack
+    near = abs(turn) - half_band
     if near <= 0.0:
         return 0.0
-    near, far = near + play, abs(turn) + slack + play
+    near, far = near + backlash_way, abs(turn) + half_band + backlash_way
     if acceleration < inf:
         far += acceleration * period * period / 8.0
     if near > room:

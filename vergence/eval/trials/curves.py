@@ -49,7 +49,7 @@ def error_curves(trials: Trials) -> pd.DataFrame:
         `error_p95_px`; likewise for `fix_error`, in m. A missing error counts as the image's
         diagonal, a missing fix as infinite.
     """
-    norm = np.linalg.norm(trials.reducible, axis=-1).max(axis=-1)
+    norm = np.linalg.norm(trials.reducible_error, axis=-1).max(axis=-1)
     norm = np.where(np.isnan(norm), trials.missing_px, norm)
     steps = _steps_since_onset(trials)
     columns = {"time_s": trials.time_s[: len(steps)]}

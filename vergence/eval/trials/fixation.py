@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.eval.trials.metrics import late
+from vergence.eval.trials.metrics import mask_from
 from vergence.models.parts import FloatArray
 
 FIXATION_S: Final = 5.0
@@ -26,7 +26,7 @@ show in fewer such windows."""
 SWING_S: Final = 1.0
 """Time throughout which every such window has to show the oscillation, s; a single turn of up to
 half of it does not count (chosen)."""
-GO_S: Final = 0.7
+TURN_S: Final = 0.7
 """Time after the onset left to the turn towards the target, in which nothing counts as
 oscillation, s (chosen)."""
 HELD_S: Final = 0.1
@@ -62,7 +62,7 @@ def speed_rms(time_s: ArrayLike, speed: ArrayLike, after_s: ArrayLike) -> FloatA
     Returns:
         (...) rad/s; nan for trials that are over by then.
     """
-    square, counts = _counted(time_s, np.asarray(speed) ** 2, after_s)
+    square, counts = _speeds_and_mask(time_s, np.asarray(speed) ** 2, after_s)
     with np.errstate(invalid="ignore"):
         mean = np.sum(square, axis=0, where=counts) / counts.sum(axis=0)
     return np.asarray(np.sqrt(mean.max(axis=-1)))
@@ -79,25 +79,25 @@ def speed_peak_to_peak(time_s: ArrayLike, speed: ArrayLike, after_s: ArrayLike) 
     Returns:
         (...) rad/s; nan for trials that are over by then.
     """
-    found, counts = _counted(time_s, speed, after_s)
+    found, counts = _speeds_and_mask(time_s, speed, after_s)
     greatest = np.max(found, axis=0, where=counts, initial=-np.inf)
     least = np.min(found, axis=0, where=counts, initial=np.inf)
     return np.asarray(np.where(counts.any(axis=0), greatest - least, np.nan).max(axis=-1))
 
 
-def _counted(
+def _speeds_and_mask(
     time_s: ArrayLike, speed: ArrayLike, after_s: ArrayLike
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Speeds, and a mask of their shape for those whose period begins at a time or later."""
     found = np.asarray(speed, dtype=np.float64)
-    counts = late(np.asarray(time_s)[:-1], after_s, found.shape[1:-1])
+    counts = mask_from(np.asarray(time_s)[:-1], after_s, found.shape[1:-1])
     return found, np.broadcast_to(counts[..., None], found.shape)
 
 
 def swings(time_s: ArrayLike, speed: ArrayLike, onset_s: ArrayLike) -> NDArray[np.bool_]:
     """Detect trials whose eyes swing (oscillate) although their target rests.
 
-    A trial swings if, at any time later than `GO_S` after the onset, the peak-to-peak speed of a
+    A trial swings if, at any time later than `TURN_S` after the onset, the peak-to-peak speed of a
     joint exceeds `SWING_RAD_S` in every window of `SWING_WINDOW_S` throughout a span of `SWING_S`.
     A single turn of up to half a second falls into too few of the windows, whatever its speed. The
     least peak-to-peak speed at which a sinusoid is detected is 20 degrees/s at 4 Hz, 23 at 3 Hz
@@ -121,8 +121,8 @@ def swings(time_s: ArrayLike, speed: ArrayLike, onset_s: ArrayLike) -> NDArray[n
         return np.zeros(found.shape[1:-1], dtype=np.bool_)
     range_ = _greatest(found, window) + _greatest(-found, window)
     swung = (range_ > SWING_RAD_S).any(axis=-1)
-    swung &= late(time[: len(swung)], np.asarray(onset_s) + GO_S, swung.shape[1:])
-    return np.asarray(_throughout(swung, whole - window + 1).any(axis=0))
+    swung &= mask_from(time[: len(swung)], np.asarray(onset_s) + TURN_S, swung.shape[1:])
+    return np.asarray(_holds_for(swung, whole - window + 1).any(axis=0))
 
 
 def left_again(
@@ -147,7 +147,7 @@ def left_again(
     held = round(HELD_S / (time[1] - time[0])) + 1
     if len(inside) <= held:
         return np.zeros(inside.shape[1:], dtype=np.bool_)
-    settled = _throughout(inside & late(time, onset_s, inside.shape[1:]), held)
+    settled = _holds_for(inside & mask_from(time, onset_s, inside.shape[1:]), held)
     before = np.logical_or.accumulate(settled[:-1], axis=0)
     return np.asarray((before & ~inside[held:]).any(axis=0))
 
@@ -162,6 +162,6 @@ def _greatest(values: NDArray[Any], length: int) -> NDArray[Any]:
     return np.maximum(found[: len(found) - rest], found[rest:]) if rest else found
 
 
-def _throughout(holds: NDArray[np.bool_], length: int) -> NDArray[np.bool_]:
+def _holds_for(holds: NDArray[np.bool_], length: int) -> NDArray[np.bool_]:
     """(steps - length + 1, ...) True where a condition holds for `length` steps from a step on."""
     return np.asarray(~_greatest(~holds, length))

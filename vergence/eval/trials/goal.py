@@ -72,10 +72,10 @@ def _residuals(
         targets: (n, 3) in N, m.
         residual: (n, 2, 2) result, px.
     """
-    own, jacobian = np.empty(SLOTS), np.empty((2, 2, 2))
+    actuators, jacobian = np.empty(SLOTS), np.empty((2, 2, 2))
     for n in range(targets.shape[0]):
         true = heads[n] if heads.shape[0] > 1 else heads[0]
-        if not actuator_goal(true, nominal, targets[n], own, residual[n], jacobian):
+        if not actuator_goal(true, nominal, targets[n], actuators, residual[n], jacobian):
             for eye in range(2):
                 for axis in range(2):
                     residual[n, eye, axis] = nan
@@ -150,7 +150,7 @@ def actuator_goal(
     true: PackedHead,
     nominal: PackedHead,
     point: FloatArray,
-    own: FloatArray,
+    actuators: FloatArray,
     error: FloatArray,
     jacobian: FloatArray,
 ) -> bool:
@@ -160,7 +160,7 @@ def actuator_goal(
         true: the true head, packed.
         nominal: the head that the controller knows, packed.
         point: (3,) the target in N, m.
-        own: (4,) result: the actuators' goal angles, rad.
+        actuators: (4,) result: the actuators' goal angles, rad.
         error: (2, 2) result: the residual there, by eye and image axis, px.
         jacobian: (2, 2, 2) result: derivatives of the errors by eye, image axis and joint of that
             eye, px/rad.
@@ -172,10 +172,10 @@ def actuator_goal(
     if not fixate_coupled(true, point[0], point[1], point[2], joints):
         return False
     for k in range(SLOTS):
-        own[k] = actuator_at(true, k, joints)
+        actuators[k] = actuator_at(true, k, joints)
     for attempt in range(_GAUSS_NEWTON_STEPS):
         for joint in range(4):
-            joints[joint] = joint_at(true, joint, own)
+            joints[joint] = joint_at(true, joint, actuators)
         for eye in range(2):
             found = error_slopes(true, nominal, eye, joints[2 * eye], joints[2 * eye + 1], point)
             error[eye, 0], error[eye, 1] = found.u, found.v
@@ -193,5 +193,5 @@ def actuator_goal(
         if size < (_SETTLED_RAD if last else _LEAST_STEP_RAD):
             return True
         for k in range(SLOTS):
-            own[k] += step[k]
+            actuators[k] += step[k]
     return False

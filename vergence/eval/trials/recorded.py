@@ -21,7 +21,7 @@ def as_trials(
     *,
     scenario: str,
     plant: str,
-    moving: bool = False,
+    target_moves: bool = False,
     band_px: float = BAND_PX,
     catch_up_s: float = 0.0,
 ) -> Trials:
@@ -38,7 +38,7 @@ def as_trials(
         steps: greatest number of control periods to evaluate.
         scenario: name of the scenario.
         plant: name of the plant.
-        moving: True if the target keeps moving.
+        target_moves: True if the target keeps moving.
         band_px: leading band of settling, px.
         catch_up_s: time at the start that does not count in tracking, s.
 
@@ -60,13 +60,13 @@ def as_trials(
     residual = np.zeros((task.num, 2, 2))
     if not isinstance(task.plant, Simulation):
         error = _carried_on(error)
-        if not (moving or head.actuation.direct):
+        if not (target_moves or head.actuation.direct):
             views = triangulate_views(head, reading.positions_at_exposure[-1], reading.pixels[-1])
             residual = head.least_error(views.point)
     return Trials(
         scenario=scenario,
         plant=plant,
-        moving=moving,
+        target_moves=target_moves,
         band_px=band_px,
         catch_up_s=catch_up_s,
         head=head,

@@ -28,7 +28,7 @@ class Trials:
 
     scenario: str
     plant: str
-    moving: bool
+    target_moves: bool
     """True if the target moves throughout: tracking is evaluated, not settling."""
     band_px: float
     """Leading band: the one to which the scenario judges settling, px."""
@@ -93,7 +93,7 @@ class Trials:
         return float(np.hypot(*self.head.cameras.size.T).max())
 
     @cached_property
-    def reducible(self) -> FloatArray:
+    def reducible_error(self) -> FloatArray:
         """(steps + 1, n, 2, 2) the error less the residual, px: the part a controller can remove.
 
         For moving targets it is the error itself.
@@ -103,7 +103,7 @@ class Trials:
     @cached_property
     def residual_px(self) -> FloatArray:
         """(n,) residual of the worse eye, px; nan for moving targets and uncoupled joints."""
-        if self.moving or self.head.actuation.direct:
+        if self.target_moves or self.head.actuation.direct:
             return np.full(self.num, np.nan)
         worse = np.linalg.norm(self.residual, axis=-1).max(axis=-1)
         return np.where(worse < _ROUNDING_PX, 0.0, worse)
@@ -114,7 +114,7 @@ class Trials:
         It counts from the onset, and is nan for trials that never settle. A trial that `swings`
         has not settled, whatever its pixel errors are.
         """
-        settled = metrics.settle_time(self.time_s, self.reducible, band_px)
+        settled = metrics.settle_time(self.time_s, self.reducible_error, band_px)
         return np.where(self.swings, np.nan, np.maximum(settled - self.onset_s, 0.0))
 
     def settle_or_trial_s(self, band_px: float = BAND_PX) -> FloatArray:
@@ -141,28 +141,28 @@ class Trials:
 
         False for targets that never rest.
         """
-        if self.moving:
+        if self.target_moves:
             return np.zeros(self.num, dtype=np.bool_)
         return self.stopped | fixation.swings(self.time_s, self.speed, self.onset_s)
 
     @cached_property
     def left_again(self) -> NDArray[np.bool_]:
         """(n,) see `fixation.left_again`, for the leading band; otherwise as `swings`."""
-        if self.moving:
+        if self.target_moves:
             return np.zeros(self.num, dtype=np.bool_)
-        return fixation.left_again(self.time_s, self.reducible, self.band_px, self.onset_s)
+        return fixation.left_again(self.time_s, self.reducible_error, self.band_px, self.onset_s)
 
     @cached_property
     def fixation_rms_rad_s(self) -> FloatArray:
         """(n,) see `fixation.speed_rms`, over the fixation; nan for targets that never rest."""
-        if self.moving:
+        if self.target_moves:
             return np.full(self.num, np.nan)
         return fixation.speed_rms(self.time_s, self.speed, self._fixation_start)
 
     @cached_property
     def fixation_peak_to_peak_rad_s(self) -> FloatArray:
         """(n,) see `fixation.speed_peak_to_peak`; otherwise as `fixation_rms_rad_s`."""
-        if self.moving:
+        if self.target_moves:
             return np.full(self.num, np.nan)
         return fixation.speed_peak_to_peak(self.time_s, self.speed, self._fixation_start)
 
@@ -174,13 +174,13 @@ class Trials:
     def overshoot(self) -> FloatArray:
         """(n,) see `metrics.overshoot`: beyond the residual."""
         return metrics.overshoot(
-            self.reducible, np.searchsorted(self.time_s, self.onset_s - _ROUNDING_S)
+            self.reducible_error, np.searchsorted(self.time_s, self.onset_s - _ROUNDING_S)
         )
 
     @cached_property
     def steady_px(self) -> FloatArray:
         """(n,) see `metrics.steady_state_error`: beyond the residual, px."""
-        return metrics.steady_state_error(self.time_s, self.reducible, self.missing_px)
+        return metrics.steady_state_error(self.time_s, self.reducible_error, self.missing_px)
 
     @cached_property
     def tracking_px(self) -> FloatArray:
@@ -241,7 +241,7 @@ def headline(trials: Trials) -> float:
         tracking RMS, px.
     """
     settle_s = trials.settle_or_trial_s(trials.band_px)
-    return float(np.median(trials.tracking_px if trials.moving else settle_s))
+    return float(np.median(trials.tracking_px if trials.target_moves else settle_s))
 
 
 def join(parts: Sequence[Trials]) -> Trials:
@@ -259,7 +259,7 @@ def join(parts: Sequence[Trials]) -> Trials:
     return Trials(
         scenario=first.scenario,
         plant=first.plant,
-        moving=first.moving,
+        target_moves=first.target_moves,
         band_px=first.band_px,
         catch_up_s=first.catch_up_s,
         head=first.head,

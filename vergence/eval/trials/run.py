@@ -222,7 +222,7 @@ def run_in(
         steps,
         scenario=scenario.name,
         plant=plant,
-        moving=scenario.moving,
+        target_moves=scenario.target_moves,
         band_px=scenario.band_px,
         catch_up_s=scenario.catch_up_s,
     )
@@ -240,7 +240,7 @@ def run_in(
 def _known_at_the_start(task: GazeTask, plant: Simulation, scenario: Assignment) -> dict[str, Any]:
     """Onsets, bounds and residuals of simulated trials that have just begun."""
     known: dict[str, Any] = {"onset_s": plant.onset_s()}
-    if not scenario.moving:
+    if not scenario.target_moves:
         bands = judged_bands(scenario.band_px)
         known["bounds_s"] = {band.px: settle_bound(task, band.px) for band in bands}
         known["residual"] = least_measured_error(task, plant.truth_at_rest().target)

@@ -34,7 +34,7 @@ class Assignment:
     """The task that trials set a head, simulated or real."""
 
     name: str
-    what: str
+    description: str
     """Description of a trial, one line."""
     target: Mapping[str, Any]
     """The target, see `vergence.envs.targets.registry.make_target`. A robot that looks at the world
@@ -43,7 +43,7 @@ class Assignment:
     """Duration of a trial, s."""
     band_px: float = 1.0
     """Leading band: the one to which settling is judged, px."""
-    moving: bool = False
+    target_moves: bool = False
     """True if the target keeps moving: tracking is evaluated, not settling."""
     catch_up_s: float = 0.0
     """Time after the onset that does not count in the tracking of a moving target, s."""
@@ -74,7 +74,7 @@ class Scenario(Assignment):
 
     head: str = "simulated"
     """Preset of the head that the controller knows."""
-    parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    head_overrides: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Overrides of the preset's values, see `HeadModel.replace`."""
     plants: tuple[str, ...] = ("kinematic", "mujoco")
     """Names of the plants that can move the head."""
@@ -83,7 +83,7 @@ class Scenario(Assignment):
 
     def model(self) -> HeadModel:
         """The head that the controller knows."""
-        return load_head(self.head).replace(**self.parts)
+        return load_head(self.head).replace(**self.head_overrides)
 
     @property
     def steps(self) -> int:
@@ -108,7 +108,7 @@ class Scenario(Assignment):
                 f"{self.name!r}, got {plant!r}{did_you_mean(plant, self.plants)}"
             )
         return {
-            "head": (self.model() if self.parts else self.head) if head is None else head,
+            "head": (self.model() if self.head_overrides else self.head) if head is None else head,
             "plant": plant,
             "target": dict(self.target),
             "variation": self.variation,
@@ -163,18 +163,20 @@ _ALL_PLANTS: Final = ("kinematic", "mujoco", "rendered")
 _SCENARIOS = (
     Scenario(
         name="hardware",
-        what="the workspace through a robot's loop: late, jittering, noisy, with play and faults",
+        description="the workspace through a robot's loop: late, jittering, noisy, with play "
+        "and faults",
         target={"kind": "random", "border": 30.0},
-        parts=TICKS,
+        head_overrides=TICKS,
         duration_s=3.0,
         band_px=2.0,
         variation=HARDWARE,
     ),
     Scenario(
         name="webcam",
-        what="two servos and two webcams on the desk: 30 frames a second through such a loop",
+        description="two servos and two webcams on the desk: 30 frames a second through such "
+        "a loop",
         head="turrets",
-        parts={"sensor": {"command_resolution_rad_s": TICK_RAD_S}},
+        head_overrides={"sensor": {"command_resolution_rad_s": TICK_RAD_S}},
         target={"kind": "random", "border": 30.0},
         duration_s=3.0,
         band_px=2.0,
@@ -182,9 +184,9 @@ _SCENARIOS = (
     ),
     Scenario(
         name="desk",
-        what="as webcam, longer: servos swing, speeds late or none, stalls, losses, skew",
+        description="as webcam, longer: servos swing, speeds late or none, stalls, losses, skew",
         head="turrets",
-        parts={"sensor": {"command_resolution_rad_s": TICK_RAD_S}},
+        head_overrides={"sensor": {"command_resolution_rad_s": TICK_RAD_S}},
         target={"kind": "random", "border": 30.0},
         duration_s=8.0,
         band_px=2.0,
@@ -192,68 +194,69 @@ _SCENARIOS = (
     ),
     Scenario(
         name="step",
-        what="the article's step: the target jumps by 100 mm at 1 m",
+        description="the article's step: the target jumps by 100 mm at 1 m",
         target={"kind": "step", "before": (0.0, -0.1, 1.0), "after": (0.0, -0.2, 1.0)},
         duration_s=2.0,
         plants=_ALL_PLANTS,
     ),
     Scenario(
         name="workspace",
-        what="from one point of the workspace to another, 0.3 to 2.5 m away",
+        description="from one point of the workspace to another, 0.3 to 2.5 m away",
         target={"kind": "random"},
         duration_s=2.0,
         plants=_ALL_PLANTS,
     ),
     Scenario(
         name="circle",
-        what="the article's circle of 100 mm at 1 m, a turn in 63 s",
+        description="the article's circle of 100 mm at 1 m, a turn in 63 s",
         target={"kind": "circle"},
         duration_s=10.0,
-        moving=True,
+        target_moves=True,
         catch_up_s=1.0,
     ),
     Scenario(
         name="line",
-        what="the article's line on its physical rig, at 10 mm/s",
+        description="the article's line on its physical rig, at 10 mm/s",
         head="physical",
         target={"kind": "line"},
         duration_s=10.0,
-        moving=True,
+        target_moves=True,
         catch_up_s=1.0,
     ),
     Scenario(
         name="fast",
-        what="ellipses and sweeps of any place and plane, at up to 60 degrees/s",
+        description="ellipses and sweeps of any place and plane, at up to 60 degrees/s",
         target={"kind": "orbit"},
         duration_s=4.0,
-        moving=True,
+        target_moves=True,
         catch_up_s=1.0,
     ),
     Scenario(
         name="double-step",
-        what="the workspace, where the target jumps on while the eyes still turn to it",
+        description="the workspace, where the target jumps on while the eyes still turn to it",
         target={"kind": "double-step"},
         duration_s=2.5,
     ),
     Scenario(
         name="occluded",
-        what="as fast, and each trial's target is gone for 0.3 s on its way",
+        description="as fast, and each trial's target is gone for 0.3 s on its way",
         target={"kind": "occluded"},
         duration_s=4.0,
-        moving=True,
+        target_moves=True,
         catch_up_s=1.0,
     ),
     Scenario(
         name="wander",
-        what="straight on at 5 to 40 degrees/s, and in another direction every 0.15 to 0.5 s",
+        description="straight on at 5 to 40 degrees/s, and in another direction every 0.15 "
+        "to 0.5 s",
         target={"kind": "wander"},
         duration_s=4.0,
-        moving=True,
+        target_moves=True,
         catch_up_s=1.0,
     ),
     Scenario(
         name="robust",
-        what="the workspace with unknown delay, lag, model errors, noise and dropped frames",
+        description="the workspace with unknown delay, lag, model errors, noise and dropped frames",
         # the true head's image of the target is up to 5 x 6 px away from the model's
         target={"kind": "random", "border": 30.0},
         duration_s=3.0,
@@ -267,7 +270,7 @@ _SCENARIOS = (
     ),
     Scenario(
         name="physical",
-        what="the workspace with the physical head, each trial another one",
+        description="the workspace with the physical head, each trial another one",
         head="physical",
         target={"kind": "random", "border": 30.0},
         duration_s=2.0,
@@ -284,13 +287,13 @@ def _through(loop: str, *targets: str) -> list[Scenario]:
         replace(
             made,
             name=f"{loop}-{name}",
-            what=f"{by_name[name].what}; through the loop of {loop}",
+            description=f"{by_name[name].description}; through the loop of {loop}",
             # the true head's image of a target that appears is away from the model's
             target=dict(by_name[name].target)
-            | ({} if by_name[name].moving else {"border": made.target["border"]}),
+            | ({} if by_name[name].target_moves else {"border": made.target["border"]}),
             # the onset comes late
             duration_s=by_name[name].duration_s + LATEST_ONSET_S,
-            moving=by_name[name].moving,
+            target_moves=by_name[name].target_moves,
             catch_up_s=by_name[name].catch_up_s,
         )
         for name in targets

@@ -15,7 +15,7 @@ from vergence.errors import ConfigurationError
 from vergence.eval.jobs import Mapper
 from vergence.eval.trials.scenarios import Scenario
 from vergence.eval.tuning.config import TuneConfig
-from vergence.eval.tuning.objective import Attempt, TrialsJob, judged
+from vergence.eval.tuning.objective import Attempt, TrialsJob, summarise_trials
 from vergence.eval.tuning.spaces import SEARCH_SPACES
 from vergence.models.files.head_file import from_anywhere
 from vergence.models.head import HeadModel
@@ -107,6 +107,6 @@ def _try(
         for gain in gains
     ]  # fmt: skip
     return [
-        Attempt(number=number, options=job.options, found=judged([result]))
+        Attempt(number=number, options=job.options, found=summarise_trials([result]))
         for number, (job, result) in enumerate(zip(jobs, mapper(jobs), strict=True))
     ]

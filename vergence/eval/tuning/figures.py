@@ -7,13 +7,13 @@ from matplotlib.figure import Figure
 
 from vergence.eval.reporting.style import BLUE, GREY, ORANGE, new_figure, styled
 from vergence.eval.tuning.objective import Attempt
-from vergence.eval.tuning.spaces import Span
+from vergence.eval.tuning.spaces import SearchRange
 
 _METRIC = {"s": "settle time to 1 px (s)", "px": "tracking RMS (px)"}
 
 
 def draw_search(
-    attempts: Sequence[Attempt], spans: Mapping[str, Span], title: str, unit: str
+    attempts: Sequence[Attempt], spans: Mapping[str, SearchRange], title: str, unit: str
 ) -> Figure:
     """Draw the headline metric against the options.
 
@@ -64,7 +64,7 @@ def _curve(attempts: Sequence[Attempt], best: Attempt, name: str, unit: str) -> 
 
 
 def _slices(
-    attempts: Sequence[Attempt], best: Attempt, spans: Mapping[str, Span], unit: str
+    attempts: Sequence[Attempt], best: Attempt, spans: Mapping[str, SearchRange], unit: str
 ) -> Figure:
     columns = min(4, len(spans))
     rows = -(-len(spans) // columns)

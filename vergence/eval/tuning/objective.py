@@ -86,7 +86,7 @@ class TrialsJob:
             head=self.head,
             first_trial=self.numbers.start,
         )
-        if trials.moving:
+        if trials.target_moves:
             return trials.tracking_px, ~trials.lost
         band_px = trials.band_px
         return trials.settle_or_trial_s(band_px), np.isfinite(trials.settle_s(band_px))
@@ -118,12 +118,12 @@ def controller_objective(
             )
             for pair in pairwise(ends)
         ]
-        return judged(mapper(jobs))
+        return summarise_trials(mapper(jobs))
 
     return judge
 
 
-def judged(parts: Sequence[tuple[FloatArray, NDArray[np.bool_]]]) -> dict[str, float]:
+def summarise_trials(parts: Sequence[tuple[FloatArray, NDArray[np.bool_]]]) -> dict[str, float]:
     """Summarise the trials of a point.
 
     Args:

@@ -14,7 +14,7 @@ Options = dict[str, float]
 """Values by option."""
 
 
-class Span(NamedTuple):
+class SearchRange(NamedTuple):
     """Search range of an option."""
 
     low: float
@@ -31,41 +31,41 @@ class Span(NamedTuple):
         return [round(self.low + i * self.step, 10) for i in range(count)]
 
 
-SEARCH_SPACES: Final[dict[str, dict[str, Span]]] = {
+SEARCH_SPACES: Final[dict[str, dict[str, SearchRange]]] = {
     # overshoot begins at 4.1 with nominal timing; moving targets need up to 17, where the loop
     # oscillates and is almost unstable
-    "ibvs": {"gain": Span(0.5, 20.0, "linear", 0.05)},
+    "ibvs": {"gain": SearchRange(0.5, 20.0, "linear", 0.05)},
     # lambda_zero = lambda_inf is a fixed gain, so the best options are at least as good as that
     "adaptive": {
-        "lambda_zero": Span(1.0, 12.0, "linear", 0.05),
-        "lambda_inf": Span(0.5, 12.0, "linear", 0.05),
-        "slope_zero": Span(0.5, 500.0, "log"),
+        "lambda_zero": SearchRange(1.0, 12.0, "linear", 0.05),
+        "lambda_inf": SearchRange(0.5, 12.0, "linear", 0.05),
+        "slope_zero": SearchRange(0.5, 500.0, "log"),
     },
     "pid": {
-        "kp": Span(1.0, 12.0, "linear", 0.05),
-        "ki": Span(0.001, 2.0, "log"),
-        "kd": Span(0.0, 0.6),
-        "filter_s": Span(0.002, 0.06, "log"),
+        "kp": SearchRange(1.0, 12.0, "linear", 0.05),
+        "ki": SearchRange(0.001, 2.0, "log"),
+        "kd": SearchRange(0.0, 0.6),
+        "filter_s": SearchRange(0.002, 0.06, "log"),
     },
     # error_px and rate_px_s scale the region of the rules: near the target, or on the way to it
     "fuzzy": {
-        "kp": Span(1.0, 12.0, "linear", 0.05),
-        "ki": Span(0.001, 2.0, "log"),
-        "kd": Span(0.0, 0.6),
-        "span_p": Span(0.0, 1.0),
-        "span_i": Span(0.0, 1.0),
-        "span_d": Span(0.0, 1.0),
-        "error_px": Span(3.0, 600.0, "log"),
-        "rate_px_s": Span(20.0, 3000.0, "log"),
-        "filter_s": Span(0.002, 0.06, "log"),
+        "kp": SearchRange(1.0, 12.0, "linear", 0.05),
+        "ki": SearchRange(0.001, 2.0, "log"),
+        "kd": SearchRange(0.0, 0.6),
+        "span_p": SearchRange(0.0, 1.0),
+        "span_i": SearchRange(0.0, 1.0),
+        "span_d": SearchRange(0.0, 1.0),
+        "error_px": SearchRange(3.0, 600.0, "log"),
+        "rate_px_s": SearchRange(20.0, 3000.0, "log"),
+        "filter_s": SearchRange(0.002, 0.06, "log"),
     },
-    "delay-compensated": {"gain": Span(2.0, 60.0, "log")},
-    "state-feedback": {"gain": Span(5.0, 100.0, "log"), "damping": Span(0.0, 1.5)},
+    "delay-compensated": {"gain": SearchRange(2.0, 60.0, "log")},
+    "state-feedback": {"gain": SearchRange(5.0, 100.0, "log"), "damping": SearchRange(0.0, 1.5)},
 }
 """The options that `vergence tune` varies, by controller."""
 
 
-def search_space(controller: str) -> dict[str, Span]:
+def search_space(controller: str) -> dict[str, SearchRange]:
     """Search space of a controller's options.
 
     Raises:
@@ -84,7 +84,7 @@ def search_space(controller: str) -> dict[str, Span]:
     return SEARCH_SPACES[name]
 
 
-def first_point(controller: str, spans: Mapping[str, Span]) -> Options | None:
+def first_point(controller: str, spans: Mapping[str, SearchRange]) -> Options | None:
     """The controller's defaults; None if one is missing or outside its search range."""
     module, _, attribute = CONTROLLERS.get(law_of(controller), "").partition(":")
     if not module:
@@ -99,6 +99,6 @@ def first_point(controller: str, spans: Mapping[str, Span]) -> Options | None:
     return point
 
 
-def is_grid(spans: Mapping[str, Span]) -> bool:
+def is_grid(spans: Mapping[str, SearchRange]) -> bool:
     """True if a search is small enough to try every point: a single option with a step."""
     return len(spans) == 1 and all(span.step is not None for span in spans.values())

@@ -22,7 +22,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.tuning.objective import Attempt, Objective, loss
-from vergence.eval.tuning.spaces import Span
+from vergence.eval.tuning.spaces import SearchRange
 from vergence.eval.tuning.study_storage import opened_study
 
 MOST_POINTS: Final = 5000
@@ -42,7 +42,7 @@ class SearchSpec:
     """The study's name."""
     storage: str
     """A SQLite file, or the URL of a PostgreSQL database."""
-    spans: Mapping[str, Span]
+    spans: Mapping[str, SearchRange]
     """Search range of each option."""
     setting: Mapping[str, Any]
     """All else that the results depend on; a study resumes only with equal values."""
@@ -154,7 +154,7 @@ def _fill(
     return refused
 
 
-def _suggest(trial: Trial, name: str, span: Span) -> float:
+def _suggest(trial: Trial, name: str, span: SearchRange) -> float:
     # without a step: a grid's points are exact decimals, which Optuna would round differently
     return trial.suggest_float(name, span.low, span.high, log=span.scale == "log")
 

@@ -15,7 +15,7 @@ from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.figures import draw_search
 from vergence.eval.tuning.objective import Attempt, Objective
-from vergence.eval.tuning.spaces import Span, first_point, is_grid
+from vergence.eval.tuning.spaces import SearchRange, first_point, is_grid
 from vergence.eval.tuning.study import SearchSpec, run_search
 from vergence.eval.tuning.study_storage import without_password
 from vergence.files import atomic_files
@@ -40,7 +40,7 @@ class TuneResult:
 def tune(
     folder: Path,
     config: TuneConfig,
-    spans: Mapping[str, Span],
+    spans: Mapping[str, SearchRange],
     objective: Objective,
     head: HeadModel,
     progress: Callable[[int, int], None] = lambda done, total: None,
@@ -72,7 +72,7 @@ def tune(
         storage=config.storage_in(folder),
     )
     keys = ("controller", "scenario", "plant", "episodes", "steps")
-    band = {} if scenario.moving else {"band_px": scenario.band_px}
+    band = {} if scenario.target_moves else {"band_px": scenario.band_px}
     search = SearchSpec(
         name=config.name,
         storage=config.storage_in(folder),
@@ -94,13 +94,15 @@ def tune(
         config=config,
         best=min(attempts, key=lambda attempt: attempt.rank),
         attempts=attempts,
-        unit="px" if scenario.moving else "s",
+        unit="px" if scenario.target_moves else "s",
     )
     _write(folder, result, spans, head)
     return result
 
 
-def _write(folder: Path, result: TuneResult, spans: Mapping[str, Span], head: HeadModel) -> None:
+def _write(
+    folder: Path, result: TuneResult, spans: Mapping[str, SearchRange], head: HeadModel
+) -> None:
     config = result.config
     # processes that share a study may end together, and each writes the results of all
     with locked(folder, wait=True), atomic_files(folder, last="tune.json") as partial:

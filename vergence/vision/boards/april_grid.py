@@ -9,13 +9,19 @@ from numpy.typing import NDArray
 
 from vergence.models.april_grid import AprilGrid
 from vergence.vision.boards.april_search import CornerSearch, Tags, known_of
-from vergence.vision.boards.april_tags import WAYS, as_on_board, find_grid_tags, seen_spacing
+from vergence.vision.boards.april_tags import (
+    SEARCH_SCALES,
+    estimate_spacing,
+    find_grid_tags,
+    largest_consistent_group,
+)
 from vergence.vision.boards.homographies import sigma_of_middle
-from vergence.vision.boards.smoothness import smooth_of
+from vergence.vision.boards.smoothness import fit_board
 from vergence.vision.detection import Detection, Detector
 
-_QUICK: Final = (0, 1, 2)
-"""Search methods of `WAYS` that are fast enough for a loop at camera rate (numerical: indices)."""
+_QUICK_METHODS: Final = (0, 1, 2)
+"""Search methods of `SEARCH_SCALES` that are fast enough for a loop at camera rate (numerical:
+indices)."""
 _WHOLE: Final = 1
 """First search method after which a partial board suffices (numerical: index)."""
 _ENOUGH: Final = 0.97
@@ -35,7 +41,7 @@ _MOST_OFF: Final = 0.02
 """Tolerance of the ratio of gap to tag edge against the stated spacing (chosen: print errors)."""
 _MOST_OFF_PX: Final = 0.5
 """Tolerance of the gap for small tags, px; the larger one holds (chosen: detection errors)."""
-_UNTOLD_PX: Final = 0.1
+_DEFAULT_SIGMA_PX: Final = 0.1
 """Standard deviation of corners too few to estimate their noise, px (chosen)."""
 
 
@@ -49,21 +55,23 @@ class AprilGridDetector(Detector[AprilGrid]):
     """
 
     def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
-        ways = _QUICK if way is None else (_QUICK[way % len(_QUICK)],)
-        return self._search(image, image, np.zeros(2), ways)
+        methods = _QUICK_METHODS if way is None else (_QUICK_METHODS[way % len(_QUICK_METHODS)],)
+        return self._search(image, image, np.zeros(2), methods)
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
-        return self._search(image, image, np.zeros(2), range(len(WAYS)))
+        return self._search(image, image, np.zeros(2), range(len(SEARCH_SCALES)))
 
     def _detect_rest(self, image: NDArray[np.uint8]) -> list[Detection]:
-        return self._search(image, image, np.zeros(2), range(len(_QUICK), len(WAYS)))
+        return self._search(
+            image, image, np.zeros(2), range(len(_QUICK_METHODS), len(SEARCH_SCALES))
+        )
 
     def _detect_in(
         self, image: NDArray[np.uint8], region: tuple[int, int, int, int], predicted: Detection
     ) -> list[Detection]:
         x0, y0, x1, y1 = region
         part = np.ascontiguousarray(image[y0:y1, x0:x1])
-        return self._search(image, part, np.array([x0, y0], float), _QUICK)
+        return self._search(image, part, np.array([x0, y0], float), _QUICK_METHODS)
 
     def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
         return self._at(image, predicted.corners_px.reshape(-1, 4, 2), _TRACKED_STEP)
@@ -73,28 +81,30 @@ class AprilGridDetector(Detector[AprilGrid]):
         image: NDArray[np.uint8],
         part: NDArray[np.uint8],
         shift: NDArray[np.float64],
-        ways: Iterable[int],
+        methods: Iterable[int],
     ) -> list[Detection]:
         """Search a part of the image, at a shift in it, by some methods until one suffices."""
         best: Detection | None = None
         most = 0
-        for way in ways:
-            tags = self._tags(part, way)
+        for method_index in methods:
+            tags = self._tags(part, method_index)
             found = None if tags is None else self._at(image, tags + shift)
             if found is not None:
                 seen = int(np.isfinite(found.corners_px[:, 0]).sum())
                 if seen > most:
                     best, most = found, seen
-            if best is not None and (most >= _ENOUGH * len(best.corners_px) or way >= _WHOLE):
+            if best is not None and (
+                most >= _ENOUGH * len(best.corners_px) or method_index >= _WHOLE
+            ):
                 break
         return [] if best is None else [best]
 
-    def _tags(self, image: NDArray[np.uint8], way: int) -> Tags | None:
+    def _tags(self, image: NDArray[np.uint8], method_index: int) -> Tags | None:
         """Corners of the tags that are read and are arranged as on the board; None if too few."""
         board = self.target
         count = board.columns * board.rows
-        found = find_grid_tags(image, way)
-        placed = as_on_board(found, board.columns, board.spacing)
+        found = find_grid_tags(image, method_index)
+        placed = largest_consistent_group(found, board.columns, board.spacing)
         own = sum(each.id < count for each in found)
         if len(placed) < max(_LEAST_FOUND * own, 1) or any(each.id >= count for each, *_ in placed):
             return None  # another layout, or a part of a larger board
@@ -121,26 +131,26 @@ class AprilGridDetector(Detector[AprilGrid]):
         if len(known) < 4:
             return None
         corners, board_m = search.found.reshape(-1, 2)[known], board.corners_m[known]
-        smooth = smooth_of(board_m, flat.ideal(corners), search.room()[known // 4])
-        if smooth is None:
+        fit = fit_board(board_m, flat.to_plane(corners), search.half_gaps_px()[known // 4])
+        if fit is None:
             return None
-        known, corners, board_m = known[smooth.good], corners[smooth.good], board_m[smooth.good]
+        known, corners, board_m = known[fit.good], corners[fit.good], board_m[fit.good]
         own = np.unique(known // 4)
-        read = search.reads(own)
+        read = search.match_print(own)
         least = min(_LEAST_TAGS, board.columns * board.rows)
         if len(known) < 4 or read.sum() < max(least, _LEAST_READ * len(own)):
             return None
         out, sigmas = np.full((2, len(board.corners_m), 2), np.nan)
         out[known] = corners
-        ratio, edge = seen_spacing(out.reshape(-1, 4, 2), board)
+        ratio, edge = estimate_spacing(out.reshape(-1, 4, 2), board)
         if abs(ratio - board.spacing) > max(_MOST_OFF, _MOST_OFF_PX / edge):
             return None
-        uneven = smooth.uneven_px or _UNTOLD_PX
-        sigmas[known] = np.maximum(search.sigmas(known, corners, own), uneven)
-        middle = cv2.perspectiveTransform(np.zeros((1, 1, 2)), smooth.homography)[0, 0]
-        sigma = sigma_of_middle(smooth.homography, board_m, sigmas[known])
+        grid_sigma_px = fit.residual_sigma_px or _DEFAULT_SIGMA_PX
+        sigmas[known] = np.maximum(search.sigmas(known, corners, own), grid_sigma_px)
+        middle = cv2.perspectiveTransform(np.zeros((1, 1, 2)), fit.homography)[0, 0]
+        sigma = sigma_of_middle(fit.homography, board_m, sigmas[known])
         if (board_m.min(axis=0) < 0).all() and (board_m.max(axis=0) > 0).all():
-            middle = middle + smooth.bend_px
-            sigma = np.hypot(sigma, smooth.bend_sigma_px)
-        point = flat.seen(middle[None])[0]
+            middle = middle + fit.distortion_px
+            sigma = np.hypot(sigma, fit.distortion_sigma_px)
+        point = flat.to_pixels(middle[None])[0]
         return Detection(board, point, out, sigma, sigmas)

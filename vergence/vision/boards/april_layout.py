@@ -10,11 +10,15 @@ from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.models.april_grid import AprilGrid
-from vergence.vision.boards.april_tags import as_on_board, find_grid_tags, seen_spacing
+from vergence.vision.boards.april_tags import (
+    estimate_spacing,
+    find_grid_tags,
+    largest_consistent_group,
+)
 from vergence.vision.tags.library import FoundSquare
 
-_WAYS: Final = (1, 3)
-"""Search methods of `WAYS` that are tried (numerical: indices)."""
+_METHODS: Final = (1, 3)
+"""Search methods of `SEARCH_SCALES` that are tried (numerical: indices)."""
 _MOST_COLUMNS: Final = 24
 """Largest number of columns that is tried (chosen: search time)."""
 _LEAST_TAGS: Final = 3
@@ -38,15 +42,15 @@ def grids_in(image: NDArray[np.uint8], asked: AprilGrid | None) -> Iterator[Apri
     """
     given = asked is not None
     asked = asked or AprilGrid()
-    for way in _WAYS:
-        found = find_grid_tags(image, way)
+    for method_index in _METHODS:
+        found = find_grid_tags(image, method_index)
         if len(found) < _LEAST_TAGS:
             continue
         spacing = _spacing(found, asked)
         best: list[tuple[FoundSquare, int, int]] = []
         columns = 0
         for count in dict.fromkeys([asked.columns, asked.rows, *range(1, _MOST_COLUMNS + 1)]):
-            placed = as_on_board(found, count, spacing)
+            placed = largest_consistent_group(found, count, spacing)
             if len(placed) > len(best):
                 best, columns = placed, count
         if len(best) < max(_LEAST_TAGS, _LEAST_SHARE * len(found)):
@@ -61,7 +65,7 @@ def grids_in(image: NDArray[np.uint8], asked: AprilGrid | None) -> Iterator[Apri
         tags = np.full((rows * columns, 4, 2), np.nan)
         for each, _row, _column in best:
             tags[each.id] = each.corners
-        seen, _edge = seen_spacing(tags, other)
+        seen, _edge = estimate_spacing(tags, other)
         if abs(seen - asked.spacing) < 2.0 * _STEP:
             seen = asked.spacing
         if np.isfinite(seen):

@@ -7,7 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.april_grid import GRID_BORDER, AprilGrid
-from vergence.vision.boards.corners import corner_sigmas, left_to_go, noise_of, refine_corners
+from vergence.vision.boards.corners import (
+    corner_sigmas,
+    estimate_noise,
+    refine_corners,
+    remaining_move_px,
+)
 from vergence.vision.boards.homographies import homography
 from vergence.vision.boards.markers import sampled
 from vergence.vision.optics import FlatView, NoLens
@@ -17,7 +22,7 @@ _WINDOW: Final = 0.6
 pixels against disturbance by that edge)."""
 _WINDOW_PX: Final = (2, 5)
 """Range of the half side of the refinement window, px (chosen)."""
-_TO_GO_PX: Final = 0.5
+_MOST_MOVE_PX: Final = 0.5
 """Largest remaining move of a corner that counts as refined, px (chosen)."""
 _PROBE: Final = 0.45
 """Distance of grey samples from a corner along both axes, as a fraction of the distance to the next
@@ -47,50 +52,52 @@ class CornerSearch:
 
     Attributes:
         found: corners of all tags that have been found, nan for others.
-        said: predicted corners of the tags that have been tried.
+        predicted: predicted corners of the tags that have been tried.
     """
 
     def __init__(self, image: NDArray[np.uint8], board: AprilGrid, flat: FlatView | NoLens) -> None:
         count = board.columns * board.rows
         self.found: Tags = np.full((count, 4, 2), np.nan)
-        self.said: Tags = np.full((count, 4, 2), np.nan)
+        self.predicted: Tags = np.full((count, 4, 2), np.nan)
         self._image = image
         self._board = board
         self._flat = flat
         self._contrast = np.nan
         self._free = min(board.spacing, 2.0 * board.bit_m / board.tag_m)
         """Distance from a corner to the next edge, as a ratio to a tag's edge."""
-        self._sides = np.zeros(count, int)
+        self._half_sides_px = np.zeros(count, int)
         self._corners_m = board.corners_m.reshape(-1, 4, 2)
 
-    def refine(self, wanted: NDArray[np.bool_], said: Tags, step: float | None = None) -> None:
+    def refine(self, wanted: NDArray[np.bool_], predicted: Tags, step: float | None = None) -> None:
         """Refine corners, and drop those without the printed contrast.
 
         Args:
             wanted: (tags, 4) mask of the corners to refine.
-            said: predicted corners of their tags, all four of each.
+            predicted: predicted corners of their tags, all four of each.
             step: largest move of a corner as a fraction of the distance to the next edge; None for
                 the reach of the window.
         """
         numbers, own = np.nonzero(wanted)
         if not len(numbers):
             return
-        self.said[wanted] = said[wanted]
+        self.predicted[wanted] = predicted[wanted]
         height, width = self._image.shape
-        lengths = np.linalg.norm(said - np.roll(said, 1, axis=1), axis=-1)[numbers]
+        lengths = np.linalg.norm(predicted - np.roll(predicted, 1, axis=1), axis=-1)[numbers]
         free = self._free * np.nan_to_num(np.nanmin(lengths, axis=1))
-        sides = np.clip(np.rint(_WINDOW * free), *_WINDOW_PX).astype(int)
-        self._sides[numbers] = sides
-        start = said[wanted]
+        half_sides_px = np.clip(np.rint(_WINDOW * free), *_WINDOW_PX).astype(int)
+        self._half_sides_px[numbers] = half_sides_px
+        start = predicted[wanted]
         places = np.full(start.shape, np.nan)
         end = np.array([width - 1.0, height - 1.0])
         inside = ((start > 0.0) & (start < end)).all(axis=1)
-        for side in np.unique(sides[inside]).tolist():
-            chosen = np.flatnonzero(inside & (sides == side))
-            refined = refine_corners(self._image, start[chosen], side)
+        for half_side_px in np.unique(half_sides_px[inside]).tolist():
+            chosen = np.flatnonzero(inside & (half_sides_px == half_side_px))
+            refined = refine_corners(self._image, start[chosen], half_side_px)
             moved = np.abs(refined - start[chosen]).max(axis=1)
-            most = side + 1.0 if step is None else np.maximum(step * free[chosen], 1.0)
-            good = (moved <= most) & (left_to_go(self._image, refined, side) <= _TO_GO_PX)
+            most = half_side_px + 1.0 if step is None else np.maximum(step * free[chosen], 1.0)
+            good = (moved <= most) & (
+                remaining_move_px(self._image, refined, half_side_px) <= _MOST_MOVE_PX
+            )
             good &= ((refined > 0.0) & (refined < end)).all(axis=1)
             places[chosen[good]] = refined[good]
         self.found[numbers, own] = places
@@ -118,8 +125,8 @@ class CornerSearch:
             # the near corners first, since a lens distorts less over a gap than over a tag
             self._refine_beside(new, 1.01 * self._board.spacing * self._board.tag_m)
             self._refine_beside(new, np.inf)
-            seen = new[np.isfinite(self.said[new]).all(axis=(1, 2))]
-            self.found[np.setdiff1d(new, seen[self.reads(seen)])] = np.nan
+            seen = new[np.isfinite(self.predicted[new]).all(axis=(1, 2))]
+            self.found[np.setdiff1d(new, seen[self.match_print(seen)])] = np.nan
         there = known_of(self.found)
         self._refine_beside(np.flatnonzero(there.any(axis=1) & ~there.all(axis=1)), np.inf)
 
@@ -131,8 +138,8 @@ class CornerSearch:
             most_m: largest distance on the board to the nearest known corner, m.
         """
         there = known_of(self.found)
-        said, wanted = np.full(self.found.shape, np.nan), np.zeros(there.shape, bool)
-        known_m, known = self._corners_m[there], self._flat.ideal(self.found[there])
+        predicted, wanted = np.full(self.found.shape, np.nan), np.zeros(there.shape, bool)
+        known_m, known = self._corners_m[there], self._flat.to_plane(self.found[there])
         for number in numbers.tolist():
             corners_m = self._corners_m[number]
             away = np.linalg.norm(known_m - corners_m.mean(axis=0), axis=1)
@@ -142,19 +149,21 @@ class CornerSearch:
             if transform is None:
                 continue
             ideal = cv2.perspectiveTransform(corners_m[None], transform)[0]
-            said[number] = self._flat.seen(ideal)
+            predicted[number] = self._flat.to_pixels(ideal)
             apart_m = np.linalg.norm(corners_m[:, None] - known_m, axis=-1)
             wanted[number] = ~there[number] & (apart_m.min(axis=1) < most_m)
-        wanted &= np.isfinite(said).all(axis=-1)
-        self.said[numbers] = np.where(there[numbers][..., None], self.said[numbers], said[numbers])
-        self.refine(wanted, said)
+        wanted &= np.isfinite(predicted).all(axis=-1)
+        self.predicted[numbers] = np.where(
+            there[numbers][..., None], self.predicted[numbers], predicted[numbers]
+        )
+        self.refine(wanted, predicted)
 
-    def room(self) -> NDArray[np.float64]:
+    def half_gaps_px(self) -> NDArray[np.float64]:
         """Half the gap between tags in the image at each tag, (tags,) px."""
-        edges = self.said - np.roll(self.said, 1, axis=1)
+        edges = self.predicted - np.roll(self.predicted, 1, axis=1)
         return np.asarray(0.5 * self._board.spacing * np.linalg.norm(edges, axis=-1).min(axis=1))
 
-    def reads(self, numbers: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def match_print(self, numbers: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Mask of the tags whose image agrees with their print."""
         if not len(numbers):
             return np.zeros(0, bool)
@@ -183,12 +192,12 @@ class CornerSearch:
         """
         half = 0.5 * self._board.spacing
         gaps = np.array([[0.5, -half], [1.0 + half, 0.5], [0.5, 1.0 + half], [-half, 0.5]])
-        noise = noise_of(self._image, self._seen(tags, gaps).reshape(-1, 2))
-        sides = self._sides[known // 4]
+        noise = estimate_noise(self._image, self._seen(tags, gaps).reshape(-1, 2))
+        half_sides_px = self._half_sides_px[known // 4]
         out = np.empty(corners.shape)
-        for side in np.unique(sides).tolist():
-            own = sides == side
-            out[own] = corner_sigmas(self._image, corners[own], side, noise)
+        for half_side_px in np.unique(half_sides_px).tolist():
+            own = half_sides_px == half_side_px
+            out[own] = corner_sigmas(self._image, corners[own], half_side_px, noise)
         return out
 
     def _alternation(self, numbers: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -212,7 +221,7 @@ class CornerSearch:
         out = np.empty((len(numbers), len(places), 2))
         for i, number in enumerate(numbers.tolist()):
             refined = np.isfinite(self.found[number])
-            corners = np.where(refined, self.found[number], self.said[number])
+            corners = np.where(refined, self.found[number], self.predicted[number])
             transform = cv2.getPerspectiveTransform(
                 _SQUARE.astype(np.float32), corners.astype(np.float32)
             )

@@ -12,10 +12,10 @@ from vergence.models.april_grid import GRID_BORDER, GRID_FAMILY, AprilGrid
 from vergence.models.tag_families import CORRECTED_BITS, library_family
 from vergence.vision.tags.library import FoundSquare
 
-WAYS: Final = (0.5, 1.0, 1.0, 2.0)
+SEARCH_SCALES: Final = (0.5, 1.0, 1.0, 2.0)
 """Image scale of each search method, quick ones first; the third reads bits of 2.5 px (chosen:
 small tags against time)."""
-_WIDENED: Final = {
+_DILATIONS: Final = {
     0: cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)),
     2: np.ones((2, 2), np.uint8),
 }
@@ -43,7 +43,7 @@ class _Detectors(threading.local):
 _DETECTORS: Final = _Detectors()
 
 
-def find_grid_tags(image: NDArray[np.uint8], way: int) -> list[FoundSquare]:
+def find_grid_tags(image: NDArray[np.uint8], method_index: int) -> list[FoundSquare]:
     """Find tags with a border of two bits in an image.
 
     The squares at the corners of tags connect all black to one region; dilating white by a pixel
@@ -51,23 +51,25 @@ def find_grid_tags(image: NDArray[np.uint8], way: int) -> list[FoundSquare]:
 
     Args:
         image: grey levels, shape (height, width).
-        way: index of the search method in `WAYS`.
+        method_index: index of the search method in `SEARCH_SCALES`.
 
     Returns:
         Tags that the AprilTag library reads, with corners accurate to a pixel or two.
     """
-    scale = WAYS[way]
+    scale = SEARCH_SCALES[method_index]
     if min(image.shape) * scale < _LEAST_SIDE_PX or (scale > 1.0 and image.size > _ENLARGED_PIXELS):
         return []
     method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
     sized = image if scale == 1.0 else cv2.resize(image, None, None, scale, scale, method)
-    wide = cv2.dilate(sized, _WIDENED.get(way, _WIDENED[0]))
+    wide = cv2.dilate(sized, _DILATIONS.get(method_index, _DILATIONS[0]))
     if _DETECTORS.made is None:
         _DETECTORS.made = _make()
     found = []
     for each in _DETECTORS.made.detect(np.ascontiguousarray(wide)):
         # the library has pixel edges at integers, and counts corners from the lower left
-        corners = _widened(np.asarray(each.corners, float)[::-1], _MOVED_PX[way]) / scale - 0.5
+        corners = (
+            _widened(np.asarray(each.corners, float)[::-1], _MOVED_PX[method_index]) / scale - 0.5
+        )
         found.append(FoundSquare(each.tag_id, each.hamming, corners))
     return found
 
@@ -98,7 +100,7 @@ def _make() -> Any:
     return detector
 
 
-def as_on_board(
+def largest_consistent_group(
     found: list[FoundSquare], columns: int, spacing: float
 ) -> list[tuple[FoundSquare, int, int]]:
     """Select the largest connected group of tags that are arranged as on a board.
@@ -126,8 +128,8 @@ def as_on_board(
         others = np.flatnonzero(near[i])
         transform = cv2.getPerspectiveTransform(square, corners[i].astype(np.float32))
         away = (1.0 + spacing) * np.stack([column[others] - column[i], row[i] - row[others]], -1)
-        said = cv2.perspectiveTransform(away[None] + 0.5, transform)[0]
-        beside = np.linalg.norm(said - corners[others].mean(axis=1), axis=1)
+        predicted = cv2.perspectiveTransform(away[None] + 0.5, transform)[0]
+        beside = np.linalg.norm(predicted - corners[others].mean(axis=1), axis=1)
         steps = np.maximum(np.abs(row[others] - row[i]), np.abs(column[others] - column[i]))
         fits[i, others] = beside < _BESIDE * np.maximum(steps, 1) * edge[others]
     fits &= fits.T
@@ -149,7 +151,7 @@ def as_on_board(
     return [(found[i], int(row[i]), int(column[i])) for i in best]
 
 
-def seen_spacing(corners: NDArray[np.float64], target: AprilGrid) -> tuple[float, float]:
+def estimate_spacing(corners: NDArray[np.float64], target: AprilGrid) -> tuple[float, float]:
     """Estimate the ratio of gap to tag edge in an image.
 
     Args:

@@ -10,10 +10,15 @@ from numpy.typing import NDArray
 
 from vergence.models.boards import CharucoBoard
 from vergence.models.response import Response
-from vergence.vision.boards.corners import corner_sigmas, left_to_go, noise_of, refine_corners
-from vergence.vision.boards.evenness import unevenness
+from vergence.vision.boards.corners import (
+    corner_sigmas,
+    estimate_noise,
+    refine_corners,
+    remaining_move_px,
+)
+from vergence.vision.boards.evenness import estimate_grid_sigma
 from vergence.vision.boards.homographies import homography, sigma_of_middle
-from vergence.vision.boards.markers import alternates, dark_first, share_read
+from vergence.vision.boards.markers import alternates, dark_first, fraction_confirmed
 from vergence.vision.boards.squares import Grid, middles
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.optics import EyeCamera, FlatView, NoLens
@@ -30,7 +35,7 @@ _LEAST_CORNERS: Final = 4
 _MOST_BESIDE: Final = 0.3
 """Largest residual of a corner from the homography of all, in squares (chosen: outliers against
 lens distortion)."""
-_TO_GO_PX: Final = 0.5
+_MOST_MOVE_PX: Final = 0.5
 """Largest remaining move of a corner that counts as refined, px (chosen)."""
 _TRACKED_STEP: Final = 0.35
 """Largest move of a tracked corner, in squares (chosen)."""
@@ -48,7 +53,7 @@ _ENLARGED_PIXELS: Final = 2_000_000
 search time)."""
 _LEAST_READ: Final = 0.5
 """Least fraction of the markers beside the corners whose print must be confirmed (chosen)."""
-_UNTOLD_PX: Final = 0.1
+_DEFAULT_SIGMA_PX: Final = 0.1
 """Standard deviation of corners too few to estimate their noise, px (chosen)."""
 
 
@@ -152,40 +157,42 @@ class CharucoDetector(Detector[CharucoBoard]):
         square = _square_px(corners, board_m, board.square_m)
         margin = 0.5 * (1.0 - board.marker_m / board.square_m) * square
         wide = min(_WINDOW_SQUARES * square, max(_WINDOW_MARGINS * margin, _WINDOW_PX[0]))
-        side = int(min(max(round(wide), _WINDOW_PX[0]), _WINDOW_PX[1]))
-        refined = refine_corners(image, corners, side)
+        half_side_px = int(min(max(round(wide), _WINDOW_PX[0]), _WINDOW_PX[1]))
+        refined = refine_corners(image, corners, half_side_px)
         moved = np.abs(refined - corners).max(axis=1)
-        limit = side + 1.0 if step_squares is None else step_squares * square
-        good = (moved <= limit) & (left_to_go(image, refined, side) <= _TO_GO_PX)
-        ideal = flat.ideal(refined)
+        limit = half_side_px + 1.0 if step_squares is None else step_squares * square
+        good = (moved <= limit) & (remaining_move_px(image, refined, half_side_px) <= _MOST_MOVE_PX)
+        ideal = flat.to_plane(refined)
         transform = homography(board_m[good], ideal[good]) if good.sum() >= 4 else None
         if transform is None:
             return None
         beside = cv2.perspectiveTransform(board_m[None], transform)[0] - ideal
         used = good
         near = np.linalg.norm(beside, axis=1) <= _MOST_BESIDE * square
-        place = partial(_seen_at, flat, transform)
-        good = good & near & alternates(image, board, known, place)
+        project = partial(_project_board, flat, transform)
+        good = good & near & alternates(image, board, known, project)
         if good.sum() < max(_LEAST_CORNERS, len(known) // 2):
             return None
         known, refined, ideal = known[good], refined[good], ideal[good]
-        if share_read(image, board, known, place) < _LEAST_READ:
+        if fraction_confirmed(image, board, known, project) < _LEAST_READ:
             return None
         out, sigmas = np.full((2, len(board.corners_m), 2), np.nan)
         out[known] = refined
         grid = out.reshape(board.rows - 1, board.columns - 1, 2)
-        noise = noise_of(image, _plain_squares(board, grid))
+        noise = estimate_noise(image, _plain_squares(board, grid))
         even = np.full(out.shape, np.nan)
         even[known] = ideal
-        uneven = unevenness(even.reshape(grid.shape)) or _UNTOLD_PX
-        sigmas[known] = np.maximum(corner_sigmas(image, refined, side, noise), uneven)
+        grid_sigma_px = estimate_grid_sigma(even.reshape(grid.shape)) or _DEFAULT_SIGMA_PX
+        sigmas[known] = np.maximum(
+            corner_sigmas(image, refined, half_side_px, noise), grid_sigma_px
+        )
         if not np.array_equal(good, used):  # fit again without the outliers
             transform = homography(board.corners_m[known], ideal)
             if transform is None:
                 return None
         point = cv2.perspectiveTransform(np.zeros((1, 1, 2)), transform)[0, 0]
         sigma = sigma_of_middle(transform, board.corners_m[known], sigmas[known])
-        return Detection(board, flat.seen(point[None])[0], out, sigma, sigmas)
+        return Detection(board, flat.to_pixels(point[None])[0], out, sigma, sigmas)
 
 
 def _markers(image: NDArray[np.uint8], board: CharucoBoard) -> tuple[Any, Any]:
@@ -208,11 +215,11 @@ def _most(found: list[Detection]) -> list[Detection]:
     return sorted(found, key=lambda each: -int(np.isfinite(each.corners_px[:, 0]).sum()))[:1]
 
 
-def _seen_at(
+def _project_board(
     flat: FlatView | NoLens, transform: NDArray[np.float64], board_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Pixels of positions on the board, shape (n, 2)."""
-    return flat.seen(np.asarray(cv2.perspectiveTransform(board_m[None], transform)[0], float))
+    return flat.to_pixels(np.asarray(cv2.perspectiveTransform(board_m[None], transform)[0], float))
 
 
 def _plain_squares(board: CharucoBoard, grid: Grid) -> NDArray[np.float64]:

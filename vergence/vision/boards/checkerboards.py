@@ -13,18 +13,18 @@ from vergence.models.boards import Checkerboard
 from vergence.vision.boards.clusters import clusters
 from vergence.vision.boards.corners import (
     corner_sigmas,
-    left_to_go,
-    noise_of,
-    refine_between_edges,
+    estimate_noise,
     refine_corners,
+    refine_robustly,
+    remaining_move_px,
 )
-from vergence.vision.boards.evenness import beside_others, unevenness
+from vergence.vision.boards.evenness import estimate_grid_sigma, leave_one_out_residuals
 from vergence.vision.boards.squares import (
     Grid,
-    goes_on,
+    alternates,
+    continues_beyond,
     is_regular,
     middles,
-    reads,
     shortest_square,
 )
 from vergence.vision.detection import Detection, Detector
@@ -56,7 +56,7 @@ _UNEVEN_PX: Final = 1.0
 _STRAY_PX: Final = 0.15
 _STRAY: Final = 4.0  # ratio to the median residual
 
-_TO_GO_PX: Final = 0.5
+_MOST_MOVE_PX: Final = 0.5
 """Largest remaining move of a corner that counts as refined, px (chosen)."""
 _MOST_STRAYS: Final = 0.25
 """Largest fraction of corners not refined, such as those at the edge of a shadow (chosen)."""
@@ -138,7 +138,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
     def _first_of(
         self,
         image: NDArray[np.uint8],
-        ways: tuple[Any, ...],
+        methods: tuple[Any, ...],
         part: NDArray[np.uint8] | None = None,
         shift: NDArray[np.float64] | float = 0.0,
         near: NDArray[np.float64] | None = None,
@@ -158,21 +158,23 @@ class CheckerboardDetector(Detector[Checkerboard]):
         if calm is None:
             return []
         size = (self.target.columns, self.target.rows)
-        for way in ways:
+        for method in methods:
             # smoothing makes the search by sectors miss corners beside a dark background
-            found = way(small if way is _by_sectors else calm, size)
+            found = method(small if method is _by_sectors else calm, size)
             if found is None:
                 continue
             corners = (np.asarray(found, float).reshape(-1, 2) + 0.5) / scale - 0.5 + shift
             grid = corners.reshape(size[1], size[0], 2)
             if near is not None:
-                grid = _put_back(grid, near)
+                grid = _correct_displaced(grid, near)
             detection = self._ordered(image, grid, 1.0 / scale)
             if detection is not None:
                 return [detection]
         return []
 
-    def _ordered(self, image: NDArray[np.uint8], grid: Grid, coarse_px: float) -> Detection | None:
+    def _ordered(
+        self, image: NDArray[np.uint8], grid: Grid, initial_error_px: float
+    ) -> Detection | None:
         """Detection for corners that OpenCV found, in the first order that reads correctly."""
         orders = [grid, grid[::-1, ::-1], grid[::-1], grid[:, ::-1]]
         if self.target.columns == self.target.rows:
@@ -182,7 +184,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         # a symmetric board keeps its colours after 180 degrees, and its first square may be light
         for dark in (True, False) if self.target.symmetric else (True,):
             for order in orders:
-                detection = self._at(image, order, max(coarse_px, 1.0), first_dark=dark)
+                detection = self._at(image, order, max(initial_error_px, 1.0), first_dark=dark)
                 if detection is not None:
                     return detection
         return None
@@ -195,9 +197,9 @@ class CheckerboardDetector(Detector[Checkerboard]):
             return None
         grid = corners.reshape(size)
         # a narrow window first: one wide enough for a moved target is less exact
-        for coarse_px in (0.0, _MOVED_SQUARES * shortest_square(grid)):
+        for initial_error_px in (0.0, _MOVED_SQUARES * shortest_square(grid)):
             for dark in (True, False) if self.target.symmetric else (True,):
-                found = self._at(image, grid, coarse_px, _TRACKED_STEP, first_dark=dark)
+                found = self._at(image, grid, initial_error_px, _TRACKED_STEP, first_dark=dark)
                 if found is not None:
                     return found
         return None
@@ -206,55 +208,58 @@ class CheckerboardDetector(Detector[Checkerboard]):
         self,
         image: NDArray[np.uint8],
         grid: Grid,
-        coarse_px: float,
+        initial_error_px: float,
         step_squares: float = math.inf,
         *,
         first_dark: bool = True,
     ) -> Detection | None:
         """Refine corners and read the board; None if a corner is out of place.
 
-        `coarse_px` is the error of the given corners, `step_squares` the largest move in squares.
+        `initial_error_px` is the error of the given corners, `step_squares` the largest move in
+        squares.
         """
         square = shortest_square(grid)
         if not square >= _LEAST_SQUARE_PX:
             return None
         most = min(max(_WIDER_SQUARES * square, _WINDOW_PX[1]), _WIDER_PX)
-        side = int(min(max(round(_WINDOW_SQUARES * square), _WINDOW_PX[0]), round(most)))
+        half_side_px = int(min(max(round(_WINDOW_SQUARES * square), _WINDOW_PX[0]), round(most)))
         corners = grid.reshape(-1, 2)
-        if coarse_px > 1.0:  # too inexact for the small window, such as corners of a reduced image
-            wide = int(min(max(round(0.4 * square), side), 4 * coarse_px))
+        # corners of a reduced image, for example, are too inexact for the small window
+        if initial_error_px > 1.0:
+            wide = int(min(max(round(0.4 * square), half_side_px), 4 * initial_error_px))
             corners = refine_corners(image, corners, wide)
-        refined = refine_corners(image, corners, side)
-        if np.abs(refined - corners).max() > min(step_squares * square, side + 1.0):
+        refined = refine_corners(image, corners, half_side_px)
+        if np.abs(refined - corners).max() > min(step_squares * square, half_side_px + 1.0):
             return None
-        if (left_to_go(image, refined, side) > _TO_GO_PX).mean() > _MOST_STRAYS:
+        stray = remaining_move_px(image, refined, half_side_px) > _MOST_MOVE_PX
+        if stray.mean() > _MOST_STRAYS:
             return None
         grid = refined.reshape(grid.shape)
         if not is_regular(grid):
             return None
-        if not reads(image, grid, first_dark=first_dark):
+        if not alternates(image, grid, first_dark=first_dark):
             return None
-        if goes_on(image, grid, first_dark=first_dark):
+        if continues_beyond(image, grid, first_dark=first_dark):
             return None
         flat = self._flat(refined)
-        settled = _settled(image, grid, square, flat)
+        settled = _refine_strays(image, grid, square, flat)
         if settled is None:
             return None
         refined, beside = settled
-        uneven = unevenness(flat.ideal(refined).reshape(grid.shape))
-        if uneven > max(_UNEVEN_SQUARES * square, _UNEVEN_PX):
+        grid_sigma_px = estimate_grid_sigma(flat.to_plane(refined).reshape(grid.shape))
+        if grid_sigma_px > max(_UNEVEN_SQUARES * square, _UNEVEN_PX):
             return None
-        noise = noise_of(image, middles(grid))
-        sigmas = np.maximum(corner_sigmas(image, refined, side, noise), uneven)
+        noise = estimate_noise(image, middles(grid))
+        sigmas = np.maximum(corner_sigmas(image, refined, half_side_px, noise), grid_sigma_px)
         sigmas = np.maximum(sigmas, beside[:, None])
         if not self.target.symmetric:
             first = self.target.columns - 1
             return Detection(self.target, refined[first], refined, sigmas[first], sigmas)
         # the diagonals cross in the centre; each of four corners moves it by about a quarter
         outer = [0, self.target.columns - 1, len(refined) - 1, len(refined) - self.target.columns]
-        point = crossing(flat.ideal(refined[outer]))
+        point = crossing(flat.to_plane(refined[outer]))
         sigma = 0.5 * np.sqrt((sigmas[outer] ** 2).mean(axis=0))
-        return Detection(self.target, flat.seen(point[None])[0], refined, sigma, sigmas)
+        return Detection(self.target, flat.to_pixels(point[None])[0], refined, sigma, sigmas)
 
 
 def _by_squares(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
@@ -277,7 +282,7 @@ def _by_sectors(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
     return found if complete else None
 
 
-def _put_back(grid: Grid, near: NDArray[np.float64]) -> Grid:
+def _correct_displaced(grid: Grid, near: NDArray[np.float64]) -> Grid:
     """Replace displaced corners by those of `near` that match them."""
     corners = grid.reshape(-1, 2)
     square = float(np.median(np.linalg.norm(np.diff(grid, axis=1), axis=-1)))
@@ -290,7 +295,7 @@ def _put_back(grid: Grid, near: NDArray[np.float64]) -> Grid:
     return out.reshape(grid.shape)
 
 
-def _settled(
+def _refine_strays(
     image: NDArray[np.uint8], grid: Grid, square: float, flat: FlatView | NoLens
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Refine stray corners again; None if one does not agree with the others in the end.
@@ -302,18 +307,18 @@ def _settled(
         (n, 2) corners, px. (n,) residuals of those that were or are strays, px; 0 for the others.
     """
     corners, strays = grid.reshape(-1, 2).copy(), np.zeros(grid[..., 0].size, bool)
-    side = int(min(max(round(_WIDE_SQUARES * square), _WIDE_PX[0]), _WIDE_PX[1]))
+    half_side_px = int(min(max(round(_WIDE_SQUARES * square), _WIDE_PX[0]), _WIDE_PX[1]))
     for last in range(_ROUNDS + 1):
-        ideal = flat.ideal(corners)
-        left, spread = beside_others(ideal.reshape(grid.shape))
+        ideal = flat.to_plane(corners)
+        left, spread = leave_one_out_residuals(ideal.reshape(grid.shape))
         beside = np.linalg.norm(left, axis=1) / spread
         usual = float(np.median(beside))
         now = beside > max(_STRAY_PX, _STRAY * usual)
         if last == _ROUNDS or not now.any():
             break
         strays |= now
-        start = flat.seen((ideal - left)[strays])
-        again = refine_between_edges(image, start, side)
+        start = flat.to_pixels((ideal - left)[strays])
+        again = refine_robustly(image, start, half_side_px)
         corners[strays] = np.where(np.isfinite(again), again, corners[strays])
     if beside.max() > max(_LOST_PX, _LOST_SQUARES * square, _LOST * usual):
         return None

@@ -33,7 +33,7 @@ _LEAST_NOISE_GREY: Final = 0.3
 
 
 def refine_corners(
-    image: NDArray[np.uint8], corners: NDArray[np.float64], side: int
+    image: NDArray[np.uint8], corners: NDArray[np.float64], half_side_px: int
 ) -> NDArray[np.float64]:
     """Refine corners to sub-pixel accuracy by OpenCV's ``cornerSubPix``.
 
@@ -44,12 +44,13 @@ def refine_corners(
     Args:
         image: grey levels, shape (height, width).
         corners: initial corners, accurate to the window, px, shape (n, 2).
-        side: half the window's side, px. Another edge in the window causes errors of pixels.
+        half_side_px: half the window's side, px. Another edge in the window causes errors of
+            pixels.
 
     Returns:
         Refined corners, px, shape (n, 2).
     """
-    rim = side + _RIM
+    rim = half_side_px + _RIM
     size = 2 * rim + 1
     whole = np.rint(corners).astype(int) - rim
     smooth = cv2.GaussianBlur(_windows(image, whole, size), (3, 3), _BLUR_PX)
@@ -58,12 +59,12 @@ def refine_corners(
     shift = whole.astype(float)
     shift[:, 0] -= size * np.arange(len(corners))
     start = ((corners - shift + 0.5) * 2 - 0.5).astype(np.float32)
-    fine = cv2.cornerSubPix(twice, start, (2 * side, 2 * side), (-1, -1), _END)
+    fine = cv2.cornerSubPix(twice, start, (2 * half_side_px, 2 * half_side_px), (-1, -1), _END)
     return np.asarray((fine.astype(float) + 0.5) / 2 - 0.5 + shift, float)
 
 
-def left_to_go(
-    image: NDArray[np.uint8], corners: NDArray[np.float64], side: int
+def remaining_move_px(
+    image: NDArray[np.uint8], corners: NDArray[np.float64], half_side_px: int
 ) -> NDArray[np.float64]:
     """Remaining move of refined corners by one more iteration, shape (n,), px.
 
@@ -73,13 +74,13 @@ def left_to_go(
     Args:
         image: grey levels, shape (height, width).
         corners: refined corners, px, shape (n, 2).
-        side: half the side of the window of refinement, px.
+        half_side_px: half the side of the window of refinement, px.
     """
-    return _moves(image, corners, side)[:, 0]
+    return _moves(image, corners, half_side_px)[:, 0]
 
 
-def refine_between_edges(
-    image: NDArray[np.uint8], corners: NDArray[np.float64], side: int
+def refine_robustly(
+    image: NDArray[np.uint8], corners: NDArray[np.float64], half_side_px: int
 ) -> NDArray[np.float64]:
     r"""Refine corners by the edges that meet at them, robust to other edges in the window.
 
@@ -90,18 +91,20 @@ def refine_between_edges(
     Args:
         image: grey levels, shape (height, width).
         corners: initial corners, accurate to a pixel or two, px, shape (n, 2).
-        side: half the window's side, px.
+        half_side_px: half the window's side, px.
 
     Returns:
         Refined corners, px, shape (n, 2); nan if no two edges cross or the window is left.
     """
     out = np.empty(corners.shape)
-    _meet(image, np.ascontiguousarray(corners), side, out)
+    _refine_robustly(image, np.ascontiguousarray(corners), half_side_px, out)
     return out
 
 
 @compiled
-def _meet(image: NDArray[np.uint8], corners: FloatArray, side: int, out: FloatArray) -> None:
+def _refine_robustly(
+    image: NDArray[np.uint8], corners: FloatArray, half_side_px: int, out: FloatArray
+) -> None:
     height, width = image.shape
     for n in range(len(corners)):
         u, v = corners[n, 0], corners[n, 1]
@@ -109,8 +112,8 @@ def _meet(image: NDArray[np.uint8], corners: FloatArray, side: int, out: FloatAr
         for _ in range(_ITERATIONS):
             a = b = c = p = q = 0.0
             x, y = int(u + 0.5), int(v + 0.5)
-            for row in range(max(y - side, 1), min(y + side, height - 2) + 1):
-                for column in range(max(x - side, 1), min(x + side, width - 2) + 1):
+            for row in range(max(y - half_side_px, 1), min(y + half_side_px, height - 2) + 1):
+                for column in range(max(x - half_side_px, 1), min(x + half_side_px, width - 2) + 1):
                     g = h = 0.0
                     for k in range(-1, 2):  # Sobel's
                         share = 0.25 if k == 0 else 0.125
@@ -123,7 +126,7 @@ def _meet(image: NDArray[np.uint8], corners: FloatArray, side: int, out: FloatAr
                         continue
                     dx, dy = column - u, row - v
                     along = g * dx + h * dy
-                    weight = exp(-(dx * dx + dy * dy) / side**2)
+                    weight = exp(-(dx * dx + dy * dy) / half_side_px**2)
                     weight /= (1.0 + along * along / steep / _BESIDE_PX**2) ** 2
                     a, b, c = a + weight * g * g, b + weight * g * h, c + weight * h * h
                     p, q = p + weight * g * along, q + weight * h * along
@@ -132,7 +135,7 @@ def _meet(image: NDArray[np.uint8], corners: FloatArray, side: int, out: FloatAr
                 break
             du, dv = (c * p - b * q) / det, (a * q - b * p) / det
             u, v = u + du, v + dv
-            if max(abs(u - corners[n, 0]), abs(v - corners[n, 1])) > side:
+            if max(abs(u - corners[n, 0]), abs(v - corners[n, 1])) > half_side_px:
                 break
             if du * du + dv * dv < _STEP_PX**2:
                 out[n, 0], out[n, 1] = u, v
@@ -140,7 +143,7 @@ def _meet(image: NDArray[np.uint8], corners: FloatArray, side: int, out: FloatAr
 
 
 def corner_sigmas(
-    image: NDArray[np.uint8], corners: NDArray[np.float64], side: int, noise_grey: float
+    image: NDArray[np.uint8], corners: NDArray[np.float64], half_side_px: int, noise_grey: float
 ) -> NDArray[np.float64]:
     r"""Standard deviations of refined corners due to pixel noise.
 
@@ -152,17 +155,17 @@ def corner_sigmas(
     Args:
         image: grey levels, shape (height, width).
         corners: refined corners, px, shape (n, 2).
-        side: half the side of the window of refinement, px.
+        half_side_px: half the side of the window of refinement, px.
         noise_grey: standard deviation of a pixel's grey level.
 
     Returns:
         Standard deviations, px, shape (n, 2).
     """
-    return noise_grey * _moves(image, corners, side)[:, 1:]
+    return noise_grey * _moves(image, corners, half_side_px)[:, 1:]
 
 
 @compiled
-def _moves(image: NDArray[np.uint8], corners: FloatArray, side: int) -> FloatArray:
+def _moves(image: NDArray[np.uint8], corners: FloatArray, half_side_px: int) -> FloatArray:
     """Remaining move of each corner, and standard deviations by noise of 1 grey level, (n, 3)."""
     height, width = image.shape
     out = np.empty((len(corners), 3))
@@ -170,13 +173,13 @@ def _moves(image: NDArray[np.uint8], corners: FloatArray, side: int) -> FloatArr
         u, v = corners[n, 0], corners[n, 1]
         a = b = c = d = e = p = q = r = 0.0
         x, y = int(u + 0.5), int(v + 0.5)
-        for row in range(max(y - side, 1), min(y + side, height - 2) + 1):
-            for column in range(max(x - side, 1), min(x + side, width - 2) + 1):
+        for row in range(max(y - half_side_px, 1), min(y + half_side_px, height - 2) + 1):
+            for column in range(max(x - half_side_px, 1), min(x + half_side_px, width - 2) + 1):
                 g = 0.5 * (float(image[row, column + 1]) - float(image[row, column - 1]))
                 h = 0.5 * (float(image[row + 1, column]) - float(image[row - 1, column]))
                 dx, dy = column - u, row - v
                 away = dx * dx + dy * dy
-                weight = exp(-away / side**2)  # OpenCV's weight
+                weight = exp(-away / half_side_px**2)  # OpenCV's weight
                 along = g * dx + h * dy
                 a, b, c = a + weight * g * g, b + weight * g * h, c + weight * h * h
                 d, e = d + weight * g * along, e + weight * h * along
@@ -190,7 +193,7 @@ def _moves(image: NDArray[np.uint8], corners: FloatArray, side: int) -> FloatArr
     return out
 
 
-def noise_of(image: NDArray[np.uint8], places: NDArray[np.float64]) -> float:
+def estimate_noise(image: NDArray[np.uint8], places: NDArray[np.float64]) -> float:
     """Estimate the pixel noise at points inside squares of one colour.
 
     Args:

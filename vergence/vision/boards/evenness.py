@@ -24,7 +24,7 @@ _FREE: Final = 1.6
 
 
 @compiled
-def unevenness(grid: NDArray[np.float64]) -> float:
+def estimate_grid_sigma(grid: NDArray[np.float64]) -> float:
     """Standard deviation of corners about a smooth grid, of each coordinate, px.
 
     It includes errors beyond pixel noise: uneven print, the pixel grid, compression. Perspective
@@ -62,7 +62,9 @@ def unevenness(grid: NDArray[np.float64]) -> float:
     return sqrt(squares / max(count, 1))
 
 
-def beside_others(grid: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def leave_one_out_residuals(
+    grid: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Residual of each corner from its prediction by all others.
 
     The prediction is a homography of the board plus a polynomial for remaining lens distortion,

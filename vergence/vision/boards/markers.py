@@ -19,7 +19,7 @@ _LEAST_CONTRAST: Final = 0.25
 _LEAST_ALIKE: Final = 0.4
 """Least correlation of a marker's grey levels with its print (chosen)."""
 
-Place = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+BoardProjection = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Function from positions on the board, (n, 2) m, to pixels, (n, 2)."""
 
 
@@ -29,7 +29,7 @@ def dark_first(board: CharucoBoard) -> bool:
 
 
 def alternates(
-    image: NDArray[np.uint8], board: CharucoBoard, known: NDArray[np.intp], place: Place
+    image: NDArray[np.uint8], board: CharucoBoard, known: NDArray[np.intp], project: BoardProjection
 ) -> NDArray[np.bool_]:
     """Check that black and white alternate around each corner as printed.
 
@@ -37,7 +37,7 @@ def alternates(
         image: grey levels, shape (height, width).
         board: the board.
         known: (n,) indices of the corners.
-        place: projection of the board into the image.
+        project: projection of the board into the image.
 
     Returns:
         (n,) mask of the corners that pass.
@@ -45,15 +45,15 @@ def alternates(
     away = _PROBE_MARGINS * 0.5 * (board.square_m - board.marker_m)
     steps = away * np.array([[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0]])
     probes = (board.corners_m[known][:, None] + steps).reshape(-1, 2)
-    grey = sampled(image, place(probes)).reshape(-1, 4)
+    grey = sampled(image, project(probes)).reshape(-1, 4)
     row, column = np.divmod(known, board.columns - 1)
     sign = np.where(((row + column) % 2 == 0) == dark_first(board), 1.0, -1.0)
     contrast = 0.5 * sign * (grey[:, 2] + grey[:, 3] - grey[:, 0] - grey[:, 1])
     return contrast > max(_LEAST_CONTRAST_GREY, _LEAST_CONTRAST * float(np.median(contrast)))
 
 
-def share_read(
-    image: NDArray[np.uint8], board: CharucoBoard, known: NDArray[np.intp], place: Place
+def fraction_confirmed(
+    image: NDArray[np.uint8], board: CharucoBoard, known: NDArray[np.intp], project: BoardProjection
 ) -> float:
     """Fraction of the markers beside some corners whose image agrees with their print.
 
@@ -61,7 +61,7 @@ def share_read(
         image: see `alternates`.
         board: see `alternates`.
         known: see `alternates`.
-        place: see `alternates`.
+        project: see `alternates`.
     """
     row, column = np.divmod(known, board.columns - 1)
     beside = np.zeros((board.rows, board.columns), bool)
@@ -73,7 +73,7 @@ def share_read(
     marked = ((rows + columns) % 2 == 1) == dark_first(board)
     chosen = (beside & marked).ravel()
     places = middles_m[chosen]
-    grey = sampled(image, place(places.reshape(-1, 2))).reshape(places.shape[:2])
+    grey = sampled(image, project(places.reshape(-1, 2))).reshape(places.shape[:2])
     grey = grey - grey.mean(axis=1, keepdims=True)
     wanted = printed[chosen]
     scale = np.sqrt((grey**2).sum(axis=1) * (wanted**2).sum(axis=1))

@@ -25,66 +25,68 @@ _MOST_ROUNDS: Final = 8
 """Most rounds of removing outliers (numerical)."""
 
 
-class Smooth(NamedTuple):
+class BoardFit(NamedTuple):
     """A fit to corners."""
 
     homography: NDArray[np.float64]
     """Homography from the board's plane to the image."""
     good: NDArray[np.bool_]
     """(n,) mask of the inliers."""
-    uneven_px: float
+    residual_sigma_px: float
     """Standard deviation of the inliers' residuals, of each coordinate; 0 if unknown."""
-    bend_px: NDArray[np.float64]
+    distortion_px: NDArray[np.float64]
     """(2,) lens distortion at the board's origin, added to the homography."""
-    bend_sigma_px: float
-    """Standard deviation of each coordinate of `bend_px`."""
+    distortion_sigma_px: float
+    """Standard deviation of each coordinate of `distortion_px`."""
 
 
-def smooth_of(
-    board_m: NDArray[np.float64], pixels: NDArray[np.float64], room_px: NDArray[np.float64]
-) -> Smooth | None:
+def fit_board(
+    board_m: NDArray[np.float64], pixels: NDArray[np.float64], max_residual_px: NDArray[np.float64]
+) -> BoardFit | None:
     """Fit a homography and a smooth distortion to corners, without outliers.
 
     Args:
         board_m: (n, 2) corners on the board, m.
         pixels: (n, 2) these corners in the image, or in an undistorted plane, px.
-        room_px: (n,) largest residual of each from a coarse fit, px: less than the distance to
-            another corner.
+        max_residual_px: (n,) largest residual of each from a coarse fit, px: less than the
+            distance to another corner.
 
     Returns:
         The fit; None if the corners are collinear, or fewer than four are left.
     """
     good = np.ones(len(pixels), bool)
     fit: _Fit | None = None
-    for highest, room in ((_COARSE, room_px), (_HIGHEST, None)):
+    for highest, most_px in ((_COARSE, max_residual_px), (_HIGHEST, None)):
         for _ in range(_MOST_ROUNDS):
-            fit = _fitted(board_m, pixels, good, highest)
+            fit = _fit_polynomial(board_m, pixels, good, highest)
             if fit is None:
                 return None
             fine = max(_STRAY_PX, _STRAY_SIGMAS * fit.robust_px)
-            over = fit.beside_px / (fine if room is None else room[good])
-            if not fit.tells or over.max() <= 1.0:
+            over = fit.residual_px / (fine if most_px is None else most_px[good])
+            if not fit.overdetermined or over.max() <= 1.0:
                 break
             # an outlier also pulls its neighbours away, so only the worst are removed per round
             good[np.flatnonzero(good)[over > max(1.0, 0.5 * float(over.max()))]] = False
     assert fit is not None
-    return Smooth(fit.homography, good, fit.uneven_px, fit.bend_px, fit.bend_sigma_px)
+    return BoardFit(
+        fit.homography, good, fit.residual_sigma_px, fit.distortion_px, fit.distortion_sigma_px
+    )
 
 
 class _Fit(NamedTuple):
     homography: NDArray[np.float64]
-    beside_px: NDArray[np.float64]
+    residual_px: NDArray[np.float64]
     """(n,) residual of each corner from its prediction by the others."""
     robust_px: float
     """Standard deviation of the residuals, estimated by their median."""
-    uneven_px: float
-    bend_px: NDArray[np.float64]
-    bend_sigma_px: float
-    tells: bool
+    residual_sigma_px: float
+    distortion_px: NDArray[np.float64]
+    distortion_sigma_px: float
+    overdetermined: bool
     """True if there are more corners than coefficients, so that residuals carry evidence."""
 
 
-def _fitted(
+def _fit_polynomial(
     board_m: NDArray[np.float64],
     pixels: NDArray[np.float64],
     good: NDArray[np.bool_],
@@ -95,30 +97,30 @@ def _fitted(
     transform = homography(board_m[good], pixels[good]) if count >= _OF_HOMOGRAPHY else None
     if transform is None:
         return None
-    left = (pixels - cv2.perspectiveTransform(board_m[None], transform)[0])[good]
+    residuals = (pixels - cv2.perspectiveTransform(board_m[None], transform)[0])[good]
     terms, ends = _terms(board_m[good] / np.abs(board_m).max(), highest)
     basis = np.linalg.qr(terms)[0]
-    shares = basis.T @ left
+    shares = basis.T @ residuals
     spent = np.array([0, *ends]) + _OF_HOMOGRAPHY
     explained = np.concatenate([[0.0], np.cumsum((shares**2).sum(axis=1))[ends - 1]])
-    unexplained = np.maximum((left**2).sum() - explained, 0.0)
+    unexplained = np.maximum((residuals**2).sum() - explained, 0.0)
     free = np.maximum(count - spent, 1e-9)
     best = int(np.argmin(unexplained / free**2))
     used = int(spent[best]) - _OF_HOMOGRAPHY
-    tells = bool(free[best] >= 1)
-    sigma = float(np.sqrt(unexplained[best] / (2.0 * free[best]))) if tells else 0.0
+    overdetermined = bool(free[best] >= 1)
+    sigma = float(np.sqrt(unexplained[best] / (2.0 * free[best]))) if overdetermined else 0.0
     # all terms but the constant vanish at the origin
     weights = np.linalg.pinv(terms[:, :used])[0] if used else np.zeros(count)
-    beside = left - basis[:, :used] @ shares[:used]
+    remaining = residuals - basis[:, :used] @ shares[:used]
     own = 1.0 - (basis[:, :used] ** 2).sum(axis=1) - _OF_HOMOGRAPHY / count
     return _Fit(
         transform,
-        np.abs(beside / np.maximum(own, 0.1)[:, None]).max(axis=1),
-        1.48 * float(np.median(np.abs(beside))),
+        np.abs(remaining / np.maximum(own, 0.1)[:, None]).max(axis=1),
+        1.48 * float(np.median(np.abs(remaining))),
         sigma,
-        weights @ left,
+        weights @ residuals,
         sigma * float(np.linalg.norm(weights)),
-        tells,
+        overdetermined,
     )
 
 

@@ -68,7 +68,7 @@ def is_regular(grid: Grid) -> bool:
     return True
 
 
-def reads(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> bool:
+def alternates(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> bool:
     """Check that squares alternate around the corners, up to a few wrong ones.
 
     Args:
@@ -82,7 +82,7 @@ def reads(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> b
     )
 
 
-def goes_on(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> bool:
+def continues_beyond(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> bool:
     """Check for four squares at the next corners beyond a side: a part of a larger board.
 
     The surroundings of a board may alternate by chance. At a corner they must do so both along the
@@ -93,7 +93,7 @@ def goes_on(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) ->
         grid: the corners.
         first_dark: true if the board's upper left square is dark.
     """
-    return bool(_goes_on(image, grid, first_dark))
+    return bool(_continues_beyond(image, grid, first_dark))
 
 
 def middles(grid: Grid) -> NDArray[np.float64]:
@@ -215,8 +215,8 @@ def _alternate(
 
 
 @compiled
-def _goes_on(image: NDArray[np.uint8], grid: Grid, first_dark: bool) -> bool:
-    """Implement `goes_on`."""
+def _continues_beyond(image: NDArray[np.uint8], grid: Grid, first_dark: bool) -> bool:
+    """Implement `continues_beyond`."""
     rows, columns, _ = grid.shape
     for side in range(4):
         across, last = side < 2, side % 2 == 1  # the line is a row; it is below or on the right

@@ -18,7 +18,7 @@ _LEAST_EXPLAINED: Final = 0.5
 light against false tags)."""
 _LEAST_CONTRAST_GREY: Final = 5.0
 """Smallest mean contrast of a tag, grey levels of light (chosen: dim tags against noise)."""
-_LEAST_RIM: Final = 0.1
+_LEAST_BORDER_STEP: Final = 0.1
 """Smallest mean step of the light across the square's sides, as a fraction of the contrast. It
 rejects the inside of a border two cells wide, as in kalibr's grids, which reads like a tag
 (chosen: blurred tags against such insides)."""
@@ -57,7 +57,7 @@ def reads_as_tag(fit: TagFit, code: TagFamilyCode) -> bool:
     wrong, frame, unclear = fit.reading
     if wrong > CORRECTED_BITS[code.name] or frame > _MOST_FRAME or unclear > _MOST_UNCLEAR:
         return False
-    return fit.rim >= _LEAST_RIM
+    return fit.border_step >= _LEAST_BORDER_STEP
 
 
 def may_be_bent(fit: TagFit) -> bool:
@@ -75,7 +75,7 @@ def may_be_bent(fit: TagFit) -> bool:
     return fit.contrast == 0.0 or (near and fit.explained >= _BENT_EXPLAINED)
 
 
-def sigma_as_found(
+def sigma_of_library_corners(
     image: NDArray[np.uint8], square: FoundSquare, scale: float, code: TagFamilyCode
 ) -> float | None:
     """Standard deviation of the library's own corners of a tag that may be bent.
@@ -102,7 +102,7 @@ def sigma_as_found(
         return None
     sigma = max(_FOUND_SIGMA[0] * scale, _FOUND_SIGMA[1] * edge)
     # an object that covers part of a side would move its corners
-    return sigma if read.plain == 1.0 else max(sigma, 0.5 * cell)
+    return sigma if read.border_fraction == 1.0 else max(sigma, 0.5 * cell)
 
 
 def shortest_edge(corners: NDArray[np.float64]) -> float:

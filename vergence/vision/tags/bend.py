@@ -8,10 +8,10 @@ import numpy as np
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.tags.cholesky import factorise, solve
-from vergence.vision.tags.normal import hold_near, normal_equations
-from vergence.vision.tags.workspace import BOWS, SPREAD, UNKNOWNS, FitBuffers
+from vergence.vision.tags.normal import add_priors, normal_equations
+from vergence.vision.tags.workspace import BEND_START, SPREAD, UNKNOWNS, FitBuffers
 
-_WIDEST: Final = 0.1
+_WEAK_SIGMA: Final = 0.1
 """Standard deviation of a weak prior on the spread, px, and on the bend's coefficients, half edges;
 any evidence in the pixels outweighs it (numerical)."""
 _SURELY: Final = 2.0
@@ -20,20 +20,20 @@ must exceed (chosen: noise alone exceeds it in one flat tag of 25)."""
 
 
 @subroutine
-def bend_at(bent: FloatArray, x: float, y: float) -> tuple[float, float]:
+def bend_at(c: FloatArray, x: float, y: float) -> tuple[float, float]:
     """Displacement (dx, dy) of a point of the tag's plane by the bend; 0 at the corners.
 
     With c the coefficients, dx = (c1 + c3 x) (1 - x^2) + (c2 + c4 x) (1 - y^2) and
     dy = (c5 + c7 y) (1 - x^2) + (c6 + c8 y) (1 - y^2).
 
     Args:
-        bent: (9,) the spread, then the bend's eight coefficients c1 to c8.
+        c: (9,) the spread, then the bend's eight coefficients c1 to c8.
         x: x of the point, half edges.
         y: y of the point, half edges.
     """
     over_x, over_y = 1.0 - x * x, 1.0 - y * y
-    dx = (bent[1] + bent[3] * x) * over_x + (bent[2] + bent[4] * x) * over_y
-    dy = (bent[5] + bent[7] * y) * over_x + (bent[6] + bent[8] * y) * over_y
+    dx = (c[1] + c[3] * x) * over_x + (c[2] + c[4] * x) * over_y
+    dy = (c[5] + c[7] * y) * over_x + (c[6] + c[8] * y) * over_y
     return dx, dy
 
 
@@ -62,48 +62,56 @@ def bend_slopes(
 
 
 @subroutine
-def size_of_bend(bent: FloatArray) -> float:
+def rms_of_bend(spread_and_bend: FloatArray) -> float:
     """Root mean square of a bend's coefficients."""
     squares = 0.0
-    for k in range(BOWS - SPREAD, UNKNOWNS - SPREAD):
-        squares += bent[k] ** 2 / (UNKNOWNS - BOWS)
+    for k in range(BEND_START - SPREAD, UNKNOWNS - SPREAD):
+        squares += spread_and_bend[k] ** 2 / (UNKNOWNS - BEND_START)
     return sqrt(squares)
 
 
 @subroutine
-def usual_bow(
-    room: FitBuffers, count: int, number: int, bent: FloatArray, variance: float
+def estimate_bend_sigma(
+    buffers: FitBuffers, count: int, block_count: int, spread_and_bend: FloatArray, variance: float
 ) -> float:
     """Estimate the prior standard deviation of a bend's coefficients by empirical Bayes.
 
     Args:
-        room: working arrays after a step that kept the sheet flat.
+        buffers: working arrays after a step that kept the sheet flat.
         count: number of pixels.
-        number: number of blocks.
-        bent: (9,) the spread, and a bend of 0.
+        block_count: number of blocks.
+        spread_and_bend: (9,) the spread, and a bend of 0.
         variance: variance of a pixel.
 
     Returns:
         Root mean square of the coefficients in excess of noise, weighted by how well the pixels
         determine each; 0 if they are no larger than noise makes them.
     """
-    matrix, bows = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
-    normal_equations(room.pixels, count, room.blocks, number, UNKNOWNS, matrix, bows)
+    matrix, solution = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    normal_equations(buffers.pixels, count, buffers.blocks, block_count, UNKNOWNS, matrix, solution)
     for j in range(UNKNOWNS):
-        for i in range(BOWS):
-            bows[j] -= matrix[j, i] * room.step[i]
-    hold = variance / _WIDEST**2
-    hold_near(matrix, bows, bent, 1e-5 * (matrix[8, 8] + matrix[9, 9]), hold, hold, UNKNOWNS)
+        for i in range(BEND_START):
+            solution[j] -= matrix[j, i] * buffers.step[i]
+    weak_weight = variance / _WEAK_SIGMA**2
+    add_priors(
+        matrix,
+        solution,
+        spread_and_bend,
+        1e-5 * (matrix[8, 8] + matrix[9, 9]),
+        weak_weight,
+        weak_weight,
+        UNKNOWNS,
+    )
     if not factorise(matrix, UNKNOWNS):
         return 0.0
-    solve(matrix, bows, UNKNOWNS)
+    solve(matrix, solution, UNKNOWNS)
     # the factor's last rows are the factor of the bend's normal matrix, other unknowns eliminated
-    squares = told = 0.0
-    for j in range(BOWS, UNKNOWNS):
+    squares = information = 0.0
+    for j in range(BEND_START, UNKNOWNS):
         total = 0.0
         for i in range(j, UNKNOWNS):
-            total += matrix[i, j] * bows[i]
-            told += matrix[i, j] * matrix[i, j]
+            total += matrix[i, j] * solution[i]
+            information += matrix[i, j] * matrix[i, j]
         squares += total * total
-    chance = (UNKNOWNS - BOWS) * variance
-    return sqrt((squares - chance) / told) if squares > _SURELY * chance else 0.0
+    chance = (UNKNOWNS - BEND_START) * variance
+    return sqrt((squares - chance) / information) if squares > _SURELY * chance else 0.0

@@ -14,7 +14,7 @@ _AROUND: Final = 5
 (chosen: both colours in the window against shadows within it)."""
 _LEAST_CONTRAST_GREY: Final = 8.0
 """Smallest median contrast within these windows, grey levels (chosen: dim tags against clutter)."""
-_LEAST_PLAIN: Final = 0.8
+_LEAST_BORDER_FRACTION: Final = 0.8
 """Smallest fraction of the border's cells that have its colour (chosen: covered tags against
 clutter)."""
 
@@ -61,8 +61,8 @@ def decode(
     inner = slice(-origin, -origin + code.border)
     ring = white[inner, inner].copy()
     ring[1:-1, 1:-1] = not code.dark_inside
-    plain = float((ring != code.dark_inside).mean())
-    if plain < _LEAST_PLAIN:
+    border_fraction = float((ring != code.dark_inside).mean())
+    if border_fraction < _LEAST_BORDER_FRACTION:
         return None
     x, y = code.places.T - origin
     best: tuple[int, int, int] | None = None
@@ -77,4 +77,4 @@ def decode(
     if best[0] > CORRECTED_BITS[code.name]:
         return None
     # after `turn` quarter turns anticlockwise, corner number `turn` is the upper left one
-    return FoundSquare(best[1], best[0], np.roll(corners, -best[2], axis=0), plain)
+    return FoundSquare(best[1], best[0], np.roll(corners, -best[2], axis=0), border_fraction)

@@ -18,7 +18,7 @@ from vergence.vision.tags.acceptance import (
     may_be_bent,
     reads_as_tag,
     shortest_edge,
-    sigma_as_found,
+    sigma_of_library_corners,
 )
 from vergence.vision.tags.decoding import decode
 from vergence.vision.tags.fit import fit_tag
@@ -60,7 +60,7 @@ accuracy against time)."""
 _CUT_QUIET: Final = 0.4
 """Width of the white margin, cells, around a tag cut out close to its border (chosen: closely cut
 tags against clutter beside the border)."""
-_OVERLAP_PX: Final = 48
+_BEYOND_MIDDLE_PX: Final = 48
 """Rows by which each half of the image that is searched by turns reaches beyond the middle; larger
 tags are found at half size (chosen: coverage against time)."""
 
@@ -119,16 +119,16 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         found: list[Detection] = []
         for square in self._wanted(squares):
             placed = square._replace(corners=scale * square.corners + shift)
-            each, bent = self._tried(image, placed.corners, placed.id, _STEPS, _PIXELS)
+            each, bent = self._fit_several_ways(image, placed.corners, placed.id, _STEPS, _PIXELS)
             if each is None and bent:
-                sigma = sigma_as_found(image, placed, scale, self._code)
+                sigma = sigma_of_library_corners(image, placed, scale, self._code)
                 if sigma is not None:
-                    each = self._as_found(placed, sigma)
+                    each = self._with_library_corners(placed, sigma)
             if each is not None:
                 found.append(each)
         return found
 
-    def _as_found(self, square: FoundSquare, sigma: float) -> Detection:
+    def _with_library_corners(self, square: FoundSquare, sigma: float) -> Detection:
         """Detection with the library's own corners."""
         return Detection(
             self._tag(square.id),
@@ -148,7 +148,11 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         if way % 2 == 0:
             return self._search_half(image)
         middle, height = len(image) // 2, len(image)
-        rows = (0, middle + _OVERLAP_PX) if way % 4 == 1 else (middle - _OVERLAP_PX, height)
+        rows = (
+            (0, middle + _BEYOND_MIDDLE_PX)
+            if way % 4 == 1
+            else (middle - _BEYOND_MIDDLE_PX, height)
+        )
         return self._search_full(image, (max(rows[0], 0), min(rows[1], height)))
 
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:
@@ -189,7 +193,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             if i < len(named):  # which corner is the upper left one depends on OpenCV's version
                 squares += [FoundSquare(named[i], 0, np.roll(corners, k, axis=0)) for k in (0, 2)]
             for square in self._wanted(squares):
-                detection = self._fitted(image, square.corners, square.id)
+                detection = self._fit_near(image, square.corners, square.id)
                 if detection is not None:
                     out.append(detection)
                     break
@@ -210,21 +214,21 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             return None
         first, second = _TRACKED_PIXELS
         most = first, min(max(second, int(_PIXELS_BY_EDGE * shortest_edge(corners))), _PIXELS[1])
-        found, fit = self._fit(image, corners, number, (0, 0, _TRACKED_STEPS[2]), most)
+        found, fit = self._fit_once(image, corners, number, (0, 0, _TRACKED_STEPS[2]), most)
         if found is not None:
             if fit.moved_px < _NEAR_PX and fit.sigma_px < _SURE_PX:
                 return found
         else:  # the target is not exactly at its prediction
-            found = self._fitted(image, corners, number, _TRACKED_STEPS, most)
+            found = self._fit_near(image, corners, number, _TRACKED_STEPS, most)
         # few pixels may have led the fit astray, or the edge of a shadow lies on the tag
         most = _SLOW_PIXELS[0], max(_SLOW_PIXELS[1], most[1])
         if found is None:
-            return self._fit(image, corners, number, _SLOW_STEPS, most)[0]
+            return self._fit_once(image, corners, number, _SLOW_STEPS, most)[0]
         steps = 0, 0, _SLOW_STEPS[2]
-        surer, _ = self._fit(image, found.corners_px, number, steps, most)
+        surer, _ = self._fit_once(image, found.corners_px, number, steps, most)
         return found if surer is None else surer
 
-    def _fitted(
+    def _fit_near(
         self,
         image: NDArray[np.uint8],
         corners: NDArray[np.float64],
@@ -233,9 +237,9 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         most: tuple[int, int] = _PIXELS,
     ) -> Detection | None:
         """Fit the tag near the given corners; None if it does not read as that tag."""
-        return self._tried(image, corners, identity, steps, most)[0]
+        return self._fit_several_ways(image, corners, identity, steps, most)[0]
 
-    def _tried(
+    def _fit_several_ways(
         self,
         image: NDArray[np.uint8],
         corners: NDArray[np.float64],
@@ -255,13 +259,13 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             ways.append((steps, _CUT_QUIET))
         bent = True
         for taken, quiet in ways:
-            found, fit = self._fit(image, corners, identity, taken, most, quiet)
+            found, fit = self._fit_once(image, corners, identity, taken, most, quiet)
             if found is not None:
                 return found, False
             bent = bent and may_be_bent(fit)
         return None, bent
 
-    def _fit(
+    def _fit_once(
         self,
         image: NDArray[np.uint8],
         corners: NDArray[np.float64],
@@ -286,7 +290,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
 def compile_fit() -> None:
     """Compile the kernels of a tag's detection, on an image without a tag."""
     corners = np.array([[10.0, 10.0], [40.0, 10.0], [40.0, 40.0], [10.0, 40.0]])
-    TagDetector(AprilTag())._fit(np.zeros((50, 50), np.uint8), corners, 0, (0, 1, 1), _PIXELS)
+    TagDetector(AprilTag())._fit_once(np.zeros((50, 50), np.uint8), corners, 0, (0, 1, 1), _PIXELS)
 
 
 @lru_cache(maxsize=256)

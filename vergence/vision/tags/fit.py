@@ -34,14 +34,14 @@ from vergence._jit import compiled, subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.packed import camera_at
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import View, ideal_of, look_along, ray_at
-from vergence.vision.tags.bend import size_of_bend, usual_bow
+from vergence.vision.plane import View, look_along, ray_at, undistorted_point
+from vergence.vision.tags.bend import estimate_bend_sigma, rms_of_bend
 from vergence.vision.tags.normal import variance_of_blocks
-from vergence.vision.tags.report import NOTHING, TagFit, report
+from vergence.vision.tags.report import NO_FIT, TagFit, report
 from vergence.vision.tags.stages import ALL, BEND, NARROW, WIDE, FitStage, begin_stage, scale_of
-from vergence.vision.tags.steps import Compared, begin_steps, compare, improve
+from vergence.vision.tags.steps import PrintResiduals, begin_steps, compare, gauss_newton_step
 from vergence.vision.tags.workspace import (
-    BOWS,
+    BEND_START,
     SPREAD,
     UNKNOWNS,
     FitState,
@@ -59,7 +59,7 @@ _SMALL_BLUR_STEP: Final = 0.1
 count as noise (numerical)."""
 _FIRST_STEP_PX: Final = 0.15
 """Corner step, px, below which the first stage ends (numerical)."""
-_HOLD: Final = 1e-5
+_LATER_BLUR_WEIGHT: Final = 1e-5
 """Weight that holds blurs near their last values in later stages, relative to the first stage
 (numerical)."""
 _BOUNDS_PX: Final = 8.0
@@ -75,7 +75,7 @@ distinguish spread from a smaller tag (numerical)."""
 _FAR_WORSE: Final = 2.5
 """Ratio of the residual variance of all edges to the one before, of the outer edges, above which
 the sheet is taken to be bent (chosen: bent tags against flat ones with a poor start)."""
-_LARGE_BOW: Final = 0.03
+_LARGE_BEND_SIGMA: Final = 0.03
 """Prior standard deviation of such a bend's coefficients, half edges (chosen: wide enough for
 bends of this size)."""
 _MOST_SHRUNK: Final = 0.06
@@ -128,29 +128,29 @@ def fit_tag(
         sigmas: (5, 2) result: their standard deviations, px.
 
     Returns:
-        Quality of the fit; `NOTHING`, with a contrast of 0, if the square is too small or not all
+        Quality of the fit; `NO_FIT`, with a contrast of 0, if the square is too small or not all
         in the image, or if the fit fails.
     """
     shortest, longest, _ = sides_of(start)
     if not (shortest >= _LEAST_EDGE_PX and longest < inf):
-        return NOTHING
+        return NO_FIT
     camera, tag = camera_at(row, 0), TagPrint(cells, border, quiet)
-    sight = _look(image, light, rays, camera, border, start)
-    sought = FitState(
+    region = _look(image, light, rays, camera, border, start)
+    state = FitState(
         np.empty((4, 2)), np.empty((3, 3)), np.empty((3, 3)), np.empty(2),
         np.zeros(UNKNOWNS - SPREAD),
     )  # fmt: skip
     for k in range(4):
-        u, v = ideal_of(rays, sight.plane, start[k, 0], start[k, 1])
-        sought.corners[k, 0], sought.corners[k, 1] = u, v
-    scale = scale_of(sought.corners, border, most[1])
-    room = allocate_buffers(max(most[0], most[1]), scale.along * scale.along)
-    stage, left = FitStage(0, 0, False), Compared(0.0, 0.0, 0.0)
-    far = variance = bow = 0.0
-    used = BOWS
+        u, v = undistorted_point(rays, region.plane, start[k, 0], start[k, 1])
+        state.corners[k, 0], state.corners[k, 1] = u, v
+    scale = scale_of(state.corners, border, most[1])
+    buffers = allocate_buffers(max(most[0], most[1]), scale.blocks_per_edge * scale.blocks_per_edge)
+    stage, residuals = FitStage(0, 0, False), PrintResiduals(0.0, 0.0, 0.0)
+    corner_step_px = variance = bend_sigma = 0.0
+    used = BEND_START
     for which in range(4):
         if which == BEND:
-            if bow == 0.0:
+            if bend_sigma == 0.0:
                 break
             used = UNKNOWNS
         elif steps[which] == 0:
@@ -158,48 +158,60 @@ def fit_tag(
         else:
             blurred = which == ALL and steps[NARROW] > 0
             few = most[0] if which == WIDE else most[1]
-            stage = begin_stage(which, blurred, sight, tag, scale, sought, room, few)
+            stage = begin_stage(which, blurred, region, tag, scale, state, buffers, few)
             if stage.pixels < 4 * UNKNOWNS:
-                return NOTHING
-        fine, number = which != WIDE, stage.along * stage.along
-        begin_steps(room)
+                return NO_FIT
+        fine, block_count = which != WIDE, stage.blocks_per_edge * stage.blocks_per_edge
+        begin_steps(buffers)
         for _ in range(steps[min(which, ALL)]):
-            before = left.pixel
-            left = compare(sought, tag, room, stage.pixels, stage.along)
-            if left.contrast <= 0.0:
-                return NOTHING
-            worse = which == ALL and not stage.clipped and left.pixel > _FAR_WORSE * before > 0.0
-            if worse and used == BOWS:
-                # inner edges do not lie where the outer ones predict: the sheet is bent
-                bow, used = _LARGE_BOW, UNKNOWNS
-            # a weak prior holds blurs near their last values
-            blur = (_HOLD if fine else 1.0) * left.contrast * left.contrast * stage.pixels
-            spread = left.pixel / (_SPREAD_PX if which >= ALL else _NO_SPREAD_PX) ** 2
-            bend = left.pixel / max(bow, 1e-9) ** 2
-            far, sharper = improve(
-                sought, room, stage.pixels, number, used, blur, spread, bend, scale.most_blur_px
+            before = residuals.variance
+            residuals = compare(state, tag, buffers, stage.pixels, stage.blocks_per_edge)
+            if residuals.contrast <= 0.0:
+                return NO_FIT
+            worse = (
+                which == ALL
+                and not stage.clipped
+                and residuals.variance > _FAR_WORSE * before > 0.0
             )
-            if not far < _LONG_STEP_PX + 0.5 * scale.cell_px:
-                return NOTHING
-            settled = not fine or sharper < _SMALL_BLUR_STEP
-            if settled and far < (_SMALL_STEP_PX if fine else _FIRST_STEP_PX):
+            if worse and used == BEND_START:
+                # inner edges do not lie where the outer ones predict: the sheet is bent
+                bend_sigma, used = _LARGE_BEND_SIGMA, UNKNOWNS
+            # a weak prior holds blurs near their last values
+            hold = _LATER_BLUR_WEIGHT if fine else 1.0
+            blur_weight = hold * residuals.contrast * residuals.contrast * stage.pixels
+            spread_sigma_px = _SPREAD_PX if which >= ALL else _NO_SPREAD_PX
+            spread_weight = residuals.variance / spread_sigma_px**2
+            bend_weight = residuals.variance / max(bend_sigma, 1e-9) ** 2
+            corner_step_px, blur_step = gauss_newton_step(
+                state, buffers, stage.pixels, block_count, used, blur_weight, spread_weight,
+                bend_weight, scale.most_blur_px,
+            )  # fmt: skip
+            if not corner_step_px < _LONG_STEP_PX + 0.5 * scale.cell_px:
+                return NO_FIT
+            settled = not fine or blur_step < _SMALL_BLUR_STEP
+            if settled and corner_step_px < (_SMALL_STEP_PX if fine else _FIRST_STEP_PX):
                 break
         if which >= ALL:
             squares, independent = variance_of_blocks(
-                room.matrix, room.step, room.blocks, number, used
+                buffers.matrix, buffers.step, buffers.blocks, block_count, used
             )
-            variance = (squares + _PRIOR_SQUARES * left.pixel) / (independent + _PRIOR_SQUARES)
+            variance = (squares + _PRIOR_SQUARES * residuals.variance) / (
+                independent + _PRIOR_SQUARES
+            )
         if which == ALL and used == UNKNOWNS:
-            bow = size_of_bend(sought.bent)
-        elif which == ALL and far < _CONVERGED_PX:
-            bow = usual_bow(room, stage.pixels, number, sought.bent, variance)
-    shrunk = min(abs(sought.bent[3]), abs(sought.bent[8]))
-    if not far < _CONVERGED_PX or shrunk > _MOST_SHRUNK:
-        return NOTHING
-    beyond = (_BEYOND_BEND * bow * 0.5 * scale.shortest_px) ** 2
+            bend_sigma = rms_of_bend(state.spread_and_bend)
+        elif which == ALL and corner_step_px < _CONVERGED_PX:
+            bend_sigma = estimate_bend_sigma(
+                buffers, stage.pixels, block_count, state.spread_and_bend, variance
+            )
+    shrunk = min(abs(state.spread_and_bend[3]), abs(state.spread_and_bend[8]))
+    if not corner_step_px < _CONVERGED_PX or shrunk > _MOST_SHRUNK:
+        return NO_FIT
+    unmodelled_variance = (_BEYOND_BEND * bend_sigma * 0.5 * scale.shortest_px) ** 2
     return report(
-        sight, camera, tag, scale, sought, room, left, stage.along * stage.along, used, variance,
-        beyond, start, points, sigmas,
+        region, camera, tag, scale, state, buffers, residuals,
+        stage.blocks_per_edge * stage.blocks_per_edge, used, variance, unmodelled_variance, start,
+        points, sigmas,
     )  # fmt: skip
 
 

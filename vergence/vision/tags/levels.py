@@ -9,7 +9,7 @@ from vergence.vision.tags.workspace import Blocks
 
 _LEAST_PIXELS: Final = 6
 """Fewest pixels of a block that is used (chosen: small tags against noisy levels)."""
-_LEAST_SPREAD: Final = 0.02
+_LEAST_PRINT_VARIANCE: Final = 0.02
 """Variance of the print in a block below which its contrast is undetermined (chosen: as above)."""
 _UNUSUAL: Final = 4.0
 """Ratio of a block's residual variance to the usual one above which its weight falls (chosen:
@@ -17,21 +17,21 @@ robustness against efficiency)."""
 
 
 @subroutine
-def block_levels(blocks: Blocks, number: int) -> float:
+def block_levels(blocks: Blocks, block_count: int) -> float:
     """Estimate the dark level and contrast of each block; return the mean contrast.
 
     A block of one colour, or with a contrast of the wrong sign, gets contrast 0: it is not used.
     """
-    plain, levels, total, pixels = blocks.plain, blocks.levels, 0.0, 0.0
-    for k in range(number):
-        n, t, tt, i, ti = plain[k]
+    sums, levels, total, pixels = blocks.sums, blocks.levels, 0.0, 0.0
+    for k in range(block_count):
+        n, t, tt, i, ti = sums[k]
         levels[k, 0] = levels[k, 1] = 0.0
         if n < _LEAST_PIXELS:
             continue
-        spread = tt - t * t / n
-        if spread < _LEAST_SPREAD * n:
+        print_squares = tt - t * t / n
+        if print_squares < _LEAST_PRINT_VARIANCE * n:
             continue
-        contrast = (ti - t * i / n) / spread
+        contrast = (ti - t * i / n) / print_squares
         if contrast <= 0.0:
             continue
         levels[k, 0], levels[k, 1] = (i - contrast * t) / n, contrast
@@ -41,30 +41,30 @@ def block_levels(blocks: Blocks, number: int) -> float:
 
 
 @subroutine
-def block_weights(pixels: FloatArray, count: int, blocks: Blocks, number: int) -> float:
+def block_weights(pixels: FloatArray, count: int, blocks: Blocks, block_count: int) -> float:
     """Set the weights of blocks, lower for large residuals; return the weighted sum of squares."""
-    plain, levels, weights = blocks.plain, blocks.levels, blocks.weights
-    for k in range(number):
+    sums, levels, weights = blocks.sums, blocks.levels, blocks.weights
+    for k in range(block_count):
         weights[k] = 0.0
     for n in range(count):
         k = int(pixels[n, 1])
         if k >= 0 and levels[k, 1] > 0.0:
             r = pixels[n, 0] - levels[k, 0] - levels[k, 1] * pixels[n, 2]
             weights[k] += r * r
-    squares, told = 0.0, 0.0
-    for k in range(number):
+    log_total, total = 0.0, 0.0
+    for k in range(block_count):
         if levels[k, 1] > 0.0:
-            weights[k] /= plain[k, 0]
+            weights[k] /= sums[k, 0]
             # the geometric mean, which a few bad blocks hardly raise
-            squares += plain[k, 0] * log(weights[k] + 0.05)
-            told += plain[k, 0]
-    if told == 0.0:
+            log_total += sums[k, 0] * log(weights[k] + 0.05)
+            total += sums[k, 0]
+    if total == 0.0:
         return 0.0
-    usual = exp(squares / told)
-    left = 0.0
-    for k in range(number):
+    usual = exp(log_total / total)
+    weighted = 0.0
+    for k in range(block_count):
         if levels[k, 1] > 0.0:
             own = weights[k]
             weights[k] = 1.0 if own < _UNUSUAL * usual else _UNUSUAL * usual / own
-            left += weights[k] * own * plain[k, 0]
-    return left
+            weighted += weights[k] * own * sums[k, 0]
+    return weighted

@@ -27,7 +27,7 @@ class FoundSquare(NamedTuple):
     corners: NDArray[np.float64]
     """Corners from the tag's upper left one, clockwise in the image, in OpenCV's pixels, shape
     (4, 2)."""
-    plain: float = 1.0
+    border_fraction: float = 1.0
     """Fraction of the border's cells that have its colour; 1 if the cells were not read."""
 
 

@@ -13,7 +13,7 @@ def normal_equations(
     pixels: FloatArray,
     count: int,
     blocks: Blocks,
-    number: int,
+    block_count: int,
     used: int,
     matrix: FloatArray,
     right: FloatArray,
@@ -24,14 +24,14 @@ def normal_equations(
         pixels: (pixels, `COLUMNS`) see `evaluate_print`.
         count: number of pixels.
         blocks: result: their normal matrices and scores.
-        number: number of blocks.
+        block_count: number of blocks.
         used: number of unknowns that are sought, the first ones.
         matrix: (unknowns, unknowns) result, the normal matrix of all blocks.
         right: (unknowns,) result, the right side.
     """
-    levels, weights, sums, slopes = blocks.levels, blocks.weights, blocks.plain, blocks.slopes
+    levels, weights, sums, slopes = blocks.levels, blocks.weights, blocks.sums, blocks.slopes
     every_score, every_normal = blocks.scores, blocks.normal
-    for k in range(number):
+    for k in range(block_count):
         for j in range(used):
             every_score[k, j] = 0.0
             for i in range(used):
@@ -55,7 +55,7 @@ def normal_equations(
         right[j] = 0.0
         for i in range(used):
             matrix[j, i] = 0.0
-    for k in range(number):
+    for k in range(block_count):
         if levels[k, 1] <= 0.0:
             continue
         count_k, t, tt = sums[k, 0], sums[k, 1], sums[k, 2]
@@ -72,22 +72,22 @@ def normal_equations(
 
 
 @subroutine
-def hold_near(
-    matrix: FloatArray, right: FloatArray, bent: FloatArray, blur: float, spread: float,
-    bow: float, used: int,
+def add_priors(
+    matrix: FloatArray, right: FloatArray, spread_and_bend: FloatArray, blur_weight: float,
+    spread_weight: float, bend_weight: float, used: int,
 ) -> None:  # fmt: skip
     """Add the priors of blurs, spread and bend, as weights, to normal equations."""
-    matrix[8, 8] += blur
-    matrix[9, 9] += blur
+    matrix[8, 8] += blur_weight
+    matrix[9, 9] += blur_weight
     for k in range(SPREAD, used):
-        hold = spread if k == SPREAD else bow
-        matrix[k, k] += hold
-        right[k] -= hold * bent[k - SPREAD]
+        weight = spread_weight if k == SPREAD else bend_weight
+        matrix[k, k] += weight
+        right[k] -= weight * spread_and_bend[k - SPREAD]
 
 
 @subroutine
 def variance_of_blocks(
-    factor: FloatArray, step: FloatArray, blocks: Blocks, number: int, used: int
+    factor: FloatArray, step: FloatArray, blocks: Blocks, block_count: int, used: int
 ) -> tuple[float, float]:
     r"""Estimate the variance of a pixel from the residuals of whole blocks.
 
@@ -99,7 +99,7 @@ def variance_of_blocks(
         factor: lower Cholesky factor of N.
         step: (unknowns,) the last step; the scores are evaluated after it.
         blocks: blocks before that step.
-        number: number of blocks.
+        block_count: number of blocks.
         used: number of unknowns that are sought.
 
     Returns:
@@ -108,7 +108,7 @@ def variance_of_blocks(
     scores, normal, levels = blocks.scores, blocks.normal, blocks.levels
     score, part = np.empty(UNKNOWNS), np.empty((UNKNOWNS, UNKNOWNS))
     squares = free = 0.0
-    for k in range(number):
+    for k in range(block_count):
         if levels[k, 1] <= 0.0:
             continue
         for j in range(used):

@@ -5,7 +5,7 @@ from typing import Final
 
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import through
+from vergence.vision.plane import transform_point
 from vergence.vision.tags.workspace import FitState, SearchRegion, TagPrint, sides_of
 
 _LEAST_SCALE: Final = 0.4
@@ -26,11 +26,11 @@ against objects behind the zone)."""
 
 @subroutine
 def gather_pixels(
-    sight: SearchRegion,
+    region: SearchRegion,
     tag: TagPrint,
-    sought: FitState,
+    state: FitState,
     reach_px: float,
-    unseen_px: float,
+    excluded_px: float,
     whole: bool,
     within: bool,
     most: int,
@@ -39,11 +39,11 @@ def gather_pixels(
     """Gather the pixels near the edges, evenly subsampled to at most `most`.
 
     Args:
-        sight: the image.
+        region: the image.
         tag: the print.
-        sought: the tag's approximate pose.
+        state: the tag's approximate pose.
         reach_px: half width of the band along the edges, px.
-        unseen_px: width of the outer part of the quiet zone that is left out, px.
+        excluded_px: width of the outer part of the quiet zone that is left out, px.
         whole: True to take all pixels within the square.
         within: True to take pixels near the edges of the cells within the square.
         most: most pixels.
@@ -52,13 +52,13 @@ def gather_pixels(
     Returns:
         Number of pixels.
     """
-    image, light, rays, view = sight.image, sight.light, sight.rays, sight.plane
-    G, cells, border, quiet = sought.G, tag.cells, tag.border, tag.quiet
+    image, light, rays, view = region.image, region.light, region.rays, region.plane
+    G, cells, border, quiet = state.G, tag.cells, tag.border, tag.quiet
     height, width = image.shape
-    left, right = max(sight.left, 0), min(sight.right, width - 1)
-    top, bottom = max(sight.top, 0), min(sight.bottom, height - 1)
+    left, right = max(region.left, 0), min(region.right, width - 1)
+    top, bottom = max(region.top, 0), min(region.bottom, height - 1)
     half = 0.5 * border
-    shortest, _, perimeter = sides_of(sought.corners)
+    shortest, _, perimeter = sides_of(state.corners)
     expected = 2.0 * reach_px * perimeter
     area = 1.5 * (0.25 * perimeter + 2.0) ** 2
     if within:
@@ -79,7 +79,7 @@ def gather_pixels(
             u, v = float(column), float(row)
             if view.lens:
                 x, y = rays[row, column, 0], rays[row, column, 1]
-                u, v = through(view.plane_from_ray, x, y)
+                u, v = transform_point(view.plane_from_ray, x, y)
             w = G[2, 0] * u + G[2, 1] * v + G[2, 2]
             x = (G[0, 0] * u + G[0, 1] * v + G[0, 2]) / w
             y = (G[1, 0] * u + G[1, 1] * v + G[1, 2]) / w
@@ -92,9 +92,9 @@ def gather_pixels(
             out_x, out_y = (abs(x) - 1.0) * px_x, (abs(y) - 1.0) * px_y
             out = max(out_x, out_y)
             quiet_x, quiet_y = quiet * px_x / half, quiet * px_y / half
-            if out_x > max(quiet_x - unseen_px, _LEAST_QUIET * quiet_x):
+            if out_x > max(quiet_x - excluded_px, _LEAST_QUIET * quiet_x):
                 continue
-            if out_y > max(quiet_y - unseen_px, _LEAST_QUIET * quiet_y):
+            if out_y > max(quiet_y - excluded_px, _LEAST_QUIET * quiet_y):
                 continue
             if out > reach_px or count == most:
                 continue

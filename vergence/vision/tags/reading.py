@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from vergence._jit import subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import View, grey_at, seen_at, through
+from vergence.vision.plane import View, distorted_pixel, grey_at, transform_point
 from vergence.vision.tags.bend import bend_at
 
 _LEAST_CONTRAST_GREY: Final = 5.0
@@ -49,7 +49,7 @@ class CellReading(NamedTuple):
 def read_cells(
     image: NDArray[np.uint8],
     H: FloatArray,
-    bent: FloatArray,
+    spread_and_bend: FloatArray,
     camera: CameraRow,
     view: View,
     cells: FloatArray,
@@ -66,9 +66,9 @@ def read_cells(
 
     Args:
         image: grey levels.
-        H: (3, 3) homography to the image, see `back_of`, from the rectangle that `left`, `top`,
-            `across` and `down` define.
-        bent: (9,) the sheet's spread and bend, see `bend_at`.
+        H: (3, 3) homography to the image, see `inverse_homography`, from the rectangle that `left`,
+            `top`, `across` and `down` define.
+        spread_and_bend: (9,) the sheet's spread and bend, see `bend_at`.
         camera: the eye's camera.
         view: the undistorted plane.
         cells: (rows, columns) 0 black to 1 white, nan not compared.
@@ -99,9 +99,9 @@ def read_cells(
                 dy = 0.0 if probe == 0 else (far if probe % 2 else -far)
                 x = 2.0 * (i + 0.5 + dx - left) / across - 1.0
                 y = 2.0 * (j + 0.5 + dy - top) / down - 1.0
-                dx, dy = bend_at(bent, x, y)
-                u, v = through(H, x - dx, y - dy)
-                u, v = seen_at(camera, view, u, v)
+                dx, dy = bend_at(spread_and_bend, x, y)
+                u, v = transform_point(H, x - dx, y - dy)
+                u, v = distorted_pixel(camera, view, u, v)
                 greys[j, i] += 0.2 * grey_at(image, u, v)
     wrong = frame = 0
     unclear, compared = np.zeros(4), np.zeros(4)

@@ -8,12 +8,12 @@ import numpy as np
 from vergence._jit import subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import View, grey_at, seen_at, through
+from vergence.vision.plane import View, distorted_pixel, grey_at, transform_point
 from vergence.vision.tags.bend import bend_at
 from vergence.vision.tags.cholesky import solve
 from vergence.vision.tags.reading import CellReading, read_cells
 from vergence.vision.tags.stages import Scale
-from vergence.vision.tags.steps import Compared
+from vergence.vision.tags.steps import PrintResiduals
 from vergence.vision.tags.workspace import (
     UNKNOWNS,
     Blocks,
@@ -37,12 +37,12 @@ class TagFit(NamedTuple):
     """Largest distance, along u or v, of a corner from its expected position."""
     sigma_px: float
     """Largest standard deviation of a point."""
-    rim: float
+    border_step: float
     """Mean step of the light across the square's sides, as a fraction of the contrast: 1 for a
     sharp print, 0 if the border is wider than the square."""
 
 
-NOTHING: Final = TagFit(0.0, 0.0, CellReading(0, 0, 0.0), 0.0, 0.0, 0.0)
+NO_FIT: Final = TagFit(0.0, 0.0, CellReading(0, 0, 0.0), 0.0, 0.0, 0.0)
 """Result of a fit that failed (numerical)."""
 _BEFORE_CELLS: Final = 0.5
 """Distance inside a side at which light is sampled, cells (chosen: the middle of the border)."""
@@ -53,17 +53,17 @@ cell is still white there (chosen: such zones against blur)."""
 
 @subroutine
 def report(
-    sight: SearchRegion,
+    region: SearchRegion,
     camera: CameraRow,
     tag: TagPrint,
     scale: Scale,
-    sought: FitState,
-    room: FitBuffers,
-    last: Compared,
-    number: int,
+    state: FitState,
+    buffers: FitBuffers,
+    residuals: PrintResiduals,
+    block_count: int,
     used: int,
     variance: float,
-    beyond: float,
+    unmodelled_variance: float,
     start: FloatArray,
     points: FloatArray,
     sigmas: FloatArray,
@@ -71,51 +71,53 @@ def report(
     """Report a fit that has converged.
 
     Args:
-        sight: the image.
+        region: the image.
         camera: the eye's camera.
         tag: the print.
         scale: size of the tag in the image.
-        sought: the tag's pose, blurs and bend.
-        room: working arrays after the last step.
-        last: residuals before that step.
-        number: number of blocks.
+        state: the tag's pose, blurs and bend.
+        buffers: working arrays after the last step.
+        residuals: residuals before that step.
+        block_count: number of blocks.
         used: number of unknowns that were sought.
         variance: variance of a pixel.
-        beyond: variance of a corner that no unknown models, px^2.
+        unmodelled_variance: variance of a corner that no unknown models, px^2.
         start: (4, 2) expected corners, px.
         points: (5, 2) result: the corners and the centre, px.
         sigmas: (5, 2) result: their standard deviations, px.
 
     Returns:
-        Quality of the fit; `NOTHING` if a point is outside of the image or undetermined.
+        Quality of the fit; `NO_FIT` if a point is outside of the image or undetermined.
     """
-    height, width = sight.image.shape
+    height, width = region.image.shape
     moved = largest = 0.0
     for k in range(5):
         x, y = place_of(k)
-        u, v = through(sought.H, x, y)
-        a, b, c = _covariance_of(room.matrix, used, sought.G, u, v, x, y)
-        more = beyond if k < 4 else 0.25 * beyond  # the centre lies between four corners
+        u, v = transform_point(state.H, x, y)
+        a, b, c = _covariance_of(buffers.matrix, used, state.G, u, v, x, y)
+        more = (
+            unmodelled_variance if k < 4 else 0.25 * unmodelled_variance
+        )  # the centre lies between four corners
         a, b, c = variance * a + more, variance * b, variance * c + more
-        u, v, sigma_u, sigma_v = _seen(camera, sight.plane, u, v, a, b, c)
+        u, v, sigma_u, sigma_v = _to_image(camera, region.plane, u, v, a, b, c)
         points[k, 0], points[k, 1], sigmas[k, 0], sigmas[k, 1] = u, v, sigma_u, sigma_v
         if not (-0.5 < u < width - 0.5 and -0.5 < v < height - 0.5):
-            return NOTHING
+            return NO_FIT
         if not sigma_u + sigma_v < inf:
-            return NOTHING
+            return NO_FIT
         largest = max(largest, max(sigma_u, sigma_v))
         if k < 4:
             moved = max(moved, max(abs(u - start[k, 0]), abs(v - start[k, 1])))
-    explained = _explained(room.blocks, number)
-    reading = _read(sight, camera, tag, scale, sought)
-    share = explained / (explained + last.unexplained)
-    rim = _step_across_sides(sight, camera, tag, sought) / last.contrast
-    return TagFit(last.contrast, share, reading, moved, largest, rim)
+    explained = _explained(buffers.blocks, block_count)
+    reading = _read(region, camera, tag, scale, state)
+    share = explained / (explained + residuals.unexplained)
+    border_step = _step_across_sides(region, camera, tag, state) / residuals.contrast
+    return TagFit(residuals.contrast, share, reading, moved, largest, border_step)
 
 
 @subroutine
 def _step_across_sides(
-    sight: SearchRegion, camera: CameraRow, tag: TagPrint, sought: FitState
+    region: SearchRegion, camera: CameraRow, tag: TagPrint, state: FitState
 ) -> float:
     """Mean step of the light across the square's sides, positive if its sign is as printed."""
     first, cell = (len(tag.cells) - tag.border) // 2, 2.0 / tag.border
@@ -124,31 +126,31 @@ def _step_across_sides(
     for k in range(tag.border):
         along = (k + 0.5) * cell - 1.0
         for side in (-1.0, 1.0):
-            total += _light_at(sight, camera, sought, side * beyond, along)
-            total -= _light_at(sight, camera, sought, side * before, along)
-            total += _light_at(sight, camera, sought, along, side * beyond)
-            total -= _light_at(sight, camera, sought, along, side * before)
+            total += _light_at(region, camera, state, side * beyond, along)
+            total -= _light_at(region, camera, state, side * before, along)
+            total += _light_at(region, camera, state, along, side * beyond)
+            total -= _light_at(region, camera, state, along, side * before)
     printed = tag.cells[first - 1, first - 1] - tag.cells[first, first]
     return float(printed * total / (4.0 * tag.border))
 
 
 @subroutine
 def _light_at(
-    sight: SearchRegion, camera: CameraRow, sought: FitState, x: float, y: float
+    region: SearchRegion, camera: CameraRow, state: FitState, x: float, y: float
 ) -> float:
     """Light at a point of the tag's plane, half edges; 0 outside of the image."""
-    dx, dy = bend_at(sought.bent, x, y)
-    u, v = through(sought.H, x - dx, y - dy)
-    u, v = seen_at(camera, sight.plane, u, v)
-    grey = grey_at(sight.image, u, v)
-    return float(sight.light[int(grey + 0.5)]) if grey >= 0.0 else 0.0
+    dx, dy = bend_at(state.spread_and_bend, x, y)
+    u, v = transform_point(state.H, x - dx, y - dy)
+    u, v = distorted_pixel(camera, region.plane, u, v)
+    grey = grey_at(region.image, u, v)
+    return float(region.light[int(grey + 0.5)]) if grey >= 0.0 else 0.0
 
 
 @subroutine
-def _explained(blocks: Blocks, number: int) -> float:
+def _explained(blocks: Blocks, block_count: int) -> float:
     """Weighted sum of squares over all pixels that the print explains."""
-    sums, levels, weights, total = blocks.plain, blocks.levels, blocks.weights, 0.0
-    for k in range(number):
+    sums, levels, weights, total = blocks.sums, blocks.levels, blocks.weights, 0.0
+    for k in range(block_count):
         contrast = levels[k, 1]
         if contrast > 0.0:
             n, t, tt = sums[k, 0], sums[k, 1], sums[k, 2]
@@ -158,18 +160,18 @@ def _explained(blocks: Blocks, number: int) -> float:
 
 @subroutine
 def _read(
-    sight: SearchRegion, camera: CameraRow, tag: TagPrint, scale: Scale, sought: FitState
+    region: SearchRegion, camera: CameraRow, tag: TagPrint, scale: Scale, state: FitState
 ) -> CellReading:
     """Read a tag's cells; without the quiet zone's levels if fewer cells are wrong without."""
     cells, border = tag.cells, float(tag.border)
     offset = 0.5 * (len(cells) - tag.border)
     ring, greys = 1 if len(cells) == tag.border + 2 else 0, np.empty(cells.shape)
-    blur = max(sought.blurs[0], sought.blurs[1]) / scale.cell_px
+    blur = max(state.blurs[0], state.blurs[1]) / scale.cell_px
     reading = CellReading(0, 0, 0.0)
     for way in range(2):
         other = read_cells(
-            sight.image, sought.H, sought.bent, camera, sight.plane, cells, blur, offset, offset,
-            border, border, ring, way == 0, greys,
+            region.image, state.H, state.spread_and_bend, camera, region.plane, cells, blur, offset,
+            offset, border, border, ring, way == 0, greys,
         )  # fmt: skip
         if way == 0 or other.wrong < reading.wrong:
             reading = other
@@ -179,7 +181,7 @@ def _read(
 
 
 @subroutine
-def _seen(
+def _to_image(
     camera: CameraRow, view: View, u: float, v: float, a: float, b: float, c: float
 ) -> tuple[float, float, float, float]:
     """Map a point and its standard deviations from the undistorted plane to the image.
@@ -197,16 +199,16 @@ def _seen(
         The pixel, and the standard deviations.
     """
     if view.lens:
-        left_u, left_v = seen_at(camera, view, u - 0.5, v)
-        right_u, right_v = seen_at(camera, view, u + 0.5, v)
-        above_u, above_v = seen_at(camera, view, u, v - 0.5)
-        below_u, below_v = seen_at(camera, view, u, v + 0.5)
+        left_u, left_v = distorted_pixel(camera, view, u - 0.5, v)
+        right_u, right_v = distorted_pixel(camera, view, u + 0.5, v)
+        above_u, above_v = distorted_pixel(camera, view, u, v - 0.5)
+        below_u, below_v = distorted_pixel(camera, view, u, v + 0.5)
         p, q, r, s = right_u - left_u, below_u - above_u, right_v - left_v, below_v - above_v
         a, c = (
             p * p * a + 2.0 * p * q * b + q * q * c,
             r * r * a + 2.0 * r * s * b + s * s * c,
         )
-    u, v = seen_at(camera, view, u, v)
+    u, v = distorted_pixel(camera, view, u, v)
     return u, v, sqrt(a), sqrt(c)
 
 

@@ -10,23 +10,28 @@ from vergence.vision.tags.workspace import UNKNOWNS, FitBuffers, FitState, TagPr
 
 @subroutine
 def evaluate_print(
-    sought: FitState, tag: TagPrint, room: FitBuffers, count: int, along: int
+    state: FitState, tag: TagPrint, buffers: FitBuffers, count: int, blocks_per_edge: int
 ) -> None:
     """Evaluate the print and its derivatives at all pixels, and their sums by block.
 
     Args:
-        sought: the tag's current pose, blurs and bend.
+        state: the tag's current pose, blurs and bend.
         tag: the print.
-        room: its `places` are read; its `pixels` and its blocks' `plain` and `slopes` are the
+        buffers: its `places` are read; its `pixels` and its blocks' `sums` and `slopes` are the
             result. A pixel to which an unknown cell contributes gets block -1.
         count: number of pixels.
-        along: blocks along an edge.
+        blocks_per_edge: blocks along an edge.
     """
-    G, blurs, bent, cells = sought.G, sought.blurs, sought.bent, tag.cells
-    places, pixels, along_x, along_y = room.places, room.pixels, room.along_x, room.along_y
-    sums, slopes = room.blocks.plain, room.blocks.slopes
+    G, blurs, spread_and_bend, cells = state.G, state.blurs, state.spread_and_bend, tag.cells
+    places, pixels, along_x, along_y = (
+        buffers.places,
+        buffers.pixels,
+        buffers.along_x,
+        buffers.along_y,
+    )
+    sums, slopes = buffers.blocks.sums, buffers.blocks.slopes
     half, start = 0.5 * tag.border, 0.5 * (len(cells) - tag.border)
-    for k in range(along * along):
+    for k in range(blocks_per_edge * blocks_per_edge):
         for j in range(5):
             sums[k, j] = 0.0
         for j in range(UNKNOWNS):
@@ -41,7 +46,7 @@ def evaluate_print(
         s_x = blurs[0] * half * sqrt(a * a + b * b) / abs(w)
         s_y = blurs[1] * half * sqrt(c * c + d * d) / abs(w)
         flat_x, flat_y = x, y
-        dx, dy = bend_at(bent, flat_x, flat_y)
+        dx, dy = bend_at(spread_and_bend, flat_x, flat_y)
         x, y = x + dx, y + dy
         at = printed_at(
             cells, (x + 1.0) * half + start, (y + 1.0) * half + start, s_x, s_y, along_x, along_y
@@ -53,24 +58,24 @@ def evaluate_print(
         turn = -(by_x * x + by_y * y)
         pixels[n, 0] = grey
         ridge = at.ridge_x / blurs[0] + at.ridge_y / blurs[1]
-        value = at.value + bent[0] * ridge
+        value = at.value + spread_and_bend[0] * ridge
         pixels[n, 2] = value
         pixels[n, 3], pixels[n, 4], pixels[n, 5] = by_x * x, by_x * y, by_x
         pixels[n, 6], pixels[n, 7], pixels[n, 8] = by_y * x, by_y * y, by_y
         pixels[n, 9], pixels[n, 10] = turn * x, turn * y
         pixels[n, 11], pixels[n, 12], pixels[n, 13] = at.by_blur_x, at.by_blur_y, ridge
         bend_slopes(flat_x, flat_y, x, y, by_x, by_y, pixels, n)
-        share = 0.5 * along / (half + 1.0)
-        column = min(max(int((x * half + half + 1.0) * share), 0), along - 1)
-        row = min(max(int((y * half + half + 1.0) * share), 0), along - 1)
-        k = row * along + column
+        share = 0.5 * blocks_per_edge / (half + 1.0)
+        column = min(max(int((x * half + half + 1.0) * share), 0), blocks_per_edge - 1)
+        row = min(max(int((y * half + half + 1.0) * share), 0), blocks_per_edge - 1)
+        k = row * blocks_per_edge + column
         pixels[n, 1] = k
-        plain = sums[k]
-        plain[0] += 1.0
-        plain[1] += value
-        plain[2] += value * value
-        plain[3] += grey
-        plain[4] += value * grey
+        own = sums[k]
+        own[0] += 1.0
+        own[1] += value
+        own[2] += value * value
+        own[3] += grey
+        own[4] += value * grey
         for j in range(UNKNOWNS):
             slopes[k, 0, j] += pixels[n, 3 + j]
             slopes[k, 1, j] += value * pixels[n, 3 + j]

@@ -52,7 +52,7 @@ class Scale(NamedTuple):
     shortest_px: float
     """Length of its shortest edge."""
     cell_px: float
-    along: int
+    blocks_per_edge: int
     """Most blocks along an edge."""
     most_blur_px: float
 
@@ -69,16 +69,18 @@ def scale_of(corners: FloatArray, border: int, most: int) -> Scale:
     shortest, longest, _ = sides_of(corners)
     cell_px = shortest / border
     # at most one block per cell of the border: a block of one colour has no contrast
-    along = min(max(int(0.5 * (shortest + longest) / _BLOCK_PX), 1), _MOST_BLOCKS, border)
-    along = min(along, 1 + most // (4 * _PIXELS_PER_BLOCK))
-    return Scale(shortest, cell_px, along, min(max(_MOST_BLUR_CELLS * cell_px, 0.5), _MOST_BLUR_PX))
+    blocks_per_edge = min(max(int(0.5 * (shortest + longest) / _BLOCK_PX), 1), _MOST_BLOCKS, border)
+    blocks_per_edge = min(blocks_per_edge, 1 + most // (4 * _PIXELS_PER_BLOCK))
+    return Scale(
+        shortest, cell_px, blocks_per_edge, min(max(_MOST_BLUR_CELLS * cell_px, 0.5), _MOST_BLUR_PX)
+    )
 
 
 class FitStage(NamedTuple):
     """Numbers of pixels and blocks that take part in a stage."""
 
     pixels: int
-    along: int
+    blocks_per_edge: int
     """Blocks along an edge."""
     clipped: bool
     """True if pixels of clipped white were left out."""
@@ -88,11 +90,11 @@ class FitStage(NamedTuple):
 def begin_stage(
     which: int,
     blurred: bool,
-    sight: SearchRegion,
+    region: SearchRegion,
     tag: TagPrint,
     scale: Scale,
-    sought: FitState,
-    room: FitBuffers,
+    state: FitState,
+    buffers: FitBuffers,
     most: int,
 ) -> FitStage:
     """Begin a stage other than `BEND`, with the homography through the corners.
@@ -100,26 +102,26 @@ def begin_stage(
     Args:
         which: the stage, see `WIDE`.
         blurred: True if an earlier stage has found the blurs.
-        sight: the image.
+        region: the image.
         tag: the print.
         scale: size of the tag in the image.
-        sought: its corners are read; `G` is a result, and so are the blurs unless `blurred`.
-        room: its `places` are a result.
+        state: its corners are read; `G` is a result, and so are the blurs unless `blurred`.
+        buffers: its `places` are a result.
         most: most pixels that take part.
     """
-    plane_of(sought.corners, sought.G)
-    along, blur_px = scale.along, _FIRST_BLUR_PX
+    plane_of(state.corners, state.G)
+    blocks_per_edge, blur_px = scale.blocks_per_edge, _FIRST_BLUR_PX
     reach_px = _REACH_PX + _REACH_BLURS * _FIRST_BLUR_PX
     if which == WIDE:
-        along = min(along, _FIRST_BLOCKS)
+        blocks_per_edge = min(blocks_per_edge, _FIRST_BLOCKS)
         reach_px = min(_WIDE_PX, max(scale.cell_px, 2.0))
         blur_px = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * scale.cell_px, _FIRST_BLUR_PX))
     if not blurred:
-        sought.blurs[0] = sought.blurs[1] = blur_px
+        state.blurs[0] = state.blurs[1] = blur_px
     count = gathered = gather_pixels(
-        sight, tag, sought, reach_px, _QUIET_BLURS * _FIRST_BLUR_PX,
-        scale.cell_px < reach_px + 2.0 * blur_px, which == ALL, most, room.places,
+        region, tag, state, reach_px, _QUIET_BLURS * _FIRST_BLUR_PX,
+        scale.cell_px < reach_px + 2.0 * blur_px, which == ALL, most, buffers.places,
     )  # fmt: skip
     if which == ALL:
-        count = without_clipped(room.places, count, sight.light)
-    return FitStage(count, along, count < gathered)
+        count = without_clipped(buffers.places, count, region.light)
+    return FitStage(count, blocks_per_edge, count < gathered)

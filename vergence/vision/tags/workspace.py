@@ -16,7 +16,7 @@ UNKNOWNS: Final = 19
 black, eight of a bend (numerical)."""
 SPREAD: Final = 10
 """Index of the spread, px, among the unknowns (numerical)."""
-BOWS: Final = 11
+BEND_START: Final = 11
 """Index of the bend's first coefficient, half edges, see `bend_at` (numerical)."""
 COLUMNS: Final = 3 + UNKNOWNS
 """Columns of a pixel: its light, its block, the print, and the derivatives (numerical)."""
@@ -59,17 +59,17 @@ class FitState(NamedTuple):
     G: FloatArray
     """(3, 3) homography from the undistorted image to the tag's plane, see `plane_of`."""
     H: FloatArray
-    """(3, 3) its inverse, see `back_of`."""
+    """(3, 3) its inverse, see `inverse_homography`."""
     blurs: FloatArray
     """(2,) across the edges along x and along y, px."""
-    bent: FloatArray
+    spread_and_bend: FloatArray
     """(9,) the spread, px, and the bend's coefficients, see `bend_at`."""
 
 
 class Blocks(NamedTuple):
     """Sums over the pixels of each block, and the levels and weights that follow from them."""
 
-    plain: FloatArray
+    sums: FloatArray
     """(K, 5) sums of 1, T, T^2, I, T I."""
     slopes: FloatArray
     """(K, 2, unknowns) sums of the derivatives of T, and of T times them."""
@@ -101,7 +101,7 @@ class FitBuffers(NamedTuple):
     """(unknowns,) right side of the normal equations; the step after it is solved."""
     last: FloatArray
     """(unknowns,) previous step; 0 before the first one of a stage."""
-    pace: FloatArray
+    step_control: FloatArray
     """(2,) fraction of the previous step that was taken, and the slope along it at its start."""
 
 

@@ -6,9 +6,9 @@ import pytest
 from vergence.eval.article.common.closed_loop import ClosedLoop, hold_gaze
 from vergence.eval.article.reported import static_points
 from vergence.eval.article.twin.fixation_errors import (
-    encoded,
+    angles_seeing_at,
     fix_errors,
-    looking,
+    mean_encoder_readings,
     static_errors,
 )
 from vergence.eval.article.twin.heads import draw_heads
@@ -38,14 +38,14 @@ def drawn_by(nominal, source):
 def test_looking_puts_the_target_at_the_wanted_raw_pixels(nominal, heads):
     for offset in ((0.0, 0.0), (-180.0, 60.0), (90.0, -150.0)):
         wanted = nominal.cameras.principal + np.array(offset)
-        q = looking(nominal, heads[:, None], POINTS, wanted)
+        q = angles_seeing_at(nominal, heads[:, None], POINTS, wanted)
         assert np.isfinite(q).all()
         assert np.allclose(heads[:, None].project(q, POINTS), wanted, atol=1e-9)
 
 
 def test_nothing_looks_where_the_target_would_leave_the_image(nominal):
     outside = nominal.cameras.principal + np.array([300.0, 0.0])
-    assert np.isnan(looking(nominal, nominal, POINTS[0], outside)).all()
+    assert np.isnan(angles_seeing_at(nominal, nominal, POINTS[0], outside)).all()
 
 
 def test_an_exact_head_makes_no_error_anywhere_in_the_image(nominal):
@@ -71,9 +71,11 @@ def test_every_other_source_is_felt_on_the_axis(nominal):
 def test_a_tremble_blurs_the_edge_between_two_steps_of_an_encoder_only(nominal):
     step = nominal.sensor.encoder_resolution_rad
     at = step * np.array([0.0, 0.4, 0.5, 0.6, 1.0])
-    assert np.allclose(encoded(nominal, at) / step, [0.0, 0.0, 0.5, 1.0, 1.0], atol=1e-6)
+    assert np.allclose(
+        mean_encoder_readings(nominal, at) / step, [0.0, 0.0, 0.5, 1.0, 1.0], atol=1e-6
+    )
     exact = nominal.replace(sensor={"encoder_resolution_rad": 0.0})
-    assert np.array_equal(encoded(exact, at), at)
+    assert np.array_equal(mean_encoder_readings(exact, at), at)
 
 
 def test_the_closed_loop_settles_where_the_geometry_says(nominal, heads):

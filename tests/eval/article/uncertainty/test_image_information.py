@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.eval.article.common.fixed_view import FixedView, poses_in_eyes, shifted
+from vergence.eval.article.common.fixed_view import FixedView, poses_in_eyes, shifted_pose
 from vergence.eval.article.uncertainty.image_information import cramer_rao
 from vergence.models.files.head_file import load_head
 
@@ -21,7 +21,7 @@ def pose(head, depth):
 def test_a_fixated_board_lies_on_the_principal_point(head):
     view = FixedView(head, 0)
     assert np.allclose(view.true_pixel(pose(head, 1.0)), head.cameras.principal[0], atol=1e-9)
-    moved = shifted(head, 0, pose(head, 1.0), (0.3, -0.7))
+    moved = shifted_pose(head, 0, pose(head, 1.0), (0.3, -0.7))
     assert np.allclose(view.true_pixel(moved) - head.cameras.principal[0], (0.3, -0.7))
 
 

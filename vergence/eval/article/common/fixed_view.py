@@ -28,7 +28,7 @@ def poses_in_eyes(head: HeadModel, q: ArrayLike, point: ArrayLike) -> FloatArray
     return np.asarray(np.linalg.inv(head.camera_poses(q)) @ board_pose(point, "forward"))
 
 
-def shifted(head: HeadModel, eye: int, T_C_T: FloatArray, offset_px: ArrayLike) -> FloatArray:
+def shifted_pose(head: HeadModel, eye: int, T_C_T: FloatArray, offset_px: ArrayLike) -> FloatArray:
     """Translate a pose parallel to the image plane, so that its point moves by `offset_px`."""
     pose = T_C_T.copy()
     pose[:2, 3] += pose[2, 3] * np.asarray(offset_px) / head.cameras.focal[eye]

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from vergence.eval.article.common.closed_loop import MM
-from vergence.eval.article.twin.fixation_errors import looking
+from vergence.eval.article.twin.fixation_errors import angles_seeing_at
 from vergence.models.boards import board_pose
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray, Rendering
@@ -113,7 +113,7 @@ def noise_of_head(
         Scatter and bias.
     """
     pixels = head.cameras.principal + rng.uniform(-0.5, 0.5, (poses, 2, 2))
-    T_N_C = head.camera_poses(looking(head, head, point, pixels))
+    T_N_C = head.camera_poses(angles_seeing_at(head, head, point, pixels))
     cameras = (EyeCamera.of(head, 0), EyeCamera.of(head, 1))
     T_C_T = np.linalg.inv(T_N_C) @ board_pose(point)
     return noise_of_pair(cameras, head.rendering, T_C_T, frames, rng)

@@ -17,7 +17,7 @@ ARTICLE_GAIN: Final = 4.0
 """Gain of the article's control law, 1/s (physical: a setting of the article's system)."""
 
 
-def looking(
+def angles_seeing_at(
     nominal: HeadModel, heads: HeadModel, points: ArrayLike, pixels: ArrayLike
 ) -> FloatArray:
     """True joint angles at which true heads see points at given pixels.
@@ -53,7 +53,9 @@ def looking(
     return np.where((inside & nominal.limits.contains(q))[..., None], q, np.nan)
 
 
-def encoded(nominal: HeadModel, q: FloatArray, noise_px: ArrayLike | None = None) -> FloatArray:
+def mean_encoder_readings(
+    nominal: HeadModel, q: FloatArray, noise_px: ArrayLike | None = None
+) -> FloatArray:
     """Mean encoder readings of the joint angles in a settled loop.
 
     Detection noise makes the eyes jitter by far less than an encoder step. But near the boundary
@@ -106,11 +108,13 @@ def fix_errors(
         noise_px: (...) standard deviation of the detections, px; None for the preset's.
 
     Returns:
-        (..., 3) fix minus truth, m; nan where `looking` gives nan.
+        (..., 3) fix minus truth, m; nan where `angles_seeing_at` gives nan.
     """
     seen = nominal.cameras.principal if pixels is None else np.asarray(pixels)
-    q = looking(nominal, heads, points, seen)
-    fix = triangulate_views(nominal, encoded(nominal, q, noise_px) if encoders else q, seen)
+    q = angles_seeing_at(nominal, heads, points, seen)
+    fix = triangulate_views(
+        nominal, mean_encoder_readings(nominal, q, noise_px) if encoders else q, seen
+    )
     return fix.point - points
 
 

@@ -12,7 +12,7 @@ from vergence.eval.article.uncertainty.findings import (
     averaged,
     bounds,
     noise_gains,
-    part,
+    rows_of,
 )
 from vergence.eval.article.uncertainty.trials import AHEAD, UncertaintyConfig
 from vergence.eval.reporting.style import (
@@ -44,7 +44,7 @@ def draw(table: pd.DataFrame, config: UncertaintyConfig) -> dict[str, Figure]:
 def _propagated(table: pd.DataFrame) -> Figure:
     figure = new_figure(9.5, 4.6)
     axes = figure.subplots(1, 3)
-    rows = part(table, "propagation")
+    rows = rows_of(table, "propagation")
     rows = rows[(rows["unit"] == "mm") & (rows["pose"] == AHEAD)]
     for axis, letter in zip(axes, "xyz", strict=True):
         own = rows[rows["axis"] == letter].sort_values("depth_mm")

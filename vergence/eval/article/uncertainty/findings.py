@@ -18,14 +18,14 @@ METHOD_NAMES: Final = {
     "gaze, exact": "gaze, exact derivatives",
     "itpc": "ITPC, Eqs. 34 to 36",
 }
-BIASED: Final = 2.0
+BIAS_RATIO: Final = 2.0
 """Ratio of the error of a mean to that of white noise, above which averaging is limited by a bias
 (chosen)."""
-BETTER: Final = 0.67
+IMPROVEMENT_RATIO: Final = 0.67
 """Ratio of a dithered to a still fixation's error below which dithering is better (chosen)."""
 
 
-def part(table: pd.DataFrame, name: str, quantity: str | None = None) -> pd.DataFrame:
+def rows_of(table: pd.DataFrame, name: str, quantity: str | None = None) -> pd.DataFrame:
     """Rows of one part of the experiment, of one quantity or of all."""
     rows = table[table["part"] == name]
     return rows if quantity is None else rows[rows["quantity"] == quantity]
@@ -33,7 +33,7 @@ def part(table: pd.DataFrame, name: str, quantity: str | None = None) -> pd.Data
 
 def ratios(table: pd.DataFrame) -> pd.DataFrame:
     """Ratio of propagated to Monte Carlo uncertainty: a row per pose, depth and method, by axis."""
-    rows = part(table, "propagation")
+    rows = rows_of(table, "propagation")
     wide = rows[rows["unit"] == "mm"].pivot_table(
         index=["pose", "depth_mm", "method", "axis"], columns="quantity", values="value"
     )
@@ -42,7 +42,7 @@ def ratios(table: pd.DataFrame) -> pd.DataFrame:
 
 def averaged(table: pd.DataFrame) -> pd.DataFrame:
     """Root mean square errors of means, px: a row per depth and kind of fixation, by frames."""
-    rows = part(table, "averaging", "error")
+    rows = rows_of(table, "averaging", "error")
     square = rows.assign(value=rows["value"] ** 2)
     mean = square.groupby(["depth_mm", "fixation", "frames"])["value"].mean()
     return (mean**0.5).unstack("frames")
@@ -50,7 +50,7 @@ def averaged(table: pd.DataFrame) -> pd.DataFrame:
 
 def bounds(table: pd.DataFrame) -> pd.DataFrame:
     """Cramer-Rao bounds of one frame, px: a row per depth, columns `board` and `window`."""
-    rows = part(table, "bound")
+    rows = rows_of(table, "bound")
     square = rows.assign(value=rows["value"] ** 2)
     mean = square.groupby(["depth_mm", "quantity"])["value"].mean()
     return (mean**0.5).unstack("quantity")
@@ -64,7 +64,7 @@ def noise_gains(table: pd.DataFrame, config: UncertaintyConfig) -> pd.DataFrame:
     `excess_px` is the scatter of the optical axes beyond the prediction, as a root of the
     difference of squares.
     """
-    rows = part(table, "loop").pivot_table(
+    rows = rows_of(table, "loop").pivot_table(
         index=["source", "gain_per_s"], columns="quantity", values="value"
     )
     rows = rows.reset_index().rename(columns={"noise gain": "measured"})
@@ -89,7 +89,7 @@ def noise_gains(table: pd.DataFrame, config: UncertaintyConfig) -> pd.DataFrame:
 
 def bias_within_reach(table: pd.DataFrame) -> float:
     """Variation of the detector's bias over the sub-pixel range of the jittering axes, rms, px."""
-    values = part(table, "loop", "bias within reach")["value"]
+    values = rows_of(table, "loop", "bias within reach")["value"]
     return float((values**2).mean() ** 0.5)
 
 
@@ -120,7 +120,7 @@ def averaging(table: pd.DataFrame) -> Averaging:
     def rms(fixation: str, count: int) -> float:
         return float(np.sqrt((errors.xs(fixation, level="fixation")[count] ** 2).mean()))
 
-    sigma = part(table, "propagation", "detection sigma")["value"]
+    sigma = rows_of(table, "propagation", "detection sigma")["value"]
     root = float(np.sqrt(frames))
     return Averaging(
         frames=frames,
@@ -143,7 +143,7 @@ def summarise(table: pd.DataFrame, config: UncertaintyConfig) -> list[SummaryRow
 
     The verdict is `agrees` or `differs` if two ways to obtain a figure are compared: propagation
     and Monte Carlo, or measured loops and their noise bandwidth, within three standard errors; a
-    mean of frames and white noise, within the factor `BIASED`. For dithering it is `better` or
+    mean of frames and white noise, within the factor `BIAS_RATIO`. For dithering it is `better` or
     `alike`.
     """
     return [
@@ -191,8 +191,8 @@ def _averaging_rows(found: Averaging) -> Iterator[SummaryRow]:
         yield SummaryRow.of(NAME, quantity, "itpc", "u, v", None, value, unit="px")
     biased, dithered = found.still_px / found.white_px, found.dithered_px / found.still_px
     for quantity, ratio, verdict in (
-        ("still, over what white noise would leave", biased, _agreement(biased <= BIASED)),
-        ("dithered, over still", dithered, "better" if dithered < BETTER else "alike"),
+        ("still, over what white noise would leave", biased, _agreement(biased <= BIAS_RATIO)),
+        ("dithered, over still", dithered, "better" if dithered < IMPROVEMENT_RATIO else "alike"),
     ):
         yield SummaryRow.of(NAME, f"error of the mean of {found.frames} frames, {quantity}",
                             "itpc", "u, v", None, ratio, verdict, "1")  # fmt: skip

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vergence.eval.article.common.fixed_view import shifted
+from vergence.eval.article.common.fixed_view import shifted_pose
 from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -92,7 +92,7 @@ def _steps(head: HeadModel, eye: int, T_C_T: FloatArray) -> FloatArray:
 def _moved(head: HeadModel, eye: int, T_C_T: FloatArray, parameter: int, step: float) -> FloatArray:
     """Change one parameter of the pose; only the first two move the point's pixel."""
     if parameter < 2:
-        return shifted(head, eye, T_C_T, step * np.eye(2)[parameter])
+        return shifted_pose(head, eye, T_C_T, step * np.eye(2)[parameter])
     pose = T_C_T.copy()
     if parameter == 2:
         pose[:3, 3] *= np.exp(step)

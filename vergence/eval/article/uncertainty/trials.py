@@ -18,7 +18,7 @@ from vergence.eval.article.common.closed_loop import (
     hold_gaze,
     itpc_uncertainty,
 )
-from vergence.eval.article.common.fixed_view import FixedView, poses_in_eyes, shifted
+from vergence.eval.article.common.fixed_view import FixedView, poses_in_eyes, shifted_pose
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.reported import static_points
 from vergence.eval.article.simulated_static.trials import BOARD
@@ -191,7 +191,7 @@ def _bias_within_reach(config: UncertaintyConfig, seed: int, axis: int) -> list[
     rng = job_rng(seed, NAME, _REACH, axis)
     means, squares = [], []
     for offset in np.linspace(-_REACH_PX, _REACH_PX, 9):
-        pose = shifted(head, 0, board, offset * np.eye(2)[axis])
+        pose = shifted_pose(head, 0, board, offset * np.eye(2)[axis])
         error = view.detect([pose] * config.reach_draws, rng)[:, axis] - view.true_pixel(pose)[axis]
         means.append(np.nanmean(error))
         squares.append(np.nanvar(error, ddof=1) / config.reach_draws)
@@ -223,7 +223,7 @@ def _averaging(
     point = np.array([0.0, -0.1, depth])
     rng = job_rng(seed, NAME, _AVERAGING, index, replicate)
     centred = poses_in_eyes(head, head.fixate(point), point)[0]
-    board = shifted(head, 0, centred, rng.uniform(-0.5, 0.5, 2))
+    board = shifted_pose(head, 0, centred, rng.uniform(-0.5, 0.5, 2))
     view = FixedView(head, 0)
     references = np.asarray(dither_references(config.dither_side))
     order = rng.permutation(np.arange(config.frames) % len(references))
@@ -231,7 +231,7 @@ def _averaging(
     rows = []
     for fixation, poses in (
         ("still", [board] * config.frames),
-        ("dithered", [shifted(head, 0, board, references[place]) for place in order]),
+        ("dithered", [shifted_pose(head, 0, board, references[place]) for place in order]),
     ):
         truth = np.stack([view.true_pixel(pose) for pose in poses])
         error = view.detect(poses, rng) - truth

@@ -13,7 +13,7 @@ from vergence.cli import main
 from vergence.errors import ConfigurationError, ControllerError, HardwareError, VergenceError
 from vergence.eval.comparison.contestants import contestants
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
-from vergence.eval.comparison.own_code import GuardedController
+from vergence.eval.comparison.user_code import GuardedController
 from vergence.eval.jobs import ProcessMapper
 
 GENTLE = """
@@ -216,9 +216,12 @@ def test_a_robots_fault_is_not_blamed_on_the_controller():
 
     watched = GuardedController(Still(), "mine")
     watched.predict(np.zeros((1, 1)))
-    with pytest.raises(HardwareError, match=r"^the line is gone$"), watched.blamed():
+    with pytest.raises(HardwareError, match=r"^the line is gone$"), watched.attributing_errors():
         raise HardwareError("the line is gone")
-    with pytest.raises(ControllerError, match=r"controller mine: .*got nan"), watched.blamed():
+    with (
+        pytest.raises(ControllerError, match=r"controller mine: .*got nan"),
+        watched.attributing_errors(),
+    ):
         raise ConfigurationError("action: got nan")
 
 
@@ -228,7 +231,7 @@ def test_an_object_that_raises_is_told_by_its_place_and_keeps_its_error():
             raise OSError(5, "no camera")
 
     with pytest.raises(
-        ControllerError, match=r"test_own_code\.py:\d+ in predict: OSError"
+        ControllerError, match=r"test_user_code\.py:\d+ in predict: OSError"
     ) as caught:
         evaluate(EvaluateConfig(episodes=2), {"mine": Rash()})
     assert isinstance(caught.value.__cause__, OSError)

@@ -12,7 +12,7 @@ from vergence.models.files.head_file import save_head
 from vergence.models.head import HeadModel
 
 
-class Ran(Protocol):
+class ControllerRun(Protocol):
     """Result of one controller in one scenario."""
 
     @property
@@ -33,10 +33,10 @@ class Ran(Protocol):
 
     @property
     def tuned(self) -> bool | None:
-        """True if the options were tuned for the head, see `Fitted`."""
+        """True if the options were tuned for the head, see `ResolvedOptions`."""
 
 
-def what_ran(
+def config_with_notes(
     config: EvaluateConfig, notes: Sequence[str], failures: Sequence[str]
 ) -> dict[str, Any]:
     """The configuration with notes and failures, as plain values.
@@ -52,12 +52,12 @@ def what_ran(
     return found
 
 
-def write_ran(
+def write_run_config(
     folder: Path,
     config: EvaluateConfig,
     notes: Sequence[str],
     failures: Sequence[str],
-    outcomes: Iterable[Ran],
+    outcomes: Iterable[ControllerRun],
 ) -> None:
     """Write config.toml and a file for the head of each scenario.
 

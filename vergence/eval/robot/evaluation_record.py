@@ -23,7 +23,7 @@ from vergence.recording.log import LoggedTrial, read_log
 
 FOLDER: Final = "recording"
 """Name of the record's folder in a run folder."""
-_ASKED: Final = "asked.json"
+_CONFIGURATION: Final = "asked.json"
 _JOURNAL: Final = "journal.jsonl"
 
 
@@ -94,31 +94,33 @@ class RecordedTrial:
         return np.full(3, np.nan) if found is None else np.array(found)
 
 
-class Sessions:
+class EvaluationRecord:
     """The record in a run folder.
 
     Args:
         run: the run folder; the record is made in it with the first log.
-        asked: configuration of the comparison, as plain values; None to read it from the record.
+        configuration: the comparison's, as plain values; None to read it from the record.
 
     Attributes:
         folder: the record's folder.
-        asked: configuration of the comparison.
+        configuration: the comparison's.
         unreadable: reasons why logs cannot be read, by name.
 
     Raises:
-        ConfigurationError: `asked` is None and the record's configuration is missing or unreadable.
+        ConfigurationError: `configuration` is None and the record's is missing or unreadable.
     """
 
-    def __init__(self, run: Path, asked: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, run: Path, configuration: Mapping[str, Any] | None = None) -> None:
         self.folder = run / FOLDER
         self.unreadable: dict[str, str] = {}
-        place = self.folder / _ASKED
+        place = self.folder / _CONFIGURATION
         try:
-            self.asked: dict[str, Any] = (
-                json.loads(place.read_text(encoding="utf-8")) if asked is None else dict(asked)
+            self.configuration: dict[str, Any] = (
+                json.loads(place.read_text(encoding="utf-8"))
+                if configuration is None
+                else dict(configuration)
             )
-            if not isinstance(self.asked, dict):
+            if not isinstance(self.configuration, dict):
                 raise ValueError("expected a table")
         except (OSError, ValueError) as error:
             raise ConfigurationError(
@@ -132,11 +134,11 @@ class Sessions:
         Raises:
             ConfigurationError: the record cannot be written.
         """
-        place = self.folder / _ASKED
+        place = self.folder / _CONFIGURATION
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             if not place.exists():
-                write_atomic(place, json.dumps(self.asked, indent=2) + "\n")
+                write_atomic(place, json.dumps(self.configuration, indent=2) + "\n")
         except OSError as error:
             raise ConfigurationError(
                 f"out: expected a folder that can be written, got {self.folder}: {error.strerror}"
@@ -173,7 +175,7 @@ class Sessions:
         """Number of completed trials."""
         return len({entry.key for entry in self._entries()})
 
-    def whole(self, steps: Callable[[str], int]) -> dict[TrialKey, RecordedTrial]:
+    def completed_trials(self, steps: Callable[[str], int]) -> dict[TrialKey, RecordedTrial]:
         """Read the completed trials, by their identity.
 
         Args:

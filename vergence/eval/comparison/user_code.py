@@ -58,9 +58,13 @@ def option_names(make: Any) -> set[str] | None:
 def errors_attributed_to(controller: Policy) -> AbstractContextManager[None]:
     """Context that attributes errors to a user-defined controller; no effect for other ones.
 
-    See `GuardedController.blamed`.
+    See `GuardedController.attributing_errors`.
     """
-    return controller.blamed() if isinstance(controller, GuardedController) else nullcontext()
+    return (
+        controller.attributing_errors()
+        if isinstance(controller, GuardedController)
+        else nullcontext()
+    )
 
 
 class GuardedController:
@@ -127,7 +131,7 @@ class GuardedController:
         return action, state
 
     @contextmanager
-    def blamed(self) -> Iterator[None]:
+    def attributing_errors(self) -> Iterator[None]:
         """Attribute errors raised within the context, such as for nan actions, to this controller.
 
         Errors of a robot, such as a disconnected cable, stay as they are.

@@ -37,7 +37,7 @@ def is_pose(pose: FloatArray) -> bool:
 
 
 @compiled
-def carry(
+def predict_pixels(
     pixels: FloatArray,
     row: FloatArray,
     before: FloatArray,
