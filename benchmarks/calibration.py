@@ -236,9 +236,9 @@ def nees(error: FloatArray, covariance: FloatArray) -> float:
 def likelihood_ratio(fit: CameraFit, truth: Truth) -> float:
     """Excess of the sum of squares at the truth over the least one, relative to its expectation."""
     solution = fit.solution
-    _, linear = solution.problem.posed(truth.rig, truth.poses.of(fit.kept))
+    _, linear = solution.problem.fit_poses(truth.rig, truth.poses.of(fit.kept))
     more = float((linear.residuals**2).sum() - (solution.linear.residuals**2).sum())
-    return more / solution.noise**2 / len(truth.rig.packed())
+    return more / solution.reduced_chi**2 / len(truth.rig.packed())
 
 
 def direction_ratio(fit: CameraFit, truth: CameraRig, covariance: FloatArray) -> float:
@@ -277,7 +277,7 @@ def measured(fit: CameraFit, truth: Truth) -> dict[str, float]:
         "direction_ratio": direction_ratio(fit, truth.rig, covariance),
         "baseline_error_mm": 1e3 * (length - float(np.linalg.norm(truth.rig.translation))),
         "baseline_sigma_mm": 1e3 * float(np.sqrt(variance)),
-        "noise": fit.solution.noise,
+        "noise": fit.solution.reduced_chi,
         "rms_px": rms(fit.solution.residuals_px),
         "dropped": float((~fit.kept).sum()),
     }

@@ -200,16 +200,16 @@ def judged(board: FloatArray, rig: CameraRig, corners: Corners, *, bent: bool) -
     """
     problem = Adjustment(board, corners.pixels, np.ones_like(corners.pixels))
     start = estimate_board_poses(
-        problem.one(0), CameraRig.single(rig.lenses[0], rig.values[0]), corners.sizes[0]
+        problem.of_camera(0), CameraRig.single(rig.lenses[0], rig.values[0]), corners.sizes[0]
     )
     rig = rig._replace(bend=np.zeros(3))
-    poses, linear = problem.posed(rig, start)
+    poses, linear = problem.fit_poses(rig, start)
     for _ in range(_BENDINGS if bent else 0):
         solution = Solution(problem, rig, poses, problem.linearised(rig, poses))
         by_bend = solution.by_rig[..., rig.blocks[-1]]
         step = np.linalg.lstsq(by_bend.reshape(-1, 3), -linear.residuals.ravel(), rcond=None)[0]
         rig = rig._replace(bend=rig.bend + step)
-        poses, linear = problem.posed(rig, poses)
+        poses, linear = problem.fit_poses(rig, poses)
     squares = (linear.residuals**2).sum(axis=1)
     return np.asarray(np.sqrt(squares / problem.seen.sum(axis=(0, 2))))
 

@@ -148,9 +148,9 @@ def judge(name: str, seed: int, number: int) -> Judged | str:
 
 def surprise(found: HeadCalibration, true: HeadModel) -> tuple[float, int]:
     """Mean squared normalised error over the directions that are determined; and their number."""
-    spreads = found.solution.problem.spreads
+    spreads = found.solution.problem.prior_sigma
     free = spreads > 0.0
-    error = (found.solution.state.values - true.parameters(found.about).values)[free]
+    error = (found.solution.state.values - true.parameters(found.nominal_head).values)[free]
     scale = spreads[free]
     values, vectors = np.linalg.eigh(found.covariance[np.ix_(free, free)] / np.outer(scale, scale))
     squares = (vectors.T @ (error / scale)) ** 2 / values

@@ -24,7 +24,7 @@ from vergence.cli import main
 from vergence.models.boards import Checkerboard
 from vergence.perception.photographs import photographs_in
 from vergence.perception.spacing import distances
-from vergence.perception.spotting import TargetFinder
+from vergence.perception.target_finder import TargetFinder
 from vergence.vision import parse_target
 
 Pixels = NDArray[np.float32]
@@ -152,8 +152,8 @@ def measure(folder: Path, target: str, finder: str = "classic") -> Measured:
 
 def detected(folder: Path, target: str) -> tuple[int, int]:
     """Number of images of a folder in which the board is found, and of all images."""
-    spotter, images = TargetFinder([parse_target(target)]), photographs_in(folder)
-    return sum(len(spotter.spot_in(path).found) == 1 for path in images), len(images)
+    finder, images = TargetFinder([parse_target(target)]), photographs_in(folder)
+    return sum(len(finder.find_in_file(path).found) == 1 for path in images), len(images)
 
 
 def report() -> None:

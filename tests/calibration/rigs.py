@@ -70,13 +70,13 @@ def as_calibrated(rig, poses, seen, dropped=()):
         if camera:
             turned = rig.rotation @ poses.rotation
             mine = Poses(turned, poses.translation @ rig.rotation.T + rig.translation)
-        alone.append(_fit(seen.problem.one(camera), single, mine, seen.usable[camera] & ~out))
+        alone.append(_fit(seen.problem.of_camera(camera), single, mine, seen.usable[camera] & ~out))
     fit = alone[0]
     if cameras > 1:
         fit = _fit(seen.problem, rig, poses, seen.usable.any(axis=0) & ~out)
     return Calibration(
         seen=seen,
-        alone=tuple(alone),
+        single_fits=tuple(alone),
         fit=fit,
         covariance=covariance_of(fit.solution),
         held_out_px=fit.solution.residuals_px,

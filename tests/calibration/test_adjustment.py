@@ -38,7 +38,7 @@ def test_exact_corners_give_the_true_numbers_back(rng):
     problem = Adjustment(problem.board, problem.pixels, np.ones_like(problem.pixels))
     start = rig.unpacked(rig.packed() * (1.0 + 1e-3 * rng.standard_normal(len(rig.packed()))))
     moved = Poses(poses.rotation, poses.translation + 0.003)
-    found = problem.solved(start, moved)
+    found = problem.solve(start, moved)
     np.testing.assert_allclose(found.rig.packed(), rig.packed(), rtol=1e-5, atol=1e-6)
 
 
@@ -48,7 +48,7 @@ def test_errors_are_of_the_size_of_their_covariance(rng):
         poses = make_poses(rng, 14)
         seen = look_at(rig, poses, rng)
         views = seen.usable.any(axis=0)
-        found = seen.problem.of(views).solved(rig, poses.of(views))
+        found = seen.problem.of(views).solve(rig, poses.of(views))
         error = found.rig.packed() - rig.packed()
         squares.append(error @ np.linalg.solve(covariance_of(found), error) / len(error))
     # 12 draws of 27 numbers: the mean scatters by 0.08
@@ -64,7 +64,7 @@ def test_a_board_that_moved_between_exposures_makes_the_baseline_less_sure(rng):
     pixels[1] = look_at(rig, moved, rng).pixels[1]
     views &= np.isfinite(pixels).all(axis=(0, 2, 3))
     sure, unsure = (
-        Adjustment(still.problem.board, each[:, views], np.full_like(each[:, views], 0.1)).solved(
+        Adjustment(still.problem.board, each[:, views], np.full_like(each[:, views], 0.1)).solve(
             rig, poses.of(views)
         )
         for each in (still.pixels, pixels)
@@ -72,4 +72,4 @@ def test_a_board_that_moved_between_exposures_makes_the_baseline_less_sure(rng):
     between = rig.blocks[-2]
     told = [np.sqrt(covariance_of(one)[between, between][3, 3]) for one in (sure, unsure)]
     naive = np.linalg.inv(unsure.information.sum(axis=0))[between, between][3, 3] ** 0.5
-    assert told[1] > 1.5 * naive * unsure.noise > told[0]
+    assert told[1] > 1.5 * naive * unsure.reduced_chi > told[0]

@@ -134,7 +134,7 @@ def test_pairs_that_moved_between_the_exposures_are_said():
     moved[1] += rng.normal(0.0, 2.0, (VIEWS, 1, 2))
     shaken = as_calibrated(rig, poses, replace(seen, pixels=moved))
     # each image by itself is as good as before: the board was merely elsewhere
-    assert "at the same moment" in moved_together(replace(shaken, alone=found.alone))
+    assert "at the same moment" in moved_together(replace(shaken, single_fits=found.single_fits))
 
 
 def test_a_focal_length_that_is_not_known_well_is_said(good):

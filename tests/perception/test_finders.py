@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.perception.test_spotting import side_by_side
+from tests.perception.test_target_finder import side_by_side
 from vergence.models.boards import TagFamily
 from vergence.perception.finders import FamilyTracker, finders_of
 from vergence.vision import make_detector

@@ -10,7 +10,7 @@ from tests.vision.poses import pose
 from tests.vision.scenes import levels, rig, scene
 from vergence.models.response import light_table
 from vergence.perception.light import ResponseCheck
-from vergence.perception.spotting import TargetFinder
+from vergence.perception.target_finder import TargetFinder
 from vergence.vision import make_planar_target
 
 
@@ -25,9 +25,9 @@ def image_of(name: str, response: str) -> np.ndarray:
 
 
 def test_encoded_levels_that_are_taken_for_light_are_noticed():
-    spotter = TargetFinder([make_planar_target("checkerboard")], response="linear")
-    assert spotter.spot(image_of("checkerboard", "srgb"))
-    (line,) = spotter.check.notes()
+    finder = TargetFinder([make_planar_target("checkerboard")], response="linear")
+    assert finder.find(image_of("checkerboard", "srgb"))
+    (line,) = finder.check.notes()
     assert "were srgb, not linear" in line
 
 
@@ -42,21 +42,21 @@ def test_a_lens_out_of_focus_is_no_response(radius_px):
     disk = (np.hypot(*np.meshgrid(side, side)) < radius_px).astype(np.float32)
     disk = cv2.resize(disk, (9, 9), interpolation=cv2.INTER_AREA)
     image = levels(cv2.filter2D(drawn.image.astype(np.float32), -1, disk / disk.sum()))
-    spotter = TargetFinder([target], response="linear")
-    assert spotter.spot(image)
-    assert spotter.check.notes() == []
+    finder = TargetFinder([target], response="linear")
+    assert finder.find(image)
+    assert finder.check.notes() == []
 
 
 @pytest.mark.parametrize("response", ["srgb", "linear"])
 def test_nothing_is_said_of_a_response_that_is_stated_rightly(response):
-    spotter = TargetFinder([make_planar_target("checkerboard")], response=response)
-    assert spotter.spot(image_of("checkerboard", response))
-    assert spotter.check.notes() == []
+    finder = TargetFinder([make_planar_target("checkerboard")], response=response)
+    assert finder.find(image_of("checkerboard", response))
+    assert finder.check.notes() == []
 
 
 def test_few_edges_tell_nothing():
     check = ResponseCheck()
-    spotter = TargetFinder([make_planar_target("tag")])
+    finder = TargetFinder([make_planar_target("tag")])
     image = image_of("tag", "srgb")
-    check.add(image, spotter.spot(image), "linear")
+    check.add(image, finder.find(image), "linear")
     assert check.notes() == []

@@ -8,7 +8,7 @@ from tests.perception.drawn import Studio, corners_in_space, pose_at
 from vergence import load_head
 from vergence.models.boards import AprilTag, Checkerboard
 from vergence.perception.located import locate_target
-from vergence.perception.spotting import TargetFinder
+from vergence.perception.target_finder import TargetFinder
 from vergence.triangulation import Noise
 from vergence.vision import Detection, EyeCamera
 
@@ -90,14 +90,14 @@ def test_points_of_drawn_images_lie_within_their_own_sigma(target):
     head = load_head("physical").replace(sensor={"encoder_resolution_rad": 0.0})
     q = head.fixate([0.0, 0.0, 0.8])
     studio = Studio(head, target, q)
-    spotters = [TargetFinder([target], EyeCamera.of(head, eye)) for eye in range(2)]
+    finders = [TargetFinder([target], EyeCamera.of(head, eye)) for eye in range(2)]
     rng = np.random.default_rng(11)
     squares = []
     for _ in range(40):
         pose = pose_at([*rng.uniform(-0.08, 0.08, 2), rng.uniform(0.6, 1.0)], rng.normal(0, 0.2, 3))
         found = [
-            spotter.spot(image)
-            for spotter, image in zip(spotters, studio.take(pose, rng), strict=True)
+            finder.find(image)
+            for finder, image in zip(finders, studio.take(pose, rng), strict=True)
         ]
         one = locate_target(head, q, "a", found[0][0], found[1][0])
         error = one.fix.point - corners_in_space(target, pose)

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.projection import camera_values, project
+from vergence.calibration.projection import camera_parameter_names, project
 from vergence.models.parts import FloatArray
 
 _POSE_STEPS: Final = 50
@@ -88,7 +88,7 @@ class CameraRig(NamedTuple):
     lenses: tuple[str, ...]
     """(c) lens model of each camera."""
     values: tuple[FloatArray, ...]
-    """(c) parameters of each camera, see `camera_values`."""
+    """(c) parameters of each camera, see `camera_parameter_names`."""
     rotation: FloatArray
     """(3, 3) R; the identity for one camera."""
     translation: FloatArray
@@ -123,7 +123,7 @@ class CameraRig(NamedTuple):
         return rig._replace(rotation=turn, translation=between[3:])
 
     @property
-    def prior(self) -> FloatArray:
+    def prior_information(self) -> FloatArray:
         """(p) prior information of each parameter, 1 / sigma^2; 0 for no prior.
 
         Views hardly determine the coefficients of the rational lens one by one: numerator and
@@ -132,7 +132,9 @@ class CameraRig(NamedTuple):
         """
         known = [
             np.where(
-                [lens == "rational" and name[0] == "k" for name in camera_values(lens)], 1.0, 0.0
+                [lens == "rational" and name[0] == "k" for name in camera_parameter_names(lens)],
+                1.0,
+                0.0,
             )
             for lens in self.lenses
         ]
@@ -148,7 +150,7 @@ class CameraRig(NamedTuple):
         names = [
             f"{eye}.{name}"
             for eye, lens in zip(eyes, self.lenses, strict=True)
-            for name in camera_values(lens)
+            for name in camera_parameter_names(lens)
         ]
         if len(self.values) > 1:
             names += [f"{what}_{axis}" for what in ("rotation", "translation") for axis in "xyz"]
@@ -187,7 +189,7 @@ class Adjustment:
         """Restrict the problem to some views."""
         return Adjustment(self.board, self.pixels[:, views], self.sigma[:, views])
 
-    def one(self, camera: int) -> "Adjustment":
+    def of_camera(self, camera: int) -> "Adjustment":
         """Restrict the problem to one camera."""
         only = slice(camera, camera + 1)
         return Adjustment(self.board, self.pixels[only], self.sigma[only])
@@ -248,7 +250,7 @@ class Adjustment:
             parts[2].append((weight[..., None] * jacobian).reshape(views, weight[0].size, -1))
         return Linearised(*(np.concatenate(part, axis=1) for part in parts))
 
-    def posed(self, rig: CameraRig, start: Poses) -> tuple[Poses, Linearised]:
+    def fit_poses(self, rig: CameraRig, start: Poses) -> tuple[Poses, Linearised]:
         """Fit the board's pose in each view to given cameras, by Levenberg and Marquardt.
 
         Args:
@@ -285,7 +287,7 @@ class Adjustment:
                 break
         return poses, now
 
-    def solved(self, start: CameraRig, poses: Poses, tolerance: float = _TOLERANCE) -> "Solution":
+    def solve(self, start: CameraRig, poses: Poses, tolerance: float = _TOLERANCE) -> "Solution":
         """Find the cameras and poses with the least sum of squares.
 
         Args:
@@ -299,26 +301,26 @@ class Adjustment:
         near = _Near(start.packed(), poses, None)
         last: dict[bytes, tuple[Poses, Linearised]] = {}
 
-        def posed(row: FloatArray) -> tuple[Poses, Linearised]:
+        def poses_for(row: FloatArray) -> tuple[Poses, Linearised]:
             key = row.tobytes()
             if key not in last:
                 last.clear()
-                last[key] = self.posed(start.unpacked(row), near.poses_at(row))
+                last[key] = self.fit_poses(start.unpacked(row), near.poses_at(row))
             return last[key]
 
-        held = np.sqrt(start.prior)
+        prior_weights = np.sqrt(start.prior_information)
 
         def residuals(row: FloatArray) -> FloatArray:
-            return np.concatenate([posed(row)[1].residuals.ravel(), held * row])
+            return np.concatenate([poses_for(row)[1].residuals.ravel(), prior_weights * row])
 
         def jacobian(row: FloatArray) -> FloatArray:
             nonlocal near
-            settled = posed(row)[0]
-            linear = self.linearised(start.unpacked(row), settled)
-            following = _following(linear)
-            near = _Near(row.copy(), settled, following)
-            eliminated = np.asarray(linear.by_rig - linear.by_pose @ following)
-            return np.vstack([eliminated.reshape(-1, len(row)), np.diag(held)])
+            fitted_poses = poses_for(row)[0]
+            linear = self.linearised(start.unpacked(row), fitted_poses)
+            pose_sensitivity = _pose_sensitivity(linear)
+            near = _Near(row.copy(), fitted_poses, pose_sensitivity)
+            eliminated = np.asarray(linear.by_rig - linear.by_pose @ pose_sensitivity)
+            return np.vstack([eliminated.reshape(-1, len(row)), np.diag(prior_weights)])
 
         if not np.isfinite(residuals(start.packed())).all():
             raise np.linalg.LinAlgError("expected a start before the cameras")
@@ -326,8 +328,8 @@ class Adjustment:
             residuals, start.packed(), jacobian, method="lm", x_scale="jac", ftol=tolerance,
             xtol=tolerance, gtol=tolerance, max_nfev=_MOST_EVALUATIONS,
         )  # fmt: skip
-        found, settled = start.unpacked(result.x), posed(result.x)[0]
-        return Solution(self, found, settled, self.linearised(found, settled))
+        found, fitted_poses = start.unpacked(result.x), poses_for(result.x)[0]
+        return Solution(self, found, fitted_poses, self.linearised(found, fitted_poses))
 
 
 class _Near(NamedTuple):
@@ -336,22 +338,22 @@ class _Near(NamedTuple):
     row: FloatArray
     """(p) see `CameraRig.packed`."""
     poses: Poses
-    following: FloatArray | None
-    """(v, 6, p) see `_following`; None before the first linearisation."""
+    pose_sensitivity: FloatArray | None
+    """(v, 6, p) see `_pose_sensitivity`; None before the first linearisation."""
 
     def poses_at(self, row: FloatArray) -> Poses:
         """Predict the poses at other cameras, to first order."""
-        if self.following is None:
+        if self.pose_sensitivity is None:
             return self.poses
-        return self.poses.moved(-self.following @ (row - self.row))
+        return self.poses.moved(-self.pose_sensitivity @ (row - self.row))
 
 
 def _eliminated(linear: Linearised) -> FloatArray:
     """(v, m, p) Jacobian J' by the rig's parameters with the poses eliminated."""
-    return np.asarray(linear.by_rig - linear.by_pose @ _following(linear))
+    return np.asarray(linear.by_rig - linear.by_pose @ _pose_sensitivity(linear))
 
 
-def _following(linear: Linearised) -> FloatArray:
+def _pose_sensitivity(linear: Linearised) -> FloatArray:
     """(v, 6, p) negative derivative of the best poses by the rig's parameters."""
     transposed = linear.by_pose.transpose(0, 2, 1)
     normal = _damped(transposed @ linear.by_pose, np.full(len(transposed), _RIDGE))
@@ -399,7 +401,7 @@ class Solution:
         return measured - 6 * len(self.poses.translation) - int(self.by_rig.shape[-1])
 
     @property
-    def noise(self) -> float:
+    def reduced_chi(self) -> float:
         """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
         return float(np.sqrt((self.linear.residuals**2).sum() / max(self.degrees_of_freedom, 1)))
 

@@ -16,9 +16,9 @@ from vergence.calibration.cameras import (
     ViewFit,
     choose_lens,
     cross_validation_errors,
+    cross_validation_residuals,
     first_fit,
     fit_camera,
-    held_out,
 )
 from vergence.calibration.observations import Observations, observe
 from vergence.calibration.stereo import fit_pair
@@ -35,11 +35,12 @@ _DETECTED: Final = 0.5
 """Fraction of the progress done after detection in all images (chosen)."""
 _UNSURE: Final = 0.1
 """Relative standard deviation of a focal length from which on a camera is refused (chosen)."""
-_TORN: Final = 3.0
+_MOST_JOINT_RATIO: Final = 3.0
 """Largest ratio of a pair's joint residual to the residual of its cameras alone, if a focal length
-changes by `_TORN_FOCAL` too: beyond it a camera must have moved (chosen)."""
-_TORN_FOCAL: Final = 0.01
-"""Relative change of a focal length from a camera alone to the pair, see `_TORN` (chosen)."""
+changes by `_MOST_FOCAL_CHANGE` too: beyond it a camera must have moved (chosen)."""
+_MOST_FOCAL_CHANGE: Final = 0.01
+"""Relative change of a focal length from a camera alone to the pair, see `_MOST_JOINT_RATIO`
+(chosen)."""
 
 
 class Dropped(NamedTuple):
@@ -55,7 +56,7 @@ class Calibration:
     """Calibration of one camera or of a pair."""
 
     seen: Observations
-    alone: tuple[CameraFit, ...]
+    single_fits: tuple[CameraFit, ...]
     """(c) fit of each camera alone."""
     fit: CameraFit
     """Fit of all cameras together; for one camera its own fit."""
@@ -94,14 +95,14 @@ class Calibration:
     @property
     def rms_alone_px(self) -> list[float]:
         """(c) root mean square residual of each camera alone."""
-        return [rms(fit.solution.residuals_px) for fit in self.alone]
+        return [rms(fit.solution.residuals_px) for fit in self.single_fits]
 
     @property
     def dropped(self) -> list[Dropped]:
         """Views and images that were left out, and why."""
         found = []
         for view, kept in enumerate(self.fit.kept.tolist()):
-            reasons = [self._reason(camera, view) for camera in range(len(self.alone))]
+            reasons = [self._reason(camera, view) for camera in range(len(self.single_fits))]
             if not kept:
                 each = zip(EYE_NAMES, reasons, strict=False)
                 why = "; ".join(f"{eye} image: {reason}" for eye, reason in each if reason)
@@ -121,7 +122,7 @@ class Calibration:
 
     def _reason(self, camera: int, view: int) -> str:
         """Explain why a photograph does not fit its own camera; empty if it does."""
-        fit = self.alone[camera]
+        fit = self.single_fits[camera]
         why = self.seen.excluded.get(self.seen.names[camera][view])
         if why is not None:
             return why
@@ -140,7 +141,7 @@ class Calibration:
             "views": int(self.fit.kept.sum()),
             "dropped": dropped,
         }
-        if len(self.alone) == 1:
+        if len(self.single_fits) == 1:
             return {"rms_px": self.rms_alone_px[0], **common}
         baseline, sigma = self.baseline_mm
         left, right = self.rms_alone_px
@@ -224,20 +225,20 @@ def calibrate_views(
     trials = _trials(seen, lenses, tick)
     errors = _errors(trials)
     chosen = choose_lens(errors)
-    alone = tuple(trial.fit for trial in trials[chosen])
-    for camera, one in enumerate(alone):
+    single_fits = tuple(trial.fit for trial in trials[chosen])
+    for camera, one in enumerate(single_fits):
         _refuse_unsure(one.solution, camera, cameras)
     try:
-        fit = alone[0]
+        fit = single_fits[0]
         if cameras > 1:
-            seen, fit = fit_pair(seen, *alone)
-            _refuse_torn(fit, alone)
+            seen, fit = fit_pair(seen, *single_fits)
+            _refuse_moved_cameras(fit, single_fits)
         found = Calibration(
             seen=seen,
-            alone=alone,
+            single_fits=single_fits,
             fit=fit,
             covariance=covariance_of(fit.solution),
-            held_out_px=held_out(fit.solution, tick),
+            held_out_px=cross_validation_residuals(fit.solution, tick),
             lens=chosen,
             lens_errors={
                 each: float(np.exp(0.5 * np.mean(np.log(one)))) for each, one in errors.items()
@@ -273,7 +274,8 @@ def _trials(
     for lens in lenses:
         try:
             trials[lens] = [
-                _tried(lens, each, first, tick) for each, first in zip(every, firsts, strict=True)
+                _try_lens(lens, each, first, tick)
+                for each, first in zip(every, firsts, strict=True)
             ]
         except np.linalg.LinAlgError:
             refused = _unsure(0, cameras, "none at all")
@@ -301,7 +303,7 @@ def _first(seen: Observations, camera: int, cameras: int) -> CameraFit:
         raise _unsure(camera, cameras, "none at all") from None
 
 
-def _tried(lens: str, seen: Observations, first: CameraFit, tick: Callable[[], None]) -> _Trial:
+def _try_lens(lens: str, seen: Observations, first: CameraFit, tick: Callable[[], None]) -> _Trial:
     fit = fit_camera(seen, lens, first)
     tick()
     errors = cross_validation_errors(fit, seen.problem)
@@ -324,15 +326,15 @@ def _refuse_unsure(solution: Solution, camera: int, cameras: int) -> None:
         raise _unsure(camera, cameras, known)
 
 
-def _refuse_torn(fit: CameraFit, alone: Sequence[CameraFit]) -> None:
+def _refuse_moved_cameras(fit: CameraFit, single_fits: Sequence[CameraFit]) -> None:
     """Refuse pairs of images that two cameras fixed to each other cannot have taken."""
     together = float(np.median(fit.views.rms_px[fit.kept]))
-    apart = float(np.median([np.median(one.views.rms_px[one.kept]) for one in alone]))
+    apart = float(np.median([np.median(one.views.rms_px[one.kept]) for one in single_fits]))
     changes = [
         float(np.abs(values[:2] / one.solution.rig.values[0][:2] - 1.0).max())
-        for values, one in zip(fit.solution.rig.values, alone, strict=True)
+        for values, one in zip(fit.solution.rig.values, single_fits, strict=True)
     ]
-    if together > _TORN * apart and max(changes) > _TORN_FOCAL:
+    if together > _MOST_JOINT_RATIO * apart and max(changes) > _MOST_FOCAL_CHANGE:
         raise ConfigurationError(
             "expected two cameras that are fixed to each other, got pairs of images that leave "
             f"{together:.2f} px together where each leaves {apart:.2f} px by itself, and a focal "

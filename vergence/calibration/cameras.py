@@ -67,16 +67,16 @@ _BEFORE_IT: Final = np.array([0.0, 0.0, 1.0])
 class ViewFit:
     """Residuals of each view with given cameras."""
 
-    noise: FloatArray
+    reduced_chi: FloatArray
     """(v) residuals in units of sigma; nan for a view without corners."""
     rms_px: FloatArray
     """(v) root mean square length of the residuals, px."""
 
     def outlying(self, trusted: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(v) True for outliers with respect to the trusted views."""
-        noise, rms_px = np.median(self.noise[trusted]), np.median(self.rms_px[trusted])
-        worse = (self.noise > _OUTLYING * noise) & (self.rms_px > _OUTLYING_PX * rms_px)
-        return np.asarray(worse | ~np.isfinite(self.noise))
+        reduced_chi, rms_px = np.median(self.reduced_chi[trusted]), np.median(self.rms_px[trusted])
+        worse = (self.reduced_chi > _OUTLYING * reduced_chi) & (self.rms_px > _OUTLYING_PX * rms_px)
+        return np.asarray(worse | ~np.isfinite(self.reduced_chi))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ class CameraFit:
     @property
     def median_noise(self) -> float:
         """Median of the kept views' noise."""
-        return float(np.median(self.views.noise[self.kept]))
+        return float(np.median(self.views.reduced_chi[self.kept]))
 
 
 def judge_views(problem: Adjustment, linear: Linearised) -> ViewFit:
@@ -105,10 +105,10 @@ def judge_views(problem: Adjustment, linear: Linearised) -> ViewFit:
     """
     count = problem.seen.sum(axis=(0, 2))
     squares = (linear.residuals**2).sum(axis=1)
-    noise = np.sqrt(squares / np.where(count > 3, 2 * count - 6, np.nan))
+    reduced_chi = np.sqrt(squares / np.where(count > 3, 2 * count - 6, np.nan))
     residuals_px = residuals_of(problem, linear)
     squares_px = np.nansum(residuals_px**2, axis=(0, 2, 3))
-    return ViewFit(noise, np.sqrt(squares_px / np.maximum(count, 1)))
+    return ViewFit(reduced_chi, np.sqrt(squares_px / np.maximum(count, 1)))
 
 
 def pack_values(lens: str, values: FloatArray, size: tuple[int, int]) -> FloatArray:
@@ -238,7 +238,7 @@ def first_fit(seen: Observations) -> CameraFit:
         for values in starts_of(problem.of(sample), BROWN_CONRADY, size):
             starts += [(BROWN_CONRADY, values), ("fisheye", _by_angle(values))]
     best = _best_start(problem, views, starts, size)
-    if best is None or best.noise > _POOR_START:
+    if best is None or best.reduced_chi > _POOR_START:
         wide = [("fisheye", values) for values in _fisheye_starts(problem.of(views), size)]
         best = _best_start(problem, views, wide, size, best)
     if best is None:
@@ -248,24 +248,24 @@ def first_fit(seen: Observations) -> CameraFit:
         )
     rig, poses = best.rig, best.poses
     trusted = max(int(np.ceil(_TRUSTED * len(views))), LEAST_VIEWS)
-    noise = judge_views(problem, problem.linearised(rig, poses)).noise
-    kept = np.zeros(len(noise), bool)
+    reduced_chi = judge_views(problem, problem.linearised(rig, poses)).reduced_chi
+    kept = np.zeros(len(reduced_chi), bool)
     for _ in range(_MOST_FITS):
         chosen = np.zeros_like(kept)
-        chosen[np.argsort(np.where(seen.usable[0], noise, np.inf))[:trusted]] = True
+        chosen[np.argsort(np.where(seen.usable[0], reduced_chi, np.inf))[:trusted]] = True
         if np.array_equal(chosen, kept):
             break
         kept = chosen
-        solution = problem.of(kept).solved(rig, poses.of(kept))
+        solution = problem.of(kept).solve(rig, poses.of(kept))
         rig, poses = solution.rig, estimate_board_poses(problem, solution.rig, size)
-        noise = judge_views(problem, problem.posed(rig, poses)[1]).noise
+        reduced_chi = judge_views(problem, problem.fit_poses(rig, poses)[1]).reduced_chi
     return settle(problem, solution, kept, poses)
 
 
 class _Start(NamedTuple):
     """An initial camera, and the board's poses in front of it."""
 
-    noise: float
+    reduced_chi: float
     """Noise at the `_TRUSTED` quantile of the views."""
     rig: CameraRig
     poses: Poses
@@ -283,9 +283,9 @@ def _best_start(
         rig = CameraRig.single(lens, values)
         poses = estimate_board_poses(problem, rig, size)
         linear = problem.linearised(rig, poses, by_rig=False)
-        noise = np.nan_to_num(judge_views(problem, linear).noise[views], nan=np.inf)
-        typical = float(np.quantile(noise, _TRUSTED))
-        if best is None or typical < best.noise:
+        reduced_chi = np.nan_to_num(judge_views(problem, linear).reduced_chi[views], nan=np.inf)
+        typical = float(np.quantile(reduced_chi, _TRUSTED))
+        if best is None or typical < best.reduced_chi:
             best = _Start(typical, rig, poses)
     return best
 
@@ -307,12 +307,12 @@ def fit_camera(seen: Observations, lens: str, first: CameraFit) -> CameraFit:
     # views that only the first fit's lens excluded are tried again
     for kept in (first.kept, seen.usable[0]):
         solutions = _solutions(problem, kept, lens, _turned_into(lens, mine), size)
-        enough = _AS_GOOD * first.solution.noise
-        if all(solution.noise > enough for solution in solutions):
+        enough = _AS_GOOD * first.solution.reduced_chi
+        if all(solution.reduced_chi > enough for solution in solutions):
             starts = starts_of(problem.of(kept), lens, size)
             solutions += _solutions(problem, kept, lens, starts, size)
         if solutions:
-            best = min(solutions, key=lambda each: each.noise)
+            best = min(solutions, key=lambda each: each.reduced_chi)
             poses = estimate_board_poses(problem, best.rig, size)
             found.append(settle(problem, best, kept, poses))
         if first.kept.sum() == seen.usable[0].sum():
@@ -349,7 +349,7 @@ def _solutions(
         rig = CameraRig.single(lens, values)
         poses = estimate_board_poses(problem, rig, size)
         with suppress(np.linalg.LinAlgError):
-            found.append(problem.of(kept).solved(rig, poses.of(kept)))
+            found.append(problem.of(kept).solve(rig, poses.of(kept)))
     return found
 
 
@@ -369,20 +369,20 @@ def settle(
     """
     weighted = problem
     for _ in range(_MOST_FITS):
-        poses, linear = problem.posed(solution.rig, poses)
+        poses, linear = problem.fit_poses(solution.rig, poses)
         views = judge_views(problem, linear)
         chosen = ~views.outlying(kept)
         if chosen.sum() < LEAST_VIEWS:
             chosen = kept
-        noise = views.noise / np.median(views.noise[chosen])
-        share = np.maximum(noise / _NOISY, 1.0) ** 2
+        reduced_chi = views.reduced_chi / np.median(views.reduced_chi[chosen])
+        share = np.maximum(reduced_chi / _NOISY, 1.0) ** 2
         before = weighted.sigma[:, kept]
         weighted = replace(problem, sigma=problem.sigma * share[:, None, None])
         same = np.array_equal(chosen, kept)
         if same and np.allclose(weighted.sigma[:, kept], before, rtol=_SETTLED, equal_nan=True):
             break
         kept = chosen
-        solution = weighted.of(kept).solved(solution.rig, poses.of(kept))
+        solution = weighted.of(kept).solve(solution.rig, poses.of(kept))
     return CameraFit(solution, kept, views)
 
 
@@ -391,7 +391,9 @@ def folds_of(views: int) -> list[NDArray[np.bool_]]:
     return [np.arange(views) * FOLDS // views == fold for fold in range(FOLDS)]
 
 
-def held_out(solution: Solution, progress: Callable[[], None] | None = None) -> FloatArray:
+def cross_validation_residuals(
+    solution: Solution, progress: Callable[[], None] | None = None
+) -> FloatArray:
     """Compute cross-validation residuals: each view by cameras that were found without it.
 
     Args:
@@ -405,9 +407,9 @@ def held_out(solution: Solution, progress: Callable[[], None] | None = None) -> 
     problem = solution.problem
     residuals = np.full(problem.pixels.shape, np.nan)
     for out in folds_of(problem.pixels.shape[1]):
-        trained = problem.of(~out).solved(solution.rig, solution.poses.of(~out), _FOLD_TOLERANCE)
+        trained = problem.of(~out).solve(solution.rig, solution.poses.of(~out), _FOLD_TOLERANCE)
         tested = problem.of(out)
-        _, linear = tested.posed(trained.rig, solution.poses.of(out))
+        _, linear = tested.fit_poses(trained.rig, solution.poses.of(out))
         residuals[:, out] = residuals_of(tested, linear)
         if progress is not None:
             progress()
@@ -417,17 +419,19 @@ def held_out(solution: Solution, progress: Callable[[], None] | None = None) -> 
 def cross_validation_errors(fit: CameraFit, problem: Adjustment) -> FloatArray:
     """(v) mean square cross-validation error of each view, in units of sigma^2.
 
-    Kept views have the residuals of `held_out`; others have the residuals of the fit, or
-    `_HOPELESS` if there are none. Sigma is the detector's, as the fit has enlarged it for views
-    that do not fit its own lens well.
+    Kept views have the residuals of `cross_validation_residuals`; others have the residuals of the
+    fit, or `_HOPELESS` if there are none. Sigma is the detector's, as the fit has enlarged it for
+    views that do not fit its own lens well.
 
     Args:
         fit: fit of one camera.
         problem: problem of all views.
     """
-    errors = fit.views.noise**2
+    errors = fit.views.reduced_chi**2
     sigma = problem.sigma[:, fit.kept]
-    errors[fit.kept] = np.nanmean((held_out(fit.solution) / sigma) ** 2, axis=(0, 2, 3))
+    errors[fit.kept] = np.nanmean(
+        (cross_validation_residuals(fit.solution) / sigma) ** 2, axis=(0, 2, 3)
+    )
     return np.where(np.isfinite(errors), errors, _HOPELESS)
 
 

@@ -80,7 +80,7 @@ class Attitudes(NamedTuple):
 
 def camera_names(found: Calibration) -> tuple[str, ...]:
     """Name the cameras: left and right for a pair, camera for a single one."""
-    return tuple(EYE_NAMES) if len(found.alone) > 1 else ("camera",)
+    return tuple(EYE_NAMES) if len(found.single_fits) > 1 else ("camera",)
 
 
 def attitudes(found: Calibration, camera: int) -> Attitudes:
@@ -175,11 +175,11 @@ def advice(found: Calibration) -> list[str]:
 
 def moved_together(found: Calibration) -> str:
     """Advise on pairs whose images fit alone but not together."""
-    if len(found.alone) < 2:
+    if len(found.single_fits) < 2:
         return ""
-    alone = np.stack([fit.views.rms_px for fit in found.alone])
-    judged = np.isfinite([fit.views.noise for fit in found.alone]).all(axis=0)
-    usable = judged & np.all([fit.kept for fit in found.alone], axis=0)
+    alone = np.stack([fit.views.rms_px for fit in found.single_fits])
+    judged = np.isfinite([fit.views.reduced_chi for fit in found.single_fits]).all(axis=0)
+    usable = judged & np.all([fit.kept for fit in found.single_fits], axis=0)
     if not usable.any():
         return ""
     by_itself = np.sqrt((alone[:, usable] ** 2).mean(axis=0))
@@ -218,7 +218,7 @@ def empty_cells(found: Calibration) -> str:
     for camera, name in enumerate(camera_names(found)):
         empty = views_per_cell(found, camera) == 0
         if empty.any():
-            of = f"the {name} camera" if len(found.alone) > 1 else "the image"
+            of = f"the {name} camera" if len(found.single_fits) > 1 else "the image"
             parts.append(f"in the {_cells(empty)} of {of}")
     return f"No view has the board {' and none '.join(parts)}: hold it there too." if parts else ""
 
@@ -251,7 +251,7 @@ def tilts(found: Calibration) -> str:
     tilt = attitudes(found, 0).tilt_deg
     angle = np.linalg.norm(tilt, axis=-1)
     tilted = int((angle > _FACING_DEG).sum())
-    before = " before the left camera" if len(found.alone) > 1 else ""
+    before = " before the left camera" if len(found.single_fits) > 1 else ""
     if tilted < _TILTED * len(angle):
         count = {0: "None", 1: "Only one"}.get(tilted, f"Only {tilted}")
         verb = "is" if tilted < 2 else "are"
@@ -295,7 +295,7 @@ def image_sigma(found: Calibration, camera: int) -> tuple[float, float]:
 
 def corner_directions(found: Calibration) -> str:
     """Advise on image corners with uncertain directions."""
-    sigma = [image_sigma(found, camera) for camera in range(len(found.alone))]
+    sigma = [image_sigma(found, camera) for camera in range(len(found.single_fits))]
     camera = int(np.argmax([corner for _, corner in sigma]))
     usual, corner = sigma[camera]
     beyond = np.isinf(corner) and found.lens == "fisheye"  # at 90 degrees, beyond any board

@@ -23,9 +23,9 @@ from vergence.calibration.image_figures import (
     LEAST_IN_CELL,
     WIDTH,
     corners_seen,
+    every_nth,
     frame_image,
     residual_arrows,
-    some,
 )
 from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
 from vergence.models.parts import FloatArray
@@ -64,7 +64,7 @@ def residuals_by_radius(found: Calibration, camera: int) -> Figure:
     with styled():
         figure = new_figure(WIDTH, 3.6)
         panel = figure.add_subplot()
-        every = some(len(radius))
+        every = every_nth(len(radius))
         panel.plot(
             radius[every], along[every], ".", ms=4, color=GREY, alpha=0.4, mew=0, rasterized=True
         )
@@ -135,7 +135,7 @@ def tilts_by_distance(found: Calibration) -> Figure:
             title="tilt and distance of each view's board",
         )  # fmt: skip
         panel.set_ylim(bottom=0.0)
-        if len(found.alone) > 1:
+        if len(found.single_fits) > 1:
             figure.legend(loc="outside lower center", ncols=2)
     return figure
 
@@ -146,13 +146,13 @@ def _dots(camera: int) -> dict[str, Any]:
 
 def view_residuals(found: Calibration) -> Figure:
     """Plot the root mean square of each view's residuals; views left out are hatched."""
-    fits = dict(zip(camera_names(found), found.alone, strict=True))
+    fits = dict(zip(camera_names(found), found.single_fits, strict=True))
     colours = [EYE_STYLES[camera]["color"] for camera in range(len(fits))]
     if len(fits) > 1:
         fits["both together"] = found.fit
         colours.append(GREEN)
     bars = {
-        name: np.where(np.isfinite(fit.views.noise), fit.views.rms_px, 0.0)
+        name: np.where(np.isfinite(fit.views.reduced_chi), fit.views.rms_px, 0.0)
         for name, fit in fits.items()
     }
     good = np.concatenate([bars[name][fit.kept] for name, fit in fits.items()])

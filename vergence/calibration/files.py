@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from vergence.calibration.adjustment import CameraRig, rms
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.depth import pixel_noise_px
-from vergence.calibration.projection import camera_values
+from vergence.calibration.projection import camera_parameter_names
 from vergence.eval.reporting.runs import versions
 from vergence.models.calibrated import CalibrationRecord
 from vergence.models.files.import_stereo import head_of_pair
@@ -69,7 +69,9 @@ def record_of(found: Calibration) -> CalibrationRecord:
     sigma = {
         f"{eye}.camera.{value}": deviation
         for eye, lens, block in zip(EYE_NAMES, found.rig.lenses, found.rig.blocks[:-2], strict=True)
-        for value, deviation in zip(camera_values(lens), found.sigma[block].tolist(), strict=True)
+        for value, deviation in zip(
+            camera_parameter_names(lens), found.sigma[block].tolist(), strict=True
+        )
     }
     between = found.rig.blocks[-2]
     placed = place_covariance(found.rig, found.covariance[between, between])
@@ -119,7 +121,7 @@ def camera_document(found: Calibration) -> dict[str, Any]:
     """
     camera = intrinsics_of(found, 0)
     (f_u, f_v), (u_0, v_0) = camera.focal.tolist(), camera.principal.tolist()
-    names = camera_values(camera.lens)
+    names = camera_parameter_names(camera.lens)
     return {
         "image_width": camera.width,
         "image_height": camera.height,

@@ -56,7 +56,7 @@ def residual_arrows(
     with styled():
         figure = new_figure(WIDTH, WIDTH * height / width + 0.7)
         panel = figure.add_subplot()
-        every = some(len(pixels))
+        every = every_nth(len(pixels))
         arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0 / factor}
         usual = float(np.median(np.linalg.norm(residuals, axis=-1))) if len(residuals) else 0.0
         if factor * usual > cell:
@@ -88,7 +88,7 @@ def corners_seen(views: FloatArray, size: tuple[int, int], name: str, colour: st
         figure = new_figure(WIDTH, WIDTH * height / width + 0.7)
         panel = figure.add_subplot()
         panel.plot(
-            *pixels[some(len(pixels))].T, ".", ms=3.5, mew=0, alpha=0.6, color=colour,
+            *pixels[every_nth(len(pixels))].T, ".", ms=3.5, mew=0, alpha=0.6, color=colour,
             rasterized=True,
         )  # fmt: skip
         cells = views_in_cells(views, size)
@@ -112,7 +112,7 @@ def corners_seen(views: FloatArray, size: tuple[int, int], name: str, colour: st
     return figure
 
 
-def some(count: int) -> slice:
+def every_nth(count: int) -> slice:
     """Thin out dots to at most `_MOST_DOTS`."""
     return slice(None, None, -(-count // _MOST_DOTS) or 1)
 

@@ -17,7 +17,7 @@ _SMALL_RADIUS = 1e-9
 """Least normalised radius, which avoids a division by zero on the axis (numerical)."""
 
 
-def camera_values(lens: str) -> tuple[str, ...]:
+def camera_parameter_names(lens: str) -> tuple[str, ...]:
     """Name a camera's parameters: the pinhole's, then the lens's coefficients.
 
     Args:
@@ -53,7 +53,7 @@ def project(lens: str, values: FloatArray, points: FloatArray) -> Projected:
 
     Args:
         lens: the lens model.
-        values: (4 + n,) see `camera_values`.
+        values: (4 + n,) see `camera_parameter_names`.
         points: (..., 3) metres; behind the camera the pixels are nan.
 
     Returns:

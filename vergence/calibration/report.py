@@ -18,7 +18,7 @@ from vergence.calibration.coverage import (
     image_sigma,
 )
 from vergence.calibration.depth import depth_sigma_at, depths_shown, pixel_noise_px
-from vergence.calibration.projection import camera_values
+from vergence.calibration.projection import camera_parameter_names
 from vergence.eval.reporting.report import inline_svg
 from vergence.eval.reporting.runs import versions, write_json
 from vergence.eval.reporting.style import svg_of
@@ -40,7 +40,7 @@ def write_run(folder: Path, found: Calibration, content: str, name: str) -> None
         name: name of that file.
     """
     (folder / name).write_text(content, encoding="utf-8")
-    names = found.rig.names(EYE_NAMES[: len(found.alone)])
+    names = found.rig.names(EYE_NAMES[: len(found.single_fits)])
     write_json(
         folder / "result.json",
         {
@@ -58,7 +58,12 @@ def write_run(folder: Path, found: Calibration, content: str, name: str) -> None
         for view, path in enumerate(found.seen.names[0]):
             views = found.fit.views
             table.writerow(
-                [Path(path).name, bool(found.fit.kept[view]), views.rms_px[view], views.noise[view]]
+                [
+                    Path(path).name,
+                    bool(found.fit.kept[view]),
+                    views.rms_px[view],
+                    views.reduced_chi[view],
+                ]
             )
     write_report(folder, found, name)
 
@@ -96,7 +101,7 @@ def _figures(found: Calibration) -> dict[str, Figure]:
     drawn["tilts"] = figures.tilt_directions(found)
     drawn["distances"] = figures.tilts_by_distance(found)
     drawn["views"] = figures.view_residuals(found)
-    if len(found.alone) > 1:
+    if len(found.single_fits) > 1:
         depth = depth_sigma_at(found, depths_shown(found))
         drawn["depth"] = figures.depth_sigma(depth, relative=False)
         drawn["depth-relative"] = figures.depth_sigma(depth, relative=True)
@@ -160,7 +165,7 @@ def _number_rows(found: Calibration) -> list[list[str]]:
         camera_names(found), found.rig.lenses, found.rig.values, found.rig.blocks, strict=False
     ):
         for label, value, sigma in zip(
-            camera_values(lens), values.tolist(), found.sigma[block].tolist(), strict=True
+            camera_parameter_names(lens), values.tolist(), found.sigma[block].tolist(), strict=True
         ):
             digits = 2 if label[1] == "_" else 5
             rows.append(

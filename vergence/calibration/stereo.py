@@ -49,12 +49,12 @@ def fit_pair(
             f"{both.sum()} of {len(both)}"
         )
     alone = [fit.solution.rig for fit in (left, right)]
-    by_left = estimate_board_poses(seen.problem.one(0), alone[0], seen.sizes[0])
+    by_left = estimate_board_poses(seen.problem.of_camera(0), alone[0], seen.sizes[0])
     orders = orders_alike(seen.target)
     turned = [_turned(seen, order, both) for order in orders]
     best: tuple[float, CameraRig, FloatArray] | None = None
     for one in turned:
-        by_right = estimate_board_poses(one.problem.one(1), alone[1], seen.sizes[1])
+        by_right = estimate_board_poses(one.problem.of_camera(1), alone[1], seen.sizes[1])
         turns = by_right.rotation @ by_left.rotation.transpose(0, 2, 1)
         shifts = by_right.translation - np.einsum("vij,vj->vi", turns, by_left.translation)
         for view in np.flatnonzero(both):
@@ -84,7 +84,7 @@ def fit_pair(
     problem = replace(
         seen.problem, pixels=np.where(kept[..., None, None], seen.problem.pixels, np.nan)
     )
-    by_right = estimate_board_poses(problem.one(1), alone[1], seen.sizes[1])
+    by_right = estimate_board_poses(problem.of_camera(1), alone[1], seen.sizes[1])
     back = rig.rotation.T
     poses = Poses(
         np.where(left.kept[:, None, None], by_left.rotation, back @ by_right.rotation),
@@ -94,7 +94,7 @@ def fit_pair(
             (by_right.translation - rig.translation) @ back.T,
         ),
     )
-    solution = problem.of(trusted).solved(rig, poses.of(trusted))
+    solution = problem.of(trusted).solve(rig, poses.of(trusted))
     fit = settle(problem, solution, trusted, poses)
     _check_place(fit.solution.rig)
     return seen, fit
@@ -130,7 +130,7 @@ def _missed_px(problem: Adjustment, rig: CameraRig, poses: Poses) -> FloatArray:
     moved = Poses(
         rig.rotation @ poses.rotation, poses.translation @ rig.rotation.T + rig.translation
     )
-    one = problem.one(1)
+    one = problem.of_camera(1)
     linear = one.linearised(right, moved)
     shape = one.pixels.shape[1:]
     squares = ((linear.residuals.reshape(shape) * one.sigma[0]) ** 2).sum(axis=-1)

@@ -22,10 +22,10 @@ from vergence.calibration.adjustment import Adjustment, Poses, Solution, cross_m
 from vergence.calibration.projection import project
 from vergence.models.parts import FloatArray
 
-_LEAST_VALUE: Final = 1e-15
+_LEAST_EIGENVALUE: Final = 1e-15
 """Least eigenvalue of the scaled information matrix; a smaller one belongs to a combination of
 parameters that is not observable (numerical)."""
-_LEAST_SHARE: Final = 1e-3
+_LEAST_LEVERAGE_COMPLEMENT: Final = 1e-3
 """Least eigenvalue of 1 - H_v: a view that alone determines a parameter leaves no residual from
 which to estimate its error (numerical)."""
 _SURELY: Final = 2.0
@@ -34,35 +34,38 @@ is used (chosen)."""
 
 
 def covariance_of(solution: Solution) -> FloatArray:
-    """(p, p) covariance of the rig's parameters, see `Rig.packed`.
+    """(p, p) covariance of the rig's parameters, see `CameraRig.packed`.
 
     Args:
         solution: the solution of the bundle adjustment.
     """
     gradients = np.einsum("vmp,vm->vp", solution.by_rig, solution.linear.residuals)
     return clustered_covariance(
-        solution.information, gradients, solution.noise, np.diag(solution.rig.prior)
+        solution.information,
+        gradients,
+        solution.reduced_chi,
+        np.diag(solution.rig.prior_information),
     )
 
 
 def clustered_covariance(
-    information: FloatArray, gradients: FloatArray, noise: float, prior: FloatArray
+    information: FloatArray, gradients: FloatArray, reduced_chi: float, prior: FloatArray
 ) -> FloatArray:
     """(p, p) covariance of parameters estimated from groups of measurements (CR2).
 
     Args:
         information: (v, p, p) S_v of each group; errors within a group may be correlated.
         gradients: (v, p) J'_v^T r_v of each group.
-        noise: s, ratio of the residuals to sigma.
+        reduced_chi: s, ratio of the residuals to sigma.
         prior: (p, p) information matrix of the prior.
     """
     total = information.sum(axis=0) + prior
     scale = 1.0 / np.sqrt(np.diagonal(total))
     values, vectors = np.linalg.eigh(scale[:, None] * total * scale)
-    root = (scale[:, None] * vectors) / np.sqrt(np.maximum(values, _LEAST_VALUE))
+    root = (scale[:, None] * vectors) / np.sqrt(np.maximum(values, _LEAST_EIGENVALUE))
     shares, axes = np.linalg.eigh(root.T @ information @ root)
-    left = np.maximum(1.0 - shares, _LEAST_SHARE)
-    pulls = np.einsum("vij,vj,vkj,vk->vi", axes, left**-0.5, axes, gradients @ root) / noise
+    left = np.maximum(1.0 - shares, _LEAST_LEVERAGE_COMPLEMENT)
+    pulls = np.einsum("vij,vj,vkj,vk->vi", axes, left**-0.5, axes, gradients @ root) / reduced_chi
     # expected covariance of the pulls, and spread of their sum of squares, for independent corners
     expected = np.einsum("vij,vj,vkj->vik", axes, (1.0 - shares) * shares / left, axes)
     mean = np.trace(expected, axis1=1, axis2=2).sum()
@@ -72,7 +75,7 @@ def clustered_covariance(
     if ratio > 1.0 + _SURELY * spread:
         weight = len(pulls) / (len(pulls) + len(root))
         inner = weight * pulls.T @ pulls + (1.0 - weight) * ratio * inner
-    return np.asarray(noise**2 * root @ inner @ root.T)
+    return np.asarray(reduced_chi**2 * root @ inner @ root.T)
 
 
 def direction_sigma_px(

@@ -17,7 +17,7 @@ from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from vergence.calibration.head.collect import Collected
-    from vergence.calibration.head.outlook import Preview
+    from vergence.calibration.head.preview import Preview
     from vergence.models.boards import PlanarTarget
     from vergence.models.head import HeadModel
     from vergence.recording.looking import Looker
@@ -88,7 +88,7 @@ class Collect:
             with closing(looker), progress("collect") as report:
                 found = collect(
                     looker, self.folder, options, facts, progress=report,
-                    judged=lambda found: note(_judged(found, looker.head)),
+                    evaluated=lambda found: note(_evaluated(found, looker.head)),
                 )  # fmt: skip
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
@@ -162,8 +162,8 @@ class Collect:
             f"{len(frames.time_s)} frames of {int(frames.pose.max()) + 1} poses, {places} "
             f"{'place' if places == 1 else 'places'} of the board"
         )
-        if found.outlook is not None:
-            print(f"depth will be known to {_depth(found.outlook)}")
+        if found.preview is not None:
+            print(f"depth will be known to {_depth(found.preview)}")
         if found.unseen:
             note(f"{found.unseen} looks without the board, left out")
         for line in advice(head, found, frames):
@@ -173,23 +173,23 @@ class Collect:
         print(f"next: vergence {shlex.join(words)}")
 
 
-def _judged(found: "Collected", head: "HeadModel") -> str:
+def _evaluated(found: "Collected", head: "HeadModel") -> str:
     """Line on the accuracy of depth and the coverage of the images so far."""
     from vergence.calibration.head.advice import coverage_percent
 
     known = "not enough for a head yet"
-    if found.outlook is not None:
-        known = f"depth known to {_depth(found.outlook)}"
+    if found.preview is not None:
+        known = f"depth known to {_depth(found.preview)}"
     left, right = coverage_percent(head, found.frames())
     return f"{found.poses} poses: {known}; {left:.0f} and {right:.0f} % of both images covered"
 
 
-def _depth(outlook: "Preview") -> str:
-    from vergence.calibration.head.outlook import DEPTHS_M
+def _depth(preview: "Preview") -> str:
+    from vergence.calibration.head.preview import DEPTHS_M
 
     return " and ".join(
         f"{percent:.2g} % at {depth_m:g} m"
-        for percent, depth_m in zip(outlook.depth_percent, DEPTHS_M, strict=True)
+        for percent, depth_m in zip(preview.depth_percent, DEPTHS_M, strict=True)
     )
 
 

@@ -71,7 +71,7 @@ class Detect:
         self._check()
         from vergence.models.response import parse_response
         from vergence.perception.eye import camera_of
-        from vergence.perception.spotting import parse_targets
+        from vergence.perception.target_finder import parse_targets
 
         targets = parse_targets(self.target)
         camera = camera_of(self.head, self.camera, self.eye, parse_size(self.size))
@@ -106,7 +106,7 @@ class Detect:
     ) -> int:
         from vergence.perception.detect import detect
         from vergence.perception.similar_targets import similar_targets
-        from vergence.perception.spotting import Photograph, TargetFinder
+        from vergence.perception.target_finder import Photograph, TargetFinder
         from vergence.vision import read_image
 
         shown: list[Photograph] = []
@@ -121,8 +121,8 @@ class Detect:
                 shown.append(photograph)
 
         with progress("detect") as report:
-            spotter = TargetFinder(targets, camera, response)
-            result = detect(self.images, spotter, report, keep if self.figure else None)
+            finder = TargetFinder(targets, camera, response)
+            result = detect(self.images, finder, report, keep if self.figure else None)
         if self.figure is not None:
             from vergence.eval.reporting.detections_figure import draw_photographs
 

@@ -67,7 +67,7 @@ def _nothing(result: "LocateResult") -> str:
     count = len(result.pairs)
     pairs = f"in both images of any of {count} pairs" if count > 1 else "in both images of the pair"
     from vergence.perception.similar_targets import similar_targets
-    from vergence.perception.spotting import parse_targets
+    from vergence.perception.target_finder import parse_targets
     from vergence.vision import EyeCamera
 
     left = result.shown.left

@@ -8,7 +8,7 @@ from vergence.models.boards import AprilTag
 from vergence.perception.locate import LocateResult
 from vergence.perception.located import Located
 from vergence.perception.spacing import MM, spacing
-from vergence.perception.spotting import number_of
+from vergence.perception.target_finder import number_of
 
 
 def print_located(result: LocateResult) -> None:
@@ -17,7 +17,7 @@ def print_located(result: LocateResult) -> None:
     Args:
         result: result of `vergence.perception.locate.locate`.
     """
-    for every in result.alike():
+    for every in result.grouped():
         of_tags = number_of(every[0].target) is not None
         head = ["pair", "tag" if of_tags else "found"]
         head += ["x (mm)", "y (mm)", "z (mm)", "centre sigma (mm)", "gap (mm)", "edge (mm)"]
@@ -61,5 +61,5 @@ def _row(one: Located) -> list[str]:
         *(format_fixed(MM * value, 2) for value in one.centre.point),
         " ".join(format_fixed(MM * value, 2) for value in one.centre.sigma),
         format_fixed(MM * one.gap_m, 2),
-        f"{format_fixed(MM * one.spacing.mean_m, 2)}{'!' if one.edges.off else ''}",
+        f"{format_fixed(MM * one.spacing.mean_m, 2)}{'!' if one.edges.differs else ''}",
     ]

@@ -10,7 +10,7 @@ from vergence.json_values import json_value
 from vergence.models.parts import FloatArray
 from vergence.perception.board_centre import centre_px
 from vergence.perception.photographs import photographs_of
-from vergence.perception.spotting import Photograph, TargetFinder, UnseenTargets, number_of
+from vergence.perception.target_finder import Photograph, TargetFinder, UnseenTargets, number_of
 from vergence.vision import Detection
 
 
@@ -58,7 +58,7 @@ class DetectResult:
 
 def detect(
     places: Sequence[Path],
-    spotter: TargetFinder,
+    finder: TargetFinder,
     progress: Callable[[float], None] | None = None,
     show: Callable[[Photograph], None] | None = None,
 ) -> DetectResult:
@@ -66,7 +66,7 @@ def detect(
 
     Args:
         places: images and folders of images.
-        spotter: finds the targets.
+        finder: finds the targets.
         progress: called with the fraction done after every image.
         show: called with each image.
 
@@ -82,19 +82,19 @@ def detect(
     read: list[Path] = []
     sightings: list[Sighting] = []
     failures: list[str] = []
-    sought = UnseenTargets(spotter.targets)
+    unseen = UnseenTargets(finder.targets)
     for number, path in enumerate(every, 1):
         try:
-            photograph = spotter.spot_in(path)
+            photograph = finder.find_in_file(path)
         except VergenceError as error:
             if len(every) == 1:
                 raise
             failures.append(str(error))
             continue
         read.append(path)
-        sought.add(photograph)
+        unseen.add(photograph)
         sightings += [
-            Sighting(str(path), d, *centre_px(d, spotter.camera)) for d in photograph.found
+            Sighting(str(path), d, *centre_px(d, finder.camera)) for d in photograph.found
         ]
         if show is not None:
             show(photograph)
@@ -107,6 +107,6 @@ def detect(
     return DetectResult(
         images=tuple(read),
         sightings=tuple(sightings),
-        remarks=(*sought.notes(), *spotter.check.notes()),
+        remarks=(*unseen.notes(), *finder.check.notes()),
         failures=tuple(failures),
     )

@@ -45,7 +45,7 @@ class Edges(NamedTuple):
     """Standard deviation of that mean from the noise of pixels and joints."""
 
     @property
-    def off(self) -> bool:
+    def differs(self) -> bool:
         """True if it differs from the stated edge beyond noise and small calibration errors."""
         if not self.target.size_known:
             return False
@@ -110,7 +110,7 @@ def say_off(name: str, every: Sequence[Edges]) -> str:
         One line; empty if all are as stated.
     """
     every = [each for each in every if np.isfinite(each.mean_m)]
-    off = [each for each in every if each.off]
+    off = [each for each in every if each.differs]
     if not off:
         return ""
     lengths, stated = [MM * each.mean_m for each in off], MM * edge_m(off[0].target)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from vergence.models.boards import TagFamily, Target
 from vergence.models.response import Response
-from vergence.perception.spotting import identity
+from vergence.perception.target_finder import identity
 from vergence.vision import Detection, Detector, EyeCamera, Tracker, make_detector
 
 _SEARCHED_EVERY: Final = 15

@@ -99,9 +99,9 @@ def edge_ratios(image: NDArray[np.uint8], detections: Iterable[Detection]) -> li
         for start, end in chosen[:: max(len(chosen) // _MOST_EDGES, 1)][:_MOST_EDGES]:
             strip = _strip(image, start, end)
             if strip is not None:
-                left = [_left(*strip, one) for one in (LINEAR, SRGB)]
-                if min(left) > 0.0:
-                    ratios.append(float(np.log(left[0] / left[1])))
+                squares = [_residual_squares(*strip, one) for one in (LINEAR, SRGB)]
+                if min(squares) > 0.0:
+                    ratios.append(float(np.log(squares[0] / squares[1])))
     return ratios
 
 
@@ -135,7 +135,7 @@ def _strip(
     return away, level
 
 
-def _left(away: FloatArray, level: FloatArray, response: Response) -> float:
+def _residual_squares(away: FloatArray, level: FloatArray, response: Response) -> float:
     """Residual sum of squares of levels after the fit of a blurred step; 0 if it does not fit."""
     light = light_table(response)
     dark, bright = np.interp(np.percentile(level, (10, 90)), np.arange(256), light)

@@ -13,7 +13,7 @@ from vergence.json_values import json_value
 from vergence.models.boards import PlanarTarget, TagFamily, Target
 from vergence.models.parts import FloatArray
 from vergence.perception.finders import Finder
-from vergence.perception.spotting import number_of
+from vergence.perception.target_finder import number_of
 from vergence.vision import Detection
 
 WINDOW_S = 3.0

@@ -22,7 +22,7 @@ from vergence.perception.located import Located, locate_target
 from vergence.perception.pairing import pair_up
 from vergence.perception.photographs import some_of
 from vergence.perception.spacing import Spacing, spacing
-from vergence.perception.spotting import (
+from vergence.perception.target_finder import (
     Photograph,
     TargetFinder,
     UnseenTargets,
@@ -81,7 +81,7 @@ class LocateResult:
         """True if any point was triangulated."""
         return any(one.valid.any() for one in self.located)
 
-    def alike(self) -> list[list[Located]]:
+    def grouped(self) -> list[list[Located]]:
         """Located targets, grouped: each board by itself, tags of one family and size together."""
         kinds: dict[PlanarTarget, list[Located]] = {}
         for one in self.located:
@@ -165,7 +165,7 @@ class LocateResult:
                 f"{len(crossed)} places, by {worst.gap_px:.1f} px in {worst.pair}: expected a head "
                 "file of these cameras as they stand, and joint angles of that moment"
             )
-        for every in self.alike():
+        for every in self.grouped():
             edges = [one.edges for one in every if one.spacing.number]
             names = list(dict.fromkeys(str(one.target) for one in edges))
             said.append(say_off(some_of(names), edges))
@@ -192,20 +192,20 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
     head = load_head(config.head)
     pairs, alone, single = pair_up(config.left, config.right)
     angles = angles_of_pairs(head, config.joints, [pair.name for pair in pairs])
-    spotters = [
+    finders = [
         TargetFinder(targets, EyeCamera.of(head, eye), response) for eye in range(len(EYE_NAMES))
     ]
     read: list[str] = []
     located: list[Located] = []
     missed: list[Missed] = []
     failures: list[str] = []
-    sought = UnseenTargets(targets)
+    unseen = UnseenTargets(targets)
     shown: Shown | None = None
     rank = -1
     for number, pair in enumerate(pairs, 1):
         try:
             left, right = (
-                spotter.spot_in(path) for spotter, path in zip(spotters, pair, strict=True)
+                finder.find_in_file(path) for finder, path in zip(finders, pair, strict=True)
             )
         except VergenceError as error:
             if single:
@@ -214,7 +214,7 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
             continue
         read.append(pair.name)
         for photograph in (left, right):
-            sought.add(photograph)
+            unseen.add(photograph)
         here, not_here = _match(head, angles[pair.name], pair.name, left.found, right.found)
         located += here
         missed += not_here
@@ -236,8 +236,8 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
         located=tuple(located),
         missed=tuple(missed),
         remarks=(
-            *sought.notes(),
-            *dict.fromkeys(line for spotter in spotters for line in spotter.check.notes()),
+            *unseen.notes(),
+            *dict.fromkeys(line for finder in finders for line in finder.check.notes()),
         ),
         alone=tuple(alone),
         failures=tuple(failures),

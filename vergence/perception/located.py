@@ -14,7 +14,7 @@ from vergence.models.parts import FloatArray
 from vergence.perception.board_centre import centre_weights, weighted
 from vergence.perception.edges import Edges, mean_edge_sigma
 from vergence.perception.spacing import MM, Spacing, spacing
-from vergence.perception.spotting import number_of
+from vergence.perception.target_finder import number_of
 from vergence.triangulation import Fix, Noise, triangulate_views
 from vergence.vision import Detection
 

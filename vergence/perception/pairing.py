@@ -120,15 +120,15 @@ def pair_images(lefts: Sequence[Path], rights: Sequence[Path], *, same: bool = F
     return Pairs(pairs, [path for path in everyone if path not in paired], False)
 
 
-def _keys(path: Path, eye: int, told: bool) -> list[str]:
+def _keys(path: Path, eye: int, side_required: bool) -> list[str]:
     """Possible keys of an image: its name without the word for the side, the likeliest first.
 
     Args:
         path: the image.
         eye: 0 for left, 1 for right.
-        told: True if the name must have a word for the side.
+        side_required: True if the name must have a word for the side.
     """
-    keys = [] if told else [path.stem]
+    keys = [] if side_required else [path.stem]
     for words in _WORDS:
         for start, end in _places(path.stem, words[eye]):
             # the key holds the kind of word, so that `l` matches only `r`

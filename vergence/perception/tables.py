@@ -9,7 +9,7 @@ import numpy as np
 from vergence.models.joints import EYE_NAMES
 from vergence.perception.located import Located
 from vergence.perception.spacing import MM
-from vergence.perception.spotting import number_of
+from vergence.perception.target_finder import number_of
 
 _SPACE = ("x", "y", "z")
 

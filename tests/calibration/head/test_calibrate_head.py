@@ -41,8 +41,8 @@ def depth_error(head, true):
 
 def surprise(found, true):
     """Mean square, in deviations, of the errors along what the frames tell."""
-    spreads = found.solution.problem.spreads
-    error = (found.solution.state.values - true.parameters(found.about).values) / spreads
+    spreads = found.solution.problem.prior_sigma
+    error = (found.solution.state.values - true.parameters(found.nominal_head).values) / spreads
     values, vectors = np.linalg.eigh(found.covariance / np.outer(spreads, spreads))
     told = values < 0.1
     return np.mean(((vectors.T @ error) ** 2 / values)[told])
@@ -52,7 +52,9 @@ def assert_right(found, true):
     """The head is within what is claimed, and better than its file by far."""
     # 40 numbers: the mean square deviates by 0.22
     assert surprise(found, true) < 1.9
-    error, before = (np.abs(depth_error(head, true)).max() for head in (found.head, found.about))
+    error, before = (
+        np.abs(depth_error(head, true)).max() for head in (found.head, found.nominal_head)
+    )
     assert error < min(0.01, 0.2 * before)
 
 
@@ -61,7 +63,7 @@ def test_a_head_is_found_with_errors_as_large_as_are_said(usual):
     assert_right(found, true)
     assert found.views.all()
     assert not found.remarks
-    assert found.solution.noise == pytest.approx(1.0, abs=0.05)
+    assert found.solution.reduced_chi == pytest.approx(1.0, abs=0.05)
     assert found.rms_px == pytest.approx(0.05 * np.sqrt(2.0), rel=0.1)
     assert np.nanmean(found.held_out) == pytest.approx(1.0, abs=0.1)
     assert len(frames.time_s) == 96
@@ -157,7 +159,7 @@ def test_a_board_that_was_moved_by_two_millimetres_is_another_place():
 def test_a_sigma_that_is_too_small_makes_no_head_too_sure(usual):
     head, true, frames, _ = usual
     found = calibrate_head(head, replace(frames, sigma=0.2 * frames.sigma))
-    assert found.solution.noise == pytest.approx(5.0, rel=0.05)
+    assert found.solution.reduced_chi == pytest.approx(5.0, rel=0.05)
     assert surprise(found, true) < 1.9
 
 
@@ -203,13 +205,13 @@ def test_a_board_of_nearly_another_size_is_pointed_out(usual):
 def test_all_but_redundant_directions_are_told_if_the_neck_moves(usual):
     told = unobservable_directions(usual[3].solution)
     assert [one.what.split(" ")[0] for one in told] == ["10"]
-    assert told[0].cure == ""
+    assert told[0].remedy == ""
 
 
 def test_without_the_neck_the_eyes_place_in_it_is_not_told():
     head, _, frames = drawn(neck=False)
     told = unobservable_directions(calibrate_head(head, frames).solution)
-    assert [(one.what, one.cure) for one in told[1:]] == [
+    assert [(one.what, one.remedy) for one in told[1:]] == [
         ("tilt of both eyes in common", "move the neck"),
         ("roll of both eyes in common", "move the neck"),
         ("shift of both eyes to the side", "move the neck"),

@@ -12,8 +12,8 @@ import vergence
 from vergence.calibration.head.advice import advice, coverage_percent
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.collect import CollectOptions, collect
-from vergence.calibration.head.outlook import DEPTHS_M, depth_sigma, preview_calibration
-from vergence.calibration.head.prior import spreads_of
+from vergence.calibration.head.preview import DEPTHS_M, depth_sigma, preview_calibration
+from vergence.calibration.head.prior import prior_sigma_of
 from vergence.calibration.head.recording import read_recording
 from vergence.calibration.head.simulated import record
 from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
@@ -51,22 +51,22 @@ def collected(tmp_path_factory):
     """Twelve poses of a head that is not as its model says."""
     folder = tmp_path_factory.mktemp("collected")
     looker = Counted()
-    judged = []
+    evaluated = []
     options = CollectOptions(poses=12, frames=3)
     found = collect(
-        looker, folder, options, {"plant": "none"}, judged=lambda f: judged.append(f.poses)
+        looker, folder, options, {"plant": "none"}, evaluated=lambda f: evaluated.append(f.poses)
     )
-    return folder, looker, found, judged
+    return folder, looker, found, evaluated
 
 
 def test_a_recording_holds_so_many_poses_and_frames_all_of_which_both_eyes_see(collected):
-    folder, _, found, judged = collected
+    folder, _, found, evaluated = collected
     frames = read_recording(folder, HEAD).frames
     assert len(frames.time_s) == 36
     assert frames.pose.max() == 11
     assert frames.seen.all()
     assert found.unseen == 0
-    assert judged == [10, 12]
+    assert evaluated == [10, 12]
     assert read_log(folder / "0001.mcap").facts["plant"] == "none"
 
 
@@ -89,7 +89,7 @@ def test_joints_stay_within_their_limits(collected):
 
 def test_a_recording_makes_a_calibration(collected):
     found = calibrate_head(HEAD, read_recording(collected[0], HEAD).frames)
-    assert 0.8 < found.solution.noise < 1.2
+    assert 0.8 < found.solution.reduced_chi < 1.2
     assert found.kept.all()
 
 
@@ -182,13 +182,13 @@ def test_it_ends_as_soon_as_depth_would_be_known_well_enough(tmp_path):
     options = CollectOptions(poses=30, frames=2, until=5.0)
     found = collect(Counted(), tmp_path, options, {})
     assert found.poses == 10
-    assert (found.outlook.depth_percent < 5.0).all()
+    assert (found.preview.depth_percent < 5.0).all()
 
 
 def test_the_predicted_deviation_of_depth_is_that_of_heads_drawn_from_the_covariance():
     frames = record(HEAD, HEAD, np.random.default_rng(3), poses=10, frames=3).frames
     rng = np.random.default_rng(4)
-    values, spreads = HEAD.parameters().values, spreads_of(HEAD)
+    values, spreads = HEAD.parameters().values, prior_sigma_of(HEAD)
     covariance = np.diag((0.05 * spreads) ** 2)
     predicted = depth_sigma(HEAD, values, covariance)
     drawn = HEAD.with_parameters(values + 0.05 * spreads * rng.standard_normal((2000, len(values))))

@@ -7,10 +7,10 @@ import pytest
 
 import vergence
 from vergence.calibration.head.adjust import HeadAdjustment, Weights
-from vergence.calibration.head.backlash import with_play
+from vergence.calibration.head.backlash import with_backlash
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.files import head_text
-from vergence.calibration.head.prior import spreads_of
+from vergence.calibration.head.prior import prior_sigma_of
 from vergence.calibration.head.reading_terms import ReadingTerms
 from vergence.calibration.head.simulated import JointReadingErrors, record
 from vergence.calibration.head.terms import AUTO, parse_terms
@@ -24,7 +24,7 @@ from vergence.triangulation import triangulate_views
 STEP = 1e-6
 HEAD = vergence.load_head("physical")
 TRUE = HEAD.perturbed(np.random.default_rng(5), TWIN_ERRORS)
-PLAY = JointReadingErrors(play_rad=np.deg2rad([0.2, 0.1, 0.2, 0.2, 0.3, 0.2, 0.1]))
+PLAY = JointReadingErrors(backlash_rad=np.deg2rad([0.2, 0.1, 0.2, 0.2, 0.3, 0.2, 0.1]))
 WAVES = JointReadingErrors(
     harmonics_rad=np.deg2rad(0.2) * np.random.default_rng(8).standard_normal((7, 4))
 )
@@ -53,9 +53,9 @@ def depth_error(found, true=TRUE, faults=None):
     read = q
     for _ in range(20 if faults is not None else 0):  # until the faults make q of it
         read = q - faults.true(read, read[0])[0] + read
-    rules = found.solution.problem.terms
-    here = replace(rules, readings=read, frames=np.arange(len(read)))
-    mine = read + here.at(np.where(rules.plays, 0.0, found.solution.state.terms))[0]
+    reading_terms = found.solution.problem.terms
+    here = replace(reading_terms, readings=read, frames=np.arange(len(read)))
+    mine = read + here.at(np.where(reading_terms.is_backlash, 0.0, found.solution.state.terms))[0]
     points = triangulate_views(found.head, mine, true.project(q, POINTS)).point
     return np.sqrt(np.mean((points - POINTS)[:, 2] ** 2))
 
@@ -81,16 +81,16 @@ def test_derivatives_by_the_rules_numbers_are_those_of_differences(name):
         head = head.replace(actuators={"encoder_resolution_rad": np.zeros(head.actuation.count)})
     seen = record(head, head, np.random.default_rng(1), poses=6, frames=2)
     terms = ReadingTerms.of_frames(head, seen.frames, ("play", "harmonics"))
-    problem = HeadAdjustment(head, spreads_of(head), seen.frames, terms=terms)
-    assert not problem.joints.own.any()  # so that no errors follow
+    problem = HeadAdjustment(head, prior_sigma_of(head), seen.frames, terms=terms)
+    assert not problem.joints.is_single.any()  # so that no errors follow
     values = np.random.default_rng(2).uniform(0.001, 0.01, len(terms.names))
     start, weights = problem.start(seen.boards), Weights.of(seen.frames.seen)
 
     def normal(values):
         return problem.linearised(start._replace(terms=values), weights)
 
-    p = problem.common - len(values)
-    slope = normal(values).slope[p : problem.common]
+    p = problem.common_count - len(values)
+    slope = normal(values).gradient[p : problem.common_count]
     differences = [
         (normal(values + step).cost - normal(values - step).cost) / (4.0 * STEP)
         for step in STEP * np.eye(len(values))
@@ -99,7 +99,7 @@ def test_derivatives_by_the_rules_numbers_are_those_of_differences(name):
 
 
 @pytest.mark.parametrize(
-    ("term", "true"), [("play", PLAY.play_rad), ("harmonics", WAVES.harmonics_rad.ravel())]
+    ("term", "true"), [("play", PLAY.backlash_rad), ("harmonics", WAVES.harmonics_rad.ravel())]
 )
 def test_a_term_is_what_was_put_in(with_and_without, term, true):
     found = with_and_without[term][0].terms
@@ -127,8 +127,8 @@ def test_a_tilt_axis_is_where_it_is(with_and_without):
 def test_a_term_makes_depth_better_where_its_fault_is(with_and_without, term, true, faults):
     knows, knows_not = (depth_error(each, true, faults) for each in with_and_without[term])
     assert knows < 0.6 * knows_not
-    assert with_and_without[term][0].solution.problem.noisier.max() == 1.0
-    assert with_and_without[term][1].solution.problem.noisier.max() > 1.5
+    assert with_and_without[term][0].solution.problem.scatter_ratio.max() == 1.0
+    assert with_and_without[term][1].solution.problem.scatter_ratio.max() > 1.5
 
 
 @pytest.mark.parametrize("fault", ["play", "axes"])
@@ -178,7 +178,7 @@ def test_play_goes_into_the_file_and_the_rest_is_said(with_and_without):
 def test_play_of_actuators_is_theirs():
     head = vergence.load_head("icub")
     play = np.array([0.0, 0.0, 0.0, 0.001, 0.0, 0.003, 0.0])
-    np.testing.assert_array_equal(with_play(head, play).actuation.backlash, play)
+    np.testing.assert_array_equal(with_backlash(head, play).actuation.backlash, play)
 
 
 def test_terms_are_said_in_a_word():

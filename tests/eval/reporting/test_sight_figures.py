@@ -15,7 +15,7 @@ from vergence.models.boards import AprilTag
 from vergence.perception.locate import LocateResult, Shown
 from vergence.perception.locate_config import LocateConfig
 from vergence.perception.located import locate_target
-from vergence.perception.spotting import Photograph
+from vergence.perception.target_finder import Photograph
 
 HEAD = head_of("pair")
 IMAGE = np.full((240, 320), 90, np.uint8)

@@ -31,7 +31,7 @@ BEND: Final = 3
 """Number of curvatures of the board, see `vergence.calibration.adjustment` (numerical)."""
 _BEND_SIGMA: Final = 0.5
 """Prior standard deviation of a curvature, 1/m (chosen: 0.6 mm at the edge of a 100 mm board)."""
-_NOTHING: Final = 1e-6
+_NO_PRIOR: Final = 1e-6
 """Prior information of unknowns without a prior, 1/rad^2 and 1/m^2 (numerical)."""
 _ROBUST: Final = 3.0
 """Scale of Cauchy's loss, in standard deviations: a larger corner or reading error counts for less
@@ -62,7 +62,7 @@ class Weights(NamedTuple):
     """(2, f, n) weight of each corner by eye."""
     angles: FloatArray
     """(f, 7) weight of each reading error of a single frame."""
-    usual: float = np.inf
+    cauchy_scale: float = np.inf
     """Typical mean square of a corner's residuals, in units of sigma^2, which scales Cauchy's loss;
     inf for least squares."""
 
@@ -80,19 +80,19 @@ class Normal(NamedTuple):
     matrix: FloatArray
     """(s, s) normal matrix of the shared unknowns: head parameters, bend, reading-error terms,
     boards, shared errors."""
-    slope: FloatArray
+    gradient: FloatArray
     """(s,) gradient, half of the cost's."""
-    back: FloatArray
+    own_by_shared: FloatArray
     """(f, 7, s_f) negative derivative of the frames' own errors by the shared unknowns in
     `columns`."""
-    offset: FloatArray
+    own_step: FloatArray
     """(f, 7) negative step of the frames' own errors while the shared unknowns stay."""
     inner: FloatArray
     """(f, 7, 7) normal matrix of each frame's own errors."""
     residuals: FloatArray
     """(2, f, n, 2) residuals divided by sigma; 0 for corners that were not found."""
     by_frame: tuple[FloatArray, FloatArray] | None = None
-    """(f, s_f, s_f) and (f, s_f) each frame's contributions to matrix and slope, with `columns`."""
+    """(f, s_f, s_f) and (f, s_f) each frame's parts of matrix and gradient, with `columns`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,15 +100,15 @@ class HeadAdjustment:
     """The adjustment problem: a nominal head, its prior, and its frames.
 
     Args:
-        about: the nominal head, from its file; rotations are relative to it.
-        spreads: (p,) prior standard deviations of its parameters; 0 for fixed ones.
+        nominal_head: the nominal head, from its file; rotations are relative to it.
+        prior_sigma: (p,) prior standard deviations of its parameters; 0 for fixed ones.
         frames: frames of the board.
     """
 
-    about: HeadModel
-    spreads: FloatArray
+    nominal_head: HeadModel
+    prior_sigma: FloatArray
     frames: HeadFrames
-    noisier: FloatArray | None = None
+    scatter_ratio: FloatArray | None = None
     """(7,) ratio of each actuator's reading scatter to its expectation by quantisation and
     backlash; None for 1."""
     terms: ReadingTerms = NO_TERMS
@@ -117,38 +117,38 @@ class HeadAdjustment:
     @cached_property
     def joints(self) -> JointErrors:
         """Unknown reading errors of the joints."""
-        found = JointErrors.of(self.about, self.frames)
-        if self.noisier is None:
+        found = JointErrors.of(self.nominal_head, self.frames)
+        if self.scatter_ratio is None:
             return found
-        return replace(found, sigma=found.sigma * self.noisier)
+        return replace(found, sigma=found.sigma * self.scatter_ratio)
 
     @cached_property
-    def nominal(self) -> FloatArray:
+    def prior_mean(self) -> FloatArray:
         """(p,) nominal parameters, the mean of the prior."""
-        return self.about.parameters().values
+        return self.nominal_head.parameters().values
 
     @cached_property
     def to_joints(self) -> FloatArray:
         """(7, 7) matrix from actuator angles to joint angles."""
         out = np.eye(7)
-        if not self.about.actuation.direct:
-            out[EYES, EYES] = self.about.actuation.to_joints
+        if not self.nominal_head.actuation.direct:
+            out[EYES, EYES] = self.nominal_head.actuation.to_joints
         return out
 
     @cached_property
-    def boards(self) -> int:
+    def placement_count(self) -> int:
         """Number of placements of the board."""
         return int(self.frames.placement.max()) + 1
 
     @property
-    def size(self) -> int:
+    def shared_count(self) -> int:
         """Number s of shared unknowns."""
-        return self.common + 6 * self.boards + len(self.joints.runs)
+        return self.common_count + 6 * self.placement_count + len(self.joints.shared_actuator)
 
     @property
-    def common(self) -> int:
+    def common_count(self) -> int:
         """Number of leading shared unknowns common to all frames: head, bend, reading terms."""
-        return len(self.nominal) + BEND + len(self.terms.names)
+        return len(self.prior_mean) + BEND + len(self.terms.names)
 
     @cached_property
     def _heights(self) -> FloatArray:
@@ -157,37 +157,40 @@ class HeadAdjustment:
         return np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
 
     @cached_property
-    def precision(self) -> FloatArray:
+    def prior_information(self) -> FloatArray:
         """(s,) prior information of each shared unknown, 1 / sigma^2."""
         flat = len(self.frames.corners) <= 4
         bend = 1e-6 if flat else _BEND_SIGMA
         # placements of the board that no frame shows need a solvable pose too
-        known = np.full(self.size, _NOTHING)
-        sigma = np.maximum(self.spreads, 1e-9)
+        known = np.full(self.shared_count, _NO_PRIOR)
+        sigma = np.maximum(self.prior_sigma, 1e-9)
         known[: len(sigma)] = 1.0 / sigma**2
         known[len(sigma) : len(sigma) + BEND] = 1.0 / bend**2
-        known[len(sigma) + BEND : self.common] = 1.0 / np.maximum(self.terms.sigma, 1e-9) ** 2
-        if len(self.joints.runs):
-            known[-len(self.joints.runs) :] = 1.0 / self.joints.sigma[self.joints.runs] ** 2
+        known[len(sigma) + BEND : self.common_count] = 1.0 / np.maximum(self.terms.sigma, 1e-9) ** 2
+        if len(self.joints.shared_actuator):
+            shared_sigma = self.joints.sigma[self.joints.shared_actuator]
+            known[-len(shared_sigma) :] = 1.0 / shared_sigma**2
         return known
 
     @cached_property
     def columns(self) -> NDArray[np.intp]:
         """(f, s_f) indices of each frame's unknowns among the shared ones; -1 for none."""
-        common, f = self.common, len(self.frames.time_s)
+        common, f = self.common_count, len(self.frames.time_s)
         head = np.broadcast_to(np.arange(common), (f, common))
         board = common + 6 * self.frames.placement[:, None] + np.arange(6)
-        run = self.joints.run
-        run = np.where(run >= 0, common + 6 * self.boards + run, -1)
+        run = self.joints.shared_index
+        run = np.where(run >= 0, common + 6 * self.placement_count + run, -1)
         return np.concatenate([head, board, run], axis=1)
 
     def angles(self, state: HeadUnknowns) -> FloatArray:
         """(f, 7) true joint angles, rad."""
         own = self.joints
-        errors = np.where(own.own, state.errors, 0.0)
-        if len(own.runs):
-            errors = errors + np.where(own.run >= 0, state.shared[own.run], 0.0)
-        return self.about.actuation.joints_of(own.angles + errors + self.terms.at(state.terms)[0])
+        errors = np.where(own.is_single, state.errors, 0.0)
+        if len(own.shared_actuator):
+            errors = errors + np.where(own.shared_index >= 0, state.shared[own.shared_index], 0.0)
+        return self.nominal_head.actuation.joints_of(
+            own.angles + errors + self.terms.at(state.terms)[0]
+        )
 
     def corners(self, state: HeadUnknowns) -> FloatArray:
         """(n, 3) the bent board's corners, metres."""
@@ -205,23 +208,23 @@ class HeadAdjustment:
             weights: weights of corners and angles.
             by_frame: True to return each frame's contributions as well.
         """
-        chain, q = ParametricHead(self.about, state.values), self.angles(state)
+        chain, q = ParametricHead(self.nominal_head, state.values), self.angles(state)
         points, turned = board_points(self.corners(state), state.boards, self.frames.placement)
         f, own = len(q), self.joints
         residuals = np.zeros(self.frames.pixels.shape)
         normals = state.boards.rotation[self.frames.placement][:, :, 2]
         sigma = np.where(own.sigma > 0.0, own.sigma, 1.0)
-        kept = np.where(own.own, state.errors / sigma, 0.0)
-        p, width, head = len(self.nominal), self.columns.shape[1], self.common
-        by_rule = self.terms.at(state.terms)[1][:, None, None]
-        far, cut = _ROBUST**2 * np.array([1.0, 2.0 * weights.usual])
+        kept = np.where(own.is_single, state.errors / sigma, 0.0)
+        p, width, head = len(self.prior_mean), self.columns.shape[1], self.common_count
+        by_term = self.terms.at(state.terms)[1][:, None, None]
+        far, cut = _ROBUST**2 * np.array([1.0, 2.0 * weights.cauchy_scale])
         far = far if np.isfinite(cut) else np.inf
         trust = weights.angles / (1.0 + kept**2 / far)
         cost = float((weights.angles * _loss(kept**2, far)).sum())
         inner = (trust / sigma**2)[..., None] * np.eye(7)
         pull, across = trust * kept / sigma, np.zeros((f, 7, width))
-        blocks, slopes = np.zeros((f, width, width - head)), np.zeros((f, width))
-        matrix, slope = np.zeros((self.size + 1,) * 2), np.zeros(self.size + 1)
+        blocks, frame_gradients = np.zeros((f, width, width - head)), np.zeros((f, width))
+        matrix, gradient = np.zeros((self.shared_count + 1,) * 2), np.zeros(self.shared_count + 1)
         whole = np.zeros((f, width, width) if by_frame else 0)
         for eye in range(2):
             seen = chain.seen(eye, q, points, turned)
@@ -236,11 +239,11 @@ class HeadAdjustment:
             lift = np.einsum("fncj,fj->fnc", seen.by_board[..., 3:], normals)
             by_bend = lift[..., None] * self._heights[None, :, None]
             by_angle = seen.by_joints @ self.to_joints
-            by_run = np.where((own.run >= 0)[:, None, None], by_angle, 0.0)
-            mine = np.where(own.own[:, None, None], by_angle, 0.0)
-            rules = by_angle[..., self.terms.joint] * by_rule
+            by_run = np.where((own.shared_index >= 0)[:, None, None], by_angle, 0.0)
+            mine = np.where(own.is_single[:, None, None], by_angle, 0.0)
+            by_terms = by_angle[..., self.terms.joint] * by_term
             rows = np.concatenate(
-                [seen.by_head, by_bend, rules, seen.by_board, by_run, mine], axis=-1
+                [seen.by_head, by_bend, by_terms, seen.by_board, by_run, mine], axis=-1
             )
             rows *= (root * scale)[..., None]
             if np.isnan(seen.pixels).any():  # corners behind the camera that were not measured
@@ -257,45 +260,45 @@ class HeadAdjustment:
             blocks[:, columns] += product[:, :-7, numbers:-7]
             if by_frame:
                 whole[:, columns[:, None], columns] += product[:, :-7, :-7]
-            slopes[:, columns] += pulls[:, :-7]
+            frame_gradients[:, columns] += pulls[:, :-7]
             inner += product[:, -7:, -7:]
             pull += pulls[:, -7:]
             across[:, :, columns] += product[:, -7:, :-7]
-        back = np.linalg.solve(inner, np.concatenate([across, pull[..., None]], axis=-1))
-        back, offset = back[..., :-1], back[..., -1]
+        own_by_shared = np.linalg.solve(inner, np.concatenate([across, pull[..., None]], axis=-1))
+        own_by_shared, own_step = own_by_shared[..., :-1], own_by_shared[..., -1]
         gone = across.transpose(0, 2, 1)
-        matrix[:head, :head] -= (gone[:, :head] @ back[..., :head]).sum(axis=0)
-        others = blocks - gone @ back[..., head:]
-        parts = (whole - gone @ back, slopes) if by_frame else None
-        slopes -= (gone @ offset[..., None])[..., 0]
+        matrix[:head, :head] -= (gone[:, :head] @ own_by_shared[..., :head]).sum(axis=0)
+        others = blocks - gone @ own_by_shared[..., head:]
+        parts = (whole - gone @ own_by_shared, frame_gradients) if by_frame else None
+        frame_gradients -= (gone @ own_step[..., None])[..., 0]
         rest = self.columns[:, head:]
         rows_of_head = np.arange(head)[None, :, None]
         np.add.at(matrix, (rows_of_head, rest[:, None, :]), others[:, :head])
         np.add.at(matrix, (rest[:, :, None], rest[:, None, :]), others[:, head:])
-        np.add.at(slope, self.columns, slopes)
+        np.add.at(gradient, self.columns, frame_gradients)
         matrix[head:, :head] = matrix[:head, head:].T
-        matrix, slope = matrix[:-1, :-1], slope[:-1]
-        away = self._away(state)
-        matrix[np.diag_indices(self.size)] += self.precision
-        slope = slope + self.precision * away
-        cost += float((self.precision * away**2).sum())
-        return Normal(cost, matrix, slope, back, offset, inner, residuals, parts)
+        matrix, gradient = matrix[:-1, :-1], gradient[:-1]
+        deviation = self._prior_deviation(state)
+        matrix[np.diag_indices(self.shared_count)] += self.prior_information
+        gradient = gradient + self.prior_information * deviation
+        cost += float((self.prior_information * deviation**2).sum())
+        return Normal(cost, matrix, gradient, own_by_shared, own_step, inner, residuals, parts)
 
-    def _away(self, state: HeadUnknowns) -> FloatArray:
+    def _prior_deviation(self, state: HeadUnknowns) -> FloatArray:
         """(s,) deviation of the shared unknowns from the prior's mean."""
-        away = np.zeros(self.size)
-        p = len(self.nominal)
-        away[:p], away[p : p + BEND] = state.values - self.nominal, state.bend
-        away[p + BEND : self.common] = state.terms - self.terms.nominal
-        if len(self.joints.runs):
-            away[-len(self.joints.runs) :] = state.shared
-        return away
+        deviation = np.zeros(self.shared_count)
+        p = len(self.prior_mean)
+        deviation[:p], deviation[p : p + BEND] = state.values - self.prior_mean, state.bend
+        deviation[p + BEND : self.common_count] = state.terms - self.terms.prior_mean
+        if len(self.joints.shared_actuator):
+            deviation[-len(self.joints.shared_actuator) :] = state.shared
+        return deviation
 
     def moved(self, state: HeadUnknowns, now: Normal, step: FloatArray) -> HeadUnknowns:
         """Apply a step of the shared unknowns; the frames' own errors follow."""
-        p, c, b = len(self.nominal), self.common, 6 * self.boards
+        p, c, b = len(self.prior_mean), self.common_count, 6 * self.placement_count
         padded = np.append(step, 0.0)
-        follow = now.offset + np.einsum("fjs,fs->fj", now.back, padded[self.columns])
+        follow = now.own_step + np.einsum("fjs,fs->fj", now.own_by_shared, padded[self.columns])
         terms = state.terms + step[p + BEND : c]
         # the true angles take the linearised step although backlash is not linear
         follow += self.terms.at(terms)[0] - self.terms.tangent(state.terms, terms)
@@ -304,7 +307,7 @@ class HeadAdjustment:
             state.bend + step[p : p + BEND],
             state.boards.moved(step[c : c + b].reshape(-1, 6)),
             state.shared + step[c + b :],
-            np.where(self.joints.own, state.errors - follow, 0.0),
+            np.where(self.joints.is_single, state.errors - follow, 0.0),
             terms,
         )
 
@@ -319,12 +322,12 @@ class HeadAdjustment:
             boards: (b or more) poses of the board in frame 0.
         """
         return HeadUnknowns(
-            self.nominal.copy(),
+            self.prior_mean.copy(),
             np.zeros(BEND),
-            boards.of(np.arange(self.boards)),
-            np.zeros(len(self.joints.runs)),
+            boards.of(np.arange(self.placement_count)),
+            np.zeros(len(self.joints.shared_actuator)),
             np.zeros(self.joints.angles.shape),
-            self.terms.nominal.copy(),
+            self.terms.prior_mean.copy(),
         )
 
 

@@ -55,9 +55,9 @@ def advice(head: HeadModel, found: Collected, frames: HeadFrames) -> list[str]:
             "the board stood in one place: put it at another distance, and run this again with "
             "--moved"
         )
-    if found.outlook is not None:
+    if found.preview is not None:
         eyes = (head.base_pose(head.rest()) @ head.camera_poses(head.rest()))[:, :3, 3].mean(axis=0)
-        away = np.linalg.norm(found.outlook.boards.translation - eyes, axis=-1)
+        away = np.linalg.norm(found.preview.boards.translation - eyes, axis=-1)
         if away.max() < _FAR_M:
             lines.append(
                 f"the board was never farther than {away.max():.2g} m: one beyond {_FAR_M:g} m "

@@ -9,20 +9,20 @@ from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
 
 
-def without_play(head: HeadModel) -> HeadModel:
+def without_backlash(head: HeadModel) -> HeadModel:
     """Remove the backlash: readings have only quantisation errors."""
-    return with_play(head, np.zeros(7))
+    return with_backlash(head, np.zeros(7))
 
 
-def with_play(head: HeadModel, play_rad: FloatArray) -> HeadModel:
+def with_backlash(head: HeadModel, backlash_rad: FloatArray) -> HeadModel:
     """Set the backlash between the motors, whose angles are read, and the joints.
 
     Args:
         head: any head.
-        play_rad: (7,) whole width of the backlash by actuator. A head model cannot hold the neck's.
-            If each joint of the eyes has its own motor, the largest width applies to all.
+        backlash_rad: (7,) whole width of the backlash by actuator. A head model cannot hold the
+            neck's. If each joint of the eyes has its own motor, the largest width applies to all.
     """
-    eyes = play_rad[EYES][: head.actuation.count]
+    eyes = backlash_rad[EYES][: head.actuation.count]
     one = head.actuators is None
     sensor: dict[str, float | str] = {"backlash_rad": float(eyes.max(initial=0.0)) if one else 0.0}
     if eyes.any():

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import rms
 from vergence.calibration.head.adjust import HeadAdjustment
-from vergence.calibration.head.backlash import with_play
+from vergence.calibration.head.backlash import with_backlash
 from vergence.calibration.head.checks import (
     few_views,
     refuse_exchanged,
@@ -19,22 +19,22 @@ from vergence.calibration.head.checks import (
     refuse_still,
     say_size,
 )
-from vergence.calibration.head.fit import fitted
+from vergence.calibration.head.fit import fit_robustly
 from vergence.calibration.head.found_terms import (
     Term,
-    found_play,
     found_terms,
     harmonics_remark,
+    significant_backlash,
     term_remarks,
 )
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.held_out import held_out
-from vergence.calibration.head.moved import another_place, step_between
-from vergence.calibration.head.prior import spreads_of
+from vergence.calibration.head.moved import find_new_placement, find_small_motion
+from vergence.calibration.head.prior import prior_sigma_of
 from vergence.calibration.head.reading_terms import ReadingTerms
 from vergence.calibration.head.solution import HeadSolution
-from vergence.calibration.head.start import LEAST_CORNERS, started
-from vergence.calibration.head.terms import AUTO, choose_terms, described
+from vergence.calibration.head.start import LEAST_CORNERS, estimate_start
+from vergence.calibration.head.terms import AUTO, choose_terms, convert_for_terms
 from vergence.calibration.head.uncertainty import head_covariance
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -73,16 +73,16 @@ class HeadCalibration:
         return (*self.notes, *said)
 
     @property
-    def about(self) -> HeadModel:
+    def nominal_head(self) -> HeadModel:
         """The nominal head, from its file."""
-        return self.solution.problem.about
+        return self.solution.problem.nominal_head
 
     @cached_property
     def head(self) -> HeadModel:
         """The calibrated head."""
-        if not self.solution.problem.terms.plays.any():
+        if not self.solution.problem.terms.is_backlash.any():
             return self.solution.head
-        return with_play(self.solution.head, found_play(self.solution, self.terms))
+        return with_backlash(self.solution.head, significant_backlash(self.solution, self.terms))
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
@@ -115,7 +115,7 @@ class HeadCalibration:
     @property
     def covariance(self) -> FloatArray:
         """(p, p) covariance of `HeadModel.parameters`."""
-        p = len(self.solution.problem.nominal)
+        p = len(self.solution.problem.prior_mean)
         return self._covariance[:p, :p]
 
     @cached_property
@@ -152,27 +152,27 @@ def calibrate_head(
     refuse_still(head)
     frames = tidy(frames)
     refuse_few(frames)
-    file, head = head, described(head, terms)
+    file, head = head, convert_for_terms(head, terms)
     remarks: list[str] = []
     try:
-        start = started(head, frames)
+        start = estimate_start(head, frames)
         refuse_exchanged(head, frames, start)
         report(0.1)
-        problem = HeadAdjustment(head, spreads_of(head, cameras), start.frames)
-        rules = ReadingTerms.of_frames(head, start.frames, terms)
-        problem = replace(problem, terms=rules)
-        fit = fitted(problem, start.boards, start.agree)
+        problem = HeadAdjustment(head, prior_sigma_of(head, cameras), start.frames)
+        reading_terms = ReadingTerms.of_frames(head, start.frames, terms)
+        problem = replace(problem, terms=reading_terms)
+        fit = fit_robustly(problem, start.boards, start.inlier_views)
         for place in range(1, _MOST_PLACES):
             report(0.1 + 0.6 * place / (place + 1.0))
-            more = another_place(fit.solution, fit.kept)
+            more = find_new_placement(fit.solution, fit.kept)
             near = None if more is None else fit.solution.state
             if more is None:
-                more = step_between(fit.solution)
+                more = find_small_motion(fit.solution)
             if more is None:
                 break
             remarks.append(more.remark)
             problem = replace(problem, frames=more.frames)
-            fit = fitted(problem, more.boards, more.agree, near)
+            fit = fit_robustly(problem, more.boards, more.inlier_views, near)
         refuse_implausible(fit.solution, fit.kept)
         report(0.7)
         if tuple(terms) == (AUTO,):
@@ -214,19 +214,22 @@ def tidy(frames: HeadFrames) -> HeadFrames:
 
 def _noisy(solution: HeadSolution) -> list[str]:
     """Report joints whose readings scatter more than quantisation and backlash explain."""
-    noisier, sigma = solution.problem.noisier, solution.problem.joints.sigma
-    if noisier is None:
+    scatter_ratio, sigma = solution.problem.scatter_ratio, solution.problem.joints.sigma
+    if scatter_ratio is None:
         return []
-    names = [*solution.problem.about.joints[:3], *solution.problem.about.actuation.names]
-    wide = [joint for joint in range(len(names)) if noisier[joint] > 1.0]
+    names = [
+        *solution.problem.nominal_head.joints[:3],
+        *solution.problem.nominal_head.actuation.names,
+    ]
+    wide = [joint for joint in range(len(names)) if scatter_ratio[joint] > 1.0]
     if not wide:
         return []
-    worst = max(wide, key=lambda joint: noisier[joint])
+    worst = max(wide, key=lambda joint: scatter_ratio[joint])
     return [
         f"the readings of {', '.join(names[joint] for joint in wide)} scatter more than their "
         f"steps and play explain, those of {names[worst]} by {np.rad2deg(sigma[worst]):.2g} "
-        f"degrees, {noisier[worst]:.1f} times as much: is there more play, did the joints rest, "
-        "and do the angles belong to the images?"
+        f"degrees, {scatter_ratio[worst]:.1f} times as much: is there more play, did the joints "
+        "rest, and do the angles belong to the images?"
     ]
 
 

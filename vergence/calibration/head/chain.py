@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import Poses, cross_matrices
-from vergence.calibration.projection import camera_values, project
+from vergence.calibration.projection import camera_parameter_names, project
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.links import inverse_pose, pose_twists
@@ -48,17 +48,17 @@ class ParametricHead:
     """Kinematic chains of a head with given parameters.
 
     Args:
-        about: the head to which rotations are relative.
+        nominal_head: the head to which rotations are relative.
         values: (p,) see `HeadModel.parameters`.
     """
 
-    about: HeadModel
+    nominal_head: HeadModel
     values: FloatArray
 
     @cached_property
     def head(self) -> HeadModel:
         """The head with these parameters."""
-        return self.about.with_parameters(self.values)
+        return self.nominal_head.with_parameters(self.values)
 
     @cached_property
     def constants(self) -> FloatArray:
@@ -71,10 +71,10 @@ class ParametricHead:
     @cached_property
     def twists(self) -> FloatArray:
         """(p, 6, 6) per parameter, body twists of M_0 to M_2 of the left, then the right eye."""
-        links, about, head = self.head.links, self.about, self.head
+        links, nominal_head, head = self.head.links, self.nominal_head, self.head
         names = head.parameters().names
         out = np.zeros((len(names), 6, 6))
-        own = links.twists(about.links)
+        own = links.twists(nominal_head.links)
         out[: len(own)] = own
         for eye, name in enumerate(EYE_NAMES):
             last = 3 * eye + 2
@@ -82,13 +82,13 @@ class ParametricHead:
             out[:, last] = out[:, last] @ into.T
             first = names.index(f"{name}.head_eye.rx")
             rotation = self.values[first : first + 3]
-            out[first : first + 6, last] = pose_twists(about.head_eye[eye], rotation)
+            out[first : first + 6, last] = pose_twists(nominal_head.head_eye[eye], rotation)
         return out
 
     @cached_property
     def columns(self) -> tuple[IntArray, IntArray]:
         """(p_eye,) by eye: indices of the parameters that it depends on, its camera's last."""
-        names = self.about.parameters().names
+        names = self.nominal_head.parameters().names
         found = []
         for eye, name in enumerate(EYE_NAMES):
             moved = self.twists[:, 3 * eye : 3 * eye + 3].any(axis=(1, 2))
@@ -97,7 +97,7 @@ class ParametricHead:
         return found[0], found[1]
 
     def _camera(self, eye: int) -> tuple[str, ...]:
-        return camera_values(self.about.cameras.lens[eye])
+        return camera_parameter_names(self.nominal_head.cameras.lens[eye])
 
     def seen(self, eye: int, q: FloatArray, points: FloatArray, turned: FloatArray) -> Seen:
         """Project points in frame 0, with Jacobians.

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.solution import HeadSolution
-from vergence.calibration.head.start import LEAST_CORNERS, Start, started
+from vergence.calibration.head.start import LEAST_CORNERS, Start, estimate_start
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
@@ -17,7 +17,7 @@ _LEAST_POSES: Final = 6
 _CLEARLY: Final = 0.5
 """Ratio of the spread of the board's position with exchanged eyes to the spread as recorded, below
 which the eyes are exchanged (chosen)."""
-_LEAST_SHARE: Final = 0.5
+_LEAST_LEVERAGE_COMPLEMENT: Final = 0.5
 """Fraction of inlier views up to which a recording is refused (chosen)."""
 _ANOTHER_SIZE: Final = 1.2
 """Ratio of the eyes' distance to the file's, either way, from which on a head is refused (chosen:
@@ -61,7 +61,7 @@ def refuse_exchanged(head: HeadModel, frames: HeadFrames, start: Start) -> None:
         target=some.target, time_s=some.time_s, positions=some.positions,
         pixels=some.pixels[::-1], sigma=some.sigma[::-1], placement=some.placement,
     )  # fmt: skip
-    if started(head, exchanged).spread_m < _CLEARLY * start.spread_m:
+    if estimate_start(head, exchanged).spread_m < _CLEARLY * start.spread_m:
         raise ConfigurationError(
             "expected the left eye's images as the left ones, got images that go with each other "
             "if left and right are exchanged"
@@ -73,7 +73,7 @@ def refuse_implausible(solution: HeadSolution, kept: NDArray[np.bool_]) -> None:
     frames = solution.problem.frames
     views = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).sum()
     share = kept.any(axis=-1).sum() / views
-    if share <= _LEAST_SHARE:
+    if share <= _LEAST_LEVERAGE_COMPLEMENT:
         raise ConfigurationError(
             f"expected views that go together, got {views} of which {100.0 * share:.0f} % do: do "
             "the joint angles belong to the images, and did the board stand still?"
@@ -87,24 +87,24 @@ def refuse_implausible(solution: HeadSolution, kept: NDArray[np.bool_]) -> None:
             f"{solution.problem.frames.target}?"
         )
     problem = solution.problem
-    away = (solution.state.values - problem.nominal) / np.where(
-        problem.spreads > 0.0, problem.spreads, np.inf
+    away = (solution.state.values - problem.prior_mean) / np.where(
+        problem.prior_sigma > 0.0, problem.prior_sigma, np.inf
     )
     worst = int(np.abs(away).argmax())
     if abs(away[worst]) > _SURPRISING:
-        names, units, _ = problem.about.parameters()
-        step = solution.state.values[worst] - problem.nominal[worst]
+        names, units, _ = problem.nominal_head.parameters()
+        step = solution.state.values[worst] - problem.prior_mean[worst]
         raise ConfigurationError(
             f"expected a head that is like its file, got one whose {names[worst]} is "
-            f"{_said(step, units[worst])} off, where {_said(problem.spreads[worst], units[worst])} "
-            "are usual: is the board of the stated size, and do the angles' signs and zeros go "
-            "with the file?"
+            f"{_said(step, units[worst])} off, where "
+            f"{_said(problem.prior_sigma[worst], units[worst])} are usual: is the board of the "
+            "stated size, and do the angles' signs and zeros go with the file?"
         )
 
 
 def baselines_m(solution: HeadSolution) -> tuple[float, float]:
     """Distances between the cameras at rest, m: nominal, and as calibrated."""
-    heads = (solution.problem.about, solution.head)
+    heads = (solution.problem.nominal_head, solution.head)
     places = [head.camera_poses(head.rest())[:, :3, 3] for head in heads]
     was, now = (float(np.linalg.norm(right - left)) for left, right in places)
     return was, now

@@ -18,8 +18,8 @@ from vergence.calibration.head.logged import (
     logs_in,
     read_logs,
 )
-from vergence.calibration.head.outlook import Preview, preview_calibration
 from vergence.calibration.head.plan import BoardScene, Plan, scene_of
+from vergence.calibration.head.preview import Preview, preview_calibration
 from vergence.calibration.head.recording import in_order
 from vergence.calibration.head.search import find_board, sees
 from vergence.errors import ConfigurationError
@@ -34,13 +34,13 @@ from vergence.recording.writer import LogWriter
 _DITHER_RAD: Final = np.deg2rad(0.3).item()
 """Largest dither of an actuator about a pose, rad (chosen: several quantisation steps of a 12-bit
 encoder, which makes their errors independent, and small enough to keep the board in view)."""
-_JUDGED: Final = 10
+_EVALUATED_POSES: Final = 10
 """Poses after which the recording is evaluated again (chosen: a fit takes time)."""
 _MOST_LOST: Final = 12
 """Consecutive poses without the board after which the collection ends with an error (chosen)."""
 _GIVEN_UP: Final = 2
 """Looks of a pose without the board after which the next pose is tried (chosen)."""
-_MOVED: Final = 0.01
+_MOVED_WIDTHS: Final = 0.01
 """Displacement of the board in the image, in image widths, above which the board has been moved
 (chosen: a fit to ten poses predicts it to a pixel or two)."""
 
@@ -79,18 +79,18 @@ class Collected:
     placement: int
     """Number of the board's present placement."""
     sights: list[BoardView] = field(default_factory=list)
-    places: list[int] = field(default_factory=list)
+    placements: list[int] = field(default_factory=list)
     """Number of the board's placement for each sight."""
     poses: int = 0
     """Poses of the present placement, including those of earlier runs."""
     unseen: int = 0
     """Looks of this run in which neither eye saw the board."""
-    outlook: Preview | None = None
+    preview: Preview | None = None
     """Preliminary calibration from the recording; None while there is none."""
 
     def frames(self) -> HeadFrames:
         """All frames in the order of time."""
-        return in_order(Gathered(self.target, self.sights, self.places, ()).frames())
+        return in_order(Gathered(self.target, self.sights, self.placements, ()).frames())
 
 
 def collect(
@@ -100,7 +100,7 @@ def collect(
     facts: Mapping[str, str],
     *,
     progress: Callable[[float], None] = lambda fraction: None,
-    judged: Callable[[Collected], None] = lambda found: None,
+    evaluated: Callable[[Collected], None] = lambda found: None,
 ) -> Collected:
     """Make a recording, or continue one.
 
@@ -110,7 +110,7 @@ def collect(
         options: options of the collection.
         facts: further facts to store in the log.
         progress: called with the fraction of the poses done.
-        judged: called after each evaluation of the recording.
+        evaluated: called after each evaluation of the recording.
 
     Raises:
         VergenceError: there is no board, it has been moved, or the head fails; earlier frames are
@@ -128,7 +128,7 @@ def collect(
     with locked(folder):
         found, number = _earlier(looker, folder, options.moved, facts.get(LOOKS, ""))
         if found.poses < options.poses and not _enough(found, options):
-            _Run(looker, options, found, number).go(facts, progress, judged)
+            _Run(looker, options, found, number).go(facts, progress, evaluated)
     return found
 
 
@@ -146,22 +146,22 @@ def _earlier(looker: Looker, folder: Path, moved: bool, looks: str) -> tuple[Col
                 f"{folder}: expected the head that it holds frames of ({before.looks.strip()}), "
                 f"got another ({looks.strip()}): other --plant, --errors or --seed"
             )
-        found.sights, found.places = list(before.sights), list(before.placement)
-        found.placement = max(found.places, default=0) + (moved and bool(found.places))
+        found.sights, found.placements = list(before.sights), list(before.placement)
+        found.placement = max(found.placements, default=0) + (moved and bool(found.placements))
         frames = in_order(before.frames())
         here = np.unique(before.placement).tolist()
         if found.placement in here:
             own = frames.placement == here.index(found.placement)
             found.poses = len(np.unique(frames.pose[own]))
-        if len(np.unique(frames.pose)) >= _JUDGED:
-            found.outlook = preview_calibration(looker.head, frames)
+        if len(np.unique(frames.pose)) >= _EVALUATED_POSES:
+            found.preview = preview_calibration(looker.head, frames)
     return found, number
 
 
 def _enough(found: Collected, options: CollectOptions) -> bool:
-    if options.until is None or found.outlook is None or found.poses < _JUDGED:
+    if options.until is None or found.preview is None or found.poses < _EVALUATED_POSES:
         return False
-    return bool(found.outlook.depth_percent.max() <= options.until)
+    return bool(found.preview.depth_percent.max() <= options.until)
 
 
 class _Run:
@@ -174,7 +174,7 @@ class _Run:
         self._rng = np.random.default_rng([options.seed, number])
         used = [
             sight.positions
-            for sight, place in zip(found.sights, found.places, strict=True)
+            for sight, place in zip(found.sights, found.placements, strict=True)
             if place == found.placement
         ]
         self._plan = Plan(self._rng, _DITHER_RAD, np.array(used).reshape(-1, 7))
@@ -189,7 +189,7 @@ class _Run:
         self,
         facts: Mapping[str, str],
         progress: Callable[[float], None],
-        judged: Callable[[Collected], None],
+        evaluated: Callable[[Collected], None],
     ) -> None:
         """Record poses until there are enough, see `collect`."""
         looker, options, found = self._looker, self._options, self._found
@@ -202,9 +202,9 @@ class _Run:
             while found.poses < options.poses and not _enough(found, options):
                 if self._pose(log):
                     lost, found.poses = 0, found.poses + 1
-                    if found.poses % _JUDGED == 0 or found.poses == options.poses:
-                        self._judge()
-                        judged(found)
+                    if found.poses % _EVALUATED_POSES == 0 or found.poses == options.poses:
+                        self._evaluate()
+                        evaluated(found)
                     progress(found.poses / options.poses)
                 else:
                     lost += 1
@@ -232,7 +232,7 @@ class _Run:
             if number + 1 == _GIVEN_UP and not kept:
                 break
         self._found.sights += [one._replace(time_s=one.time_s + self._later_s) for one in kept]
-        self._found.places += [self._found.placement] * len(kept)
+        self._found.placements += [self._found.placement] * len(kept)
         self._last = self._first  # the last detection may have been a wrong one
         if kept:
             self._last = Gathered(self._looker.target, kept, [0] * len(kept), ()).frames()
@@ -240,37 +240,37 @@ class _Run:
 
     def _scene(self) -> BoardScene:
         """Estimate the board's position by the fit to all frames, or else from the last frames."""
-        fitted = self._fitted()
-        return scene_of(self._looker.head, self._last) if fitted is None else fitted
+        fitted_board = self._fitted_board()
+        return scene_of(self._looker.head, self._last) if fitted_board is None else fitted_board
 
-    def _fitted(self) -> BoardScene | None:
+    def _fitted_board(self) -> BoardScene | None:
         """Get the board's position by the fit to all frames; None if this placement has none."""
         found = self._found
-        here = np.unique(found.places).tolist()
-        if found.outlook is None or found.placement not in here:
+        here = np.unique(found.placements).tolist()
+        if found.preview is None or found.placement not in here:
             return None
         place = here.index(found.placement)
-        if place >= len(found.outlook.boards.translation):
+        if place >= len(found.preview.boards.translation):
             return None
-        boards = found.outlook.boards
+        boards = found.preview.boards
         corners = self._last.corners @ boards.rotation[place].T + boards.translation[place]
-        return BoardScene(found.outlook.head, np.stack([corners, corners]), True)
+        return BoardScene(found.preview.head, np.stack([corners, corners]), True)
 
-    def _judge(self) -> None:
+    def _evaluate(self) -> None:
         found = self._found
-        known = preview_calibration(self._looker.head, found.frames(), found.outlook)
-        found.outlook = known if known is not None else found.outlook
+        known = preview_calibration(self._looker.head, found.frames(), found.preview)
+        found.preview = known if known is not None else found.preview
 
     def _refuse_moved(self, frame: HeadFrames) -> None:
         """Refuse a board that is not where earlier frames of its placement show it."""
-        fitted, looker = self._fitted(), self._looker
-        if fitted is None:
+        fitted_board, looker = self._fitted_board(), self._looker
+        if fitted_board is None:
             return
-        expected, looks = fitted.pixels(frame.positions[0]), frame.pixels[:, 0]
+        expected, looks = fitted_board.pixels(frame.positions[0]), frame.pixels[:, 0]
         # a rotationally symmetric board may be detected in any of its corner orders
         orders = orders_alike(looker.target)
         away = min(float(np.nanmax(np.abs(looks[:, order] - expected))) for order in orders)
-        if away > _MOVED * looker.head.cameras.size.max():
+        if away > _MOVED_WIDTHS * looker.head.cameras.size.max():
             raise ConfigurationError(
                 f"expected {looker.target} where the frames in {self._found.folder} have it, "
                 f"found it {away:.0f} px beside: has it been moved (--moved)?"

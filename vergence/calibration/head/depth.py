@@ -82,11 +82,13 @@ def depth_errors(found: HeadCalibration, from_eyes: FloatArray) -> DepthErrors:
     q, sees = look_at(head, points)
     pixels = head.project(q, points)
     fix = triangulate_views(head, q, pixels)
-    off = triangulate_views(found.about, q, pixels).point - points
-    free = found.solution.problem.spreads > 0.0
-    steps = _STEP * np.diag(found.solution.problem.spreads)[free]
+    off = triangulate_views(found.nominal_head, q, pixels).point - points
+    free = found.solution.problem.prior_sigma > 0.0
+    steps = _STEP * np.diag(found.solution.problem.prior_sigma)[free]
     values = found.solution.state.values + np.stack([steps, -steps])
-    moved = triangulate_views(found.about.with_parameters(values[:, :, None]), q, pixels).point
+    moved = triangulate_views(
+        found.nominal_head.with_parameters(values[:, :, None]), q, pixels
+    ).point
     depth = np.einsum("snpi,pi->snp", moved, along)
     by_number = (depth[0] - depth[1]) / (2.0 * steps.sum(axis=1))[:, None]
     spread = np.einsum("np,nm,mp->p", by_number, found.covariance[np.ix_(free, free)], by_number)

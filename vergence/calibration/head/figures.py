@@ -13,8 +13,8 @@ from vergence.calibration.head.calibrate_head import HeadCalibration
 from vergence.calibration.image_figures import (
     EYE_STYLES,
     corners_seen,
+    every_nth,
     residual_arrows,
-    some,
 )
 from vergence.eval.reporting.style import (
     BLACK,
@@ -37,7 +37,7 @@ _STRONG: Final = 0.9
 """Absolute correlation from which on two parameters are hardly separable (chosen)."""
 _MOST_NAMES: Final = 24
 """Most parameters in a correlation matrix (chosen: more are unreadable)."""
-_TOLD: Final = 0.5
+_MOST_VARIANCE_RATIO: Final = 0.5
 """Ratio of posterior to prior variance of a reading error below which images determine it
 (chosen)."""
 _BINS: Final = (6, 30)
@@ -55,7 +55,7 @@ def residuals_over_time(found: HeadCalibration) -> Figure:
         figure = new_figure(_WIDE, 4.6)
         for eye, panel in enumerate(figure.subplots(2, 1, sharex=True)):
             kept = np.flatnonzero(found.views[eye])
-            kept = kept[some(len(kept))]
+            kept = kept[every_nth(len(kept))]
             out = ~np.isnan(rms[eye]) & ~found.views[eye]
             styles: tuple[tuple[NDArray[np.intp], FloatArray, str, dict[str, Any]], ...] = (
                 (kept, held_out, "by heads that did not know it",
@@ -135,20 +135,20 @@ def residual_field(found: HeadCalibration, eye: int) -> Figure:
 
 
 def _size(found: HeadCalibration, eye: int) -> tuple[int, int]:
-    width, height = found.about.cameras.size[eye].tolist()
+    width, height = found.nominal_head.cameras.size[eye].tolist()
     return int(width), int(height)
 
 
 def actuator_names(found: HeadCalibration) -> list[str]:
     """List the names of the neck's joints and the eyes' actuators; empty for missing ones."""
-    about = found.about
-    names = [*about.joints[NECK], *about.actuation.names]
+    nominal_head = found.nominal_head
+    names = [*nominal_head.joints[NECK], *nominal_head.actuation.names]
     return names + [""] * (7 - len(names))
 
 
 def joint_angles(found: HeadCalibration) -> Figure:
     """Plot the angles of all actuators between their limits, and both eyes' joint angles."""
-    about, own = found.about, found.about.actuation
+    nominal_head, own = found.nominal_head, found.nominal_head.actuation
     used = np.flatnonzero(found.views.any(axis=0))
     _, first = np.unique(found.frames.pose[used], return_index=True)
     q = found.frames.positions[used[first]]
@@ -176,15 +176,15 @@ def joint_angles(found: HeadCalibration) -> Figure:
         strips.autoscale_view()
         joints = np.degrees(q[:, 3:])
         for eye, name in enumerate(EYE_NAMES):
-            down, right = _tilt_and_pan(about.joints[3 + 2 * eye : 5 + 2 * eye])
+            down, right = _tilt_and_pan(nominal_head.joints[3 + 2 * eye : 5 + 2 * eye])
             eyes.plot(
                 joints[:, 2 * eye + right], joints[:, 2 * eye + down], linestyle="none", ms=5,
                 mew=0, alpha=0.8, label=name, **EYE_STYLES[eye],
             )  # fmt: skip
-        down, right = _tilt_and_pan(about.joints[3:5])
+        down, right = _tilt_and_pan(nominal_head.joints[3:5])
         eyes.set(
-            xlabel=f"{_common(about.joints[3 + right], about.joints[5 + right])} (°)",
-            ylabel=f"{_common(about.joints[3 + down], about.joints[5 + down])} (°)",
+            xlabel=f"{_common(nominal_head.joints[3 + right], nominal_head.joints[5 + right])} (°)",
+            ylabel=f"{_common(nominal_head.joints[3 + down], nominal_head.joints[5 + down])} (°)",
             title="both eyes' joints",
         )  # fmt: skip
         eyes.set_aspect("equal", adjustable="datalim")
@@ -207,7 +207,7 @@ def strong_correlations(found: HeadCalibration) -> NDArray[np.intp]:
     Args:
         found: the calibration.
     """
-    free = np.flatnonzero(found.solution.problem.spreads > 0.0)
+    free = np.flatnonzero(found.solution.problem.prior_sigma > 0.0)
     size = np.abs(_correlation(found)[np.ix_(free, free)])
     np.fill_diagonal(size, 0.0)
     best = size.max(axis=1, initial=0.0)
@@ -227,7 +227,7 @@ def correlations(found: HeadCalibration) -> Figure:
         found: a calibration with such parameters, see `strong_correlations`.
     """
     chosen = strong_correlations(found)
-    names = [found.about.parameters().names[k] for k in chosen]
+    names = [found.nominal_head.parameters().names[k] for k in chosen]
     values = _correlation(found)[np.ix_(chosen, chosen)]
     count = len(chosen)
     with styled():
@@ -254,10 +254,11 @@ def read_errors(found: HeadCalibration) -> dict[str, FloatArray]:
     Args:
         found: the calibration.
     """
-    own, told = found.solution.problem.joints.own, found.solution.angle_left < _TOLD
+    own = found.solution.problem.joints.is_single
+    determined = found.solution.reading_variance_ratio < _MOST_VARIANCE_RATIO
     errors = {}
     for k, name in enumerate(actuator_names(found)):
-        single = own[:, k] & told[:, k] & found.views.any(axis=0)
+        single = own[:, k] & determined[:, k] & found.views.any(axis=0)
         if single.any():
             errors[name] = found.solution.state.errors[single, k]
     return errors
@@ -278,7 +279,7 @@ def misreadings(found: HeadCalibration) -> Figure:
         for panel in panels[len(errors) :]:
             panel.set_axis_off()
         for panel, (name, values) in zip(panels, errors.items(), strict=False):
-            step = np.degrees(found.about.actuation.angle_step[names.index(name)])
+            step = np.degrees(found.nominal_head.actuation.angle_step[names.index(name)])
             values = np.degrees(values)
             reach = 1.05 * max(float(np.abs(values).max()), 0.75 * step)
             bins = int(np.clip(1.5 * np.sqrt(len(values)), *_BINS))

@@ -26,16 +26,18 @@ def calibrated_head(found: HeadCalibration, sha256: str, name: str) -> HeadModel
         HeadFileError: the name is not valid.
     """
     check_name(name)
-    names, spreads = found.about.parameters().names, found.solution.problem.spreads
+    names, prior_sigma = found.nominal_head.parameters().names, found.solution.problem.prior_sigma
     sigma = {
         each: deviation
         for each, deviation, spread in zip(
-            names, found.sigma.tolist(), spreads.tolist(), strict=True
+            names, found.sigma.tolist(), prior_sigma.tolist(), strict=True
         )
         if spread > 0.0
     }
     assumptions = {
-        key: why for key, why in found.about.assumptions.items() if not key.startswith(_MEASURED)
+        key: why
+        for key, why in found.nominal_head.assumptions.items()
+        if not key.startswith(_MEASURED)
     }
     record = CalibrationRecord(
         target=str(found.frames.target),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import Poses
 from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, Weights
-from vergence.calibration.head.solution import FIRST_USUAL, HeadSolution, solved
+from vergence.calibration.head.solution import FIRST_CAUCHY_SCALE, HeadSolution, solve
 from vergence.calibration.head.start import LEAST_CORNERS
 from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
@@ -19,7 +19,7 @@ _HALF: Final = 0.5
 """Fraction of a view's corners that have to be inliers for the view to be kept (chosen)."""
 _FITS: Final = 6
 """Largest number of rounds of selecting corners and fitting (numerical)."""
-_NOISIER: Final = 1.3
+_LEAST_SCATTER_RATIO: Final = 1.3
 """Ratio of the readings' scatter to its expectation by quantisation and backlash above which their
 standard deviation is enlarged (chosen)."""
 _SAME_SCATTER: Final = 0.05
@@ -35,10 +35,10 @@ class HeadFit:
     """(2, f, n) True for kept corners, the inliers."""
 
 
-def fitted(
+def fit_robustly(
     problem: HeadAdjustment,
     boards: Poses,
-    agree: NDArray[np.bool_],
+    inlier_views: NDArray[np.bool_],
     near: HeadUnknowns | None = None,
 ) -> HeadFit:
     """Fit a head robustly, first to the views that agree on the board's pose.
@@ -46,7 +46,7 @@ def fitted(
     Args:
         problem: the adjustment problem.
         boards: (b) initial poses of the board in frame 0.
-        agree: (2, f) True for views that agree on these.
+        inlier_views: (2, f) True for views that agree on these.
         near: initial parameters and bend; None for the nominal head.
 
     Raises:
@@ -56,15 +56,15 @@ def fitted(
     begin = problem.start(boards)
     if near is not None:
         begin = begin._replace(values=near.values, bend=near.bend)
-    first = Weights.of(enough & agree[..., None])
-    solution = solved(problem, begin, first, usual=FIRST_USUAL)
-    if not agree[enough.any(axis=-1)].all():  # views that disagreed by the nominal head
-        usual = solution.weights.usual
-        solution = solved(problem, solution.state, Weights.of(enough), usual=usual)
-    return settled(solution)
+    first = Weights.of(enough & inlier_views[..., None])
+    solution = solve(problem, begin, first, cauchy_scale=FIRST_CAUCHY_SCALE)
+    if not inlier_views[enough.any(axis=-1)].all():  # views that disagreed by the nominal head
+        cauchy_scale = solution.weights.cauchy_scale
+        solution = solve(problem, solution.state, Weights.of(enough), cauchy_scale=cauchy_scale)
+    return refine_inliers(solution)
 
 
-def settled(solution: HeadSolution) -> HeadFit:
+def refine_inliers(solution: HeadSolution) -> HeadFit:
     """Refine a head on its inliers, with readings weighted by their scatter.
 
     Args:
@@ -75,29 +75,32 @@ def settled(solution: HeadSolution) -> HeadFit:
     """
     problem = solution.problem
     enough = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
-    kept, noisier = np.zeros_like(enough), np.ones(7)
+    kept, scatter_ratio = np.zeros_like(enough), np.ones(7)
     for _ in range(_FITS):
-        before = kept, noisier
-        noisier = scatter_of(solution)
-        kept = _going_together(solution, enough, noisier)
-        if np.array_equal(kept, before[0]) and np.allclose(noisier, before[1], rtol=_SAME_SCATTER):
+        before = kept, scatter_ratio
+        scatter_ratio = scatter_of(solution)
+        kept = _inliers(solution, enough, scatter_ratio)
+        if np.array_equal(kept, before[0]) and np.allclose(
+            scatter_ratio, before[1], rtol=_SAME_SCATTER
+        ):
             break
         if not kept.any():
             raise np.linalg.LinAlgError("expected views that go together, got none")
-        problem = replace(problem, noisier=noisier)
-        solution = solved(problem, solution.state, Weights.of(kept))
+        problem = replace(problem, scatter_ratio=scatter_ratio)
+        solution = solve(problem, solution.state, Weights.of(kept))
     return HeadFit(solution, kept)
 
 
-def _going_together(
-    solution: HeadSolution, enough: NDArray[np.bool_], noisier: FloatArray
+def _inliers(
+    solution: HeadSolution, enough: NDArray[np.bool_], scatter_ratio: FloatArray
 ) -> NDArray[np.bool_]:
     """(2, f, n) True for inlier corners of views with mostly inliers and plausible readings."""
-    usual = _usual(solution, enough)
-    fit = enough & (np.nan_to_num(solution.squares, nan=np.inf) < _OUTLYING**2 * usual)
-    already = solution.problem.noisier
+    typical_square = _typical_square(solution, enough)
+    fit = enough & (np.nan_to_num(solution.squares, nan=np.inf) < _OUTLYING**2 * typical_square)
+    already = solution.problem.scatter_ratio
     known = np.ones(7) if already is None else already
-    wrong = np.abs(solution.misread) * known / noisier > _OUTLYING * np.sqrt(usual)
+    errors = np.abs(solution.normalised_reading_errors) * known / scatter_ratio
+    wrong = errors > _OUTLYING * np.sqrt(typical_square)
     moved = np.abs(solution.problem.to_joints) > 0.0
     for eye in range(2):
         joints = moved[[3 + 2 * eye, 4 + 2 * eye]].any(axis=0)
@@ -108,13 +111,13 @@ def _going_together(
     return np.asarray(fit & np.asarray(most)[..., None])
 
 
-def _usual(solution: HeadSolution, enough: NDArray[np.bool_]) -> float:
+def _typical_square(solution: HeadSolution, enough: NDArray[np.bool_]) -> float:
     """Typical mean square of a corner's residuals, in units of sigma^2; at least 1.
 
     If most views are wrong, the robust fit's value is smaller than their median, and is taken.
     """
     counted = enough & (solution.weights.corners > 0.0)
-    return min(max(float(np.median(solution.squares[counted])), 1.0), solution.weights.usual)
+    return min(max(float(np.median(solution.squares[counted])), 1.0), solution.weights.cauchy_scale)
 
 
 def scatter_of(solution: HeadSolution) -> FloatArray:
@@ -122,22 +125,22 @@ def scatter_of(solution: HeadSolution) -> FloatArray:
 
     The expectation comes from quantisation and backlash.
     """
-    own, already = solution.problem.joints, solution.problem.noisier
+    own, already = solution.problem.joints, solution.problem.scatter_ratio
     known = np.ones(7) if already is None else already
     found = np.ones(7)
     counted = np.asarray((solution.weights.corners > 0.0).any(axis=(0, 2)))
-    usual_corner = _usual(solution, solution.problem.frames.seen)
+    usual_corner = _typical_square(solution, solution.problem.frames.seen)
     for joint in range(7):
-        used = own.own[:, joint] & counted
-        squares = solution.misread[used, joint] ** 2
+        used = own.is_single[:, joint] & counted
+        squares = solution.normalised_reading_errors[used, joint] ** 2
         if len(squares) < _LEAST_READINGS:
             continue
         # for a normal or a uniform distribution, without a few wrong readings
         usual = np.mean(squares[squares <= _OUTLYING**2 * max(float(np.median(squares)), 1e-12)])
-        expected = max(float(np.mean(1.0 - solution.angle_left[used, joint])), 0.1)
+        expected = max(float(np.mean(1.0 - solution.reading_variance_ratio[used, joint])), 0.1)
         times = float(np.sqrt(usual / expected)) * known[joint]
         # noise of the corners enlarges the estimated reading errors as well
-        found[joint] = times if times > _NOISIER * np.sqrt(usual_corner) else 1.0
+        found[joint] = times if times > _LEAST_SCATTER_RATIO * np.sqrt(usual_corner) else 1.0
     return found
 
 

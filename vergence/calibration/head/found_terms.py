@@ -23,7 +23,7 @@ class Term(NamedTuple):
     unit: str
 
     @property
-    def surely(self) -> bool:
+    def significant(self) -> bool:
         """True if it differs significantly from zero."""
         return abs(self.value) > _SURELY * self.sigma
 
@@ -35,37 +35,37 @@ def found_terms(solution: HeadSolution, covariance: FloatArray) -> tuple[Term, .
         solution: solution of a head.
         covariance: covariance of its parameters, see `head_covariance`.
     """
-    p = len(solution.problem.nominal)
+    p = len(solution.problem.prior_mean)
     sigma = np.sqrt(np.diagonal(covariance)[p:]).tolist()
     numbers = zip(solution.problem.terms.names, solution.state.terms.tolist(), sigma, strict=True)
     return tuple(Term(name, value, deviation, "rad") for name, value, deviation in numbers)
 
 
-def found_play(solution: HeadSolution, terms: Sequence[Term]) -> FloatArray:
+def significant_backlash(solution: HeadSolution, terms: Sequence[Term]) -> FloatArray:
     """(7,) backlash by actuator, rad; 0 if not significant."""
     out = np.zeros(7)
-    for term, joint, plays in zip(
-        terms, solution.problem.terms.joint, solution.problem.terms.plays, strict=True
+    for term, joint, is_backlash in zip(
+        terms, solution.problem.terms.joint, solution.problem.terms.is_backlash, strict=True
     ):
-        if plays and term.surely:
+        if is_backlash and term.significant:
             out[joint] = max(term.value, 0.0)
     return out
 
 
 def term_remarks(solution: HeadSolution, terms: Sequence[Term]) -> list[str]:
     """Remark on the terms found, and on those that the head's file cannot hold."""
-    rules, about = solution.problem.terms, solution.problem.about
-    names = [*about.joints[:3], *about.actuation.names]
+    reading_terms, nominal_head = solution.problem.terms, solution.problem.nominal_head
+    names = [*nominal_head.joints[:3], *nominal_head.actuation.names]
     lines = []
-    play = found_play(solution, terms)
+    play = significant_backlash(solution, terms)
     if play.any():
         line = f"the actuators have play, in degrees: {_listed(names, play)}"
-        if about.actuators is None and play[NECK.stop :].any():
+        if nominal_head.actuators is None and play[NECK.stop :].any():
             line += "; the head's file has the greatest of the eyes' for all of them"
         if play[: NECK.stop].any():
             line += "; a head's file has no place for that of the neck"
         lines.append(line)
-    if not rules.plays.all():
+    if not reading_terms.is_backlash.all():
         lines.append(
             f"{harmonics_remark(solution)}: the head is that of readings which are corrected by "
             "the terms of result.json"
@@ -75,9 +75,9 @@ def term_remarks(solution: HeadSolution, terms: Sequence[Term]) -> list[str]:
 
 def harmonics_remark(solution: HeadSolution) -> str:
     """Remark on the size of the encoder harmonics."""
-    rules, about = solution.problem.terms, solution.problem.about
-    waves = rules.at(np.where(rules.plays, 0.0, solution.state.terms))[0]
-    names = [*about.joints[:3], *about.actuation.names]
+    reading_terms, nominal_head = solution.problem.terms, solution.problem.nominal_head
+    waves = reading_terms.at(np.where(reading_terms.is_backlash, 0.0, solution.state.terms))[0]
+    names = [*nominal_head.joints[:3], *nominal_head.actuation.names]
     return (
         "the encoders' readings are off by harmonics of the angle, in degrees up to: "
         f"{_listed(names, 0.5 * np.ptp(waves, axis=0))}"

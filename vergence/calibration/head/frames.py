@@ -86,11 +86,11 @@ class JointErrors:
     """(f, 7) actuator angles that were read, rad; the mean reading for resting joints."""
     sigma: FloatArray
     """(7,) standard deviation of a reading, rad."""
-    own: NDArray[np.bool_]
+    is_single: NDArray[np.bool_]
     """(f, 7) True for angles with an error of the single frame."""
-    run: IntArray
+    shared_index: IntArray
     """(f, 7) index of the error that frames share; -1 for none."""
-    runs: IntArray
+    shared_actuator: IntArray
     """(r,) actuator of each shared error."""
 
     @classmethod
@@ -107,8 +107,8 @@ class JointErrors:
         step = np.maximum(own.angle_step, own.backlash)
         moves = np.asarray(own.upper > own.lower) & (sigma > 0.0)
         free = np.broadcast_to(moves, angles.shape).copy()
-        run = np.full(angles.shape, -1, dtype=np.intp)
-        runs: list[int] = []
+        shared_index = np.full(angles.shape, -1, dtype=np.intp)
+        shared_actuator: list[int] = []
         resting: list[int] = []
         for joint in np.flatnonzero(moves).tolist():
             places = [frames.placement == place for place in np.unique(frames.placement)]
@@ -123,10 +123,10 @@ class JointErrors:
         for joint in resting:
             free[:, joint] = False
             for begin, end in stretches:
-                run[begin:end, joint] = len(runs)
-                runs.append(joint)
+                shared_index[begin:end, joint] = len(shared_actuator)
+                shared_actuator.append(joint)
                 angles[begin:end, joint] = angles[begin:end, joint].mean()
-        return cls(angles, sigma, free, run, np.array(runs, dtype=np.intp))
+        return cls(angles, sigma, free, shared_index, np.array(shared_actuator, dtype=np.intp))
 
 
 def _rests(angles: FloatArray, pose: IntArray, step: float) -> bool:

@@ -35,14 +35,14 @@ import numpy as np
 
 from vergence.calibration.adjustment import rms
 from vergence.calibration.head.adjust import HeadAdjustment
-from vergence.calibration.head.fit import fitted
+from vergence.calibration.head.fit import fit_robustly
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.pose_equations import BoolArray, solve_poses
 from vergence.calibration.head.start import (
     LEAST_CORNERS,
     board_in_cameras,
     camera_rig,
-    started,
+    estimate_start,
 )
 from vergence.calibration.projection import project
 from vergence.models.head import HeadModel
@@ -84,7 +84,7 @@ class _Views(NamedTuple):
     @classmethod
     def of(cls, head: HeadModel, frames: HeadFrames) -> "_Views":
         if len(orders_alike(frames.target)) > 1:
-            frames = started(head, frames).frames
+            frames = estimate_start(head, frames).frames
         boards = np.tile(np.eye(4), (2, len(frames.time_s), 1, 1))
         for eye, poses in enumerate(board_in_cameras(head, frames)):
             boards[eye, :, :3, :3], boards[eye, :, :3, 3] = poses
@@ -167,15 +167,15 @@ def by_reprojection(head: HeadModel, frames: HeadFrames, start: HeadEye) -> Head
     Raises:
         LinAlgError: the frames do not determine the board's pose, or do not agree.
     """
-    about = head.replace(head_eye=start.head_eye)
-    parameters = about.parameters()
-    spreads = np.zeros(len(parameters.names))
+    start_head = head.replace(head_eye=start.head_eye)
+    parameters = start_head.parameters()
+    prior_sigma = np.zeros(len(parameters.names))
     for place, (name, unit) in enumerate(zip(parameters.names, parameters.units, strict=True)):
         if ".head_eye." in name:
-            spreads[place] = _TURN_RAD if unit == "rad" else _SHIFT_M
-    start_of_board = started(about, frames)
-    problem = HeadAdjustment(about, spreads, start_of_board.frames)
-    fit = fitted(problem, start_of_board.boards, start_of_board.agree)
+            prior_sigma[place] = _TURN_RAD if unit == "rad" else _SHIFT_M
+    start_of_board = estimate_start(start_head, frames)
+    problem = HeadAdjustment(start_head, prior_sigma, start_of_board.frames)
+    fit = fit_robustly(problem, start_of_board.boards, start_of_board.inlier_views)
     residuals = fit.solution.normal.residuals * problem.frames.sigma
     return HeadEye(
         np.asarray(fit.solution.head.head_eye),

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.head.adjust import Weights
-from vergence.calibration.head.solution import HeadSolution, solved
+from vergence.calibration.head.solution import HeadSolution, solve
 from vergence.models.parts import FloatArray
 
 FOLDS: Final = 5
@@ -28,14 +28,14 @@ class HeldOut(NamedTuple):
 
 
 def held_out(
-    solution: HeadSolution, kept: NDArray[np.bool_], noisier: FloatArray | None = None
+    solution: HeadSolution, kept: NDArray[np.bool_], scatter_ratio: FloatArray | None = None
 ) -> HeldOut:
     """Judge views and their joint readings by heads that were calibrated without their poses.
 
     Args:
         solution: solution of all frames.
         kept: (2, f, n) True for the corners that count.
-        noisier: (7,) ratio of reading scatter to its expectation, for judging readings, see
+        scatter_ratio: (7,) ratio of reading scatter to its expectation, for judging readings, see
             `HeadAdjustment`; None for the solution's.
     """
     problem, pose = solution.problem, solution.problem.frames.pose
@@ -50,25 +50,26 @@ def held_out(
         start = trained.start(solution.state.boards)._replace(
             values=solution.state.values, bend=solution.state.bend, terms=solution.state.terms
         )
-        found = solved(trained, start, Weights.of(kept[:, ~out]), tolerance=_FOLD_TOLERANCE)
+        found = solve(trained, start, Weights.of(kept[:, ~out]), tolerance=_FOLD_TOLERANCE)
         # fit only the board and the reading errors of these frames again
         judged = replace(
             problem.of(out),
-            about=found.head,
-            spreads=np.zeros(len(problem.spreads)),
+            nominal_head=found.head,
+            prior_sigma=np.zeros(len(problem.prior_sigma)),
             terms=problem.terms.of(out).held(found.state.terms),
-            noisier=problem.noisier if noisier is None else noisier,
+            scatter_ratio=problem.scatter_ratio if scatter_ratio is None else scatter_ratio,
         )
         known = judged.start(solution.state.boards)._replace(bend=solution.state.bend)
-        best = solved(judged, known, Weights.of(kept[:, out]), tolerance=_FOLD_TOLERANCE)
+        best = solve(judged, known, Weights.of(kept[:, out]), tolerance=_FOLD_TOLERANCE)
         counted = kept[:, out]
         total = np.where(counted, best.squares, 0.0).sum(axis=-1)
         count = counted.sum(axis=-1)
         views[:, out] = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
-        own = judged.joints.own & np.asarray(count.any(axis=0))[:, None]
+        own = judged.joints.is_single & np.asarray(count.any(axis=0))[:, None]
         for number in np.unique(pose[out]):
             here = pose[out] == number
             corners = total[:, here].sum() / max(count[:, here].sum(), 1)
-            read = (best.misread[here] ** 2)[own[here]].sum() / max(own[here].sum(), 1)
+            squares = (best.normalised_reading_errors[here] ** 2)[own[here]]
+            read = squares.sum() / max(own[here].sum(), 1)
             poses[number] = corners + read if count[:, here].any() else np.nan
     return HeldOut(views, poses)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vergence.calibration.adjustment import Poses
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.solution import HeadSolution
-from vergence.calibration.head.start import LEAST_CORNERS, started
+from vergence.calibration.head.start import LEAST_CORNERS, estimate_start
 
 _LEAST_POSES: Final = 3
 """Fewest poses with the board at another placement (chosen: fewer are wrong detections)."""
@@ -38,12 +38,12 @@ class NewPlacement(NamedTuple):
     frames: HeadFrames
     boards: Poses
     """(b + 1) poses of the board in frame 0."""
-    agree: NDArray[np.bool_]
+    inlier_views: NDArray[np.bool_]
     """(2, f) True for views that agree with their placement."""
     remark: str
 
 
-def another_place(solution: HeadSolution, kept: NDArray[np.bool_]) -> NewPlacement | None:
+def find_new_placement(solution: HeadSolution, kept: NDArray[np.bool_]) -> NewPlacement | None:
     """Find a placement of the board on which left-out views agree.
 
     Args:
@@ -57,9 +57,11 @@ def another_place(solution: HeadSolution, kept: NDArray[np.bool_]) -> NewPlaceme
     if len(np.unique(frames.pose[lost])) < _LEAST_POSES:
         return None
     some = frames.of(lost)
-    start = started(solution.head, replace(some, placement=np.zeros(lost.sum(), dtype=np.intp)))
+    start = estimate_start(
+        solution.head, replace(some, placement=np.zeros(lost.sum(), dtype=np.intp))
+    )
     size = float(np.ptp(frames.corners, axis=0).max())
-    agreeing = np.flatnonzero(lost)[start.agree.any(axis=0)]
+    agreeing = np.flatnonzero(lost)[start.inlier_views.any(axis=0)]
     if start.spread_m > _TOGETHER * size or len(np.unique(frames.pose[agreeing])) < _LEAST_POSES:
         return None
     if len(agreeing) < _IN_A_ROW * (agreeing[-1] - agreeing[0] + 1):
@@ -69,8 +71,8 @@ def another_place(solution: HeadSolution, kept: NDArray[np.bool_]) -> NewPlaceme
     placement[agreeing] = number
     pixels, sigma = frames.pixels.copy(), frames.sigma.copy()
     pixels[:, lost], sigma[:, lost] = start.frames.pixels, start.frames.sigma
-    agree = views.copy()
-    agree[:, lost] = start.agree
+    inlier_views = views.copy()
+    inlier_views[:, lost] = start.inlier_views
     boards = solution.state.boards
     first, last = frames.time_s[agreeing[0]], frames.time_s[agreeing[-1]]
     return NewPlacement(
@@ -79,13 +81,13 @@ def another_place(solution: HeadSolution, kept: NDArray[np.bool_]) -> NewPlaceme
             np.concatenate([boards.rotation, start.boards.rotation]),
             np.concatenate([boards.translation, start.boards.translation]),
         ),
-        agree,
+        inlier_views,
         f"the board stands elsewhere in {len(agreeing)} frames, from {first:.1f} to {last:.1f} s: "
         "counted as another place of it",
     )
 
 
-def step_between(solution: HeadSolution) -> NewPlacement | None:
+def find_small_motion(solution: HeadSolution) -> NewPlacement | None:
     """Find the moment of a small motion of the board, if one step of its pose explains much.
 
     Args:
@@ -100,10 +102,10 @@ def step_between(solution: HeadSolution) -> NewPlacement | None:
     normal = problem.linearised(solution.state, solution.weights, by_frame=True)
     assert normal.by_frame is not None
     blocks, slopes = normal.by_frame
-    size, six = problem.size, np.arange(6)
+    size, six = problem.shared_count, np.arange(6)
     inverse = np.linalg.inv(normal.matrix)
     best, when = 0.0, 0
-    board = problem.common
+    board = problem.common_count
     across, own, pull = np.zeros((size + 1, 6)), np.zeros((6, 6)), np.zeros(6)
     for frame in range(len(frames.time_s) - 1, 0, -1):
         columns = problem.columns[frame]
@@ -114,21 +116,21 @@ def step_between(solution: HeadSolution) -> NewPlacement | None:
             across[:], own[:], pull[:] = 0.0, 0.0, 0.0
         elif frames.pose[frame - 1] != frames.pose[frame]:
             left = own - across[:-1].T @ inverse @ across[:-1]
-            pulled = pull - across[:-1].T @ inverse @ normal.slope
+            pulled = pull - across[:-1].T @ inverse @ normal.gradient
             gain = float(pulled @ np.linalg.lstsq(left, pulled, rcond=_RANK)[0])
             if gain > best:
                 best, when = gain, frame
-    if best < _SURELY * max(solution.noise, 1.0) ** 2:
+    if best < _SURELY * max(solution.reduced_chi, 1.0) ** 2:
         return None
     placement = frames.placement.copy()
     later = (placement == placement[when]) & (np.arange(len(placement)) >= when)
     placement[later] = placement.max() + 1
     split = replace(frames, placement=placement)
-    start = started(problem.about, split)
+    start = estimate_start(problem.nominal_head, split)
     return NewPlacement(
         start.frames,
         start.boards,
-        start.agree,
+        start.inlier_views,
         f"the board seems to have been moved before {frames.time_s[when]:.1f} s: counted as "
         "another place of it",
     )

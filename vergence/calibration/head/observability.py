@@ -21,7 +21,7 @@ from vergence.calibration.head.solution import HeadSolution
 from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 
-_TOLD: Final = 1.0
+_LEAST_INFORMATION: Final = 1.0
 """Information relative to the prior's from which on a direction counts as observed (chosen)."""
 _NOTHING_PX: Final = 0.02
 """Largest rms effect of one prior standard deviation along a direction on which no image depends,
@@ -49,7 +49,7 @@ class UnobservableDirection(NamedTuple):
     """A direction that a recording does not determine, in words."""
 
     what: str
-    cure: str
+    remedy: str
     """Remedy, to be recorded; empty if nothing helps and nothing depends on it."""
     cost: str
     """Effect of an error of one prior standard deviation in the head's file."""
@@ -61,21 +61,23 @@ def unobservable_directions(solution: HeadSolution) -> tuple[UnobservableDirecti
     Args:
         solution: solution of the head.
     """
-    spreads = solution.problem.spreads
-    free = np.flatnonzero(spreads > 0.0)
-    S = spreads[free]
-    p = len(spreads)
-    matrix, known = solution.normal.matrix, solution.problem.precision
+    prior_sigma = solution.problem.prior_sigma
+    free = np.flatnonzero(prior_sigma > 0.0)
+    S = prior_sigma[free]
+    p = len(prior_sigma)
+    matrix, known = solution.normal.matrix, solution.problem.prior_information
     rest, across = matrix[p:, p:], matrix[:p, p:]
-    told = matrix[:p, :p] - np.diag(known[:p]) - across @ np.linalg.solve(rest, across.T)
-    values, vectors = np.linalg.eigh(S[:, None] * told[np.ix_(free, free)] * S)
-    dark = vectors[:, values < _TOLD]
-    if not dark.shape[1]:
+    data_information = (
+        matrix[:p, :p] - np.diag(known[:p]) - across @ np.linalg.solve(rest, across.T)
+    )
+    values, vectors = np.linalg.eigh(S[:, None] * data_information[np.ix_(free, free)] * S)
+    unobserved = vectors[:, values < _LEAST_INFORMATION]
+    if not unobserved.shape[1]:
         return ()
     moved, rigid = _effects(solution)
-    effect = moved[:, free] * S @ dark  # px per prior standard deviation along each direction
+    effect = moved[:, free] * S @ unobserved  # px per prior standard deviation along each direction
     size = np.sqrt(len(moved))
-    _, strength, turns = np.linalg.svd(effect, full_matrices=False)
+    _, strength, right_vectors = np.linalg.svd(effect, full_matrices=False)
     found: list[UnobservableDirection] = []
     redundant = int((strength / size < _NOTHING_PX).sum())
     if redundant:
@@ -87,30 +89,30 @@ def unobservable_directions(solution: HeadSolution) -> tuple[UnobservableDirecti
                 "nothing depends on them: judge optical axes and points, never single numbers",
             )
         )
-    left = dark @ turns[strength / size >= _NOTHING_PX].T
-    cure = "move the neck" if any(solution.problem.about.joints[NECK]) else _NO_NECK
+    remaining = unobserved @ right_vectors[strength / size >= _NOTHING_PX].T
+    remedy = "move the neck" if any(solution.problem.nominal_head.joints[NECK]) else _NO_NECK
     shares: list[FloatArray] = []
     for axis, (name, unit) in enumerate(_RIGID):
-        share = _share_of_rigid(moved[:, free] * S @ left, rigid[:, axis])
+        share = _share_of_rigid(moved[:, free] * S @ remaining, rigid[:, axis])
         if share is not None:
             shares.append(share)
             amount = 1.0 / float(np.linalg.norm(share))
-            found.append(UnobservableDirection(name, cure, _cost(axis, unit, amount)))
+            found.append(UnobservableDirection(name, remedy, _cost(axis, unit, amount)))
     if shares:
-        left = left @ np.linalg.svd(np.array(shares))[2][len(shares) :].T
-    names = [solution.problem.about.parameters().names[place] for place in free]
-    for direction in left.T:
+        remaining = remaining @ np.linalg.svd(np.array(shares))[2][len(shares) :].T
+    names = [solution.problem.nominal_head.parameters().names[place] for place in free]
+    for direction in remaining.T:
         most = np.argsort(-np.abs(direction))[:3]
         named = [names[each] for each in most if abs(direction[each]) > 0.3] or [names[most[0]]]
         px = float(np.sqrt(np.mean((moved[:, free] * S @ direction) ** 2)))
-        found.append(UnobservableDirection(" against ".join(named), _cure(named), f"{px:.2g} px"))
+        found.append(UnobservableDirection(" against ".join(named), _remedy(named), f"{px:.2g} px"))
     return tuple(found)
 
 
 def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
     """Jacobians of pixels at various fixations, by head parameters and by rigid motions in N."""
     head = solution.head
-    chain = ParametricHead(solution.problem.about, solution.state.values)
+    chain = ParametricHead(solution.problem.nominal_head, solution.state.values)
     points = np.array(
         [[z * x, z * y, z] for z in _DISTANCES_M for x, y in _DIRECTIONS], dtype=np.float64
     )
@@ -160,7 +162,7 @@ def _cost(axis: int, unit: str, amount: float) -> str:
     return f"{np.rad2deg(amount):.2g} degrees{aside}, if the file is a deviation off"
 
 
-def _cure(names: list[str]) -> str:
+def _remedy(names: list[str]) -> str:
     if any(".camera.k" in name or ".camera.p" in name for name in names):
         return "bring the board to the corners of the images"
     if any(".camera." in name for name in names):

@@ -22,10 +22,10 @@ from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 
 IntArray = NDArray[np.intp]
-_SPREADS: Final = {"play": np.deg2rad(0.5), "harmonics": np.deg2rad(0.3)}
+_PRIOR_SIGMA: Final = {"play": np.deg2rad(0.5), "harmonics": np.deg2rad(0.3)}
 """Prior standard deviations of the parameters, rad (chosen: gears of hobby servos, and a disc of
 20 mm that is 0.05 mm off its axis)."""
-RULES: Final = tuple(_SPREADS)
+TERM_KINDS: Final = tuple(_PRIOR_SIGMA)
 """Kinds of reading-error terms."""
 _HARMONICS: Final = {"cos1": (1, np.cos), "sin1": (1, np.sin), "cos2": (2, np.cos),
                      "sin2": (2, np.sin)}  # fmt: skip
@@ -39,7 +39,7 @@ class ReadingTerms:
     """(t,) names such as `left_pan.play` and `left_pan.cos1`."""
     joint: IntArray
     """(t,) actuator of each term, of the neck's three joints and the eyes' four actuators."""
-    nominal: FloatArray
+    prior_mean: FloatArray
     """(t,) prior means of the parameters, rad."""
     sigma: FloatArray
     """(t,) prior standard deviations of the parameters, rad; 0 for fixed ones."""
@@ -59,40 +59,40 @@ class ReadingTerms:
         Args:
             head: the head with the actuators.
             frames: frames in the order of time.
-            kinds: some of `RULES`.
+            kinds: some of `TERM_KINDS`.
         """
         readings = head.actuation.actuators_of(frames.positions)
         every = np.arange(len(readings))
-        return replace(NO_TERMS, readings=readings, frames=every).with_rules(head, kinds)
+        return replace(NO_TERMS, readings=readings, frames=every).with_terms(head, kinds)
 
-    def with_rules(self, head: HeadModel, kinds: Collection[str]) -> "ReadingTerms":
+    def with_terms(self, head: HeadModel, kinds: Collection[str]) -> "ReadingTerms":
         """Make other terms for the same readings, see `of_frames`."""
         own, readings = head.actuation, self.readings
         moves = (own.upper > own.lower) & (np.ptp(readings, axis=0) > POSE_RAD)
         names, joint, sigma = [], [], []
-        for kind in RULES:
+        for kind in TERM_KINDS:
             for each in np.flatnonzero(moves).tolist() if kind in kinds else ():
                 parts = ["play"] if kind == "play" else list(_HARMONICS)
                 names += [f"{[*head.joints[:3], *own.names][each]}.{part}" for part in parts]
                 joint += [each] * len(parts)
-                sigma += [_SPREADS[kind]] * len(parts)
+                sigma += [_PRIOR_SIGMA[kind]] * len(parts)
         waves = [_harmonic(name, readings[:, k]) for name, k in zip(names, joint, strict=True)]
         return replace(
             self,
             names=tuple(names),
             joint=np.array(joint, dtype=np.intp),
-            nominal=np.zeros(len(names)),
+            prior_mean=np.zeros(len(names)),
             sigma=np.array(sigma, dtype=np.float64),
             centre=np.array([wave.mean() for wave in waves]) * (np.array(joint) >= NECK.stop),
         )
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """(t,) kind of each term, one of `RULES`."""
+        """(t,) kind of each term, one of `TERM_KINDS`."""
         return tuple("play" if name.endswith(".play") else "harmonics" for name in self.names)
 
     @property
-    def plays(self) -> NDArray[np.bool_]:
+    def is_backlash(self) -> NDArray[np.bool_]:
         """(t,) True for backlash."""
         return np.array([kind == "play" for kind in self.kinds], dtype=np.bool_)
 
@@ -102,7 +102,7 @@ class ReadingTerms:
 
     def held(self, values: FloatArray) -> "ReadingTerms":
         """Fix the parameters at values (t,)."""
-        return replace(self, nominal=values, sigma=np.zeros(len(values)))
+        return replace(self, prior_mean=values, sigma=np.zeros(len(values)))
 
     def at(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Evaluate the terms, which add to the readings.
@@ -118,8 +118,10 @@ class ReadingTerms:
         by = np.zeros_like(angles)
         for column, name in enumerate(self.names):
             by[:, column] = _harmonic(name, angles[:, column]) - self.centre[column]
-        added, plays = by * values, self.plays
-        added[:, plays], by[:, plays] = _behind(angles[:, plays], values[plays])
+        added, is_backlash = by * values, self.is_backlash
+        added[:, is_backlash], by[:, is_backlash] = _backlash_offset(
+            angles[:, is_backlash], values[is_backlash]
+        )
         return added[self.frames] @ np.eye(7)[self.joint], by[self.frames]
 
     def tangent(self, values: FloatArray, others: FloatArray) -> FloatArray:
@@ -129,7 +131,7 @@ class ReadingTerms:
 
 
 NO_TERMS: Final = ReadingTerms(
-    joint=np.zeros(0, dtype=np.intp), nominal=np.zeros(0), sigma=np.zeros(0),
+    joint=np.zeros(0, dtype=np.intp), prior_mean=np.zeros(0), sigma=np.zeros(0),
     readings=np.zeros((1, 7)), frames=np.zeros(1, dtype=np.intp), centre=np.zeros(0),
 )  # fmt: skip
 
@@ -140,7 +142,7 @@ def _harmonic(name: str, angles: FloatArray) -> FloatArray:
     return np.asarray(function(order * angles))
 
 
-def _behind(angles: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _backlash_offset(angles: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(F, k) offsets of joints from motors (F, k) with backlash (k,), and the derivatives by it.
 
     The first frame is in the middle of the backlash. A negative width reverses the offset's sign.

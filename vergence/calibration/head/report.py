@@ -68,9 +68,9 @@ def write_run(
         recording: facts on the origin of the frames, by name.
     """
     (folder / name).write_text(content, encoding="utf-8")
-    names, units, before = found.about.parameters()
+    names, units, before = found.nominal_head.parameters()
     own = found.solution.problem
-    noisier = np.ones(7) if own.noisier is None else own.noisier
+    scatter_ratio = np.ones(7) if own.scatter_ratio is None else own.scatter_ratio
     write_json(
         folder / "result.json",
         {
@@ -79,7 +79,7 @@ def write_run(
             "recording": dict(recording),
             "noisier": {
                 each: float(times)
-                for each, times in zip(figures.actuator_names(found), noisier, strict=True)
+                for each, times in zip(figures.actuator_names(found), scatter_ratio, strict=True)
                 if each
             },
             "names": list(names),
@@ -87,7 +87,7 @@ def write_run(
             "before": before.tolist(),
             "after": found.solution.state.values.tolist(),
             "sigma": found.sigma.tolist(),
-            "believed_sigma": own.spreads.tolist(),
+            "believed_sigma": own.prior_sigma.tolist(),
             "covariance": found.covariance.tolist(),
             "versions": versions(),
         },
@@ -117,7 +117,7 @@ def document(found: HeadCalibration, unseen: Sequence[UnobservableDirection]) ->
     views = found.frames.seen.any(axis=-1)
     return {
         "depth": [dict(zip(table, row, strict=True)) for row in rows],
-        "noise": found.solution.noise,
+        "noise": found.solution.reduced_chi,
         "rms_px": rms(figures.residuals_px(found)),
         "rms_heldout_sigma": json_value(_heldout(found)),
         "views": int(found.views.sum()),
@@ -127,7 +127,7 @@ def document(found: HeadCalibration, unseen: Sequence[UnobservableDirection]) ->
         "placements": int(found.frames.placement.max()) + 1,
         "target": str(found.frames.target),
         "terms": [each._asdict() for each in found.terms],
-        "unseen": [{"what": each.what, "cure": each.cure, "cost": each.cost} for each in unseen],
+        "unseen": [{"what": each.what, "cure": each.remedy, "cost": each.cost} for each in unseen],
         "remarks": list(found.remarks),
     }
 
@@ -216,7 +216,7 @@ def write_report(
     template = page.from_string(read_template("vergence.calibration.head", "head.html.jinja"))
     text = template.render(
         **document(found, unseen),
-        head=found.about.name,
+        head=found.nominal_head.name,
         name=name,
         recording=recording,
         headline=_headline(depth),
@@ -266,8 +266,9 @@ def _number_rows(found: HeadCalibration) -> list[list[str]]:
     """Format the rows of the table of head parameters."""
     own, rows = found.solution.problem, []
     for name, unit, before, after, sigma, spread in zip(
-        *found.about.parameters()[:2], own.nominal.tolist(), found.solution.state.values.tolist(),
-        found.sigma.tolist(), own.spreads.tolist(), strict=True,
+        *found.nominal_head.parameters()[:2], own.prior_mean.tolist(),
+        found.solution.state.values.tolist(), found.sigma.tolist(), own.prior_sigma.tolist(),
+        strict=True,
     ):  # fmt: skip
         scale, said, digits = _SHOWN[unit]
         free = spread > 0.0

@@ -37,7 +37,7 @@ class SimulatedRecording:
 class JointReadingErrors:
     """Systematic errors of the readings by actuator, besides quantisation."""
 
-    play_rad: FloatArray = field(default_factory=lambda: np.zeros(7))
+    backlash_rad: FloatArray = field(default_factory=lambda: np.zeros(7))
     """(7,) whole widths of the backlash between the motors, whose angles are read, and the
     joints."""
     harmonics_rad: FloatArray = field(default_factory=lambda: np.zeros((7, 4)))
@@ -56,7 +56,9 @@ class JointReadingErrors:
         """
         behind = []
         for motor in motors:
-            before = np.clip(before, motor - 0.5 * self.play_rad, motor + 0.5 * self.play_rad)
+            before = np.clip(
+                before, motor - 0.5 * self.backlash_rad, motor + 0.5 * self.backlash_rad
+            )
             behind.append(before)
         waves = [np.cos(motors), np.sin(motors), np.cos(2.0 * motors), np.sin(2.0 * motors)]
         return np.array(behind) + np.einsum("hfj,jh->fj", waves, self.harmonics_rad), before

@@ -22,7 +22,7 @@ _ROUNDING: Final = 1e-9
 _ROUGH: Final = 1e-3
 """Relative change of the cost below which a robust fit ends, as a fit to the inliers follows
 (numerical)."""
-FIRST_USUAL: Final = 1e4
+FIRST_CAUCHY_SCALE: Final = 1e4
 """Typical mean square of a corner's residuals with the nominal head, in units of sigma^2 (chosen:
 it corresponds to errors of degrees)."""
 _LESS: Final = 0.7
@@ -43,7 +43,7 @@ class HeadSolution:
     @cached_property
     def head(self) -> HeadModel:
         """The fitted head."""
-        return self.problem.about.with_parameters(self.state.values)
+        return self.problem.nominal_head.with_parameters(self.state.values)
 
     @cached_property
     def squares(self) -> FloatArray:
@@ -52,36 +52,36 @@ class HeadSolution:
         return np.where(seen, 0.5 * (self.normal.residuals**2).sum(axis=-1), np.nan)
 
     @cached_property
-    def misread(self) -> FloatArray:
+    def normalised_reading_errors(self) -> FloatArray:
         """(f, 7) reading errors of single frames over their prior sigma; 0 for shared ones."""
         own = self.problem.joints
         sigma = np.where(own.sigma > 0.0, own.sigma, 1.0)
-        return np.where(own.own, self.state.errors / sigma, 0.0)
+        return np.where(own.is_single, self.state.errors / sigma, 0.0)
 
     @cached_property
-    def noise(self) -> float:
+    def reduced_chi(self) -> float:
         """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
         counted: NDArray[np.bool_] = self.problem.frames.seen & (self.weights.corners > 0.0)
-        own = self.problem.joints.own & np.asarray(counted.any(axis=(0, 2)))[:, None]
+        own = self.problem.joints.is_single & np.asarray(counted.any(axis=(0, 2)))[:, None]
         # effective number of parameters: a reading error counts by its reduction of variance
-        taken = float((own * (1.0 - self.angle_left)).sum()) + self.problem.size
+        taken = float((own * (1.0 - self.reading_variance_ratio)).sum()) + self.problem.shared_count
         measured = 2.0 * float(counted.sum())
         return float(np.sqrt(2.0 * self.squares[counted].sum() / max(measured - taken, 1.0)))
 
     @cached_property
-    def angle_left(self) -> FloatArray:
+    def reading_variance_ratio(self) -> FloatArray:
         """(f, 7) ratio of posterior to prior variance of the reading errors, shared ones fixed."""
         sigma = self.problem.joints.sigma
         inner = np.diagonal(np.linalg.inv(self.normal.inner), axis1=1, axis2=2)
         return np.asarray(inner / np.where(sigma > 0.0, sigma, 1.0) ** 2)
 
 
-def solved(
+def solve(
     problem: HeadAdjustment,
     start: HeadUnknowns,
     weights: Weights,
     *,
-    usual: float = np.inf,
+    cauchy_scale: float = np.inf,
     tolerance: float = _SAME_COST,
 ) -> HeadSolution:
     """Find the unknowns with the least sum of squares, by Levenberg and Marquardt.
@@ -90,15 +90,15 @@ def solved(
         problem: the adjustment problem.
         start: initial values of the unknowns.
         weights: weights of corners and angles; 0 leaves one out.
-        usual: typical mean square of a corner's residuals at the start, in sigma^2: corners and
-            angles that fit much worse count for less (Cauchy's loss); inf for least squares.
+        cauchy_scale: typical mean square of a corner's residuals at the start, in sigma^2: corners
+            and angles that fit much worse count for less (Cauchy's loss); inf for least squares.
         tolerance: change of the cost below which the adjustment ends.
 
     Raises:
         LinAlgError: the start is behind a camera, or the normal matrix is not positive definite.
     """
-    robust = np.isfinite(usual)
-    weights = weights._replace(usual=usual)
+    robust = np.isfinite(cauchy_scale)
+    weights = weights._replace(cauchy_scale=cauchy_scale)
     state, now = start, problem.linearised(start, weights)
     if not np.isfinite(now.cost):
         raise np.linalg.LinAlgError("expected a start before the cameras")
@@ -107,8 +107,8 @@ def solved(
         larger = now.matrix.copy()
         # damping in units of the prior: it does not hold back steps along directions that the
         # frames hardly determine because they determine others well
-        larger[np.diag_indices(problem.size)] += damping * problem.precision
-        step = -cho_solve(cho_factor(larger), now.slope)
+        larger[np.diag_indices(problem.shared_count)] += damping * problem.prior_information
+        step = -cho_solve(cho_factor(larger), now.gradient)
         moved = problem.moved(state, now, step)
         try:
             then = problem.linearised(moved, weights)
@@ -118,9 +118,9 @@ def solved(
         if change >= 0.0:
             state, now = moved, then
             damping *= 0.1
-            usual = _usual(problem, now, weights)
-            if robust and usual < _LESS * weights.usual:
-                weights = weights._replace(usual=usual)
+            cauchy_scale = _typical_square(problem, now, weights)
+            if robust and cauchy_scale < _LESS * weights.cauchy_scale:
+                weights = weights._replace(cauchy_scale=cauchy_scale)
                 now = problem.linearised(state, weights)
             elif change < max(tolerance, (_ROUGH if robust else _ROUNDING) * now.cost):
                 break
@@ -131,7 +131,7 @@ def solved(
     return HeadSolution(problem, state, now, weights)
 
 
-def _usual(problem: HeadAdjustment, now: Normal, weights: Weights) -> float:
+def _typical_square(problem: HeadAdjustment, now: Normal, weights: Weights) -> float:
     """Typical (median) mean square of a corner's residuals, in units of sigma^2; at least 1."""
     counted = problem.frames.seen & (weights.corners > 0.0)
     return max(0.5 * float(np.median((now.residuals[counted] ** 2).sum(axis=-1))), 1.0)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vergence.calibration.adjustment import Adjustment, CameraRig, Poses
 from vergence.calibration.cameras import estimate_board_poses
 from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.projection import camera_values
+from vergence.calibration.projection import camera_parameter_names
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.perception.located import orders_alike
@@ -25,7 +25,7 @@ def camera_rig(head: HeadModel, eye: int) -> CameraRig:
     """Make a rig of one eye's camera."""
     cameras = head.cameras
     lens = cameras.lens[eye]
-    count = len(camera_values(lens)) - 4
+    count = len(camera_parameter_names(lens)) - 4
     values = [cameras.focal[eye], cameras.principal[eye], cameras.distortion[eye][:count]]
     return CameraRig.single(lens, np.concatenate(values))
 
@@ -48,14 +48,14 @@ class Start(NamedTuple):
     """Frames with the corners of rotationally symmetric boards in one order."""
     boards: Poses
     """(b) poses of the board in frame 0."""
-    agree: NDArray[np.bool_]
+    inlier_views: NDArray[np.bool_]
     """(2, f) True for views that agree with these poses."""
     spread_m: float
     """Median rms distance of these views' corners from the poses' corners; median over
     placements."""
 
 
-def started(head: HeadModel, frames: HeadFrames) -> Start:
+def estimate_start(head: HeadModel, frames: HeadFrames) -> Start:
     """Find the poses of the board on which most views agree, through a given head.
 
     Args:
@@ -71,24 +71,24 @@ def started(head: HeadModel, frames: HeadFrames) -> Start:
     enough &= np.isfinite(places).all(axis=(-2, -1))  # pixels outside the lens's range
     rotations, translations, spreads = [], [], []
     pixels, sigma = frames.pixels.copy(), frames.sigma.copy()
-    agree = np.zeros(enough.shape, dtype=bool)
+    inlier_views = np.zeros(enough.shape, dtype=bool)
     for place in range(int(frames.placement.max()) + 1):
         here = np.argwhere(enough & (frames.placement == place))
         if not len(here):
             raise np.linalg.LinAlgError("expected views that tell where the board is, got none")
-        best, away, order = _middle(places, here, orders)
+        best, away, order = _medoid(places, here, orders)
         rotations.append(turns[best])
         translations.append(shifts[best])
         near = away <= 4.0 * np.quantile(away, 0.25) + 0.25 * _size(frames)
         spreads.append(float(np.median(away[near])))
         for (eye, frame), its, close in zip(here.tolist(), order.tolist(), near, strict=True):
-            agree[eye, frame] = close
+            inlier_views[eye, frame] = close
             pixels[eye, frame] = frames.pixels[eye, frame][orders[its]]
             sigma[eye, frame] = frames.sigma[eye, frame][orders[its]]
     return Start(
         replace(frames, pixels=pixels, sigma=sigma),
         Poses(np.array(rotations), np.array(translations)),
-        agree,
+        inlier_views,
         float(np.median(spreads)),
     )
 
@@ -112,7 +112,7 @@ def board_in_base(head: HeadModel, frames: HeadFrames) -> tuple[FloatArray, Floa
     return np.stack(places), np.stack(turns), np.stack(shifts)
 
 
-def _middle(
+def _medoid(
     places: FloatArray, here: NDArray[np.intp], orders: Sequence[NDArray[np.intp]]
 ) -> tuple[tuple[int, int], FloatArray, NDArray[np.intp]]:
     """Find the medoid view, the views' distances to it, and their corner orders.

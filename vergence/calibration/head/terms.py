@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, Normal, Weights
-from vergence.calibration.head.backlash import without_play
-from vergence.calibration.head.fit import HeadFit, settled
+from vergence.calibration.head.backlash import without_backlash
+from vergence.calibration.head.fit import HeadFit, refine_inliers
 from vergence.calibration.head.held_out import held_out
-from vergence.calibration.head.prior import spreads_of
-from vergence.calibration.head.reading_terms import RULES
-from vergence.calibration.head.solution import HeadSolution, solved
+from vergence.calibration.head.prior import prior_sigma_of
+from vergence.calibration.head.reading_terms import TERM_KINDS
+from vergence.calibration.head.solution import HeadSolution, solve
 from vergence.errors import ConfigurationError
 from vergence.models.by_axes import as_axes
 from vergence.models.head import HeadModel
@@ -29,7 +29,7 @@ from vergence.models.joint_axes import JointAxes
 from vergence.models.parts import FloatArray
 
 AUTO: Final = "auto"
-TERMS: Final = (*RULES, "axes")
+TERMS: Final = (*TERM_KINDS, "axes")
 _CHANCE: Final = 1e-3
 """Probability that an absent term is tried, if all errors are independent (chosen)."""
 _LEAST_GAIN: Final = 0.02
@@ -62,10 +62,10 @@ def parse_terms(text: str) -> tuple[str, ...]:
     return terms
 
 
-def described(head: HeadModel, terms: Collection[str]) -> HeadModel:
+def convert_for_terms(head: HeadModel, terms: Collection[str]) -> HeadModel:
     """Convert a head to the form that its terms need."""
     head = as_axes(head) if "axes" in terms else head
-    return without_play(head) if "play" in terms else head
+    return without_backlash(head) if "play" in terms else head
 
 
 class Chosen(NamedTuple):
@@ -83,7 +83,7 @@ def choose_terms(fit: HeadFit, cameras: bool) -> Chosen:
 
     Args:
         fit: fit of the head without terms.
-        cameras: True if the cameras are estimated, see `spreads_of`.
+        cameras: True if the cameras are estimated, see `prior_sigma_of`.
     """
     chosen: tuple[str, ...] = ()
     left, some = set(TERMS), _thinned(fit)
@@ -95,7 +95,7 @@ def choose_terms(fit: HeadFit, cameras: bool) -> Chosen:
         left.discard(best)
         with suppress(np.linalg.LinAlgError):  # the fit with this term fails
             richer = _richer(some, (*chosen, best), cameras)
-            scatters = np.any(richer.solution.problem.noisier != 1.0)
+            scatters = np.any(richer.solution.problem.scatter_ratio != 1.0)
             least = _LEAST_GAIN_OF_PLAY if best == "play" and scatters else _LEAST_GAIN
             if _predicts_better(richer, some, least):
                 some, chosen = richer, (*chosen, best)
@@ -117,15 +117,15 @@ def _thinned(fit: HeadFit) -> HeadFit:
     start = problem.start(state.boards)._replace(
         values=state.values, bend=state.bend, errors=state.errors[some]
     )
-    return HeadFit(solved(problem, start, Weights.of(kept)), kept)
+    return HeadFit(solve(problem, start, Weights.of(kept)), kept)
 
 
 def _richer(fit: HeadFit, terms: Collection[str], cameras: bool) -> HeadFit:
     """Fit the head with terms."""
     problem, start = _extended(fit.solution, terms, cameras)
     # estimate the scatter of the readings again, as a term may explain it
-    problem = replace(problem, noisier=None)
-    return settled(solved(problem, start, Weights.of(fit.kept)))
+    problem = replace(problem, scatter_ratio=None)
+    return refine_inliers(solve(problem, start, Weights.of(fit.kept)))
 
 
 def _extended(
@@ -133,17 +133,21 @@ def _extended(
 ) -> tuple[HeadAdjustment, HeadUnknowns]:
     """Extend a problem by terms; start from the same head."""
     own, state = solution.problem, solution.state
-    about = described(own.about, terms)
-    rules = own.terms.with_rules(about, terms)
+    nominal_head = convert_for_terms(own.nominal_head, terms)
+    reading_terms = own.terms.with_terms(nominal_head, terms)
     problem = HeadAdjustment(
-        about, spreads_of(about, cameras), own.frames, noisier=own.noisier, terms=rules
+        nominal_head,
+        prior_sigma_of(nominal_head, cameras),
+        own.frames,
+        scatter_ratio=own.scatter_ratio,
+        terms=reading_terms,
     )
     known = dict(zip(own.terms.names, state.terms.tolist(), strict=True))
     start = problem.start(state.boards)._replace(
-        values=described(solution.head, terms).parameters(about).values,
+        values=convert_for_terms(solution.head, terms).parameters(nominal_head).values,
         bend=state.bend,
         errors=state.errors,
-        terms=np.array([known.get(name, 0.0) for name in rules.names]),
+        terms=np.array([known.get(name, 0.0) for name in reading_terms.names]),
     )
     if len(start.shared) == len(state.shared):
         start = start._replace(shared=state.shared)
@@ -159,28 +163,28 @@ def _gains(
     """
     gains: dict[str, float] = {}
     chance: dict[str, float] = {}
-    new = [term for term in RULES if term in left]
+    new = [term for term in TERM_KINDS if term in left]
     if new:
         problem, start = _extended(solution, (*chosen, *new), cameras)
         normal = problem.linearised(start, solution.weights)
-        kinds = np.full(problem.size, "", dtype=object)
-        first = problem.common - len(problem.terms.names)
-        kinds[first : problem.common] = problem.terms.kinds
+        kinds = np.full(problem.shared_count, "", dtype=object)
+        first = problem.common_count - len(problem.terms.names)
+        kinds[first : problem.common_count] = problem.terms.kinds
         for term in new:
             mine = kinds == term
             others = ~mine & ~np.isin(kinds, [each for each in new if each != term])
             chance[term] = _chance(int(mine.sum()))
             gains[term] = _gain(normal, mine, others) / chance[term]
-    if "axes" in left and not isinstance(solution.problem.about.links, JointAxes):
+    if "axes" in left and not isinstance(solution.problem.nominal_head.links, JointAxes):
         problem, start = _extended(solution, (*chosen, "axes"), cameras)
         normal = problem.linearised(start, solution.weights)
-        every = np.ones(problem.size, dtype=np.bool_)
-        chance["axes"] = _chance(len(problem.about.links.parameters))
+        every = np.ones(problem.shared_count, dtype=np.bool_)
+        chance["axes"] = _chance(len(problem.nominal_head.links.parameters))
         gains["axes"] = _gain(normal, every, ~every) / chance["axes"]
-    noise = max(solution.noise, 1.0) ** 2
+    noise = max(solution.reduced_chi, 1.0) ** 2
     # while a term is missing, its error enlarges the readings' sigma and so reduces the gain
-    own, noisier = solution.problem.joints.own, solution.problem.noisier
-    belief = 1.0 if noisier is None else float(noisier.max()) ** 2
+    own, scatter_ratio = solution.problem.joints.is_single, solution.problem.scatter_ratio
+    belief = 1.0 if scatter_ratio is None else float(scatter_ratio.max()) ** 2
     worth = _WORTH * 2.0 * own.sum() / belief
     return {
         term: gain / noise
@@ -191,7 +195,7 @@ def _gains(
 
 def _gain(normal: Normal, mine: NDArray[np.bool_], others: NDArray[np.bool_]) -> float:
     """Predict the reduction of the sum of squares if some unknowns move and others follow."""
-    M, slope = normal.matrix, normal.slope
+    M, slope = normal.matrix, normal.gradient
     across = np.linalg.solve(M[np.ix_(others, others)], M[np.ix_(others, mine)])
     own = M[np.ix_(mine, mine)] - M[np.ix_(mine, others)] @ across
     pull: FloatArray = slope[mine] - across.T @ slope[others]
@@ -211,10 +215,10 @@ def _predicts_better(richer: HeadFit, simpler: HeadFit, least: float) -> bool:
     kept = richer.kept & simpler.kept
     # judge the readings of both heads by the richer head's sigma
     rich, simple = richer.solution.problem, simpler.solution.problem
-    noisier = np.ones(7) if simple.noisier is None else simple.noisier
+    scatter_ratio = np.ones(7) if simple.scatter_ratio is None else simple.scatter_ratio
     known = simple.joints.sigma > 0.0
     ratio = np.divide(rich.joints.sigma, simple.joints.sigma, out=np.ones(7), where=known)
-    less = np.log(held_out(simpler.solution, kept, ratio * noisier).poses) - np.log(
+    less = np.log(held_out(simpler.solution, kept, ratio * scatter_ratio).poses) - np.log(
         held_out(richer.solution, kept).poses
     )
     less = less[np.isfinite(less)]

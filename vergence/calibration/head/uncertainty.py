@@ -23,16 +23,17 @@ def head_covariance(solution: HeadSolution) -> FloatArray:
     normal = problem.linearised(solution.state, solution.weights, by_frame=True)
     assert normal.by_frame is not None
     blocks, slopes = normal.by_frame
-    p, rules = len(problem.nominal), np.arange(len(problem.nominal) + BEND, problem.common)
-    kept = np.concatenate([np.arange(p), rules])
-    rest = np.setdiff1d(np.arange(problem.size), kept)
+    p = len(problem.prior_mean)
+    term_indices = np.arange(p + BEND, problem.common_count)
+    kept = np.concatenate([np.arange(p), term_indices])
+    rest = np.setdiff1d(np.arange(problem.shared_count), kept)
     # eliminate the boards and the errors of resting joints
-    reduced = np.zeros((problem.size + 1, len(kept)))
+    reduced = np.zeros((problem.shared_count + 1, len(kept)))
     reduced[kept] = np.eye(len(kept))
     reduced[rest] = -np.linalg.solve(
         normal.matrix[np.ix_(rest, rest)], normal.matrix[np.ix_(rest, kept)]
     )
-    known = np.append(problem.precision, 0.0)
+    known = np.append(problem.prior_information, 0.0)
     poses, pose = np.unique(problem.frames.pose, return_inverse=True)
     information = np.zeros((len(poses), len(kept), len(kept)))
     gradients = np.zeros((len(poses), len(kept)))
@@ -41,4 +42,4 @@ def head_covariance(solution: HeadSolution) -> FloatArray:
         information[number] += own.T @ blocks[frame] @ own
         gradients[number] += slopes[frame] @ own
     prior = reduced.T @ (known[:, None] * reduced)
-    return clustered_covariance(information, gradients, max(solution.noise, 1.0), prior)
+    return clustered_covariance(information, gradients, max(solution.reduced_chi, 1.0), prior)

@@ -18,16 +18,16 @@ def print_calibration(found: "Calibration", out: Path) -> None:
         out: the file that it is written to.
     """
     from vergence.calibration.adjustment import rms
-    from vergence.calibration.projection import camera_values
+    from vergence.calibration.projection import camera_parameter_names
     from vergence.models.joints import EYE_NAMES
 
-    several = len(found.alone) > 1
+    several = len(found.single_fits) > 1
     names = list(EYE_NAMES) if several else ["camera"]
     rows = []
     for camera, (name, values) in enumerate(zip(names, found.rig.values, strict=False)):
         sigma = found.sigma[found.rig.blocks[camera]]
         for label, value, deviation in zip(
-            camera_values(found.lens), values.tolist(), sigma.tolist(), strict=True
+            camera_parameter_names(found.lens), values.tolist(), sigma.tolist(), strict=True
         ):
             digits = 2 if label[1] == "_" else 5
             rows.append([name, label, f"{value:.{digits}f}", f"{deviation:.{digits}f}"])

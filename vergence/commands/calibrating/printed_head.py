@@ -37,7 +37,7 @@ def print_head(outcome: "HeadOutcome", out: Path) -> None:
     if outcome.unseen:
         print_table(
             ["not told by this recording", "cure", "cost"],
-            [[one.what, one.cure or "none needed", one.cost] for one in outcome.unseen],
+            [[one.what, one.remedy or "none needed", one.cost] for one in outcome.unseen],
             text=(0, 1, 2), names=(0, 1, 2),
         )  # fmt: skip
     print(out)

@@ -15,7 +15,7 @@ from vergence.eval.reporting.style import new_figure, styled
 from vergence.files import atomic_file
 from vergence.models.boards import PlanarTarget
 from vergence.models.parts import FloatArray
-from vergence.perception.spotting import Photograph, number_of
+from vergence.perception.target_finder import Photograph, number_of
 from vergence.vision import Detection
 
 COLOURS: Final = ("#00a2ff", "#ff7a00", "#00c060", "#d84bff", "#e8c000", "#ff4060")

@@ -51,7 +51,7 @@ def number_of(target: PlanarTarget) -> int | None:
     return target.id if isinstance(target, AprilTag) else None
 
 
-def belongs(detection: Detection, target: Target) -> bool:
+def matches(detection: Detection, target: Target) -> bool:
     """True if a detection is of the target; tags are compared by family and number alone."""
     found = detection.target
     if isinstance(target, TagFamily):
@@ -97,7 +97,7 @@ class UnseenTargets:
         """Add an image."""
         self._images += 1
         found = photograph.found
-        self._unseen = [t for t in self._unseen if not any(belongs(d, t) for d in found)]
+        self._unseen = [t for t in self._unseen if not any(matches(d, t) for d in found)]
         self._clipped += any(is_clipped(photograph.image, each) for each in found)
 
     def notes(self) -> list[str]:
@@ -134,7 +134,7 @@ class TargetFinder:
         self.check = ResponseCheck()
         self._detectors = [make_detector(target, camera, response) for target in targets]
 
-    def spot(self, image: ArrayLike) -> list[Detection]:
+    def find(self, image: ArrayLike) -> list[Detection]:
         """Find all targets, in the order of `targets`, tags sorted by their numbers.
 
         Args:
@@ -151,7 +151,7 @@ class TargetFinder:
             found += sorted(new, key=lambda one: number_of(one.target) or 0)
         return found
 
-    def spot_in(self, path: Path) -> Photograph:
+    def find_in_file(self, path: Path) -> Photograph:
         """Read an image and find all targets in it.
 
         Args:
@@ -166,6 +166,6 @@ class TargetFinder:
         """
         pixels = read_pixels(path)
         try:
-            return Photograph(path, as_grey(pixels), self.spot(pixels))
+            return Photograph(path, as_grey(pixels), self.find(pixels))
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from error

@@ -6,10 +6,10 @@ import numpy as np
 
 from vergence.calibration.adjustment import Poses
 from vergence.calibration.head.adjust import HeadAdjustment
-from vergence.calibration.head.fit import fitted
+from vergence.calibration.head.fit import fit_robustly
 from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.prior import spreads_of
-from vergence.calibration.head.start import started
+from vergence.calibration.head.prior import prior_sigma_of
+from vergence.calibration.head.start import estimate_start
 from vergence.calibration.head.uncertainty import head_covariance
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
@@ -50,12 +50,12 @@ def preview_calibration(
         The preliminary calibration; None if the frames do not determine a head yet.
     """
     try:
-        begin = started(head, frames)
-        problem = HeadAdjustment(head, spreads_of(head), begin.frames)
+        begin = estimate_start(head, frames)
+        problem = HeadAdjustment(head, prior_sigma_of(head), begin.frames)
         near = problem.start(begin.boards)
         if before is not None:
             near = near._replace(values=before.values)
-        found = fitted(problem, begin.boards, begin.agree, near).solution
+        found = fit_robustly(problem, begin.boards, begin.inlier_views, near).solution
         covariance = head_covariance(found)
     except np.linalg.LinAlgError:
         return None
@@ -66,26 +66,26 @@ def preview_calibration(
     return Preview(found.head, values, found.state.boards, 100.0 * sigma / np.array(DEPTHS_M))
 
 
-def depth_sigma(about: HeadModel, values: FloatArray, covariance: FloatArray) -> FloatArray:
+def depth_sigma(nominal_head: HeadModel, values: FloatArray, covariance: FloatArray) -> FloatArray:
     """Compute the depth uncertainty of fixated points from the head's parameters alone.
 
     Pixels and joint angles are taken as exact; the neck is at rest.
 
     Args:
-        about: the head to which rotations are relative.
+        nominal_head: the head to which rotations are relative.
         values: (p,) see `HeadModel.parameters`.
         covariance: (p, p) covariance of the values.
 
     Returns:
         (2,) standard deviations of the distances along N's z axis of points `DEPTHS_M` ahead, m.
     """
-    head = about.with_parameters(values)
+    head = nominal_head.with_parameters(values)
     ahead = np.array([[0.0, 0.0, depth_m] for depth_m in DEPTHS_M])
     points = ahead + head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
     q = head.fixate(points, head.rest()[NECK])
     pixels = head.project(q, points)
     steps = np.diag(_STEP * np.sqrt(np.diagonal(covariance)))
-    changed = about.with_parameters((values + np.stack([steps, -steps]))[:, :, None])
+    changed = nominal_head.with_parameters((values + np.stack([steps, -steps]))[:, :, None])
     depth = triangulate_views(changed, q, pixels).point[..., 2]
     by_step = (depth[0] - depth[1]) / 2.0  # (p, 2)
     # in units of the steps

@@ -8,7 +8,7 @@ from tests.perception.drawn import Studio, pose_at
 from vergence import load_head
 from vergence.models.boards import AprilTag, CharucoBoard
 from vergence.perception.locate import _match
-from vergence.perception.spotting import TargetFinder, number_of, parse_targets
+from vergence.perception.target_finder import TargetFinder, number_of, parse_targets
 from vergence.vision import EyeCamera
 
 HEAD = load_head("simulated")
@@ -30,24 +30,24 @@ def side_by_side(*tags: int) -> list[np.ndarray]:
 
 
 def test_a_family_is_found_by_number_and_a_stated_tag_keeps_its_size():
-    spotter = TargetFinder(parse_targets(["tag:36h11:7:100", "tag:36h11"]))
-    found = spotter.spot(side_by_side(7, 3)[0])
+    finder = TargetFinder(parse_targets(["tag:36h11:7:100", "tag:36h11"]))
+    found = finder.find(side_by_side(7, 3)[0])
     assert [str(one.target) for one in found] == ["tag:36h11:7:100", "tag:36h11:3"]
-    found = TargetFinder(parse_targets(["tag:36h11"])).spot(side_by_side(7, 3)[0])
+    found = TargetFinder(parse_targets(["tag:36h11"])).find(side_by_side(7, 3)[0])
     assert [number_of(one.target) for one in found] == [3, 7]
 
 
 def test_tags_are_matched_by_number_and_one_that_is_there_twice_is_not():
-    spotters = [
+    finders = [
         TargetFinder(parse_targets(["tag:36h11::100"]), EyeCamera.of(HEAD, e)) for e in range(2)
     ]
-    left, right = (s.spot(i) for s, i in zip(spotters, side_by_side(7, 3), strict=True))
+    left, right = (s.find(i) for s, i in zip(finders, side_by_side(7, 3), strict=True))
     located, missed = _match(HEAD, HEAD.rest(), "a", left, right)
     assert missed == []
     for one, x in zip(located, (0.12, -0.12), strict=True):
         np.testing.assert_allclose(one.centre.point, [x, -0.05, 0.8], atol=0.02)
         assert abs(one.centre.point[0] - x) < 0.002
-    left, right = (s.spot(i) for s, i in zip(spotters, side_by_side(7, 7), strict=True))
+    left, right = (s.find(i) for s, i in zip(finders, side_by_side(7, 7), strict=True))
     assert len(left) == len(right) == 2
     located, missed = _match(HEAD, HEAD.rest(), "a", left, right)
     assert located == []
@@ -59,7 +59,7 @@ def test_a_charuco_board_is_one_target():
     studio = Studio(HEAD, board)
     images = studio.take(pose_at([0.0, -0.05, 0.6]), np.random.default_rng(0))
     targets = parse_targets(["charuco:6x5:30:22:4X4_50"])
-    found = [TargetFinder(targets, EyeCamera.of(HEAD, e)).spot(images[e]) for e in range(2)]
+    found = [TargetFinder(targets, EyeCamera.of(HEAD, e)).find(images[e]) for e in range(2)]
     assert [len(each) for each in found] == [1, 1]
     (one,), _ = _match(HEAD, HEAD.rest(), "a", *found)
     assert one.valid.sum() >= 16
