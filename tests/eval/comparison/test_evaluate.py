@@ -12,6 +12,7 @@ from tests.eval.trials.toys import PERIOD_S, STEP, KnowsTheWay, Shaking, ideal_h
 from vergence.controllers.controller import CONTROLLERS
 from vergence.errors import BundleError, ConfigurationError
 from vergence.eval.comparison import evaluate as module
+from vergence.eval.comparison.contestants import contestants
 from vergence.eval.comparison.evaluate import (
     BASELINE,
     BOUND,
@@ -206,6 +207,18 @@ def test_what_cannot_be_is_refused_in_one_line():
         evaluate(EvaluateConfig(**{"episodes": 2, **change}))
 
     assert not_refused(attempt, cases) == []
+
+
+def test_two_controllers_of_one_label_are_refused():
+    cases = [
+        ("saccade", "got saccade for .* and for one taken by name; .* such as my-saccade"),
+        (BASELINE, f"got {BASELINE} for .* and for the baseline, .* another name"),
+        (BOUND, f"got {BOUND} for .* and for the time-optimal bound; .* another name"),
+    ]
+    toy = KnowsTheWay(20)
+    assert not_refused(lambda label: contestants(("saccade",), {label: toy}), cases) == []
+    labels = [one.label for one in contestants(("saccade",), {"toy": toy})]
+    assert labels == ["saccade", BASELINE, "toy"]
 
 
 @pytest.mark.slow

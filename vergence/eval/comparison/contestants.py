@@ -175,7 +175,8 @@ def contestants(
 
     Raises:
         UnknownNameError: a word names no controller.
-        ConfigurationError: a file or an attribute does not exist.
+        ConfigurationError: a file or an attribute does not exist, or two rows of the tables would
+            have one label.
         ControllerError: a module cannot be imported.
     """
     given = given or GivenOptions()
@@ -185,8 +186,15 @@ def contestants(
     ]
     if BASELINE not in names and BASELINE in CONTROLLERS:
         found.append(Contestant(label=BASELINE, source=BASELINE, given=given))
-    for label, one in (others or {}).items():
-        found.append(Contestant(label=label, source=one, given=given))
+    taken = {BOUND, *(one.label for one in found)}
+    for label, controller in (others or {}).items():
+        if label in taken:
+            raise ConfigurationError(
+                f"controller: expected a label of its own for each row of the tables, got {label} "
+                f"for a controller passed as an object and for {_holder(label)}; give the object "
+                f"another name, such as my-{label}"
+            )
+        found.append(Contestant(label=label, source=controller, given=given))
     return found
 
 
@@ -229,6 +237,13 @@ def _label(word: str, words: list[str]) -> str:
     if path.suffix not in POLICY_FILES and not path.suffix.startswith(".py:"):
         return word
     return path.name if [Path(other).name for other in words].count(path.name) == 1 else word
+
+
+def _holder(label: str) -> str:
+    """What has a label that an object may not have."""
+    if label == BOUND:
+        return "the time-optimal bound"
+    return "the baseline, which always takes part" if label == BASELINE else "one taken by name"
 
 
 def _source(word: str) -> str | EntryPoint:
