@@ -18,7 +18,7 @@ from vergence.errors import ConfigurationError, HardwareError
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.robot.config import DeployConfig, ReplayConfig
 from vergence.eval.robot.deploy import GazeState, deploy
-from vergence.eval.robot.evaluate import begun, evaluate_on_robot
+from vergence.eval.robot.evaluate import evaluate_on_robot, read_begun_config
 from vergence.eval.robot.replay import replay
 from vergence.hardware.config import load_hardware
 from vergence.hardware.emulator.client import EmulatedWorld
@@ -150,10 +150,10 @@ def test_an_evaluation_that_a_pulled_cable_ends_goes_on_where_it_was(tmp_path: P
     assert ran == [0, 1]
     desk.write_text(desk.read_text().replace("[cameras.left]", "[cameras.left]\nlatency_s = 0.01"))
     with pytest.raises(ConfigurationError, match=r"resume: expected cameras of .*0\.01"):
-        evaluate_on_robot(begun(run), run, resume=True)
+        evaluate_on_robot(read_begun_config(run), run, resume=True)
     with emulated(tmp_path):
         found = evaluate_on_robot(
-            begun(run), run, progress=lambda done, total: ran.append(done), resume=True
+            read_begun_config(run), run, progress=lambda done, total: ran.append(done), resume=True
         )
     assert ran == [0, 1, 1, 2]
     trials = found.trials()

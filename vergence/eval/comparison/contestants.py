@@ -27,7 +27,7 @@ BASELINE: Final = "ibvs-tuned"
 """The controller with which all others are compared."""
 BOUND: Final = "bound"
 """The name of the time-optimal bound's row."""
-LADDER: Final = (
+TABLE_ORDER: Final = (
     "ibvs", "ibvs-tuned", "adaptive", "pid", "fuzzy", "delay-compensated", "state-feedback",
     "saccade", "pursuit", "learned-gain", "learned-policy",
 )  # fmt: skip
@@ -156,7 +156,7 @@ class Contestant:
         return ", ".join(found.given)
 
 
-def contestants(
+def make_contestants(
     words: tuple[str, ...],
     others: Mapping[str, Controller] | None = None,
     given: GivenOptions | None = None,
@@ -180,7 +180,7 @@ def contestants(
         ControllerError: a module cannot be imported.
     """
     given = given or GivenOptions()
-    names = list(dict.fromkeys(words or ladder()))
+    names = list(dict.fromkeys(words or controllers_in_table_order()))
     found = [
         Contestant(label=_label(name, names), source=_source(name), given=given) for name in names
     ]
@@ -226,9 +226,9 @@ def available_contestants(
     return available, notes
 
 
-def ladder() -> list[str]:
+def controllers_in_table_order() -> list[str]:
     """The registry's controllers in the order of tables."""
-    return sorted(CONTROLLERS, key=lambda name: (*LADDER, name).index(name))
+    return sorted(CONTROLLERS, key=lambda name: (*TABLE_ORDER, name).index(name))
 
 
 def _label(word: str, words: list[str]) -> str:
@@ -240,7 +240,7 @@ def _label(word: str, words: list[str]) -> str:
 
 
 def _holder(label: str) -> str:
-    """What has a label that an object may not have."""
+    """Owner of a label that an object may not have, for messages."""
     if label == BOUND:
         return "the time-optimal bound"
     return "the baseline, which always takes part" if label == BASELINE else "one taken by name"
@@ -261,7 +261,12 @@ def _source(word: str) -> str | EntryPoint:
             f"({found or 'it has none'}), got {word}"
         )
     if ":" not in word:
-        known = [*ladder(), "a .vgp or .onnx file", "module:class", "path/to/file.py:class"]
+        known = [
+            *controllers_in_table_order(),
+            "a .vgp or .onnx file",
+            "module:class",
+            "path/to/file.py:class",
+        ]
         raise UnknownNameError("controller", word, known)
     entry = EntryPoint.of(word, "controller")
     entry.load()
