@@ -23,7 +23,7 @@ from vergence.calibration.figures import (
     residual_field,
 )
 from vergence.calibration.observations import parse_board
-from vergence.eval.reporting.style import styled
+from vergence.eval.reporting.style import figure_style
 from vergence.perception.pairing import pair_images
 from vergence.perception.photographs import photographs_of
 
@@ -57,7 +57,7 @@ def tiled(figures: Sequence[Figure]) -> Image.Image:
 
 def _drawn(figure: Figure) -> Image.Image:
     content = io.BytesIO()
-    with styled():
+    with figure_style():
         figure.draw_without_rendering()  # panels with equal axes fit only after a second layout
         figure.savefig(content, format="png", dpi=_DPI)
     return Image.open(content).convert("RGB")

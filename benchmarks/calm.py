@@ -29,7 +29,7 @@ from rich.table import Table
 
 from vergence.controllers.controller import make_controller
 from vergence.eval.margins.measure import with_imperfection
-from vergence.eval.margins.ranges import SEARCHED, has_effect, range_of
+from vergence.eval.margins.ranges import SEARCHED, has_effect, search_interval
 from vergence.eval.trials.results import Trials
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario, load_scenario
@@ -148,7 +148,7 @@ def far_out() -> Iterator[tuple[str, Scenario]]:
     hardware = load_scenario("hardware")
     head = hardware.model()
     for name in SEARCHED:
-        span = range_of(name, hardware, head)
+        span = search_interval(name, hardware, head)
         for value in (span.low, span.high) if has_effect(name, hardware) else ():
             if value != span.expected:
                 yield f"hardware, {name} = {value:g}", with_imperfection(hardware, name, value)

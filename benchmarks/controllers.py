@@ -23,7 +23,7 @@ from rich.table import Table
 
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import VergenceError
-from vergence.eval.comparison.contestants import BASELINE, contestants
+from vergence.eval.comparison.contestants import BASELINE, make_contestants
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
 
@@ -71,7 +71,7 @@ def main(arguments: list[str] | None = None) -> None:
     head = scenario.model()
     layout = ObservationLayout.of(head)
     cases = []
-    for one in contestants(tuple(options.controllers)):
+    for one in make_contestants(tuple(options.controllers)):
         try:
             found = one.resolve_options(head, scenario.name)
             cases.append(Case(one.label, one.make(head, layout, found.options)[0]))

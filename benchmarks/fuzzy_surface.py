@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from vergence.controllers.fuzzy import SETS, FuzzyPID
 from vergence.envs.layout import ObservationLayout
-from vergence.eval.reporting.style import new_figure, save_figure, styled
+from vergence.eval.reporting.style import figure_style, new_figure, save_figure
 from vergence.models.files.head_file import load_head
 
 
@@ -31,7 +31,7 @@ def draw_surfaces(controller: FuzzyPID, points: int = 121) -> Figure:
     x = np.linspace(-1.0, 1.0, points)
     factors = controller.factors(x[:, None] * error_px, x[None, :] * rate_px_s)
     away = max(float(np.abs(factors - 1.0).max()), 1e-9)
-    with styled():
+    with figure_style():
         figure = new_figure(10.0, 3.9)
         panels = figure.subplots(1, 3, sharex=True, sharey=True)
         for i, (panel, name) in enumerate(zip(panels, ("$k_p$", "$k_i$", "$k_d$"), strict=True)):

@@ -22,9 +22,9 @@ from vergence.eval.reporting.style import (
     GREY,
     ORANGE,
     PURPLE,
+    figure_style,
     new_figure,
     save_figure,
-    styled,
 )
 
 STYLES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     kinds = list(dict.fromkeys(config["kind"] for config, _curve in runs))
     table = Table("run", "seed", "steps", "best at", "median (s)", "settled", "faster")
-    with styled():
+    with figure_style():
         figure = new_figure(4.8 * len(kinds), 4.4)
         panels = figure.subplots(1, len(kinds), squeeze=False, sharey=True)[0]
         for panel, kind in zip(panels, kinds, strict=True):

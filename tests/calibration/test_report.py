@@ -10,7 +10,7 @@ from tests.calibration.rigs import as_calibrated, look, make_poses, make_rig
 from vergence.calibration import report
 from vergence.calibration.coverage import advice
 from vergence.calibration.report import write_run
-from vergence.eval.reporting.runs import command_of
+from vergence.eval.reporting.runs import run_folder_command
 
 
 class Page(HTMLParser):
@@ -52,13 +52,13 @@ def test_the_report_of_a_pair_is_one_file_with_all_figures(pair, tmp_path):
     both = {"tilts", "distances", "views", "depth", "depth-relative"}
     assert set(page.figures) == eyes | both
     assert [link for link in page.links if not link.startswith(("#", "data:"))] == []
-    assert command_of(tmp_path) == "calibrate"
+    assert run_folder_command(tmp_path) == "calibrate"
 
 
 @pytest.fixture
 def undrawn(monkeypatch):
     """Reports without the time that figures take."""
-    monkeypatch.setattr(report, "svg_of", lambda figure: "<svg viewBox='0 0 1 1'></svg>")
+    monkeypatch.setattr(report, "svg_text", lambda figure: "<svg viewBox='0 0 1 1'></svg>")
 
 
 def test_it_says_the_baseline_what_was_left_out_and_what_to_do(pair, tmp_path, undrawn):

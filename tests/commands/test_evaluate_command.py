@@ -10,7 +10,7 @@ from tests.heads import text_of
 from vergence.cli import main
 from vergence.commands.evaluate import _print as show
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
-from vergence.eval.comparison.tables import tables
+from vergence.eval.comparison.tables import report_tables
 
 
 def run(capsys, *words: str) -> tuple[int, str, str]:
@@ -117,5 +117,5 @@ def test_no_number_of_the_table_is_cut_however_narrow_the_terminal_is(capsys, mo
 
 def cells(evaluation):
     """Heads and numbers of the first row, without intervals."""
-    (table,) = tables(evaluation)
+    (table,) = report_tables(evaluation)
     return table.columns[1:], [cell.splitlines()[0] for cell in table.rows[0][1:]]

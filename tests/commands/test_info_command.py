@@ -205,12 +205,12 @@ def boxes(figure):
 
 @pytest.mark.slow
 def test_no_text_of_the_drawing_covers_another():
-    from vergence.eval.head_figure import compose
+    from vergence.eval.head_figure import compose_head
     from vergence.eval.head_summary import summarise
 
     heads = [load_head(name) for name in ("icub", "turrets", "simulated")]
     for head in (*heads, head_of("tied"), head_of("mis"), parse_head(FISHEYE)):
-        found = boxes(compose(head, summarise(head)))
+        found = boxes(compose_head(head, summarise(head)))
         covered = [
             (one, other)
             for i, (one, a) in enumerate(found)
@@ -225,11 +225,11 @@ def test_no_text_of_the_drawing_covers_another():
 def test_a_field_of_view_of_180_degrees_is_shaded():
     from matplotlib.patches import Polygon
 
-    from vergence.eval.head_figure import compose
+    from vergence.eval.head_figure import compose_head
     from vergence.eval.head_summary import summarise
 
     head = parse_head(FISHEYE)
-    above = compose(head, summarise(head)).axes[0]
+    above = compose_head(head, summarise(head)).axes[0]
     shades = [patch for patch in above.patches if isinstance(patch, Polygon)]
     assert len(shades) == 2
     for shade in shades:

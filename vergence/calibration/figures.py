@@ -27,7 +27,7 @@ from vergence.calibration.image_figures import (
     frame_image,
     residual_arrows,
 )
-from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
+from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, figure_style, new_figure
 from vergence.models.parts import FloatArray
 
 _WIDE: Final = 11.2
@@ -61,7 +61,7 @@ def residuals_by_radius(found: Calibration, camera: int) -> Figure:
     across = residuals[:, 1] * unit[:, 0] - residuals[:, 0] * unit[:, 1]
     edges = np.linspace(0.0, radius.max(), _RINGS + 1)
     ring = np.clip(np.digitize(radius, edges) - 1, 0, _RINGS - 1)
-    with styled():
+    with figure_style():
         figure = new_figure(WIDTH, 3.6)
         panel = figure.add_subplot()
         every = every_nth(len(radius))
@@ -97,7 +97,7 @@ def image_coverage(found: Calibration, camera: int) -> Figure:
 
 def tilt_directions(found: Calibration) -> Figure:
     """Plot direction and size of the board's tilts."""
-    with styled():
+    with figure_style():
         figure = new_figure(WIDTH, 5.2)
         panel = figure.add_subplot()
         most = 40.0
@@ -124,7 +124,7 @@ def tilt_directions(found: Calibration) -> Figure:
 
 def tilts_by_distance(found: Calibration) -> Figure:
     """Plot the tilt of the board in each view against its distance."""
-    with styled():
+    with figure_style():
         figure = new_figure(WIDTH, 5.2)
         panel = figure.add_subplot()
         for camera, name in enumerate(camera_names(found)):
@@ -159,7 +159,7 @@ def view_residuals(found: Calibration) -> Figure:
     limit = max(1.15 * float(good.max()), _CLIPPED * float(np.median(good)))
     kept = found.fit.kept
     places, wide = np.arange(len(kept)), 0.8 / len(fits)
-    with styled():
+    with figure_style():
         figure = new_figure(_WIDE, 4.0)
         panel = figure.add_subplot()
         for number, (name, fit) in enumerate(fits.items()):
@@ -195,7 +195,7 @@ def direction_sigma(found: Calibration, camera: int) -> Figure:
     low, high = _LEVELS_PX[0], _LEVELS_PX[-1]
     shown = np.ma.masked_invalid(np.clip(sigma, 1.001 * low, 0.999 * high))
     pixels, _ = _residuals(found, camera)
-    with styled():
+    with figure_style():
         figure = new_figure(WIDTH, WIDTH * height / width + 0.7)
         panel = figure.add_subplot()
         panel.contourf(
@@ -221,7 +221,7 @@ def depth_sigma(depth: DepthSigma, relative: bool) -> Figure:
         relative: True for percent of the distance, False for millimetres.
     """
     scale = 1e2 / depth.distance_m if relative else np.full(len(depth.distance_m), 1e3)
-    with styled():
+    with figure_style():
         figure = new_figure(WIDTH, 4.4)
         panel = figure.add_subplot()
         for values, label, style in (

@@ -10,7 +10,7 @@ from vergence.calibration.adjustment import CameraRig, rms
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.depth import pixel_noise_px
 from vergence.calibration.projection import camera_parameter_names
-from vergence.eval.reporting.runs import versions
+from vergence.eval.reporting.runs import package_versions
 from vergence.models.calibrated import CalibrationRecord
 from vergence.models.files.import_stereo import head_of_pair
 from vergence.models.files.intrinsics import Intrinsics, Lens
@@ -84,7 +84,7 @@ def record_of(found: Calibration) -> CalibrationRecord:
         rms_px=rms(found.fit.solution.residuals_px),
         rms_heldout_px=rms(found.held_out_px),
         corners_sha256=found.seen.digest,
-        versions=", ".join(f"{name} {each}" for name, each in versions(_VERSIONED).items()),
+        versions=", ".join(f"{name} {each}" for name, each in package_versions(_VERSIONED).items()),
         sigma=sigma,
     )
 
@@ -143,7 +143,7 @@ def camera_document(found: Calibration) -> dict[str, Any]:
             "rms_px": found.rms_alone_px[0],
             "rms_heldout_px": rms(found.held_out_px),
             "corners_sha256": found.seen.digest,
-            "versions": versions(_VERSIONED),
+            "versions": package_versions(_VERSIONED),
             "sigma": dict(zip(names, found.sigma[found.rig.blocks[0]].tolist(), strict=True)),
         },
     }

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from vergence.calibration.coverage import CELLS, views_in_cells
-from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, new_figure, styled
+from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, figure_style, new_figure
 from vergence.models.parts import FloatArray
 
 WIDTH: Final = 5.6
@@ -53,7 +53,7 @@ def residual_arrows(
     long = float(np.quantile(lengths, 0.95)) if len(lengths) else 1.0
     wanted = max(_ARROW * cell / max(long, 1e-6), 1.0)
     factor = max(each for each in _MAGNIFICATIONS if each <= wanted)
-    with styled():
+    with figure_style():
         figure = new_figure(WIDTH, WIDTH * height / width + 0.7)
         panel = figure.add_subplot()
         every = every_nth(len(pixels))
@@ -84,7 +84,7 @@ def corners_seen(views: FloatArray, size: tuple[int, int], name: str, colour: st
     """
     width, height = size
     pixels = views[np.isfinite(views).all(axis=-1)]
-    with styled():
+    with figure_style():
         figure = new_figure(WIDTH, WIDTH * height / width + 0.7)
         panel = figure.add_subplot()
         panel.plot(

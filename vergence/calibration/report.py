@@ -20,9 +20,14 @@ from vergence.calibration.coverage import (
 from vergence.calibration.depth import depth_sigma_at, depths_shown, pixel_noise_px
 from vergence.calibration.projection import camera_parameter_names
 from vergence.eval.reporting.report import inline_svg
-from vergence.eval.reporting.runs import versions, write_json
-from vergence.eval.reporting.style import svg_of
-from vergence.eval.reporting.text import environment, format_fixed, format_number, read_template
+from vergence.eval.reporting.runs import package_versions, write_json
+from vergence.eval.reporting.style import svg_text
+from vergence.eval.reporting.text import (
+    format_fixed,
+    format_number,
+    jinja_environment,
+    read_template,
+)
 from vergence.files import write_atomic
 from vergence.models.joints import EYE_NAMES
 
@@ -77,15 +82,15 @@ def write_report(folder: Path, found: Calibration, name: str) -> None:
         name: name of the calibration's file.
     """
     drawn = _figures(found).items()
-    markup = {stem: inline_svg(svg_of(figure), stem, stem) for stem, figure in drawn}
-    page = environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    markup = {stem: inline_svg(svg_text(figure), stem, stem) for stem, figure in drawn}
+    page = jinja_environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = page.from_string(read_template("vergence.calibration", "calibration.html.jinja"))
     text = template.render(
         **_values(found),
         name=name,
         markup=markup,
         style=read_template("vergence.eval.reporting", "page.css"),
-        versions=versions(),
+        versions=package_versions(),
     )
     write_atomic(folder / "calibration.html", text)
 

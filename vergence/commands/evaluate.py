@@ -73,7 +73,7 @@ class Evaluate:
             )
         if self.resume is not None or self.config.on_robot:
             return self._on_robot()
-        from vergence.eval.comparison.lineup import tune_first
+        from vergence.eval.comparison.lineup import tune_baselines
 
         with claimed_run_folder(
             self.out or dated_folder("margins" if self.margins else "evaluate")
@@ -86,7 +86,7 @@ class Evaluate:
             ):
                 if self.config.tune:
                     mapper.progress = bars.begin("tune")
-                    tune_first(self.config, mapper, say=note)
+                    tune_baselines(self.config, mapper, say=note)
                 mapper.progress = bars.begin("margins" if self.margins else "evaluate")
                 result = self._margins(mapper) if self.margins else self._evaluation(mapper)
             for text in result.notes:
@@ -221,10 +221,10 @@ def _kept(run: Path) -> Iterator[None]:
 
 
 def _print_margins(margins: "Margins") -> None:
-    from vergence.eval.margins.tables import LEGEND, tables
+    from vergence.eval.margins.tables import LEGEND, report_tables
 
     console = _console()
-    for found in tables(margins):
+    for found in report_tables(margins):
         print_table(found.columns, found.rows, title=found.title, console=console)
         console.print()
     console.print(LEGEND, markup=False)
@@ -236,11 +236,11 @@ def _console() -> Console:
 
 
 def _print(evaluation: "Evaluation") -> None:
-    from vergence.eval.comparison.tables import describe, legend, tables
+    from vergence.eval.comparison.tables import describe_evaluation, report_tables, table_legend
 
     intervals = True
     console = _console()
-    for found in tables(evaluation):
+    for found in report_tables(evaluation):
         fitting = (
             table
             for table in (_table(found, padding=2), _table(found, padding=0))
@@ -255,8 +255,8 @@ def _print(evaluation: "Evaluation") -> None:
             intervals = True
             continue
         console.print(table, markup=False, width=console.width)
-    console.print(legend(evaluation, intervals=intervals), markup=False)
-    console.print(describe(evaluation).found, markup=False)
+    console.print(table_legend(evaluation, intervals=intervals), markup=False)
+    console.print(describe_evaluation(evaluation).found, markup=False)
 
 
 def _table(found: "ReportTable", padding: int) -> Table:

@@ -39,13 +39,15 @@ class Info:
         from vergence.envs.plant import PLANTS
         from vergence.envs.targets.registry import TARGETS
         from vergence.eval.article.experiment import EXPERIMENTS
-        from vergence.eval.comparison.contestants import ladder
-        from vergence.eval.reporting.runs import versions
+        from vergence.eval.comparison.contestants import controllers_in_table_order
+        from vergence.eval.reporting.runs import package_versions
         from vergence.eval.trials.scenarios import SCENARIOS
         from vergence.models.files.head_file import load_head, presets
 
         print_table(
-            ["package", "version"], [list(pair) for pair in versions().items()], title="versions"
+            ["package", "version"],
+            [list(pair) for pair in package_versions().items()],
+            title="versions",
         )
         rows = []
         for name in presets():
@@ -65,7 +67,7 @@ class Info:
         known = (name for name in gymnasium.registry if name.startswith("vergence/"))
         rows = [
             ["plants", ", ".join(PLANTS)],
-            ["controllers", ", ".join(ladder())],
+            ["controllers", ", ".join(controllers_in_table_order())],
             ["targets", ", ".join(TARGETS)],
             ["environments", ", ".join(sorted(known))],
             ["scenarios", ", ".join(SCENARIOS)],
@@ -73,7 +75,7 @@ class Info:
         ]
         print_table(["kind", "names"], rows, title="registries", wrapped=(0, 1))
         parts = ("onnx", "onnxruntime", "optuna", "pyarrow", "pygame", "ray")
-        found = versions((*parts, "stable-baselines3", "torch"))
+        found = package_versions((*parts, "stable-baselines3", "torch"))
         rows = [
             [f"{package} ({use})", found.get(package) or _missing(extra)]
             for package, extra, use in (

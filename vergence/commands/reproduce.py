@@ -46,10 +46,10 @@ class Reproduce:
 def _print_summary(sections: "list[Section]") -> None:
     from vergence.eval.article.criterion import REPRODUCED, VERDICTS
     from vergence.eval.reporting.glossary import METHODS_LEGEND
-    from vergence.eval.reporting.report import headlines, tally
+    from vergence.eval.reporting.report import article_summary_rows, count_verdicts
     from vergence.eval.reporting.text import format_range
 
-    judged = [row for _name, row in headlines(sections)]
+    judged = [row for _name, row in article_summary_rows(sections)]
     rows = [
         [
             f"{row['experiment']}, {row['quantity']}, {row['method']}, {row['axis']}".replace(
@@ -64,7 +64,7 @@ def _print_summary(sections: "list[Section]") -> None:
     console = Console(highlight=False)
     if rows:
         print_table(["result", "the article", "ours", "verdict"], rows, wrapped=(0, 3))
-        counts = tally(sections)
+        counts = count_verdicts(sections)
         console.print(
             f"{counts.get(REPRODUCED, 0)} of {len(judged)} results reproduced: "
             f"{VERDICTS[REPRODUCED]}"

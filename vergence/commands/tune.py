@@ -45,7 +45,7 @@ class Tune:
         require("tune", "optuna")
         from vergence.controllers.tuned import write_tuned
         from vergence.envs.streams import as_seed
-        from vergence.eval.reporting.runs import check_free, command_of
+        from vergence.eval.reporting.runs import check_folder_free, run_folder_command
         from vergence.eval.trials.scenarios import load_scenario
         from vergence.eval.tuning.objective import controller_objective
         from vergence.eval.tuning.spaces import search_space
@@ -57,8 +57,8 @@ class Tune:
         folder = self.out or Path("runs") / f"tune-{config.controller}-{config.scenario}"
         if folder.exists() and not folder.is_dir():
             raise ConfigurationError(f"out: expected a folder, got a file: {folder}")
-        if command_of(folder) not in ("tune", None):
-            check_free(folder)
+        if run_folder_command(folder) not in ("tune", None):
+            check_folder_free(folder)
         as_seed(config.seed)
         if config.episodes < 1:
             raise ConfigurationError(f"episodes: expected at least 1, got {config.episodes}")

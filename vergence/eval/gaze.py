@@ -19,7 +19,7 @@ from vergence.envs.task import GazeTask
 from vergence.envs.views import eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.gaze_config import GazeConfig
-from vergence.eval.gaze_trajectory import MM, first_truth, recorded_fixes, trajectory_table
+from vergence.eval.gaze_trajectory import MM, recorded_fixes, trajectory_table, truth_of_first_head
 from vergence.eval.head_summary import LEAST_RESIDUAL_PX
 from vergence.eval.trials.goal import least_measured_error
 from vergence.eval.trials.metrics import settle_time
@@ -153,10 +153,10 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
     controller = make_controller(config.controller, head=head, **options)
     target = {"kind": "static", "point": point.tolist()}
     task = GazeTask(1, head=head, plant=config.plant, target=target, plant_options=plant_options)
-    return watch(task, controller, config, progress)
+    return record_gaze(task, controller, config, progress)
 
 
-def watch(
+def record_gaze(
     task: GazeTask,
     controller: Policy,
     config: GazeConfig,
@@ -178,12 +178,12 @@ def watch(
     """
     steps = round(config.duration_s * task.head.timing.control_rate_hz)
     record = Recorder(task, steps)
-    endings: list[Ending] = []
+    endings: list[FinalState] = []
 
     def keep(step: int) -> None:
         record(step)
         if step == steps:  # while the plant is open
-            endings.append(Ending.of(task))
+            endings.append(FinalState.of(task))
         if step > 0 and progress is not None:
             progress(step / steps)
 
@@ -191,7 +191,7 @@ def watch(
     return gaze_result(config, task, record, endings[-1])
 
 
-class Ending(NamedTuple):
+class FinalState(NamedTuple):
     """Last images and fault counts of a plant, taken before it closes; see `GazeResult`."""
 
     images: tuple[Image, Image] | None
@@ -199,7 +199,7 @@ class Ending(NamedTuple):
     diagnostics: dict[str, int]
 
     @classmethod
-    def of(cls, task: GazeTask) -> "Ending":
+    def of(cls, task: GazeTask) -> "FinalState":
         """Take the present images and counts of a task's first head."""
         images = eye_images(task, 0)
         drawn = images is not None and task.plant.frames(0) is None
@@ -207,7 +207,7 @@ class Ending(NamedTuple):
 
 
 def gaze_result(
-    config: GazeConfig, task: GazeTask, record: Recorder, ending: Ending | None = None
+    config: GazeConfig, task: GazeTask, record: Recorder, ending: FinalState | None = None
 ) -> GazeResult:
     """Evaluate a recorded gaze.
 
@@ -220,7 +220,7 @@ def gaze_result(
     Returns:
         The result.
     """
-    head, truth = task.head, first_truth(record)
+    head, truth = task.head, truth_of_first_head(record)
     trajectory = trajectory_table(head, record)
     residual = np.full((2, 2), np.nan)
     if record.truth is not None:

@@ -20,12 +20,12 @@ _LATELY_S: Final = 0.2
 (chosen)."""
 
 
-def first_reading(record: Recorder) -> Reading:
+def reading_of_first_head(record: Recorder) -> Reading:
     """Readings of a recording's first head, without the axis of the heads."""
     return Reading._make(part[:, 0] for part in record.reading)
 
 
-def first_truth(record: Recorder) -> Truth:
+def truth_of_first_head(record: Recorder) -> Truth:
     """Ground truth of a recording's first head; nan, and nothing in view, if unknown."""
     if record.truth is None:
         return Truth.unknown(len(record.reading.time_s))
@@ -44,7 +44,7 @@ def recorded_fixes(head: HeadModel, record: Recorder) -> tuple[Fix, Fix]:
         older than 0.2 s, with the target visible in both eyes, and the joint angles of its
         exposure.
     """
-    reading = first_reading(record)
+    reading = reading_of_first_head(record)
     views = triangulate_views(head, reading.positions_at_exposure, reading.pixels)
     # without synchronised cameras, the newest image may be of one eye only
     rows = _last_valid(reading.time_s, views.valid)
@@ -72,7 +72,7 @@ def trajectory_table(head: HeadModel, record: Recorder) -> pd.DataFrame:
     Returns:
         One row per control period; nan for unknown ground truth.
     """
-    reading, truth = first_reading(record), first_truth(record)
+    reading, truth = reading_of_first_head(record), truth_of_first_head(record)
     columns: dict[str, NDArray[Any]] = {"time_s": reading.time_s, "exposure_s": reading.exposure_s}
     by_eye = {
         "pixel": reading.pixels,

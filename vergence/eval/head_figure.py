@@ -11,7 +11,7 @@ from matplotlib.patches import Polygon
 from vergence.eval.head_summary import HeadSummary, edge_rays, summarise
 from vergence.eval.image_figure import draw_image
 from vergence.eval.reporting.labels import Labels, page_point
-from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
+from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, figure_style, new_figure
 from vergence.files import atomic_file
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
@@ -92,13 +92,13 @@ def draw_head(head: HeadModel, path: Path, summary: HeadSummary | None = None) -
     Raises:
         OSError: the file cannot be written.
     """
-    with styled():
-        figure = compose(head, summary or summarise(head))
+    with figure_style():
+        figure = compose_head(head, summary or summarise(head))
         with atomic_file(path) as partial:
             figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})
 
 
-def compose(head: HeadModel, summary: HeadSummary) -> Figure:
+def compose_head(head: HeadModel, summary: HeadSummary) -> Figure:
     """Compose the figure of a head.
 
     Args:
@@ -106,7 +106,7 @@ def compose(head: HeadModel, summary: HeadSummary) -> Figure:
         summary: summary of the head.
     """
     shown = _Geometry(head)
-    with styled():
+    with figure_style():
         figure = new_figure(13.0, 10.4)
         grid = figure.add_gridspec(2, 2, wspace=0.06, hspace=0.06)
         views: list[tuple[Axes, Labels]] = []

@@ -40,12 +40,12 @@ class Reach:
     down_deg: float
 
 
-def centre_of(head: HeadModel) -> FloatArray:
+def midpoint_between_cameras(head: HeadModel) -> FloatArray:
     """Midway between the cameras at rest, (3,) in N, m."""
     return np.asarray(head.camera_poses(head.rest())[:, :3, 3].mean(axis=0), np.float64)
 
 
-def look_at(head: HeadModel, points: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+def fixate_points(head: HeadModel, points: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Joint angles at which both eyes look at points of N, and a mask of the visible points.
 
     Fixed eyes keep their pose; eyes that cannot fixate exactly take the angles of the least error.
@@ -70,16 +70,16 @@ def look_at(head: HeadModel, points: FloatArray) -> tuple[FloatArray, NDArray[np
     return q, np.asarray(can & inside.all(axis=(-1, -2)), np.bool_)
 
 
-def reach_of(head: HeadModel) -> Reach:
+def find_reach(head: HeadModel) -> Reach:
     """Find the reach of a head with the neck at rest.
 
     Args:
         head: one head, not a population.
     """
-    centre = centre_of(head)
+    centre = midpoint_between_cameras(head)
 
     def can(directions: FloatArray) -> NDArray[np.bool_]:
-        return look_at(head, centre + directions)[1]
+        return fixate_points(head, centre + directions)[1]
 
     depths = np.geomspace(NEAREST_M, _FARTHEST_M, 2001)
     reached = np.flatnonzero(can(depths[:, None] * _FORWARD))
@@ -99,7 +99,7 @@ def reach_of(head: HeadModel) -> Reach:
     )
 
 
-def points_of(head: HeadModel, reach: Reach) -> FloatArray:
+def reach_side_points(head: HeadModel, reach: Reach) -> FloatArray:
     """Points at the sides and corners of a reach: at its widest angles and halfway there.
 
     Args:
@@ -116,7 +116,7 @@ def points_of(head: HeadModel, reach: Reach) -> FloatArray:
             sides[axis] += list(_directions(np.array([0.5, 1.0]) * widest, axis, sign))
     corners = [across + down - _FORWARD for across in sides[0] for down in sides[1]]
     found = np.array([*sides[0], *sides[1], *corners], np.float64).reshape(-1, 3)
-    return np.asarray(centre_of(head) + reach.distance_m * found, np.float64)
+    return np.asarray(midpoint_between_cameras(head) + reach.distance_m * found, np.float64)
 
 
 def _directions(angles: FloatArray, axis: int, sign: float) -> FloatArray:

@@ -6,7 +6,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from vergence.eval.head_reach import Reach, centre_of, look_at, points_of, reach_of
+from vergence.eval.head_reach import (
+    Reach,
+    find_reach,
+    fixate_points,
+    midpoint_between_cameras,
+    reach_side_points,
+)
 from vergence.models.calibrated import CalibrationRecord
 from vergence.models.cameras import PINHOLE
 from vergence.models.head import HeadModel
@@ -121,14 +127,14 @@ def summarise(head: HeadModel) -> HeadSummary:
     Args:
         head: one head, not a population.
     """
-    ahead = centre_of(head) + np.array(DEPTHS_M)[:, None] * np.array([0.0, 0.0, 1.0])
-    q, seen = look_at(head, ahead)
+    ahead = midpoint_between_cameras(head) + np.array(DEPTHS_M)[:, None] * np.array([0.0, 0.0, 1.0])
+    q, seen = fixate_points(head, ahead)
     pixels = head.project(q, ahead)
     error_mm = 1000.0 * triangulate_views(head, q, pixels).sigma[:, 2]
-    reach, off_px = reach_of(head), np.zeros(1)
+    reach, off_px = find_reach(head), np.zeros(1)
     if head.actuation.count:
-        looked_at = np.concatenate([ahead[seen], points_of(head, reach)])
-        looked_at = looked_at[look_at(head, looked_at)[1]]
+        looked_at = np.concatenate([ahead[seen], reach_side_points(head, reach)])
+        looked_at = looked_at[fixate_points(head, looked_at)[1]]
         off_px = np.linalg.norm(head.least_error(looked_at), axis=-1)
     steps, plays = (
         np.degrees(values[EYES][: head.actuation.count])

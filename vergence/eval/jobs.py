@@ -20,7 +20,7 @@ from typing import Any, Final, TypeVar
 
 from vergence._jit import workers_begin
 from vergence.errors import ConfigurationError, VergenceError, how_to_install
-from vergence.eval.reporting.runs import versions
+from vergence.eval.reporting.runs import package_versions
 
 T = TypeVar("T")
 Job = Callable[[], Any]
@@ -242,7 +242,7 @@ class RayMapper(Mapper):
     def _run(self, jobs: Sequence[Callable[[], T]]) -> Generator[tuple[int, T]]:
         ray = self._ray
         task = ray.remote(num_cpus=1, max_retries=_RETRIES, scheduling_strategy="SPREAD")(_remote)
-        pending = {task.remote(job, versions()): number for number, job in enumerate(jobs)}
+        pending = {task.remote(job, package_versions()): number for number, job in enumerate(jobs)}
         while pending:
             (reference,), _ = ray.wait(list(pending), num_returns=1)
             try:
@@ -302,7 +302,7 @@ def _join(address: str) -> ModuleType:
 
 def _remote(job: Callable[[], T], expected: dict[str, str]) -> T:
     """Run a job on a node of a cluster, if the node has the same versions of packages."""
-    found = versions()
+    found = package_versions()
     if found != expected:
         different = sorted(set(found.items()) ^ set(expected.items()))
         names = ", ".join(dict.fromkeys(name for name, _ in different))

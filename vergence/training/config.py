@@ -11,7 +11,12 @@ from typing import Any, Final, get_args, get_type_hints
 from vergence.controllers.networks.onnx_graph import MAX_PRODUCTS, MAX_WIDTH
 from vergence.envs.streams import as_seed
 from vergence.errors import ConfigurationError, did_you_mean
-from vergence.eval.reporting.runs import check_free, command_of, run_folder, write_config
+from vergence.eval.reporting.runs import (
+    check_folder_free,
+    run_folder,
+    run_folder_command,
+    write_config,
+)
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.training.algorithm_options import check_algorithm
@@ -167,12 +172,12 @@ def check_new(folder: Path) -> None:
     Raises:
         ConfigurationError: the folder is not empty.
     """
-    if (folder / "config.toml").is_file() and command_of(folder) in ("train", None):
+    if (folder / "config.toml").is_file() and run_folder_command(folder) in ("train", None):
         raise ConfigurationError(
             f"out: expected a new or empty folder, got a run: {folder} "
             f"(vergence train --resume {folder} goes on with it)"
         )
-    check_free(folder)
+    check_folder_free(folder)
 
 
 def load_run(folder: Path) -> tuple[TrainConfig, HeadModel]:

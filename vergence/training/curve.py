@@ -6,7 +6,15 @@ from typing import Any, Final
 
 import pandas as pd
 
-from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, new_figure, save_figure, styled
+from vergence.eval.reporting.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    figure_style,
+    new_figure,
+    save_figure,
+)
 from vergence.files import atomic_file
 
 COLUMNS: Final = {
@@ -46,7 +54,7 @@ def draw_curve(
     """
     table = pd.DataFrame(list(rows), columns=list(COLUMNS))
     millions = table["step"] / 1e6
-    with styled():
+    with figure_style():
         figure = new_figure(9.0, 4.2)
         left, right = figure.subplots(1, 2)
         left.plot(millions, table["headline"], color=BLUE, label="validation")

@@ -7,7 +7,7 @@ import numpy as np
 
 from vergence.controllers.controller import Controller, make_controller
 from vergence.controllers.tuned import find_tuned, is_for
-from vergence.eval.trials.run import Trials, headline, run_trials
+from vergence.eval.trials.run import Trials, headline_metric, run_trials
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
 
@@ -40,7 +40,7 @@ class Score:
             values = trials.settle_or_trial_s(band_px)
             good = np.isfinite(trials.settle_s(band_px))
         return cls(
-            headline=headline(trials),
+            headline=headline_metric(trials),
             mean=float(np.mean(values)),
             settled_fraction=float(np.mean(good)),
         )

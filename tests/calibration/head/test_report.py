@@ -15,8 +15,8 @@ from vergence.calibration.head.depth import ahead, aside, depth_errors
 from vergence.calibration.head.observability import UnobservableDirection
 from vergence.calibration.head.report import document, left_out, write_run
 from vergence.calibration.head.simulated import record
-from vergence.eval.head_reach import centre_of
-from vergence.eval.reporting.runs import command_of
+from vergence.eval.head_reach import midpoint_between_cameras
+from vergence.eval.reporting.runs import run_folder_command
 from vergence.eval.reporting.text import format_number
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.triangulation import triangulate_gaze, triangulate_views
@@ -56,7 +56,7 @@ def written(folder, found, unseen=UNSEEN):
 
 def test_depth_sigma_is_the_scatter_of_heads_drawn_from_the_covariance(found):
     from_eyes = np.concatenate([ahead(DISTANCES_M), aside(1.0, np.array([-0.4]), np.array([0.3]))])
-    points = centre_of(found.head) + from_eyes
+    points = midpoint_between_cameras(found.head) + from_eyes
     q = found.head.fixate(points)
     free = found.sigma > 1e-8
     values = np.tile(found.solution.state.values, (4000, 1, 1))
@@ -74,7 +74,7 @@ def test_depth_sigma_is_the_scatter_of_heads_drawn_from_the_covariance(found):
 
 def test_the_error_before_is_the_one_that_the_true_head_tells(found, true):
     depth = depth_errors(found, ahead(DISTANCES_M))
-    points = centre_of(true) + ahead(DISTANCES_M)
+    points = midpoint_between_cameras(true) + ahead(DISTANCES_M)
     q = true.fixate(points)
     off = triangulate_views(HEAD, q, true.cameras.principal).point - points
     assert (np.abs(off[:, 2]) > 4.0 * depth.sigma_m).all()
@@ -83,7 +83,7 @@ def test_the_error_before_is_the_one_that_the_true_head_tells(found, true):
 
 
 def test_the_floor_is_that_of_a_settled_fixation(found):
-    q = found.head.fixate(centre_of(found.head) + ahead(DISTANCES_M))
+    q = found.head.fixate(midpoint_between_cameras(found.head) + ahead(DISTANCES_M))
     floor = triangulate_gaze(found.head, q).sigma[:, 2]
     np.testing.assert_allclose(depth_errors(found, ahead(DISTANCES_M)).floor_m, floor, rtol=1e-6)
 
@@ -112,7 +112,7 @@ def test_the_run_folder_has_the_head_all_numbers_and_every_view(found, tmp_path,
     assert {path.name for path in tmp_path.iterdir()} == {
         "mine.toml", "result.json", "views.csv", "calibration.html",
     }  # fmt: skip
-    assert command_of(tmp_path) == "calibrate"
+    assert run_folder_command(tmp_path) == "calibrate"
     assert (tmp_path / "mine.toml").read_text() == "name = 'mine'\n"
     result = json.loads((tmp_path / "result.json").read_text())
     names, units, _ = HEAD.parameters()

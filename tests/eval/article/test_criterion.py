@@ -10,9 +10,9 @@ from vergence.eval.article.criterion import (
     REPRODUCED_FACTOR,
     SAME_ORDER_FACTOR,
     VERDICTS,
-    compare,
-    factor,
-    farthest,
+    most_different_ends,
+    ratio_above_one,
+    verdict_of_ranges,
 )
 from vergence.eval.article.reported import reported_results
 
@@ -36,24 +36,24 @@ def test_the_worst_end_decides_and_overlap_does_not_count():
         ((0.0, 1.0), (0.5, 1.0), "differs"),
         ((math.nan, 1.0), (1.0, 1.0), "none"),
     ]
-    found = [(ours, article, compare(*ours, *article)) for ours, article, _ in expected]
+    found = [(ours, article, verdict_of_ranges(*ours, *article)) for ours, article, _ in expected]
     assert found == expected
 
 
 @given(FIGURES, FIGURES)
 def test_a_factor_is_the_same_both_ways_and_at_least_one(one, other):
-    assert factor(one, other) == pytest.approx(factor(other, one))
-    assert factor(one, other) >= 1.0
+    assert ratio_above_one(one, other) == pytest.approx(ratio_above_one(other, one))
+    assert ratio_above_one(one, other) >= 1.0
 
 
 @given(FIGURES, FIGURES, FIGURES, FIGURES)
 def test_what_is_reproduced_is_within_the_factor_at_both_ends(a, b, c, d):
     ours, article = sorted((a, b)), sorted((c, d))
-    ratios = [factor(*pair) for pair in zip(ours, article, strict=True)]
-    said = compare(*ours, *article)
+    ratios = [ratio_above_one(*pair) for pair in zip(ours, article, strict=True)]
+    said = verdict_of_ranges(*ours, *article)
     assert (said == "reproduced") == (max(ratios) <= REPRODUCED_FACTOR)
     assert (said == "differs") == (max(ratios) > SAME_ORDER_FACTOR)
-    assert factor(*farthest(*ours, *article)) == max(ratios)
+    assert ratio_above_one(*most_different_ends(*ours, *article)) == max(ratios)
 
 
 def test_every_verdict_is_explained():
@@ -67,7 +67,7 @@ def test_the_factor_covers_how_far_the_articles_own_two_methods_are_apart_in_x_y
         if row.quantity == "mean absolute error"
     }
     apart = [
-        factor(value, means[experiment, axis, "itpc"])
+        ratio_above_one(value, means[experiment, axis, "itpc"])
         for (experiment, axis, method), value in means.items()
         if method == "gaze"
     ]

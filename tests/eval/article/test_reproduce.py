@@ -17,13 +17,13 @@ from tests.eval.conftest import toy_alone
 from tests.eval.refusals import not_refused
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.article.config import ReproduceConfig
-from vergence.eval.article.folder import finish
+from vergence.eval.article.folder import write_folder_report
 from vergence.eval.article.overrides import read_overrides
 from vergence.eval.article.reported import reported_results
 from vergence.eval.article.reproduce import reproduce
 from vergence.eval.jobs import ProcessMapper, SerialMapper
 from vergence.eval.reporting.parquet import write_parquet
-from vergence.eval.reporting.report import Section, tally
+from vergence.eval.reporting.report import Section, count_verdicts
 from vergence.eval.reporting.text import format_number
 from vergence.locks import locked
 
@@ -226,7 +226,7 @@ def test_an_experiment_with_a_missing_or_damaged_file_runs_again_and_says_so(
 def test_a_damaged_experiment_that_is_not_asked_for_is_left_out_of_the_report(run):
     (run / "tables" / "toy.csv").unlink()
     listener = Warned()
-    sections = finish(run, listener.warn)
+    sections = write_folder_report(run, listener.warn)
     assert sections == []
     assert listener.said == ["toy tables/toy.csv is missing"]
     assert json.loads((run / "numbers.json").read_text()) == {}
@@ -390,7 +390,7 @@ def test_the_tally_counts_each_result_of_the_article_once():
         name="all", title="", article="", what="", conclusion="", summary=[*rows, other],
         figures=[], rows=0, config={}, seed=0,
     )  # fmt: skip
-    assert tally([section]) == {"reproduced": 5, "differs": len(rows) - 5}
+    assert count_verdicts([section]) == {"reproduced": 5, "differs": len(rows) - 5}
 
 
 def test_settings_that_say_nothing_are_refused():

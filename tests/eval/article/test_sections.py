@@ -6,7 +6,7 @@ import re
 from jinja2 import meta, nodes
 
 from vergence.eval.article.experiment import EXPERIMENTS, load_experiment, resolve_config
-from vergence.eval.reporting.text import environment, render_text
+from vergence.eval.reporting.text import jinja_environment, render_text
 
 _CHOICES = (nodes.If, nodes.CondExpr, nodes.Test, nodes.Compare, nodes.For, nodes.And, nodes.Or)
 _COUNTED = (
@@ -22,7 +22,7 @@ _FEW = 12
 def rendered(name, quick):
     """The text of a section for a configuration, with 7.7 for every number of a table."""
     experiment = load_experiment(name)
-    names = meta.find_undeclared_variables(environment().parse(experiment.text))
+    names = meta.find_undeclared_variables(jinja_environment().parse(experiment.text))
     config = resolve_config(experiment, {}, quick)
     return render_text(experiment.text, config=config, **dict.fromkeys(names - {"config"}, 7.7))
 
@@ -34,7 +34,7 @@ def words(text):
 
 def test_a_template_chooses_no_words():
     for name in EXPERIMENTS:
-        tree = environment().parse(load_experiment(name).text)
+        tree = jinja_environment().parse(load_experiment(name).text)
         blocks = {block.name for block in tree.find_all(nodes.Block)}
         assert blocks >= {"what", "found"}, name
         assert all(b.startswith("caption_") for b in blocks - {"what", "found", "headline"}), name

@@ -12,6 +12,7 @@ from tests.eval.trials.toys import PERIOD_S, STEP, KnowsTheWay, Shaking, ideal_h
 from vergence.controllers.controller import CONTROLLERS
 from vergence.errors import BundleError, ConfigurationError
 from vergence.eval.comparison import evaluate as module
+from vergence.eval.comparison.contestants import make_contestants
 from vergence.eval.comparison.evaluate import (
     BASELINE,
     BOUND,
@@ -22,7 +23,7 @@ from vergence.eval.comparison.evaluate import (
 )
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.comparison.summary import bound_trials, fill_missing
-from vergence.eval.comparison.tables import describe, tables
+from vergence.eval.comparison.tables import describe_evaluation, report_tables
 from vergence.eval.jobs import ProcessMapper
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 from vergence.eval.trials.settling import ONE_PX
@@ -94,7 +95,7 @@ def test_trials_that_swing_are_counted_and_have_not_settled(known, monkeypatch):
     swing = 2.0 * 0.03 * ideal_head().limits.velocity[4]
     assert row["fixation_peak_to_peak_p95_rad_s"] == pytest.approx(swing, rel=0.01)
     assert row_of(evaluation, BOUND)["swinging_trials"] is None
-    (table,) = tables(evaluation)
+    (table,) = report_tables(evaluation)
     (shown,) = (cells for cells in table.rows if cells[0].startswith("shaking"))
     cell = dict(zip(table.columns, shown, strict=True))
     assert cell["settled (%)"] == "90\n2 swing"
@@ -208,6 +209,18 @@ def test_what_cannot_be_is_refused_in_one_line():
     assert not_refused(attempt, cases) == []
 
 
+def test_two_controllers_of_one_label_are_refused():
+    cases = [
+        ("saccade", "got saccade for .* and for one taken by name; .* such as my-saccade"),
+        (BASELINE, f"got {BASELINE} for .* and for the baseline, .* another name"),
+        (BOUND, f"got {BOUND} for .* and for the time-optimal bound; .* another name"),
+    ]
+    toy = KnowsTheWay(20)
+    assert not_refused(lambda label: make_contestants(("saccade",), {label: toy}), cases) == []
+    labels = [one.label for one in make_contestants(("saccade",), {"toy": toy})]
+    assert labels == ["saccade", BASELINE, "toy"]
+
+
 @pytest.mark.slow
 def test_a_run_folder_holds_tables_figures_and_a_report(tmp_path, few):
     write_evaluation(tmp_path, few)
@@ -229,7 +242,7 @@ def test_a_run_folder_holds_tables_figures_and_a_report(tmp_path, few):
 
 def test_the_text_states_the_best_numbers_and_the_least_share_that_settles(few):
     best = min(few.rows()[:2], key=lambda row: row["settle_1px_median_s"])
-    found = describe(few).found
+    found = describe_evaluation(few).found
     assert found.startswith("workspace on kinematic: the shortest median settle time to 1 px is")
     assert f"{best['controller']}, {1000.0 * best['settle_1px_median_s']:.0f} [" in found
     assert "settles in 100 % of the trials, and every controller in at least" in found
@@ -237,14 +250,16 @@ def test_the_text_states_the_best_numbers_and_the_least_share_that_settles(few):
 
 def test_the_text_is_true_where_nothing_settles(known):
     # half a second is too short for ibvs-tuned too
-    found = describe(evaluate(known, {"toy": KnowsTheWay(20, never=tuple(range(20)))})).found
+    found = describe_evaluation(
+        evaluate(known, {"toy": KnowsTheWay(20, never=tuple(range(20)))})
+    ).found
     assert "settles in 0 % of the trials, and every controller in at least 0 %." in found
 
 
 def test_the_text_of_a_moving_target_states_error_and_lag():
     config = EvaluateConfig(controllers=("ibvs",), scenarios=("fast",), episodes=4)
     evaluation = evaluate(config)
-    found = describe(evaluation).found
+    found = describe_evaluation(evaluation).found
     lag = min(evaluation.summaries(), key=lambda row: row["tracking_rms_px"])
     assert found.startswith("fast on kinematic: the smallest median tracking error is that of")
     assert f"a median lag of {1000.0 * lag['tracking_lag_median_s']:.1f} ms" in found

@@ -13,7 +13,12 @@ from vergence.errors import ConfigurationError
 from vergence.eval.comparison.evaluate import BASELINE, EvaluateConfig, evaluate
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.comparison.options import resolve_options
-from vergence.eval.comparison.tables import RESIDUAL_COLUMN, describe, legend, tables
+from vergence.eval.comparison.tables import (
+    RESIDUAL_COLUMN,
+    describe_evaluation,
+    report_tables,
+    table_legend,
+)
 from vergence.eval.jobs import ProcessMapper, SerialMapper
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning import baseline
@@ -51,14 +56,14 @@ def test_a_baseline_of_another_head_is_marked_in_rows_tables_text_and_files(mine
         assert (rows[name]["tuned"], rows[name]["tuned_for"]) == (False, "simulated")
     assert rows["ibvs"]["tuned"] is None  # it stands for the article, and is not tuned
     assert rows["bound"]["tuned"] is None
-    (table,) = tables(evaluation)
+    (table,) = report_tables(evaluation)
     assert "x faster than untuned" in table.columns
     labels = {row[0].split("\n")[0]: row[0] for row in table.rows}
     assert MARK in labels[BASELINE]
     assert MARK in labels["pid"]
     assert MARK not in labels["ibvs"]
-    assert f"{BASELINE}, {MARK}, takes" in " ".join(describe(evaluation).found.split())
-    assert "Untuned for this head" in legend(evaluation)
+    assert f"{BASELINE}, {MARK}, takes" in " ".join(describe_evaluation(evaluation).found.split())
+    assert "Untuned for this head" in table_legend(evaluation)
     assert any(note.startswith("pid, ibvs-tuned: untuned") for note in evaluation.notes)
     write_evaluation(tmp_path, evaluation)
     assert MARK in (tmp_path / "report.html").read_text()
@@ -72,8 +77,8 @@ def test_a_baseline_of_another_head_is_marked_in_rows_tables_text_and_files(mine
 def test_nothing_is_marked_for_a_scenarios_own_head():
     evaluation = evaluate(EvaluateConfig(controllers=("pid",), episodes=2))
     assert {row["tuned"] for row in evaluation.rows()} == {True, None}
-    (table,) = tables(evaluation)
-    assert MARK not in str(table) + describe(evaluation).found + legend(evaluation)
+    (table,) = report_tables(evaluation)
+    assert MARK not in str(table) + describe_evaluation(evaluation).found + table_legend(evaluation)
     assert evaluation.notes == []
 
 
@@ -95,7 +100,7 @@ def test_options_of_the_heads_digest_run_and_are_not_marked(mine, user_table):
     evaluation = evaluate(EvaluateConfig(episodes=2, head=mine, controllers=("ibvs",)))
     row = rows_of(evaluation)[BASELINE]
     assert (row["tuned"], row["options"]) == (True, {"gain": 3.65})
-    assert "x faster" in tables(evaluation)[0].columns
+    assert "x faster" in report_tables(evaluation)[0].columns
 
 
 @pytest.mark.slow
@@ -158,16 +163,16 @@ def test_what_iterations_leave_is_no_residual_in_the_table():
     trials = [outcome.trials for outcome in evaluation.outcomes]
     for table in trials:
         table["residual_px"] = 2e-6
-    assert RESIDUAL_COLUMN not in tables(evaluation)[0].columns
+    assert RESIDUAL_COLUMN not in report_tables(evaluation)[0].columns
     for table in trials:
         table["residual_px"] = 0.02
-    assert RESIDUAL_COLUMN in tables(evaluation)[0].columns
+    assert RESIDUAL_COLUMN in report_tables(evaluation)[0].columns
 
 
 def test_a_baseline_whose_options_were_given_is_marked():
     config = EvaluateConfig(controllers=("pid",), episodes=2)
     evaluation = evaluate(config, options={BASELINE: {"gain": 0.7}})
-    (table,) = tables(evaluation)
+    (table,) = report_tables(evaluation)
     assert "x faster than given" in table.columns
     assert rows_of(evaluation)[BASELINE]["given"] == ["gain"]
 
@@ -222,7 +227,7 @@ def test_a_file_gives_options_by_controller_and_by_scenario(tmp_path, mine):
     assert feedback["tuned"] is True
     pursuit = found["workspace", "pursuit"]
     assert (pursuit["options"], pursuit["tuned"]) == ({"braking": 0.8}, None)
-    assert "given by --options" in str(tables(evaluation)[0])
+    assert "given by --options" in str(report_tables(evaluation)[0])
     (tmp_path / "run").mkdir()
     write_evaluation(tmp_path / "run", evaluation)
     kept = tomllib.loads((tmp_path / "run" / "config.toml").read_text())

@@ -11,7 +11,7 @@ import pytest
 from tests.naming import named
 from vergence.cli import main
 from vergence.errors import ConfigurationError, ControllerError, HardwareError, VergenceError
-from vergence.eval.comparison.contestants import contestants
+from vergence.eval.comparison.contestants import make_contestants
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
 from vergence.eval.comparison.user_code import GuardedController
 from vergence.eval.jobs import ProcessMapper
@@ -64,7 +64,7 @@ def run(capsys, *words) -> tuple[int, str, str]:
 def test_a_file_without_a_class_is_answered_by_its_classes_that_predict(tmp_path):
     write(tmp_path / "mine.py", first="class Helper: pass")
     with pytest.raises(ConfigurationError, match=r"mine\.py:Class .*\(mine\.py:Gentle\)"):
-        contestants(("mine.py",))
+        make_contestants(("mine.py",))
 
 
 def test_a_module_in_the_current_folder_is_found_with_the_folder_last_on_the_path(tmp_path):

@@ -18,7 +18,7 @@ from vergence.eval.margins.margins import ROW, Margins
 from vergence.eval.margins.ranges import SEARCHED
 from vergence.eval.margins.run import measure_margins
 from vergence.eval.margins.search import GRID, HALVINGS
-from vergence.eval.margins.tables import tables
+from vergence.eval.margins.tables import report_tables
 from vergence.eval.reporting.section import SECTION_FILE, read_section
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 from vergence.models.files.head_file import save_head
@@ -80,7 +80,7 @@ def test_a_controller_that_settles_nowhere_has_no_range(known):
     margins = known("command_latency_s", toy=KnowsTheWay(5, never=tuple(range(8))))
     (row,) = margins.rows()
     assert all(row[end] is None for end in ROW[4:])
-    (table,) = tables(margins)
+    (table,) = report_tables(margins)
     assert table.rows[0][-2:] == ["nowhere", "nowhere"]
     assert "0 of 8 trials settle untouched" in table.title
 
@@ -125,7 +125,7 @@ def test_an_open_end_is_that_of_the_search_and_no_limit_of_what_can_be(known):
     assert by_name["command_latency_s"].is_open("settles_high")
     assert not by_name["command_latency_s"].is_open("settles_low")
     assert not by_name["frame_phase"].is_open("settles_high")
-    cells = {row[0]: row[3] for row in tables(margins)[0].rows}
+    cells = {row[0]: row[3] for row in report_tables(margins)[0].rows}
     assert cells["command latency (ms)"] == "0 to ≥ 100"
     assert cells["camera phase (of a frame)"] == "0 to 1"
 

@@ -8,8 +8,13 @@ import pytest
 
 from tests.eval.trials.toys import PERIOD_S, STEP, InTwoTurns, KnowsTheWay, ideal_head
 from vergence import make_controller
-from vergence.eval.margins.measure import Measure, Point, band_px, with_imperfection
-from vergence.eval.margins.ranges import SEARCHED, range_of
+from vergence.eval.margins.measure import (
+    MarginMeasurement,
+    MarginPoint,
+    margin_band_px,
+    with_imperfection,
+)
+from vergence.eval.margins.ranges import SEARCHED, search_interval
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 
@@ -17,13 +22,13 @@ WORKSPACE = load_scenario("workspace")
 KNOWN = Scenario(name="known", description="a step", target=STEP.target, duration_s=0.5)
 
 
-def measured(controller, name: str, value: float, scenario: Scenario = KNOWN) -> Point:
+def measured(controller, name: str, value: float, scenario: Scenario = KNOWN) -> MarginPoint:
     head = ideal_head()
 
     def run(scenario: Scenario):
         return run_trials(controller, scenario, episodes=10, head=head)
 
-    return Measure(run, scenario, name)(value)
+    return MarginMeasurement(run, scenario, name)(value)
 
 
 def test_at_the_expected_value_nothing_has_changed():
@@ -32,7 +37,7 @@ def test_at_the_expected_value_nothing_has_changed():
     controller = make_controller("ibvs", head)
     untouched = run_trials(controller, scenario, episodes=3)
     for name in SEARCHED:
-        expected = range_of(name, scenario, head).expected
+        expected = search_interval(name, scenario, head).expected
         trials = run_trials(controller, with_imperfection(scenario, name, expected), episodes=3)
         np.testing.assert_array_equal(trials.error, untouched.error, err_msg=name)
 
@@ -54,8 +59,8 @@ def test_all_else_stays_as_the_trial_draws_it():
 
 
 def test_ninety_nine_of_a_hundred_settle():
-    def point(trials: int, settled: int) -> Point:
-        return Point(0.0, 1.0, trials, settled, 0.2, 0.2)
+    def point(trials: int, settled: int) -> MarginPoint:
+        return MarginPoint(0.0, 1.0, trials, settled, 0.2, 0.2)
 
     assert point(200, 198).settles
     assert not point(200, 197).settles
@@ -66,7 +71,7 @@ def test_ninety_nine_of_a_hundred_settle():
 
 def test_the_median_has_doubled_where_it_is_twice_that_of_the_untouched():
     for median_s, keeps in {0.39: True, 0.4: False, inf: False}.items():
-        assert Point(0.0, 1.0, 10, 10, median_s, 0.2).median_not_doubled is keeps
+        assert MarginPoint(0.0, 1.0, 10, 10, median_s, 0.2).median_not_doubled is keeps
 
 
 def test_what_never_settled_untouched_does_not_count():
@@ -89,7 +94,7 @@ def test_where_nothing_settles_untouched_nothing_is_good():
     assert np.isnan([point.median_s, point.untouched_median_s]).all()
     assert not point.settles
     assert not point.median_not_doubled
-    assert not Point(0.0, 1.0, 0, 0, nan, nan).median_not_doubled
+    assert not MarginPoint(0.0, 1.0, 0, 0, nan, nan).median_not_doubled
 
 
 def test_a_late_command_adds_to_the_settling_time():
@@ -99,8 +104,8 @@ def test_a_late_command_adds_to_the_settling_time():
 
 
 def test_noise_widens_the_band_to_three_deviations_for_both_sides_of_the_comparison():
-    assert band_px(KNOWN, "detection_noise_px", 0.2) == 1.0
-    assert band_px(KNOWN, "detection_noise_px", 1.0) == 3.0
+    assert margin_band_px(KNOWN, "detection_noise_px", 0.2) == 1.0
+    assert margin_band_px(KNOWN, "detection_noise_px", 1.0) == 3.0
     # within 1.5 px after 21 periods, within 1 px after 31
     near = InTwoTurns(20, 30, 1.5)
     quiet = measured(near, "detection_noise_px", 0.2)
@@ -111,7 +116,7 @@ def test_noise_widens_the_band_to_three_deviations_for_both_sides_of_the_compari
 
 
 def test_nothing_else_widens_the_band():
-    bands = {name: band_px(KNOWN, name, one.most) for name, one in SEARCHED.items()}
+    bands = {name: margin_band_px(KNOWN, name, one.most) for name, one in SEARCHED.items()}
     del bands["detection_noise_px"]
     assert bands == dict.fromkeys(bands, KNOWN.band_px)
 

@@ -5,7 +5,7 @@ import pytest
 
 from vergence import make_controller
 from vergence.envs.plants.variation import Variation
-from vergence.eval.margins.measure import Measure
+from vergence.eval.margins.measure import MarginMeasurement
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 
@@ -36,7 +36,7 @@ def test_it_stands_one_imperfection_of_a_robot_at_a_time(workspace, name) -> Non
     def run(scenario):
         return run_trials(controller, scenario, episodes=TRIALS, seed=3)
 
-    measure = Measure(run, workspace, name)
+    measure = MarginMeasurement(run, workspace, name)
     # a trial in sixty is within what a 99 % margin lets pass now and then
     assert all(measure(value).settled >= TRIALS - 1 for value in STOOD[name])
 

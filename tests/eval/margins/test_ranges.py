@@ -6,7 +6,7 @@ import numpy as np
 
 from vergence.envs.plants.imperfections import IMPERFECTIONS, PARTS, is_within
 from vergence.envs.plants.variation import RANGES
-from vergence.eval.margins.ranges import SEARCHED, has_effect, range_of
+from vergence.eval.margins.ranges import SEARCHED, has_effect, search_interval
 from vergence.eval.trials.scenarios import load_scenario
 
 WORKSPACE, HARDWARE = load_scenario("workspace"), load_scenario("hardware")
@@ -36,14 +36,14 @@ def test_what_robots_do_lies_within_what_is_searched():
         ("outlier_probability", 0.0, 0.02),
         ("frame_rate_hz", 15.0, 120.0),
     ):
-        found = range_of(name, WORKSPACE, WORKSPACE.model())
+        found = search_interval(name, WORKSPACE, WORKSPACE.model())
         assert found.low <= low < high <= found.high, name
 
 
 def test_the_search_begins_at_what_the_model_says():
     head = WORKSPACE.model()
     for name, one in IMPERFECTIONS.items():
-        assert range_of(name, WORKSPACE, head).expected == np.max(one.nominal(head))
+        assert search_interval(name, WORKSPACE, head).expected == np.max(one.nominal(head))
 
 
 def test_the_search_begins_within_what_a_scenario_draws():
@@ -51,20 +51,20 @@ def test_the_search_begins_within_what_a_scenario_draws():
     for name in SEARCHED:
         drawn = getattr(HARDWARE.variation, name)
         if drawn is not None:
-            assert drawn[0] <= range_of(name, HARDWARE, head).expected <= drawn[1], name
-    assert range_of("latency_s", HARDWARE, head).expected == head.timing.latency_s
-    assert range_of("dropped_frame_probability", HARDWARE, head).expected == 0.1
+            assert drawn[0] <= search_interval(name, HARDWARE, head).expected <= drawn[1], name
+    assert search_interval("latency_s", HARDWARE, head).expected == head.timing.latency_s
+    assert search_interval("dropped_frame_probability", HARDWARE, head).expected == 0.1
 
 
 def test_a_head_beyond_what_is_searched_is_searched_from_there():
     head = WORKSPACE.model().replace(timing={"latency_s": 0.4})
-    found = range_of("latency_s", WORKSPACE, head)
+    found = search_interval("latency_s", WORKSPACE, head)
     assert (found.low, found.expected, found.high) == (0.0, 0.4, 0.4)
 
 
 def test_a_head_with_play_is_expected_to_have_it():
     head = WORKSPACE.model().replace(sensor={"backlash_rad": 0.002})
-    assert range_of("backlash_rad", WORKSPACE, head).expected == 0.002
+    assert search_interval("backlash_rad", WORKSPACE, head).expected == 0.002
 
 
 def test_the_size_of_outliers_matters_where_there_are_some():

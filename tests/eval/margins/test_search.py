@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from vergence.eval.margins.search import GRID, HALVINGS, last_value
+from vergence.eval.margins.search import GRID, HALVINGS, last_holding_value
 
 
 def steps_of(limit: float, begin: float, end: float) -> tuple[float, list[float]]:
@@ -14,7 +14,7 @@ def steps_of(limit: float, begin: float, end: float) -> tuple[float, list[float]
         asked.append(value)
         return abs(value - begin) <= abs(limit - begin)
 
-    found = last_value(holds, begin, end)
+    found = last_holding_value(holds, begin, end)
     assert found is not None
     return found, asked
 
@@ -37,15 +37,15 @@ def test_where_all_of_it_is_good_the_end_itself_is_found():
 
 
 def test_a_gap_ends_the_range_whatever_is_beyond_it():
-    found = last_value(lambda value: not 0.2 < value < 0.3, 0.0, 1.0)
+    found = last_holding_value(lambda value: not 0.2 < value < 0.3, 0.0, 1.0)
     assert found == pytest.approx(0.2, abs=0.01)
 
 
 def test_nothing_is_found_where_not_even_the_beginning_is_good():
-    assert last_value(lambda value: value > 0.5, 0.0, 1.0) is None
+    assert last_holding_value(lambda value: value > 0.5, 0.0, 1.0) is None
 
 
 def test_a_side_without_room_is_its_only_value():
     asked = []
-    assert last_value(lambda value: asked.append(value) or True, 0.0, 0.0) == 0.0
+    assert last_holding_value(lambda value: asked.append(value) or True, 0.0, 0.0) == 0.0
     assert asked == [0.0]

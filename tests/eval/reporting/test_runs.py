@@ -7,7 +7,7 @@ import pytest
 from vergence.errors import ConfigurationError
 from vergence.eval.reporting import runs
 from vergence.eval.reporting.runs import (
-    check_free,
+    check_folder_free,
     locked_run_folder,
     run_folder,
     save_run,
@@ -68,8 +68,8 @@ def test_a_folder_is_held_from_before_the_work_to_its_end(tmp_path):
 
 
 def test_a_folder_that_was_written_while_one_waited_for_it_is_refused(tmp_path, monkeypatch):
-    checks = iter([lambda folder: (folder / "theirs").mkdir(parents=True), check_free])
-    monkeypatch.setattr(runs, "check_free", lambda folder: next(checks)(folder))
+    checks = iter([lambda folder: (folder / "theirs").mkdir(parents=True), check_folder_free])
+    monkeypatch.setattr(runs, "check_folder_free", lambda folder: next(checks)(folder))
     with pytest.raises(ConfigurationError, match="theirs"):
         claim(tmp_path / "run")
 
@@ -99,16 +99,16 @@ def test_the_run_folder_of_a_command_is_called_that(tmp_path):
         (folder / sign).touch()
         said = f"got the run folder of vergence {command}"
         with pytest.raises(ConfigurationError, match=said):
-            check_free(folder)
+            check_folder_free(folder)
 
 
 def test_what_lies_in_any_other_folder_is_named(tmp_path):
     (tmp_path / "thesis.tex").touch()
     with pytest.raises(ConfigurationError, match=r"a folder with thesis\.tex in it"):
-        check_free(tmp_path)
+        check_folder_free(tmp_path)
 
 
 def test_a_name_that_no_folder_can_have_is_refused(tmp_path):
     for name in ("x" * 5000, "nul\0in it"):
         with pytest.raises(ConfigurationError, match="out: expected a folder"):
-            check_free(tmp_path / name)
+            check_folder_free(tmp_path / name)

@@ -8,9 +8,8 @@ import pytest
 from tests.heads import head_of
 from tests.perception.drawn import pose_at
 from tests.perception.test_located import exact
-from vergence.eval.reporting.detections_figure import compose as compose_photographs
-from vergence.eval.reporting.detections_figure import shortened
-from vergence.eval.reporting.locate_figure import compose
+from vergence.eval.reporting.detections_figure import compose_detections, shorten_to_width
+from vergence.eval.reporting.locate_figure import compose_located
 from vergence.models.boards import AprilTag
 from vergence.perception.locate import LocateResult, Shown
 from vergence.perception.locate_config import LocateConfig
@@ -49,7 +48,10 @@ def titles(figure):
 
 @pytest.mark.slow
 def test_a_point_far_away_leaves_the_others_their_scale_and_is_counted():
-    usual, far = compose(tags_at(0.5, 0.6, 0.7)), compose(tags_at(0.5, 0.6, 0.7, 400.0))
+    usual, far = (
+        compose_located(tags_at(0.5, 0.6, 0.7)),
+        compose_located(tags_at(0.5, 0.6, 0.7, 400.0)),
+    )
     for one in (usual, far):
         one.draw_without_rendering()
     assert "outside" not in "".join(titles(usual))
@@ -57,7 +59,7 @@ def test_a_point_far_away_leaves_the_others_their_scale_and_is_counted():
     for before, after in zip(usual.axes[2:], far.axes[2:], strict=True):
         np.testing.assert_allclose(after.get_xlim(), before.get_xlim(), rtol=0.3, atol=30.0)
     # targets of one scene lie all in the views, a near and a distant one
-    assert "outside" not in "".join(titles(compose(tags_at(0.4, 0.5, 2.0))))
+    assert "outside" not in "".join(titles(compose_located(tags_at(0.4, 0.5, 2.0))))
 
 
 @pytest.mark.parametrize(
@@ -69,7 +71,7 @@ def test_a_point_far_away_leaves_the_others_their_scale_and_is_counted():
     ids=["nothing", "swapped"],
 )
 def test_without_a_point_there_are_the_images_alone_and_a_word(result, said):
-    figure = compose(result)
+    figure = compose_located(result)
     assert len(figure.axes) == 2
     assert said in figure.get_suptitle()
     assert ["nothing found" in title for title in titles(figure)] == [not result.located] * 2
@@ -80,7 +82,7 @@ def test_long_titles_do_not_overlap():
     name = "a_very_long_name_of_a_photograph_of_2024-05-06_at_12_13_14_by_the_camera_left.jpg"
     found = [exact(HEAD, HEAD.rest(), tag, pose_at((0.0, 0.0, 0.5)))[0]]
     for count in (1, 2, 6):
-        figure = compose_photographs([Photograph(Path(name), IMAGE, found)] * count)
+        figure = compose_detections([Photograph(Path(name), IMAGE, found)] * count)
         figure.draw_without_rendering()
         boxes = [panel.title.get_window_extent() for panel in figure.axes]
         page = figure.bbox
@@ -90,8 +92,8 @@ def test_long_titles_do_not_overlap():
 
 
 def test_a_text_loses_its_middle_where_it_is_too_wide():
-    assert shortened("left1.jpg", 3.0, 10.0) == "left1.jpg"
-    short = shortened("x" * 60 + "end.jpg", 3.0, 10.0)
+    assert shorten_to_width("left1.jpg", 3.0, 10.0) == "left1.jpg"
+    short = shorten_to_width("x" * 60 + "end.jpg", 3.0, 10.0)
     assert short.endswith("end.jpg")
     assert " … " in short
     assert len(short) <= 36

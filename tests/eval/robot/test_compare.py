@@ -12,7 +12,7 @@ from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.evaluate import evaluate
 from vergence.eval.comparison.lineup import line_up
 from vergence.eval.jobs import SerialMapper
-from vergence.eval.robot.judge import bounds
+from vergence.eval.robot.judge import robot_settle_bounds
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.hardware.config import load_hardware
@@ -66,11 +66,13 @@ def test_the_bound_of_a_robots_trials_is_that_of_their_simulation(desk):
     controller = make_controller("saccade", hardware.head)
     trials = run_trials(controller, scenario, episodes=20, head=hardware.head)
     points = trials.target[-1].copy()
-    found = bounds(hardware, trials, points)
+    found = robot_settle_bounds(hardware, trials, points)
     for band_px, bound_s in trials.bounds_s.items():
         assert found[band_px] == pytest.approx(bound_s, abs=1e-9)
     points[0] = np.nan
-    assert np.flatnonzero(np.isnan(bounds(hardware, trials, points)[2.0])).tolist() == [0]
+    assert np.flatnonzero(
+        np.isnan(robot_settle_bounds(hardware, trials, points)[2.0])
+    ).tolist() == [0]
 
 
 @pytest.mark.parametrize(

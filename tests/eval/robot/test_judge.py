@@ -9,18 +9,18 @@ from tests.hardware.desk import desk_config
 from tests.recording.logged import log_trials
 from vergence.eval.comparison.config import ROBOT
 from vergence.eval.comparison.contestant_job import Failure
-from vergence.eval.comparison.contestants import contestants
+from vergence.eval.comparison.contestants import make_contestants
 from vergence.eval.comparison.options import GivenOptions
 from vergence.eval.robot.evaluation_record import JournalEntry, RecordedTrial
 from vergence.eval.robot.judge import RobotJob
-from vergence.eval.trials.run import periods
+from vergence.eval.trials.run import trial_periods
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.recording.log import read_log
 
 pytest.importorskip("mcap")
 DESK = desk_config("/dev/null")
 SCENARIO = load_scenario("webcam")
-COUNTED, STEPS = periods(SCENARIO, DESK.head, simulated=False)
+COUNTED, STEPS = trial_periods(SCENARIO, DESK.head, simulated=False)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ class Forgetful:
 
 
 def outcome(*recorded, controller="state-feedback"):
-    contestant = contestants((controller,), given=GivenOptions())[0]
+    contestant = make_contestants((controller,), given=GivenOptions())[0]
     resolved = contestant.resolve_options(DESK.head, SCENARIO.name)
     job = RobotJob(
         contestant=contestant, resolved=resolved, scenario=SCENARIO, plant=ROBOT, head=DESK.head,

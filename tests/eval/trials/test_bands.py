@@ -5,13 +5,13 @@ import pytest
 from scipy.optimize import minimize
 
 from tests.heads import MOVING, head_of
-from vergence.eval.trials.bands import bands_of_actuators, bands_of_eyes
+from vergence.eval.trials.bands import actuator_settling_bands, eye_settling_bands
 from vergence.models.head import HeadModel
 
 POINT = np.array([0.1, 0.05, 0.8])
 
 
-def half_bands_of(head: HeadModel, find=bands_of_actuators) -> tuple[np.ndarray, np.ndarray]:
+def half_bands_of(head: HeadModel, find=actuator_settling_bands) -> tuple[np.ndarray, np.ndarray]:
     """Goals and bands of the actuators, in a band of 1 px."""
     goal, half_band = np.full((2, 1, 4), np.nan)
     find(head.packed[None], head.packed, POINT[None], 1.0, goal, half_band)
@@ -55,6 +55,6 @@ def test_the_band_of_an_actuator_is_the_widest_that_both_circles_allow():
 def test_eyes_with_two_motors_each_have_the_same_bands_by_either_way():
     head = head_of("panfirst")
     goal, half_band = half_bands_of(head)
-    same, wide = half_bands_of(head, bands_of_eyes)
+    same, wide = half_bands_of(head, eye_settling_bands)
     assert goal == pytest.approx(same, abs=1e-9)
     assert half_band == pytest.approx(wide, rel=1e-4)

@@ -13,7 +13,7 @@ from vergence.controllers.controller import CONTROLLERS
 from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.task import GazeTask
 from vergence.errors import BundleError, ConfigurationError
-from vergence.eval.trials.bands import bands_of_eyes
+from vergence.eval.trials.bands import eye_settling_bands
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.metrics import settle_time
 from vergence.eval.trials.run import run_trials
@@ -81,7 +81,7 @@ def test_a_linear_program_agrees_with_the_bound_to_a_period() -> None:
     truth, conditions = simulation.truth_at_rest(), simulation.conditions
     bound = settle_bound(task, 2.0) + simulation.onset_s()
     goal, half_band = np.empty((2, num, 4))
-    bands_of_eyes(conditions.heads, task.head.packed, truth.target, 2.0, goal, half_band)
+    eye_settling_bands(conditions.heads, task.head.packed, truth.target, 2.0, goal, half_band)
     first = np.ceil(simulation.first_detection_times()[0] / period - 1e-6) * period
     own = simulation.true_head.actuation
     for n in range(num):

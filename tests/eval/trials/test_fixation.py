@@ -8,7 +8,7 @@ import pytest
 
 from tests.eval.trials.toys import PERIOD_S, STEP, KnowsTheWay, Shaking, ideal_head
 from vergence.envs.plant import PLANTS
-from vergence.eval.margins.measure import Measure
+from vergence.eval.margins.measure import MarginMeasurement
 from vergence.eval.trials.fixation import (
     fixation_start,
     left_again,
@@ -16,7 +16,7 @@ from vergence.eval.trials.fixation import (
     speed_rms,
     swings,
 )
-from vergence.eval.trials.run import headline, run_trials
+from vergence.eval.trials.run import headline_metric, run_trials
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 
 TIME = np.arange(361) * PERIOD_S
@@ -163,7 +163,7 @@ def test_a_law_that_swings_has_settled_nothing():
     assert trials.swings.all()
     assert np.isnan(trials.settle_s(HELD.band_px)).all()
     assert np.isinf(trials.ratio_to_bound()).all()
-    assert headline(trials) == HELD.duration_s
+    assert headline_metric(trials) == HELD.duration_s
 
 
 def test_only_the_trials_that_swing_have_not_settled():
@@ -221,7 +221,7 @@ def test_a_point_of_margins_tells_how_many_swing_and_counts_none_of_them():
         law = Shaking(KnowsTheWay(5), SHARE, 10.0, tuple(whose))
         return run_trials(law, scenario, episodes=4, head=ideal_head())
 
-    measure = Measure(run, scenario, "command_latency_s")
+    measure = MarginMeasurement(run, scenario, "command_latency_s")
     whose += [1, 3]
     point = measure(0.01)
     assert (point.trials, point.settled, point.swinging) == (4, 2, 2)
@@ -234,5 +234,5 @@ def test_where_nothing_settles_untouched_a_point_tells_of_swings_all_the_same():
         law = Shaking(KnowsTheWay(5), SHARE, 10.0, (0, 1, 2, 3))
         return run_trials(law, scenario, episodes=4, head=ideal_head())
 
-    point = Measure(run, scenario, "command_latency_s")(0.01)
+    point = MarginMeasurement(run, scenario, "command_latency_s")(0.01)
     assert (point.trials, point.settled, point.swinging) == (0, 0, 4)

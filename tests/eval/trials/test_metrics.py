@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from vergence.eval.trials.metrics import (
-    at_time,
     command_energy,
     command_peak,
     error_norm,
@@ -13,6 +12,7 @@ from vergence.eval.trials.metrics import (
     steady_state_error,
     tracking_lag,
     tracking_rms,
+    value_at_time,
 )
 
 
@@ -129,5 +129,5 @@ def test_energy_integrates_the_square_and_the_peak_is_the_largest_of_either_sign
 
 def test_a_value_at_a_time_of_each_trials_own():
     values = np.arange(12.0).reshape(6, 2)
-    assert at_time(TIME, values, [0.2, 0.5]) == pytest.approx([4.0, 11.0])
-    assert np.isnan(at_time(TIME, values, [np.nan, 0.5])).tolist() == [True, False]
+    assert value_at_time(TIME, values, [0.2, 0.5]) == pytest.approx([4.0, 11.0])
+    assert np.isnan(value_at_time(TIME, values, [np.nan, 0.5])).tolist() == [True, False]

@@ -8,7 +8,7 @@ import pytest
 from tests.eval.trials.toys import PERIOD_S, STEP, InTwoTurns, KnowsTheWay, ideal_head
 from vergence import make_controller
 from vergence.envs.plants.variation import Variation
-from vergence.eval.trials.results import headline, join
+from vergence.eval.trials.results import headline_metric, join_trials
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario
 
@@ -29,7 +29,7 @@ def test_settling_counts_from_the_onset() -> None:
     assert np.ptp(trials.onset_s) > 0.1
     # a turn at a time of its own, whenever the target has jumped
     assert trials.settle_s() == pytest.approx(61 * PERIOD_S - trials.onset_s, abs=1e-12)
-    assert headline(trials) == pytest.approx(np.median(trials.settle_s()))
+    assert headline_metric(trials) == pytest.approx(np.median(trials.settle_s()))
     assert trials.ratio_to_bound() == pytest.approx(trials.settle_s() / trials.bound_s)
 
 
@@ -75,7 +75,7 @@ def test_the_leading_band_is_the_scenarios() -> None:
     times = {}
     for band_px in (1.0, 2.0):
         trials = run(controller, late(0.0, 0.0, band_px=band_px), 3)
-        times[band_px] = headline(trials)
+        times[band_px] = headline_metric(trials)
         assert trials.settle_s(2.0) == pytest.approx(np.full(3, 21 * PERIOD_S))
         assert trials.settle_s() == pytest.approx(np.full(3, 71 * PERIOD_S))
         assert trials.ratio_to_bound(2.0) == pytest.approx(21 * PERIOD_S / trials.bounds_s[2.0])
@@ -95,7 +95,7 @@ def test_batches_are_joined_with_their_onsets_and_bounds() -> None:
         run_trials(KnowsTheWay(60), late(0.1, 0.4), episodes=n, first_trial=k, head=ideal_head())
         for k, n in ((0, 4), (4, 3))
     ]
-    both = join(parts)
+    both = join_trials(parts)
     for name in ("onset_s", "bound_s", "residual"):
         assert np.array_equal(getattr(both, name), getattr(whole, name))
     assert np.array_equal(both.settle_s(2.0), whole.settle_s(2.0))

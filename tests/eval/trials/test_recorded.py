@@ -7,7 +7,7 @@ from vergence.controllers import make_controller
 from vergence.envs.plant import PLANTS
 from vergence.envs.rollout import rollout
 from vergence.envs.task import GazeTask
-from vergence.eval.trials.recorded import as_trials
+from vergence.eval.trials.recorded import trials_from_record
 from vergence.recording import Recorder
 
 STEPS, LATENCY = 180, 8
@@ -21,7 +21,7 @@ def trials_of(monkeypatch):
         task = GazeTask(1, plant="robot", target="static")
         record = Recorder(task, STEPS + LATENCY)
         rollout(task, make_controller("state-feedback", head=task.head), steps, record)
-        return as_trials(task, record, STEPS, scenario="desk", plant="robot")
+        return trials_from_record(task, record, STEPS, scenario="desk", plant="robot")
 
     return run
 

@@ -8,7 +8,7 @@ from tests.heads import head_of
 from vergence.controllers import make_controller
 from vergence.envs.plant import PLANTS
 from vergence.errors import ConfigurationError
-from vergence.eval.trials.run import headline, run_trials
+from vergence.eval.trials.run import headline_metric, run_trials
 from vergence.eval.trials.scenarios import load_scenario
 
 RANDOM = ToyScenario("random", duration_s=0.8)
@@ -25,13 +25,13 @@ def test_the_settle_time_of_a_controller_that_knows_the_way_is_exact():
         trials = run_trials(KnowsTheWay(wait), STEP, episodes=3)
         # the command given after `wait` periods has done its work one period later
         assert trials.settle_s() == pytest.approx([(wait + 1) * PERIOD_S] * 3, abs=1e-12)
-        assert headline(trials) == pytest.approx((wait + 1) * PERIOD_S)
+        assert headline_metric(trials) == pytest.approx((wait + 1) * PERIOD_S)
 
 
 def test_a_trial_that_never_settles_counts_as_the_whole_trial():
     trials = run_trials(KnowsTheWay(5, never=(0, 2, 3)), STEP, episodes=5)
     assert np.isnan(trials.settle_s()).tolist() == [True, False, True, True, False]
-    assert headline(trials) == STEP.duration_s
+    assert headline_metric(trials) == STEP.duration_s
     # of a trial that never settled there is no ratio
     ratio = np.where(np.isnan(trials.settle_s()), np.inf, 6 * PERIOD_S / trials.bound_s)
     assert trials.ratio_to_bound() == pytest.approx(ratio)
@@ -148,7 +148,7 @@ def test_steady_eyes_trail_a_moving_target_by_the_inverse_of_the_gain():
     trials = run_trials(ibvs(ideal_head(), gain=4.0), circle, episodes=2)
     # a first-order loop of gain k trails a ramp by 1 / k, whatever its delay
     assert trials.tracking_lag_s == pytest.approx([0.25, 0.25], rel=0.03)
-    assert headline(trials) == pytest.approx(trials.tracking_px.mean(), rel=1e-6)
+    assert headline_metric(trials) == pytest.approx(trials.tracking_px.mean(), rel=1e-6)
     assert np.isnan(trials.bound_s).all()
 
 

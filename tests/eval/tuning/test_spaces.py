@@ -5,7 +5,7 @@ import pytest
 from vergence.controllers.controller import CONTROLLERS, make_controller
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.eval.tuning.spaces import SEARCH_SPACES, first_point, is_grid, search_space
+from vergence.eval.tuning.spaces import SEARCH_SPACES, default_point, is_grid, search_space
 from vergence.models.files.head_file import load_head
 
 
@@ -22,11 +22,11 @@ def test_every_search_space_is_of_options_that_its_controller_has():
 
 def test_a_controllers_own_options_are_the_point_to_improve_on():
     for name, spans in SEARCH_SPACES.items():
-        first = first_point(name, spans)
+        first = default_point(name, spans)
         if first is not None:
             make_controller(name, load_scenario("workspace").model(), **first)
-    assert first_point("ibvs", SEARCH_SPACES["ibvs"]) == {"gain": 4.0}
-    assert first_point("adaptive", SEARCH_SPACES["adaptive"]) is not None
+    assert default_point("ibvs", SEARCH_SPACES["ibvs"]) == {"gain": 4.0}
+    assert default_point("adaptive", SEARCH_SPACES["adaptive"]) is not None
 
 
 def test_the_gain_is_searched_on_a_grid_of_at_most_a_twentieth():
@@ -39,7 +39,7 @@ def test_the_constants_of_the_state_feedback_are_searched_from_its_own():
     spans = search_space("state-feedback")
     assert (spans["gain"].low, spans["gain"].high, spans["gain"].scale) == (5.0, 100.0, "log")
     assert (spans["damping"].low, spans["damping"].high) == (0.0, 1.5)
-    assert first_point("state-feedback", spans) is not None
+    assert default_point("state-feedback", spans) is not None
 
 
 def test_a_controller_with_one_set_of_options_is_not_tuned_and_that_is_said():

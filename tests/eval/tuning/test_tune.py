@@ -18,13 +18,13 @@ from vergence.commands.tune import repeat_command
 from vergence.controllers.controller import make_controller
 from vergence.controllers.tuned import TUNED_FILE, find_tuned, load_tuned, tuned_options
 from vergence.errors import ConfigurationError
-from vergence.eval.trials.run import headline, run_trials
+from vergence.eval.trials.run import headline_metric, run_trials
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.objective import controller_objective
 from vergence.eval.tuning.spaces import SEARCH_SPACES, SearchRange
 from vergence.eval.tuning.study import SearchSpec, run_search
-from vergence.eval.tuning.study_storage import opened_study, without_password
+from vergence.eval.tuning.study_storage import open_study, without_password
 from vergence.models.files.head_file import load_head, save_head
 
 BOWL = {"x": SearchRange(-2.0, 2.0), "y": SearchRange(0.01, 100.0, "log")}
@@ -269,7 +269,7 @@ def test_a_gain_is_judged_by_the_headline_metric_on_training_trials():
     found = controller_objective(config(), scenario, head)({"gain": 4.0})
     controller = make_controller("ibvs", head, gain=4.0)
     trials = run_trials(controller, scenario, episodes=6, split="train", seed=0)
-    assert found["headline"] == headline(trials)
+    assert found["headline"] == headline_metric(trials)
     assert found["mean"] == trials.settle_or_trial_s().mean()
 
 
@@ -279,7 +279,7 @@ def test_a_gain_is_judged_by_the_band_that_leads_and_with_the_gate_of_the_baseli
     found = controller_objective(config(scenario="hardware"), scenario, head)({"gain": 3.0})
     controller = make_controller("ibvs-tuned", head, gain=3.0)
     trials = run_trials(controller, scenario, episodes=6, split="train", seed=0)
-    assert found["headline"] == headline(trials)
+    assert found["headline"] == headline_metric(trials)
     assert found["mean"] == trials.settle_or_trial_s(2.0).mean()
     assert found["settled_fraction"] == 1.0
     # the article's law stops where its commands fall below the servos' steps
@@ -463,14 +463,14 @@ def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, mo
 @pytest.mark.slow
 def test_a_study_that_can_no_longer_be_written_is_one_line_and_stays(tmp_path):
     place = str(tmp_path / "study.db")
-    with opened_study(place, "s", RandomSampler()) as study:
+    with open_study(place, "s", RandomSampler()) as study:
         study.tell(study.ask(), 1.0)
     full = OperationalError("INSERT", {}, Exception("database or disk is full"))
     with (
         pytest.raises(ConfigurationError, match=r"study\.db can no longer .*disk is full") as said,
-        opened_study(place, "s", RandomSampler()),
+        open_study(place, "s", RandomSampler()),
     ):
         raise StorageInternalError("An exception is raised during the commit.") from full
     assert "\n" not in str(said.value)
-    with opened_study(place, "s", RandomSampler()) as study:
+    with open_study(place, "s", RandomSampler()) as study:
         assert len(study.trials) == 1

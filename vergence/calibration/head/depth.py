@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from vergence.calibration.head.calibrate_head import HeadCalibration
-from vergence.eval.head_reach import centre_of, look_at
+from vergence.eval.head_reach import fixate_points, midpoint_between_cameras
 from vergence.models.parts import FloatArray
 from vergence.triangulation import triangulate_views
 
@@ -76,10 +76,10 @@ def depth_errors(found: HeadCalibration, from_eyes: FloatArray) -> DepthErrors:
         from_eyes: (n, 3) points relative to midway between the eyes, in N with the neck at rest, m.
     """
     head = found.head
-    points = centre_of(head) + from_eyes
+    points = midpoint_between_cameras(head) + from_eyes
     distance = np.linalg.norm(from_eyes, axis=-1)
     along = from_eyes / distance[:, None]
-    q, sees = look_at(head, points)
+    q, sees = fixate_points(head, points)
     pixels = head.project(q, points)
     fix = triangulate_views(head, q, pixels)
     off = triangulate_views(found.nominal_head, q, pixels).point - points

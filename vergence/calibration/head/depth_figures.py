@@ -11,7 +11,7 @@ from matplotlib.ticker import LogLocator
 from vergence.calibration.head.calibrate_head import HeadCalibration
 from vergence.calibration.head.depth import ahead, aside, depth_errors
 from vergence.calibration.image_figures import WIDTH
-from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, new_figure, styled
+from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, figure_style, new_figure
 from vergence.eval.reporting.text import format_fixed
 from vergence.models.parts import FloatArray
 
@@ -31,7 +31,7 @@ def depth_by_distance(found: HeadCalibration) -> Figure:
         (depth.sigma_m, "after: one sigma", {"color": BLUE, "linestyle": "-"}),
         (depth.floor_m, "one fixation's own noise", {"color": GREY, "linestyle": ":"}),
     )
-    with styled():
+    with figure_style():
         figure = new_figure(WIDTH, 4.4)
         panel = figure.add_subplot()
         for values, label, style in lines:
@@ -65,7 +65,7 @@ def depth_map(found: HeadCalibration, distance_m: float) -> Figure:
         distance_m: distance from midway between the eyes.
     """
     depth = depth_errors(found, map_points(distance_m))
-    with styled():
+    with figure_style():
         figure = new_figure(_WIDE, 5.0)
         before, after = figure.subplots(1, 2)
         _table(before, depth.before_percent, f"before, at {distance_m:g} m: error (%)", signed=True)

@@ -22,9 +22,9 @@ from vergence.eval.reporting.style import (
     GREEN,
     GREY,
     ORANGE,
+    figure_style,
     legend_below,
     new_figure,
-    styled,
 )
 from vergence.models.joints import EYE_NAMES, NECK
 from vergence.models.parts import FloatArray
@@ -51,7 +51,7 @@ def residuals_over_time(found: HeadCalibration) -> Figure:
     usual = rms[found.views]
     limit = max(1.15 * float(usual.max()), _CLIPPED * float(np.median(usual)))
     time = found.frames.time_s
-    with styled():
+    with figure_style():
         figure = new_figure(_WIDE, 4.6)
         for eye, panel in enumerate(figure.subplots(2, 1, sharex=True)):
             kept = np.flatnonzero(found.views[eye])
@@ -156,7 +156,7 @@ def joint_angles(found: HeadCalibration) -> Figure:
     moves = [
         k for k, name in enumerate(actuator_names(found)) if name and own.upper[k] > own.lower[k]
     ]
-    with styled():
+    with figure_style():
         figure = new_figure(_WIDE, 4.6)
         strips, eyes = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
         # dots one below the other in the order of the recording
@@ -230,7 +230,7 @@ def correlations(found: HeadCalibration) -> Figure:
     names = [found.nominal_head.parameters().names[k] for k in chosen]
     values = _correlation(found)[np.ix_(chosen, chosen)]
     count = len(chosen)
-    with styled():
+    with figure_style():
         figure = new_figure(_WIDE, 2.2 + 0.3 * count)
         panel = figure.add_subplot()
         image = panel.imshow(values, cmap="PuOr", norm=Normalize(-1.8, 1.8))
@@ -273,7 +273,7 @@ def misreadings(found: HeadCalibration) -> Figure:
     errors, names = read_errors(found), actuator_names(found)
     columns = min(len(errors), 4)
     rows = -(-len(errors) // columns)
-    with styled():
+    with figure_style():
         figure = new_figure(_WIDE, 0.4 + 2.3 * rows)
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         for panel in panels[len(errors) :]:

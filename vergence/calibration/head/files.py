@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Final
 
 from vergence.calibration.head.calibrate_head import HeadCalibration
-from vergence.eval.reporting.runs import versions
+from vergence.eval.reporting.runs import package_versions
 from vergence.models.calibrated import CalibrationRecord
 from vergence.models.files.head_toml import check_name, head_to_toml
 from vergence.models.head import HeadModel
@@ -45,7 +45,7 @@ def calibrated_head(found: HeadCalibration, sha256: str, name: str) -> HeadModel
         rms_px=found.rms_px,
         rms_heldout_px=found.rms_heldout_px,
         corners_sha256=sha256,
-        versions=", ".join(f"{name} {each}" for name, each in versions(_VERSIONED).items()),
+        versions=", ".join(f"{name} {each}" for name, each in package_versions(_VERSIONED).items()),
         sigma=sigma,
     )
     return replace(found.head, name=name, assumptions=assumptions, calibration=record)

@@ -15,9 +15,14 @@ from vergence.calibration.head.depth import DepthErrors, ahead, depth_errors
 from vergence.calibration.head.observability import UnobservableDirection
 from vergence.calibration.head.start import LEAST_CORNERS
 from vergence.eval.reporting.report import inline_svg
-from vergence.eval.reporting.runs import versions, write_json
-from vergence.eval.reporting.style import svg_of
-from vergence.eval.reporting.text import environment, format_fixed, format_number, read_template
+from vergence.eval.reporting.runs import package_versions, write_json
+from vergence.eval.reporting.style import svg_text
+from vergence.eval.reporting.text import (
+    format_fixed,
+    format_number,
+    jinja_environment,
+    read_template,
+)
 from vergence.files import write_atomic
 from vergence.json_values import json_value, json_values
 from vergence.models.joints import EYE_NAMES
@@ -89,7 +94,7 @@ def write_run(
             "sigma": found.sigma.tolist(),
             "believed_sigma": own.prior_sigma.tolist(),
             "covariance": found.covariance.tolist(),
-            "versions": versions(),
+            "versions": package_versions(),
         },
     )
     _write_views(folder / "views.csv", found)
@@ -212,7 +217,7 @@ def write_report(
     """
     drawn = _figures(found).items()
     depth = depth_errors(found, ahead(np.array(_HEADLINE_M)))
-    page = environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    page = jinja_environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = page.from_string(read_template("vergence.calibration.head", "head.html.jinja"))
     text = template.render(
         **document(found, unseen),
@@ -226,9 +231,9 @@ def write_report(
             [f"{one.time_s:.2f} s, {one.eye}", one.why] for one in left_out(found)[:_MOST_ROWS]
         ],
         numbers=_number_rows(found),
-        markup={stem: inline_svg(svg_of(figure), stem, stem) for stem, figure in drawn},
+        markup={stem: inline_svg(svg_text(figure), stem, stem) for stem, figure in drawn},
         style=read_template("vergence.eval.reporting", "page.css"),
-        versions=versions(),
+        versions=package_versions(),
     )
     write_atomic(folder / "calibration.html", text)
 

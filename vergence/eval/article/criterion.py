@@ -46,7 +46,7 @@ OTHER_VERDICTS: Final[dict[str, str]] = {
 """Meaning of the other words in a column of verdicts."""
 
 
-def compare(
+def verdict_of_ranges(
     ours_low: float, ours_high: float, article_low: float | None, article_high: float | None
 ) -> str:
     """Judge a result by the factor between its figures and the article's.
@@ -66,22 +66,22 @@ def compare(
     """
     if not (isfinite(ours_low) and isfinite(ours_high)):
         return NONE
-    apart = factor(*farthest(ours_low, ours_high, article_low, article_high))
+    apart = ratio_above_one(*most_different_ends(ours_low, ours_high, article_low, article_high))
     if apart <= REPRODUCED_FACTOR:
         return REPRODUCED
     return SAME_ORDER if apart <= SAME_ORDER_FACTOR else DIFFERS
 
 
-def farthest(
+def most_different_ends(
     ours_low: float, ours_high: float, article_low: float | None, article_high: float | None
 ) -> tuple[float, float]:
     """Our figure and the article's at the end of the range where they differ most."""
     ends = ((ours_low, article_low), (ours_high, article_high))
     pairs = [(ours, article) for ours, article in ends if article is not None]
-    return max(pairs, key=lambda pair: factor(*pair))
+    return max(pairs, key=lambda pair: ratio_above_one(*pair))
 
 
-def factor(ours: float, article: float) -> float:
+def ratio_above_one(ours: float, article: float) -> float:
     """Ratio of two figures, inverted if below 1; inf if they differ in sign or only one is zero."""
     if ours == article:
         return 1.0

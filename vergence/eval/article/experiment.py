@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from vergence.errors import ConfigurationError, UnknownNameError, did_you_mean
 from vergence.eval.article.config_rules import check_bounds, check_value
-from vergence.eval.article.criterion import compare
+from vergence.eval.article.criterion import verdict_of_ranges
 from vergence.eval.jobs import Mapper
 from vergence.eval.reporting.text import Numbers
 from vergence.models.perturbation import ModelErrors
@@ -73,7 +73,7 @@ class SummaryRow:
             article: the article's least and greatest figure, one of them None if it reports only
                 the other; or a single figure; None for none.
             ours: our least and greatest figure, or a single one; nan for none.
-            verdict: see the field; None to compare the ranges, see `compare`.
+            verdict: see the field; None to compare the ranges, see `verdict_of_ranges`.
             unit: unit of both figures.
         """
         article_low, article_high = article if isinstance(article, tuple) else (article, article)
@@ -81,7 +81,7 @@ class SummaryRow:
         if verdict is None:
             verdict = "not reported"
             if article_low is not None or article_high is not None:
-                verdict = compare(low, high, article_low, article_high)
+                verdict = verdict_of_ranges(low, high, article_low, article_high)
         return cls(
             experiment=experiment,
             quantity=quantity,

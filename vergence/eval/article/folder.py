@@ -15,9 +15,14 @@ from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import EXPERIMENTS, Experiment, load_experiment
 from vergence.eval.jobs import Mapper
 from vergence.eval.reporting.report import Section, write_report
-from vergence.eval.reporting.runs import command_of, run_folder_of, toml_value, versions
+from vergence.eval.reporting.runs import (
+    package_versions,
+    run_folder_command,
+    run_folder_of,
+    toml_value,
+)
 from vergence.eval.reporting.section import included_sections
-from vergence.eval.reporting.style import save_figure, styled
+from vergence.eval.reporting.style import figure_style, save_figure
 from vergence.eval.reporting.text import render_text
 from vergence.files import PARTIAL, atomic_files, remove_partial, write_atomic
 
@@ -29,7 +34,7 @@ _FORMAT: Final = 3
 """Version of the format of a finished experiment's marker file (numerical)."""
 
 
-def open_folder(folder: Path) -> Path:
+def open_run_folder(folder: Path) -> Path:
     """Make a run folder, or reuse the one of an earlier run.
 
     Raises:
@@ -42,7 +47,7 @@ def open_folder(folder: Path) -> Path:
         others = [name for name in names if name not in ours and not name.startswith(PARTIAL)]
         if others:
             what = f"a folder with {', '.join(others[:3])} in it"
-            if command_of(folder) != "reproduce":
+            if run_folder_command(folder) != "reproduce":
                 what = run_folder_of(folder) or what
             raise ConfigurationError(
                 f"out: expected a new folder or one of an earlier run, got {what}: {folder}"
@@ -56,7 +61,7 @@ def open_folder(folder: Path) -> Path:
     return folder
 
 
-def remove_remains(folder: Path) -> None:
+def remove_partial_files(folder: Path) -> None:
     """Remove partial files that killed processes have left.
 
     Args:
@@ -72,7 +77,7 @@ def _identity(experiment: Experiment, config: Any, seed: int) -> dict[str, Any]:
         "name": experiment.name,
         "config": toml_value(dataclasses.asdict(config)),
         "seed": seed,
-        "versions": versions(),
+        "versions": package_versions(),
         "sources": _sources_digest(),
     }
 
@@ -92,7 +97,7 @@ def reason_to_run(folder: Path, experiment: Experiment, config: Any, seed: int) 
     """Reason to run an experiment, if there is one.
 
     Args:
-        folder: the run folder, see `open_folder`.
+        folder: the run folder, see `open_run_folder`.
         experiment: the experiment.
         config: its configuration.
         seed: its seed.
@@ -126,7 +131,7 @@ def run_experiment(
     """Run an experiment and write its table and figures; earlier ones stay until then.
 
     Args:
-        folder: the run folder, see `open_folder`.
+        folder: the run folder, see `open_run_folder`.
         experiment: the experiment.
         config: its configuration.
         seed: its seed.
@@ -137,7 +142,7 @@ def run_experiment(
         ConfigurationError: its files cannot be written.
     """
     table = experiment.run(config, seed, mapper)
-    with styled():
+    with figure_style():
         figures = experiment.draw(table, config)
     numbers = experiment.numbers(table, config)
     content = {
@@ -235,7 +240,7 @@ def _json(content: Any) -> str:
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
-def finish(
+def write_folder_report(
     folder: Path, omit: Callable[[str, str], None] = lambda name, why: None
 ) -> list[Section]:
     """Write summary, numbers, config and report of all finished experiments of a folder.
@@ -284,7 +289,7 @@ def finish(
         configs[name] = {"seed": identity["seed"], **identity["config"]}
     sections += included_sections(folder / INCLUDED)
     summary = [row for section in sections for row in section.summary]
-    resolved = {"versions": versions(), "experiments": configs}
+    resolved = {"versions": package_versions(), "experiments": configs}
     with _writing(folder, "the report"):
         write_atomic(folder / "summary.json", _json(summary))
         write_atomic(folder / "numbers.json", _json(numbers))

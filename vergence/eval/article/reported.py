@@ -16,7 +16,7 @@ from vergence.models.parts import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reported:
+class ReportedResult:
     """One result that the article reports."""
 
     experiment: str
@@ -42,10 +42,10 @@ def _rows(name: str) -> list[dict[str, str]]:
 
 
 @cache
-def reported_results() -> tuple[Reported, ...]:
+def reported_results() -> tuple[ReportedResult, ...]:
     """Every result that the article reports, in its order."""
     return tuple(
-        Reported(
+        ReportedResult(
             experiment=row["experiment"],
             quantity=row["quantity"],
             method=row["method"],
@@ -59,7 +59,7 @@ def reported_results() -> tuple[Reported, ...]:
     )
 
 
-def reported_result(experiment: str, quantity: str, method: str, axis: str) -> Reported:
+def reported_result(experiment: str, quantity: str, method: str, axis: str) -> ReportedResult:
     """Look up one result that the article reports.
 
     Raises:

@@ -8,11 +8,11 @@ from vergence.eval.article.config import ReproduceConfig
 from vergence.eval.article.experiment import EXPERIMENTS, load_experiment, resolve_config
 from vergence.eval.article.folder import (
     INCLUDED,
-    finish,
-    open_folder,
+    open_run_folder,
     reason_to_run,
-    remove_remains,
+    remove_partial_files,
     run_experiment,
+    write_folder_report,
 )
 from vergence.eval.article.overrides import read_overrides
 from vergence.eval.jobs import Mapper, Progress, SerialMapper
@@ -98,9 +98,9 @@ def reproduce(
     for run in config.include:
         read_section(run / SECTION_FILE)
     with locked(config.folder) as alone:
-        folder = open_folder(config.folder)
+        folder = open_run_folder(config.folder)
         if alone:
-            remove_remains(folder)
+            remove_partial_files(folder)
         for run in config.include:
             include_section(run, folder / INCLUDED)
         included_sections(folder / INCLUDED)  # refuse a damaged one before the work
@@ -114,4 +114,6 @@ def reproduce(
             if reason is not None:
                 run_experiment(folder, experiment, own, seed, mapper, config.quick)
             listener.end(name, None if reason is None else time.monotonic() - begun)
-        return finish(folder, lambda name, why: listener.warn(name, f"is not in the report: {why}"))
+        return write_folder_report(
+            folder, lambda name, why: listener.warn(name, f"is not in the report: {why}")
+        )

@@ -32,7 +32,7 @@ class Failure:
         return f"{self.message} (left out of {self.scenario} on {self.plant})"
 
 
-class Made(NamedTuple):
+class MadeController(NamedTuple):
     """A contestant's controller, made for a head."""
 
     controller: Controller
@@ -66,7 +66,7 @@ class ContestantJob(ABC, Generic[Found]):
         layout = ObservationLayout.of(head)
         try:
             controller, options = self.contestant.make(head, layout, self.resolved.options)
-            return self._find(Made(controller, options, head, layout))
+            return self._find(MadeController(controller, options, head, layout))
         except ControllerError as error:
             if not self.keep_going:
                 raise
@@ -78,7 +78,7 @@ class ContestantJob(ABC, Generic[Found]):
             )
 
     @abstractmethod
-    def _find(self, made: Made) -> Found:
+    def _find(self, made: MadeController) -> Found:
         """Compute the job's result for the controller."""
 
     def _trials(self, controller: Controller, scenario: Scenario, *, observed: int = 0) -> Trials:

@@ -27,7 +27,7 @@ BASELINE: Final = "ibvs-tuned"
 """The controller with which all others are compared."""
 BOUND: Final = "bound"
 """The name of the time-optimal bound's row."""
-LADDER: Final = (
+TABLE_ORDER: Final = (
     "ibvs", "ibvs-tuned", "adaptive", "pid", "fuzzy", "delay-compensated", "state-feedback",
     "saccade", "pursuit", "learned-gain", "learned-policy",
 )  # fmt: skip
@@ -156,7 +156,7 @@ class Contestant:
         return ", ".join(found.given)
 
 
-def contestants(
+def make_contestants(
     words: tuple[str, ...],
     others: Mapping[str, Controller] | None = None,
     given: GivenOptions | None = None,
@@ -175,18 +175,26 @@ def contestants(
 
     Raises:
         UnknownNameError: a word names no controller.
-        ConfigurationError: a file or an attribute does not exist.
+        ConfigurationError: a file or an attribute does not exist, or two rows of the tables would
+            have one label.
         ControllerError: a module cannot be imported.
     """
     given = given or GivenOptions()
-    names = list(dict.fromkeys(words or ladder()))
+    names = list(dict.fromkeys(words or controllers_in_table_order()))
     found = [
         Contestant(label=_label(name, names), source=_source(name), given=given) for name in names
     ]
     if BASELINE not in names and BASELINE in CONTROLLERS:
         found.append(Contestant(label=BASELINE, source=BASELINE, given=given))
-    for label, one in (others or {}).items():
-        found.append(Contestant(label=label, source=one, given=given))
+    taken = {BOUND, *(one.label for one in found)}
+    for label, controller in (others or {}).items():
+        if label in taken:
+            raise ConfigurationError(
+                f"controller: expected a label of its own for each row of the tables, got {label} "
+                f"for a controller passed as an object and for {_holder(label)}; give the object "
+                f"another name, such as my-{label}"
+            )
+        found.append(Contestant(label=label, source=controller, given=given))
     return found
 
 
@@ -218,9 +226,9 @@ def available_contestants(
     return available, notes
 
 
-def ladder() -> list[str]:
+def controllers_in_table_order() -> list[str]:
     """The registry's controllers in the order of tables."""
-    return sorted(CONTROLLERS, key=lambda name: (*LADDER, name).index(name))
+    return sorted(CONTROLLERS, key=lambda name: (*TABLE_ORDER, name).index(name))
 
 
 def _label(word: str, words: list[str]) -> str:
@@ -229,6 +237,13 @@ def _label(word: str, words: list[str]) -> str:
     if path.suffix not in POLICY_FILES and not path.suffix.startswith(".py:"):
         return word
     return path.name if [Path(other).name for other in words].count(path.name) == 1 else word
+
+
+def _holder(label: str) -> str:
+    """Owner of a label that an object may not have, for messages."""
+    if label == BOUND:
+        return "the time-optimal bound"
+    return "the baseline, which always takes part" if label == BASELINE else "one taken by name"
 
 
 def _source(word: str) -> str | EntryPoint:
@@ -246,7 +261,12 @@ def _source(word: str) -> str | EntryPoint:
             f"({found or 'it has none'}), got {word}"
         )
     if ":" not in word:
-        known = [*ladder(), "a .vgp or .onnx file", "module:class", "path/to/file.py:class"]
+        known = [
+            *controllers_in_table_order(),
+            "a .vgp or .onnx file",
+            "module:class",
+            "path/to/file.py:class",
+        ]
         raise UnknownNameError("controller", word, known)
     entry = EntryPoint.of(word, "controller")
     entry.load()

@@ -65,10 +65,10 @@ def evaluate(
             "vergence.eval.robot.evaluate.evaluate_on_robot runs it"
         )
     lineup = line_up(config, others, mapper, options)
-    return complete(config, lineup, mapper, keep_going=keep_going)
+    return run_and_join(config, lineup, mapper, keep_going=keep_going)
 
 
-def complete(
+def run_and_join(
     config: EvaluateConfig,
     lineup: Lineup,
     mapper: Mapper,

@@ -14,7 +14,7 @@ from vergence.eval.comparison.statistics import median
 from vergence.eval.comparison.style import controller_styles, draw_line, shared_legend
 from vergence.eval.comparison.summary import bound_trials, fill_missing
 from vergence.eval.comparison.tables import has_residual
-from vergence.eval.reporting.style import GREY, new_figure, styled
+from vergence.eval.reporting.style import GREY, figure_style, new_figure
 from vergence.eval.trials.settling import Band
 
 _DELAY_BINS = 6
@@ -41,7 +41,7 @@ _CAPTIONS: Final = {
 """Captions by kind of figure: its content and the conclusion to draw."""
 
 
-def caption(name: str) -> str:
+def figure_caption(name: str) -> str:
     """Caption of a figure; empty if there is none.
 
     Args:
@@ -60,7 +60,7 @@ def draw(evaluation: Evaluation) -> dict[str, Figure]:
         The figures, in the order of the report.
     """
     figures = {}
-    with styled():
+    with figure_style():
         for (scenario, plant), group in evaluation.groups().items():
             tail = f"{scenario}-{plant}"
             where = f"{scenario}, {plant}"

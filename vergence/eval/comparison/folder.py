@@ -8,9 +8,9 @@ import pandas as pd
 
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.evaluation import Evaluation
-from vergence.eval.comparison.figures import caption, draw
-from vergence.eval.comparison.run_folder import write_report_of
-from vergence.eval.comparison.tables import describe, tables
+from vergence.eval.comparison.figures import draw, figure_caption
+from vergence.eval.comparison.run_folder import write_run_report
+from vergence.eval.comparison.tables import describe_evaluation, report_tables
 from vergence.eval.reporting.runs import write_json
 
 TITLE: Final = "Ways of looking at a target, compared"
@@ -42,14 +42,14 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
     _long(evaluation, "curves").to_csv(folder / "curves.csv", index=False)
     _long(evaluation, "gains").to_csv(folder / "gains.csv", index=False)
     figures = draw(evaluation)
-    write_report_of(
+    write_run_report(
         folder,
         name="evaluation",
         title=TITLE,
-        text=describe(evaluation),
-        tables=tables(evaluation),
+        text=describe_evaluation(evaluation),
+        tables=report_tables(evaluation),
         figures=figures,
-        captions={name: caption(name) for name in figures},
+        captions={name: figure_caption(name) for name in figures},
         data="trials.csv",
         rows=len(trials),
         config=evaluation.config,

@@ -8,7 +8,7 @@ import pandas as pd
 from vergence.controllers.controller import Controller
 from vergence.controllers.ibvs import IBVS
 from vergence.controllers.tuned_ibvs import TunedIBVS
-from vergence.eval.comparison.contestant_job import ContestantJob, Made
+from vergence.eval.comparison.contestant_job import ContestantJob, MadeController
 from vergence.eval.comparison.contestants import BASELINE
 from vergence.eval.comparison.evaluation import EvaluationResult
 from vergence.eval.comparison.summary import summarise
@@ -30,7 +30,7 @@ class EvaluationJob(ContestantJob[EvaluationResult]):
     controller in one process.
     """
 
-    def _find(self, made: Made) -> EvaluationResult:
+    def _find(self, made: MadeController) -> EvaluationResult:
         controller, options, head, layout = made
         if self.contestant.source in ("ibvs", BASELINE):
             options |= _gain_of(controller)

@@ -18,7 +18,7 @@ from vergence.eval.comparison.contestants import (
     BASELINE,
     Contestant,
     available_contestants,
-    contestants,
+    make_contestants,
 )
 from vergence.eval.comparison.options import UNTUNED, GivenOptions, ResolvedOptions, resolve_options
 from vergence.eval.jobs import Mapper
@@ -89,13 +89,13 @@ def line_up(
     others = others or {}
     words = config.controllers or ((BASELINE,) if others else ())
     given = _given(config, options)
-    everyone = contestants(words, others, given)
+    everyone = make_contestants(words, others, given)
     if not baseline and (config.controllers or others):
         asked = {*config.controllers, *others}
         everyone = [one for one in everyone if one.label != BASELINE or BASELINE in asked]
     notes += given.check_names(name for one in everyone for name in one.names)
     if config.tune:
-        tune_first(config, mapper, options)
+        tune_baselines(config, mapper, options)
     named = {*config.controllers, *others, BASELINE}
     available = {}
     for scenario in {scenario.name: scenario for scenario, _ in pairs}.values():
@@ -109,7 +109,7 @@ def line_up(
     return Lineup(head=head, hardware=hardware, pairs=pairs, contestants=available, notes=notes)
 
 
-def tune_first(
+def tune_baselines(
     config: EvaluateConfig,
     mapper: Mapper,
     options: Mapping[str, Mapping[str, Any]] | None = None,

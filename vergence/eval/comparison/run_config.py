@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import tomli_w
 
 from vergence.eval.comparison.config import EvaluateConfig
-from vergence.eval.reporting.runs import toml_value, versions
+from vergence.eval.reporting.runs import package_versions, toml_value
 from vergence.models.files.head_file import save_head
 from vergence.models.head import HeadModel
 
@@ -86,6 +86,6 @@ def write_run_config(
         "heads": heads,
         "controllers": ran,
         "tuned": tuned,
-        "versions": versions(),
+        "versions": package_versions(),
     }
     (folder / "config.toml").write_text(tomli_w.dumps(content), encoding="utf-8")

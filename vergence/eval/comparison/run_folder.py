@@ -13,7 +13,7 @@ from vergence.eval.reporting.style import save_figure
 from vergence.eval.reporting.text import SectionText
 
 
-def write_report_of(
+def write_run_report(
     folder: Path,
     *,
     name: str,

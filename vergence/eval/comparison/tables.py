@@ -40,7 +40,7 @@ RESIDUAL_COLUMN: Final = "residual (px)"
 ONE_PIXEL_COLUMN: Final = "1 px (ms)"
 
 
-def tables(evaluation: Evaluation) -> list[ReportTable]:
+def report_tables(evaluation: Evaluation) -> list[ReportTable]:
     """Make a table for each scenario and plant; medians have their intervals.
 
     Args:
@@ -152,7 +152,7 @@ _UNTUNED_LEGEND: Final = (
 )
 
 
-def legend(evaluation: Evaluation, *, intervals: bool = True) -> str:
+def table_legend(evaluation: Evaluation, *, intervals: bool = True) -> str:
     """Explanation of the tables' columns and marks.
 
     Args:
@@ -239,7 +239,7 @@ def _lines(first: str, second: str) -> str:
     return NONE if first == second == NONE else f"{first}\n{second}"
 
 
-def describe(evaluation: Evaluation) -> SectionText:
+def describe_evaluation(evaluation: Evaluation) -> SectionText:
     """Describe the evaluation and its best results per scenario and plant, by `section.jinja`.
 
     Args:
@@ -271,7 +271,7 @@ def describe(evaluation: Evaluation) -> SectionText:
         bands=_listed(evaluation),
         robot=evaluation.config.on_robot,
         residual=any(has_residual(group) for group in evaluation.groups().values()),
-        legend=legend(evaluation),
+        legend=table_legend(evaluation),
         number=_number,
         interval=_with_interval,
         share=_share,

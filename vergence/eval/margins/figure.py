@@ -12,8 +12,8 @@ from matplotlib.ticker import MaxNLocator
 from vergence.eval.comparison.style import controller_styles
 from vergence.eval.margins.margins import ENDS, Margin, Margins
 from vergence.eval.margins.ranges import SEARCHED
-from vergence.eval.margins.tables import title_of
-from vergence.eval.reporting.style import BLACK, GREY, new_figure, styled
+from vergence.eval.margins.tables import imperfection_title
+from vergence.eval.reporting.style import BLACK, GREY, figure_style, new_figure
 
 _COLUMNS: Final = 4
 """Most panels side by side (chosen: legibility)."""
@@ -29,7 +29,7 @@ def draw(margins: Margins) -> dict[str, Figure]:
     Args:
         margins: the margins.
     """
-    with styled():
+    with figure_style():
         return {
             f"margins-{scenario}": _draw(found, scenario)
             for scenario, found in margins.by_scenario().items()
@@ -90,7 +90,7 @@ def _dress(panel: Axes, own: list[Margin]) -> None:
     panel.set_xlim(low - room, high + room)
     panel.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
     panel.axvline(scale * own[0].range.expected, color=BLACK, linestyle=":", linewidth=1.3)
-    panel.set_title(title_of(own[0].imperfection), fontsize=11)
+    panel.set_title(imperfection_title(own[0].imperfection), fontsize=11)
     panel.tick_params(axis="y", length=0)
     panel.grid(visible=False, axis="y")
     panel.spines["left"].set_visible(False)

@@ -6,10 +6,10 @@ from typing import Final
 import pandas as pd
 
 from vergence.errors import ConfigurationError
-from vergence.eval.comparison.run_folder import write_report_of
+from vergence.eval.comparison.run_folder import write_run_report
 from vergence.eval.margins.figure import draw
 from vergence.eval.margins.margins import Margins
-from vergence.eval.margins.tables import describe, tables
+from vergence.eval.margins.tables import describe_margins, report_tables
 from vergence.eval.reporting.runs import write_json
 
 TITLE: Final = "How far a loop may be from its model"
@@ -30,13 +30,13 @@ def write_margins(folder: Path, margins: Margins) -> None:
     write_json(folder / "margins.json", margins.rows())
     _ranges(margins).to_csv(folder / "margins.csv", index=False)
     _points(margins).to_csv(folder / "points.csv", index=False)
-    figures, text = draw(margins), describe(margins)
-    write_report_of(
+    figures, text = draw(margins), describe_margins(margins)
+    write_run_report(
         folder,
         name="margins",
         title=TITLE,
         text=text,
-        tables=tables(margins),
+        tables=report_tables(margins),
         figures=figures,
         captions=dict.fromkeys(figures, text.captions["margins"]),
         data="margins.csv",

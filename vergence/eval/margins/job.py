@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from functools import partial
 
-from vergence.eval.comparison.contestant_job import ContestantJob, Made
+from vergence.eval.comparison.contestant_job import ContestantJob, MadeController
 from vergence.eval.margins.margins import Margin
-from vergence.eval.margins.measure import Measure
-from vergence.eval.margins.ranges import range_of
-from vergence.eval.margins.search import last_value
+from vergence.eval.margins.measure import MarginMeasurement
+from vergence.eval.margins.ranges import search_interval
+from vergence.eval.margins.search import last_holding_value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,15 +16,17 @@ class MarginJob(ContestantJob[Margin]):
 
     imperfection: str
 
-    def _find(self, made: Made) -> Margin:
-        span = range_of(self.imperfection, self.scenario, made.head)
-        measure = Measure(partial(self._trials, made.controller), self.scenario, self.imperfection)
+    def _find(self, made: MadeController) -> Margin:
+        span = search_interval(self.imperfection, self.scenario, made.head)
+        measure = MarginMeasurement(
+            partial(self._trials, made.controller), self.scenario, self.imperfection
+        )
         settles = [
-            last_value(lambda value: measure(value).settles, span.expected, end)
+            last_holding_value(lambda value: measure(value).settles, span.expected, end)
             for end in (span.low, span.high)
         ]
         doubles = [
-            last_value(lambda value: measure(value).median_not_doubled, span.expected, end)
+            last_holding_value(lambda value: measure(value).median_not_doubled, span.expected, end)
             for end in (span.low, span.high)
         ]
         return Margin(

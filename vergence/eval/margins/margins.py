@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.eval.margins.config import MarginsConfig
-from vergence.eval.margins.measure import Point
+from vergence.eval.margins.measure import MarginPoint
 from vergence.eval.margins.ranges import SearchInterval
 from vergence.models.head import HeadModel
 
@@ -38,7 +38,7 @@ class Margin:
     in the unmodified scenario."""
     doubles_high: float | None
     """High end of that range."""
-    points: list[Point]
+    points: list[MarginPoint]
     """All measurements, sorted by value."""
     head: HeadModel
     options: dict[str, Any]

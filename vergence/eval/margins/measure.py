@@ -21,7 +21,7 @@ _SLOWER: Final = 2.0
 """Ratio of median settle times from which a controller counts as too slow (chosen)."""
 
 
-class Point(NamedTuple):
+class MarginPoint(NamedTuple):
     """Results at a value of an imperfection, over trials that settle in the unmodified scenario."""
 
     value: float
@@ -72,7 +72,7 @@ def with_imperfection(scenario: Scenario, name: str, value: float) -> Scenario:
     )
 
 
-def band_px(scenario: Scenario, name: str, value: float) -> float:
+def margin_band_px(scenario: Scenario, name: str, value: float) -> float:
     """Settling band: the scenario's, or three standard deviations of the detection noise if larger.
 
     Noise limits how well a controller knows the target, and so how still it can hold the eyes.
@@ -89,7 +89,7 @@ def band_px(scenario: Scenario, name: str, value: float) -> float:
     return max(scenario.band_px, _DEVIATIONS * value)
 
 
-class Measure:
+class MarginMeasurement:
     """Measurement of one controller in one scenario by value of an imperfection, cached.
 
     Args:
@@ -104,28 +104,28 @@ class Measure:
         self._name = name
         self._unmodified = run(scenario)
         self._settled_unmodified = np.isfinite(self._unmodified.settle_s(scenario.band_px))
-        self._found: dict[float, Point] = {}
+        self._found: dict[float, MarginPoint] = {}
 
-    def __call__(self, value: float) -> Point:
+    def __call__(self, value: float) -> MarginPoint:
         """Measure at a value, or return the earlier measurement."""
         if value not in self._found:
             self._found[value] = self._at(value)
         return self._found[value]
 
     @property
-    def points(self) -> list[Point]:
+    def points(self) -> list[MarginPoint]:
         """All measurements, sorted by value."""
         return sorted(self._found.values())
 
-    def _at(self, value: float) -> Point:
-        band = band_px(self._scenario, self._name, value)
+    def _at(self, value: float) -> MarginPoint:
+        band = margin_band_px(self._scenario, self._name, value)
         count = int(self._settled_unmodified.sum())
         trials = self._run(with_imperfection(self._scenario, self._name, value))
         swinging = int(trials.swings.sum())
         if count == 0:
-            return Point(value, band, 0, 0, np.nan, np.nan, swinging)
+            return MarginPoint(value, band, 0, 0, np.nan, np.nan, swinging)
         settle_s = trials.settle_s(band)[self._settled_unmodified]
-        return Point(
+        return MarginPoint(
             value=value,
             band_px=band,
             trials=count,

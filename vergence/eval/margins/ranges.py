@@ -13,7 +13,7 @@ from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
 
 
-class Searched(NamedTuple):
+class ImperfectionRange(NamedTuple):
     """Search range of one imperfection's margins, and how they are shown."""
 
     label: str
@@ -27,7 +27,7 @@ class Searched(NamedTuple):
 
 
 SEARCHED: Final = {
-    name: Searched(one.label, *one.searched, *one.shown)
+    name: ImperfectionRange(one.label, *one.searched, *one.shown)
     for part in PARTS
     for name, one in IMPERFECTIONS.items()
     if one.part == part
@@ -47,7 +47,7 @@ class SearchInterval(NamedTuple):
     high: float
 
 
-def range_of(name: str, scenario: Scenario, head: HeadModel) -> SearchInterval:
+def search_interval(name: str, scenario: Scenario, head: HeadModel) -> SearchInterval:
     """Search range of an imperfection's margins, widened to hold the expected value.
 
     Args:

@@ -19,7 +19,7 @@ from vergence.eval.margins.config import MarginsConfig
 from vergence.eval.margins.job import MarginJob
 from vergence.eval.margins.margins import Margin, Margins
 from vergence.eval.margins.measure import with_imperfection
-from vergence.eval.margins.ranges import SEARCHED, has_effect, range_of
+from vergence.eval.margins.ranges import SEARCHED, has_effect, search_interval
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 
 __all__ = ["MarginsConfig", "measure_margins"]
@@ -112,7 +112,7 @@ def _imperfections(
         for name in asked
         if name not in names and config.imperfections
     ]
-    expected = {name: range_of(name, scenario, head).expected for name in names}
+    expected = {name: search_interval(name, scenario, head).expected for name in names}
     refused = []
     for name in names:
         try:

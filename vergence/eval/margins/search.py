@@ -17,7 +17,7 @@ HALVINGS: Final = 4
 """Bisections of the bracket (chosen: resolution against number of runs)."""
 
 
-def last_value(holds: Callable[[float], bool], begin: float, end: float) -> float | None:
+def last_holding_value(holds: Callable[[float], bool], begin: float, end: float) -> float | None:
     """Search from one value towards another.
 
     Args:

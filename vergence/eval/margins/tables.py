@@ -11,7 +11,7 @@ COLUMNS: Final = ("imperfection", "expected", "searched", "99 % settle", "median
 _NEVER: Final = "nowhere"
 
 
-def tables(margins: Margins) -> list[ReportTable]:
+def report_tables(margins: Margins) -> list[ReportTable]:
     """Make a table for each controller in each scenario, with one row per imperfection.
 
     Args:
@@ -28,7 +28,7 @@ def tables(margins: Margins) -> list[ReportTable]:
     ]
 
 
-def title_of(imperfection: str) -> str:
+def imperfection_title(imperfection: str) -> str:
     """Label of an imperfection, with the unit in which it is shown.
 
     Args:
@@ -52,7 +52,7 @@ def _row(one: Margin) -> list[str]:
         return f"{least} to {most}"
 
     return [
-        title_of(one.imperfection),
+        imperfection_title(one.imperfection),
         _number(one, one.range.expected),
         f"{_number(one, one.range.low)} to {_number(one, one.range.high)}",
         span("settles"),
@@ -74,7 +74,7 @@ LEGEND: Final = (
 )
 
 
-def describe(margins: Margins) -> SectionText:
+def describe_margins(margins: Margins) -> SectionText:
     """Describe the margins, by `section.jinja`.
 
     Args:

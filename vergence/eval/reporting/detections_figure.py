@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from vergence.eval.reporting.labels import page_point
-from vergence.eval.reporting.style import new_figure, styled
+from vergence.eval.reporting.style import figure_style, new_figure
 from vergence.files import atomic_file
 from vergence.models.boards import PlanarTarget
 from vergence.models.parts import FloatArray
@@ -28,7 +28,7 @@ _LETTER_WIDTH: Final = 0.62
 _HALO: Final = [patheffects.withStroke(linewidth=3.0, foreground="black", alpha=0.75)]
 
 
-class Colours:
+class TargetColours:
     """Assignment of a fixed colour to each target of a figure."""
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class Colours:
         return self._given.setdefault(str(target), COLOURS[len(self._given) % len(COLOURS)])
 
 
-def outline(target: PlanarTarget, corners: FloatArray) -> FloatArray:
+def target_outline(target: PlanarTarget, corners: FloatArray) -> FloatArray:
     """The outermost corners of a target in order around it, without missing ones.
 
     Args:
@@ -64,7 +64,7 @@ def outline(target: PlanarTarget, corners: FloatArray) -> FloatArray:
 
 
 def draw_detections(
-    panel: Axes, image: NDArray[np.uint8], found: Sequence[Detection], colours: Colours
+    panel: Axes, image: NDArray[np.uint8], found: Sequence[Detection], colours: TargetColours
 ) -> None:
     """Draw an image with its targets: corners, outline, upper left corner, and numbers of tags.
 
@@ -79,7 +79,7 @@ def draw_detections(
     for detection in found:
         target, corners = detection.target, detection.corners_px
         style: dict[str, Any] = {"color": colours.of(target)}
-        panel.plot(*outline(target, corners).T, lw=1.4, **style)
+        panel.plot(*target_outline(target, corners).T, lw=1.4, **style)
         if len(corners) > 4:
             panel.plot(*corners.T, "+", ms=5, mew=1.0, **style)
         first = np.nanargmin(corners.sum(axis=1) * 0.0 + target.corners_m.sum(axis=1))
@@ -97,7 +97,7 @@ def draw_detections(
     panel.spines[:].set_visible(False)
 
 
-def shortened(text: str, width_in: float, size_pt: float) -> str:
+def shorten_to_width(text: str, width_in: float, size_pt: float) -> str:
     """Cut the middle out of a text that is wider than a width in inches, at a font size in pt."""
     most = max(int(width_in * 72.0 / (_LETTER_WIDTH * size_pt)), 8)
     if len(text) <= most:
@@ -109,9 +109,9 @@ def _title(name: str, found: Sequence[Detection], width_in: float) -> str:
     """An image's name and its detections, on two lines if they are too wide for one."""
     what = _what(found)
     line = f"{name}: {what}"
-    if shortened(line, width_in, _TITLE_PT) == line:
+    if shorten_to_width(line, width_in, _TITLE_PT) == line:
         return line
-    return "\n".join(shortened(part, width_in, _TITLE_PT) for part in (name, what))
+    return "\n".join(shorten_to_width(part, width_in, _TITLE_PT) for part in (name, what))
 
 
 def _what(found: Sequence[Detection]) -> str:
@@ -132,13 +132,13 @@ def draw_photographs(shown: Sequence[Photograph], path: Path) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    with styled():
-        figure = compose(shown)
+    with figure_style():
+        figure = compose_detections(shown)
         with atomic_file(path) as partial:
             figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})
 
 
-def compose(shown: Sequence[Photograph]) -> Figure:
+def compose_detections(shown: Sequence[Photograph]) -> Figure:
     """Compose the figure.
 
     Args:
@@ -150,8 +150,8 @@ def compose(shown: Sequence[Photograph]) -> Figure:
     heights = [
         across * max(tall[start : start + columns]) + 0.5 for start in range(0, len(shown), columns)
     ]
-    colours = Colours()
-    with styled():
+    colours = TargetColours()
+    with figure_style():
         figure = new_figure(across * columns, sum(heights))
         grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
         for place, (name, image, found) in enumerate(shown):

@@ -11,8 +11,13 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
-from vergence.eval.reporting.detections_figure import Colours, draw_detections, outline, shortened
-from vergence.eval.reporting.style import BLUE, GREY, ORANGE, new_figure, styled
+from vergence.eval.reporting.detections_figure import (
+    TargetColours,
+    draw_detections,
+    shorten_to_width,
+    target_outline,
+)
+from vergence.eval.reporting.style import BLUE, GREY, ORANGE, figure_style, new_figure
 from vergence.files import atomic_file
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
@@ -56,22 +61,22 @@ def draw_located(result: LocateResult, path: Path) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    with styled():
-        figure = compose(result)
+    with figure_style():
+        figure = compose_located(result)
         with atomic_file(path) as partial:
             figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})
 
 
-def compose(result: LocateResult) -> Figure:
+def compose_located(result: LocateResult) -> Figure:
     """Compose the figure.
 
     Args:
         result: the result of `locate`.
     """
-    shown, colours = result.shown, Colours()
+    shown, colours = result.shown, TargetColours()
     tall = max(each.image.shape[0] / each.image.shape[1] for each in shown)
     top = 0.5 * _WIDTH * tall + 0.4
-    with styled():
+    with figure_style():
         seen = [one for one in result.located if one.valid.any()]
         # without a valid point, the views of space would be empty
         heights = (top, _BELOW) if seen else (top,)
@@ -81,11 +86,11 @@ def compose(result: LocateResult) -> Figure:
             panel = figure.add_subplot(grid[0, eye])
             draw_detections(panel, shown[eye].image, shown[eye].found, colours)
             nothing = "" if shown[eye].found else ", nothing found"
-            title = shortened(f"{name}: {shown[eye].path.name}", 0.35 * _WIDTH, _TITLE_PT)
+            title = shorten_to_width(f"{name}: {shown[eye].path.name}", 0.35 * _WIDTH, _TITLE_PT)
             panel.set_title(f"{title}{nothing}", color=_EYES[eye], fontsize=_TITLE_PT)
         if seen:
             _draw_space(figure, grid, result, seen, colours)
-        heading = shortened(_heading(result, seen), 0.95 * _WIDTH, _HEADING_PT)
+        heading = shorten_to_width(_heading(result, seen), 0.95 * _WIDTH, _HEADING_PT)
         figure.suptitle(heading, fontsize=_HEADING_PT)
     return figure
 
@@ -95,7 +100,7 @@ def _draw_space(
     grid: GridSpec,
     result: LocateResult,
     seen: Sequence[Located],
-    colours: Colours,
+    colours: TargetColours,
 ) -> None:
     """Draw both views of space, with the number of points outside them."""
     eyes = np.concatenate(
@@ -140,7 +145,7 @@ def _draw_view(
     near: Sequence[NDArray[np.bool_]],
     eyes: FloatArray,
     axes: tuple[int, int],
-    colours: Colours,
+    colours: TargetColours,
     shown: str,
 ) -> None:
     for eye, name in enumerate(EYE_NAMES):
@@ -150,7 +155,7 @@ def _draw_view(
     for one, drawn in zip(seen, near, strict=True):
         points, colour = MM * one.fix.point[:, axes], colours.of(one.target)
         points = np.where(drawn[:, None], points, np.nan)
-        line = outline(one.target, points)
+        line = target_outline(one.target, points)
         behind = crowded and one.pair != shown
         panel.plot(*line.T, lw=0.8 if behind else 1.2, alpha=0.4 if behind else 1.0, color=colour)
         if not behind:
@@ -171,7 +176,7 @@ def _draw_sigma(
     panels: Sequence[Axes],
     seen: Sequence[Located],
     near: Sequence[NDArray[np.bool_]],
-    colours: Colours,
+    colours: TargetColours,
 ) -> None:
     """Draw covariance ellipses at outermost corners, at the first scale that makes them visible."""
     chosen = [

@@ -12,13 +12,13 @@ from vergence.eval.article.criterion import (
     OTHER_VERDICTS,
     SAME_ORDER,
     VERDICTS,
-    farthest,
+    most_different_ends,
 )
 from vergence.eval.article.criterion import NONE as NO_FIGURE
 from vergence.eval.article.reported import reported_results
 from vergence.eval.reporting.glossary import GLOSSARY
-from vergence.eval.reporting.runs import versions
-from vergence.eval.reporting.text import NONE, environment, format_number, read_template
+from vergence.eval.reporting.runs import package_versions
+from vergence.eval.reporting.text import NONE, format_number, jinja_environment, read_template
 from vergence.files import write_atomic
 
 _PHRASES: Final = {
@@ -80,16 +80,16 @@ def write_report(path: Path, sections: list[Section], title: str = "") -> None:
         sections: the sections, in order.
         title: title of a report that is not about the article.
     """
-    page = environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    page = jinja_environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = page.from_string(read_template("vergence.eval.reporting", "report.html.jinja"))
     text = template.render(
         sections=sections,
         title=title,
-        versions=versions(),
+        versions=package_versions(),
         style=read_template("vergence.eval.reporting", "page.css"),
         figure=_inline,
-        headlines=headlines(sections),
-        tally=tally(sections),
+        headlines=article_summary_rows(sections),
+        tally=count_verdicts(sections),
         reported=len(reported_results()),
         phrases=_PHRASES,
         verdicts=VERDICTS,
@@ -101,7 +101,7 @@ def write_report(path: Path, sections: list[Section], title: str = "") -> None:
     write_atomic(path, text)
 
 
-def headlines(sections: list[Section]) -> list[tuple[str, dict[str, Any]]]:
+def article_summary_rows(sections: list[Section]) -> list[tuple[str, dict[str, Any]]]:
     """Rows of the report's summary: each result that the article reports, once.
 
     Args:
@@ -120,7 +120,7 @@ def headlines(sections: list[Section]) -> list[tuple[str, dict[str, Any]]]:
     ]
 
 
-def tally(sections: list[Section]) -> dict[str, int]:
+def count_verdicts(sections: list[Section]) -> dict[str, int]:
     """Count the article's results by verdict, the best verdict first.
 
     Args:
@@ -129,7 +129,7 @@ def tally(sections: list[Section]) -> dict[str, int]:
     Returns:
         Counts by verdict, without zeros.
     """
-    counts = Counter(row["verdict"] for _name, row in headlines(sections))
+    counts = Counter(row["verdict"] for _name, row in article_summary_rows(sections))
     return {verdict: counts[verdict] for verdict in VERDICTS if counts[verdict]}
 
 
@@ -138,7 +138,7 @@ def _ratio(row: dict[str, Any]) -> str:
     article = row["article_low"], row["article_high"]
     if row["ours_low"] is None or row["ours_high"] is None or article == (None, None):
         return NONE
-    ours, theirs = farthest(row["ours_low"], row["ours_high"], *article)
+    ours, theirs = most_different_ends(row["ours_low"], row["ours_high"], *article)
     return format_number(ours / theirs) if theirs else NONE
 
 

@@ -39,7 +39,7 @@ _DISTRIBUTIONS: Final = {"mujoco": "mujoco-core"}
 """Distributions of packages that have another name."""
 
 
-def versions(packages: tuple[str, ...] = _VERSIONED) -> dict[str, str]:
+def package_versions(packages: tuple[str, ...] = _VERSIONED) -> dict[str, str]:
     """Versions of Python and of packages, without packages that are not installed."""
     found = {"python": platform.python_version()}
     for package in packages:
@@ -50,7 +50,7 @@ def versions(packages: tuple[str, ...] = _VERSIONED) -> dict[str, str]:
     return found
 
 
-def check_free(folder: Path) -> None:
+def check_folder_free(folder: Path) -> None:
     """Refuse a run folder that would overwrite something.
 
     Raises:
@@ -90,7 +90,7 @@ _SIGNS: Final = {
 """Commands by an entry that only their run folders contain."""
 
 
-def command_of(folder: Path) -> str | None:
+def run_folder_command(folder: Path) -> str | None:
     """Command that wrote a run folder; None if there is no such folder or it is no run folder."""
     return next((kind for name, kind in _SIGNS.items() if (folder / name).exists()), None)
 
@@ -99,7 +99,7 @@ def run_folder_of(folder: Path) -> str | None:
     """Description of a run folder for messages; None if it is no run folder."""
     if (folder / _RECORDING).is_dir() and not (folder / "evaluation.json").exists():
         return "an evaluation on a robot that has not ended (--resume goes on with it)"
-    command = command_of(folder)
+    command = run_folder_command(folder)
     return command and f"the run folder of vergence {command}{_GOES_ON.get(command, '')}"
 
 
@@ -118,7 +118,7 @@ def check_writable(folder: Path) -> None:
     Raises:
         ConfigurationError: the name is taken, or the parent folder cannot be written.
     """
-    check_free(folder)
+    check_folder_free(folder)
     there = next(path for path in folder.absolute().parents if path.exists())
     try:
         with tempfile.TemporaryDirectory(prefix=".vergence-", dir=there):
@@ -144,7 +144,7 @@ def locked_run_folder(folder: Path) -> Iterator[None]:
     """
     check_writable(folder)
     with locked(folder) as alone:
-        check_free(folder)  # another process may have just ended
+        check_folder_free(folder)  # another process may have just ended
         if alone:
             place = Path(os.path.realpath(folder))
             remove_partial(place.parent, place.name)
@@ -164,7 +164,7 @@ def run_folder(folder: Path) -> Iterator[Path]:
     Raises:
         ConfigurationError: the folder cannot be created or is not empty.
     """
-    check_free(folder)
+    check_folder_free(folder)
     try:
         with atomic_folder(folder) as partial:
             yield partial
@@ -207,7 +207,7 @@ def write_config(
     content = {
         "config": toml_value(dataclasses.asdict(config)),
         "head": {"name": head.name, "digest": head.digest, "file": "head.toml"},
-        "versions": versions(_VERSIONED + packages),
+        "versions": package_versions(_VERSIONED + packages),
     }
     (folder / "config.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
     save_head(head, folder / "head.toml")

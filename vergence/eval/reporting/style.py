@@ -45,7 +45,7 @@ _RC: Final[Any] = {
 
 
 def new_figure(width: float = 9.0, height: float = 4.2) -> Figure:
-    """Make an empty figure, with sizes in inches; draw it inside `styled`."""
+    """Make an empty figure, with sizes in inches; draw it inside `figure_style`."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -75,22 +75,22 @@ def legend_below(figure: Figure, columns: int, **options: Any) -> None:
     )
 
 
-def styled() -> AbstractContextManager[None]:
+def figure_style() -> AbstractContextManager[None]:
     """Context for drawing and saving figures in this style."""
     return matplotlib.rc_context(_RC)
 
 
 def save_figure(figure: Figure, stem: Path) -> None:
     """Write a figure as `stem`.svg and `stem`.png; equal figures give equal bytes."""
-    with styled():
+    with figure_style():
         figure.draw_without_rendering()  # panels with equal axes fit only after a second layout
         figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
         figure.savefig(stem.with_suffix(".png"), dpi=110, metadata={"Software": None})
 
 
-def svg_of(figure: Figure) -> str:
+def svg_text(figure: Figure) -> str:
     """Render a figure as the text of an SVG file."""
     text = io.StringIO()
-    with styled():
+    with figure_style():
         figure.savefig(text, format="svg", metadata={"Date": None})
     return text.getvalue()

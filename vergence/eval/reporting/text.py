@@ -55,7 +55,7 @@ def render_text(template: str, **values: Any) -> SectionText:
     Raises:
         jinja2.UndefinedError: the template names a value that is missing.
     """
-    found = environment().from_string(template)
+    found = jinja_environment().from_string(template)
     context = found.new_context(values)
     text = {name: _unwrapped("".join(block(context))) for name, block in found.blocks.items()}
     captions = {
@@ -66,7 +66,7 @@ def render_text(template: str, **values: Any) -> SectionText:
     return SectionText(text["what"], text["found"], text.get("headline", ""), captions)
 
 
-def environment(**options: Any) -> jinja2.Environment:
+def jinja_environment(**options: Any) -> jinja2.Environment:
     """Make a Jinja environment that requires every name and has the filters for numbers.
 
     Args:

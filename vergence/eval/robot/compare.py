@@ -19,7 +19,7 @@ from vergence.eval.comparison.config import ROBOT
 from vergence.eval.comparison.contestant_job import Failure
 from vergence.eval.comparison.evaluation import EvaluationResult
 from vergence.eval.comparison.lineup import Lineup
-from vergence.eval.reporting.runs import versions
+from vergence.eval.reporting.runs import package_versions
 from vergence.eval.robot.controller import RobotController
 from vergence.eval.robot.evaluation_record import (
     EvaluationRecord,
@@ -29,7 +29,7 @@ from vergence.eval.robot.evaluation_record import (
 )
 from vergence.eval.robot.judge import RobotJob, missed_periods
 from vergence.eval.robot.stage import TargetStage
-from vergence.eval.trials.run import periods
+from vergence.eval.trials.run import trial_periods
 from vergence.eval.trials.scenarios import Scenario
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.plant import HardwarePlant
@@ -125,7 +125,7 @@ class RobotRun:
     def recorded(self) -> dict[TrialKey, RecordedTrial]:
         """Read the completed trials of this run."""
         head = self.hardware.head
-        steps = {one.name: periods(one, head, simulated=False)[1] for one in self.scenarios}
+        steps = {one.name: trial_periods(one, head, simulated=False)[1] for one in self.scenarios}
         found = self.record.completed_trials(lambda scenario: steps.get(scenario, sys.maxsize))
         if not self.stage.emulated:  # do not use an emulated head's ground truth here
             found = {
@@ -217,7 +217,7 @@ class _Connection:
         facts = {
             "scenario": name,
             "seed": str(run.seed),
-            **{f"version {package}": text for package, text in versions().items()},
+            **{f"version {package}": text for package, text in package_versions().items()},
         }
         path = run.record.new_log()
         with LogWriter(path, head=head, config=hardware.text, facts=facts) as log:
@@ -238,7 +238,7 @@ class _Connection:
     ) -> None:
         run = self._run
         assert isinstance(task.plant, HardwarePlant)
-        _, steps = periods(self._scenario, task.head, simulated=False)
+        _, steps = trial_periods(self._scenario, task.head, simulated=False)
         seed = self._scenario.seed("test", run.seed)
         placed, point = -1, np.full(3, np.nan)
         for key in pending:

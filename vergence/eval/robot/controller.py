@@ -11,7 +11,7 @@ from typing import Any, Final
 from vergence.controllers.controller import Controller
 from vergence.entry_points import EntryPoint
 from vergence.envs.layout import ObservationLayout
-from vergence.eval.comparison.contestants import Contestant, contestants
+from vergence.eval.comparison.contestants import Contestant, make_contestants
 from vergence.eval.comparison.options import GivenOptions
 from vergence.eval.comparison.user_code import errors_attributed_to
 from vergence.models.head import HeadModel
@@ -71,7 +71,7 @@ class RobotController:
                 hold its options.
         """
         over = GivenOptions() if given is None else GivenOptions.read(given)
-        found = contestants((word,), given=over)[0]
+        found = make_contestants((word,), given=over)[0]
         over.check_names(found.names)
         if options is None:
             options = found.resolve_options(head, LOOP).options

@@ -12,7 +12,7 @@ from vergence.envs.reading import Reading
 from vergence.envs.rollout import run_trial
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.eval.reporting.runs import versions
+from vergence.eval.reporting.runs import package_versions
 from vergence.eval.robot.config import DeployConfig
 from vergence.eval.robot.controller import RobotController
 from vergence.eval.robot.gazes import MOST_PERIODS, Gazes
@@ -185,7 +185,7 @@ def _open_log(
             "steps": str(gazes.steps),
             "seed": str(config.seed),
             "dry_run": str(config.dry_run),
-            **{f"version {name}": text for name, text in versions().items()},
+            **{f"version {name}": text for name, text in package_versions().items()},
         },
         images=config.images,
     )

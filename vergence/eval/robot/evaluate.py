@@ -8,7 +8,7 @@ from typing import Any
 
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.config import EvaluateConfig
-from vergence.eval.comparison.evaluate import complete
+from vergence.eval.comparison.evaluate import run_and_join
 from vergence.eval.comparison.evaluation import Evaluation
 from vergence.eval.comparison.lineup import line_up
 from vergence.eval.jobs import Mapper, Progress, SerialMapper
@@ -102,7 +102,7 @@ def evaluate_on_robot(
     failed = robot.run(progress, check=check, keep_going=keep_going)
     recorded = robot.recorded()
     outcomes = robot.outcomes(recorded, failed, keep_going=keep_going)
-    evaluation = complete(config, lineup, mapper, outcomes, failed, keep_going=keep_going)
+    evaluation = run_and_join(config, lineup, mapper, outcomes, failed, keep_going=keep_going)
     evaluation.notes.append(robot.note(recorded))
     return evaluation
 

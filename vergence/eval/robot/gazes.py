@@ -7,7 +7,7 @@ import numpy as np
 
 from vergence.envs.task import GazeTask
 from vergence.eval.gaze_trajectory import MM
-from vergence.eval.trials.recorded import as_trials
+from vergence.eval.trials.recorded import trials_from_record
 from vergence.eval.trials.results import Trials
 from vergence.json_values import json_value
 from vergence.recording import Recorder
@@ -47,7 +47,9 @@ class Gazes:
         self.periods += passed
         steps = min(passed if self.steps is None else self.steps, MOST_PERIODS)
         self.trials.append(
-            as_trials(task, record, steps, scenario="robot", plant="hardware", band_px=BAND_PX)
+            trials_from_record(
+                task, record, steps, scenario="robot", plant="hardware", band_px=BAND_PX
+            )
         )
 
     def rows(self) -> list[dict[str, Any]]:

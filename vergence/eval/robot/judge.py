@@ -17,8 +17,8 @@ from vergence.eval.comparison.user_code import errors_attributed_to
 from vergence.eval.robot.evaluation_record import RecordedTrial
 from vergence.eval.robot.stage import REST_TARGET
 from vergence.eval.trials.bound import settle_bound
-from vergence.eval.trials.results import Trials, join
-from vergence.eval.trials.run import TimedController, periods, run_in
+from vergence.eval.trials.results import Trials, join_trials
+from vergence.eval.trials.run import TimedController, run_trials_in, trial_periods
 from vergence.eval.trials.scenarios import Scenario
 from vergence.eval.trials.settling import judged_bands
 from vergence.hardware.config import HardwareConfig
@@ -46,7 +46,7 @@ class RobotJob(EvaluationJob):
     def _trials(self, controller: Controller, scenario: Scenario, *, observed: int = 0) -> Trials:
         """Judge the logged trials; the controller runs again on their readings."""
         head, found, points = self.hardware.head, [], []
-        _, steps = periods(scenario, head, simulated=False)
+        _, steps = trial_periods(scenario, head, simulated=False)
         for place, one in enumerate(self.recorded):
             trial = one.trial
             if one.entry.stopped:
@@ -55,7 +55,7 @@ class RobotJob(EvaluationJob):
             task = GazeTask(1, head=head, plant=REPLAYED, target=REST_TARGET, plant_options=options)
             timed = TimedController(controller, int(place < observed))
             with errors_attributed_to(controller):
-                trials = run_in(task, timed, scenario, plant=self.plant)
+                trials = run_trials_in(task, timed, scenario, plant=self.plant)
             trials = replace(
                 trials,
                 stopped=np.array([bool(one.entry.stopped)]),
@@ -66,10 +66,12 @@ class RobotJob(EvaluationJob):
             known = trials.target[-1, 0]
             points.append(known if np.isfinite(known).all() else _measured_target(head, one.trial))
             found.append(trials)
-        all_of_them = join(found)
+        all_of_them = join_trials(found)
         if scenario.target_moves:
             return all_of_them
-        return replace(all_of_them, bounds_s=bounds(self.hardware, all_of_them, np.array(points)))
+        return replace(
+            all_of_them, bounds_s=robot_settle_bounds(self.hardware, all_of_them, np.array(points))
+        )
 
 
 def missed_periods(head: HeadModel, trial: LoggedTrial) -> int:
@@ -106,7 +108,9 @@ def _measured_target(head: HeadModel, trial: LoggedTrial) -> FloatArray:
     return np.asarray(np.median(seen.point, axis=0))
 
 
-def bounds(hardware: HardwareConfig, trials: Trials, points: FloatArray) -> dict[float, FloatArray]:
+def robot_settle_bounds(
+    hardware: HardwareConfig, trials: Trials, points: FloatArray
+) -> dict[float, FloatArray]:
     """Time-optimal bounds of trials on a robot, from its known or measured loop.
 
     The time of the first image that shows the target is the trial's own. The motion from there is

@@ -12,7 +12,7 @@ from vergence.controllers.controller import CONTROLLERS
 from vergence.envs.rollout import run_trial
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
-from vergence.eval.gaze import Ending, GazeResult, gaze_result
+from vergence.eval.gaze import FinalState, GazeResult, gaze_result
 from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.gaze_trajectory import MM
 from vergence.eval.robot.config import ReplayConfig
@@ -212,7 +212,7 @@ def _run(
         run_trial(task, policy, trial.steps, keep)
         gazes.add(task, record)
         config = _gaze_config(log, record)
-        results.append(gaze_result(config, task, record, Ending.of(task)))
+        results.append(gaze_result(config, task, record, FinalState.of(task)))
         computed.append(np.array(plant.commands).reshape(-1, 7))
 
     # prepare as before a robot's first gaze, since a policy may count its calls

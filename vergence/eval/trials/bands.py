@@ -31,7 +31,7 @@ _LEAST_WEIGHT: Final = 1e-6
 
 
 @compiled
-def bands_of_eyes(
+def eye_settling_bands(
     heads: FloatArray,
     nominal: PackedHead,
     targets: FloatArray,
@@ -64,7 +64,7 @@ def bands_of_eyes(
 
 
 @compiled
-def bands_of_actuators(
+def actuator_settling_bands(
     heads: FloatArray,
     nominal: PackedHead,
     targets: FloatArray,
@@ -72,7 +72,7 @@ def bands_of_actuators(
     goal: FloatArray,
     half_band: FloatArray,
 ) -> None:
-    """Write the goals and bands of the actuators of coupled joints, see `bands_of_eyes`."""
+    """Write the goals and bands of the actuators of coupled joints, see `eye_settling_bands`."""
     error, jacobian = np.empty((2, 2)), np.empty((2, 2, 2))
     for n in range(targets.shape[0]):
         true = heads[n] if heads.shape[0] > 1 else heads[0]

@@ -36,7 +36,7 @@ from vergence.envs.plants.conditions import Conditions
 from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
-from vergence.eval.trials.bands import bands_of_actuators, bands_of_eyes
+from vergence.eval.trials.bands import actuator_settling_bands, eye_settling_bands
 from vergence.eval.trials.entry import fastest_entry
 from vergence.eval.trials.goal import least_measured_error
 from vergence.models.actuation import SLOTS, Actuation
@@ -80,7 +80,7 @@ def settle_bound(
     period = head.timing.period_s
     motion_s = np.empty(task.num)
     goal, half_band = np.empty((2, task.num, SLOTS))
-    find = bands_of_eyes if actuation.direct else bands_of_actuators
+    find = eye_settling_bands if actuation.direct else actuator_settling_bands
     find(conditions.heads, head.packed, truth.target, band_px, goal, half_band)
     _motion_times(
         goal,

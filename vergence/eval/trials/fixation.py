@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.eval.trials.metrics import mask_from
+from vergence.eval.trials.metrics import mask_from_time
 from vergence.models.parts import FloatArray
 
 FIXATION_S: Final = 5.0
@@ -90,7 +90,7 @@ def _speeds_and_mask(
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Speeds, and a mask of their shape for those whose period begins at a time or later."""
     found = np.asarray(speed, dtype=np.float64)
-    counts = mask_from(np.asarray(time_s)[:-1], after_s, found.shape[1:-1])
+    counts = mask_from_time(np.asarray(time_s)[:-1], after_s, found.shape[1:-1])
     return found, np.broadcast_to(counts[..., None], found.shape)
 
 
@@ -121,7 +121,7 @@ def swings(time_s: ArrayLike, speed: ArrayLike, onset_s: ArrayLike) -> NDArray[n
         return np.zeros(found.shape[1:-1], dtype=np.bool_)
     range_ = _greatest(found, window) + _greatest(-found, window)
     swung = (range_ > SWING_RAD_S).any(axis=-1)
-    swung &= mask_from(time[: len(swung)], np.asarray(onset_s) + TURN_S, swung.shape[1:])
+    swung &= mask_from_time(time[: len(swung)], np.asarray(onset_s) + TURN_S, swung.shape[1:])
     return np.asarray(_holds_for(swung, whole - window + 1).any(axis=0))
 
 
@@ -147,7 +147,7 @@ def left_again(
     held = round(HELD_S / (time[1] - time[0])) + 1
     if len(inside) <= held:
         return np.zeros(inside.shape[1:], dtype=np.bool_)
-    settled = _holds_for(inside & mask_from(time, onset_s, inside.shape[1:]), held)
+    settled = _holds_for(inside & mask_from_time(time, onset_s, inside.shape[1:]), held)
     before = np.logical_or.accumulate(settled[:-1], axis=0)
     return np.asarray((before & ~inside[held:]).any(axis=0))
 

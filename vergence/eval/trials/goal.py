@@ -91,7 +91,7 @@ def measured_error(
     return pixel_error(nominal, eye, u, v)
 
 
-class Slopes(NamedTuple):
+class PixelErrorSlopes(NamedTuple):
     """An eye's error, px, and its derivatives by tilt and pan, px/rad, by central differences."""
 
     u: float
@@ -105,7 +105,7 @@ class Slopes(NamedTuple):
 @inlined
 def error_slopes(
     true: PackedHead, nominal: PackedHead, eye: int, tilt: float, pan: float, point: FloatArray
-) -> Slopes:
+) -> PixelErrorSlopes:
     """An eye's measured error and image Jacobian at given angles."""
     h = _DIFFERENCE_RAD
     u, v = measured_error(true, nominal, eye, tilt, pan, point)
@@ -115,7 +115,7 @@ def error_slopes(
     ud, vd = measured_error(true, nominal, eye, tilt, pan - h, point)
     ut, vt = 0.5 * (ua - ub) / h, 0.5 * (va - vb) / h
     up, vp = 0.5 * (uc - ud) / h, 0.5 * (vc - vd) / h
-    return Slopes(u, v, ut, up, vt, vp)
+    return PixelErrorSlopes(u, v, ut, up, vt, vp)
 
 
 class EyeGoal(NamedTuple):

@@ -115,7 +115,7 @@ def tracking_rms(
         (...) px; nan for trials that are over by then.
     """
     square = error_norm(pixel_error, missing_px) ** 2
-    counts = mask_from(time_s, after_s, square.shape[1:])
+    counts = mask_from_time(time_s, after_s, square.shape[1:])
     with np.errstate(invalid="ignore"):
         mean = np.sum(square, axis=0, where=counts) / counts.sum(axis=0)
     return np.asarray(np.sqrt(mean))
@@ -143,7 +143,7 @@ def tracking_lag(
         (...) seconds, negative for eyes that lead; nan if nothing moves.
     """
     error, velocity = np.asarray(pixel_error), np.asarray(image_velocity)
-    counts = mask_from(time_s, after_s, error.shape[1:-2])[..., None, None]
+    counts = mask_from_time(time_s, after_s, error.shape[1:-2])[..., None, None]
     known = np.isfinite(error) & np.isfinite(velocity) & counts
     axes = (0, -2, -1)
     along = np.sum(error * velocity, axis=axes, where=known)
@@ -151,7 +151,9 @@ def tracking_lag(
     return np.asarray(along / np.where(square > 0.0, square, np.nan))
 
 
-def mask_from(time_s: ArrayLike, after_s: ArrayLike, trials: tuple[int, ...]) -> NDArray[np.bool_]:
+def mask_from_time(
+    time_s: ArrayLike, after_s: ArrayLike, trials: tuple[int, ...]
+) -> NDArray[np.bool_]:
     """Mask the steps at or after a given time of each trial.
 
     Args:
@@ -191,7 +193,7 @@ def command_peak(command: ArrayLike) -> FloatArray:
     return np.asarray(np.abs(np.asarray(command)).max(axis=(0, -1)))
 
 
-def at_time(time_s: ArrayLike, values: ArrayLike, when_s: ArrayLike) -> FloatArray:
+def value_at_time(time_s: ArrayLike, values: ArrayLike, when_s: ArrayLike) -> FloatArray:
     """Sample each trial's trajectory at a time of its own.
 
     Args:

@@ -14,7 +14,7 @@ from vergence.recording import Recorder
 from vergence.triangulation import triangulate_views
 
 
-def as_trials(
+def trials_from_record(
     task: GazeTask,
     record: Recorder,
     steps: int,

@@ -222,14 +222,14 @@ class Trials:
 
     def fix_error_at_settling_m(self) -> FloatArray:
         """(n,) `fix_error_m` at the time of settling to 1 px; nan for trials that never settle."""
-        return metrics.at_time(self.time_s, self.fix_error_m, self.onset_s + self.settle_s())
+        return metrics.value_at_time(self.time_s, self.fix_error_m, self.onset_s + self.settle_s())
 
 
 def _ratio(settle_s: FloatArray, bound_s: FloatArray) -> FloatArray:
     return np.where(np.isnan(settle_s) & ~np.isnan(bound_s), np.inf, settle_s / bound_s)
 
 
-def headline(trials: Trials) -> float:
+def headline_metric(trials: Trials) -> float:
     """The single number by which a controller is judged in a scenario; smaller is better.
 
     Args:
@@ -244,7 +244,7 @@ def headline(trials: Trials) -> float:
     return float(np.median(trials.tracking_px if trials.target_moves else settle_s))
 
 
-def join(parts: Sequence[Trials]) -> Trials:
+def join_trials(parts: Sequence[Trials]) -> Trials:
     """Join the trials of several batches.
 
     Args:

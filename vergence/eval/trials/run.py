@@ -30,14 +30,14 @@ from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.goal import least_measured_error
-from vergence.eval.trials.recorded import as_trials
-from vergence.eval.trials.results import Trials, headline, join
-from vergence.eval.trials.scenarios import Assignment, Scenario, naming_scenario
+from vergence.eval.trials.recorded import trials_from_record
+from vergence.eval.trials.results import Trials, headline_metric, join_trials
+from vergence.eval.trials.scenarios import Assignment, Scenario, explaining_target_errors
 from vergence.eval.trials.settling import judged_bands
 from vergence.models.head import HeadModel
 from vergence.recording import Recorder
 
-__all__ = ["BATCH", "Trials", "headline", "run_trials"]
+__all__ = ["BATCH", "Trials", "headline_metric", "run_trials"]
 
 BATCH: Final = 1000
 """Default number of trials in a batch; more only cost memory (chosen)."""
@@ -101,7 +101,7 @@ def run_trials(
         num = min(size, episodes - begin)
         with closing(scenario.task(num, plant=plant, head=head)) as task:
             timed = TimedController(controller, max(0, min(num, observed - begin)), clock_ns)
-            part = run_in(
+            part = run_trials_in(
                 task,
                 timed,
                 scenario,
@@ -111,7 +111,7 @@ def run_trials(
                 progress=_share(progress, begin / episodes, num / episodes),
             )
         parts.append(part)
-    return join(parts)
+    return join_trials(parts)
 
 
 def _share(
@@ -160,7 +160,7 @@ class TimedController:
         return answer
 
 
-def periods(assignment: Assignment, head: HeadModel, *, simulated: bool) -> tuple[int, int]:
+def trial_periods(assignment: Assignment, head: HeadModel, *, simulated: bool) -> tuple[int, int]:
     """Control periods of a trial, evaluated and run.
 
     Args:
@@ -176,7 +176,7 @@ def periods(assignment: Assignment, head: HeadModel, *, simulated: bool) -> tupl
     return steps, steps + (0 if simulated else head.timing.latency_frames)
 
 
-def run_in(
+def run_trials_in(
     task: GazeTask,
     timed: TimedController,
     scenario: Assignment,
@@ -201,7 +201,7 @@ def run_in(
         The trials; without bounds if the plant is no simulation.
     """
     simulated = isinstance(task.plant, Simulation)
-    steps, all_steps = periods(scenario, task.head, simulated=simulated)
+    steps, all_steps = trial_periods(scenario, task.head, simulated=simulated)
     record = Recorder(
         task, all_steps, reading=_SIMULATED if simulated else Reading._fields, truth=_TRUTH
     )
@@ -214,9 +214,9 @@ def run_in(
         elif isinstance(task.plant, Simulation):
             known.update(_known_at_the_start(task, task.plant, scenario))
 
-    with naming_scenario(scenario.name):
+    with explaining_target_errors(scenario.name):
         rollout(task, timed, all_steps, keep, seed=seed, first_trial=first_trial)
-    trials = as_trials(
+    trials = trials_from_record(
         task,
         record,
         steps,

@@ -129,7 +129,7 @@ class Scenario(Assignment):
                 its target.
         """
         options = self.env_options(plant, head)
-        with naming_scenario(self.name):
+        with explaining_target_errors(self.name):
             task = GazeTask(num, **options)
         if not isinstance(task.plant, Simulation):
             task.close()
@@ -141,7 +141,7 @@ class Scenario(Assignment):
 
 
 @contextmanager
-def naming_scenario(scenario: str) -> Iterator[None]:
+def explaining_target_errors(scenario: str) -> Iterator[None]:
     """Add the scenario's name and a remedy to the error for a target that a head cannot look at.
 
     Args:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from vergence.eval.reporting.style import BLUE, GREY, ORANGE, new_figure, styled
+from vergence.eval.reporting.style import BLUE, GREY, ORANGE, figure_style, new_figure
 from vergence.eval.tuning.objective import Attempt
 from vergence.eval.tuning.spaces import SearchRange
 
@@ -28,7 +28,7 @@ def draw_search(
         too.
     """
     best = min(attempts, key=lambda attempt: attempt.rank)
-    with styled():
+    with figure_style():
         if len(spans) == 1:
             figure = _curve(attempts, best, next(iter(spans)), unit)
         else:

@@ -84,7 +84,7 @@ def search_space(controller: str) -> dict[str, SearchRange]:
     return SEARCH_SPACES[name]
 
 
-def first_point(controller: str, spans: Mapping[str, SearchRange]) -> Options | None:
+def default_point(controller: str, spans: Mapping[str, SearchRange]) -> Options | None:
     """The controller's defaults; None if one is missing or outside its search range."""
     module, _, attribute = CONTROLLERS.get(law_of(controller), "").partition(":")
     if not module:

@@ -23,7 +23,7 @@ from optuna.trial import FrozenTrial, TrialState
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.tuning.objective import Attempt, Objective, loss
 from vergence.eval.tuning.spaces import SearchRange
-from vergence.eval.tuning.study_storage import opened_study
+from vergence.eval.tuning.study_storage import open_study
 
 MOST_POINTS: Final = 5000
 """Largest grid that is searched, in points (chosen: a bound on time)."""
@@ -103,7 +103,7 @@ def run_search(
         VergenceError: no point is valid.
     """
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    with opened_study(search.storage, search.name, search.sampler()) as study:
+    with open_study(search.storage, search.name, search.sampler()) as study:
         _check_setting(study, search)
         if search.first is not None and not search.grid:
             study.enqueue_trial(dict(search.first), skip_if_exists=True)

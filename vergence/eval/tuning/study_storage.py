@@ -23,7 +23,7 @@ _PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, None)
 
 
 @contextmanager
-def opened_study(place: str, name: str, sampler: BaseSampler) -> Iterator[Study]:
+def open_study(place: str, name: str, sampler: BaseSampler) -> Iterator[Study]:
     """Open or create a study; its connections are closed at the end of the context.
 
     Args:

@@ -15,7 +15,7 @@ from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.figures import draw_search
 from vergence.eval.tuning.objective import Attempt, Objective
-from vergence.eval.tuning.spaces import SearchRange, first_point, is_grid
+from vergence.eval.tuning.spaces import SearchRange, default_point, is_grid
 from vergence.eval.tuning.study import SearchSpec, run_search
 from vergence.eval.tuning.study_storage import without_password
 from vergence.files import atomic_files
@@ -81,7 +81,7 @@ def tune(
         attempts=config.trials,
         seed=config.seed,
         grid=config.grid,
-        first=first_point(config.controller, spans),
+        first=default_point(config.controller, spans),
     )
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -116,10 +116,10 @@ def _write(
         title = f"{config.controller}, {config.scenario}, {config.episodes} training trials"
         figure = draw_search(result.attempts, spans, title, result.unit)
         save_figure(figure, partial / "tune")
-        write_json(partial / "tune.json", summary(result))
+        write_json(partial / "tune.json", tune_summary(result))
 
 
-def summary(result: TuneResult) -> dict[str, Any]:
+def tune_summary(result: TuneResult) -> dict[str, Any]:
     """Content of `tune.json`."""
     best = result.best
     return {

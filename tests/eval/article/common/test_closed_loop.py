@@ -6,12 +6,12 @@ import pytest
 from tests.eval.refusals import not_refused
 from vergence.eval.article.common.closed_loop import (
     ClosedLoop,
+    corrected_gaze_fix,
     detection_sigma,
-    dither_references,
-    gaze_corrected,
-    gaze_uncertainty,
+    dither_references_px,
+    gaze_uncertainty_mm,
     hold_gaze,
-    itpc_uncertainty,
+    itpc_uncertainty_mm,
 )
 from vergence.models.files.head_file import load_head
 from vergence.triangulation import triangulate_views
@@ -80,7 +80,7 @@ def test_references_share_the_samples(head):
 
 def test_dithering_covers_a_pixel_evenly():
     for side in (1, 2, 4):
-        offsets = np.array(dither_references(side))
+        offsets = np.array(dither_references_px(side))
         assert len(offsets) == side**2
         assert np.allclose(offsets.mean(axis=0), 0.0)
         # the phases within a pixel are a comb: harmonics below its order average to nothing
@@ -97,8 +97,8 @@ def test_detection_sigma_is_the_sample_standard_deviation():
 def test_the_article_s_gaze_uncertainty_is_that_of_two_views_straight_ahead(head):
     q = head.fixate((0.0, -0.03, 1.0))
     sigma = np.array([[0.01, 0.02], [0.03, 0.015]])
-    gaze = gaze_uncertainty(head, q, sigma)
-    views = itpc_uncertainty(head, q, head.cameras.principal, sigma)
+    gaze = gaze_uncertainty_mm(head, q, sigma)
+    views = itpc_uncertainty_mm(head, q, head.cameras.principal, sigma)
     assert np.allclose(gaze, views, rtol=0.02)
 
 
@@ -106,7 +106,7 @@ def test_gaze_corrected_by_its_pixel_error_is_the_fix_from_pixels(head):
     q = head.fixate(POINT)
     error = np.array([[0.3, -0.2], [-0.25, -0.15]])
     depth = np.full(2, 0.99)
-    corrected = gaze_corrected(head, q, error, depth)
+    corrected = corrected_gaze_fix(head, q, error, depth)
     views = triangulate_views(head, q, head.cameras.principal + error)
     moved = np.linalg.norm(views.point - np.array(POINT))
     assert np.linalg.norm(corrected.point - views.point) < 2e-3 * moved

@@ -6,7 +6,7 @@ import pytest
 from tests.eval.article.checks import section_text
 from tests.eval.article.twin.small import scaled, small, table_of, verdict_of
 from vergence.eval.article.experiment import load_experiment
-from vergence.eval.article.fixed_pair.findings import explain, reported
+from vergence.eval.article.fixed_pair.findings import article_results, explaining_misalignment
 from vergence.eval.article.fixed_pair.trials import FixedPairConfig, pair_head
 from vergence.eval.article.reported import static_points
 from vergence.triangulation import triangulate_views
@@ -33,9 +33,9 @@ def test_a_perfect_fixed_pair_finds_the_points():
 def test_the_misalignment_that_is_named_gives_the_article_s_range():
     place_z = 14.0
     depth = 1000.0 * static_points("zed_mini")[:, 2] - place_z
-    for r in reported():
+    for r in article_results():
         if r.axis in ("x", "y"):
-            m = explain(r, place_z)
+            m = explaining_misalignment(r, place_z)
             apart = np.abs(np.deg2rad(m.with_shift_deg) * depth + m.shift_mm)
             assert apart.min() == pytest.approx(r.low)
             assert apart.max() == pytest.approx(r.high)

@@ -6,8 +6,8 @@ import pytest
 
 from tests.eval.article.checks import backwards, stale_names, uncaptioned
 from vergence.eval.article.experiment import load_experiment, resolve_config
-from vergence.eval.article.gain_sweep.findings import find, sweep
-from vergence.eval.article.gain_sweep.loop_delay import critical_gain, critical_lag, crossing
+from vergence.eval.article.gain_sweep.findings import derive_findings, sweep_trials
+from vergence.eval.article.gain_sweep.loop_delay import critical_gain, critical_lag, first_crossing
 from vergence.eval.jobs import SerialMapper
 
 EXPERIMENT = load_experiment("gain-sweep")
@@ -49,24 +49,26 @@ def test_a_step_of_100_mm_at_one_metre_is_about_a_tenth_of_the_focal_length(tabl
 
 
 def test_all_directions_settle_alike(table):
-    times = [sweep(table, step)["settle_1px_s"].to_numpy() for step in ("+y", "-y", "+x", "-x")]
+    times = [
+        sweep_trials(table, step)["settle_1px_s"].to_numpy() for step in ("+y", "-y", "+x", "-x")
+    ]
     # the steps differ by 2 % in the image, which the slowest gain makes 0.02 / 2 s
     assert np.ptp(times, axis=0).max() <= 0.02 / 2.0 + 2.0 / 120.0
 
 
 def test_masses_change_little(table):
-    found = find(table, CONFIG)
+    found = derive_findings(table, CONFIG)
     assert found.dynamics_settle_s <= 2.0 / 120.0
     assert found.dynamics_overshoot < 0.001
 
 
 def test_overshoot_begins_just_above_four(table):
-    for gain in find(table, CONFIG).onset.values():
+    for gain in derive_findings(table, CONFIG).onset.values():
         assert 4.0 < gain < 4.2
 
 
 def test_the_rigs_own_delay_is_identified_from_the_onset(table):
-    later, earlier = (family.delay_with(0.03) for family in find(table, CONFIG).families)
+    later, earlier = (family.delay_with(0.03) for family in derive_findings(table, CONFIG).families)
     assert earlier < 8.0 < later
     assert later - earlier < 1.0
 
@@ -94,9 +96,9 @@ def test_a_critical_loop_has_a_double_real_root():
 
 
 def test_a_crossing_lies_between_its_samples():
-    assert crossing([1.0, 2.0, 3.0], [0.0, 0.2, 0.6], 0.5) == pytest.approx(2.75)
-    assert np.isnan(crossing([1.0, 2.0], [0.0, 0.2], 0.5))
-    assert np.isnan(crossing([1.0, 2.0], [0.6, 0.7], 0.5))
+    assert first_crossing([1.0, 2.0, 3.0], [0.0, 0.2, 0.6], 0.5) == pytest.approx(2.75)
+    assert np.isnan(first_crossing([1.0, 2.0], [0.0, 0.2], 0.5))
+    assert np.isnan(first_crossing([1.0, 2.0], [0.6, 0.7], 0.5))
 
 
 def test_the_summary_sets_our_onset_beside_the_articles(table):
@@ -146,7 +148,7 @@ def test_a_greater_gain_up_to_the_articles_settles_no_later(table):
 
 
 def test_the_numbers_of_the_text_are_those_of_the_table(table):
-    numbers, found = EXPERIMENT.numbers(table, CONFIG), find(table, CONFIG)
+    numbers, found = EXPERIMENT.numbers(table, CONFIG), derive_findings(table, CONFIG)
     assert numbers["onset_low"] == pytest.approx(min(found.onset.values()))
     assert numbers["loops_high_frames"] < 8.0 < numbers["loops_low_frames"]
     assert numbers["plane_y_change_ms"] < 0.05 * numbers["plane_xy_change_ms"]

@@ -9,7 +9,11 @@ import pytest
 from tests.eval.article.checks import backwards, covers, empty_panels, stale_names, uncaptioned
 from vergence.eval.article.common.simulated_cases import CASES
 from vergence.eval.article.experiment import load_experiment
-from vergence.eval.article.simulated_static.findings import errors_by_case, implied_noise_px, select
+from vergence.eval.article.simulated_static.findings import (
+    errors_by_case,
+    implied_noise_px,
+    select_fixes,
+)
 from vergence.eval.article.simulated_static.trials import SimulatedStaticConfig
 from vergence.eval.jobs import SerialMapper
 
@@ -42,7 +46,7 @@ def test_an_exact_model_errs_by_no_more_than_noise_and_a_hundredth_of_a_pixel(ta
 
 
 def test_one_pixel_of_principal_point_costs_depth_over_focal_length(table):
-    rows = select(table, "principal")
+    rows = select_fixes(table, "principal")
     own = rows[(rows["axis"] == "x") & (rows["method"] == "gaze")]
     # the eyes lie 14 mm ahead of N
     expected = (own["depth_mm"] - 13.8) / 619.71
@@ -54,7 +58,7 @@ def test_the_methods_agree_on_settled_targets_whatever_the_model(table):
 
 
 def test_uncertainty_follows_depth_squared_over_the_baseline(table):
-    rows = select(table, "exact")
+    rows = select_fixes(table, "exact")
     own = rows[(rows["axis"] == "z") & (rows["method"] == "itpc")]
     sigma = own[[name for name in own.columns if name.startswith("detection_sigma")]]
     across = np.sqrt(sigma.filter(like="_u_").pow(2).sum(axis=1))
@@ -99,7 +103,7 @@ def test_verdicts_follow_the_numbers(table):
 
 def test_the_numbers_of_the_text_are_those_of_the_table(table):
     numbers = EXPERIMENT.numbers(table, CONFIG)
-    exact = select(table, "exact")
+    exact = select_fixes(table, "exact")
     worst = exact.loc[exact["axis"] == "x", "error_mm"].abs().max()
     assert numbers["exact_x_high_mm"] == pytest.approx(worst)
     assert numbers["article_x_low_mm"] == 0.73
@@ -110,7 +114,7 @@ def test_the_numbers_of_the_text_are_those_of_the_table(table):
 def test_a_further_case_is_one_more_entry(monkeypatch, table):
     exact = dataclasses.replace(CASES["exact"], title="calibrated model")
     monkeypatch.setitem(CASES, "calibrated", exact)
-    calibrated = select(table, "exact").assign(case="calibrated")
+    calibrated = select_fixes(table, "exact").assign(case="calibrated")
     more = pd.concat([table, calibrated], ignore_index=True)
     titles = {row.quantity for row in EXPERIMENT.summarise(more, CONFIG)}
     assert "absolute error, calibrated model" in titles

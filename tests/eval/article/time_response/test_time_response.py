@@ -7,7 +7,11 @@ import pytest
 from tests.eval.article.checks import stale_names, uncaptioned
 from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import load_experiment, resolve_config
-from vergence.eval.article.time_response.findings import find, held_by, mapped
+from vergence.eval.article.time_response.findings import (
+    derive_findings,
+    held_thresholds_px,
+    settle_time_map,
+)
 from vergence.eval.article.time_response.trials import joint_offsets
 from vergence.eval.jobs import ProcessMapper, SerialMapper
 from vergence.eval.reporting.text import render_text
@@ -38,18 +42,18 @@ def test_the_offsets_put_the_target_at_the_articles_pixels():
 
 
 def test_the_offsets_are_about_a_degree_as_the_nominal_pixels_are_7_to_14_off(table):
-    found = find(table)
+    found = derive_findings(table)
     assert found.nominal_miss_px == pytest.approx((7.3, 14.3), abs=0.05)
     assert all(0.5 < abs(offset) < 2.0 for offset in found.offsets_deg.values())
 
 
 def test_trials_begin_with_the_articles_error(table):
     # 23.04, 25.93 px and 27.00, 29.00 px; the lens bends them by less than 0.3 px
-    assert find(table).step_px == pytest.approx((34.69, 39.62), abs=0.3)
+    assert derive_findings(table).step_px == pytest.approx((34.69, 39.62), abs=0.3)
 
 
 def test_without_delay_and_lag_the_error_decays_by_the_gain(table):
-    by = held_by(table, 0.0)
+    by = held_thresholds_px(table, 0.0)
     held = by[by["delay_frames"] == 0.0]["threshold_px"].iloc[0]
     # each command is held for a period, so the error is multiplied by 1 - k T each time; the
     # first image is that of time zero
@@ -58,25 +62,25 @@ def test_without_delay_and_lag_the_error_decays_by_the_gain(table):
 
 def test_a_greater_threshold_is_never_entered_later(table):
     for lag_s in (0.0, 0.03):
-        assert (np.diff(mapped(table, lag_s).to_numpy(), axis=0) <= 0.0).all()
+        assert (np.diff(settle_time_map(table, lag_s).to_numpy(), axis=0) <= 0.0).all()
 
 
 def test_the_pairs_that_the_articles_time_fits_take_650_ms(table):
-    pairs = find(table).pairs
+    pairs = derive_findings(table).pairs
     assert [pair.settle_s for pair in pairs] == pytest.approx([0.65, 0.65], abs=1.01 / 120.0)
 
 
 def test_the_least_threshold_held_is_where_the_map_gives_650_ms(table):
     for lag_s in (0.0, 0.03):
-        grid = mapped(table, lag_s)
-        for row in held_by(table, lag_s).itertuples():
+        grid = settle_time_map(table, lag_s)
+        for row in held_thresholds_px(table, lag_s).itertuples():
             times = grid[row.delay_frames]
             assert (times[times.index > row.threshold_px] <= 0.65 + 1e-9).all()
             assert (times[times.index < row.threshold_px] > 0.65 - 1e-9).all()
 
 
 def test_our_rig_is_faster_than_the_article_by_about_a_tenth_of_a_second(table):
-    low, high = find(table).settle_s[1.0]
+    low, high = derive_findings(table).settle_s[1.0]
     assert 0.5 < low <= high < 0.56
 
 
@@ -84,7 +88,7 @@ def test_the_summary_sets_our_times_beside_the_articles(table):
     rows = {row.quantity: row for row in EXPERIMENT.summarise(table, CONFIG)}
     assert rows["settle time to 1 px"].article_low == 650.0
     assert rows["settle time to 1 px"].ours_high == pytest.approx(
-        1000.0 * find(table).settle_s[1.0][1]
+        1000.0 * derive_findings(table).settle_s[1.0][1]
     )
 
 
@@ -110,7 +114,9 @@ def test_verdicts_follow_the_numbers(table):
 
 def test_the_text_has_the_numbers_of_the_table(table):
     numbers = EXPERIMENT.numbers(table, CONFIG)
-    assert numbers["settle_1px_high_ms"] == pytest.approx(1000.0 * find(table).settle_s[1.0][1])
+    assert numbers["settle_1px_high_ms"] == pytest.approx(
+        1000.0 * derive_findings(table).settle_s[1.0][1]
+    )
     assert numbers["without_delay_settle_ms"] == pytest.approx(650.0, abs=1010.0 / 120.0)
     assert "the article has 650 ms" in render_text(EXPERIMENT.text, config=CONFIG, **numbers).found
 

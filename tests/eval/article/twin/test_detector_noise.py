@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from vergence.eval.article.twin.detector_noise import DetectorNoise, noise_of_head
+from vergence.eval.article.twin.detector_noise import DetectorNoise, measure_head_noise
 from vergence.models.files.head_file import load_head
 
 
 @pytest.mark.slow
 def test_a_detector_errs_by_hundredths_of_a_pixel_near_and_far():
     near, far = (
-        noise_of_head(
+        measure_head_noise(
             load_head("physical"), np.array([0.0, 0.0, z]), 2, 30, np.random.default_rng(0)
         )
         for z in (0.6, 2.4)

@@ -5,9 +5,9 @@ import pytest
 
 from vergence.errors import ConfigurationError
 from vergence.eval.article.reported import static_points
-from vergence.eval.article.twin.fixation_errors import static_errors
+from vergence.eval.article.twin.fixation_errors import settled_fix_errors_m
 from vergence.eval.article.twin.heads import TwinConfig, draw_heads
-from vergence.eval.article.twin.scale import find_scale, largest_relative
+from vergence.eval.article.twin.scale import find_error_scale, largest_depth_error_percent
 from vergence.models.files.head_file import load_head
 
 POINTS = static_points("physical")
@@ -21,16 +21,18 @@ def nominal():
 @pytest.mark.slow
 def test_the_scale_makes_the_median_head_the_article_s(nominal):
     config = TwinConfig(heads=30)
-    scale = find_scale(nominal, config, 1)
-    errors = static_errors(nominal, draw_heads(nominal, config.errors.scaled(scale), 30, 1), POINTS)
+    scale = find_error_scale(nominal, config, 1)
+    errors = settled_fix_errors_m(
+        nominal, draw_heads(nominal, config.errors.scaled(scale), 30, 1), POINTS
+    )
     # the encoders' steps make the median jump by some tenths of a per cent of 30 heads
-    assert np.median(largest_relative(errors, POINTS)) == pytest.approx(4.97, abs=0.15)
+    assert np.median(largest_depth_error_percent(errors, POINTS)) == pytest.approx(4.97, abs=0.15)
 
 
 def test_a_scale_of_the_user_s_is_taken(nominal):
-    assert find_scale(nominal, TwinConfig(scale=0.3), 0) == 0.3
+    assert find_error_scale(nominal, TwinConfig(scale=0.3), 0) == 0.3
 
 
 def test_less_than_the_encoders_give_is_refused(nominal):
     with pytest.raises(ConfigurationError, match="encoders alone"):
-        find_scale(nominal, TwinConfig(heads=3, largest_error_percent=0.1), 0)
+        find_error_scale(nominal, TwinConfig(heads=3, largest_error_percent=0.1), 0)

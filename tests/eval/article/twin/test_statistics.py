@@ -3,22 +3,34 @@
 import numpy as np
 import pytest
 
-from vergence.eval.article.twin.statistics import axis_columns, count_inside, place, verdict
+from vergence.eval.article.twin.statistics import (
+    axis_columns,
+    count_inside,
+    rank_in_population,
+    verdict,
+)
 
 POPULATION = np.arange(101.0)
 
 
 def test_a_figure_between_the_10th_and_90th_percentile_is_inside():
-    placed = place(50.5, POPULATION)
+    placed = rank_in_population(50.5, POPULATION)
     assert placed.inside
     assert (placed.low, placed.median, placed.high) == (10.0, 50.0, 90.0)
     assert placed.percentile == pytest.approx(100.0 * 51 / 101)
-    assert verdict(placed) == verdict(place(10.0, POPULATION)) == "inside"
-    assert verdict(place(95.0, POPULATION)) == verdict(place(5.0, POPULATION)) == "outside"
+    assert verdict(placed) == verdict(rank_in_population(10.0, POPULATION)) == "inside"
+    assert (
+        verdict(rank_in_population(95.0, POPULATION))
+        == verdict(rank_in_population(5.0, POPULATION))
+        == "outside"
+    )
 
 
 def test_figures_inside_are_counted():
-    assert count_inside([place(value, POPULATION) for value in (5.0, 10.0, 50.0, 95.0)]) == 2
+    assert (
+        count_inside([rank_in_population(value, POPULATION) for value in (5.0, 10.0, 50.0, 95.0)])
+        == 2
+    )
 
 
 def test_columns_are_ordered_by_axis_and_then_by_name():

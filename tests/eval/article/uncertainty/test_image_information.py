@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from vergence.eval.article.common.fixed_view import FixedView, poses_in_eyes, shifted_pose
-from vergence.eval.article.uncertainty.image_information import cramer_rao
+from vergence.eval.article.common.fixed_view import FixedView, board_poses_in_eyes, shifted_pose
+from vergence.eval.article.uncertainty.image_information import cramer_rao_bound
 from vergence.models.files.head_file import load_head
 
 
@@ -15,7 +15,7 @@ def head():
 
 def pose(head, depth):
     point = np.array([0.0, -0.1, depth])
-    return poses_in_eyes(head, head.fixate(point), point)[0]
+    return board_poses_in_eyes(head, head.fixate(point), point)[0]
 
 
 def test_a_fixated_board_lies_on_the_principal_point(head):
@@ -33,7 +33,7 @@ def test_the_bound_is_that_of_an_edge_of_gaussian_blur(head):
     blur = np.hypot(rendering.blur_px, np.sqrt(1.0 / 12.0))
     variance = rendering.noise_grey**2 + 1.0 / 12.0
     information = 11.0 * step**2 / (2.0 * np.sqrt(np.pi) * blur) / variance
-    bound = cramer_rao(head, 0, pose(head, 1.5)).window
+    bound = cramer_rao_bound(head, 0, pose(head, 1.5)).window
     assert np.allclose(bound, 1.0 / np.sqrt(information), rtol=0.15)
 
 
@@ -41,13 +41,15 @@ def test_the_bound_grows_with_the_noise(head):
     noisy = head.replace(rendering={"noise_grey": 4.0})
     ratio = np.sqrt((16.0 + 1.0 / 12.0) / (4.0 + 1.0 / 12.0))
     for quiet, loud in zip(
-        cramer_rao(head, 0, pose(head, 1.0)), cramer_rao(noisy, 0, pose(head, 1.0)), strict=True
+        cramer_rao_bound(head, 0, pose(head, 1.0)),
+        cramer_rao_bound(noisy, 0, pose(head, 1.0)),
+        strict=True,
     ):
         assert np.allclose(loud, ratio * quiet)
 
 
 def test_a_larger_image_of_the_board_tells_more(head):
-    near, far = (cramer_rao(head, 0, pose(head, depth)) for depth in (0.6, 2.4))
+    near, far = (cramer_rao_bound(head, 0, pose(head, depth)) for depth in (0.6, 2.4))
     assert (near.board < far.board).all()
     assert (far.board < far.window).all()
 
@@ -55,6 +57,6 @@ def test_a_larger_image_of_the_board_tells_more(head):
 def test_the_detector_scatters_more_than_the_bound_of_its_window(head):
     board = pose(head, 2.0)
     pixels = FixedView(head, 0).detect([board] * 100, np.random.default_rng(0))
-    bound = cramer_rao(head, 0, board).window
+    bound = cramer_rao_bound(head, 0, board).window
     assert (pixels.std(axis=0) > bound).all()
     assert (pixels.std(axis=0) < 5.0 * bound).all()

@@ -15,11 +15,11 @@ from tests.eval.article.checks import (
 from tests.eval.article.twin.small import scaled
 from vergence.eval.article.experiment import load_experiment
 from vergence.eval.article.uncertainty.findings import (
-    averaging,
-    bounds,
+    averaging_errors,
+    cramer_rao_bounds_px,
     noise_gains,
-    ratios,
-    tolerance,
+    propagation_ratios,
+    sigma_ratio_tolerance,
 )
 from vergence.eval.article.uncertainty.trials import UncertaintyConfig
 from vergence.eval.jobs import SerialMapper
@@ -55,8 +55,8 @@ def test_who_runs_the_jobs_and_when_does_not_change_a_bit():
 
 
 def test_propagation_agrees_with_the_real_detector(table):
-    exact = ratios(table).xs("itpc", level="method")
-    assert ((exact - 1.0).abs() < tolerance(CONFIG)).to_numpy().all()
+    exact = propagation_ratios(table).xs("itpc", level="method")
+    assert ((exact - 1.0).abs() < sigma_ratio_tolerance(CONFIG)).to_numpy().all()
 
 
 def test_white_noise_scatters_as_the_bandwidth_says(table):
@@ -66,9 +66,9 @@ def test_white_noise_scatters_as_the_bandwidth_says(table):
 
 
 def test_no_average_beats_the_bound(table):
-    found = averaging(table)
+    found = averaging_errors(table)
     assert found.board_px < found.window_px < min(found.still_px, found.dithered_px)
-    assert (bounds(table)["board"] < bounds(table)["window"]).all()
+    assert (cramer_rao_bounds_px(table)["board"] < cramer_rao_bounds_px(table)["window"]).all()
 
 
 def test_the_summary_says_what_agrees(table):
@@ -108,7 +108,7 @@ def test_the_verdicts_on_averaging_follow_the_errors(table):
 
 
 def test_the_text_has_the_numbers_of_the_table(table):
-    found = averaging(table)
+    found = averaging_errors(table)
     text = section_text(EXPERIMENT, table, CONFIG)
     assert f"One frame is off by {found.single_px:.4f} px" in text.found
     assert "the mean of 64 frames" in text.found

@@ -14,10 +14,10 @@ from vergence.eval.reporting.style import (
     GREEN,
     GREY,
     ORANGE,
+    figure_style,
     legend_below,
     log_scale,
     new_figure,
-    styled,
 )
 
 _STYLES: Final[dict[str, dict[str, Any]]] = {
@@ -33,7 +33,7 @@ def draw(table: pd.DataFrame, config: HeadEyeConfig) -> dict[str, Figure]:
     """Draw all figures, by name."""
     del config
     depth = np.unique(table["truth_z_mm"].to_numpy()) / 1000.0
-    with styled():
+    with figure_style():
         figure = new_figure(9.0, 4.6)
         for panel, (reading, title) in zip(
             figure.subplots(1, 2, sharey=True), _PANELS.items(), strict=True

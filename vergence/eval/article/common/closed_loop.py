@@ -20,7 +20,7 @@ from vergence.envs.streams import IntArray
 from vergence.envs.targets.target import Target
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
-from vergence.eval.article.common.servoing import VariedLaw
+from vergence.eval.article.common.servoing import PerTrialGainLaw
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording import Recorder
@@ -135,7 +135,7 @@ def hold_gaze(loop: ClosedLoop) -> GazeRecord:
         share = min(sample * len(references) // loop.samples, len(references) - 1)
         return np.asarray(references[share])
 
-    law = VariedLaw(head, as_gains("gain", loop.gain), reference)
+    law = PerTrialGainLaw(head, as_gains("gain", loop.gain), reference)
     task = GazeTask(num, head=head, plant=loop.plant, target=loop.target, plant_options=options)
     simulation_of(task.plant)  # refuses a plant without ground truth
     record = Recorder(task, steps, reading=_READING, truth=("positions", "target"))
@@ -196,7 +196,7 @@ def _check(loop: ClosedLoop) -> None:
         )
 
 
-def dither_references(side: int) -> tuple[tuple[float, float], ...]:
+def dither_references_px(side: int) -> tuple[tuple[float, float], ...]:
     """Grid of side x side references that covers one pixel evenly around the principal point.
 
     The detector's bias depends on the sub-pixel position of the target. Over the grid it averages
@@ -218,7 +218,7 @@ def detection_sigma(pixels: FloatArray) -> FloatArray:
     return np.asarray(np.nanstd(pixels, axis=0, ddof=1))
 
 
-def gaze_uncertainty(head: HeadModel, q: FloatArray, sigma_px: FloatArray) -> FloatArray:
+def gaze_uncertainty_mm(head: HeadModel, q: FloatArray, sigma_px: FloatArray) -> FloatArray:
     """Standard deviation of a gaze fix as the article propagates it (Eqs. 27 to 33).
 
     Tilt and pan are taken as the arctangent of pixel over focal length f in px, so at the principal
@@ -238,7 +238,7 @@ def gaze_uncertainty(head: HeadModel, q: FloatArray, sigma_px: FloatArray) -> Fl
     return MM * triangulate_gaze(head, q, Noise(joint_rad=joints)).sigma
 
 
-def itpc_uncertainty(
+def itpc_uncertainty_mm(
     head: HeadModel, q: FloatArray, pixels: FloatArray, sigma_px: FloatArray
 ) -> FloatArray:
     """Standard deviation of a fix from two pixels (Eqs. 34 to 36).
@@ -255,7 +255,7 @@ def itpc_uncertainty(
     return MM * triangulate_views(head, q, pixels, Noise(pixel_px=sigma_px)).sigma
 
 
-def gaze_corrected(
+def corrected_gaze_fix(
     head: HeadModel, q: FloatArray, pixel_error: FloatArray, depth_m: FloatArray
 ) -> Fix:
     """Triangulate by gaze from angles corrected to first order for the remaining pixel error.

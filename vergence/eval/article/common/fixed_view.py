@@ -14,7 +14,7 @@ from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
 
 
-def poses_in_eyes(head: HeadModel, q: ArrayLike, point: ArrayLike) -> FloatArray:
+def board_poses_in_eyes(head: HeadModel, q: ArrayLike, point: ArrayLike) -> FloatArray:
     """Poses in both cameras of a board that faces forward.
 
     Args:

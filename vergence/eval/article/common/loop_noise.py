@@ -23,7 +23,7 @@ from vergence.models.parts import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
-class Loop:
+class LinearLoop:
     """A sampled gaze loop, linearised for small signals."""
 
     gain: float
@@ -36,23 +36,23 @@ class Loop:
     """Time constant of the joints' velocity, s; 0 for none."""
 
     @staticmethod
-    def of(head: HeadModel, gain: float) -> "Loop":
+    def of(head: HeadModel, gain: float) -> "LinearLoop":
         """The loop of a head; its frames come at the control rate."""
         timing = head.timing
-        return Loop(
+        return LinearLoop(
             gain=gain,
             period_s=timing.period_s,
             delay=timing.latency_frames,
             lag_s=timing.lag_s,
         )
 
-    def at_rate(self, rate_hz: float) -> "Loop":
+    def at_rate(self, rate_hz: float) -> "LinearLoop":
         """This loop at another rate, its delay in seconds rounded to whole periods."""
         delay = round(self.delay * self.period_s * rate_hz)
-        return Loop(gain=self.gain, period_s=1.0 / rate_hz, delay=delay, lag_s=self.lag_s)
+        return LinearLoop(gain=self.gain, period_s=1.0 / rate_hz, delay=delay, lag_s=self.lag_s)
 
 
-def _matrices(loop: Loop) -> tuple[FloatArray, FloatArray]:
+def _matrices(loop: LinearLoop) -> tuple[FloatArray, FloatArray]:
     """Transition matrix of the state (x(k), v(k), x(k-1), ..., x(k-d)), and noise input vector."""
     size = 2 + loop.delay
     left = exp(-loop.period_s / loop.lag_s) if loop.lag_s > 0.0 else 0.0
@@ -68,7 +68,7 @@ def _matrices(loop: Loop) -> tuple[FloatArray, FloatArray]:
     return step, -loop.gain * drive
 
 
-def noise_gain(loop: Loop) -> float:
+def noise_gain(loop: LinearLoop) -> float:
     """Ratio of the optical axis' standard deviation to that of white detection noise, both in px.
 
     Args:
@@ -83,7 +83,7 @@ def noise_gain(loop: Loop) -> float:
     return float(np.sqrt(solve_discrete_lyapunov(step, np.outer(noise, noise))[0, 0]))
 
 
-def impulse_response(loop: Loop, steps: int) -> FloatArray:
+def impulse_response(loop: LinearLoop, steps: int) -> FloatArray:
     """Response of the optical axis to a single detection that is off by one pixel.
 
     Args:
@@ -101,6 +101,6 @@ def impulse_response(loop: Loop, steps: int) -> FloatArray:
     return response
 
 
-def noise_bandwidth_hz(loop: Loop) -> float:
+def noise_bandwidth_hz(loop: LinearLoop) -> float:
     """Equivalent noise bandwidth: bandwidth of an ideal low-pass with equal output variance, Hz."""
     return 0.5 * noise_gain(loop) ** 2 / loop.period_s

@@ -17,7 +17,7 @@ from vergence.models.parts import FloatArray
 from vergence.recording import Recorder
 
 
-class VariedLaw:
+class PerTrialGainLaw:
     """The article's control law with gains per trial and a reference per control period.
 
     Args:
@@ -57,7 +57,7 @@ class VariedLaw:
         return self._layout.action(command), step + 1
 
 
-def servo(
+def servo_pixel_errors(
     head: HeadModel,
     target: Target | Mapping[str, Any],
     gains: ArrayLike,
@@ -85,7 +85,7 @@ def servo(
     """
     gain = np.asarray(gains, dtype=np.float64)
     # both eyes have the same gains
-    law = VariedLaw(head, np.repeat(gain[:, None, :], 2, axis=1))
+    law = PerTrialGainLaw(head, np.repeat(gain[:, None, :], 2, axis=1))
     task = GazeTask(len(gain), head=head, plant=plant, target=target, plant_options=plant_options)
     steps = round(duration_s * head.timing.control_rate_hz)
     simulation_of(task.plant)  # refuses a plant without ground truth

@@ -36,7 +36,7 @@ DRAWN_ERRORS: Final = ModelErrors(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class RigCase:
     """One set of model errors."""
 
     title: str
@@ -45,7 +45,7 @@ class Case:
     """Function from (the preset, the errors' standard deviations, the run's seed) to the rig."""
 
 
-def drawn_population(preset: HeadModel, errors: ModelErrors, seed: int, count: int) -> HeadModel:
+def draw_true_heads(preset: HeadModel, errors: ModelErrors, seed: int, count: int) -> HeadModel:
     """Draw true heads with model errors, to see how representative a single draw is.
 
     Args:
@@ -60,7 +60,7 @@ def drawn_population(preset: HeadModel, errors: ModelErrors, seed: int, count: i
     return preset.perturbed(job_rng(seed, _DRAW, 1), errors, count)
 
 
-def true_principal(preset: HeadModel) -> HeadModel:
+def with_true_principal_points(preset: HeadModel) -> HeadModel:
     """The preset with its principal points at the true image centres.
 
     With pixel centres at integers these are ((W - 1) / 2, (H - 1) / 2); Table 2 says
@@ -74,22 +74,22 @@ def _exact(preset: HeadModel, errors: ModelErrors, seed: int) -> NominalAndTrueH
 
 
 def _principal(preset: HeadModel, errors: ModelErrors, seed: int) -> NominalAndTrueHead:
-    return NominalAndTrueHead(preset, true_principal(preset))
+    return NominalAndTrueHead(preset, with_true_principal_points(preset))
 
 
 def _drawn(preset: HeadModel, errors: ModelErrors, seed: int) -> NominalAndTrueHead:
     return NominalAndTrueHead(preset, preset.perturbed(job_rng(seed, _DRAW, 0), errors))
 
 
-CASES: Final[dict[str, Case]] = {
-    "exact": Case(title="exact model", make=_exact),
-    "principal": Case(title="principal point 1 px off", make=_principal),
-    "drawn": Case(title="drawn model errors", make=_drawn),
+CASES: Final[dict[str, RigCase]] = {
+    "exact": RigCase(title="exact model", make=_exact),
+    "principal": RigCase(title="principal point 1 px off", make=_principal),
+    "drawn": RigCase(title="drawn model errors", make=_drawn),
 }
 """The cases by name, in the order of the figures."""
 
 
-def make_rig(case: str, errors: ModelErrors, seed: int) -> NominalAndTrueHead:
+def make_nominal_and_true_head(case: str, errors: ModelErrors, seed: int) -> NominalAndTrueHead:
     """Make the simulated rig under a case's model errors.
 
     Args:

@@ -8,7 +8,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vergence.eval.article.fixed_pair.findings import differences, errors, reported
+from vergence.eval.article.fixed_pair.findings import (
+    absolute_differences_mm,
+    article_results,
+    fix_errors_mm,
+)
 from vergence.eval.article.fixed_pair.trials import FixedPairConfig
 from vergence.eval.article.twin.statistics import AXES
 from vergence.eval.reporting.style import (
@@ -40,20 +44,20 @@ def draw(table: pd.DataFrame, config: FixedPairConfig) -> dict[str, Figure]:
 
 def _differences(table: pd.DataFrame) -> Figure:
     def draw_panel(panel: Axes, axis: str) -> None:
-        row = next(r for r in reported() if r.axis == axis)
+        row = next(r for r in article_results() if r.axis == axis)
         panel.axhspan(*row.span, **ARTICLE_BAND, label="article's range")
         for shift, (pair, style) in zip((-0.15, 0.15), _PAIRS.items(), strict=True):
-            _whiskers(panel, differences(table, "gaze", axis, pair), shift, **style)
+            _whiskers(panel, absolute_differences_mm(table, "gaze", axis, pair), shift, **style)
         panel.set_ylabel(f"|gaze - pair| in {axis} [mm]")
 
-    draws = len(errors(table, "pair", "z"))
+    draws = len(fix_errors_mm(table, "pair", "z"))
     return _by_axis(draw_panel, f"median and middle 80 % of {draws} draws")
 
 
 def _truth(table: pd.DataFrame) -> Figure:
     def draw_panel(panel: Axes, axis: str) -> None:
         for shift, (method, style) in zip((-0.22, 0.0, 0.22), _METHODS.items(), strict=True):
-            _whiskers(panel, errors(table, method, axis), shift, **style)
+            _whiskers(panel, fix_errors_mm(table, method, axis), shift, **style)
         panel.set_ylabel(f"|error in {axis}| [mm]")
 
     return _by_axis(draw_panel, "against the truth, which the article did not have")

@@ -8,13 +8,13 @@ import pandas as pd
 
 from vergence.eval.article.experiment import SummaryRow
 from vergence.eval.article.fixed_pair.trials import FixedPairConfig
-from vergence.eval.article.reported import Reported, reported_results, static_points
+from vergence.eval.article.reported import ReportedResult, reported_results, static_points
 from vergence.eval.article.twin.statistics import (
     AXES,
     METHODS,
-    Placement,
+    RankInPopulation,
     count_inside,
-    place,
+    rank_in_population,
 )
 from vergence.eval.reporting.text import Numbers
 from vergence.models.parts import FloatArray
@@ -24,30 +24,34 @@ _BASELINE_M: Final = 0.092
 """Baseline of the head's eyes, m (physical: the article's head)."""
 
 
-def reported() -> list[Reported]:
+def article_results() -> list[ReportedResult]:
     """The article's rows of this experiment."""
     return [r for r in reported_results() if r.experiment == NAME]
 
 
-def errors(table: pd.DataFrame, method: str, axis: str) -> FloatArray:
+def fix_errors_mm(table: pd.DataFrame, method: str, axis: str) -> FloatArray:
     """(draws, points) errors against the truth, mm."""
     rows = table[(table["case"] == "fix") & (table["method"] == method)]
     wide = rows.pivot(index="draw", columns="point", values=f"error_{axis}_mm")
     return np.asarray(wide.to_numpy(), dtype=np.float64)
 
 
-def differences(table: pd.DataFrame, method: str, axis: str, pair: str) -> FloatArray:
+def absolute_differences_mm(table: pd.DataFrame, method: str, axis: str, pair: str) -> FloatArray:
     """(draws, points) absolute differences of head and pair, mm; `both` joins both methods."""
     methods = METHODS if method == "both" else (method,)
-    other = errors(table, pair, axis)
-    return np.concatenate([np.abs(errors(table, m, axis) - other) for m in methods], axis=1)
+    other = fix_errors_mm(table, pair, axis)
+    return np.concatenate([np.abs(fix_errors_mm(table, m, axis) - other) for m in methods], axis=1)
 
 
-def placements(table: pd.DataFrame, r: Reported, pair: str) -> tuple[Placement, Placement]:
+def population_ranks(
+    table: pd.DataFrame, r: ReportedResult, pair: str
+) -> tuple[RankInPopulation, RankInPopulation]:
     """Placements of the article's least and greatest difference among ours."""
-    apart = differences(table, r.method, r.axis, pair)
+    apart = absolute_differences_mm(table, r.method, r.axis, pair)
     least, greatest = r.span
-    return place(least, apart.min(axis=1)), place(greatest, apart.max(axis=1))
+    return rank_in_population(least, apart.min(axis=1)), rank_in_population(
+        greatest, apart.max(axis=1)
+    )
 
 
 class Misalignment(NamedTuple):
@@ -70,7 +74,7 @@ class Misalignment(NamedTuple):
         return max(abs(self.turn_low_mm - self.low_mm), abs(self.turn_high_mm - self.high_mm))
 
 
-def explain(r: Reported, place_z_mm: float) -> Misalignment:
+def explaining_misalignment(r: ReportedResult, place_z_mm: float) -> Misalignment:
     """Misalignment that explains a range if heads and pair have no other errors.
 
     A rotation by a small angle t shifts a point at distance z by t z, so differences grow with
@@ -95,17 +99,21 @@ def explain(r: Reported, place_z_mm: float) -> Misalignment:
     )  # fmt: skip
 
 
-def explanations(config: FixedPairConfig) -> dict[str, Misalignment]:
+def explaining_misalignments(config: FixedPairConfig) -> dict[str, Misalignment]:
     """Misalignments that explain the article's ranges along x and y, by axis."""
-    return {r.axis: explain(r, config.pair_place_mm[2]) for r in reported() if r.axis in ("x", "y")}
+    return {
+        r.axis: explaining_misalignment(r, config.pair_place_mm[2])
+        for r in article_results()
+        if r.axis in ("x", "y")
+    }
 
 
 def summarise(table: pd.DataFrame, config: FixedPairConfig) -> list[SummaryRow]:
     """Rows of the summary: medians over the draws of the least and the greatest difference.
 
-    Verdicts beyond those of `compare`: `head nearer` or `pair nearer` to the ground truth; `agrees`
-    if a rotation of the pair alone gives the article's range within a tenth of its upper end, else
-    `differs`.
+    Verdicts beyond those of `verdict_of_ranges`: `head nearer` or `pair nearer` to the ground
+    truth; `agrees` if a rotation of the pair alone gives the article's range within a tenth of its
+    upper end, else `differs`.
     """
     return [
         *_difference_rows(table),
@@ -119,8 +127,8 @@ def _difference_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
         ("absolute difference", "pair"),
         ("absolute difference, pair's pose unknown", "misaligned"),
     ):
-        for r in reported():
-            low, high = placements(table, r, pair)
+        for r in article_results():
+            low, high = population_ranks(table, r, pair)
             yield SummaryRow.of(NAME, quantity, r.method, r.axis, r.span,
                                 (low.median, high.median))  # fmt: skip
 
@@ -137,7 +145,7 @@ def _error_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
 
 
 def _turn_rows(config: FixedPairConfig) -> Iterator[SummaryRow]:
-    for axis, m in explanations(config).items():
+    for axis, m in explaining_misalignments(config).items():
         yield SummaryRow.of(
             NAME, "absolute difference, by a turn of the pair alone", "both", axis,
             (m.low_mm, m.high_mm), (m.turn_low_mm, m.turn_high_mm),
@@ -147,7 +155,7 @@ def _turn_rows(config: FixedPairConfig) -> Iterator[SummaryRow]:
 
 def _means(table: pd.DataFrame, method: str, axis: str) -> FloatArray:
     """(draws,) mean absolute errors over the points, mm."""
-    return np.asarray(np.abs(errors(table, method, axis)).mean(axis=1))
+    return np.asarray(np.abs(fix_errors_mm(table, method, axis)).mean(axis=1))
 
 
 def _depth_ratio(table: pd.DataFrame) -> float:
@@ -159,12 +167,12 @@ def _depth_ratio(table: pd.DataFrame) -> float:
 def numbers(table: pd.DataFrame, config: FixedPairConfig) -> Numbers:
     """The numbers of the text."""
     detector = table.loc[table["case"] == "detector", "sigma_px"]
-    gaze, itpc, pair = (errors(table, method, "z") for method in ("gaze", "itpc", "pair"))
+    gaze, itpc, pair = (fix_errors_mm(table, method, "z") for method in ("gaze", "itpc", "pair"))
     inside = {
-        pair: [count_inside(placements(table, r, pair)) for r in reported()]
+        pair: [count_inside(population_ranks(table, r, pair)) for r in article_results()]
         for pair in ("pair", "misaligned")
     }
-    most_m = max(r.span[1] for r in reported() if r.axis == "z") / 1000.0
+    most_m = max(r.span[1] for r in article_results() if r.axis == "z") / 1000.0
     far_m = float(static_points("zed_mini")[:, 2].max())
     # the rotation between the cameras is the difference of two independent rotations
     rotation = np.sqrt(2.0) * config.calibration.head_eye_rad
@@ -186,7 +194,7 @@ def numbers(table: pd.DataFrame, config: FixedPairConfig) -> Numbers:
         "nearer_percent": 100.0 * float(np.mean(np.abs(gaze - pair) < np.abs(itpc - pair))),
         "apart_median_mm": float(np.median(np.abs(gaze - itpc))),
     }
-    for axis, m in explanations(config).items():
+    for axis, m in explaining_misalignments(config).items():
         values |= {
             f"turn_{axis}_deg": m.turn_deg,
             f"turn_{axis}_least_mm": m.turn_low_mm,

@@ -11,7 +11,7 @@ import pandas as pd
 from vergence.eval.article.common.closed_loop import MM, ClosedLoop, hold_gaze
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.reported import static_points
-from vergence.eval.article.twin.detector_noise import DetectorNoise, noise_of_pair
+from vergence.eval.article.twin.detector_noise import DetectorNoise, measure_pair_noise
 from vergence.eval.article.twin.heads import TwinConfig
 from vergence.eval.article.twin.population import draw_population
 from vergence.eval.article.twin.statistics import axis_columns
@@ -131,7 +131,7 @@ def _noise(
     boards = np.stack([board_pose(p) for p in around])
     T_C_T = np.linalg.inv(pair.camera_poses(pair.rest())) @ boards[:, None]
     cameras = (EyeCamera.of(pair, 0), EyeCamera.of(pair, 1))
-    return noise_of_pair(cameras, pair.rendering, T_C_T, config.noise_frames, rng)
+    return measure_pair_noise(cameras, pair.rendering, T_C_T, config.noise_frames, rng)
 
 
 def _by_heads(loop: ClosedLoop, number: int) -> pd.DataFrame:

@@ -8,7 +8,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from vergence.eval.article.gain_sweep.findings import ARTICLE_GAIN, GainSweepFindings, find, sweep
+from vergence.eval.article.gain_sweep.findings import (
+    ARTICLE_GAIN,
+    GainSweepFindings,
+    derive_findings,
+    sweep_trials,
+)
 from vergence.eval.article.gain_sweep.loop_delay import critical_lag
 from vergence.eval.article.gain_sweep.trials import PLANE_STEPS, GainSweepConfig
 from vergence.eval.reporting.style import (
@@ -18,8 +23,8 @@ from vergence.eval.reporting.style import (
     GREEN,
     GREY,
     ORANGE,
+    figure_style,
     new_figure,
-    styled,
 )
 
 _STEP_STYLE: Final[dict[str, dict[str, Any]]] = {
@@ -35,7 +40,7 @@ _TICKS_S: Final = (0.5, 2.0, 5.0)
 
 def draw(table: pd.DataFrame, config: GainSweepConfig) -> dict[str, Figure]:
     """All figures by name."""
-    found = find(table, config)
+    found = derive_findings(table, config)
     return {
         "fig15-gain-sweep": _draw_sweep(table, config),
         "fig15-gain-plane": _draw_plane(table),
@@ -44,18 +49,18 @@ def draw(table: pd.DataFrame, config: GainSweepConfig) -> dict[str, Figure]:
 
 
 def _draw_sweep(table: pd.DataFrame, config: GainSweepConfig) -> Figure:
-    with styled():
+    with figure_style():
         figure = new_figure(9.0, 4.3)
         left, right = figure.subplots(1, 2)
         for step, style in _STEP_STYLE.items():
-            rows = sweep(table, step)
+            rows = sweep_trials(table, step)
             left.plot(rows["k1_per_s"], rows["settle_1px_s"], label=f"step along {step}", **style)
             right.plot(rows["k1_per_s"], 100.0 * rows["overshoot"], **style)
-        rows = sweep(table, "-y")
+        rows = sweep_trials(table, "-y")
         ideal = np.log(rows["step_px"]) / rows["k1_per_s"]
         left.plot(rows["k1_per_s"], ideal, color=GREY, linewidth=1.2, label="ln(step / 1 px) / k")
         for axes, column, scale in ((left, "settle_1px_s", 1.0), (right, "overshoot", 100.0)):
-            dots = sweep(table, "-y", "mujoco")
+            dots = sweep_trials(table, "-y", "mujoco")
             axes.plot(
                 dots["k1_per_s"], scale * dots[column], "o", color=BLACK, mfc="white",
                 label="with masses, -y",
@@ -87,7 +92,7 @@ def _draw_plane(table: pd.DataFrame) -> Figure:
     plane = table[table["case"] == "plane"]
     low, high = plane["settle_1px_s"].min(), plane["settle_1px_s"].max()
     norm = LogNorm(low, high)
-    with styled():
+    with figure_style():
         figure = new_figure(9.0, 4.3)
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for axes, step in zip(panels, PLANE_STEPS, strict=True):
@@ -115,7 +120,7 @@ def _draw_plane(table: pd.DataFrame) -> Figure:
 
 
 def _draw_loops(found: GainSweepFindings, config: GainSweepConfig) -> Figure:
-    with styled():
+    with figure_style():
         figure = new_figure(6.4, 4.6)
         axes = figure.subplots()
         _draw_families(axes, found, config)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from vergence.eval.article.criterion import BY_CONSTRUCTION
 from vergence.eval.article.experiment import SummaryRow
-from vergence.eval.article.gain_sweep.loop_delay import crossing
+from vergence.eval.article.gain_sweep.loop_delay import first_crossing
 from vergence.eval.article.gain_sweep.trials import PLANE_STEPS, STEPS, GainSweepConfig
 from vergence.eval.reporting.text import Numbers
 from vergence.models.files.head_file import load_head
@@ -35,45 +35,45 @@ class LoopFamily:
 
     def delay_with(self, lag_s: float) -> float:
         """Image delay of the loop with a lag, control periods; nan if beyond those tried."""
-        return crossing(self.delays_frames, -self._filled(), -lag_s)
+        return first_crossing(self.delays_frames, -self._filled(), -lag_s)
 
     def _filled(self) -> FloatArray:
         return np.where(np.isnan(self.lags_s), -1.0, self.lags_s)
 
 
-def sweep(table: pd.DataFrame, step: str, plant: str = "kinematic") -> pd.DataFrame:
+def sweep_trials(table: pd.DataFrame, step: str, plant: str = "kinematic") -> pd.DataFrame:
     """Trials of one step with k1 = k2, sorted by gain."""
     rows = table.query("case == 'sweep' and step == @step and plant == @plant")
     return rows.sort_values("k1_per_s")
 
 
-def onsets(table: pd.DataFrame, config: GainSweepConfig) -> dict[str, float]:
+def overshoot_onset_gains(table: pd.DataFrame, config: GainSweepConfig) -> dict[str, float]:
     """Gain at which overshoot begins, by step, 1/s; nan if it does not begin in the sweep."""
     found = {}
     for step in STEPS:
-        rows = sweep(table, step)
-        found[step] = crossing(rows["k1_per_s"], rows["overshoot"], config.onset_fraction)
+        rows = sweep_trials(table, step)
+        found[step] = first_crossing(rows["k1_per_s"], rows["overshoot"], config.onset_fraction)
     return found
 
 
-def at_gain(rows: pd.DataFrame, gain: float) -> "pd.Series[Any]":
+def trial_at_gain(rows: pd.DataFrame, gain: float) -> "pd.Series[Any]":
     """The trial whose k2 is nearest to the wanted gain."""
     return rows.iloc[int(np.argmin(np.abs(rows["k2_per_s"].to_numpy() - gain)))]
 
 
-def fastest(rows: pd.DataFrame) -> "pd.Series[Any]":
+def fastest_trial(rows: pd.DataFrame) -> "pd.Series[Any]":
     """The trial with the shortest settling time to 1 px."""
     return rows.iloc[int(np.nanargmin(rows["settle_1px_s"].to_numpy()))]
 
 
-def families(table: pd.DataFrame, config: GainSweepConfig) -> list[LoopFamily]:
+def loop_families(table: pd.DataFrame, config: GainSweepConfig) -> list[LoopFamily]:
     """Loops whose overshoot begins at each of the config's onset gains."""
     loops = table[table["case"] == "loop"]
     found = []
     for gain in config.onset_gains:
         of_gain = loops[loops["k1_per_s"] == gain]
         lags = [
-            crossing(rows["lag_s"], rows["overshoot"], config.onset_fraction)
+            first_crossing(rows["lag_s"], rows["overshoot"], config.onset_fraction)
             for _, rows in of_gain.groupby("delay_frames")
         ]
         without = of_gain[of_gain["lag_s"] == 0.0].sort_values("delay_frames")
@@ -83,7 +83,9 @@ def families(table: pd.DataFrame, config: GainSweepConfig) -> list[LoopFamily]:
                 gain=gain,
                 delays_frames=delays,
                 lags_s=np.array(lags),
-                longest_delay_frames=crossing(delays, without["overshoot"], config.onset_fraction),
+                longest_delay_frames=first_crossing(
+                    delays, without["overshoot"], config.onset_fraction
+                ),
             )
         )
     return found
@@ -115,19 +117,19 @@ class GainSweepFindings:
         return [family.delay_with(self.lag_s) for family in self.families]
 
 
-def find(table: pd.DataFrame, config: GainSweepConfig) -> GainSweepFindings:
+def derive_findings(table: pd.DataFrame, config: GainSweepConfig) -> GainSweepFindings:
     """Derive the results from the table."""
     timing = load_head(config.head).timing
     settle, beyond = [0.0], [0.0]
     for step in STEPS:
-        both = sweep(table, step).merge(sweep(table, step, "mujoco"), on="k1_per_s")
+        both = sweep_trials(table, step).merge(sweep_trials(table, step, "mujoco"), on="k1_per_s")
         for column, apart in (("settle_1px_s", settle), ("overshoot", beyond)):
             apart.extend((both[f"{column}_x"] - both[f"{column}_y"]).abs())
-    down, up = (sweep(table, step)["settle_1px_s"].to_numpy() for step in ("+y", "-y"))
+    down, up = (sweep_trials(table, step)["settle_1px_s"].to_numpy() for step in ("+y", "-y"))
     directions = np.abs(down - up)
     return GainSweepFindings(
-        onset=onsets(table, config),
-        families=families(table, config),
+        onset=overshoot_onset_gains(table, config),
+        families=loop_families(table, config),
         period_s=timing.period_s,
         latency_frames=timing.latency_frames,
         lag_s=timing.lag_s,
@@ -146,10 +148,10 @@ def _greatest(values: ArrayLike) -> float:
 
 def numbers(table: pd.DataFrame, config: GainSweepConfig) -> Numbers:
     """The numbers of the text."""
-    found, rows = find(table, config), sweep(table, "-y")
-    slow, reached, best = rows.iloc[0], at_gain(rows, ARTICLE_GAIN), fastest(rows)
+    found, rows = derive_findings(table, config), sweep_trials(table, "-y")
+    slow, reached, best = rows.iloc[0], trial_at_gain(rows, ARTICLE_GAIN), fastest_trial(rows)
     plane = table[table["case"] == "plane"]
-    plane = plane[plane["k2_per_s"] == at_gain(plane, ARTICLE_GAIN)["k2_per_s"]]
+    plane = plane[plane["k2_per_s"] == trial_at_gain(plane, ARTICLE_GAIN)["k2_per_s"]]
     onsets = list(found.onset.values())
     filled: dict[str, float] = {
         "article_gain": ARTICLE_GAIN,
@@ -191,11 +193,11 @@ def numbers(table: pd.DataFrame, config: GainSweepConfig) -> Numbers:
 def summarise(table: pd.DataFrame, config: GainSweepConfig) -> list[SummaryRow]:
     """Rows of the summary: our figures beside the article's only one, and further figures of ours.
 
-    Verdicts beyond those of `compare`: `inside` if our rig's delay lies between those of the
-    identified loops, else `outside`; `target met` if the settling time never rises with the gain up
-    to the article's, else `target missed`.
+    Verdicts beyond those of `verdict_of_ranges`: `inside` if our rig's delay lies between those of
+    the identified loops, else `outside`; `target met` if the settling time never rises with the
+    gain up to the article's, else `target missed`.
     """
-    found = find(table, config)
+    found = derive_findings(table, config)
     rows = []
     for axis, steps in (("y", ("+y", "-y")), ("x", ("+x", "-x"))):
         gains = [found.onset[step] for step in steps]
@@ -204,11 +206,13 @@ def summarise(table: pd.DataFrame, config: GainSweepConfig) -> list[SummaryRow]:
         verdict = BY_CONSTRUCTION if np.isfinite(onset).all() else None
         quantity = "gain at which overshoot begins"
         rows.append(_row(quantity, axis, "1/s", onset, ARTICLE_GAIN, verdict))
-        for gain in (sweep(table, "+y")["k1_per_s"].min(), ARTICLE_GAIN):
-            settled = [at_gain(sweep(table, step), gain)["settle_1px_s"] for step in steps]
+        for gain in (sweep_trials(table, "+y")["k1_per_s"].min(), ARTICLE_GAIN):
+            settled = [
+                trial_at_gain(sweep_trials(table, step), gain)["settle_1px_s"] for step in steps
+            ]
             quantity = f"settle time to 1 px at k = {gain:g}"
             rows.append(_row(quantity, axis, "s", (min(settled), max(settled))))
-    best = [float(fastest(sweep(table, step))["k1_per_s"]) for step in ("+y", "-y")]
+    best = [float(fastest_trial(sweep_trials(table, step))["k1_per_s"]) for step in ("+y", "-y")]
     rows.append(_row("fastest gain", "y", "1/s", (min(best), max(best))))
     low, high = float(np.min(found.delays_frames)), float(np.max(found.delays_frames))
     period_ms = 1000.0 * found.period_s
@@ -218,7 +222,7 @@ def summarise(table: pd.DataFrame, config: GainSweepConfig) -> list[SummaryRow]:
         _row(quantity, "y", "ms", (period_ms * low, period_ms * high), None,
              verdict if np.isfinite([low, high]).all() else "none")
     )  # fmt: skip
-    up_to = sweep(table, "-y").query("k1_per_s <= @ARTICLE_GAIN + 1e-9")["settle_1px_s"]
+    up_to = sweep_trials(table, "-y").query("k1_per_s <= @ARTICLE_GAIN + 1e-9")["settle_1px_s"]
     rise = float(up_to.diff().max())
     quantity = f"greatest rise of the settle time from gain to gain up to k = {ARTICLE_GAIN:g}"
     verdict = "target met" if rise <= 0.0 else "target missed"

@@ -43,7 +43,7 @@ def critical_lag(delay_s: float, gain: float) -> float:
     return float(brentq(lambda lag: critical_gain(delay_s, lag) - gain, 0.0, longest, xtol=1e-9))
 
 
-def crossing(at: ArrayLike, values: ArrayLike, level: float) -> float:
+def first_crossing(at: ArrayLike, values: ArrayLike, level: float) -> float:
     """Argument at which sampled values first rise above a level, by linear interpolation.
 
     Args:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from vergence.envs.targets.prescribed import StepTarget
-from vergence.eval.article.common.servoing import servo
+from vergence.eval.article.common.servoing import servo_pixel_errors
 from vergence.eval.jobs import Job, Mapper
 from vergence.eval.trials.metrics import overshoot, settle_time
 from vergence.models.files.head_file import load_head
@@ -102,7 +102,7 @@ def _steps(
     """Run trials of one step with the preset's own delay and lag."""
     head = load_head(config.head)
     options = {"nthread": 1} if plant == "mujoco" else {}
-    time, error = servo(
+    time, error = servo_pixel_errors(
         head,
         _target(config, step),
         gains,
@@ -125,7 +125,7 @@ def _loops(config: GainSweepConfig, delay_frames: int) -> pd.DataFrame:
     preset = load_head(config.head)
     latency_s = delay_frames / preset.timing.control_rate_hz
     head: HeadModel = preset.replace(timing={"latency_s": latency_s})
-    time, error = servo(
+    time, error = servo_pixel_errors(
         head,
         _target(config, "-y"),
         gains,

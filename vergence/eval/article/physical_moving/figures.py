@@ -5,7 +5,11 @@ from typing import Final
 import pandas as pd
 from matplotlib.figure import Figure
 
-from vergence.eval.article.physical_moving.findings import of_heads, placement, reported
+from vergence.eval.article.physical_moving.findings import (
+    article_result,
+    column_by_head,
+    population_rank,
+)
 from vergence.eval.article.physical_moving.trials import PhysicalMovingConfig
 from vergence.eval.article.twin.statistics import AXES, METHOD_LABELS, METHODS
 from vergence.eval.reporting.style import (
@@ -70,7 +74,8 @@ def _errors(table: pd.DataFrame) -> Figure:
             panel.plot(own["time_s"], own[f"error_{axis}_mm"].abs(), color=_COLOUR[method],
                        linestyle=METHOD_STYLE[method]["linestyle"],
                        label=f"{METHOD_LABELS[method]}, images")  # fmt: skip
-            panel.axhline(reported(method, axis).low, label=f"article, {METHOD_LABELS[method]}",
+            panel.axhline(article_result(method, axis).low,
+                          label=f"article, {METHOD_LABELS[method]}",
                           **{**ARTICLE_STYLE, "linestyle": dash})  # fmt: skip
         panel.set_xlabel("time [s]")
         panel.set_ylabel(f"|error in {axis}| [mm]")
@@ -83,8 +88,8 @@ def _population(table: pd.DataFrame) -> Figure:
     figure = new_figure(8.0, 4.2)
     panel = figure.subplots()
     for k, (axis, method) in enumerate((a, m) for a in AXES for m in METHODS):
-        placed = placement(table, method, axis)
-        own = of_heads(table, "population", method, f"mean_abs_{axis}_mm")
+        placed = population_rank(table, method, axis)
+        own = column_by_head(table, "population", method, f"mean_abs_{axis}_mm")
         panel.plot(own, [k] * len(own), linestyle="none", marker="|", markersize=9,
                    color=_COLOUR[method], alpha=0.5,
                    label="a head" if k == 0 else None)  # fmt: skip

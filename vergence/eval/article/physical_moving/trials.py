@@ -12,7 +12,7 @@ from vergence.envs.streams import IntArray
 from vergence.envs.targets.prescribed import LineTarget
 from vergence.eval.article.common.closed_loop import MM, ClosedLoop, hold_gaze
 from vergence.eval.article.twin.heads import TwinConfig, draw_heads
-from vergence.eval.article.twin.population import Population, draw_population
+from vergence.eval.article.twin.population import TwinPopulation, draw_population
 from vergence.eval.article.twin.statistics import AXES, METHODS, axis_columns
 from vergence.eval.jobs import Job, Mapper
 from vergence.models.head import HeadModel
@@ -108,7 +108,7 @@ def run(config: PhysicalMovingConfig, seed: int, mapper: Mapper) -> pd.DataFrame
     return pd.concat(frames, ignore_index=True)
 
 
-def _loop(drawn: Population, config: PhysicalMovingConfig, seed: int) -> ClosedLoop:
+def _loop(drawn: TwinPopulation, config: PhysicalMovingConfig, seed: int) -> ClosedLoop:
     """Closed loop on the line, begun early so that the eyes follow when the record begins."""
     origin, end = np.array(config.origin_mm) / MM, np.array(config.end_mm) / MM
     length = float(np.linalg.norm(end - origin))

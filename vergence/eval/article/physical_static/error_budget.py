@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from vergence.eval.article.twin.fixation_errors import fix_errors
+from vergence.eval.article.twin.fixation_errors import mean_fix_errors_m
 from vergence.eval.article.twin.heads import draw_heads
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -192,7 +192,7 @@ def _depth(nominal: HeadModel, drawn: _Drawn, pixels: FloatArray) -> FloatArray:
     """(draws, points, offsets, directions) depth errors, m."""
     heads = drawn.heads[:, None, None, None] if drawn.heads.batch_shape else drawn.heads
     points = drawn.points[:, :, None, None]
-    return fix_errors(nominal, heads, points, pixels, drawn.encoders)[..., 2]
+    return mean_fix_errors_m(nominal, heads, points, pixels, drawn.encoders)[..., 2]
 
 
 def _rms(values: FloatArray) -> float:

@@ -7,7 +7,11 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from vergence.eval.article.physical_static.error_budget import ALL, BUDGET_SOURCES, SOURCE_LABELS
-from vergence.eval.article.physical_static.findings import STILL_MM, placements, reported
+from vergence.eval.article.physical_static.findings import (
+    STILL_MM,
+    article_results,
+    population_ranks,
+)
 from vergence.eval.article.physical_static.trials import (
     ARTICLE_LARGEST_PERCENT,
     PhysicalStaticConfig,
@@ -16,9 +20,9 @@ from vergence.eval.article.twin.statistics import (
     AXES,
     METHOD_LABELS,
     METHODS,
-    absolute,
-    fixations,
-    relative_depth,
+    absolute_errors_mm,
+    depth_errors_percent,
+    fixation_rows,
 )
 from vergence.eval.reporting.style import (
     ARTICLE_BAND,
@@ -70,10 +74,10 @@ def draw(table: pd.DataFrame, config: PhysicalStaticConfig) -> dict[str, Figure]
 
 def _errors(table: pd.DataFrame) -> Figure:
     figure = new_figure(9.6, 4.0)
-    population, imaged = fixations(table), fixations(table, "imaged")
+    population, imaged = fixation_rows(table), fixation_rows(table, "imaged")
     depth, looked = (np.sort(rows["truth_z_mm"].unique()) / 1000.0 for rows in (population, imaged))
     for axis, panel in zip(AXES, figure.subplots(1, 3), strict=True):
-        errors = absolute(population, "gaze", axis)
+        errors = absolute_errors_mm(population, "gaze", axis)
         low, median, high = np.percentile(errors, [10.0, 50.0, 90.0], axis=0)
         panel.fill_between(depth, low, high, color=BLUE, alpha=0.2, linewidth=0.0,
                            label="heads, 10-90 %")  # fmt: skip
@@ -83,8 +87,8 @@ def _errors(table: pd.DataFrame) -> Figure:
             style.update(label=f"{METHOD_LABELS[method]}, images", linewidth=1.3)
             if method == "itpc":
                 style.update(markerfacecolor="none", markersize=9, linestyle="none")
-            panel.plot(looked, absolute(imaged, method, axis)[0], **style)
-        for r in reported("absolute error"):
+            panel.plot(looked, absolute_errors_mm(imaged, method, axis)[0], **style)
+        for r in article_results("absolute error"):
             if r.axis == axis:
                 for value in (r.low, r.high):
                     panel.axhline(value, **{**ARTICLE_STYLE, "linestyle": DASHES[r.method]})
@@ -100,9 +104,9 @@ def _errors(table: pd.DataFrame) -> Figure:
 
 def _population(table: pd.DataFrame) -> Figure:
     figure = new_figure(9.0, 3.9)
-    population = fixations(table)
+    population = fixation_rows(table)
     left, right = figure.subplots(1, 2)
-    largest = np.sort(relative_depth(population, "gaze").max(axis=1))
+    largest = np.sort(depth_errors_percent(population, "gaze").max(axis=1))
     share = 100.0 * (np.arange(len(largest)) + 0.5) / len(largest)
     left.plot(largest, share, color=BLUE, drawstyle="steps-mid", label="gaze, settled")
     for method, percent in ARTICLE_LARGEST_PERCENT.items():
@@ -113,8 +117,8 @@ def _population(table: pd.DataFrame) -> Figure:
     left.set_xlim(left=0.0)
     left.legend(loc="lower right")
     names, places = [], []
-    for r in reported("absolute error"):
-        for which, placed in zip(("least", "most"), placements(table, r), strict=True):
+    for r in article_results("absolute error"):
+        for which, placed in zip(("least", "most"), population_ranks(table, r), strict=True):
             names.append(f"{r.axis} {which}, {METHOD_LABELS[r.method]}")
             places.append(placed.percentile)
     row = np.arange(len(names))[::-1]
@@ -129,8 +133,8 @@ def _population(table: pd.DataFrame) -> Figure:
 
 def _uncertainties(table: pd.DataFrame) -> Figure:
     figure = new_figure(9.6, 3.9)
-    imaged = fixations(table, "imaged")
-    for r, panel in zip(reported("uncertainty"), figure.subplots(1, 3), strict=True):
+    imaged = fixation_rows(table, "imaged")
+    for r, panel in zip(article_results("uncertainty"), figure.subplots(1, 3), strict=True):
         panel.axhspan(r.low, r.high, **ARTICLE_BAND)
         for method in METHODS:
             rows = imaged[imaged["method"] == method].sort_values("truth_z_mm")

@@ -19,16 +19,16 @@ from vergence.eval.article.physical_static.trials import (
     ARTICLE_LARGEST_PERCENT,
     PhysicalStaticConfig,
 )
-from vergence.eval.article.reported import Reported, reported_result, reported_results
+from vergence.eval.article.reported import ReportedResult, reported_result, reported_results
 from vergence.eval.article.twin.statistics import (
     AXES,
     METHODS,
-    Placement,
-    absolute,
+    RankInPopulation,
+    absolute_errors_mm,
     count_inside,
-    fixations,
-    place,
-    relative_depth,
+    depth_errors_percent,
+    fixation_rows,
+    rank_in_population,
     verdict,
 )
 from vergence.eval.reporting.text import Numbers
@@ -43,24 +43,29 @@ _DIGITS: Final = 6
 """Decimals kept of errors in percent, to drop rounding errors (numerical)."""
 
 
-def reported(quantity: str) -> list[Reported]:
+def article_results(quantity: str) -> list[ReportedResult]:
     """The article's rows of this experiment."""
     return [r for r in reported_results() if (r.experiment, r.quantity) == (NAME, quantity)]
 
 
-def placements(table: pd.DataFrame, row: Reported) -> tuple[Placement, Placement]:
+def population_ranks(
+    table: pd.DataFrame, row: ReportedResult
+) -> tuple[RankInPopulation, RankInPopulation]:
     """Placements of the article's least and greatest error in `row` among the heads'."""
-    errors = absolute(fixations(table), row.method, row.axis)
+    errors = absolute_errors_mm(fixation_rows(table), row.method, row.axis)
     least, greatest = row.span
-    return place(least, errors.min(axis=1)), place(greatest, errors.max(axis=1))
+    return rank_in_population(least, errors.min(axis=1)), rank_in_population(
+        greatest, errors.max(axis=1)
+    )
 
 
 def summarise(table: pd.DataFrame, config: PhysicalStaticConfig) -> list[SummaryRow]:
     """Rows of the summary: the article's beside the median heads', then population and sources.
 
-    Verdicts beyond those of `compare`: `by construction` for the figure that set the error scale;
-    `inside` or `outside` the middle 80 % of the heads; and for ITPC off the axis `ITPC worse` or
-    `ITPC better` if its error differs from that of gaze by more than the margin, else `alike`.
+    Verdicts beyond those of `verdict_of_ranges`: `by construction` for the figure that set the
+    error scale; `inside` or `outside` the middle 80 % of the heads; and for ITPC off the axis `ITPC
+    worse` or `ITPC better` if its error differs from that of gaze by more than the margin, else
+    `alike`.
     """
     return [
         *_reported_rows(table),
@@ -73,26 +78,26 @@ def summarise(table: pd.DataFrame, config: PhysicalStaticConfig) -> list[Summary
 
 
 def _reported_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
-    for r in reported("absolute error"):
-        low, high = placements(table, r)
+    for r in article_results("absolute error"):
+        low, high = population_ranks(table, r)
         # the error scale was set by the largest depth error by gaze
         chosen = BY_CONSTRUCTION if (r.method, r.axis) == ("gaze", "z") else None
         yield SummaryRow.of(NAME, r.quantity, r.method, r.axis, r.span,
                             (low.median, high.median), chosen)  # fmt: skip
-    for r in reported("uncertainty"):
-        ours = _range(fixations(table, "imaged")[f"uncertainty_{r.axis}_mm"])
+    for r in article_results("uncertainty"):
+        ours = _range(fixation_rows(table, "imaged")[f"uncertainty_{r.axis}_mm"])
         yield SummaryRow.of(NAME, r.quantity, r.method, r.axis, r.span, ours)
 
 
 def _population_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
     """Statistics of the population, 10th to 90th percentile of the heads."""
-    population = fixations(table)
+    population = fixation_rows(table)
     yield SummaryRow.of(NAME, "scale of all spreads", "both", "all", None,
                         float(_twin(table)["scale"]), unit="1")  # fmt: skip
     for method in METHODS:
-        relative = relative_depth(population, method)
-        largest = place(ARTICLE_LARGEST_PERCENT[method], relative.max(axis=1))
-        smallest = place(ARTICLE_SMALLEST_PERCENT[method], relative.min(axis=1))
+        relative = depth_errors_percent(population, method)
+        largest = rank_in_population(ARTICLE_LARGEST_PERCENT[method], relative.max(axis=1))
+        smallest = rank_in_population(ARTICLE_SMALLEST_PERCENT[method], relative.min(axis=1))
         chosen = BY_CONSTRUCTION if method == "gaze" else verdict(largest)
         for quantity, placed, said in (
             ("largest depth error", largest, chosen),
@@ -101,16 +106,18 @@ def _population_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
             yield SummaryRow.of(NAME, f"{quantity}, middle 80 % of the heads", method, "z",
                                 placed.article, (placed.low, placed.high), said, "%")  # fmt: skip
         for axis in AXES:
-            low, high = np.percentile(absolute(population, method, axis).mean(axis=1), [10.0, 90.0])
+            low, high = np.percentile(
+                absolute_errors_mm(population, method, axis).mean(axis=1), [10.0, 90.0]
+            )
             yield SummaryRow.of(NAME, "mean absolute error", method, axis, None, (low, high))
 
 
 def _imaged_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
-    imaged = fixations(table, "imaged")
+    imaged = fixation_rows(table, "imaged")
     for method in METHODS:
         for axis in AXES:
             yield SummaryRow.of(NAME, "absolute error, head with images", method, axis, None,
-                                _range(absolute(imaged, method, axis)))  # fmt: skip
+                                _range(absolute_errors_mm(imaged, method, axis)))  # fmt: skip
 
 
 def _method_rows(table: pd.DataFrame) -> Iterator[SummaryRow]:
@@ -175,7 +182,9 @@ def _off_axis(table: pd.DataFrame, source: str) -> pd.DataFrame:
 
 def _apart(table: pd.DataFrame) -> FloatArray:
     """(heads * points,) absolute depth difference of gaze and ITPC at settled fixations, mm."""
-    rows = fixations(table).pivot(index=["head", "point"], columns="method", values="error_z_mm")
+    rows = fixation_rows(table).pivot(
+        index=["head", "point"], columns="method", values="error_z_mm"
+    )
     return np.asarray((rows["gaze"] - rows["itpc"]).abs().to_numpy(), dtype=np.float64)
 
 
@@ -187,11 +196,11 @@ def _article_apart_mm() -> float:
 
 def numbers(table: pd.DataFrame, config: PhysicalStaticConfig) -> Numbers:
     """The numbers of the text."""
-    largest = relative_depth(fixations(table), "gaze").max(axis=1)
-    inside = [count_inside(placements(table, r)) for r in reported("absolute error")]
+    largest = depth_errors_percent(fixation_rows(table), "gaze").max(axis=1)
+    inside = [count_inside(population_ranks(table, r)) for r in article_results("absolute error")]
     apart, twin = _apart(table), _twin(table)
     return {
-        "points_count": float(fixations(table)["point"].nunique()),
+        "points_count": float(fixation_rows(table)["point"].nunique()),
         "scale_ratio": float(twin["scale"]),
         "largest_median_percent": float(np.median(largest)),
         "largest_high_percent": float(np.percentile(largest, 90.0)),
@@ -242,7 +251,7 @@ def _budget_numbers(table: pd.DataFrame) -> Numbers:
 
 def _imaged_numbers(table: pd.DataFrame) -> Numbers:
     """Numbers on the head with images: errors, detection noise and propagated uncertainty."""
-    imaged, population = fixations(table, "imaged"), fixations(table)
+    imaged, population = fixation_rows(table, "imaged"), fixation_rows(table)
     far = imaged.sort_values("uncertainty_z_mm").iloc[-1]
     article = reported_result(NAME, "uncertainty", "both", "z").span[1]
     ratio = float(far["uncertainty_z_mm"]) / article
@@ -253,7 +262,7 @@ def _imaged_numbers(table: pd.DataFrame) -> Numbers:
     uncertainty = {axis: _range(imaged[f"uncertainty_{axis}_mm"]) for axis in AXES}
     return {
         "imaged_head": float(imaged["head"].iloc[0]),
-        "imaged_largest_percent": float(relative_depth(imaged, "gaze").max()),
+        "imaged_largest_percent": float(depth_errors_percent(imaged, "gaze").max()),
         "sigma_least_px": float(imaged["sigma_least_px"].min()),
         "sigma_greatest_px": float(imaged["sigma_greatest_px"].max()),
         **{f"uncertainty_{axis}_least_mm": low for axis, (low, _) in uncertainty.items()},

@@ -15,9 +15,9 @@ from vergence.eval.article.common.closed_loop import (
     ClosedLoop,
     GazeRecord,
     detection_sigma,
-    gaze_uncertainty,
+    gaze_uncertainty_mm,
     hold_gaze,
-    itpc_uncertainty,
+    itpc_uncertainty_mm,
 )
 from vergence.eval.article.physical_static.error_budget import (
     ALL,
@@ -28,7 +28,7 @@ from vergence.eval.article.physical_static.error_budget import (
     off_axis_rows,
 )
 from vergence.eval.article.twin.heads import TwinConfig
-from vergence.eval.article.twin.population import Population, draw_population
+from vergence.eval.article.twin.population import TwinPopulation, draw_population
 from vergence.eval.article.twin.statistics import METHODS, axis_columns
 from vergence.eval.jobs import Job, Mapper
 from vergence.models.head import HeadModel
@@ -102,7 +102,7 @@ def run(config: PhysicalStaticConfig, seed: int, mapper: Mapper) -> pd.DataFrame
     return pd.concat(frames, ignore_index=True)
 
 
-def _encoder_step(drawn: Population) -> dict[str, float]:
+def _encoder_step(drawn: TwinPopulation) -> dict[str, float]:
     """Depth error of the farthest point from one step of the left pan encoder."""
     nominal, far = drawn.nominal, drawn.points[np.argmax(drawn.points[:, 2])]
     q = nominal.fixate(far, nominal.rest()[:3])
@@ -137,8 +137,8 @@ def _imaged(loop: ClosedLoop, which: int, number: int) -> pd.DataFrame:
     q = record.positions.mean(axis=0)[0]
     pixels = np.nanmean(record.pixels, axis=0)[0]
     uncertainty = {
-        "gaze": gaze_uncertainty(nominal, q, sigma_px),
-        "itpc": itpc_uncertainty(nominal, q, pixels, sigma_px),
+        "gaze": gaze_uncertainty_mm(nominal, q, sigma_px),
+        "itpc": itpc_uncertainty_mm(nominal, q, pixels, sigma_px),
     }
     frames: list[pd.DataFrame] = [
         _rows("imaged", method, record, np.array([which]), number).assign(

@@ -6,16 +6,16 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from vergence.eval.article.common.loop_noise import Loop, noise_gain
+from vergence.eval.article.common.loop_noise import LinearLoop, noise_gain
 from vergence.eval.article.common.simulated_cases import CASES
 from vergence.eval.article.simulated_moving.findings import (
     ARTICLE_CASE,
     RATES_HZ,
-    article_ratio,
+    article_deviation_ratio,
+    article_value_mm,
     deviation_ratio,
     errors_by_case,
-    reported,
-    select,
+    select_samples,
 )
 from vergence.eval.article.simulated_moving.trials import IMAGES, WHITE, SimulatedMovingConfig
 from vergence.eval.reporting.style import (
@@ -26,10 +26,10 @@ from vergence.eval.reporting.style import (
     METHOD_STYLE,
     ORANGE,
     PURPLE,
+    figure_style,
     legend_below,
     log_scale,
     new_figure,
-    styled,
 )
 from vergence.models.files.head_file import load_head
 
@@ -39,7 +39,7 @@ _DRAWN_EVERY: Final = 6
 
 def draw(table: pd.DataFrame, config: SimulatedMovingConfig) -> dict[str, Figure]:
     """The figures by name."""
-    with styled():
+    with figure_style():
         return {
             "fig08-moving-target": _errors(table),
             "fig08-mean-absolute-errors": _bars(table),
@@ -53,7 +53,7 @@ def _errors(table: pd.DataFrame) -> Figure:
     for row, case in zip(axes, ("exact", ARTICLE_CASE), strict=True):
         for axis, letter in zip(row, "xyz", strict=True):
             for method in ("itpc", "gaze"):
-                samples = select(table, case, method).iloc[::_DRAWN_EVERY]
+                samples = select_samples(table, case, method).iloc[::_DRAWN_EVERY]
                 style = METHOD_STYLE[method]
                 axis.plot(
                     samples["time_s"], samples[f"error_{letter}_mm"], color=style["color"],
@@ -61,7 +61,7 @@ def _errors(table: pd.DataFrame) -> Figure:
                     marker="" if method == "gaze" else ".", markersize=2.5,
                     label=style["label"],
                 )  # fmt: skip
-            article = reported("mean absolute error", "gaze", letter)
+            article = article_value_mm("mean absolute error", "gaze", letter)
             for sign in (-1.0, 1.0):
                 axis.axhline(sign * article, **ARTICLE_STYLE,
                              label="article: ± mean absolute error, gaze")  # fmt: skip
@@ -90,7 +90,7 @@ def _bars(table: pd.DataFrame) -> Figure:
         for place, method in enumerate(methods):
             axis.plot(
                 [place - 0.42, place + 0.42],
-                2 * [reported("mean absolute error", method, letter)],
+                2 * [article_value_mm("mean absolute error", method, letter)],
                 **{**ARTICLE_STYLE, "linewidth": 2.2}, label="article",
             )  # fmt: skip
         axis.set_xticks(range(2), ["gaze", "ITPC"])
@@ -111,14 +111,14 @@ def _ratios(table: pd.DataFrame, config: SimulatedMovingConfig) -> Figure:
     for rate, colour, dash in zip(
         RATES_HZ[:3], (BLUE, PURPLE, GREEN), ("-", "--", "-."), strict=True
     ):
-        values = [noise_gain(Loop.of(head, float(gain)).at_rate(rate)) for gain in gains]
+        values = [noise_gain(LinearLoop.of(head, float(gain)).at_rate(rate)) for gain in gains]
         axis.plot(gains, values, color=colour, linestyle=dash, label=f"predicted at {rate:g} Hz")
     images, white = (deviation_ratio(errors, "exact", noise) for noise in (IMAGES, WHITE))
     axis.plot(config.gain, images, marker="o", markersize=9, color=ORANGE,
               linestyle="", label="measured, images, exact model")  # fmt: skip
     axis.plot(config.gain, white, marker="x", markersize=9, color=GREY,
               markeredgewidth=2, linestyle="", label="measured, white noise")  # fmt: skip
-    axis.axhline(article_ratio(), **ARTICLE_STYLE, label="article: 0.30 / 0.98 mm")
+    axis.axhline(article_deviation_ratio(), **ARTICLE_STYLE, label="article: 0.30 / 0.98 mm")
     axis.set_xlabel("gain k (1/s)")
     axis.set_ylabel("standard deviation in z,\ngaze over ITPC")
     axis.set_ylim(0.0, None)

@@ -6,7 +6,7 @@ from typing import Final
 
 import pandas as pd
 
-from vergence.eval.article.common.loop_noise import Loop, noise_gain
+from vergence.eval.article.common.loop_noise import LinearLoop, noise_gain
 from vergence.eval.article.common.simulated_cases import CASES
 from vergence.eval.article.experiment import SummaryRow
 from vergence.eval.article.reported import reported_result, reported_results
@@ -27,12 +27,14 @@ RATES_HZ: Final = (120.0, 60.0, 30.0, 20.0, 15.0)
 """Frame rates at which the loop's noise gain is predicted, Hz (chosen)."""
 
 
-def reported(quantity: str, method: str, axis: str) -> float:
+def article_value_mm(quantity: str, method: str, axis: str) -> float:
     """A value that the article reports, mm."""
     return reported_result(EXPERIMENT, quantity, method, axis).low
 
 
-def select(table: pd.DataFrame, case: str, method: str, noise: str = IMAGES) -> pd.DataFrame:
+def select_samples(
+    table: pd.DataFrame, case: str, method: str, noise: str = IMAGES
+) -> pd.DataFrame:
     """The samples of one case and method, in order."""
     chosen = (table["case"] == case) & (table["method"] == method) & (table["noise"] == noise)
     return table[chosen]
@@ -81,26 +83,28 @@ def deviation_ratio(errors: Cases, case: str, noise: str = IMAGES) -> float:
     return gaze.deviation["z"] / itpc.deviation["z"]
 
 
-def article_ratio() -> float:
+def article_deviation_ratio() -> float:
     """Ratio of the article's standard deviations in z, gaze over ITPC."""
-    gaze, itpc = (reported("standard deviation", method, "z") for method in ("gaze", "itpc"))
+    gaze, itpc = (
+        article_value_mm("standard deviation", method, "z") for method in ("gaze", "itpc")
+    )
     return gaze / itpc
 
 
-def predicted_ratios(gain: float) -> dict[float, float]:
+def predicted_deviation_ratios(gain: float) -> dict[float, float]:
     """Ratio of scatter, gaze over ITPC, predicted from the loop's noise gain, by frame rate."""
-    loop = Loop.of(load_head("simulated"), gain)
+    loop = LinearLoop.of(load_head("simulated"), gain)
     return {rate: noise_gain(loop.at_rate(rate)) for rate in RATES_HZ}
 
 
-def expected_gaze_mm(errors: Cases, case: str, share: float) -> float:
+def expected_gaze_deviation_mm(errors: Cases, case: str, share: float) -> float:
     """Standard deviation in z expected of gaze, given the article's ITPC, mm.
 
     Gaze has the systematic part of a case, plus the fraction `share` of ITPC's scatter that the
     loop lets through.
     """
     systematic = errors[case, "gaze", NONE].deviation["z"]
-    itpc = reported("standard deviation", "itpc", "z")
+    itpc = article_value_mm("standard deviation", "itpc", "z")
     return hypot(systematic, share * max(itpc**2 - systematic**2, 0.0) ** 0.5)
 
 
@@ -125,24 +129,29 @@ def numbers(table: pd.DataFrame, config: SimulatedMovingConfig) -> Numbers:
     found |= {f"still_{axis}_mm": still.mean_absolute[axis] for axis in "xyz"}
     for method in ("gaze", "itpc"):
         for axis in "xyz":
-            key, article = f"{method}_{axis}_mm", reported("mean absolute error", method, axis)
+            key, article = (
+                f"{method}_{axis}_mm",
+                article_value_mm("mean absolute error", method, axis),
+            )
             found[f"article_{key}"] = article
             for case in ("exact", ARTICLE_CASE):
                 found[f"{case}_{key}"] = errors[case, method, IMAGES].mean_absolute[axis]
-        found[f"article_{method}_scatter_mm"] = reported("standard deviation", method, "z")
+        found[f"article_{method}_scatter_mm"] = article_value_mm("standard deviation", method, "z")
         found[f"exact_{method}_scatter_mm"] = errors["exact", method, IMAGES].deviation["z"]
-    for rate, share in predicted_ratios(config.gain).items():
+    for rate, share in predicted_deviation_ratios(config.gain).items():
         found[f"ratio_predicted_{rate:g}_hz"] = share
         for case in ("exact", ARTICLE_CASE):
-            found[f"expected_{case}_{rate:g}_hz_mm"] = expected_gaze_mm(errors, case, share)
+            found[f"expected_{case}_{rate:g}_hz_mm"] = expected_gaze_deviation_mm(
+                errors, case, share
+            )
     return found
 
 
 def summarise(table: pd.DataFrame, config: SimulatedMovingConfig) -> list[SummaryRow]:
     """Rows of the summary: the article's under its own camera matrix, then those of other cases.
 
-    Verdicts beyond those of `compare`: `target met` if the optical axes trail the target by its
-    speed over the gain, else `target missed`.
+    Verdicts beyond those of `verdict_of_ranges`: `target met` if the optical axes trail the target
+    by its speed over the gain, else `target missed`.
     """
     errors = errors_by_case(table)
     rows = []
@@ -165,22 +174,28 @@ def summarise(table: pd.DataFrame, config: SimulatedMovingConfig) -> list[Summar
     for case in CASES:
         quantity = f"standard deviation, {CASES[case].title}, no noise"
         rows.append(_row(quantity, "gaze", "z", errors[case, "gaze", NONE].deviation["z"]))
-    predicted = predicted_ratios(config.gain)
+    predicted = predicted_deviation_ratios(config.gain)
     measured = {CASES[case].title: deviation_ratio(errors, case) for case in CASES}
     measured["exact model, white noise"] = deviation_ratio(errors, "exact", WHITE)
     measured |= {f"predicted at {rate:g} Hz": share for rate, share in predicted.items()}
     for title, value in measured.items():
         quantity = f"standard deviation, gaze over ITPC, {title}"
-        rows.append(_row(quantity, "both", "z", value, article_ratio(), "1"))
+        rows.append(_row(quantity, "both", "z", value, article_deviation_ratio(), "1"))
     for case in ("exact", ARTICLE_CASE):
         for rate, share in predicted.items():
             quantity = (
                 f"standard deviation expected beside the article's ITPC, {CASES[case].title}, "
                 f"{rate:g} Hz"
             )
-            value = expected_gaze_mm(errors, case, share)
+            value = expected_gaze_deviation_mm(errors, case, share)
             rows.append(
-                _row(quantity, "gaze", "z", value, reported("standard deviation", "gaze", "z"))
+                _row(
+                    quantity,
+                    "gaze",
+                    "z",
+                    value,
+                    article_value_mm("standard deviation", "gaze", "z"),
+                )
             )
     return [*rows, _trail(numbers(table, config))]
 

@@ -9,7 +9,11 @@ import pandas as pd
 
 from vergence.envs.targets.prescribed import CircleTarget
 from vergence.eval.article.common.closed_loop import MM, ClosedLoop, hold_gaze
-from vergence.eval.article.common.simulated_cases import CASES, DRAWN_ERRORS, make_rig
+from vergence.eval.article.common.simulated_cases import (
+    CASES,
+    DRAWN_ERRORS,
+    make_nominal_and_true_head,
+)
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.simulated_static.trials import BOARD
 from vergence.eval.jobs import Job, Mapper
@@ -55,7 +59,7 @@ def _follow(
     config: SimulatedMovingConfig, seed: int, case: str, noise: str, sigma_px: float
 ) -> pd.DataFrame:
     """Follow the target; returns a row for each sample and method."""
-    rig = make_rig(case, DRAWN_ERRORS, seed)
+    rig = make_nominal_and_true_head(case, DRAWN_ERRORS, seed)
     images = noise == IMAGES
     record = hold_gaze(
         ClosedLoop(

@@ -14,10 +14,10 @@ from vergence.eval.article.simulated_static.findings import (
     ARTICLE_Z_PERCENT,
     XY_WORST_MM,
     Z_WORST_PERCENT,
+    article_result,
     detection_noise_px,
     implied_noise_px,
-    reported,
-    select,
+    select_fixes,
 )
 from vergence.eval.article.simulated_static.trials import SimulatedStaticConfig
 from vergence.eval.reporting.style import (
@@ -28,10 +28,10 @@ from vergence.eval.reporting.style import (
     METHOD_STYLE,
     ORANGE,
     PURPLE,
+    figure_style,
     legend_below,
     log_scale,
     new_figure,
-    styled,
 )
 
 _CASE_STYLE: Final[dict[str, dict[str, Any]]] = {
@@ -55,7 +55,7 @@ _LEAST_MM: Final = 1e-4
 
 def draw(table: pd.DataFrame, config: SimulatedStaticConfig) -> dict[str, Figure]:
     """The figures by name."""
-    with styled():
+    with figure_style():
         return {
             "fig06-absolute-errors": _errors(table),
             "fig06-dithered-fixation": _dithered(table),
@@ -87,16 +87,18 @@ def _errors(table: pd.DataFrame) -> Figure:
         if letter == "z":
             label = f"article: {ARTICLE_Z_PERCENT:g} % of depth"
             axis.plot(depth, 10.0 * ARTICLE_Z_PERCENT * depth, **ARTICLE_STYLE, label=label)
-            least = reported("absolute error", "z", "gaze").low
+            least = article_result("absolute error", "z", "gaze").low
             axis.plot(1.1, least, marker="*", markersize=9, linestyle="", color="black",
                       label="article's least")  # fmt: skip
         else:
             axis.axhspan(
-                *reported("absolute error", letter).span, **ARTICLE_BAND, label="article's range"
+                *article_result("absolute error", letter).span,
+                **ARTICLE_BAND,
+                label="article's range",
             )
         for case in CASES:
             style = _CASE_STYLE.get(case, {"color": PURPLE, "linestyle": ":"})
-            rows = select(table, case)
+            rows = select_fixes(table, case)
             title = CASES[case].title
             axis.plot(*_by_depth(rows, "gaze", letter, "error_mm"), **style, label=f"{title}, gaze")
             axis.plot(
@@ -116,7 +118,7 @@ def _dithered(table: pd.DataFrame) -> Figure:
         axis.plot(depth, worst, **ARTICLE_STYLE, label="our target, still")
         axis.plot(depth, 0.5 * worst, color="black", linewidth=1.0, label="our target, dithered")
         for fixation, colour, marker in (("still", BLUE, "o"), ("dithered", GREEN, "^")):
-            rows = select(table, "exact", fixation)
+            rows = select_fixes(table, "exact", fixation)
             axis.plot(
                 *_by_depth(rows, "itpc", letter, "error_mm"), color=colour, marker=marker,
                 linestyle="-" if fixation == "still" else "--", label=f"{fixation} fixation, ITPC",
@@ -128,9 +130,11 @@ def _dithered(table: pd.DataFrame) -> Figure:
 def _uncertainties(table: pd.DataFrame) -> Figure:
     figure = new_figure(9.5, 5.0)
     axes = _panels(figure, "uncertainty, standard deviation (mm)")
-    rows = select(table, ARTICLE_CASE)
+    rows = select_fixes(table, ARTICLE_CASE)
     for axis, letter in zip(axes, "xyz", strict=True):
-        axis.axhspan(*reported("uncertainty", letter).span, **ARTICLE_BAND, label="article's range")
+        axis.axhspan(
+            *article_result("uncertainty", letter).span, **ARTICLE_BAND, label="article's range"
+        )
         for method, column, style in _UNCERTAINTIES:
             color = METHOD_STYLE[method]["color"]
             axis.plot(*_by_depth(rows, method, letter, column), color=color, **style)

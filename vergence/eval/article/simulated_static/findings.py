@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from vergence.eval.article.common.closed_loop import gaze_uncertainty
+from vergence.eval.article.common.closed_loop import gaze_uncertainty_mm
 from vergence.eval.article.common.simulated_cases import CASES
 from vergence.eval.article.experiment import SummaryRow
 from vergence.eval.article.reported import (
-    Reported,
+    ReportedResult,
     reported_result,
     reported_results,
     static_points,
@@ -38,12 +38,12 @@ STANDARD_ERRORS: Final = 5.0
 """Largest error of a mean, in standard errors, attributed to chance (chosen)."""
 
 
-def reported(quantity: str, axis: str, method: str = "both") -> Reported:
+def article_result(quantity: str, axis: str, method: str = "both") -> ReportedResult:
     """A result that the article reports of this experiment."""
     return reported_result(EXPERIMENT, quantity, method, axis)
 
 
-def select(
+def select_fixes(
     table: pd.DataFrame, case: str, fixation: str = "still", images: str = "rendered"
 ) -> pd.DataFrame:
     """The rows of one case and kind of fixation."""
@@ -83,19 +83,19 @@ class MeanFixErrors:
 
 def errors_by_case(table: pd.DataFrame) -> dict[str, MeanFixErrors]:
     """Errors of the still fixations of each case in the table."""
-    still = {case: select(table, case) for case in CASES}
+    still = {case: select_fixes(table, case) for case in CASES}
     return {case: MeanFixErrors.of(rows) for case, rows in still.items() if len(rows)}
 
 
 def dithered_errors(table: pd.DataFrame) -> MeanFixErrors:
     """Errors of the exact model's dithered fixations."""
-    return MeanFixErrors.of(select(table, "exact", "dithered"))
+    return MeanFixErrors.of(select_fixes(table, "exact", "dithered"))
 
 
 def numbers(table: pd.DataFrame, config: SimulatedStaticConfig) -> Numbers:
     """The numbers of the text."""
     del config
-    cases, exact = errors_by_case(table), select(table, "exact")
+    cases, exact = errors_by_case(table), select_fixes(table, "exact")
     found: dict[str, float] = {
         "points": exact["point"].nunique(),
         "nearest_m": float(exact["depth_mm"].min()) / 1000.0,
@@ -115,7 +115,7 @@ def numbers(table: pd.DataFrame, config: SimulatedStaticConfig) -> Numbers:
         found[f"{name}_z_high_percent"] = errors.z_percent[2]
         found[f"{name}_standard_errors"] = errors.standard_errors
     for axis in "xy":
-        low, high = reported("absolute error", axis).span
+        low, high = article_result("absolute error", axis).span
         found[f"article_{axis}_low_mm"], found[f"article_{axis}_high_mm"] = low, high
     implied = implied_noise_px()
     for axis, (near, far) in implied.items():
@@ -130,19 +130,19 @@ def numbers(table: pd.DataFrame, config: SimulatedStaticConfig) -> Numbers:
 
 def detection_noise_px(table: pd.DataFrame) -> tuple[float, float]:
     """Least and greatest sample standard deviation of the detections with the exact model, px."""
-    sigma = select(table, "exact").filter(like="detection_sigma_").to_numpy()
+    sigma = select_fixes(table, "exact").filter(like="detection_sigma_").to_numpy()
     return float(sigma.min()), float(sigma.max())
 
 
 def _methods_apart(table: pd.DataFrame) -> dict[str, float]:
     """Numbers on the differences of both methods' means and scatter on settled targets."""
-    rendered = pd.concat([select(table, case) for case in CASES])
+    rendered = pd.concat([select_fixes(table, case) for case in CASES])
     keys = ["case", "point", "axis"]
     wide = rendered.pivot_table(index=keys, columns="method", values="error_mm")
     difference = (wide["gaze"] - wide["itpc"]).abs()
     itpc = rendered[rendered["method"] == "itpc"].set_index(keys)
     error = itpc["standard_deviation_mm"] / np.sqrt(itpc["n"])
-    exact = select(table, "exact")
+    exact = select_fixes(table, "exact")
     scatter = exact[exact["axis"] == "z"].pivot_table(
         index="point", columns="method", values="standard_deviation_mm"
     )
@@ -159,12 +159,12 @@ def _drawn_heads(table: pd.DataFrame) -> dict[str, float]:
     A head counts as like the article's if its greatest error in x is within a factor of two of the
     article's and its greatest error in z, over depth, is not above the article's.
     """
-    heads = select(table, "drawn", images="none")
+    heads = select_fixes(table, "drawn", images="none")
     absolute = heads.assign(error_mm=heads["error_mm"].abs())
     worst = absolute.pivot_table(index="head", columns="axis", values="error_mm", aggfunc="max")
     deep = absolute[absolute["axis"] == "z"]
     share = (100.0 * deep["error_mm"] / deep["depth_mm"]).groupby(deep["head"]).max()
-    _, article_x = reported("absolute error", "x").span
+    _, article_x = article_result("absolute error", "x").span
     like = worst["x"].between(0.5 * article_x, 2.0 * article_x) & (share <= ARTICLE_Z_PERCENT)
     far = absolute[absolute["point"] == absolute["point"].max()]
     last = far.pivot_table(index="head", columns="axis", values="error_mm")
@@ -182,27 +182,27 @@ def implied_noise_px() -> dict[str, tuple[float, float]]:
 
     The least uncertainty is that at the nearest point, the greatest that at the farthest.
     """
-    unit = unit_uncertainty_mm()
+    unit = uncertainty_mm_per_px()
     implied = {}
     for axis, letter in enumerate("xyz"):
-        least, greatest = reported("uncertainty", letter).span
+        least, greatest = article_result("uncertainty", letter).span
         implied[letter] = (float(least / unit[0, axis]), float(greatest / unit[-1, axis]))
     return implied
 
 
-def unit_uncertainty_mm() -> FloatArray:
+def uncertainty_mm_per_px() -> FloatArray:
     """(21, 3) uncertainty at Table 3's points per pixel of detection noise, mm/px."""
     head, points = load_head("simulated"), static_points("simulated")
-    return gaze_uncertainty(head, head.fixate(points), np.ones((len(points), 2, 2)))
+    return gaze_uncertainty_mm(head, head.fixate(points), np.ones((len(points), 2, 2)))
 
 
 def summarise(table: pd.DataFrame, config: SimulatedStaticConfig) -> list[SummaryRow]:
     """Rows of the summary: the article's under its own camera matrix, other cases, our targets.
 
-    Verdicts beyond those of `compare`: `target met` or `target missed` for our targets of the exact
-    model, and `inside` or `outside` the article's own range of detection noise.
+    Verdicts beyond those of `verdict_of_ranges`: `target met` or `target missed` for our targets of
+    the exact model, and `inside` or `outside` the article's own range of detection noise.
     """
-    rows = [_reported(row, select(table, ARTICLE_CASE)) for row in reported_results()
+    rows = [_reported(row, select_fixes(table, ARTICLE_CASE)) for row in reported_results()
             if row.experiment == EXPERIMENT]  # fmt: skip
     cases, dithered = errors_by_case(table), dithered_errors(table)
     for case, errors in cases.items():
@@ -222,7 +222,7 @@ def summarise(table: pd.DataFrame, config: SimulatedStaticConfig) -> list[Summar
         verdict = "inside" if low <= span[0] and span[1] <= high else "outside"
         quantity = "detection noise implied by the article's uncertainty"
         rows.append(_row(quantity, "both", axis, ARTICLE_DETECTION_PX, span, verdict, "px"))
-    for (method, letter), own in select(table, "exact").groupby(["method", "axis"]):
+    for (method, letter), own in select_fixes(table, "exact").groupby(["method", "axis"]):
         scatter = own["standard_deviation_mm"]
         ours, quantity = (scatter.min(), scatter.max()), "standard deviation of single fixes"
         rows.append(_row(quantity, str(method), str(letter), None, ours))
@@ -236,7 +236,7 @@ def _row(
     return SummaryRow.of(EXPERIMENT, quantity, method, axis, theirs, ours, verdict, unit)
 
 
-def _reported(row: Reported, case: pd.DataFrame) -> SummaryRow:
+def _reported(row: ReportedResult, case: pd.DataFrame) -> SummaryRow:
     """Summary row of our range beside one of the article's."""
     own = case[case["axis"] == row.axis]
     if row.method != "both":
@@ -250,7 +250,7 @@ def _reported(row: Reported, case: pd.DataFrame) -> SummaryRow:
 def _case_errors(title: str, errors: MeanFixErrors) -> list[SummaryRow]:
     rows = []
     for axis in "xyz":
-        theirs = None if axis == "z" else reported("absolute error", axis).span
+        theirs = None if axis == "z" else article_result("absolute error", axis).span
         ours = (errors.low_mm[axis], errors.high_mm[axis])
         rows.append(_row(f"absolute error, {title}", "both", axis, theirs, ours))
     return rows

@@ -12,18 +12,18 @@ from vergence.eval.article.common.closed_loop import (
     MM,
     ClosedLoop,
     GazeRecord,
+    corrected_gaze_fix,
     detection_sigma,
-    dither_references,
-    gaze_corrected,
-    gaze_uncertainty,
+    dither_references_px,
+    gaze_uncertainty_mm,
     hold_gaze,
-    itpc_uncertainty,
+    itpc_uncertainty_mm,
 )
 from vergence.eval.article.common.simulated_cases import (
     CASES,
     DRAWN_ERRORS,
-    drawn_population,
-    make_rig,
+    draw_true_heads,
+    make_nominal_and_true_head,
 )
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.reported import static_points
@@ -84,7 +84,7 @@ def _look(
     config: SimulatedStaticConfig, seed: int, case: str, fixation: str, point: int
 ) -> list[dict[str, Any]]:
     """Hold one point with rendered images; returns a row for each method and axis."""
-    rig = make_rig(case, config.errors, seed)
+    rig = make_nominal_and_true_head(case, config.errors, seed)
     dithered = fixation == "dithered"
     keys = (list(CASES).index(case), int(dithered), point)
     record = hold_gaze(
@@ -96,7 +96,7 @@ def _look(
             samples=config.samples,
             settle_s=config.settle_s,
             gain=config.gain,
-            references_px=dither_references(config.dither_side) if dithered else ((0.0, 0.0),),
+            references_px=dither_references_px(config.dither_side) if dithered else ((0.0, 0.0),),
             seed=int(job_rng(seed, NAME, *keys).integers(2**63)),
         )
     )
@@ -126,12 +126,12 @@ def _rows(
     mean_q, mean_pixels = q.mean(axis=0), np.nanmean(record.pixels, axis=0)
     sigma = detection_sigma(record.pixels)
     uncertainty = {
-        "gaze": gaze_uncertainty(head, record.positions.mean(axis=0), sigma),
-        "itpc": itpc_uncertainty(head, mean_q, mean_pixels, sigma),
+        "gaze": gaze_uncertainty_mm(head, record.positions.mean(axis=0), sigma),
+        "itpc": itpc_uncertainty_mm(head, mean_q, mean_pixels, sigma),
     }
     errors = {"gaze": record.gaze_error_mm, "itpc": record.itpc_error_mm}
     if dithered:
-        corrected = gaze_corrected(head, q, record.pixel_error, _depths(head, q, record.itpc))
+        corrected = corrected_gaze_fix(head, q, record.pixel_error, _depths(head, q, record.itpc))
         errors["gaze"] = MM * (corrected.point - truth)
     for method, error in errors.items():
         for axis, letter in enumerate("xyz"):
@@ -161,7 +161,7 @@ def _population(config: SimulatedStaticConfig, seed: int, point: int) -> list[di
     record = hold_gaze(
         ClosedLoop(
             head=preset,
-            true_head=drawn_population(preset, config.errors, seed, config.heads),
+            true_head=draw_true_heads(preset, config.errors, seed, config.heads),
             num=config.heads,
             target=_target(point),
             plant="kinematic",

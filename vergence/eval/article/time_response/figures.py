@@ -8,7 +8,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 
-from vergence.eval.article.time_response.findings import TimeResponseFindings, find, held_by, mapped
+from vergence.eval.article.time_response.findings import (
+    TimeResponseFindings,
+    derive_findings,
+    held_thresholds_px,
+    settle_time_map,
+)
 from vergence.eval.article.time_response.trials import ARTICLE_S, TimeResponseConfig
 from vergence.eval.reporting.style import (
     ARTICLE_STYLE,
@@ -16,14 +21,14 @@ from vergence.eval.reporting.style import (
     BLUE,
     GREY,
     ORANGE,
+    figure_style,
     new_figure,
-    styled,
 )
 
 
 def draw(table: pd.DataFrame, config: TimeResponseConfig) -> dict[str, Figure]:
     """All figures by name."""
-    found = find(table)
+    found = derive_findings(table)
     return {
         "time-response-error": _draw_trace(table, found),
         "time-response-map": _draw_map(table, config, found),
@@ -36,7 +41,7 @@ def _draw_trace(table: pd.DataFrame, found: TimeResponseFindings) -> Figure:
         "left": {"color": BLUE},
         "right": {"color": ORANGE, "linestyle": "--"},
     }
-    with styled():
+    with figure_style():
         figure = new_figure(6.4, 4.4)
         axes = figure.subplots()
         for eye, style in styles.items():
@@ -72,16 +77,16 @@ def _draw_map(
 ) -> Figure:
     lags = list(dict.fromkeys((found.lag_s, 0.0)))
     edges = np.arange(0.35, 1.26, 0.1)
-    with styled():
+    with figure_style():
         figure = new_figure(9.0, 4.6)
         panels = figure.subplots(1, len(lags), sharex=True, sharey=True, squeeze=False)[0]
         for axes, lag_s in zip(panels, lags, strict=True):
-            grid = mapped(table, lag_s)
+            grid = settle_time_map(table, lag_s)
             filled = axes.pcolormesh(
                 grid.columns, grid.index, grid.to_numpy(), shading="nearest", cmap="cividis",
                 norm=BoundaryNorm(edges, 256, extend="both"), rasterized=True,
             )  # fmt: skip
-            by = held_by(table, lag_s)
+            by = held_thresholds_px(table, lag_s)
             axes.plot(
                 by["delay_frames"], by["threshold_px"], color="white", linewidth=2.4,
                 label=f"settled by {1000.0 * ARTICLE_S:.0f} ms above",

@@ -18,7 +18,7 @@ lag and false for none, settling threshold (px)."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class NamedPair:
+class LoopAndThreshold:
     """A loop and a settling threshold that should give the article's time."""
 
     delay_frames: int
@@ -40,7 +40,7 @@ class TimeResponseFindings:
     """Least and greatest settling time of the noisy trials, s, by threshold in px; nan if some
     trial does not settle."""
     trials: int
-    pairs: list[NamedPair]
+    pairs: list[LoopAndThreshold]
     offsets_deg: dict[str, float]
     """Offset of each eye joint, degrees."""
     nominal_miss_px: tuple[float, float]
@@ -50,7 +50,7 @@ class TimeResponseFindings:
     """Initial pixel error of the left and the right eye, px."""
 
 
-def find(table: pd.DataFrame) -> TimeResponseFindings:
+def derive_findings(table: pd.DataFrame) -> TimeResponseFindings:
     """Derive the results from the table."""
     rig = table[table["case"] == "rig"]
     delay, lag = int(rig["delay_frames"].iloc[0]), float(rig["lag_s"].iloc[0])
@@ -77,7 +77,7 @@ def find(table: pd.DataFrame) -> TimeResponseFindings:
     )
 
 
-def mapped(table: pd.DataFrame, lag_s: float) -> pd.DataFrame:
+def settle_time_map(table: pd.DataFrame, lag_s: float) -> pd.DataFrame:
     """Map of one lag: settling time in s, a row per threshold, a column per delay."""
     rows = table[(table["case"] == "map") & (table["lag_s"] == lag_s)]
     return rows.pivot_table(
@@ -85,13 +85,13 @@ def mapped(table: pd.DataFrame, lag_s: float) -> pd.DataFrame:
     )
 
 
-def held_by(table: pd.DataFrame, lag_s: float) -> pd.DataFrame:
+def held_thresholds_px(table: pd.DataFrame, lag_s: float) -> pd.DataFrame:
     """Least threshold within which the error stays from the article's time on, by delay."""
     rows = table[(table["case"] == "by") & (table["lag_s"] == lag_s)]
     return rows.sort_values("delay_frames")
 
 
-def _pair(table: pd.DataFrame, delay: int, lag_s: float, threshold_px: float) -> NamedPair:
+def _pair(table: pd.DataFrame, delay: int, lag_s: float, threshold_px: float) -> LoopAndThreshold:
     rows = table[
         (table["case"] == "map")
         & (table["lag_s"] == lag_s)
@@ -99,13 +99,15 @@ def _pair(table: pd.DataFrame, delay: int, lag_s: float, threshold_px: float) ->
         & ((table["threshold_px"] - threshold_px).abs() < 1e-6)
     ]
     settle = float(rows["settle_s"].iloc[0]) if len(rows) else np.nan
-    return NamedPair(delay_frames=delay, lag_s=lag_s, threshold_px=threshold_px, settle_s=settle)
+    return LoopAndThreshold(
+        delay_frames=delay, lag_s=lag_s, threshold_px=threshold_px, settle_s=settle
+    )
 
 
 def summarise(table: pd.DataFrame, config: TimeResponseConfig) -> list[SummaryRow]:
     """Rows of the summary: our settling times beside the article's 650 ms, and joint offsets."""
     del config
-    found = find(table)
+    found = derive_findings(table)
     article = 1000.0 * ARTICLE_S
     rows = []
     for band, (low_s, high_s) in sorted(found.settle_s.items(), reverse=True):
@@ -126,7 +128,7 @@ def summarise(table: pd.DataFrame, config: TimeResponseConfig) -> list[SummaryRo
 
 def numbers(table: pd.DataFrame, config: TimeResponseConfig) -> Numbers:
     """The numbers of the text."""
-    found = find(table)
+    found = derive_findings(table)
     without, with_delay = found.pairs
     (low_1, high_1), (low_05, high_05) = found.settle_s[1.0], found.settle_s[0.5]
     return {

@@ -11,7 +11,7 @@ from scipy.optimize import root
 from vergence.envs.targets.prescribed import StaticTarget
 from vergence.errors import ConfigurationError
 from vergence.eval.article.common.joint_offsets import with_joint_offsets
-from vergence.eval.article.common.servoing import servo
+from vergence.eval.article.common.servoing import servo_pixel_errors
 from vergence.eval.jobs import Job, Mapper
 from vergence.eval.trials.metrics import settle_time
 from vergence.models.files.head_file import load_head
@@ -148,7 +148,7 @@ def _servo(
     noise_px: float,
 ) -> tuple[FloatArray, FloatArray]:
     x, y, z = (value / 1000.0 for value in config.point_mm)
-    return servo(
+    return servo_pixel_errors(
         head,
         StaticTarget(point=(x, y, z)),
         np.full((num, 2), config.gain),

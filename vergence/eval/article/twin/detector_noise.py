@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from vergence.eval.article.common.closed_loop import MM
-from vergence.eval.article.twin.fixation_errors import angles_seeing_at
+from vergence.eval.article.twin.fixation_errors import joint_angles_imaging_at
 from vergence.models.boards import board_pose
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray, Rendering
@@ -69,7 +69,7 @@ def _detections(
     return out
 
 
-def noise_of_pair(
+def measure_pair_noise(
     cameras: tuple[EyeCamera, EyeCamera],
     rendering: Rendering,
     T_C_T: FloatArray,
@@ -97,7 +97,7 @@ def noise_of_pair(
     return DetectorNoise(*(np.sqrt(np.mean(part**2, axis=0)) for part in (sigma, bias)))
 
 
-def noise_of_head(
+def measure_head_noise(
     head: HeadModel, point: FloatArray, poses: int, frames: int, rng: np.random.Generator
 ) -> DetectorNoise:
     """Measure detections of a tag that an exact head fixates to within half a pixel.
@@ -113,7 +113,7 @@ def noise_of_head(
         Scatter and bias.
     """
     pixels = head.cameras.principal + rng.uniform(-0.5, 0.5, (poses, 2, 2))
-    T_N_C = head.camera_poses(angles_seeing_at(head, head, point, pixels))
+    T_N_C = head.camera_poses(joint_angles_imaging_at(head, head, point, pixels))
     cameras = (EyeCamera.of(head, 0), EyeCamera.of(head, 1))
     T_C_T = np.linalg.inv(T_N_C) @ board_pose(point)
-    return noise_of_pair(cameras, head.rendering, T_C_T, frames, rng)
+    return measure_pair_noise(cameras, head.rendering, T_C_T, frames, rng)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
-from vergence.eval.article.common.loop_noise import Loop, noise_gain
+from vergence.eval.article.common.loop_noise import LinearLoop, noise_gain
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.triangulation import triangulate_views
@@ -17,7 +17,7 @@ ARTICLE_GAIN: Final = 4.0
 """Gain of the article's control law, 1/s (physical: a setting of the article's system)."""
 
 
-def angles_seeing_at(
+def joint_angles_imaging_at(
     nominal: HeadModel, heads: HeadModel, points: ArrayLike, pixels: ArrayLike
 ) -> FloatArray:
     """True joint angles at which true heads see points at given pixels.
@@ -84,10 +84,10 @@ def mean_encoder_readings(
 @cache
 def _noise_gain(nominal: HeadModel) -> float:
     """Jitter of the optical axis under the article's law, as a ratio to the detection noise."""
-    return noise_gain(Loop.of(nominal, ARTICLE_GAIN))
+    return noise_gain(LinearLoop.of(nominal, ARTICLE_GAIN))
 
 
-def fix_errors(
+def mean_fix_errors_m(
     nominal: HeadModel,
     heads: HeadModel,
     points: FloatArray,
@@ -108,22 +108,22 @@ def fix_errors(
         noise_px: (...) standard deviation of the detections, px; None for the preset's.
 
     Returns:
-        (..., 3) fix minus truth, m; nan where `angles_seeing_at` gives nan.
+        (..., 3) fix minus truth, m; nan where `joint_angles_imaging_at` gives nan.
     """
     seen = nominal.cameras.principal if pixels is None else np.asarray(pixels)
-    q = angles_seeing_at(nominal, heads, points, seen)
+    q = joint_angles_imaging_at(nominal, heads, points, seen)
     fix = triangulate_views(
         nominal, mean_encoder_readings(nominal, q, noise_px) if encoders else q, seen
     )
     return fix.point - points
 
 
-def static_errors(
+def settled_fix_errors_m(
     nominal: HeadModel,
     heads: HeadModel,
     points: FloatArray,
     encoders: bool = True,
     noise_px: ArrayLike | None = None,
 ) -> FloatArray:
-    """(heads, points, 3) errors of settled fixations on all points, m; see `fix_errors`."""
-    return fix_errors(nominal, heads[:, None], points, encoders=encoders, noise_px=noise_px)
+    """(heads, points, 3) errors of settled fixations on all points, m; see `mean_fix_errors_m`."""
+    return mean_fix_errors_m(nominal, heads[:, None], points, encoders=encoders, noise_px=noise_px)

@@ -9,10 +9,10 @@ import pandas as pd
 from vergence.eval.article.common.closed_loop import MM, ClosedLoop
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.reported import static_points
-from vergence.eval.article.twin.detector_noise import DetectorNoise, noise_of_head
-from vergence.eval.article.twin.fixation_errors import static_errors
+from vergence.eval.article.twin.detector_noise import DetectorNoise, measure_head_noise
+from vergence.eval.article.twin.fixation_errors import settled_fix_errors_m
 from vergence.eval.article.twin.heads import TwinConfig, draw_heads
-from vergence.eval.article.twin.scale import find_scale, largest_relative
+from vergence.eval.article.twin.scale import find_error_scale, largest_depth_error_percent
 from vergence.eval.jobs import Mapper
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
@@ -24,7 +24,7 @@ _TRIALS: Final = 100_000
 """Trial numbers reserved per point, so that heads share no noise between points (numerical)."""
 
 
-class Population(NamedTuple):
+class TwinPopulation(NamedTuple):
     """A drawn population and its detector."""
 
     nominal: HeadModel
@@ -74,7 +74,7 @@ class Population(NamedTuple):
         return pd.DataFrame({"case": ["twin"], "scale": [self.scale], "head": [self.imaged]})
 
 
-def draw_population(config: TwinConfig, seed: int, mapper: Mapper) -> Population:
+def draw_population(config: TwinConfig, seed: int, mapper: Mapper) -> TwinPopulation:
     """Measure the detector on images, find the error scale and draw the heads.
 
     Args:
@@ -93,22 +93,22 @@ def draw_population(config: TwinConfig, seed: int, mapper: Mapper) -> Population
         )
     )
     noise, _ = measured.over_cameras()
-    scale = find_scale(nominal, config, seed, noise)
+    scale = find_error_scale(nominal, config, seed, noise)
     heads = draw_heads(nominal, config.errors.scaled(scale), config.heads, seed)
-    errors = static_errors(nominal, heads, points, noise_px=noise)
+    errors = settled_fix_errors_m(nominal, heads, points, noise_px=noise)
     imaged = _most_like_the_article(errors, points, config.largest_error_percent)
-    return Population(nominal, heads, scale, imaged, points, measured)
+    return TwinPopulation(nominal, heads, scale, imaged, points, measured)
 
 
 def _measure(
     nominal: HeadModel, point: FloatArray, config: TwinConfig, seed: int, number: int
 ) -> DetectorNoise:
     rng = job_rng(seed, "physical detector", number)
-    return noise_of_head(nominal, point, config.noise_poses, config.noise_frames, rng)
+    return measure_head_noise(nominal, point, config.noise_poses, config.noise_frames, rng)
 
 
 def _most_like_the_article(errors: FloatArray, points: FloatArray, percent: float) -> int:
     """Index of the head with largest depth and y errors nearest to the article's, as ratios."""
-    depth = np.log(largest_relative(errors, points) / percent)
+    depth = np.log(largest_depth_error_percent(errors, points) / percent)
     height = np.log(MM * np.abs(errors[..., 1]).max(axis=1) / ARTICLE_LARGEST_Y_MM)
     return int(np.argmin(np.hypot(depth, height)))

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from vergence.errors import ConfigurationError
 from vergence.eval.article.reported import static_points
-from vergence.eval.article.twin.fixation_errors import static_errors
+from vergence.eval.article.twin.fixation_errors import settled_fix_errors_m
 from vergence.eval.article.twin.heads import TwinConfig, draw_heads
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -18,12 +18,12 @@ _SCALES: Final = 81
 """Grid points of the final search around the bisection's result (numerical)."""
 
 
-def largest_relative(errors: FloatArray, points: FloatArray) -> FloatArray:
+def largest_depth_error_percent(errors: FloatArray, points: FloatArray) -> FloatArray:
     """(heads,) largest |dz| / z over the points, percent, from (heads, points, 3) errors."""
     return np.asarray(100.0 * np.nanmax(np.abs(errors[..., 2]) / points[:, 2], axis=-1))
 
 
-def find_scale(
+def find_error_scale(
     nominal: HeadModel, config: TwinConfig, seed: int, noise_px: ArrayLike | None = None
 ) -> float:
     """Find the error scale at which the median head's largest depth error is the article's.
@@ -47,8 +47,8 @@ def find_scale(
 
     def median(scale: float) -> float:
         heads = draw_heads(nominal, config.errors.scaled(scale), config.heads, seed)
-        errors = static_errors(nominal, heads, points, noise_px=noise_px)
-        return float(np.median(largest_relative(errors, points)))
+        errors = settled_fix_errors_m(nominal, heads, points, noise_px=noise_px)
+        return float(np.median(largest_depth_error_percent(errors, points)))
 
     low, high = 0.0, 1.0
     if median(low) >= config.largest_error_percent:

@@ -17,7 +17,7 @@ LOW, HIGH = 10.0, 90.0
 80 %)."""
 
 
-class Placement(NamedTuple):
+class RankInPopulation(NamedTuple):
     """A figure of the article compared with a population's figures."""
 
     article: float
@@ -35,7 +35,7 @@ class Placement(NamedTuple):
         return self.low <= self.article <= self.high
 
 
-def place(article: float, population: ArrayLike) -> Placement:
+def rank_in_population(article: float, population: ArrayLike) -> RankInPopulation:
     """Compare a figure of the article with a population's.
 
     Args:
@@ -48,15 +48,15 @@ def place(article: float, population: ArrayLike) -> Placement:
     values = np.asarray(population, dtype=np.float64)
     low, median, high = np.percentile(values, [LOW, 50.0, HIGH])
     below = 100.0 * float(np.mean(values < article))
-    return Placement(article, float(low), float(median), float(high), below)
+    return RankInPopulation(article, float(low), float(median), float(high), below)
 
 
-def verdict(placement: Placement) -> str:
+def verdict(placement: RankInPopulation) -> str:
     """`inside` if the article's figure lies between our 10th and 90th percentile, or `outside`."""
     return "inside" if placement.inside else "outside"
 
 
-def count_inside(placements: Sequence[Placement]) -> int:
+def count_inside(placements: Sequence[RankInPopulation]) -> int:
     """Count the article's figures that lie between the 10th and 90th percentile of ours."""
     return sum(placement.inside for placement in placements)
 
@@ -70,20 +70,20 @@ def axis_columns(**values: Sequence[FloatArray] | FloatArray) -> dict[str, Float
     }
 
 
-def fixations(table: pd.DataFrame, group: str = "population") -> pd.DataFrame:
+def fixation_rows(table: pd.DataFrame, group: str = "population") -> pd.DataFrame:
     """The rows of one group's fixations."""
     chosen = table[(table["case"] == "fixation") & (table["group"] == group)]
     return chosen.astype({"head": int, "point": int})
 
 
-def absolute(rows: pd.DataFrame, method: str, axis: str) -> FloatArray:
+def absolute_errors_mm(rows: pd.DataFrame, method: str, axis: str) -> FloatArray:
     """(heads, points) absolute errors of the mean fix, mm."""
     of_method = rows[rows["method"] == method]
     wide = of_method.pivot(index="head", columns="point", values=f"error_{axis}_mm")
     return np.asarray(wide.abs().to_numpy(), dtype=np.float64)
 
 
-def relative_depth(rows: pd.DataFrame, method: str) -> FloatArray:
+def depth_errors_percent(rows: pd.DataFrame, method: str) -> FloatArray:
     """(heads, points) |dz| / z, percent."""
     depth = rows.groupby("point")["truth_z_mm"].first().sort_index().to_numpy()
-    return np.asarray(100.0 * absolute(rows, method, "z") / depth)
+    return np.asarray(100.0 * absolute_errors_mm(rows, method, "z") / depth)

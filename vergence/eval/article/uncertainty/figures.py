@@ -4,15 +4,15 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from vergence.eval.article.common.loop_noise import Loop, noise_gain
-from vergence.eval.article.simulated_moving.findings import reported as reported_moving
-from vergence.eval.article.simulated_static.findings import ARTICLE_DETECTION_PX, reported
+from vergence.eval.article.common.loop_noise import LinearLoop, noise_gain
+from vergence.eval.article.simulated_moving.findings import article_value_mm as reported_moving
+from vergence.eval.article.simulated_static.findings import ARTICLE_DETECTION_PX, article_result
 from vergence.eval.article.uncertainty.findings import (
     METHOD_NAMES,
-    averaged,
-    bounds,
+    averaged_errors_px,
+    cramer_rao_bounds_px,
     noise_gains,
-    rows_of,
+    rows_of_part,
 )
 from vergence.eval.article.uncertainty.trials import AHEAD, UncertaintyConfig
 from vergence.eval.reporting.style import (
@@ -44,11 +44,11 @@ def draw(table: pd.DataFrame, config: UncertaintyConfig) -> dict[str, Figure]:
 def _propagated(table: pd.DataFrame) -> Figure:
     figure = new_figure(9.5, 4.6)
     axes = figure.subplots(1, 3)
-    rows = rows_of(table, "propagation")
+    rows = rows_of_part(table, "propagation")
     rows = rows[(rows["unit"] == "mm") & (rows["pose"] == AHEAD)]
     for axis, letter in zip(axes, "xyz", strict=True):
         own = rows[rows["axis"] == letter].sort_values("depth_mm")
-        article = reported("uncertainty", letter)
+        article = article_result("uncertainty", letter)
         axis.axhspan(article.low, article.high, **ARTICLE_BAND, label="article's range")
         for method in ("gaze", "itpc"):
             style = METHOD_STYLE[method]
@@ -75,7 +75,7 @@ def _loop(table: pd.DataFrame, config: UncertaintyConfig) -> Figure:
     measured = noise_gains(table, config)
     head = load_head("simulated")
     gains = np.linspace(0.1, max(4.5, float(measured["gain_per_s"].max())), 60)
-    axis.plot(gains, [noise_gain(Loop.of(head, float(gain))) for gain in gains], color=BLACK,
+    axis.plot(gains, [noise_gain(LinearLoop.of(head, float(gain))) for gain in gains], color=BLACK,
               label="from the noise bandwidth")  # fmt: skip
     for source, colour, marker in (("white noise", BLUE, "x"), ("images", ORANGE, "o")):
         own = measured[measured["source"] == source]
@@ -93,7 +93,7 @@ def _loop(table: pd.DataFrame, config: UncertaintyConfig) -> Figure:
 
 
 def _averaging(table: pd.DataFrame) -> Figure:
-    errors, bound = averaged(table), bounds(table)
+    errors, bound = averaged_errors_px(table), cramer_rao_bounds_px(table)
     depths = list(bound.index)
     figure = new_figure(9.5 if len(depths) > 1 else 6.0, 4.8)
     axes = figure.subplots(1, len(depths), sharey=True, squeeze=False)[0]

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from vergence.eval.article.common.loop_noise import Loop, noise_bandwidth_hz, noise_gain
+from vergence.eval.article.common.loop_noise import LinearLoop, noise_bandwidth_hz, noise_gain
 from vergence.eval.article.experiment import SummaryRow
 from vergence.eval.article.uncertainty.trials import AHEAD, ASIDE, NAME, UncertaintyConfig
 from vergence.eval.reporting.text import Numbers
@@ -25,32 +25,32 @@ IMPROVEMENT_RATIO: Final = 0.67
 """Ratio of a dithered to a still fixation's error below which dithering is better (chosen)."""
 
 
-def rows_of(table: pd.DataFrame, name: str, quantity: str | None = None) -> pd.DataFrame:
+def rows_of_part(table: pd.DataFrame, name: str, quantity: str | None = None) -> pd.DataFrame:
     """Rows of one part of the experiment, of one quantity or of all."""
     rows = table[table["part"] == name]
     return rows if quantity is None else rows[rows["quantity"] == quantity]
 
 
-def ratios(table: pd.DataFrame) -> pd.DataFrame:
+def propagation_ratios(table: pd.DataFrame) -> pd.DataFrame:
     """Ratio of propagated to Monte Carlo uncertainty: a row per pose, depth and method, by axis."""
-    rows = rows_of(table, "propagation")
+    rows = rows_of_part(table, "propagation")
     wide = rows[rows["unit"] == "mm"].pivot_table(
         index=["pose", "depth_mm", "method", "axis"], columns="quantity", values="value"
     )
     return (wide["propagated"] / wide["Monte Carlo"]).unstack("axis")
 
 
-def averaged(table: pd.DataFrame) -> pd.DataFrame:
+def averaged_errors_px(table: pd.DataFrame) -> pd.DataFrame:
     """Root mean square errors of means, px: a row per depth and kind of fixation, by frames."""
-    rows = rows_of(table, "averaging", "error")
+    rows = rows_of_part(table, "averaging", "error")
     square = rows.assign(value=rows["value"] ** 2)
     mean = square.groupby(["depth_mm", "fixation", "frames"])["value"].mean()
     return (mean**0.5).unstack("frames")
 
 
-def bounds(table: pd.DataFrame) -> pd.DataFrame:
+def cramer_rao_bounds_px(table: pd.DataFrame) -> pd.DataFrame:
     """Cramer-Rao bounds of one frame, px: a row per depth, columns `board` and `window`."""
-    rows = rows_of(table, "bound")
+    rows = rows_of_part(table, "bound")
     square = rows.assign(value=rows["value"] ** 2)
     mean = square.groupby(["depth_mm", "quantity"])["value"].mean()
     return (mean**0.5).unstack("quantity")
@@ -64,12 +64,12 @@ def noise_gains(table: pd.DataFrame, config: UncertaintyConfig) -> pd.DataFrame:
     `excess_px` is the scatter of the optical axes beyond the prediction, as a root of the
     difference of squares.
     """
-    rows = rows_of(table, "loop").pivot_table(
+    rows = rows_of_part(table, "loop").pivot_table(
         index=["source", "gain_per_s"], columns="quantity", values="value"
     )
     rows = rows.reset_index().rename(columns={"noise gain": "measured"})
     head = load_head("simulated")
-    loops = [Loop.of(head, float(gain)) for gain in rows["gain_per_s"]]
+    loops = [LinearLoop.of(head, float(gain)) for gain in rows["gain_per_s"]]
     records = {
         "white noise": 4 * config.heads * config.loop_samples,
         "images": 4 * config.image_samples,
@@ -87,14 +87,14 @@ def noise_gains(table: pd.DataFrame, config: UncertaintyConfig) -> pd.DataFrame:
     )
 
 
-def bias_within_reach(table: pd.DataFrame) -> float:
+def bias_variation_px(table: pd.DataFrame) -> float:
     """Variation of the detector's bias over the sub-pixel range of the jittering axes, rms, px."""
-    values = rows_of(table, "loop", "bias within reach")["value"]
+    values = rows_of_part(table, "loop", "bias within reach")["value"]
     return float((values**2).mean() ** 0.5)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Averaging:
+class AveragingErrors:
     """Errors before and after averaging, root mean square over all depths, px."""
 
     frames: int
@@ -112,17 +112,17 @@ class Averaging:
     """Cramer-Rao bound for as many frames, from the detector's window."""
 
 
-def averaging(table: pd.DataFrame) -> Averaging:
+def averaging_errors(table: pd.DataFrame) -> AveragingErrors:
     """Errors before and after averaging."""
-    errors, bound = averaged(table), bounds(table)
+    errors, bound = averaged_errors_px(table), cramer_rao_bounds_px(table)
     frames = int(errors.columns.max())
 
     def rms(fixation: str, count: int) -> float:
         return float(np.sqrt((errors.xs(fixation, level="fixation")[count] ** 2).mean()))
 
-    sigma = rows_of(table, "propagation", "detection sigma")["value"]
+    sigma = rows_of_part(table, "propagation", "detection sigma")["value"]
     root = float(np.sqrt(frames))
-    return Averaging(
+    return AveragingErrors(
         frames=frames,
         single_px=rms("still", 1),
         still_px=rms("still", frames),
@@ -133,7 +133,7 @@ def averaging(table: pd.DataFrame) -> Averaging:
     )
 
 
-def tolerance(config: UncertaintyConfig) -> float:
+def sigma_ratio_tolerance(config: UncertaintyConfig) -> float:
     """Deviation from 1 allowed by chance of a ratio of sample standard deviations: three errors."""
     return 3.0 / float(np.sqrt(config.draws))
 
@@ -149,18 +149,18 @@ def summarise(table: pd.DataFrame, config: UncertaintyConfig) -> list[SummaryRow
     return [
         *_propagation_rows(table, config),
         *_loop_rows(table, config),
-        *_averaging_rows(averaging(table)),
+        *_averaging_rows(averaging_errors(table)),
     ]
 
 
 def _propagation_rows(table: pd.DataFrame, config: UncertaintyConfig) -> Iterator[SummaryRow]:
-    table_ratios = ratios(table)
+    table_ratios = propagation_ratios(table)
     for pose in (AHEAD, ASIDE):
         for method, title in METHOD_NAMES.items():
             own = table_ratios.xs((pose, method), level=("pose", "method"))
             for axis in "xyz":
                 low, high = float(own[axis].min()), float(own[axis].max())
-                agrees = max(abs(low - 1.0), abs(high - 1.0)) <= tolerance(config)
+                agrees = max(abs(low - 1.0), abs(high - 1.0)) <= sigma_ratio_tolerance(config)
                 yield SummaryRow.of(
                     NAME, f"propagated over Monte Carlo, {pose}, {title}", method, axis, None,
                     (low, high), _agreement(agrees), "1",
@@ -177,10 +177,10 @@ def _loop_rows(table: pd.DataFrame, config: UncertaintyConfig) -> Iterator[Summa
         agrees = abs(value - 1.0) <= loop["chance"]
         yield SummaryRow.of(NAME, quantity, "gaze", "u, v", None, value, _agreement(agrees), "1")
     quantity = "change of the bias in the images over what the axes wander"
-    yield SummaryRow.of(NAME, quantity, "gaze", "u, v", None, bias_within_reach(table), unit="px")
+    yield SummaryRow.of(NAME, quantity, "gaze", "u, v", None, bias_variation_px(table), unit="px")
 
 
-def _averaging_rows(found: Averaging) -> Iterator[SummaryRow]:
+def _averaging_rows(found: AveragingErrors) -> Iterator[SummaryRow]:
     for quantity, value in (
         ("error of one frame, root mean square", found.single_px),
         (f"error of the mean of {found.frames} frames, still", found.still_px),
@@ -204,18 +204,18 @@ def _agreement(agrees: bool) -> str:
 
 def numbers(table: pd.DataFrame, config: UncertaintyConfig) -> Numbers:
     """The numbers of the text."""
-    off = 100.0 * (ratios(table) - 1.0).abs().max(axis=1)
+    off = 100.0 * (propagation_ratios(table) - 1.0).abs().max(axis=1)
     aside = off.xs(ASIDE, level="pose")
     gains = noise_gains(table, config)
     gains["off"] = 100.0 * (gains["measured"] / gains["predicted"] - 1.0).abs()
     white = gains[gains["source"] == "white noise"]
     images = gains[gains["source"] == "images"].sort_values("gain_per_s")
-    last, found = images.iloc[-1], averaging(table)
+    last, found = images.iloc[-1], averaging_errors(table)
     root = float(np.sqrt(found.frames))
     return {
         "points_count": float(len(off.xs((AHEAD, "gaze"), level=("pose", "method")))),
         "aside_count": float(len(off.xs((ASIDE, "gaze"), level=("pose", "method")))),
-        "tolerance_percent": 100.0 * tolerance(config),
+        "tolerance_percent": 100.0 * sigma_ratio_tolerance(config),
         "ahead_percent": float(off.xs(AHEAD, level="pose").max()),
         "aside_article_percent": float(aside.xs("gaze", level="method").max()),
         "aside_exact_percent": float(aside.xs("gaze, exact", level="method").max()),
@@ -229,7 +229,7 @@ def numbers(table: pd.DataFrame, config: UncertaintyConfig) -> Numbers:
         "images_count": float(len(images)),
         "excess_least_px": float(images["excess_px"].min()),
         "excess_greatest_px": float(images["excess_px"].max()),
-        "bias_within_reach_px": bias_within_reach(table),
+        "bias_within_reach_px": bias_variation_px(table),
         "frames_count": found.frames,
         "single_px": found.single_px,
         "still_px": found.still_px,

@@ -30,7 +30,7 @@ WINDOW_PX: Final = 5
 """Half side of the detector's window around a corner, px (numerical)."""
 
 
-class Bound(NamedTuple):
+class CramerRaoBound(NamedTuple):
     """Standard deviations that no unbiased estimator from one frame can beat, px."""
 
     board: FloatArray
@@ -39,7 +39,7 @@ class Bound(NamedTuple):
     """(2,) u, v: from the detector's window around the corner, with all else known."""
 
 
-def cramer_rao(head: HeadModel, eye: int, T_C_T: FloatArray) -> Bound:
+def cramer_rao_bound(head: HeadModel, eye: int, T_C_T: FloatArray) -> CramerRaoBound:
     """The bounds for one eye's view of the checkerboard.
 
     Args:
@@ -77,7 +77,7 @@ def cramer_rao(head: HeadModel, eye: int, T_C_T: FloatArray) -> Bound:
     columns = slice(u - WINDOW_PX, u + WINDOW_PX + 1)
     near = np.stack([slope[rows, columns].ravel() for slope in slopes[:2]])
     window_sigma = np.sqrt(np.diag(np.linalg.inv(near @ near.T / variance)))
-    return Bound(board_sigma, window_sigma)
+    return CramerRaoBound(board_sigma, window_sigma)
 
 
 def _steps(head: HeadModel, eye: int, T_C_T: FloatArray) -> FloatArray:

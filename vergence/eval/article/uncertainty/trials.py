@@ -11,18 +11,18 @@ import pandas as pd
 from vergence.eval.article.common.closed_loop import (
     MM,
     ClosedLoop,
+    corrected_gaze_fix,
     detection_sigma,
-    dither_references,
-    gaze_corrected,
-    gaze_uncertainty,
+    dither_references_px,
+    gaze_uncertainty_mm,
     hold_gaze,
-    itpc_uncertainty,
+    itpc_uncertainty_mm,
 )
-from vergence.eval.article.common.fixed_view import FixedView, poses_in_eyes, shifted_pose
+from vergence.eval.article.common.fixed_view import FixedView, board_poses_in_eyes, shifted_pose
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.reported import static_points
 from vergence.eval.article.simulated_static.trials import BOARD
-from vergence.eval.article.uncertainty.image_information import cramer_rao
+from vergence.eval.article.uncertainty.image_information import cramer_rao_bound
 from vergence.eval.jobs import Job, Mapper
 from vergence.models.files.head_file import load_head
 from vergence.models.parts import FloatArray
@@ -68,7 +68,7 @@ class UncertaintyConfig:
     replicates: int = 10
     """Number of averages at each depth, each at another sub-pixel position."""
     dither_side: int = 4
-    """References per side of a dithered fixation, see `closed_loop.dither_references`."""
+    """References per side of a dithered fixation, see `closed_loop.dither_references_px`."""
 
 
 def run(config: UncertaintyConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
@@ -100,7 +100,7 @@ def _propagation(
     if pose == ASIDE:
         point[0] -= point[2] * np.tan(np.deg2rad(config.aside_deg))
     q = head.fixate(point)
-    boards = poses_in_eyes(head, q, point)
+    boards = board_poses_in_eyes(head, q, point)
     rng = job_rng(seed, NAME, _PROPAGATION, index, int(pose == ASIDE))
     pixels = np.stack(
         [FixedView(head, eye).detect([boards[eye]] * config.draws, rng) for eye in range(2)], axis=1
@@ -108,12 +108,12 @@ def _propagation(
     sigma, truth = detection_sigma(pixels), head.project(q, point)
     mean = np.nanmean(pixels, axis=0)
     error = pixels - head.cameras.principal  # no lens distorts on this rig
-    gaze = gaze_corrected(head, np.broadcast_to(q, (len(pixels), 7)), error, boards[:, 2, 3])
+    gaze = corrected_gaze_fix(head, np.broadcast_to(q, (len(pixels), 7)), error, boards[:, 2, 3])
     itpc = triangulate_views(head, q, pixels)
     propagated = {
-        "gaze": gaze_uncertainty(head, q, sigma),
+        "gaze": gaze_uncertainty_mm(head, q, sigma),
         "gaze, exact": MM * triangulate_gaze(head, q, Noise(pixel_px=sigma)).sigma,
-        "itpc": itpc_uncertainty(head, q, mean, sigma),
+        "itpc": itpc_uncertainty_mm(head, q, mean, sigma),
     }
     scatter = {
         name: MM * np.nanstd(fix.point, axis=0, ddof=1)
@@ -186,7 +186,7 @@ def _bias_within_reach(config: UncertaintyConfig, seed: int, axis: int) -> list[
     """(b) Variation of the bias in rendered images over the range of the axes' jitter."""
     head = load_head("simulated")
     point = np.array([0.0, -0.1, config.image_depth_m])
-    board = poses_in_eyes(head, head.fixate(point), point)[0]
+    board = board_poses_in_eyes(head, head.fixate(point), point)[0]
     view = FixedView(head, 0)
     rng = job_rng(seed, NAME, _REACH, axis)
     means, squares = [], []
@@ -222,10 +222,10 @@ def _averaging(
     depth = config.averaging_depths_m[index]
     point = np.array([0.0, -0.1, depth])
     rng = job_rng(seed, NAME, _AVERAGING, index, replicate)
-    centred = poses_in_eyes(head, head.fixate(point), point)[0]
+    centred = board_poses_in_eyes(head, head.fixate(point), point)[0]
     board = shifted_pose(head, 0, centred, rng.uniform(-0.5, 0.5, 2))
     view = FixedView(head, 0)
-    references = np.asarray(dither_references(config.dither_side))
+    references = np.asarray(dither_references_px(config.dither_side))
     order = rng.permutation(np.arange(config.frames) % len(references))
     keys = {"depth_mm": MM * depth, "replicate": replicate}
     rows = []
@@ -241,7 +241,7 @@ def _averaging(
                     _row("averaging", "error", "px", mean[axis], fixation=fixation, axis=letter,
                          frames=frames, **keys)
                 )  # fmt: skip
-    for window, sigma in zip(("board", "window"), cramer_rao(head, 0, board), strict=True):
+    for window, sigma in zip(("board", "window"), cramer_rao_bound(head, 0, board), strict=True):
         rows += [
             _row("bound", window, "px", sigma[axis], axis=letter, frames=1, **keys)
             for axis, letter in enumerate("uv")
