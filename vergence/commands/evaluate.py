@@ -74,7 +74,7 @@ class Evaluate:
             with redirect_stdout(sys.stderr), Bars() as bars, self.machines.open_mapper() as mapper:
                 if self.config.tune:
                     mapper.progress = bars.begin("tune")
-                    tune_baselines(self.config, mapper, say=note)
+                    tune_baselines(self.config, mapper, report=note)
                 mapper.progress = bars.begin("margins" if self.margins else "evaluate")
                 result = self._margins(mapper) if self.margins else self._evaluation(mapper)
             for text in result.notes:
