@@ -86,7 +86,7 @@ class Evaluate:
             ):
                 if self.config.tune:
                     mapper.progress = bars.begin("tune")
-                    tune_baselines(self.config, mapper, say=note)
+                    tune_baselines(self.config, mapper, report=note)
                 mapper.progress = bars.begin("margins" if self.margins else "evaluate")
                 result = self._margins(mapper) if self.margins else self._evaluation(mapper)
             for text in result.notes:

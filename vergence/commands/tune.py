@@ -74,12 +74,14 @@ class Tune:
             if config.learned:
                 from vergence.training.tuning import SPANS, training_objective
 
-                spans, objective = SPANS, training_objective(config, folder)
+                search_ranges, objective = SPANS, training_objective(config, folder)
             else:
-                spans = search_space(config.controller)
+                search_ranges = search_space(config.controller)
                 objective = controller_objective(config, scenario, head, mapper)
             try:
-                result = tune(folder, config, spans, objective, head, lambda n, of: report(n / of))
+                result = tune(
+                    folder, config, search_ranges, objective, head, lambda n, of: report(n / of)
+                )
             except KeyboardInterrupt:
                 note(f"interrupted: the study stays in {folder}; call again to go on")
                 return 130
@@ -173,9 +175,9 @@ def _print(result: "TuneResult") -> None:
     console = Console(highlight=False)
     shown = sorted(result.attempts, key=lambda attempt: attempt.rank)[:_PRINTED_POINTS]
     rows = [
-        [f"headline ({result.unit})", *(f"{a.found['headline']:z.4f}" for a in shown)],
-        [f"mean ({result.unit})", *(f"{a.found['mean']:z.4f}" for a in shown)],
-        ["good", *(f"{a.found['settled_fraction']:.1%}" for a in shown)],
+        [f"headline ({result.unit})", *(f"{a.results['headline']:z.4f}" for a in shown)],
+        [f"mean ({result.unit})", *(f"{a.results['mean']:z.4f}" for a in shown)],
+        ["good", *(f"{a.results['settled_fraction']:.1%}" for a in shown)],
     ]
     rows += [[name, *(f"{a.options[name]:z.4g}" for a in shown)] for name in result.best.options]
     print_table(["attempt", *(str(attempt.number) for attempt in shown)], rows)

@@ -267,7 +267,9 @@ def test_the_text_of_a_moving_target_states_error_and_lag():
 
 def test_the_effective_gain_of_the_law_is_its_gain(few):
     (ibvs,) = (one for one in few.outcomes if one.controller == "ibvs")
-    unclamped = ibvs.gains[(ibvs.gains["by"] == "error") & (ibvs.gains["at"] < 100.0)]
+    unclamped = ibvs.effective_gains[
+        (ibvs.effective_gains["by"] == "error") & (ibvs.effective_gains["at"] < 100.0)
+    ]
     assert unclamped["gain_p50"].to_numpy() == pytest.approx(4.0, rel=1e-5)
 
 

@@ -50,7 +50,7 @@ def fineness(name: str, share: float) -> float:
     """Largest shortfall of a search from the limit, on one side of the expected value."""
     following = min(one for one in GRID if one > share)
     last = max((0.0, *(one for one in GRID if one <= share)))
-    return (following - last) / 2**HALVINGS * (SEARCHED[name].most - SEARCHED[name].least)
+    return (following - last) / 2**HALVINGS * (SEARCHED[name].highest - SEARCHED[name].lowest)
 
 
 def test_the_range_of_a_gain_is_what_the_band_allows(known):
@@ -73,7 +73,7 @@ def test_the_median_has_doubled_once_the_commands_are_as_late_as_the_trial_was_l
     limit = 5 * PERIOD_S
     assert 0.0 <= limit - row["doubles_high"] <= fineness("command_latency_s", limit / 0.1)
     assert row["doubles_low"] == 0.0
-    assert row["settles_high"] == SEARCHED["command_latency_s"].most
+    assert row["settles_high"] == SEARCHED["command_latency_s"].highest
 
 
 def test_a_controller_that_settles_nowhere_has_no_range(known):
@@ -108,7 +108,7 @@ def test_every_imperfection_is_moved_by_default_but_sizes_of_what_never_happens(
     assert [row["imperfection"] for row in margins.rows()] == [
         name for name in SEARCHED if not IMPERFECTIONS[name].probability
     ]
-    for one in margins.found:
+    for one in margins.margins:
         low, high = one.settles_low, one.settles_high
         assert low is not None
         assert high is not None
@@ -121,7 +121,7 @@ def test_every_imperfection_is_moved_by_default_but_sizes_of_what_never_happens(
 @pytest.mark.slow
 def test_an_open_end_is_that_of_the_search_and_no_limit_of_what_can_be(known):
     margins = known("lag_s", "frame_phase", "command_latency_s", toy=KnowsTheWay(20))
-    by_name = {one.imperfection: one for one in margins.found}
+    by_name = {one.imperfection: one for one in margins.margins}
     assert by_name["command_latency_s"].is_open("settles_high")
     assert not by_name["command_latency_s"].is_open("settles_low")
     assert not by_name["frame_phase"].is_open("settles_high")
@@ -159,7 +159,7 @@ def test_the_run_folder_is_what_strict_readers_and_reports_can_read(known, tmp_p
     table = pd.read_csv(folder / "margins.csv")
     assert table["searched_high"].tolist() == [0.1, 1.6, 0.1, 1.6]
     points = pd.read_csv(folder / "points.csv")
-    assert len(points) == sum(len(one.points) for one in margins.found)
+    assert len(points) == sum(len(one.points) for one in margins.margins)
     config = tomllib.loads((folder / "config.toml").read_text())
     assert config["config"]["episodes"] == 8
     assert "known" in config["heads"]

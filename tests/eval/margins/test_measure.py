@@ -116,7 +116,7 @@ def test_noise_widens_the_band_to_three_deviations_for_both_sides_of_the_compari
 
 
 def test_nothing_else_widens_the_band():
-    bands = {name: margin_band_px(KNOWN, name, one.most) for name, one in SEARCHED.items()}
+    bands = {name: margin_band_px(KNOWN, name, one.highest) for name, one in SEARCHED.items()}
     del bands["detection_noise_px"]
     assert bands == dict.fromkeys(bands, KNOWN.band_px)
 

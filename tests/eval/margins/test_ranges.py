@@ -15,7 +15,7 @@ WORKSPACE, HARDWARE = load_scenario("workspace"), load_scenario("hardware")
 def test_every_imperfection_is_searched_within_what_it_may_be():
     assert SEARCHED.keys() == set(RANGES)
     for name, one in SEARCHED.items():
-        assert is_within(name, one.least, one.most), name
+        assert is_within(name, one.lowest, one.highest), name
 
 
 def test_margins_are_shown_part_by_part_of_the_loop():

@@ -40,10 +40,10 @@ def desk(tmp_path):
 def test_simulation_has_the_robots_head_and_its_loop(desk):
     config = EvaluateConfig(controllers=("ibvs-tuned",), hardware=desk, episodes=3)
     lineup = line_up(config, None, SerialMapper())
-    (scenario, plant), head = lineup.pairs[0], load_hardware(desk).head
+    (scenario, plant), head = lineup.scenario_plant_pairs[0], load_hardware(desk).head
     assert (scenario.name, plant, lineup.head.digest) == ("webcam", "kinematic", head.digest)
     assert all(
-        resolved.tuned for _, resolved in lineup.contestants["webcam"]
+        resolved.tuned for _, resolved in lineup.contestants_by_scenario["webcam"]
     )  # as for that head's servos
     trials = evaluate(config).trials()
     for name, value in (

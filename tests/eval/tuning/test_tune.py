@@ -40,8 +40,8 @@ def search(tmp_path, attempts=12, **changes):
     options = {
         "name": "bowl",
         "storage": str(tmp_path / "study.db"),
-        "spans": BOWL,
-        "setting": {"episodes": 3},
+        "search_ranges": BOWL,
+        "fixed_settings": {"episodes": 3},
         "attempts": attempts,
         "seed": 0,
         "grid": False,
@@ -59,8 +59,8 @@ def test_failures_are_not_given_up_for_a_shorter_median(tmp_path):
 
     attempts = run_search(search(tmp_path, 40), hasty)
     best = min(attempts, key=lambda attempt: attempt.rank)
-    assert best.found["settled_fraction"] > 0.97
-    assert min(attempts, key=lambda attempt: attempt.found["headline"]).rank > best.rank
+    assert best.results["settled_fraction"] > 0.97
+    assert min(attempts, key=lambda attempt: attempt.results["headline"]).rank > best.rank
 
 
 def points(attempts):
@@ -71,7 +71,7 @@ def points(attempts):
 def test_a_search_finds_the_bottom_of_a_bowl(tmp_path):
     attempts = run_search(search(tmp_path, 30), bowl)
     assert len(attempts) == 30
-    found = [attempt.found["headline"] for attempt in attempts]
+    found = [attempt.results["headline"] for attempt in attempts]
     # the first ten are drawn uniformly; what is known guides the rest
     assert np.median(found[10:]) < 0.5 * np.median(found[:10])
 
@@ -134,9 +134,9 @@ def test_a_search_without_a_possible_point_says_why(tmp_path):
 def test_a_study_does_not_go_on_with_another_setting(tmp_path):
     run_search(search(tmp_path, 2), bowl)
     for changes in (
-        {"setting": {"episodes": 4}},
+        {"fixed_settings": {"episodes": 4}},
         {"seed": 1},
-        {"spans": {"x": SearchRange(0.0, 1.0)}},
+        {"search_ranges": {"x": SearchRange(0.0, 1.0)}},
     ):
         with pytest.raises(ConfigurationError, match="with which it was begun"):
             run_search(search(tmp_path, 2, **changes), bowl)
@@ -145,7 +145,7 @@ def test_a_study_does_not_go_on_with_another_setting(tmp_path):
 @pytest.mark.slow
 def test_a_grid_has_every_point_once_across_calls(tmp_path):
     spans = {"x": SearchRange(0.5, 1.0, "linear", 0.1)}
-    grid = search(tmp_path, spans=spans, grid=True)
+    grid = search(tmp_path, search_ranges=spans, grid=True)
     tried = []
 
     def until(number):
@@ -168,7 +168,7 @@ def test_a_grid_needs_steps(tmp_path):
     with pytest.raises(ConfigurationError, match="y without one"):
         search(
             tmp_path,
-            spans={"x": SearchRange(0.0, 1.0, "linear", 0.5), "y": SearchRange(1.0, 2.0)},
+            search_ranges={"x": SearchRange(0.0, 1.0, "linear", 0.5), "y": SearchRange(1.0, 2.0)},
             grid=True,
         )
 

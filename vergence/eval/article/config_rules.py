@@ -74,11 +74,11 @@ def _check_head(key: str, name: str) -> None:
         )
 
 
-def check_bounds(where: str, values: Mapping[str, Any]) -> None:
+def check_bounds(config_name: str, values: Mapping[str, Any]) -> None:
     """Refuse reversed bounds, and grids with too many steps.
 
     Args:
-        where: the config's name in error messages.
+        config_name: the config's name in error messages.
         values: all of its fields.
 
     Raises:
@@ -87,12 +87,12 @@ def check_bounds(where: str, values: Mapping[str, Any]) -> None:
     for low, high in _ORDERED:
         if low in values and not values[low] <= values[high]:
             raise ConfigurationError(
-                f"{where}: expected {low} <= {high}, got {values[low]} and {values[high]}"
+                f"{config_name}: expected {low} <= {high}, got {values[low]} and {values[high]}"
             )
     for name in _RISING:
         if name in values and (len(values[name]) != 2 or not values[name][0] < values[name][1]):
             raise ConfigurationError(
-                f"{where}.{name}: expected two rising numbers, got {values[name]}"
+                f"{config_name}.{name}: expected two rising numbers, got {values[name]}"
             )
     for step, least, most in _STEPS:
         if step not in values:
@@ -100,6 +100,6 @@ def check_bounds(where: str, values: Mapping[str, Any]) -> None:
         span = values[most] - (0.0 if least is None else values[least])
         if span > _MOST_STEPS * values[step]:
             raise ConfigurationError(
-                f"{where}.{step}: expected at most {_MOST_STEPS} steps to {most} = {values[most]}, "
-                f"got {values[step]}"
+                f"{config_name}.{step}: expected at most {_MOST_STEPS} steps to {most} = "
+                f"{values[most]}, got {values[step]}"
             )

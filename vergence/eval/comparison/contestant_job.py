@@ -14,7 +14,7 @@ from vergence.eval.trials.run import Trials, run_trials
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
 
-Found = TypeVar("Found")
+JobResult = TypeVar("JobResult")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class MadeController(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContestantJob(ABC, Generic[Found]):
+class ContestantJob(ABC, Generic[JobResult]):
     """Picklable job of a worker for one controller in one scenario on one plant."""
 
     contestant: Contestant
@@ -60,13 +60,13 @@ class ContestantJob(ABC, Generic[Found]):
     keep_going: bool
     """True to return a `Failure` in place of raising the error of a user-defined controller."""
 
-    def __call__(self) -> Found | Failure:
+    def __call__(self) -> JobResult | Failure:
         """Make the controller and return its results, or its failure."""
         head = self.scenario.model() if self.head is None else self.head
         layout = ObservationLayout.of(head)
         try:
             controller, options = self.contestant.make(head, layout, self.resolved.options)
-            return self._find(MadeController(controller, options, head, layout))
+            return self._evaluate(MadeController(controller, options, head, layout))
         except ControllerError as error:
             if not self.keep_going:
                 raise
@@ -78,7 +78,7 @@ class ContestantJob(ABC, Generic[Found]):
             )
 
     @abstractmethod
-    def _find(self, made: MadeController) -> Found:
+    def _evaluate(self, made: MadeController) -> JobResult:
         """Compute the job's result for the controller."""
 
     def _trials(self, controller: Controller, scenario: Scenario, *, observed: int = 0) -> Trials:

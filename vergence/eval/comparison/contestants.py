@@ -66,7 +66,7 @@ class Contestant:
             ConfigurationError: the controller has no option of a given name, or the user's table
                 of tuned options cannot be read.
         """
-        given = self.given.of(self.names, scenario)
+        given = self.given.for_controller(self.names, scenario)
         if given:
             known = self._option_names()
             for name, value in given.items():
@@ -157,30 +157,30 @@ class Contestant:
 
 
 def make_contestants(
-    words: tuple[str, ...],
+    specs: tuple[str, ...],
     others: Mapping[str, Controller] | None = None,
     given: GivenOptions | None = None,
 ) -> list[Contestant]:
-    """Make contestants from words of the command line, each once; the baseline always takes part.
+    """Make contestants from specifications, each once; the baseline always takes part.
 
     Args:
-        words: names of controllers, paths of policies (.vgp or .onnx), or `module:class` or
+        specs: names of controllers, paths of policies (.vgp or .onnx), or `module:class` or
             `path/to/file.py:class`, made with `head=` and `layout=`. Empty for all controllers of
             the registry.
         others: more controllers by their labels.
         given: user-given options of the controllers.
 
     Returns:
-        The contestants, in the order of the words.
+        The contestants, in the order of the specifications.
 
     Raises:
-        UnknownNameError: a word names no controller.
+        UnknownNameError: a specification names no controller.
         ConfigurationError: a file or an attribute does not exist, or two rows of the tables would
             have one label.
         ControllerError: a module cannot be imported.
     """
     given = given or GivenOptions()
-    names = list(dict.fromkeys(words or controllers_in_table_order()))
+    names = list(dict.fromkeys(specs or controllers_in_table_order()))
     found = [
         Contestant(label=_label(name, names), source=_source(name), given=given) for name in names
     ]
@@ -199,15 +199,15 @@ def make_contestants(
 
 
 def available_contestants(
-    found: list[Contestant], head: HeadModel, scenario: Scenario, named: Collection[str]
+    contestants: list[Contestant], head: HeadModel, scenario: Scenario, requested: Collection[str]
 ) -> tuple[list[tuple[Contestant, ResolvedOptions]], list[str]]:
     """Leave out contestants that cannot be made here, for example if a package is missing.
 
     Args:
-        found: the contestants.
+        contestants: the contestants.
         head: the head for which to make them.
         scenario: the scenario for which to make them.
-        named: requested names and paths, which are never left out.
+        requested: requested names and paths, which are never left out.
 
     Returns:
         The contestants that can be made, with their options; and a note for each other one.
@@ -216,11 +216,13 @@ def available_contestants(
         VergenceError: a requested contestant cannot be made.
     """
     available, notes = [], []
-    for one in found:
+    for one in contestants:
         try:
             available.append((one, one.check(head, scenario)))
         except VergenceError as error:
-            if not set(named).isdisjoint(one.names) or one.given.of(one.names, scenario.name):
+            if not set(requested).isdisjoint(one.names) or one.given.for_controller(
+                one.names, scenario.name
+            ):
                 raise
             notes.append(f"{one.label} is left out of {scenario.name}: {error}")
     return available, notes

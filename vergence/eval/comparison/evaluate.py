@@ -72,8 +72,8 @@ def run_and_join(
     config: EvaluateConfig,
     lineup: Lineup,
     mapper: Mapper,
-    found: Sequence[EvaluationResult] = (),
-    failed: Sequence[Failure] = (),
+    robot_results: Sequence[EvaluationResult] = (),
+    robot_failures: Sequence[Failure] = (),
     *,
     keep_going: bool,
 ) -> Evaluation:
@@ -83,8 +83,8 @@ def run_and_join(
         config: the configuration.
         lineup: the controllers, scenarios and plants.
         mapper: runs the jobs.
-        found: outcomes of a robot's trials.
-        failed: failures of controllers in a robot's trials.
+        robot_results: outcomes of a robot's trials.
+        robot_failures: failures of controllers in a robot's trials.
         keep_going: see `evaluate`, which also describes the result and the errors.
     """
     jobs = [
@@ -92,13 +92,13 @@ def run_and_join(
             contestant=one, resolved=resolved, scenario=scenario, plant=plant, head=lineup.head,
             episodes=config.trials, seed=config.seed, keep_going=keep_going,
         )
-        for scenario, plant in lineup.pairs
+        for scenario, plant in lineup.scenario_plant_pairs
         if plant != ROBOT
-        for one, resolved in lineup.contestants[scenario.name]
+        for one, resolved in lineup.contestants_by_scenario[scenario.name]
     ]  # fmt: skip
     results = mapper(jobs)
-    outcomes = [one for one in (*results, *found) if isinstance(one, EvaluationResult)]
-    failures = [one for one in (*results, *failed) if isinstance(one, Failure)]
+    outcomes = [one for one in (*results, *robot_results) if isinstance(one, EvaluationResult)]
+    failures = [one for one in (*results, *robot_failures) if isinstance(one, Failure)]
     if failures and {one.controller for one in outcomes} <= {BASELINE}:
         raise ControllerError(failures[0].message)
     return Evaluation(

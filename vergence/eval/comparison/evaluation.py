@@ -76,7 +76,7 @@ class EvaluationResult:
     """Every statistic with the ends of its interval, `_low` and `_high`; nan if undefined."""
     curves: pd.DataFrame
     """See `error_curves`."""
-    gains: pd.DataFrame
+    effective_gains: pd.DataFrame
     """See `effective_gains`."""
     head: HeadModel
 

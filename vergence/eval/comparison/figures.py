@@ -71,7 +71,7 @@ def draw(evaluation: Evaluation) -> dict[str, Figure]:
             else:
                 figures[f"settle-times-{tail}"] = _draw_settle_times(group, where)
             figures[f"errors-{tail}"] = _draw_errors(group, where)
-            shown = [one for one in group if (one.gains["by"] == "error").any()]
+            shown = [one for one in group if (one.effective_gains["by"] == "error").any()]
             if shown:
                 figures[f"gains-{tail}"] = _draw_gains(shown, where)
             delays = group[0].trials.get("latency_s")
@@ -169,7 +169,7 @@ def _draw_gains(group: list[EvaluationResult], where: str) -> Figure:
     panels = figure.subplots(1, 2, sharey=True)
     for axes, by in zip(panels, ("error", "time"), strict=True):
         for place, one in enumerate(group):
-            rows = one.gains[one.gains["by"] == by]
+            rows = one.effective_gains[one.effective_gains["by"] == by]
             draw_line(axes, rows["at"], rows["gain_p50"], styles[one.controller], place)
     panels[0].set(xscale="log", xlabel="error in the image (px)", ylabel="effective gain (1/s)")
     panels[1].set(xlabel=_TIME, xlim=(0.0, _last_s(group)))

@@ -30,7 +30,7 @@ class EvaluationJob(ContestantJob[EvaluationResult]):
     controller in one process.
     """
 
-    def _find(self, made: MadeController) -> EvaluationResult:
+    def _evaluate(self, made: MadeController) -> EvaluationResult:
         controller, options, head, layout = made
         if self.contestant.source in ("ibvs", BASELINE):
             options |= _gain_of(controller)
@@ -62,7 +62,7 @@ class EvaluationJob(ContestantJob[EvaluationResult]):
             trials=table,
             summary=summary,
             curves=error_curves(trials),
-            gains=effective_gains(trials, layout),
+            effective_gains=effective_gains(trials, layout),
             head=head,
         )
 

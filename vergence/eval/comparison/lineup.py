@@ -43,9 +43,9 @@ class Lineup:
     """The head that replaces the scenarios' heads, if any."""
     hardware: HardwareConfig | None
     """The robot, if any."""
-    pairs: list[tuple[Scenario, str]]
+    scenario_plant_pairs: list[tuple[Scenario, str]]
     """Each scenario with each plant that it runs on."""
-    contestants: dict[str, list[tuple[Contestant, ResolvedOptions]]]
+    contestants_by_scenario: dict[str, list[tuple[Contestant, ResolvedOptions]]]
     """Contestants that can be made, with their options, by scenario."""
     notes: list[str]
     """Notes on controllers and plants that are left out, and on untuned controllers."""
@@ -106,14 +106,20 @@ def line_up(
         notes += missing
         notes += _untuned(available[scenario.name], model, scenario, config, hardware)
     notes = list(dict.fromkeys(notes))
-    return Lineup(head=head, hardware=hardware, pairs=pairs, contestants=available, notes=notes)
+    return Lineup(
+        head=head,
+        hardware=hardware,
+        scenario_plant_pairs=pairs,
+        contestants_by_scenario=available,
+        notes=notes,
+    )
 
 
 def tune_baselines(
     config: EvaluateConfig,
     mapper: Mapper,
     options: Mapping[str, Mapping[str, Any]] | None = None,
-    say: Callable[[str], None] = lambda text: None,
+    report: Callable[[str], None] = lambda text: None,
 ) -> None:
     """Tune the baseline for each scenario's head for which it is untuned.
 
@@ -121,7 +127,7 @@ def tune_baselines(
         config: the configuration.
         mapper: runs the trials.
         options: see `evaluate`.
-        say: callback with a message before each tuning and one with its result.
+        report: callback with a message before each tuning and one with its result.
 
     Raises:
         VergenceError: a name is unknown, or the tuned gain cannot be saved.
@@ -134,11 +140,13 @@ def tune_baselines(
         )
     for scenario in {scenario.name: scenario for scenario, _ in _pairs(config, None)[0]}.values():
         head = scenario.model() if config.head is None else load_head(config.head)
-        found = resolve_options(BASELINE, head, scenario.name, given.of((BASELINE,), scenario.name))
+        found = resolve_options(
+            BASELINE, head, scenario.name, given.for_controller((BASELINE,), scenario.name)
+        )
         if found.tuned is False:
-            say(f"tuning {BASELINE} for the head {head.name} in {scenario.name}")
+            report(f"tuning {BASELINE} for the head {head.name} in {scenario.name}")
             entry = tune_baseline(scenario, head, config.head, mapper)
-            say(f"{BASELINE}: gain {entry.options['gain']:g}, kept in {user_file()}")
+            report(f"{BASELINE}: gain {entry.options['gain']:g}, kept in {user_file()}")
 
 
 def _hardware(config: EvaluateConfig) -> HardwareConfig | None:

@@ -129,7 +129,7 @@ class GivenOptions:
             notes.append(f"options of {name} in {self.where} are not used: it does not take part")
         return notes
 
-    def of(self, names: Iterable[str], scenario: str) -> dict[str, Any]:
+    def for_controller(self, names: Iterable[str], scenario: str) -> dict[str, Any]:
         """The options of one controller in one scenario.
 
         Args:

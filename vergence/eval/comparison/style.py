@@ -59,7 +59,7 @@ def controller_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
 
 
 def draw_line(
-    axes: Axes, x: Values, y: Values, style: dict[str, Any], place: int, **more: Any
+    axes: Axes, x: Values, y: Values, style: dict[str, Any], line_index: int, **more: Any
 ) -> None:
     """Draw a line with a few markers, which are shifted from line to line.
 
@@ -68,11 +68,11 @@ def draw_line(
         x: (n,) abscissae.
         y: (n,) ordinates.
         style: line style of the controller.
-        place: index of the line in the figure.
+        line_index: index of the line in the figure.
         **more: overrides of the style.
     """
     every = max(1, len(x) // 6)
-    start = (place * every) // 7 % every
+    start = (line_index * every) // 7 % every
     axes.plot(x, y, markevery=(start, every), **{"linewidth": 1.6, **style, **more})
 
 

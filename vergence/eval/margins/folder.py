@@ -25,7 +25,7 @@ def write_margins(folder: Path, margins: Margins) -> None:
     Raises:
         ConfigurationError: there are no margins.
     """
-    if not margins.found:
+    if not margins.margins:
         raise ConfigurationError("margins: expected at least one, got none")
     write_json(folder / "margins.json", margins.rows())
     _ranges(margins).to_csv(folder / "margins.csv", index=False)
@@ -40,11 +40,11 @@ def write_margins(folder: Path, margins: Margins) -> None:
         figures=figures,
         captions=dict.fromkeys(figures, text.captions["margins"]),
         data="margins.csv",
-        rows=len(margins.found),
+        rows=len(margins.margins),
         config=margins.config,
         notes=margins.notes,
         failures=margins.failures,
-        outcomes=margins.found,
+        outcomes=margins.margins,
     )
 
 
@@ -58,7 +58,7 @@ def _ranges(margins: Margins) -> pd.DataFrame:
                 "searched_low": one.range.low,
                 "searched_high": one.range.high,
             }
-            for one in margins.found
+            for one in margins.margins
         ]
     )
 
@@ -74,7 +74,7 @@ def _points(margins: Margins) -> pd.DataFrame:
                 "unit": one.unit,
                 **point._asdict(),
             }
-            for one in margins.found
+            for one in margins.margins
             for point in one.points
         ]
     )

@@ -16,7 +16,7 @@ class MarginJob(ContestantJob[Margin]):
 
     imperfection: str
 
-    def _find(self, made: MadeController) -> Margin:
+    def _evaluate(self, made: MadeController) -> Margin:
         span = search_interval(self.imperfection, self.scenario, made.head)
         measure = MarginMeasurement(
             partial(self._trials, made.controller), self.scenario, self.imperfection

@@ -72,7 +72,7 @@ class Margins:
     """All margins of a run."""
 
     config: MarginsConfig
-    found: list[Margin]
+    margins: list[Margin]
     notes: list[str] = field(default_factory=list)
     """Notes on controllers and imperfections that are left out, and on untuned controllers."""
     failures: list[str] = field(default_factory=list)
@@ -80,18 +80,18 @@ class Margins:
 
     def rows(self) -> list[dict[str, Any]]:
         """The rows of margins.json: plain values, None for no value."""
-        return [one.row() for one in self.found]
+        return [one.row() for one in self.margins]
 
     def groups(self) -> dict[tuple[str, str], list[Margin]]:
         """The margins of each controller in each scenario."""
         found: dict[tuple[str, str], list[Margin]] = {}
-        for one in self.found:
+        for one in self.margins:
             found.setdefault((one.scenario, one.controller), []).append(one)
         return found
 
     def by_scenario(self) -> dict[str, list[Margin]]:
         """The margins in each scenario."""
         found: dict[str, list[Margin]] = {}
-        for one in self.found:
+        for one in self.margins:
             found.setdefault(one.scenario, []).append(one)
         return found

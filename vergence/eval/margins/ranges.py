@@ -17,9 +17,9 @@ class ImperfectionRange(NamedTuple):
     """Search range of one imperfection's margins, and how they are shown."""
 
     label: str
-    least: float
-    most: float
-    """Ends of the range, `least` and `most`, in the unit of `IMPERFECTIONS`."""
+    lowest: float
+    highest: float
+    """Ends of the range, `lowest` and `highest`, in the unit of `IMPERFECTIONS`."""
     unit: str
     """Unit in tables and figures; empty for a ratio."""
     scale: float
@@ -60,7 +60,7 @@ def search_interval(name: str, scenario: Scenario, head: HeadModel) -> SearchInt
     if drawn is not None:
         expected = min(max(expected, drawn[0]), drawn[1])
     searched = SEARCHED[name]
-    return SearchInterval(min(searched.least, expected), expected, max(searched.most, expected))
+    return SearchInterval(min(searched.lowest, expected), expected, max(searched.highest, expected))
 
 
 def has_effect(name: str, scenario: Scenario) -> bool:

@@ -63,7 +63,7 @@ def measure_margins(
         )
     mapper = mapper or SerialMapper()
     lineup = line_up(config, others, mapper, options, baseline=False)
-    for scenario, _ in lineup.pairs:
+    for scenario, _ in lineup.scenario_plant_pairs:
         if scenario.target_moves:
             rest = ", ".join(one.name for one in SCENARIOS.values() if not one.target_moves)
             raise ConfigurationError(
@@ -71,7 +71,7 @@ def measure_margins(
                 "target never comes to rest"
             )
     jobs, notes = [], []
-    for scenario, plant in lineup.pairs:
+    for scenario, plant in lineup.scenario_plant_pairs:
         names, left_out = _imperfections(config, scenario, plant, lineup)
         notes += left_out
         jobs += [
@@ -79,7 +79,7 @@ def measure_margins(
                 contestant=one, resolved=resolved, scenario=scenario, plant=plant, head=lineup.head,
                 imperfection=name, episodes=config.trials, seed=config.seed, keep_going=keep_going,
             )
-            for one, resolved in lineup.contestants[scenario.name]
+            for one, resolved in lineup.contestants_by_scenario[scenario.name]
             for name in names
         ]  # fmt: skip
     results = mapper(jobs)
@@ -94,7 +94,7 @@ def measure_margins(
         raise ControllerError(failed[0].message)
     return Margins(
         config=config,
-        found=found,
+        margins=found,
         notes=[*lineup.notes, *notes],
         failures=list(dict.fromkeys(one.text for one in failed)),
     )

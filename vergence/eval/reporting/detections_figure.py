@@ -122,39 +122,40 @@ def _what(found: Sequence[Detection]) -> str:
     return ", ".join([*boards, *count]) or "nothing found"
 
 
-def draw_photographs(shown: Sequence[Photograph], path: Path) -> None:
+def draw_photographs(photographs: Sequence[Photograph], path: Path) -> None:
     """Draw photographs next to each other into a PNG file.
 
     Args:
-        shown: one photograph or a few.
+        photographs: one photograph or a few.
         path: the file, replaced if it exists; its folder must exist.
 
     Raises:
         OSError: the file cannot be written.
     """
     with figure_style():
-        figure = compose_detections(shown)
+        figure = compose_detections(photographs)
         with atomic_file(path) as partial:
             figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})
 
 
-def compose_detections(shown: Sequence[Photograph]) -> Figure:
+def compose_detections(photographs: Sequence[Photograph]) -> Figure:
     """Compose the figure.
 
     Args:
-        shown: see `draw_photographs`.
+        photographs: see `draw_photographs`.
     """
-    columns = 1 if len(shown) == 1 else 2 if len(shown) <= 4 else 3
+    columns = 1 if len(photographs) == 1 else 2 if len(photographs) <= 4 else 3
     across = {1: 9.0, 2: 6.2, 3: 4.6}[columns]
-    tall = [image.shape[0] / image.shape[1] for _, image, _ in shown]
+    tall = [image.shape[0] / image.shape[1] for _, image, _ in photographs]
     heights = [
-        across * max(tall[start : start + columns]) + 0.5 for start in range(0, len(shown), columns)
+        across * max(tall[start : start + columns]) + 0.5
+        for start in range(0, len(photographs), columns)
     ]
     colours = TargetColours()
     with figure_style():
         figure = new_figure(across * columns, sum(heights))
         grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
-        for place, (name, image, found) in enumerate(shown):
+        for place, (name, image, found) in enumerate(photographs):
             panel = figure.add_subplot(grid[divmod(place, columns)])
             draw_detections(panel, image, found, colours)
             panel.set_title(_title(name.name, found, across), fontsize=_TITLE_PT)

@@ -38,15 +38,15 @@ class Labels:
         self._lines: list[FloatArray] = []
 
     def add(
-        self, point: FloatArray, text: str, colour: str, aside: Iterable[float], **style: Any
+        self, point: FloatArray, text: str, colour: str, direction: Iterable[float], **style: Any
     ) -> None:
-        """Add a text, preferably in the direction `aside` (across, up) from its point."""
+        """Add a text, preferably in the direction `direction` (across, up) from its point."""
         annotation = self._panel.annotate(
             text, page_point(point), (0, 0), textcoords="offset points", color=colour,
             ha="center", va="center", zorder=8, **{"fontsize": 11, **style},
         )  # fmt: skip
         annotation.set_in_layout(False)  # its position is known only after the panel's layout
-        self._texts.append((np.array(point), annotation, np.array(tuple(aside), np.float64)))
+        self._texts.append((np.array(point), annotation, np.array(tuple(direction), np.float64)))
 
     def avoid(self, point: FloatArray, radius: float = 4.0) -> None:
         """Keep texts away from a point, by a radius in pt."""
@@ -67,11 +67,11 @@ class Labels:
             count = min(int(np.linalg.norm(ends[1] - ends[0]) / 4.0) + 2, 400)
             shares = np.linspace(0.0, 1.0, count)
             taken += [(ends[0] + t * (ends[1] - ends[0]), np.ones(2)) for t in shares]
-        for point, annotation, aside in self._texts:
+        for point, annotation, direction in self._texts:
             anchor = to_points * transform.transform(point)
             box = annotation.get_window_extent()
             half = 0.5 * to_points * np.array([box.width, box.height]) + _GAP
-            wanted = transform.transform(point + 1e-3 * aside) - transform.transform(point)
+            wanted = transform.transform(point + 1e-3 * direction) - transform.transform(point)
             angle = float(np.arctan2(wanted[1], wanted[0]))
             offset = _free_offset(anchor, half, angle, taken, corners)
             taken.append((anchor + offset, half))

@@ -55,7 +55,7 @@ class RobotRun:
     @property
     def scenarios(self) -> list[Scenario]:
         """Scenarios that run on the robot."""
-        return [scenario for scenario, plant in self.lineup.pairs if plant == ROBOT]
+        return [scenario for scenario, plant in self.lineup.scenario_plant_pairs if plant == ROBOT]
 
     def run(
         self,
@@ -105,7 +105,7 @@ class RobotRun:
     ) -> dict[str, RobotController]:
         """Make the controllers, by label; refuse one that differs from its earlier trials."""
         found = {}
-        for contestant, resolved in self.lineup.contestants[scenario.name]:
+        for contestant, resolved in self.lineup.contestants_by_scenario[scenario.name]:
             made = RobotController(contestant, self.hardware.head, resolved.options)
             for one in recorded.values():
                 entry = one.entry
@@ -147,7 +147,7 @@ class RobotRun:
         without = {(one.scenario, one.controller) for one in failed}
         found = []
         for scenario in self.scenarios:
-            for contestant, resolved in self.lineup.contestants[scenario.name]:
+            for contestant, resolved in self.lineup.contestants_by_scenario[scenario.name]:
                 if (scenario.name, contestant.label) in without:
                     continue
                 keys = (TrialKey(scenario.name, contestant.label, i) for i in range(self.episodes))
@@ -164,7 +164,7 @@ class RobotRun:
                     found.append(outcome)
         return found
 
-    def note(self, recorded: Mapping[TrialKey, RecordedTrial]) -> str:
+    def report_note(self, recorded: Mapping[TrialKey, RecordedTrial]) -> str:
         """Note for the report: the robot, its bound, missed control periods, stopped trials."""
         hardware = self.hardware
         logged = [one.trial for one in recorded.values()]

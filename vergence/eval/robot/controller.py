@@ -1,4 +1,4 @@
-"""The controller that a word names, made for a robot with its tuned options."""
+"""The controller that a specification names, made for a robot with its tuned options."""
 
 import hashlib
 import inspect
@@ -53,25 +53,25 @@ class RobotController:
     @classmethod
     def of(
         cls,
-        word: str,
+        spec: str,
         head: HeadModel,
-        given: Path | None = None,
+        options_file: Path | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> "RobotController":
-        """Make the controller that a word names.
+        """Make the controller that a specification names.
 
         Args:
-            word: a name, a policy file's path, or an entry point.
+            spec: a name, a policy file's path, or an entry point.
             head: the model that the controller uses.
-            given: TOML file of options that override tuned ones; None for none.
+            options_file: TOML file of options that override tuned ones; None for none.
             options: options in place of the tuned ones, for controllers of the registry.
 
         Raises:
             VergenceError: there is no such controller, it cannot be made, or the file does not
                 hold its options.
         """
-        over = GivenOptions() if given is None else GivenOptions.read(given)
-        found = make_contestants((word,), given=over)[0]
+        over = GivenOptions() if options_file is None else GivenOptions.read(options_file)
+        found = make_contestants((spec,), given=over)[0]
         over.check_names(found.names)
         if options is None:
             options = found.resolve_options(head, LOOP).options

@@ -103,7 +103,7 @@ def evaluate_on_robot(
     recorded = robot.recorded()
     outcomes = robot.outcomes(recorded, failed, keep_going=keep_going)
     evaluation = run_and_join(config, lineup, mapper, outcomes, failed, keep_going=keep_going)
-    evaluation.notes.append(robot.note(recorded))
+    evaluation.notes.append(robot.report_note(recorded))
     return evaluation
 
 

@@ -53,14 +53,21 @@ def eye_settling_bands(
         true = heads[n] if heads.shape[0] > 1 else heads[0]
         for eye in range(2):
             found = eye_goal(true, nominal, eye, targets[n])
-            ut, up, vt, vp = found.ut, found.up, found.vt, found.vp
+            u_per_tilt, u_per_pan, v_per_tilt, v_per_pan = (
+                found.u_per_tilt,
+                found.u_per_pan,
+                found.v_per_tilt,
+                found.v_per_pan,
+            )
             # Diagonal of (J^T J)^-1, with det(J^T J) = det(J)^2. Within the band the image deviates
             # from its linearisation by less than the fraction band / focal length.
             bend = 1.0 + band / camera_of(nominal, eye).focal_u
-            widest = band * bend / abs(ut * vp - up * vt)
+            widest = band * bend / abs(u_per_tilt * v_per_pan - u_per_pan * v_per_tilt)
             goal[n, 2 * eye], goal[n, 2 * eye + 1] = found.tilt, found.pan
-            half_band[n, 2 * eye] = widest * sqrt(up * up + vp * vp)
-            half_band[n, 2 * eye + 1] = widest * sqrt(ut * ut + vt * vt)
+            half_band[n, 2 * eye] = widest * sqrt(u_per_pan * u_per_pan + v_per_pan * v_per_pan)
+            half_band[n, 2 * eye + 1] = widest * sqrt(
+                u_per_tilt * u_per_tilt + v_per_tilt * v_per_tilt
+            )
 
 
 @compiled

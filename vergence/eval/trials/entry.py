@@ -19,7 +19,7 @@ _HALVINGS: Final = 60
 
 @compiled
 def fastest_entry(
-    near: float, far: float, lag: float, acceleration: float, speed: float, fade: float
+    near: float, far: float, lag: float, acceleration: float, speed: float, torque_falloff: float
 ) -> float:
     """Least time in which a joint at rest can pass `near` and still stop before `far`.
 
@@ -29,14 +29,15 @@ def fastest_entry(
         lag: time constant of the joint's response, s.
         acceleration: greatest acceleration, rad/s^2, inf for none.
         speed: greatest velocity command, rad/s.
-        fade: loss of acceleration with speed, as a fraction per rad/s, see `joint_response`.
+        torque_falloff: loss of acceleration with speed, as a fraction per rad/s, see
+            `joint_response`.
 
     Returns:
         Seconds; 0 if `near` is not above zero.
     """
     if near <= 0.0:
         return 0.0
-    joint = _Joint(lag, acceleration, speed, fade if acceleration < inf else 0.0)
+    joint = _Joint(lag, acceleration, speed, torque_falloff if acceleration < inf else 0.0)
     switch = inf
     if far < inf:
         low, high = 0.0, _until_beyond(far, joint)
@@ -61,19 +62,19 @@ def fastest_entry(
 
 
 class _Joint(NamedTuple):
-    """A joint's response: lag, s; greatest acceleration and command; fade of the acceleration."""
+    """A joint's response: lag, s; greatest acceleration and command; loss of acceleration."""
 
     lag: float
     acceleration: float
     speed: float
-    fade: float
+    torque_falloff: float
 
 
 @inlined
 def _after(q: float, v: float, command: float, time: float, joint: _Joint) -> tuple[float, float]:
-    if joint.fade > 0.0:
+    if joint.torque_falloff > 0.0:
         return follow_torque_limited_joint(
-            q, v, command, joint.lag, joint.acceleration, joint.fade, time
+            q, v, command, joint.lag, joint.acceleration, joint.torque_falloff, time
         )
     decay = lag_decay(time, joint.lag)
     return follow_joint(q, v, command, joint.lag, joint.acceleration, time, decay)

@@ -96,10 +96,10 @@ class PixelErrorSlopes(NamedTuple):
 
     u: float
     v: float
-    ut: float
-    up: float
-    vt: float
-    vp: float
+    u_per_tilt: float
+    u_per_pan: float
+    v_per_tilt: float
+    v_per_pan: float
 
 
 @inlined
@@ -113,9 +113,9 @@ def error_slopes(
     ub, vb = measured_error(true, nominal, eye, tilt - h, pan, point)
     uc, vc = measured_error(true, nominal, eye, tilt, pan + h, point)
     ud, vd = measured_error(true, nominal, eye, tilt, pan - h, point)
-    ut, vt = 0.5 * (ua - ub) / h, 0.5 * (va - vb) / h
-    up, vp = 0.5 * (uc - ud) / h, 0.5 * (vc - vd) / h
-    return PixelErrorSlopes(u, v, ut, up, vt, vp)
+    u_per_tilt, v_per_tilt = 0.5 * (ua - ub) / h, 0.5 * (va - vb) / h
+    u_per_pan, v_per_pan = 0.5 * (uc - ud) / h, 0.5 * (vc - vd) / h
+    return PixelErrorSlopes(u, v, u_per_tilt, u_per_pan, v_per_tilt, v_per_pan)
 
 
 class EyeGoal(NamedTuple):
@@ -123,10 +123,10 @@ class EyeGoal(NamedTuple):
 
     tilt: float
     pan: float
-    ut: float
-    up: float
-    vt: float
-    vp: float
+    u_per_tilt: float
+    u_per_pan: float
+    v_per_tilt: float
+    v_per_pan: float
 
 
 @inlined
@@ -134,14 +134,16 @@ def eye_goal(true: PackedHead, nominal: PackedHead, eye: int, point: FloatArray)
     """Goal angles of an eye with one motor for each joint."""
     tilt, pan = fixate_eye(true, eye, point[0], point[1], point[2])
     for _ in range(_NEWTON_STEPS):
-        u, v, ut, up, vt, vp = error_slopes(true, nominal, eye, tilt, pan, point)
-        determinant = ut * vp - up * vt
+        u, v, u_per_tilt, u_per_pan, v_per_tilt, v_per_pan = error_slopes(
+            true, nominal, eye, tilt, pan, point
+        )
+        determinant = u_per_tilt * v_per_pan - u_per_pan * v_per_tilt
         if not isfinite(determinant) or determinant == 0.0:
             break
         if abs(u) + abs(v) < _TOLERANCE_PX:
-            return EyeGoal(tilt, pan, ut, up, vt, vp)
-        tilt -= (vp * u - up * v) / determinant
-        pan -= (ut * v - vt * u) / determinant
+            return EyeGoal(tilt, pan, u_per_tilt, u_per_pan, v_per_tilt, v_per_pan)
+        tilt -= (v_per_pan * u - u_per_pan * v) / determinant
+        pan -= (u_per_tilt * v - v_per_tilt * u) / determinant
     return EyeGoal(nan, nan, nan, nan, nan, nan)
 
 
@@ -179,8 +181,8 @@ def actuator_goal(
         for eye in range(2):
             found = error_slopes(true, nominal, eye, joints[2 * eye], joints[2 * eye + 1], point)
             error[eye, 0], error[eye, 1] = found.u, found.v
-            jacobian[eye, 0, 0], jacobian[eye, 0, 1] = found.ut, found.up
-            jacobian[eye, 1, 0], jacobian[eye, 1, 1] = found.vt, found.vp
+            jacobian[eye, 0, 0], jacobian[eye, 0, 1] = found.u_per_tilt, found.u_per_pan
+            jacobian[eye, 1, 0], jacobian[eye, 1, 1] = found.v_per_tilt, found.v_per_pan
             wanted[eye, 0], wanted[eye, 1] = -found.u, -found.v
         actuator_least_squares(true, jacobian, wanted, True, True, step)
         size = 0.0

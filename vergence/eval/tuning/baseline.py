@@ -82,7 +82,7 @@ def best_gain(scenario: Scenario, head: HeadModel, mapper: Mapper) -> float:
     tried += _try([gains[place] for place in fine if place != best], scenario, head, mapper)
     found = min(tried, key=lambda one: one.rank)
     gain = found.options["gain"]
-    if found.found["settled_fraction"] == 0.0:
+    if found.results["settled_fraction"] == 0.0:
         raise ConfigurationError(
             f"tune: expected trials of {scenario.name} that settle with the head {head.name}, got "
             f"none with any gain from {gains[0]:g} to {gains[-1]:g}"
@@ -102,11 +102,11 @@ def _try(
     jobs = [
         TrialsJob(
             config=config, options={"gain": gain}, scenario=scenario, head=head,
-            numbers=range(EPISODES),
+            trial_numbers=range(EPISODES),
         )
         for gain in gains
     ]  # fmt: skip
     return [
-        Attempt(number=number, options=job.options, found=summarise_trials([result]))
+        Attempt(number=number, options=job.options, results=summarise_trials([result]))
         for number, (job, result) in enumerate(zip(jobs, mapper(jobs), strict=True))
     ]

@@ -13,13 +13,13 @@ _METRIC = {"s": "settle time to 1 px (s)", "px": "tracking RMS (px)"}
 
 
 def draw_search(
-    attempts: Sequence[Attempt], spans: Mapping[str, SearchRange], title: str, unit: str
+    attempts: Sequence[Attempt], search_ranges: Mapping[str, SearchRange], title: str, unit: str
 ) -> Figure:
     """Draw the headline metric against the options.
 
     Args:
         attempts: the points tried.
-        spans: search range of each option.
+        search_ranges: search range of each option.
         title: title of the figure.
         unit: unit of the metric, `s` or `px`.
 
@@ -29,10 +29,10 @@ def draw_search(
     """
     best = min(attempts, key=lambda attempt: attempt.rank)
     with figure_style():
-        if len(spans) == 1:
-            figure = _curve(attempts, best, next(iter(spans)), unit)
+        if len(search_ranges) == 1:
+            figure = _curve(attempts, best, next(iter(search_ranges)), unit)
         else:
-            figure = _slices(attempts, best, spans, unit)
+            figure = _slices(attempts, best, search_ranges, unit)
         figure.suptitle(title, fontsize=12)
     return figure
 
@@ -46,12 +46,12 @@ def _curve(attempts: Sequence[Attempt], best: Attempt, name: str, unit: str) -> 
         ("headline", {"color": BLUE, "linestyle": "-", "label": "median"}),
         ("mean", {"color": GREY, "linestyle": "--", "label": "mean", "linewidth": 1.2}),
     ):
-        axes.plot(x, [attempt.found[key] for attempt in ordered], **style)
+        axes.plot(x, [attempt.results[key] for attempt in ordered], **style)
     at = best.options[name]
-    axes.plot(at, best.found["headline"], "o", color=ORANGE, markersize=8)
+    axes.plot(at, best.results["headline"], "o", color=ORANGE, markersize=8)
     axes.annotate(
-        f"{name} = {at:g}: {best.found['headline']:.3f} {unit}",
-        (at, best.found["headline"]),
+        f"{name} = {at:g}: {best.results['headline']:.3f} {unit}",
+        (at, best.results["headline"]),
         xytext=(10, -4),
         textcoords="offset points",
         va="top",
@@ -64,22 +64,22 @@ def _curve(attempts: Sequence[Attempt], best: Attempt, name: str, unit: str) -> 
 
 
 def _slices(
-    attempts: Sequence[Attempt], best: Attempt, spans: Mapping[str, SearchRange], unit: str
+    attempts: Sequence[Attempt], best: Attempt, search_ranges: Mapping[str, SearchRange], unit: str
 ) -> Figure:
-    columns = min(4, len(spans))
-    rows = -(-len(spans) // columns)
+    columns = min(4, len(search_ranges))
+    rows = -(-len(search_ranges) // columns)
     figure = new_figure(3.0 * columns + 1.2, 3.1 * rows + 0.4)
     panels = figure.subplots(rows, columns, sharey=True, squeeze=False)
-    value = [attempt.found["headline"] for attempt in attempts]
+    value = [attempt.results["headline"] for attempt in attempts]
     number = [attempt.number for attempt in attempts]
-    for axes in panels.flat[len(spans) :]:
+    for axes in panels.flat[len(search_ranges) :]:
         axes.set_visible(False)
-    for axes, (name, span) in zip(panels.flat, spans.items(), strict=False):
+    for axes, (name, span) in zip(panels.flat, search_ranges.items(), strict=False):
         x = [attempt.options[name] for attempt in attempts]
         dots = axes.scatter(x, value, c=number, cmap="viridis", s=16, linewidths=0)
         axes.plot(
             best.options[name],
-            best.found["headline"],
+            best.results["headline"],
             "o",
             markersize=11,
             markerfacecolor="none",

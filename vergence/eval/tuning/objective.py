@@ -37,24 +37,24 @@ class Attempt:
 
     number: int
     options: Options
-    found: dict[str, float]
+    results: dict[str, float]
     """Results of the objective."""
 
     @property
     def rank(self) -> tuple[float, float]:
         """Sort key, loss and then mean; smaller is better."""
-        return loss(self.found), self.found["mean"]
+        return loss(self.results), self.results["mean"]
 
 
-def loss(found: Mapping[str, float]) -> float:
+def loss(results: Mapping[str, float]) -> float:
     """Loss that a search minimises: the headline metric, plus a tenth per per cent of failures.
 
     The median alone would sacrifice almost half of all trials for a shorter settle time of the
     rest. The first per cent of failures has no penalty: the metric includes failed trials already,
     with their whole duration.
     """
-    short = max(0.0, LEAST_SETTLED - found.get("settled_fraction", 1.0))
-    return found["headline"] * (1.0 + _FAILURE_COSTS * short)
+    short = max(0.0, LEAST_SETTLED - results.get("settled_fraction", 1.0))
+    return results["headline"] * (1.0 + _FAILURE_COSTS * short)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +65,7 @@ class TrialsJob:
     options: Options
     scenario: Scenario
     head: HeadModel
-    numbers: range
+    trial_numbers: range
     """Numbers of the trials."""
 
     def __call__(self) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -79,12 +79,12 @@ class TrialsJob:
         trials = run_trials(
             make_controller(judged_as(self.config.controller), self.head, **options),
             self.scenario,
-            episodes=len(self.numbers),
+            episodes=len(self.trial_numbers),
             plant=self.config.plant,
             split="train",
             seed=self.config.seed,
             head=self.head,
-            first_trial=self.numbers.start,
+            first_trial=self.trial_numbers.start,
         )
         if trials.target_moves:
             return trials.tracking_px, ~trials.lost
@@ -114,7 +114,11 @@ def controller_objective(
         ends = [config.episodes * part // parts for part in range(parts + 1)]
         jobs = [
             TrialsJob(
-                config=config, options=options, scenario=scenario, head=head, numbers=range(*pair)
+                config=config,
+                options=options,
+                scenario=scenario,
+                head=head,
+                trial_numbers=range(*pair),
             )
             for pair in pairwise(ends)
         ]

@@ -84,14 +84,14 @@ def search_space(controller: str) -> dict[str, SearchRange]:
     return SEARCH_SPACES[name]
 
 
-def default_point(controller: str, spans: Mapping[str, SearchRange]) -> Options | None:
+def default_point(controller: str, search_ranges: Mapping[str, SearchRange]) -> Options | None:
     """The controller's defaults; None if one is missing or outside its search range."""
     module, _, attribute = CONTROLLERS.get(law_of(controller), "").partition(":")
     if not module:
         return None
     known = inspect.signature(getattr(import_module(module), attribute)).parameters
     point = {}
-    for name, span in spans.items():
+    for name, span in search_ranges.items():
         default = known[name].default if name in known else None
         if not isinstance(default, int | float) or not span.low <= default <= span.high:
             return None
@@ -99,6 +99,6 @@ def default_point(controller: str, spans: Mapping[str, SearchRange]) -> Options 
     return point
 
 
-def is_grid(spans: Mapping[str, SearchRange]) -> bool:
+def is_grid(search_ranges: Mapping[str, SearchRange]) -> bool:
     """True if a search is small enough to try every point: a single option with a step."""
-    return len(spans) == 1 and all(span.step is not None for span in spans.values())
+    return len(search_ranges) == 1 and all(span.step is not None for span in search_ranges.values())

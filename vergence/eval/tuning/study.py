@@ -42,15 +42,15 @@ class SearchSpec:
     """The study's name."""
     storage: str
     """A SQLite file, or the URL of a PostgreSQL database."""
-    spans: Mapping[str, SearchRange]
+    search_ranges: Mapping[str, SearchRange]
     """Search range of each option."""
-    setting: Mapping[str, Any]
+    fixed_settings: Mapping[str, Any]
     """All else that the results depend on; a study resumes only with equal values."""
     attempts: int
     """Total number of points to try; ignored for a grid."""
     seed: int
     grid: bool
-    """True to try every point of the grid of the spans' steps."""
+    """True to try every point of the grid of the search ranges' steps."""
     first: Mapping[str, float] | None = None
     """Point to try first, if any; ignored for a grid."""
 
@@ -58,7 +58,7 @@ class SearchSpec:
         if self.attempts < 1:
             raise ConfigurationError(f"trials: expected at least 1, got {self.attempts}")
         if self.grid:
-            for name, span in self.spans.items():
+            for name, span in self.search_ranges.items():
                 if span.step is None:
                     raise ConfigurationError(
                         f"grid: expected spans with a step, got {name} without one"
@@ -72,13 +72,13 @@ class SearchSpec:
     def total(self) -> int:
         """Total number of points of the finished study."""
         if self.grid:
-            return math.prod(len(span.points()) for span in self.spans.values())
+            return math.prod(len(span.points()) for span in self.search_ranges.values())
         return self.attempts
 
     def sampler(self) -> BaseSampler:
         """Make the sampler that chooses the points."""
         if self.grid:
-            points = {name: span.points() for name, span in self.spans.items()}
+            points = {name: span.points() for name, span in self.search_ranges.items()}
             return _PatientGrid(points, seed=self.seed)
         return _KeyedSampler(self.seed)
 
@@ -112,7 +112,7 @@ def run_search(
             Attempt(
                 number=trial.number,
                 options=dict(trial.params),
-                found={name: float(value) for name, value in trial.user_attrs.items()},
+                results={name: float(value) for name, value in trial.user_attrs.items()},
             )
             for trial in study.get_trials(deepcopy=False)
             if trial.state == TrialState.COMPLETE
@@ -136,7 +136,9 @@ def _fill(
         progress(done, search.total)
         trial = study.ask()
         try:
-            options = {name: _suggest(trial, name, span) for name, span in search.spans.items()}
+            options = {
+                name: _suggest(trial, name, span) for name, span in search.search_ranges.items()
+            }
             found = objective(options)
         except VergenceError as error:
             refused = error
@@ -170,8 +172,8 @@ def _count(study: Study) -> int:
 
 def _check_setting(study: Study, search: SearchSpec) -> None:
     """Refuse to resume a study with different settings."""
-    setting = {**search.setting, "grid": search.grid, "seed": search.seed}
-    setting["spans"] = {name: list(span) for name, span in search.spans.items()}
+    setting = {**search.fixed_settings, "grid": search.grid, "seed": search.seed}
+    setting["spans"] = {name: list(span) for name, span in search.search_ranges.items()}
     setting = json.loads(json.dumps(setting))
     begun = study.user_attrs
     for name, value in setting.items():

@@ -40,7 +40,7 @@ class TuneResult:
 def tune(
     folder: Path,
     config: TuneConfig,
-    spans: Mapping[str, SearchRange],
+    search_ranges: Mapping[str, SearchRange],
     objective: Objective,
     head: HeadModel,
     progress: Callable[[int, int], None] = lambda done, total: None,
@@ -50,7 +50,7 @@ def tune(
     Args:
         folder: the run folder; results of an earlier call are overwritten.
         config: the configuration.
-        spans: search range of each option.
+        search_ranges: search range of each option.
         objective: the objective to minimise.
         head: the head.
         progress: callback with the number of points tried and the total number.
@@ -66,7 +66,7 @@ def tune(
     config = dataclasses.replace(
         config,
         head=config.head or scenario.head,
-        grid=config.grid or is_grid(spans),
+        grid=config.grid or is_grid(search_ranges),
         steps=config.steps if config.learned else None,
         study=config.name,
         storage=config.storage_in(folder),
@@ -76,12 +76,12 @@ def tune(
     search = SearchSpec(
         name=config.name,
         storage=config.storage_in(folder),
-        spans=spans,
-        setting={**{key: getattr(config, key) for key in keys}, "head": head.digest, **band},
+        search_ranges=search_ranges,
+        fixed_settings={**{key: getattr(config, key) for key in keys}, "head": head.digest, **band},
         attempts=config.trials,
         seed=config.seed,
         grid=config.grid,
-        first=default_point(config.controller, spans),
+        first=default_point(config.controller, search_ranges),
     )
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -96,12 +96,12 @@ def tune(
         attempts=attempts,
         unit="px" if scenario.target_moves else "s",
     )
-    _write(folder, result, spans, head)
+    _write(folder, result, search_ranges, head)
     return result
 
 
 def _write(
-    folder: Path, result: TuneResult, spans: Mapping[str, SearchRange], head: HeadModel
+    folder: Path, result: TuneResult, search_ranges: Mapping[str, SearchRange], head: HeadModel
 ) -> None:
     config = result.config
     # processes that share a study may end together, and each writes the results of all
@@ -109,12 +109,12 @@ def _write(
         shown = dataclasses.replace(config, storage=without_password(str(config.storage)))
         write_config(partial, shown, head, PACKAGES)
         rows = [
-            {"number": attempt.number, **attempt.options, **attempt.found}
+            {"number": attempt.number, **attempt.options, **attempt.results}
             for attempt in result.attempts
         ]
         pd.DataFrame(rows).to_csv(partial / "history.csv", index=False)
         title = f"{config.controller}, {config.scenario}, {config.episodes} training trials"
-        figure = draw_search(result.attempts, spans, title, result.unit)
+        figure = draw_search(result.attempts, search_ranges, title, result.unit)
         save_figure(figure, partial / "tune")
         write_json(partial / "tune.json", tune_summary(result))
 
@@ -130,5 +130,5 @@ def tune_summary(result: TuneResult) -> dict[str, Any]:
         },
         "tried": len(result.attempts),
         "unit": result.unit,
-        "best": {"number": best.number, "options": best.options, **best.found},
+        "best": {"number": best.number, "options": best.options, **best.results},
     }

@@ -36,7 +36,7 @@ def test_the_misalignment_that_is_named_gives_the_article_s_range():
     for r in article_results():
         if r.axis in ("x", "y"):
             m = explaining_misalignment(r, place_z)
-            apart = np.abs(np.deg2rad(m.with_shift_deg) * depth + m.shift_mm)
+            apart = np.abs(np.deg2rad(m.rotation_with_shift_deg) * depth + m.shift_mm)
             assert apart.min() == pytest.approx(r.low)
             assert apart.max() == pytest.approx(r.high)
 

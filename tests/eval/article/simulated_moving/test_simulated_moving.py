@@ -57,7 +57,7 @@ def test_lag_moves_gaze_far_more_than_itpc_with_images(table):
     errors = errors_by_case(table)
     gaze, itpc = (errors["exact", method, "images"] for method in ("gaze", "itpc"))
     assert gaze.plane_mm > 10.0 * itpc.plane_mm
-    assert gaze.deviation["z"] < 0.5 * itpc.deviation["z"]
+    assert gaze.standard_deviation["z"] < 0.5 * itpc.standard_deviation["z"]
 
 
 def test_the_summary_has_every_figure_of_the_article(table):

@@ -43,7 +43,7 @@ def test_the_offsets_put_the_target_at_the_articles_pixels():
 
 def test_the_offsets_are_about_a_degree_as_the_nominal_pixels_are_7_to_14_off(table):
     found = derive_findings(table)
-    assert found.nominal_miss_px == pytest.approx((7.3, 14.3), abs=0.05)
+    assert found.nominal_difference_px == pytest.approx((7.3, 14.3), abs=0.05)
     assert all(0.5 < abs(offset) < 2.0 for offset in found.offsets_deg.values())
 
 

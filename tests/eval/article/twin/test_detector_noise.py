@@ -23,7 +23,7 @@ def test_a_detector_errs_by_hundredths_of_a_pixel_near_and_far():
 
 def test_noise_at_several_places_is_a_row_a_place_of_a_table():
     places = [DetectorNoise(np.full((2, 2), s), np.full((2, 2), 2.0 * s)) for s in (0.1, 0.2)]
-    frame = DetectorNoise.stacked(places).frame(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]]))
+    frame = DetectorNoise.stacked(places).table(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]]))
     assert np.allclose(frame["truth_z_mm"], [1000.0, 2000.0])
     assert np.allclose(frame["sigma_px"], [0.1, 0.2])
     assert np.allclose(frame["bias_px"], [0.2, 0.4])

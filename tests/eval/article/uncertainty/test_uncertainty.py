@@ -67,7 +67,11 @@ def test_white_noise_scatters_as_the_bandwidth_says(table):
 
 def test_no_average_beats_the_bound(table):
     found = averaging_errors(table)
-    assert found.board_px < found.window_px < min(found.still_px, found.dithered_px)
+    assert (
+        found.board_bound_px
+        < found.window_bound_px
+        < min(found.still_mean_px, found.dithered_mean_px)
+    )
     assert (cramer_rao_bounds_px(table)["board"] < cramer_rao_bounds_px(table)["window"]).all()
 
 
@@ -110,7 +114,7 @@ def test_the_verdicts_on_averaging_follow_the_errors(table):
 def test_the_text_has_the_numbers_of_the_table(table):
     found = averaging_errors(table)
     text = section_text(EXPERIMENT, table, CONFIG)
-    assert f"One frame is off by {found.single_px:.4f} px" in text.found
+    assert f"One frame is off by {found.one_frame_px:.4f} px" in text.found
     assert "the mean of 64 frames" in text.found
 
 

@@ -196,13 +196,13 @@ def _check(loop: ClosedLoop) -> None:
         )
 
 
-def dither_references_px(side: int) -> tuple[tuple[float, float], ...]:
-    """Grid of side x side references that covers one pixel evenly around the principal point.
+def dither_references_px(points_per_side: int) -> tuple[tuple[float, float], ...]:
+    """Square grid of references that covers one pixel evenly around the principal point.
 
     The detector's bias depends on the sub-pixel position of the target. Over the grid it averages
-    out, except for its harmonics with a multiple of `side` periods per pixel.
+    out, except for its harmonics with a multiple of `points_per_side` periods per pixel.
     """
-    offsets = (np.arange(side) - 0.5 * (side - 1)) / side
+    offsets = (np.arange(points_per_side) - 0.5 * (points_per_side - 1)) / points_per_side
     return tuple((float(u), float(v)) for v in offsets for u in offsets)
 
 

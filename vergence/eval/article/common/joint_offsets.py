@@ -6,12 +6,12 @@ from vergence.models.links import DenavitHartenberg
 from vergence.models.parts import FloatArray
 
 
-def with_joint_offsets(head: HeadModel, more: FloatArray) -> HeadModel:
+def with_joint_offsets(head: HeadModel, added_rad: FloatArray) -> HeadModel:
     """Add joint offsets to a head or a population: its joints then differ from their encoders.
 
     Args:
         head: a head with Denavit-Hartenberg rows, as the article's.
-        more: (..., 9) additions to the offsets of its rows, rad.
+        added_rad: (..., 9) additions to the offsets of its rows, rad.
 
     Returns:
         The head with the changed offsets.
@@ -24,4 +24,4 @@ def with_joint_offsets(head: HeadModel, more: FloatArray) -> HeadModel:
             f"head: expected one of the article's form, nine Denavit-Hartenberg rows, got "
             f"{head.name!r}, whose joints are given by axes"
         )
-    return head.replace(links={"offset": head.links.offset + more})
+    return head.replace(links={"offset": head.links.offset + added_rad})

@@ -30,7 +30,7 @@ class LinearLoop:
     """The law's gain, 1/s."""
     period_s: float
     """The control period, s; one frame is taken in each."""
-    delay: int
+    delay_periods: int
     """Control periods from exposure to reading."""
     lag_s: float
     """Time constant of the joints' velocity, s; 0 for none."""
@@ -42,28 +42,30 @@ class LinearLoop:
         return LinearLoop(
             gain=gain,
             period_s=timing.period_s,
-            delay=timing.latency_frames,
+            delay_periods=timing.latency_frames,
             lag_s=timing.lag_s,
         )
 
     def at_rate(self, rate_hz: float) -> "LinearLoop":
         """This loop at another rate, its delay in seconds rounded to whole periods."""
-        delay = round(self.delay * self.period_s * rate_hz)
-        return LinearLoop(gain=self.gain, period_s=1.0 / rate_hz, delay=delay, lag_s=self.lag_s)
+        delay = round(self.delay_periods * self.period_s * rate_hz)
+        return LinearLoop(
+            gain=self.gain, period_s=1.0 / rate_hz, delay_periods=delay, lag_s=self.lag_s
+        )
 
 
 def _matrices(loop: LinearLoop) -> tuple[FloatArray, FloatArray]:
     """Transition matrix of the state (x(k), v(k), x(k-1), ..., x(k-d)), and noise input vector."""
-    size = 2 + loop.delay
+    size = 2 + loop.delay_periods
     left = exp(-loop.period_s / loop.lag_s) if loop.lag_s > 0.0 else 0.0
     glide = loop.lag_s * (1.0 - left)
     drive = np.zeros(size)
     drive[0], drive[1] = loop.period_s - glide, 1.0 - left
     step = np.zeros((size, size))
     step[0, 0], step[0, 1], step[1, 1] = 1.0, glide, left
-    for past in range(loop.delay):
+    for past in range(loop.delay_periods):
         step[2 + past, 0 if past == 0 else 1 + past] = 1.0
-    seen = 0 if loop.delay == 0 else size - 1
+    seen = 0 if loop.delay_periods == 0 else size - 1
     step[:, seen] -= loop.gain * drive
     return step, -loop.gain * drive
 

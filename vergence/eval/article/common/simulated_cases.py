@@ -19,7 +19,7 @@ _DRAW: Final = "simulated-rig"
 class NominalAndTrueHead(NamedTuple):
     """The controller's model of a head, and the true head."""
 
-    known: HeadModel
+    nominal: HeadModel
     true: HeadModel
 
 

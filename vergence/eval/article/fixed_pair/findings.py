@@ -59,22 +59,24 @@ class Misalignment(NamedTuple):
 
     low_mm: float
     high_mm: float
-    turn_deg: float
+    rotation_deg: float
     """Best fit by a rotation alone: yaw for x, pitch for y."""
-    turn_low_mm: float
-    turn_high_mm: float
+    rotation_low_mm: float
+    rotation_high_mm: float
     """Range of differences under that rotation."""
-    with_shift_deg: float
+    rotation_with_shift_deg: float
     """Rotation that, with `shift_mm`, gives the range exactly."""
     shift_mm: float
 
     @property
     def misfit_mm(self) -> float:
         """Largest difference between an end of the article's range and of the rotation's."""
-        return max(abs(self.turn_low_mm - self.low_mm), abs(self.turn_high_mm - self.high_mm))
+        return max(
+            abs(self.rotation_low_mm - self.low_mm), abs(self.rotation_high_mm - self.high_mm)
+        )
 
 
-def explaining_misalignment(r: ReportedResult, place_z_mm: float) -> Misalignment:
+def explaining_misalignment(r: ReportedResult, pair_z_mm: float) -> Misalignment:
     """Misalignment that explains a range if heads and pair have no other errors.
 
     A rotation by a small angle t shifts a point at distance z by t z, so differences grow with
@@ -83,13 +85,13 @@ def explaining_misalignment(r: ReportedResult, place_z_mm: float) -> Misalignmen
 
     Args:
         r: a row of the article along x or y.
-        place_z_mm: z of the pair in N.
+        pair_z_mm: z of the pair in N.
 
     Returns:
         The misalignment.
     """
     low, high = r.span
-    depth = 1000.0 * static_points("zed_mini")[:, 2] - place_z_mm
+    depth = 1000.0 * static_points("zed_mini")[:, 2] - pair_z_mm
     near, far = float(depth.min()), float(depth.max())
     turn = (near * low + far * high) / (near**2 + far**2)
     slope = (high - low) / (far - near)
@@ -148,7 +150,7 @@ def _turn_rows(config: FixedPairConfig) -> Iterator[SummaryRow]:
     for axis, m in explaining_misalignments(config).items():
         yield SummaryRow.of(
             NAME, "absolute difference, by a turn of the pair alone", "both", axis,
-            (m.low_mm, m.high_mm), (m.turn_low_mm, m.turn_high_mm),
+            (m.low_mm, m.high_mm), (m.rotation_low_mm, m.rotation_high_mm),
             "agrees" if m.misfit_mm < 0.1 * m.high_mm else "differs",
         )  # fmt: skip
 
@@ -196,10 +198,10 @@ def numbers(table: pd.DataFrame, config: FixedPairConfig) -> Numbers:
     }
     for axis, m in explaining_misalignments(config).items():
         values |= {
-            f"turn_{axis}_deg": m.turn_deg,
-            f"turn_{axis}_least_mm": m.turn_low_mm,
-            f"turn_{axis}_greatest_mm": m.turn_high_mm,
-            f"both_{axis}_deg": m.with_shift_deg,
+            f"turn_{axis}_deg": m.rotation_deg,
+            f"turn_{axis}_least_mm": m.rotation_low_mm,
+            f"turn_{axis}_greatest_mm": m.rotation_high_mm,
+            f"both_{axis}_deg": m.rotation_with_shift_deg,
             f"shift_{axis}_mm": m.shift_mm,
         }
     return values

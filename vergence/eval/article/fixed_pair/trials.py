@@ -86,7 +86,7 @@ def run(config: FixedPairConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
     jobs: list[Job] = [
         partial(
             _by_heads,
-            drawn.resting(
+            drawn.hold_static_target(
                 i + 1, point, samples=config.samples, settle_s=config.settle_s, seed=seed
             ),
             i + 1,
@@ -94,8 +94,8 @@ def run(config: FixedPairConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
         for i, point in enumerate(points)
     ]
     frames: list[pd.DataFrame] = [
-        drawn.frame(),
-        measured.frame(points),
+        drawn.table_row(),
+        measured.table(points),
         *mapper(jobs),
         _by_pairs(pair, points, measured, config, seed),
     ]

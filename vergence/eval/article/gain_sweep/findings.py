@@ -33,7 +33,7 @@ class LoopFamily:
     longest_delay_frames: float
     """Image delay of the loop without a lag, control periods; nan if beyond those tried."""
 
-    def delay_with(self, lag_s: float) -> float:
+    def delay_frames_at_lag(self, lag_s: float) -> float:
         """Image delay of the loop with a lag, control periods; nan if beyond those tried."""
         return first_crossing(self.delays_frames, -self._filled(), -lag_s)
 
@@ -95,7 +95,7 @@ def loop_families(table: pd.DataFrame, config: GainSweepConfig) -> list[LoopFami
 class GainSweepFindings:
     """Results used by the figures, the summary and the text."""
 
-    onset: dict[str, float]
+    onset_gain_by_step: dict[str, float]
     """Gain at which overshoot begins, by step, 1/s."""
     families: list[LoopFamily]
     period_s: float
@@ -104,17 +104,17 @@ class GainSweepFindings:
     """The head's own image delay, control periods."""
     lag_s: float
     """The head's own lag, s."""
-    dynamics_settle_s: float
+    plants_settle_difference_s: float
     """Largest difference of settling times to 1 px between the kinematic and mujoco plants, s."""
-    dynamics_overshoot: float
+    plants_overshoot_difference: float
     """Largest difference of overshoots between these plants, as a fraction of the step."""
-    direction_settle_s: float
+    directions_settle_difference_s: float
     """Largest difference of settling times to 1 px between the steps along +y and -y, s."""
 
     @property
     def delays_frames(self) -> list[float]:
         """Image delay of each family for the head's own lag, control periods."""
-        return [family.delay_with(self.lag_s) for family in self.families]
+        return [family.delay_frames_at_lag(self.lag_s) for family in self.families]
 
 
 def derive_findings(table: pd.DataFrame, config: GainSweepConfig) -> GainSweepFindings:
@@ -128,14 +128,14 @@ def derive_findings(table: pd.DataFrame, config: GainSweepConfig) -> GainSweepFi
     down, up = (sweep_trials(table, step)["settle_1px_s"].to_numpy() for step in ("+y", "-y"))
     directions = np.abs(down - up)
     return GainSweepFindings(
-        onset=overshoot_onset_gains(table, config),
+        onset_gain_by_step=overshoot_onset_gains(table, config),
         families=loop_families(table, config),
         period_s=timing.period_s,
         latency_frames=timing.latency_frames,
         lag_s=timing.lag_s,
-        dynamics_settle_s=_greatest(settle),
-        dynamics_overshoot=_greatest(beyond),
-        direction_settle_s=_greatest(directions),
+        plants_settle_difference_s=_greatest(settle),
+        plants_overshoot_difference=_greatest(beyond),
+        directions_settle_difference_s=_greatest(directions),
     )
 
 
@@ -152,7 +152,7 @@ def numbers(table: pd.DataFrame, config: GainSweepConfig) -> Numbers:
     slow, reached, best = rows.iloc[0], trial_at_gain(rows, ARTICLE_GAIN), fastest_trial(rows)
     plane = table[table["case"] == "plane"]
     plane = plane[plane["k2_per_s"] == trial_at_gain(plane, ARTICLE_GAIN)["k2_per_s"]]
-    onsets = list(found.onset.values())
+    onsets = list(found.onset_gain_by_step.values())
     filled: dict[str, float] = {
         "article_gain": ARTICLE_GAIN,
         "least_gain": slow["k1_per_s"],
@@ -162,9 +162,9 @@ def numbers(table: pd.DataFrame, config: GainSweepConfig) -> Numbers:
         "fastest_gain": best["k1_per_s"],
         "fastest_settle_s": best["settle_1px_s"],
         "fastest_overshoot_percent": 100.0 * best["overshoot"],
-        "directions_apart_ms": 1000.0 * found.direction_settle_s,
-        "dynamics_apart_ms": 1000.0 * found.dynamics_settle_s,
-        "dynamics_overshoot_apart_percent": 100.0 * found.dynamics_overshoot,
+        "directions_apart_ms": 1000.0 * found.directions_settle_difference_s,
+        "dynamics_apart_ms": 1000.0 * found.plants_settle_difference_s,
+        "dynamics_overshoot_apart_percent": 100.0 * found.plants_overshoot_difference,
         "plane_k2": plane["k2_per_s"].iloc[0],
         "plane_k1_low": plane["k1_per_s"].min(),
         "plane_k1_high": plane["k1_per_s"].max(),
@@ -200,7 +200,7 @@ def summarise(table: pd.DataFrame, config: GainSweepConfig) -> list[SummaryRow]:
     found = derive_findings(table, config)
     rows = []
     for axis, steps in (("y", ("+y", "-y")), ("x", ("+x", "-x"))):
-        gains = [found.onset[step] for step in steps]
+        gains = [found.onset_gain_by_step[step] for step in steps]
         onset = (float(np.min(gains)), float(np.max(gains)))
         # the preset's image delay was chosen for an onset just above the article's gain
         verdict = BY_CONSTRUCTION if np.isfinite(onset).all() else None

@@ -92,16 +92,16 @@ def run(config: PhysicalMovingConfig, seed: int, mapper: Mapper) -> pd.DataFrame
         for first in firsts
     ]
     seeing = dataclasses.replace(loop, plant="rendered", plant_options={})
-    imaged = drawn.heads[drawn.imaged : drawn.imaged + 1]
+    imaged = drawn.heads[drawn.imaged_head : drawn.imaged_head + 1]
     jobs.append(partial(_follow, seeing, imaged, _IMAGED_TRIAL))
     *parts, seen = mapper(jobs)
     population, half_tilt = _joined(parts[: len(firsts)]), _joined(parts[len(firsts) :])
     kept = slice(None, None, config.table_every)
     frames: list[pd.DataFrame] = [
-        drawn.frame(),
+        drawn.table_row(),
         _head_rows("population", population, np.arange(config.heads)),
         _head_rows("half tilt", half_tilt, np.arange(config.heads)),
-        _head_rows("imaged", seen, np.array([drawn.imaged])),
+        _head_rows("imaged", seen, np.array([drawn.imaged_head])),
         _time_rows(seen, kept),
         _band_rows(population, kept),
     ]

@@ -87,17 +87,17 @@ def run(config: PhysicalStaticConfig, seed: int, mapper: Mapper) -> pd.DataFrame
         *mapper(jobs),
         detector_rows(nominal, points, drawn.detector.bias_px, "detector bias"),
         detector_rows(nominal, points, drawn.detector.sigma_px, "one image's noise"),
-        drawn.detector.frame(points),
-        drawn.frame().assign(**_encoder_step(drawn)),
+        drawn.detector.table(points),
+        drawn.table_row().assign(**_encoder_step(drawn)),
     ]
     jobs = []
     for i, point in enumerate(points):
-        loop = drawn.resting(
+        loop = drawn.hold_static_target(
             i + 1, point, samples=config.samples, settle_s=config.settle_s, seed=seed
         )
         jobs.append(partial(_population, loop, i + 1))
         if i % config.imaged_every == 0:
-            jobs.append(partial(_imaged, loop, drawn.imaged, i + 1))
+            jobs.append(partial(_imaged, loop, drawn.imaged_head, i + 1))
     frames += mapper(jobs)
     return pd.concat(frames, ignore_index=True)
 

@@ -46,7 +46,7 @@ class SampleErrors:
 
     mean_absolute: dict[str, float]
     mean: dict[str, float]
-    deviation: dict[str, float]
+    standard_deviation: dict[str, float]
 
     @staticmethod
     def of(samples: pd.DataFrame) -> "SampleErrors":
@@ -55,13 +55,13 @@ class SampleErrors:
         return SampleErrors(
             mean_absolute={axis: float(column.abs().mean()) for axis, column in columns.items()},
             mean={axis: float(column.mean()) for axis, column in columns.items()},
-            deviation={axis: float(column.std()) for axis, column in columns.items()},
+            standard_deviation={axis: float(column.std()) for axis, column in columns.items()},
         )
 
     @property
     def plane_mm(self) -> float:
         """Root mean square distance from the target in the circle's plane, mm."""
-        square = (self.deviation[axis] ** 2 + self.mean[axis] ** 2 for axis in "xy")
+        square = (self.standard_deviation[axis] ** 2 + self.mean[axis] ** 2 for axis in "xy")
         return float(sum(square) ** 0.5)
 
 
@@ -80,7 +80,7 @@ def errors_by_case(table: pd.DataFrame) -> Cases:
 def deviation_ratio(errors: Cases, case: str, noise: str = IMAGES) -> float:
     """Ratio of the standard deviations in z, gaze over ITPC."""
     gaze, itpc = errors[case, "gaze", noise], errors[case, "itpc", noise]
-    return gaze.deviation["z"] / itpc.deviation["z"]
+    return gaze.standard_deviation["z"] / itpc.standard_deviation["z"]
 
 
 def article_deviation_ratio() -> float:
@@ -103,7 +103,7 @@ def expected_gaze_deviation_mm(errors: Cases, case: str, share: float) -> float:
     Gaze has the systematic part of a case, plus the fraction `share` of ITPC's scatter that the
     loop lets through.
     """
-    systematic = errors[case, "gaze", NONE].deviation["z"]
+    systematic = errors[case, "gaze", NONE].standard_deviation["z"]
     itpc = article_value_mm("standard deviation", "itpc", "z")
     return hypot(systematic, share * max(itpc**2 - systematic**2, 0.0) ** 0.5)
 
@@ -124,7 +124,7 @@ def numbers(table: pd.DataFrame, config: SimulatedMovingConfig) -> Numbers:
         "undated_plane_mm": undated.plane_mm,
         "ratio_exact": deviation_ratio(errors, "exact"),
         "ratio_white": deviation_ratio(errors, "exact", WHITE),
-        "principal_systematic_z_mm": errors[ARTICLE_CASE, "gaze", NONE].deviation["z"],
+        "principal_systematic_z_mm": errors[ARTICLE_CASE, "gaze", NONE].standard_deviation["z"],
     }
     found |= {f"still_{axis}_mm": still.mean_absolute[axis] for axis in "xyz"}
     for method in ("gaze", "itpc"):
@@ -137,7 +137,9 @@ def numbers(table: pd.DataFrame, config: SimulatedMovingConfig) -> Numbers:
             for case in ("exact", ARTICLE_CASE):
                 found[f"{case}_{key}"] = errors[case, method, IMAGES].mean_absolute[axis]
         found[f"article_{method}_scatter_mm"] = article_value_mm("standard deviation", method, "z")
-        found[f"exact_{method}_scatter_mm"] = errors["exact", method, IMAGES].deviation["z"]
+        found[f"exact_{method}_scatter_mm"] = errors["exact", method, IMAGES].standard_deviation[
+            "z"
+        ]
     for rate, share in predicted_deviation_ratios(config.gain).items():
         found[f"ratio_predicted_{rate:g}_hz"] = share
         for case in ("exact", ARTICLE_CASE):
@@ -161,7 +163,7 @@ def summarise(table: pd.DataFrame, config: SimulatedMovingConfig) -> list[Summar
             if row.experiment == EXPERIMENT:
                 own = errors[case, row.method, IMAGES]
                 scatter = row.quantity == "standard deviation"
-                value = (own.deviation if scatter else own.mean_absolute)[row.axis]
+                value = (own.standard_deviation if scatter else own.mean_absolute)[row.axis]
                 rows.append(_row(row.quantity + suffix, row.method, row.axis, value, row.low))
     for axis in "xyz":
         for quantity, method, noise in (
@@ -173,7 +175,7 @@ def summarise(table: pd.DataFrame, config: SimulatedMovingConfig) -> list[Summar
             )
     for case in CASES:
         quantity = f"standard deviation, {CASES[case].title}, no noise"
-        rows.append(_row(quantity, "gaze", "z", errors[case, "gaze", NONE].deviation["z"]))
+        rows.append(_row(quantity, "gaze", "z", errors[case, "gaze", NONE].standard_deviation["z"]))
     predicted = predicted_deviation_ratios(config.gain)
     measured = {CASES[case].title: deviation_ratio(errors, case) for case in CASES}
     measured["exact model, white noise"] = deviation_ratio(errors, "exact", WHITE)

@@ -63,7 +63,7 @@ def _follow(
     images = noise == IMAGES
     record = hold_gaze(
         ClosedLoop(
-            head=rig.known,
+            head=rig.nominal,
             true_head=rig.true,
             target=CircleTarget(radius=config.radius_mm / MM, period=config.period_s),
             plant="rendered" if images else "kinematic",

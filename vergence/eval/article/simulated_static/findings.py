@@ -61,7 +61,7 @@ class MeanFixErrors:
     """Greatest absolute error by axis, mm."""
     z_percent: tuple[float, float, float]
     """Absolute error in z, percent of depth: least, median, greatest."""
-    standard_errors: float
+    greatest_standard_errors: float
     """Greatest error of an ITPC mean, in standard errors from the scatter of its single fixes."""
 
     @staticmethod
@@ -77,7 +77,7 @@ class MeanFixErrors:
             low_mm={axis: float(by_axis.min()[axis]) for axis in "xyz"},
             high_mm={axis: float(by_axis.max()[axis]) for axis in "xyz"},
             z_percent=(float(share.min()), float(share.median()), float(share.max())),
-            standard_errors=float(errors.max()),
+            greatest_standard_errors=float(errors.max()),
         )
 
 
@@ -113,7 +113,7 @@ def numbers(table: pd.DataFrame, config: SimulatedStaticConfig) -> Numbers:
             found[f"{name}_{axis}_high_mm"] = errors.high_mm[axis]
         found[f"{name}_z_median_percent"] = errors.z_percent[1]
         found[f"{name}_z_high_percent"] = errors.z_percent[2]
-        found[f"{name}_standard_errors"] = errors.standard_errors
+        found[f"{name}_standard_errors"] = errors.greatest_standard_errors
     for axis in "xy":
         low, high = article_result("absolute error", axis).span
         found[f"article_{axis}_low_mm"], found[f"article_{axis}_high_mm"] = low, high

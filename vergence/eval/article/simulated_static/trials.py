@@ -89,7 +89,7 @@ def _look(
     keys = (list(CASES).index(case), int(dithered), point)
     record = hold_gaze(
         ClosedLoop(
-            head=rig.known,
+            head=rig.nominal,
             true_head=rig.true,
             target=_target(point),
             plant_options=BOARD,
@@ -102,7 +102,7 @@ def _look(
     )
     common = {"case": case, "images": "rendered", "fixation": fixation, "head": 0}
     common |= _detections(record, dithered)
-    return list(_rows(common, rig.known, record, point, dithered))
+    return list(_rows(common, rig.nominal, record, point, dithered))
 
 
 def _detections(record: GazeRecord, dithered: bool) -> dict[str, float]:

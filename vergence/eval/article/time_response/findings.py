@@ -43,7 +43,7 @@ class TimeResponseFindings:
     pairs: list[LoopAndThreshold]
     offsets_deg: dict[str, float]
     """Offset of each eye joint, degrees."""
-    nominal_miss_px: tuple[float, float]
+    nominal_difference_px: tuple[float, float]
     """Least and greatest absolute difference, by coordinate, of the nominal initial pixels from
     the article's, px."""
     step_px: tuple[float, float]
@@ -72,7 +72,7 @@ def derive_findings(table: pd.DataFrame) -> TimeResponseFindings:
             _pair(table, delay, lag if lagging else 0.0, band) for delay, lagging, band in PAIRS
         ],
         offsets_deg=dict(zip(offsets["joint"], offsets["offset_deg"], strict=True)),
-        nominal_miss_px=(float(miss.min()), float(miss.max())),
+        nominal_difference_px=(float(miss.min()), float(miss.max())),
         step_px=(float(first[0]), float(first[1])),
     )
 
@@ -146,8 +146,8 @@ def numbers(table: pd.DataFrame, config: TimeResponseConfig) -> Numbers:
         "with_delay_frames": with_delay.delay_frames,
         "with_delay_threshold_px": with_delay.threshold_px,
         "with_delay_settle_ms": 1000.0 * with_delay.settle_s,
-        "miss_low_px": found.nominal_miss_px[0],
-        "miss_high_px": found.nominal_miss_px[1],
+        "miss_low_px": found.nominal_difference_px[0],
+        "miss_high_px": found.nominal_difference_px[1],
         "step_left_px": found.step_px[0],
         "step_right_px": found.step_px[1],
         **{f"{joint}_deg": offset for joint, offset in found.offsets_deg.items()},

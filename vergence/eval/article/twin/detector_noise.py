@@ -23,16 +23,16 @@ class DetectorNoise(NamedTuple):
     """(..., 2, 2) by camera and coordinate: mean error at a fixed pose, rms over poses."""
 
     @classmethod
-    def stacked(cls, places: "Sequence[DetectorNoise]") -> "DetectorNoise":
-        """Stack the errors at several places."""
-        return cls(*(np.stack(part) for part in zip(*places, strict=True)))
+    def stacked(cls, noises: "Sequence[DetectorNoise]") -> "DetectorNoise":
+        """Stack the errors at several places, one `DetectorNoise` each."""
+        return cls(*(np.stack(part) for part in zip(*noises, strict=True)))
 
     def over_cameras(self) -> tuple[FloatArray, FloatArray]:
         """(...,) standard deviation and bias, rms over cameras and coordinates, px."""
         sigma, bias = (np.sqrt(np.mean(part**2, axis=(-2, -1))) for part in self)
         return sigma, bias
 
-    def frame(self, points: FloatArray) -> pd.DataFrame:
+    def table(self, points: FloatArray) -> pd.DataFrame:
         """Rows of an experiment's table, one per place.
 
         Args:

@@ -33,7 +33,7 @@ class TwinPopulation(NamedTuple):
     """The true heads, of batch shape (heads,)."""
     scale: float
     """Factor on all standard deviations of the model errors."""
-    imaged: int
+    imaged_head: int
     """Index of the head most like the article's; it runs on rendered images."""
     points: FloatArray
     """(21, 3) Table 5's points, in N, m."""
@@ -44,7 +44,7 @@ class TwinPopulation(NamedTuple):
         """Standard deviation of detections at a depth, interpolated, px."""
         return float(np.interp(depth_m, self.points[:, 2], self.detector.over_cameras()[0]))
 
-    def resting(
+    def hold_static_target(
         self, number: int, point: FloatArray, *, samples: int, settle_s: float, seed: int
     ) -> ClosedLoop:
         """Closed loop of all heads side by side before a target at rest, without images.
@@ -69,9 +69,9 @@ class TwinPopulation(NamedTuple):
             trial=number * _TRIALS,
         )
 
-    def frame(self) -> pd.DataFrame:
+    def table_row(self) -> pd.DataFrame:
         """Error scale and index of the head with images: a row of the experiments' tables."""
-        return pd.DataFrame({"case": ["twin"], "scale": [self.scale], "head": [self.imaged]})
+        return pd.DataFrame({"case": ["twin"], "scale": [self.scale], "head": [self.imaged_head]})
 
 
 def draw_population(config: TwinConfig, seed: int, mapper: Mapper) -> TwinPopulation:

@@ -98,17 +98,17 @@ class AveragingErrors:
     """Errors before and after averaging, root mean square over all depths, px."""
 
     frames: int
-    single_px: float
+    one_frame_px: float
     """Error of one frame, still fixation."""
-    still_px: float
+    still_mean_px: float
     """Error of the mean of all frames, still fixation."""
-    dithered_px: float
+    dithered_mean_px: float
     """Error of the mean of all frames, dithered fixation."""
-    white_px: float
+    white_noise_mean_px: float
     """Error of the mean of all frames if single frames had only white scatter and no bias."""
-    board_px: float
+    board_bound_px: float
     """Cramer-Rao bound for as many frames, from the whole board."""
-    window_px: float
+    window_bound_px: float
     """Cramer-Rao bound for as many frames, from the detector's window."""
 
 
@@ -124,12 +124,12 @@ def averaging_errors(table: pd.DataFrame) -> AveragingErrors:
     root = float(np.sqrt(frames))
     return AveragingErrors(
         frames=frames,
-        single_px=rms("still", 1),
-        still_px=rms("still", frames),
-        dithered_px=rms("dithered", frames),
-        white_px=float(np.sqrt((sigma**2).mean())) / root,
-        board_px=float(np.sqrt((bound["board"] ** 2).mean())) / root,
-        window_px=float(np.sqrt((bound["window"] ** 2).mean())) / root,
+        one_frame_px=rms("still", 1),
+        still_mean_px=rms("still", frames),
+        dithered_mean_px=rms("dithered", frames),
+        white_noise_mean_px=float(np.sqrt((sigma**2).mean())) / root,
+        board_bound_px=float(np.sqrt((bound["board"] ** 2).mean())) / root,
+        window_bound_px=float(np.sqrt((bound["window"] ** 2).mean())) / root,
     )
 
 
@@ -182,14 +182,17 @@ def _loop_rows(table: pd.DataFrame, config: UncertaintyConfig) -> Iterator[Summa
 
 def _averaging_rows(found: AveragingErrors) -> Iterator[SummaryRow]:
     for quantity, value in (
-        ("error of one frame, root mean square", found.single_px),
-        (f"error of the mean of {found.frames} frames, still", found.still_px),
-        (f"error of the mean of {found.frames} frames, dithered", found.dithered_px),
-        (f"bound for {found.frames} frames, detector's window", found.window_px),
-        (f"bound for {found.frames} frames, whole board", found.board_px),
+        ("error of one frame, root mean square", found.one_frame_px),
+        (f"error of the mean of {found.frames} frames, still", found.still_mean_px),
+        (f"error of the mean of {found.frames} frames, dithered", found.dithered_mean_px),
+        (f"bound for {found.frames} frames, detector's window", found.window_bound_px),
+        (f"bound for {found.frames} frames, whole board", found.board_bound_px),
     ):
         yield SummaryRow.of(NAME, quantity, "itpc", "u, v", None, value, unit="px")
-    biased, dithered = found.still_px / found.white_px, found.dithered_px / found.still_px
+    biased, dithered = (
+        found.still_mean_px / found.white_noise_mean_px,
+        found.dithered_mean_px / found.still_mean_px,
+    )
     for quantity, ratio, verdict in (
         ("still, over what white noise would leave", biased, _agreement(biased <= BIAS_RATIO)),
         ("dithered, over still", dithered, "better" if dithered < IMPROVEMENT_RATIO else "alike"),
@@ -231,15 +234,15 @@ def numbers(table: pd.DataFrame, config: UncertaintyConfig) -> Numbers:
         "excess_greatest_px": float(images["excess_px"].max()),
         "bias_within_reach_px": bias_variation_px(table),
         "frames_count": found.frames,
-        "single_px": found.single_px,
-        "still_px": found.still_px,
-        "white_px": found.white_px,
-        "dithered_px": found.dithered_px,
-        "window_px": found.window_px,
-        "board_px": found.board_px,
-        "still_over_dithered_ratio": found.still_px / found.dithered_px,
-        "dithered_over_window_ratio": found.dithered_px / found.window_px,
-        "dithered_over_board_ratio": found.dithered_px / found.board_px,
-        "single_over_window_ratio": found.single_px / found.window_px / root,
-        "single_over_board_ratio": found.single_px / found.board_px / root,
+        "single_px": found.one_frame_px,
+        "still_px": found.still_mean_px,
+        "white_px": found.white_noise_mean_px,
+        "dithered_px": found.dithered_mean_px,
+        "window_px": found.window_bound_px,
+        "board_px": found.board_bound_px,
+        "still_over_dithered_ratio": found.still_mean_px / found.dithered_mean_px,
+        "dithered_over_window_ratio": found.dithered_mean_px / found.window_bound_px,
+        "dithered_over_board_ratio": found.dithered_mean_px / found.board_bound_px,
+        "single_over_window_ratio": found.one_frame_px / found.window_bound_px / root,
+        "single_over_board_ratio": found.one_frame_px / found.board_bound_px / root,
     }
