@@ -47,7 +47,7 @@ __all__ = [
     "compiled",
     "inlined",
     "kernel",
-    "report_to",
+    "set_compile_reporter",
     "subroutine",
     "untyped_tuple",
 ]
@@ -408,7 +408,7 @@ _EVERY_TIME: Final = (
 _REPORTER: Final = _Reporter()
 
 
-def report_to(tell: Callable[[str], None] | None) -> None:
+def set_compile_reporter(tell: Callable[[str], None] | None) -> None:
     """Set the callback for messages that kernels are being compiled or cannot be cached.
 
     Args:
@@ -417,7 +417,7 @@ def report_to(tell: Callable[[str], None] | None) -> None:
     _REPORTER.start(tell)
 
 
-def workers_begin() -> None:
+def report_compiling_for_workers() -> None:
     """Report compilation on behalf of worker processes, which report nothing, if it is needed."""
     folder = cache_folder()
     if folder is None or not any(folder.rglob("*.nbi")):

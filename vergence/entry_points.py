@@ -119,7 +119,9 @@ class EntryPoint:
             raise self._cannot_import(error) from error
 
     def _cannot_import(self, error: BaseException) -> ConfigurationError:
-        return ConfigurationError(f"{self.what} {self.word}: cannot be imported: {where(error)}")
+        return ConfigurationError(
+            f"{self.what} {self.word}: cannot be imported: {describe_user_error(error)}"
+        )
 
 
 def accepted_arguments(make: Callable[..., Any]) -> set[str] | None:
@@ -154,7 +156,7 @@ def accepted_arguments(make: Callable[..., Any]) -> set[str] | None:
     return None if hands_on else names
 
 
-def where(error: BaseException) -> str:
+def describe_user_error(error: BaseException) -> str:
     """Describe an error in a user's code, with its place, in one line.
 
     Args:

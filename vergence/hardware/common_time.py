@@ -28,7 +28,7 @@ _PARALLEL: Final = 1e-8
 """Squared sine of the angle below which two lines count as parallel: 0.1 mrad (numerical)."""
 
 
-def at_common_time(
+def pixels_at_common_time(
     head: HeadModel, pixels: FloatArray, exposed: FloatArray, common: FloatArray
 ) -> FloatArray:
     """Convert both eyes' pixels to a common time.
@@ -101,4 +101,4 @@ def merge_pair(
         return (seeing[0].exposed_s if seeing else pair.exposed_s), pixels
     common_s = pair.exposed_s
     exposed = np.stack([history.at(one.exposed_s) for one in seeing])
-    return common_s, at_common_time(head, pixels, exposed, history.at(common_s))
+    return common_s, pixels_at_common_time(head, pixels, exposed, history.at(common_s))

@@ -45,7 +45,7 @@ class FoundServo:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scan:
+class ScanResult:
     """Result of a search at all baud rates."""
 
     servos: list[FoundServo] = field(default_factory=list)
@@ -56,14 +56,14 @@ class Scan:
     """Number of damaged packets: from two servos with one id, or noise."""
 
 
-def scan(
+def scan_for_servos(
     port: str,
     *,
     rates: Sequence[int] = RATES,
     ids: Iterable[int] | None = None,
     wait_per_id_s: float = _TURN_S,
     report: Callable[[float], None] = lambda _done: None,
-) -> Scan:
+) -> ScanResult:
     """Ping for servos at each baud rate.
 
     Args:
@@ -97,7 +97,7 @@ def scan(
             damaged += bus.damaged
         finally:
             bus.close()
-    return Scan(servos=found, left_out=left_out, damaged=damaged)
+    return ScanResult(servos=found, left_out=left_out, damaged=damaged)
 
 
 def _everybody(bus: Bus, wait_per_id_s: float) -> tuple[list[int], int]:

@@ -19,7 +19,7 @@ from vergence.eval.reporting.runs import command_of, run_folder_of, toml_value, 
 from vergence.eval.reporting.section import included_sections
 from vergence.eval.reporting.style import save_figure, styled
 from vergence.eval.reporting.text import render_text
-from vergence.files import PARTIAL, atomic_files, remove_partial, write_atomic
+from vergence.files import PARTIAL_PREFIX, atomic_files, remove_partial, write_atomic
 
 INCLUDED: Final = "evaluations"
 """Name of the subfolder with the sections of other runs."""
@@ -39,7 +39,9 @@ def open_folder(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         names = sorted(path.name for path in folder.iterdir())
-        others = [name for name in names if name not in ours and not name.startswith(PARTIAL)]
+        others = [
+            name for name in names if name not in ours and not name.startswith(PARTIAL_PREFIX)
+        ]
         if others:
             what = f"a folder with {', '.join(others[:3])} in it"
             if command_of(folder) != "reproduce":

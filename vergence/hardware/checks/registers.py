@@ -8,7 +8,7 @@ from vergence.errors import Finding
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.servo_angles import ServoAngles
-from vergence.hardware.servo_memory import ServoMemory, fault_words, model_name
+from vergence.hardware.servo_memory import ServoMemory, describe_fault_bits, model_name
 
 _WATCHDOG_FIRMWARE: Final = 38
 """First firmware with BUS_WATCHDOG (physical: X series, and MX with Protocol 2.0)."""
@@ -169,8 +169,8 @@ def _faults(one: _Asked) -> Iterator[Finding]:
     errors = one.get(table.HARDWARE_ERROR_STATUS)
     if errors:
         yield one.finding(
-            f"expected no latched fault, got one of {fault_words(errors)} (hardware error status "
-            f"0b{errors:08b})",
+            f"expected no latched fault, got one of {describe_fault_bits(errors)} (hardware error "
+            f"status 0b{errors:08b})",
             f"remove the cause, then {_OFF_AND_ON}",
         )
 

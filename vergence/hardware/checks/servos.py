@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from vergence.errors import ChecksFailedError, Finding, HardwareError
-from vergence.hardware.checks.line import check_latency_timer, check_period
+from vergence.hardware.checks.line import check_exchange_fits_period, check_latency_timer
 from vergence.hardware.checks.registers import WIZARD, check_registers, joint_angle, servo_finding
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
@@ -65,12 +65,12 @@ def check_servos(
         angles[servo.slot] = joint_angle(config, servo, memory)
     if posture:
         findings += _forbidden(config, angles)
-    findings += check_period(config, delays, sysfs)
+    findings += check_exchange_fits_period(config, delays, sysfs)
     latency = check_latency_timer(config.bus.port, sysfs)
     return findings if latency is None else [*findings, latency]
 
 
-def refuse_errors(findings: Iterable[Finding]) -> list[Finding]:
+def raise_errors(findings: Iterable[Finding]) -> list[Finding]:
     """Raise an error if a finding is one; return the warnings otherwise.
 
     Raises:

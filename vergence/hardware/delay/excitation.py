@@ -25,7 +25,7 @@ _LATE: Final = 3
 """Rough delay of a joint behind its commands, control periods (chosen)."""
 
 
-def speeds(reach_rad: float, max_speed_rad_s: float, period_s: float) -> FloatArray:
+def excitation_speeds(reach_rad: float, max_speed_rad_s: float, period_s: float) -> FloatArray:
     """Speeds of the excitation, one per control period.
 
     Args:

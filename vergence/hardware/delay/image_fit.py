@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from vergence.envs.streams import IntArray
-from vergence.hardware.delay.joint_fit import CLUSTER_S, clustered
+from vergence.hardware.delay.joint_fit import CLUSTER_S, jackknife_covariance
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -144,7 +144,7 @@ def fit_images(
         residual = noise * weighted_residual(found.x)[: -len(before)].reshape(-1, 2)
         noise = max(1.4826 * float(np.median(np.abs(residual))), _LEAST_PX)
     clusters = ((received_s[seen] - received_s[seen][0]) / CLUSTER_S).astype(np.int64)
-    covariance = clustered(
+    covariance = jackknife_covariance(
         np.asarray(found.jac), found.fun, np.repeat(clusters, 2), _SOFT, known=len(before)
     )
     sigma = np.sqrt(np.diagonal(covariance))

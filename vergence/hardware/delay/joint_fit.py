@@ -79,7 +79,7 @@ class JointFit:
         return self.sigma.inverse_acceleration / self.motor.inverse_acceleration**2
 
 
-def respond(
+def simulate_motor(
     motor: FittedMotor, sent_s: FloatArray, sent: FloatArray, times: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Simulate a motor, at first at rest at angle 0, with its commands.
@@ -143,7 +143,7 @@ def fit_joint(
     sigma = np.full(len(angles), rounded)
 
     def weighted_residual(values: FloatArray) -> FloatArray:
-        residual = angles - respond(FittedMotor(*values), sent_s, sent, joints_s)[0]
+        residual = angles - simulate_motor(FittedMotor(*values), sent_s, sent, joints_s)[0]
         return np.asarray(detrender.detrended(residual) / sigma)
 
     starts = [np.array(guess._replace(latency_s=latency)) for latency in _LATENCIES_S]
@@ -160,7 +160,7 @@ def fit_joint(
             diff_step=[1e-4] * 4,
         )
         start, motor = found.x, FittedMotor(*found.x.tolist())
-        speed = np.abs(respond(motor, sent_s, sent, joints_s)[1])
+        speed = np.abs(simulate_motor(motor, sent_s, sent, joints_s)[1])
         fast = speed > _FAST_RAD_S
         late_s = np.abs(sigma * weighted_residual(found.x))[fast] / speed[fast]
         timestamp_sigma_s = 1.4826 * float(np.median(late_s)) if fast.any() else 0.0
@@ -168,9 +168,9 @@ def fit_joint(
     without = weighted_residual(np.array(motor._replace(inverse_acceleration=_NO_LIMIT)))
     square = float(np.mean(weighted_residual(found.x) ** 2))
     worse = (float(np.sum(without**2)) / square - len(without)) > _WORSE
-    covariance = clustered(np.asarray(found.jac), found.fun, clusters, _SOFT)
+    covariance = jackknife_covariance(np.asarray(found.jac), found.fun, clusters, _SOFT)
     times = np.arange(joints_s[0], joints_s[-1], 0.002)
-    speeds = respond(motor, sent_s, sent, times)[1]
+    speeds = simulate_motor(motor, sent_s, sent, times)[1]
     deviations = np.sqrt(np.diagonal(covariance))
     return JointFit(
         motor=motor,
@@ -201,7 +201,7 @@ class _Detrender:
         return np.asarray(values - lines)
 
 
-def clustered(
+def jackknife_covariance(
     jacobian: FloatArray, residual: FloatArray, clusters: IntArray, soft: float, known: int = 0
 ) -> FloatArray:
     """Covariance of a least-squares estimate whose residuals depend on their neighbours.
@@ -236,7 +236,7 @@ def clustered(
     return np.asarray(found)
 
 
-def path_of(
+def fitted_angle_path(
     motor: FittedMotor,
     sent_s: FloatArray,
     sent: FloatArray,
@@ -255,7 +255,7 @@ def path_of(
     Returns:
         A function of increasing times, s, that returns angles, rad.
     """
-    residual = angles - respond(motor, sent_s, sent, joints_s)[0]
+    residual = angles - simulate_motor(motor, sent_s, sent, joints_s)[0]
     rate_hz = (len(joints_s) - 1) / (joints_s[-1] - joints_s[0])
     width = max(3, round(0.5 * CLUSTER_S * rate_hz))
     kernel = np.ones(width)
@@ -264,7 +264,7 @@ def path_of(
     )
 
     def path(times: FloatArray) -> FloatArray:
-        angle = respond(motor, sent_s, sent, times)[0]
+        angle = simulate_motor(motor, sent_s, sent, times)[0]
         return np.asarray(angle + np.interp(times, joints_s, smooth))
 
     return path

@@ -64,7 +64,7 @@ class _Reach(NamedTuple):
     """(7,) speed when the next command begins to act, rad/s."""
 
 
-class JointMotion:
+class JointMotionLimiter:
     """Model of the joints, and the limits of their commands.
 
     Args:
@@ -261,6 +261,8 @@ class JointMotion:
         return command
 
 
-def inside(postures: Sequence[ForbiddenPosture], angles: FloatArray) -> ForbiddenPosture | None:
+def find_containing_posture(
+    postures: Sequence[ForbiddenPosture], angles: FloatArray
+) -> ForbiddenPosture | None:
     """First forbidden posture that contains the angles, (7,) rad; None if there is none."""
     return next((one for one in postures if one.holds(angles)), None)

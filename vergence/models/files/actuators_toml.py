@@ -19,7 +19,7 @@ from vergence.models.files.head_rules import (
     RADIANS,
     RATIO,
 )
-from vergence.models.files.joints_toml import refuse_empty
+from vergence.models.files.joints_toml import refuse_empty_range
 from vergence.models.files.toml_table import Table
 from vergence.models.joint_axes import JointAxes
 from vergence.models.joints import EYES, JOINTS
@@ -51,7 +51,7 @@ def parse_actuators(root: Table, links: JointAxes) -> Actuators | None:
             matrix[places, k] = moves.number(joint, RATIO)
         for field, rule in JOINT_LIMITS.items():
             columns[field].append(table.number(field, rule))
-        refuse_empty(name, np.array([columns["lower_rad"][-1], columns["upper_rad"][-1]]))
+        refuse_empty_range(name, np.array([columns["lower_rad"][-1], columns["upper_rad"][-1]]))
         for field, rule in ACTUATOR_OWN.items():
             given = table.number(field, rule) if table.has(field) else np.nan
             columns[field].append(0.0 if field == "backlash_rad" and np.isnan(given) else given)

@@ -33,7 +33,7 @@ _MOST: Final = {"neck": 3, "eye": 2}
 _LIMITS: Final = tuple(JOINT_LIMITS)
 
 
-class Chains(NamedTuple):
+class ParsedJoints(NamedTuple):
     """Joints of a head file, from the base outwards."""
 
     names: list[str]
@@ -46,7 +46,7 @@ class Chains(NamedTuple):
     """(4, 4) pose of the last link in the frame of its joint, for the neck and each eye."""
 
 
-def parse_joints(root: Table) -> Chains:
+def parse_joints(root: Table) -> ParsedJoints:
     """Parse the joints of a head file.
 
     Args:
@@ -77,7 +77,7 @@ def parse_joints(root: Table) -> Chains:
             carried[chain] = out
         table.close()
     _refuse_crowd(parts)
-    return Chains(names, parts, np.array(poses).reshape(-1, 4, 4), limits, carried)
+    return ParsedJoints(names, parts, np.array(poses).reshape(-1, 4, 4), limits, carried)
 
 
 def _refuse_order(table: Table, parts: Sequence[str], part: str) -> None:
@@ -171,11 +171,11 @@ def _parse_limits(table: Table, name: str) -> FloatArray | None:
     if not any(table.has(field) for field in _LIMITS):
         return None
     values = np.array([table.number(field, rule) for field, rule in JOINT_LIMITS.items()])
-    refuse_empty(name, values)
+    refuse_empty_range(name, values)
     return values
 
 
-def refuse_empty(name: str, limits: FloatArray) -> None:
+def refuse_empty_range(name: str, limits: FloatArray) -> None:
     """Refuse an empty range; the first two numbers are its lower and upper end, rad."""
     if not limits[0] < limits[1]:
         raise HeadFileError(
@@ -183,7 +183,7 @@ def refuse_empty(name: str, limits: FloatArray) -> None:
         )
 
 
-def parse_frame(root: Table) -> FloatArray | None:
+def parse_frame_n(root: Table) -> FloatArray | None:
     """(4, 4) frame N in the neck's last link; None if the file does not give it."""
     if not root.has("frame"):
         return None
@@ -193,7 +193,7 @@ def parse_frame(root: Table) -> FloatArray | None:
     return frame
 
 
-def frame_between(eyes: FloatArray) -> FloatArray:
+def frame_between_cameras(eyes: FloatArray) -> FloatArray:
     """(4, 4) default frame N: midway between the cameras, along their mean optical axis.
 
     Args:
@@ -232,7 +232,7 @@ def frame_between(eyes: FloatArray) -> FloatArray:
 
 
 def joints_to_toml(links: JointAxes, limits: JointLimits) -> dict[str, Any]:
-    """Write the tables of joints and frame N; `parse_joints` and `parse_frame` read them back."""
+    """Write the tables of joints and frame N; `parse_joints` and `parse_frame_n` read them back."""
     tables: dict[str, Any] = {
         "frame": {
             "origin_m": links.frame[:3, 3].tolist(),

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from vergence.models.boards import PlanarTarget, make_planar_target, texture
 from vergence.models.head import HeadModel
-from vergence.models.mujoco.bodies import placement
-from vergence.models.mujoco.posture import posture_of
+from vergence.models.mujoco.bodies import pos_and_quat
+from vergence.models.mujoco.posture import rest_poses
 from vergence.models.mujoco.shapes import (
     COLOURS,
     DARK,
@@ -40,7 +40,7 @@ _TOWARDS_HEAD: Final = (0.0, 0.0, 0.5**0.5, -(0.5**0.5))
 z_T = -y_0 (numerical)."""
 
 
-class FixedPair(NamedTuple):
+class ObserverCameras(NamedTuple):
     """A stereo camera that does not move, like the article's ZED Mini (Table 6)."""
 
     width: int = 1280
@@ -52,7 +52,7 @@ class FixedPair(NamedTuple):
     """Midpoint between both optical centres in the upright frame, above the eyes at rest."""
 
 
-FIXED_PAIR: Final = FixedPair()
+OBSERVER_CAMERAS: Final = ObserverCameras()
 
 
 class Surroundings(NamedTuple):
@@ -83,15 +83,15 @@ class Surroundings(NamedTuple):
         pose = np.eye(4)
         rotation = Rotation.from_quat(np.asarray(quat), scalar_first=True).as_matrix()
         pose[:3, :3], pose[:3, 3] = self.frame[:3, :3] @ rotation, self.at(point)
-        return placement(pose)
+        return pos_and_quat(pose)
 
 
 def surroundings_of(head: HeadModel) -> Surroundings:
     """Compute the position and size of a head's surroundings."""
-    posture = posture_of(head)
+    posture = rest_poses(head)
     if posture.is_article:
         return Surroundings(posture.upright)
-    x, y, _z = (posture.stand - posture.upright[:3, 3]) @ posture.upright[:3, :3]
+    x, y, _z = (posture.stand_top - posture.upright[:3, 3]) @ posture.upright[:3, :3]
     return Surroundings(
         posture.upright,
         foot=(float(x), float(y)),
@@ -140,7 +140,9 @@ def _png(image: NDArray[np.uint8]) -> bytes:
     return bytes(cv2.imencode(".png", image)[1])
 
 
-def add_fixed_pair(spec: mujoco.MjSpec, around: Surroundings, pair: FixedPair = FIXED_PAIR) -> None:
+def add_observer_cameras(
+    spec: mujoco.MjSpec, around: Surroundings, pair: ObserverCameras = OBSERVER_CAMERAS
+) -> None:
     """Add the body `fixed_pair`: x right, y down, z forward, origin midway between its cameras."""
     place = around.placed(pair.position_m, _TOWARDS_HEAD)
     body = spec.worldbody.add_body(name="fixed_pair", **place)

@@ -24,7 +24,7 @@ _ROLLED: Final = np.cos(np.deg2rad(25.0))
 image (chosen: tilted mounts are accepted, wrong frames refused)."""
 
 
-def rotation_of(triple: str) -> FloatArray:
+def rotation_of_axes(triple: str) -> FloatArray:
     """R_frame_camera, (3, 3), from the axes `right,down,forward`, such as `x,-y,-z`.
 
     Args:
@@ -51,7 +51,7 @@ def rotation_of(triple: str) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class EyeAtZero:
+class EyeAtZeroAngles:
     """A camera and its joint axes at zero, in the base's frame, to check the camera's axes.
 
     Attributes:
@@ -65,7 +65,7 @@ class EyeAtZero:
     axes: FloatArray
 
 
-def check_optical(eyes: Sequence[EyeAtZero], up: FloatArray) -> None:
+def check_camera_axes(eyes: Sequence[EyeAtZeroAngles], up: FloatArray) -> None:
     """Refuse cameras unless, at zero, they are side by side, look ahead and are upright.
 
     Args:
@@ -108,7 +108,7 @@ def check_optical(eyes: Sequence[EyeAtZero], up: FloatArray) -> None:
     )
 
 
-def _fault(eye: EyeAtZero, across: FloatArray, up: FloatArray) -> str:
+def _fault(eye: EyeAtZeroAngles, across: FloatArray, up: FloatArray) -> str:
     right, down, forward = eye.pose[:3, :3].T
     if right @ across < _ALIGNED:
         return f"x is {_angle(right @ across)} from the line from the left camera to the right one"
@@ -126,11 +126,11 @@ def _angle(cosine: float) -> str:
     return f"{np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} degrees"
 
 
-def _fitting(eye: EyeAtZero, across: FloatArray, up: FloatArray) -> str:
+def _fitting(eye: EyeAtZeroAngles, across: FloatArray, up: FloatArray) -> str:
     """Axes `right,down,forward` of the frame that fit best."""
 
     def misfit(triple: str) -> float:
-        right, down, forward = (eye.pose[:3, :3] @ rotation_of(triple)).T
+        right, down, forward = (eye.pose[:3, :3] @ rotation_of_axes(triple)).T
         rolled = max((abs(float(forward @ axis)) for axis in eye.axes), default=0.0)
         return float(-2.0 * (right @ across) + down @ up + 1.5 * rolled)
 

@@ -62,7 +62,7 @@ class JointPath:
     down: tuple[Joint, ...]
 
 
-def path_to(mechanism: Mechanism, base: int, camera: int) -> JointPath:
+def find_joint_path(mechanism: Mechanism, base: int, camera: int) -> JointPath:
     """Find the joints on the path from a base to a camera."""
     above, below = mechanism.ancestors(base), mechanism.ancestors(camera)
     frames = mechanism.frames
@@ -72,7 +72,7 @@ def path_to(mechanism: Mechanism, base: int, camera: int) -> JointPath:
     )
 
 
-def fold(
+def build_chain(
     mechanism: Mechanism, base: int, camera: int, fixed: Mapping[str, float]
 ) -> KinematicChain:
     """Build the chain from a base to a camera.

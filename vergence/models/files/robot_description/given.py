@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from vergence.errors import ConfigurationError
-from vergence.models.files.robot_description.mechanism import Joint, among
+from vergence.models.files.robot_description.mechanism import Joint, known_names_hint
 
 _NUMBER: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-z]*)\s*")
 _TURNS: Final = {"": np.pi / 180.0, "deg": np.pi / 180.0, "rad": 1.0}
@@ -17,7 +17,7 @@ _SLIDES: Final = {"m": 1.0, "mm": 1e-3}
 """Metres per unit of a length."""
 
 
-def locked_joints(words: Sequence[str], joints: Mapping[str, Joint]) -> dict[str, float]:
+def parse_locked_joints(words: Sequence[str], joints: Mapping[str, Joint]) -> dict[str, float]:
     """Parse values of locked joints from `JOINT=DEG`, `JOINT=1.5rad`, `JOINT=0.1m`.
 
     Args:
@@ -36,7 +36,9 @@ def locked_joints(words: Sequence[str], joints: Mapping[str, Joint]) -> dict[str
         if not equals:
             raise ConfigurationError(f"lock: expected JOINT=DEG, got {word!r}")
         if name not in joints:
-            raise ConfigurationError(f"lock: expected {among('joint', name, joints)}, got {name!r}")
+            raise ConfigurationError(
+                f"lock: expected {known_names_hint('joint', name, joints)}, got {name!r}"
+            )
         if name in found:
             raise ConfigurationError(f"lock: expected each joint once, got {name} twice")
         slides = joints[name].kind == "slide"
@@ -50,7 +52,7 @@ def locked_joints(words: Sequence[str], joints: Mapping[str, Joint]) -> dict[str
 
 
 @dataclass(frozen=True)
-class PerJoint:
+class ValueByJoint:
     """Numbers that the user gives for joints.
 
     Attributes:
@@ -68,7 +70,7 @@ def parse_per_joint(
     joints: Sequence[str],
     accepted: Callable[[float], bool],
     expected: str,
-) -> PerJoint:
+) -> ValueByJoint:
     """Parse numbers from `NUMBER` and `JOINT=NUMBER`.
 
     Args:
@@ -93,7 +95,7 @@ def parse_per_joint(
             raise ConfigurationError(f"{option}: expected {expected}, got {word!r}")
         if equals and name not in joints:
             raise ConfigurationError(
-                f"{option}: expected {among('moving joint', name, joints)}, got {name!r}"
+                f"{option}: expected {known_names_hint('moving joint', name, joints)}, got {name!r}"
             )
         if name in each or (not equals and others is not None):
             raise ConfigurationError(f"{option}: expected one number a joint, got {word!r} too")
@@ -101,4 +103,4 @@ def parse_per_joint(
             each[name] = number
         else:
             others = number
-    return PerJoint(each, others)
+    return ValueByJoint(each, others)
