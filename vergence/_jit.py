@@ -408,13 +408,14 @@ _EVERY_TIME: Final = (
 _REPORTER: Final = _Reporter()
 
 
-def set_compile_reporter(tell: Callable[[str], None] | None) -> None:
+def set_compile_reporter(report: Callable[[str], None] | None) -> None:
     """Set the callback for messages that kernels are being compiled or cannot be cached.
 
     Args:
-        tell: called once with each message, before the first kernel is compiled; None for silence.
+        report: called once with each message, before the first kernel is compiled; None for
+            silence.
     """
-    _REPORTER.start(tell)
+    _REPORTER.start(report)
 
 
 def report_compiling_for_workers() -> None:

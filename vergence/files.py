@@ -2,8 +2,8 @@
 
 Content is written to a hidden folder beside its destination, on the same disk, and renamed when
 complete. Each file or new folder appears in one rename; a set of files one by one, `last` at the
-end; a replaced folder is missing for an instant. A process that is killed leaves behind at most such
-a hidden folder.
+end; a replaced folder is missing for an instant. A process that is killed leaves at most such a
+hidden folder behind.
 """
 
 import hashlib

@@ -38,14 +38,16 @@ def test_servos_that_tell_only_their_model_are_listed(serve):
     own = ready_servos()[:2]
     own[0].set(table.MODEL_NUMBER, 12)
     own[1].set(table.STATUS_RETURN_LEVEL, 0)
-    found = scan_for_servos(serve(own).port, ids=(1, 2), wait_per_id_s=1e-4, rates=(1_000_000,))
+    found = scan_for_servos(
+        serve(own).port, ids=(1, 2), wait_per_id_s=1e-4, baud_rates=(1_000_000,)
+    )
     assert [(one.model, one.memory) for one in found.servos] == [(12, None), (1060, None)]
 
 
 def test_a_rate_that_cannot_be_set_is_left_out_with_its_reason(serve, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "serial", None)
     found = scan_for_servos(
-        serve(ready_servos()).port, wait_per_id_s=1e-4, rates=(123_456, 1_000_000)
+        serve(ready_servos()).port, wait_per_id_s=1e-4, baud_rates=(123_456, 1_000_000)
     )
     assert len(found.servos) == 4
     assert "expected pyserial for 123456 baud" in found.left_out[123_456]

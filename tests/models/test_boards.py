@@ -77,7 +77,7 @@ def test_inner_corners_lie_where_four_squares_alternate() -> None:
 
 def test_texture_is_the_cells_enlarged() -> None:
     tag = AprilTag()
-    image = texture(tag, 3, surround=90, rim=2)
+    image = texture(tag, 3, surround=90, rim_px=2)
     assert image.dtype == np.uint8
     assert image.shape == (34, 34)
     assert (image[3:-2:3, 3:-2:3] == tag.cells).all()

@@ -52,7 +52,7 @@ class Jog:
         interrupts.raise_on_termination()
         bus, session = open_bus(config.bus), None
         try:
-            for finding in raise_errors(check_servos(config, bus, posture=False)):
+            for finding in raise_errors(check_servos(config, bus, check_limits=False)):
                 print_note(f"warning: {finding}")
             session = JogSession(Joints(config, bus), self.config, step_rad, _say)
             session.begin()

@@ -221,6 +221,6 @@ def parse_size(text: str | None) -> tuple[int, int] | None:
     return int(match[1]), int(match[2])
 
 
-def dated_run_folder(what: str) -> Path:
+def dated_run_folder(command: str) -> Path:
     """Default run folder of a command: runs/WHAT-DATE-TIME."""
-    return Path("runs") / f"{what}-{datetime.now():%Y%m%d-%H%M%S-%f}"
+    return Path("runs") / f"{command}-{datetime.now():%Y%m%d-%H%M%S-%f}"

@@ -79,12 +79,12 @@ class Jogger:
         angles.update({servo.id: bytes(table.PRESENT_VELOCITY.length) + position}, self._clock())
         return float(angles.angles[servo.slot])
 
-    def step(self, name: str, way_rad: float) -> float:
+    def step(self, name: str, signed_step_rad: float) -> float:
         """Turn a joint by some angle and let it rest there, with torque.
 
         Args:
             name: the joint.
-            way_rad: signed step, rad, up to `MOST_STEP_RAD` in size.
+            signed_step_rad: signed step, rad, up to `MOST_STEP_RAD` in size.
 
         Returns:
             Measured rotation, rad.
@@ -96,7 +96,7 @@ class Jogger:
         servo = self.servos[name]
         try:
             self._arm(servo)
-            return self._drive(servo, way_rad)
+            return self._drive(servo, signed_step_rad)
         finally:
             self._rest(servo)
 

@@ -59,7 +59,7 @@ class ScanResult:
 def scan_for_servos(
     port: str,
     *,
-    rates: Sequence[int] = RATES,
+    baud_rates: Sequence[int] = RATES,
     ids: Iterable[int] | None = None,
     wait_per_id_s: float = _TURN_S,
     report: Callable[[float], None] = lambda _done: None,
@@ -68,7 +68,7 @@ def scan_for_servos(
 
     Args:
         port: device file of the line.
-        rates: baud rates, bit/s.
+        baud_rates: baud rates, bit/s.
         ids: ids to ping one by one; None pings all at once.
         wait_per_id_s: wait per id if all are pinged at once, s.
         report: progress callback, called with the fraction that is done.
@@ -80,8 +80,8 @@ def scan_for_servos(
     left_out: dict[int, str] = {}
     damaged = 0
     asked = None if ids is None else list(ids)
-    for place, rate in enumerate(rates):
-        report(place / len(rates))
+    for place, rate in enumerate(baud_rates):
+        report(place / len(baud_rates))
         try:
             bus = Bus(port, rate)
         except HardwareError as error:

@@ -182,7 +182,8 @@ class HeadServos:
                 raise HardwareError(
                     f"servos: {servo.name}: expected a servo without a fault, got "
                     f"{describe_fault_bits(errors) or 'one that it does not tell'}: it may have "
-                    "let go; cure: hold the head, remove the cause, then switch its power off and on"
+                    "let go; cure: hold the head, remove the cause, then switch its power off "
+                    "and on"
                 )
 
     def _check_torque(self) -> None:

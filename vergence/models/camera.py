@@ -89,7 +89,7 @@ def project(
     points: FloatArray,
     distorted: NDArray[bool_],
     p: PackedHead,
-    pair: FloatArray,
+    _two: FloatArray,
     out: FloatArray,
 ) -> None:
     """Pixels in both eyes of a point given in N."""

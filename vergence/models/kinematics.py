@@ -111,14 +111,14 @@ def neck_frame(p: PackedHead, q1: float, q2: float, q3: float) -> Pose:
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:,:])"], f"(7),({PACKED}),(4)->(4,4)")
-def base_pose(q: FloatArray, p: PackedHead, quad: FloatArray, out: FloatArray) -> None:
+def base_pose(q: FloatArray, p: PackedHead, _four: FloatArray, out: FloatArray) -> None:
     """T_0_N of a packed head."""
     store_pose(out, neck_frame(p, q[0], q[1], q[2]))
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:,:,:])"], f"(7),({PACKED}),(2),(4)->(2,4,4)")
 def camera_poses(
-    q: FloatArray, p: PackedHead, pair: FloatArray, quad: FloatArray, out: FloatArray
+    q: FloatArray, p: PackedHead, _two: FloatArray, _four: FloatArray, out: FloatArray
 ) -> None:
     """T_N_Cl and T_N_Cr of a packed head."""
     for eye in range(2):

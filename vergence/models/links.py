@@ -62,7 +62,7 @@ class Links(Protocol):
         """
 
     def twists(self, reference: Any) -> FloatArray:
-        """Exact derivatives of the eyes' constants of `constant_poses` by the parameters, for one head.
+        """Exact derivatives of the eyes' `constant_poses` by the parameters, for one head.
 
         Args:
             reference: the links that rotations are relative to, see `fields`.

@@ -41,7 +41,10 @@ PACKED: Final = _TO_ACTUATORS + SLOTS * SLOTS
 
 
 def pack_constants(
-    poses: Sequence[FloatArray], cameras: Cameras, actuation: Actuation, batch: tuple[int, ...]
+    poses: Sequence[FloatArray],
+    cameras: Cameras,
+    actuation: Actuation,
+    batch_shape: tuple[int, ...],
 ) -> FloatArray:
     """Pack heads into one row of numbers each.
 
@@ -50,12 +53,12 @@ def pack_constants(
             the three of the right eye, in the order of `neck_link` and `eye_link`.
         cameras: the two cameras, batched or not.
         actuation: the head's actuators.
-        batch: the leading shape; all parts broadcast to it.
+        batch_shape: the leading shape; all parts broadcast to it.
 
     Returns:
         (*batch, PACKED) read-only array.
     """
-    packed = np.zeros((*batch, PACKED))
+    packed = np.zeros((*batch_shape, PACKED))
     for i, pose in enumerate(poses):
         rows = pose[..., :3, :]
         packed[..., i * _POSE : (i + 1) * _POSE] = rows.reshape(*rows.shape[:-2], _POSE)

@@ -275,7 +275,7 @@ class TestCameras:
             assert resolution == head.cameras.size[eye].tolist()
 
     def test_the_fixed_pair_is_the_articles(self, simulated):
-        model = compile_model(simulated, fixed_pair=True)
+        model = compile_model(simulated, observer_cameras=True)
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         left, right = data.camera("fixed_left"), data.camera("fixed_right")

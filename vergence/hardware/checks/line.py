@@ -104,17 +104,17 @@ def latency_timer_ms(port: str, sysfs: str = "/sys") -> int:
         return 0
 
 
-def exchange_time_s(count: int, baud_rate: int, delays_s: float, latency_s: float) -> float:
+def exchange_time_s(servo_count: int, baud_rate: int, delays_s: float, latency_s: float) -> float:
     """Time of one period's exchange with the servos, see the module's description, s.
 
     Args:
-        count: number of servos.
+        servo_count: number of servos.
         baud_rate: baud rate, bit/s.
         delays_s: sum of their return delays, s.
         latency_s: latency of the adapter, s.
     """
-    instructions = 2 * _FRAME_BYTES + count * (_GOAL_BYTES + 1)
-    return 10.0 * (instructions + count * _ANSWER_BYTES) / baud_rate + delays_s + latency_s
+    instructions = 2 * _FRAME_BYTES + servo_count * (_GOAL_BYTES + 1)
+    return 10.0 * (instructions + servo_count * _ANSWER_BYTES) / baud_rate + delays_s + latency_s
 
 
 def check_exchange_fits_period(

@@ -32,7 +32,7 @@ _DRIVE_MODES: Final = {
 
 
 def check_registers(
-    config: HardwareConfig, servo: ServoConfig, memory: ServoMemory, *, posture: bool
+    config: HardwareConfig, servo: ServoConfig, memory: ServoMemory, *, check_limits: bool
 ) -> Iterator[Finding]:
     """Find all problems in a servo's registers.
 
@@ -40,11 +40,11 @@ def check_registers(
         config: the robot.
         servo: the servo, of a supported model.
         memory: its registers.
-        posture: True to check that its joint is within its limits.
+        check_limits: True to check that its joint is within its limits.
     """
     asked = _Asked(config, servo, memory)
     for check in _CHECKS:
-        if posture or check is not _posture:
+        if check_limits or check is not _posture:
             yield from check(asked)
 
 

@@ -152,13 +152,17 @@ class JointMotionLimiter:
         )
 
     def allowed(
-        self, angles: FloatArray, measured: FloatArray, requested: FloatArray, max_speed: FloatArray
+        self,
+        angles: FloatArray,
+        measured_speeds: FloatArray,
+        requested: FloatArray,
+        max_speed: FloatArray,
     ) -> FloatArray:
         """Limit requested velocities so that the joints can still brake inside their bounds.
 
         Args:
             angles: (7,) present angles, rad.
-            measured: (7,) measured speeds, rad/s; the greater of these and the model's count.
+            measured_speeds: (7,) rad/s; the greater of these and the model's count.
             requested: (7,) requested velocities, rad/s, finite or infinite.
             max_speed: (7,) present greatest speeds, rad/s.
 
@@ -166,7 +170,7 @@ class JointMotionLimiter:
             (7,) commands, the nearest safe ones, rad/s.
         """
         command = self._window(np.clip(requested, -max_speed, max_speed))
-        up, down = self._reach(measured, 1.0), self._reach(measured, -1.0)
+        up, down = self._reach(measured_speeds, 1.0), self._reach(measured_speeds, -1.0)
         highest = self._greatest(self._upper - angles - up.unavoidable, up)
         lowest = -self._greatest(angles - self._lower - down.unavoidable, down)
         command = np.clip(command, lowest, highest)

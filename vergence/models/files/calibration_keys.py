@@ -116,21 +116,21 @@ class CalibrationValues:
         return None
 
 
-def refuse_unused_files(files: Iterable[str], used: Collection[str]) -> None:
+def refuse_unused_files(files: Iterable[str], used_files: Collection[str]) -> None:
     """Refuse files that contribute nothing: the user may have meant them to count.
 
     Args:
         files: names of all files given.
-        used: names of the files that contribute a value.
+        used_files: names of the files that contribute a value.
 
     Raises:
         ConfigurationError: some files are unused; the message names them.
     """
-    others = [name for name in files if name not in used]
+    others = [name for name in files if name not in used_files]
     if others:
         raise ConfigurationError(
             f"{', '.join(others)}: expected files that belong together, got a calibration in "
-            f"{', '.join(name for name in files if name in used)} that uses nothing else"
+            f"{', '.join(name for name in files if name in used_files)} that uses nothing else"
         )
 
 
@@ -151,22 +151,22 @@ def _same(one: Any, other: Any) -> bool:
     return bool(np.array_equal(first, second))
 
 
-def flat_array_of(found: FoundValue, sizes: Sequence[int], expected: str) -> FloatArray:
+def flat_array_of(found: FoundValue, allowed_counts: Sequence[int], expected: str) -> FloatArray:
     """Numbers of a value, flattened to one dimension.
 
     Args:
         found: the value.
-        sizes: allowed counts of numbers.
+        allowed_counts: allowed counts of numbers.
         expected: description of the expected value, for messages.
 
     Raises:
         ConfigurationError: the value is not numeric or not finite, or has another count.
     """
     values = parse_numbers(found.value)
-    if values is not None and values.size in sizes and np.isfinite(values).all():
+    if values is not None and values.size in allowed_counts and np.isfinite(values).all():
         return values.reshape(-1)
     shown = found.value if values is None else values.tolist()
     got = f"{shown!r:.80}" if values is None or values.size < 10 else f"{values.size} numbers"
-    if values is not None and values.size in sizes:
+    if values is not None and values.size in allowed_counts:
         got = f"{got}, not all of them finite"
     raise ConfigurationError(f"{found.label}: expected {expected}, got {got}")

@@ -25,7 +25,7 @@ Bodies = Mapping[int, Any]
 
 
 def add_bodies(
-    spec: mujoco.MjSpec, head: HeadModel, held: Mapping[str, float], armature: FloatArray
+    spec: mujoco.MjSpec, head: HeadModel, welded_angles: Mapping[str, float], armature: FloatArray
 ) -> Bodies:
     """Add a body with its mass for each joint, and the site `N`.
 
@@ -34,7 +34,7 @@ def add_bodies(
     Args:
         spec: the specification to extend; its time step is set.
         head: one head.
-        held: rigid joints by name, with their angles, rad.
+        welded_angles: rigid joints by name, with their angles, rad.
         armature: (7,) inertia of the joints' rotors, kg m^2.
 
     Returns:
@@ -45,15 +45,15 @@ def add_bodies(
     for place in sorted(range(len(links)), key=lambda i: links[i].joints[0]):
         link = links[place]
         pose = link.pose
-        if link.name in held:
-            pose = pose @ _turn_z(held[link.name])
+        if link.name in welded_angles:
+            pose = pose @ _turn_z(welded_angles[link.name])
         body = bodies[link.parent].add_body(
             name=body_name(link.name), gravcomp=1.0, **pos_and_quat(pose)
         )
         bodies[place] = body
         body.mass, body.ipos, body.inertia, _edges = link_inertia(head, link.name)
         body.explicitinertial = True
-        if link.name not in held:
+        if link.name not in welded_angles:
             _add_joint(body, link.name, link.joints[0], head, armature, spec.option.timestep)
     bodies[chain_end(links, None)].add_site(
         name="N", group=4, size=[0.002] * 3, **pos_and_quat(head.links.base_frame())

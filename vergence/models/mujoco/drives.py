@@ -152,7 +152,7 @@ def rotor_couplings(head: HeadModel, drives: Sequence[Transmission]) -> tuple[Jo
     )
 
 
-def decoupling_rotor_inertias(head: HeadModel, least: FloatArray) -> FloatArray | None:
+def decoupling_rotor_inertias(head: HeadModel, least_inertias: FloatArray) -> FloatArray | None:
     """Solve for rotor inertias by joint that decouple the actuators.
 
     Rotor inertias r at the joints give the inertia matrix `S^T diag(r) S` at the actuators, with S
@@ -160,7 +160,7 @@ def decoupling_rotor_inertias(head: HeadModel, least: FloatArray) -> FloatArray 
 
     Args:
         head: the head.
-        least: (J,) least inertia of each distinct joint of the eyes, kg m^2.
+        least_inertias: (J,) least inertia of each distinct joint of the eyes, kg m^2.
 
     Returns:
         (J,) inertias with the least sum, kg m^2; None if there are none.
@@ -169,13 +169,13 @@ def decoupling_rotor_inertias(head: HeadModel, least: FloatArray) -> FloatArray 
     count = matrix.shape[1]
     pairs = [(i, k) for i in range(count) for k in range(i)]
     if not any((matrix[:, i] * matrix[:, k]).any() for i, k in pairs):
-        return least
+        return least_inertias
     products = np.array([matrix[:, i] * matrix[:, k] for i, k in pairs])
     found = linprog(
-        np.ones(len(least)),
+        np.ones(len(least_inertias)),
         A_eq=products,
         b_eq=np.zeros(len(pairs)),
-        bounds=[(low, None) for low in least],
+        bounds=[(low, None) for low in least_inertias],
     )
     return np.asarray(found.x) if found.success else None
 

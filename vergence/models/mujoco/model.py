@@ -40,7 +40,7 @@ def build_spec(
     neck_position: ArrayLike = 0.0,
     target: Literal["tag", "checkerboard"] | None = "tag",
     board: PlanarTarget | None = None,
-    fixed_pair: bool = False,
+    observer_cameras: bool = False,
     visuals: bool = True,
     gravity: bool = False,
     timestep_s: float | None = None,
@@ -55,8 +55,8 @@ def build_spec(
             frame is T: origin at the measured point, x right and y down as seen from in
             front, z into the board.
         board: the board on the target; None for the default board of that name.
-        fixed_pair: True to add the body `fixed_pair` with the cameras `fixed_left` and
-            `fixed_right`, which looks over the head.
+        observer_cameras: True to add the body `fixed_pair`, which looks over the head, with the
+            cameras `fixed_left` and `fixed_right`.
         visuals: True to add shapes, a stand, a floor and lights, for rendering. Without them the
             motion is the same and the simulation is faster.
         gravity: True to enable gravity, contacts, springs and constraints, for models with
@@ -90,8 +90,8 @@ def build_spec(
     if visuals:
         mujoco_scene.add_scenery(spec, around)
     if target is not None:
-        mujoco_scene.add_target(spec, target, board, around=around)
-    if fixed_pair:
+        mujoco_scene.add_target(spec, target, board, surroundings=around)
+    if observer_cameras:
         mujoco_scene.add_observer_cameras(spec, around)
     return spec
 

@@ -24,27 +24,27 @@ _ROLLED: Final = np.cos(np.deg2rad(25.0))
 image (chosen: tilted mounts are accepted, wrong frames refused)."""
 
 
-def rotation_of_axes(triple: str) -> FloatArray:
+def rotation_of_axes(axes: str) -> FloatArray:
     """R_frame_camera, (3, 3), from the axes `right,down,forward`, such as `x,-y,-z`.
 
     Args:
-        triple: three axes of the frame with their signs.
+        axes: three axes of the frame with their signs.
 
     Raises:
         ConfigurationError: the text does not name three axes, or the frame is left-handed.
     """
-    names = [name.strip().lower().removeprefix("+") for name in triple.split(",")]
+    names = [name.strip().lower().removeprefix("+") for name in axes.split(",")]
     expected = (
         "camera-axes: expected the axes of the camera's frame that point right in the image, down "
         "in it and forward, such as x,-y,-z"
     )
     if len(names) != 3 or not set(names) <= set(_AXES) or len({n[-1] for n in names}) != 3:
-        raise ConfigurationError(f"{expected}, got {triple!r}")
+        raise ConfigurationError(f"{expected}, got {axes!r}")
     rotation = np.column_stack([_AXES[name] for name in names])
     if np.linalg.det(rotation) < 0.0:
         mirrored = names[2].removeprefix("-") if names[2].startswith("-") else f"-{names[2]}"
         raise ConfigurationError(
-            f"{expected}, forward being right x down, got {triple!r}, which is left-handed "
+            f"{expected}, forward being right x down, got {axes!r}, which is left-handed "
             f"({names[0]},{names[1]},{mirrored} is not)"
         )
     return np.asarray(rotation)

@@ -17,11 +17,11 @@ _SLIDES: Final = {"m": 1.0, "mm": 1e-3}
 """Metres per unit of a length."""
 
 
-def parse_locked_joints(words: Sequence[str], joints: Mapping[str, Joint]) -> dict[str, float]:
+def parse_locked_joints(texts: Sequence[str], joints: Mapping[str, Joint]) -> dict[str, float]:
     """Parse values of locked joints from `JOINT=DEG`, `JOINT=1.5rad`, `JOINT=0.1m`.
 
     Args:
-        words: the texts, as given.
+        texts: the texts, as given.
         joints: the robot's joints by name.
 
     Returns:
@@ -31,7 +31,7 @@ def parse_locked_joints(words: Sequence[str], joints: Mapping[str, Joint]) -> di
         ConfigurationError: a text is malformed, a joint is unknown, or is given twice.
     """
     found: dict[str, float] = {}
-    for word in words:
+    for word in texts:
         name, equals, text = word.rpartition("=")
         if not equals:
             raise ConfigurationError(f"lock: expected JOINT=DEG, got {word!r}")
@@ -66,18 +66,18 @@ class ValueByJoint:
 
 def parse_per_joint(
     option: str,
-    words: Sequence[str],
+    texts: Sequence[str],
     joints: Sequence[str],
-    accepted: Callable[[float], bool],
+    is_valid: Callable[[float], bool],
     expected: str,
 ) -> ValueByJoint:
     """Parse numbers from `NUMBER` and `JOINT=NUMBER`.
 
     Args:
         option: name of the option, for messages.
-        words: the texts, as given.
+        texts: the texts, as given.
         joints: joints that may be named.
-        accepted: predicate of valid numbers.
+        is_valid: predicate of valid numbers.
         expected: description of a valid number, for messages.
 
     Raises:
@@ -85,13 +85,13 @@ def parse_per_joint(
     """
     each: dict[str, float] = {}
     others: float | None = None
-    for word in words:
+    for word in texts:
         name, equals, text = word.rpartition("=")
         try:
             number = float(text)
         except ValueError:
             number = np.nan
-        if np.isnan(number) or not accepted(number):
+        if np.isnan(number) or not is_valid(number):
             raise ConfigurationError(f"{option}: expected {expected}, got {word!r}")
         if equals and name not in joints:
             raise ConfigurationError(
