@@ -27,7 +27,7 @@ from rich.progress import track
 from benchmarks.wire import emulated, show
 from vergence.errors import HardwareError
 from vergence.hardware.config import HardwareConfig, load_hardware
-from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.plant import HardwarePlant
 from vergence.hardware.safety.config import SafetyConfig
 from vergence.models.parts import FloatArray
@@ -126,7 +126,7 @@ class Mover:
             plant.step(self.command(time.monotonic()))
 
 
-def rested_s(world: EmulatedWorld, since_s: float, wait_s: float = 0.6) -> float:
+def rested_s(world: WorldClient, since_s: float, wait_s: float = 0.6) -> float:
     """Time from `since_s` until all joints rested, s; inf if one still turns."""
     time.sleep(wait_s)
     rested = world.rested_s(since_s)
@@ -135,12 +135,12 @@ def rested_s(world: EmulatedWorld, since_s: float, wait_s: float = 0.6) -> float
 
 def befall(
     config: HardwareConfig,
-    happen: Callable[[HardwarePlant, EmulatedWorld, Mover], float],
+    happen: Callable[[HardwarePlant, WorldClient, Mover], float],
     rng: np.random.Generator,
     wait_s: float = 0.6,
 ) -> tuple[float, str]:
     """Run one trial of an event; return the time until all joints rested, s, and the reason."""
-    world = EmulatedWorld(config.emulator)
+    world = WorldClient(config.emulator)
     plant = HardwarePlant(config.head, config=config)
     try:
         mover = Mover(rng)
@@ -160,10 +160,10 @@ def befall(
 
 def fault(
     request: dict[str, Any], longest_s: float
-) -> Callable[[HardwarePlant, EmulatedWorld, Mover], float]:
+) -> Callable[[HardwarePlant, WorldClient, Mover], float]:
     """Event: a fault of the emulator begins while the policy continues."""
 
-    def happen(plant: HardwarePlant, world: EmulatedWorld, mover: Mover) -> float:
+    def happen(plant: HardwarePlant, world: WorldClient, mover: Mover) -> float:
         since_s = world.fault(**request)
         mover.drive(plant, longest_s)
         return since_s
@@ -171,7 +171,7 @@ def fault(
     return happen
 
 
-def sleeps(plant: HardwarePlant, world: EmulatedWorld, mover: Mover) -> float:
+def sleeps(plant: HardwarePlant, world: WorldClient, mover: Mover) -> float:
     """Event: the policy sleeps for a second."""
     since_s = time.monotonic()
     time.sleep(1.0)
@@ -179,14 +179,14 @@ def sleeps(plant: HardwarePlant, world: EmulatedWorld, mover: Mover) -> float:
     return since_s
 
 
-def says_nan(plant: HardwarePlant, world: EmulatedWorld, mover: Mover) -> float:
+def says_nan(plant: HardwarePlant, world: WorldClient, mover: Mover) -> float:
     """Event: the policy commands nan."""
     since_s = time.monotonic()
     plant.step(np.full((1, 7), np.nan))
     return since_s
 
 
-def raises(plant: HardwarePlant, world: EmulatedWorld, mover: Mover) -> float:
+def raises(plant: HardwarePlant, world: WorldClient, mover: Mover) -> float:
     """Event: the policy raises an exception, and the plant is closed."""
     since_s = time.monotonic()
     plant.close()
@@ -210,7 +210,7 @@ def turn(path: str) -> None:
 
 def kill(config: HardwareConfig, number: int, rng: np.random.Generator) -> tuple[float, str]:
     """Run one trial of a signal to a process that turns the joints."""
-    world = EmulatedWorld(config.emulator)
+    world = WorldClient(config.emulator)
     words = [sys.executable, "-m", "benchmarks.faults", "--turn", config.path]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         assert process.stdout is not None

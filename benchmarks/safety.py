@@ -20,7 +20,7 @@ from rich.progress import track
 
 from vergence import load_head
 from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
-from vergence.hardware.safety.motion import JointMotion
+from vergence.hardware.safety.motion import JointMotionLimiter
 from vergence.models.joint_response import follow_joint, lag_decay
 
 CHUNK = 100
@@ -132,7 +132,7 @@ def exceeded(rng, style, steps=60, how=""):
         return np.zeros(4)
     lower, upper = head.actuation.lower, head.actuation.upper
     last_s = float(rng.choice([0.1, 0.3])) if how == "ends" else 0.0
-    motion, joints = JointMotion(head, lower, upper, config, last_s), Joints(head, start)
+    motion, joints = JointMotionLimiter(head, lower, upper, config, last_s), Joints(head, start)
     requested = list(requested_velocities(rng, style, steps))
     end = rng.integers(1, steps) if how == "ends" else steps
     there = upper > lower

@@ -24,7 +24,7 @@ from vergence.eval.robot.replay import replay
 from vergence.hardware.checks.listing import check_robot
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.delay.measure import measure_loop
-from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.emulator.client import WorldClient
 
 LAW: Final = "state-feedback"
 """The law that docs/controllers.md recommends on a robot."""
@@ -129,7 +129,7 @@ def gazed(hardware: HardwareConfig, log: Path, console: Console) -> tuple[bool, 
 
 def hurt(hardware: HardwareConfig, log: Path) -> tuple[bool, str]:
     """Pull the cable in the second of three gazes; check that the head stops and reports why."""
-    world = EmulatedWorld(hardware.emulator)
+    world = WorldClient(hardware.emulator)
     pulled_s: list[float] = []
 
     def pull(present: GazeState) -> None:

@@ -28,7 +28,7 @@ from vergence.envs.policy import Policy
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.metrics import settle_time
 from vergence.hardware.config import HardwareConfig, load_hardware
-from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.plant import HardwarePlant
 from vergence.triangulation import Fix
 
@@ -113,7 +113,7 @@ def within(fix: Fix, target: Any) -> bool:
     return bool((np.abs(fix.point[0] - target) < 3.0 * fix.sigma[0]).all())
 
 
-def loop_of(plant: HardwarePlant, world: EmulatedWorld, images: list[tuple[float, float]]) -> Loop:
+def loop_of(plant: HardwarePlant, world: WorldClient, images: list[tuple[float, float]]) -> Loop:
     """Frame timing of the last trial, from the exposure times recorded by the emulator."""
     frame_s = plant.head.timing.frame_s
     exposed = np.array(world.ask({"exposures": None})["times"]) - plant.begun_s
@@ -130,7 +130,7 @@ def measure(config: HardwareConfig, laws: list[str], gazes: int, duration_s: flo
     """Table with a row for each gaze, on the wire and in simulation."""
     head = config.head
     policies = {name: make_controller(name, head=head) for name in laws}
-    world = EmulatedWorld(config.emulator)
+    world = WorldClient(config.emulator)
     options = {"config": config}
     task = GazeTask(1, head=head, plant="hardware", target="random", plant_options=options)
     plant = task.plant

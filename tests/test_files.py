@@ -7,7 +7,7 @@ import stat
 import pytest
 
 from vergence.files import (
-    PARTIAL,
+    PARTIAL_PREFIX,
     atomic_file,
     atomic_files,
     atomic_folder,
@@ -82,7 +82,7 @@ def test_a_failure_leaves_the_former_folder(tmp_path):
 
 
 def test_what_a_kill_left_can_be_removed(tmp_path):
-    (tmp_path / f"{PARTIAL}x").mkdir()
+    (tmp_path / f"{PARTIAL_PREFIX}x").mkdir()
     (tmp_path / "kept").touch()
     remove_partial(tmp_path)
     assert names(tmp_path) == ["kept"]
@@ -178,6 +178,6 @@ def test_what_a_kill_left_of_one_folder_is_removed_and_nothing_of_others(tmp_pat
             hidden = partial.parent
             (tmp_path / f"{hidden.name}left").mkdir()
     remove_partial(tmp_path, "mine")
-    assert len([path for path in tmp_path.iterdir() if path.name.startswith(PARTIAL)]) == 1
+    assert len([path for path in tmp_path.iterdir() if path.name.startswith(PARTIAL_PREFIX)]) == 1
     remove_partial(tmp_path)
-    assert not [path for path in tmp_path.iterdir() if path.name.startswith(PARTIAL)]
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(PARTIAL_PREFIX)]

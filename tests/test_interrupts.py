@@ -38,7 +38,7 @@ def test_only_the_command_line_is_guarded_while_it_starts(monkeypatch):
             signal.signal(signal.SIGINT, signal.default_int_handler)
             monkeypatch.setattr(sys, "argv", [program])
             monkeypatch.setattr(sys, "orig_argv", words)
-            interrupts.guard_start()
+            interrupts.end_quietly_on_interrupt()
             assert (signal.getsignal(signal.SIGINT) is not signal.default_int_handler) == guarded
 
 
@@ -46,9 +46,9 @@ def test_only_the_command_line_is_guarded_while_it_starts(monkeypatch):
 def test_an_answer_that_somebody_else_has_chosen_stays(monkeypatch):
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     monkeypatch.setattr(sys, "argv", ["/usr/bin/vergence"])
-    interrupts.guard_start()
-    interrupts.guard_run()
-    interrupts.guard_end()
+    interrupts.end_quietly_on_interrupt()
+    interrupts.raise_on_interrupt()
+    interrupts.ignore_interrupts()
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
@@ -89,7 +89,7 @@ def test_an_error_that_a_library_makes_of_ctrl_c_is_an_interruption(monkeypatch,
     monkeypatch.setattr(interrupts, "_seen", False)
     monkeypatch.setattr(sys, "argv", ["/usr/bin/vergence"])
     monkeypatch.setattr("vergence.cli._run", interrupted_import)
-    interrupts.guard_start()
+    interrupts.end_quietly_on_interrupt()
     with pytest.raises(SystemExit) as stopped:
         main(["info"])
     assert stopped.value.code == 130

@@ -118,13 +118,13 @@ def make_kernels():
 
 def said_by_a_call() -> list[str]:
     said: list[str] = []
-    _jit.report_to(said.append)
+    _jit.set_compile_reporter(said.append)
     doubled, halved = make_kernels()
     try:
         assert doubled([1.0, 2.0]).tolist() == [2.0, 4.0]
         assert halved(1.0) == 0.5
     finally:
-        _jit.report_to(None)
+        _jit.set_compile_reporter(None)
     return said
 
 
@@ -162,10 +162,10 @@ def test_compiling_at_every_call_is_said_with_its_reason(monkeypatch):
 def test_workers_without_a_voice_are_spoken_for_once(monkeypatch):
     monkeypatch.setattr(_jit, "cache_folder", lambda: None)
     said: list[str] = []
-    _jit.report_to(said.append)
-    _jit.workers_begin()
-    _jit.workers_begin()
-    _jit.report_to(None)
+    _jit.set_compile_reporter(said.append)
+    _jit.report_compiling_for_workers()
+    _jit.report_compiling_for_workers()
+    _jit.set_compile_reporter(None)
     assert len(said) == 1
 
 
@@ -245,7 +245,7 @@ def test_one_process_at_a_time_compiles_a_kernel(package):
     assert run(package, WATCH) == "alone [2.]"  # what is on disk is read alone too
 
 
-_three = _runs.run_of(3)
+_three = _runs.make_tuple_reader(3)
 
 
 @_jit.kernel(["void(float32[:], float32[:])", "void(float64[:], float64[:])"], "(n)->(n)")

@@ -9,7 +9,7 @@ import pytest
 from filelock import FileLock
 
 from vergence.errors import ConfigurationError
-from vergence.locks import SUFFIX, locked
+from vergence.locks import SUFFIX, hold_lock
 
 
 def names(folder: Path) -> list[str]:
@@ -17,12 +17,12 @@ def names(folder: Path) -> list[str]:
 
 
 def take(place: Path) -> None:
-    with locked(place):
+    with hold_lock(place):
         pass
 
 
 def test_a_second_one_is_refused_and_told_who_writes_and_where(tmp_path):
-    with locked(tmp_path / "run"), pytest.raises(ConfigurationError) as refused:
+    with hold_lock(tmp_path / "run"), pytest.raises(ConfigurationError) as refused:
         take(tmp_path / "run")
     assert str(tmp_path / "run") in str(refused.value)
     assert f"process {os.getpid()}" in str(refused.value)
@@ -30,8 +30,8 @@ def test_a_second_one_is_refused_and_told_who_writes_and_where(tmp_path):
 
 def test_another_process_is_refused_and_has_the_place_after_a_kill(tmp_path):
     code = (
-        "import sys, time; from vergence.locks import locked\n"
-        f"with locked({str(tmp_path / 'run')!r}): print('held', flush=True); sys.stdin.read()"
+        "import sys, time; from vergence.locks import hold_lock\n"
+        f"with hold_lock({str(tmp_path / 'run')!r}): print('held', flush=True); sys.stdin.read()"
     )
     holder = subprocess.Popen(
         [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -49,7 +49,7 @@ def test_another_process_is_refused_and_has_the_place_after_a_kill(tmp_path):
 @pytest.mark.parametrize("fails", [False, True])
 def test_nothing_stays_behind(tmp_path, fails):
     def work() -> None:
-        with locked(tmp_path / "new" / "deep" / "run"):
+        with hold_lock(tmp_path / "new" / "deep" / "run"):
             if fails:
                 raise KeyError
 
@@ -63,13 +63,13 @@ def test_nothing_stays_behind(tmp_path, fails):
 
 def test_parents_stay_that_something_has_come_into(tmp_path):
     place = tmp_path / "runs" / "one"
-    with locked(place):
+    with hold_lock(place):
         place.mkdir()
     assert names(tmp_path / "runs") == ["one"]
 
 
 def test_places_side_by_side_have_locks_of_their_own(tmp_path):
-    with locked(tmp_path / "one") as first, locked(tmp_path / "two") as second:
+    with hold_lock(tmp_path / "one") as first, hold_lock(tmp_path / "two") as second:
         assert first
         assert second
 
@@ -77,15 +77,15 @@ def test_places_side_by_side_have_locks_of_their_own(tmp_path):
 def test_two_names_of_one_place_have_one_lock(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "run")
-    with locked(tmp_path / "run"), pytest.raises(ConfigurationError, match="writing"):
+    with hold_lock(tmp_path / "run"), pytest.raises(ConfigurationError, match="writing"):
         take(tmp_path / "link")
 
 
 def test_the_next_one_never_holds_a_lock_whose_file_has_been_removed(tmp_path):
     """A process that opened the file while it was removed notices, and makes a new one."""
-    with locked(tmp_path / "run"):
+    with hold_lock(tmp_path / "run"):
         (tmp_path / f".run{SUFFIX}").unlink()
-        with locked(tmp_path / "run"):
+        with hold_lock(tmp_path / "run"):
             assert names(tmp_path) == [f".run{SUFFIX}"]
     assert names(tmp_path) == []
 
@@ -95,7 +95,7 @@ def test_where_no_lock_can_be_made_the_work_goes_on(tmp_path, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(FileLock, "acquire", refuse)
-    with locked(tmp_path / "run") as alone:
+    with hold_lock(tmp_path / "run") as alone:
         assert not alone
 
 

@@ -169,7 +169,7 @@ def of_head(head):
         "reaches": (head.reaches, [Q]),
         "limits.contains": (head.limits.contains, [Q]),
         "joints_of": (head.actuation.joints_of, [Q]),
-        "rates_of": (head.actuation.rates_of, [Q]),
+        "joint_velocities_of": (head.actuation.joint_velocities_of, [Q]),
         "actuators_of": (head.actuation.actuators_of, [Q]),
         "with_parameters": (head.with_parameters, [head.parameters().values]),
         "triangulate_gaze": (partial(vergence.triangulate_gaze, head), [Q]),
@@ -182,7 +182,7 @@ CALLS = {
     **{
         f"{name} of tied eyes": call
         for name, call in of_head(TIED).items()
-        if name in ("fixate", "least_error", "joints_of", "rates_of", "actuators_of")
+        if name in ("fixate", "least_error", "joints_of", "joint_velocities_of", "actuators_of")
     },
     "EyeCamera.project": (CAMERA.project, [POINT[None]]),
     "EyeCamera.rays": (CAMERA.rays, [PIXELS]),

@@ -47,7 +47,7 @@ __all__ = [
     "compiled",
     "inlined",
     "kernel",
-    "report_to",
+    "set_compile_reporter",
     "subroutine",
     "untyped_tuple",
 ]
@@ -408,16 +408,17 @@ _EVERY_TIME: Final = (
 _REPORTER: Final = _Reporter()
 
 
-def report_to(tell: Callable[[str], None] | None) -> None:
+def set_compile_reporter(report: Callable[[str], None] | None) -> None:
     """Set the callback for messages that kernels are being compiled or cannot be cached.
 
     Args:
-        tell: called once with each message, before the first kernel is compiled; None for silence.
+        report: called once with each message, before the first kernel is compiled; None for
+            silence.
     """
-    _REPORTER.start(tell)
+    _REPORTER.start(report)
 
 
-def workers_begin() -> None:
+def report_compiling_for_workers() -> None:
     """Report compilation on behalf of worker processes, which report nothing, if it is needed."""
     folder = cache_folder()
     if folder is None or not any(folder.rglob("*.nbi")):

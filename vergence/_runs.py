@@ -14,7 +14,7 @@ from numba.np.arrayobj import load_item
 from numpy.typing import NDArray
 
 
-def run_of(count: int) -> Callable[[NDArray[Any], int], tuple[Any, ...]]:
+def make_tuple_reader(count: int) -> Callable[[NDArray[Any], int], tuple[Any, ...]]:
     """Make a function that reads consecutive elements of an array as a tuple.
 
     Args:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final, TextIO
 
 from vergence import _jit, interrupts
-from vergence.commands.console import logging_to_stderr, make_printable, note
-from vergence.commands.parsing import parse, split_verbosity
+from vergence.commands.console import logging_to_stderr, print_note, replace_unprintable
+from vergence.commands.parsing import parse_command, split_verbosity
 from vergence.envs.opengl import switch_off_what_fails
 from vergence.errors import ConfigurationError, HardwareError, VergenceError, VergenceWarning
 
@@ -29,10 +29,10 @@ def main(arguments: list[str] | None = None) -> None:
     Args:
         arguments: the arguments after the program's name; None for the process's own.
     """
-    make_printable()
-    interrupts.guard_run()
+    replace_unprintable()
+    interrupts.raise_on_interrupt()
     code = _outcome(sys.argv[1:] if arguments is None else arguments)
-    interrupts.guard_end()
+    interrupts.ignore_interrupts()
     sys.exit(code)
 
 
@@ -52,7 +52,7 @@ def _outcome(arguments: list[str]) -> int:
         return _end_interrupted(stop)
     except Exception as error:
         # a library may convert Ctrl-C to an error of its own
-        if interrupts.interrupted():
+        if interrupts.was_interrupted():
             return _end_interrupted()
         if isinstance(error, OSError):
             return _fail(_reason(error))
@@ -69,11 +69,11 @@ def _run(arguments: list[str]) -> int:
         if "\0" in word or not _is_text(word):
             raise ConfigurationError(f"expected words of text in UTF-8, got {word!r}")
     words, verbosity = split_verbosity(arguments)
-    command = parse(words)
+    command = parse_command(words)
     warnings.showwarning = _show_warning
     opengl = switch_off_what_fails()
     if opengl is not None:
-        note(f"going on without OpenGL, as it does not work with {opengl}")
+        print_note(f"going on without OpenGL, as it does not work with {opengl}")
     _tell_of_kernels()
     with logging_to_stderr(verbosity):
         return command.run()
@@ -89,13 +89,13 @@ def _show_warning(
 ) -> None:
     """Show the package's own warnings in one line each, and others as Python does."""
     if issubclass(category, VergenceWarning):
-        note(f"warning: {message}")
+        print_note(f"warning: {message}")
     elif sys.stderr is not None:
         print(warnings.formatwarning(message, category, filename, lineno, line), file=sys.stderr)
 
 
 def _tell_of_kernels() -> None:
-    _jit.report_to(note)
+    _jit.set_compile_reporter(print_note)
 
 
 def _is_text(word: str) -> bool:
@@ -108,7 +108,7 @@ def _is_text(word: str) -> bool:
 
 def _fail(*reasons: str, code: int = 2) -> int:
     for reason in reasons:
-        note(reason if reason.startswith("warning: ") else f"error: {reason}")
+        print_note(reason if reason.startswith("warning: ") else f"error: {reason}")
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
@@ -136,7 +136,7 @@ def _fault(error: Exception) -> str:
 
 def _end_interrupted(stop: KeyboardInterrupt | None = None) -> int:
     said = str(stop or "")
-    note(f"interrupted: {said}" if said else interrupts.NOTHING_WRITTEN)
+    print_note(f"interrupted: {said}" if said else interrupts.NOTHING_WRITTEN)
     return 130
 
 

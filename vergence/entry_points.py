@@ -25,9 +25,9 @@ _LONGEST: Final = 400
 """Most characters of a foreign error message that are shown (chosen: detail against length)."""
 
 
-def is_entry_point(word: object) -> bool:
+def is_entry_point(text: object) -> bool:
     """True if a word has the form `module:class`."""
-    return isinstance(word, str) and all(word.rpartition(":"))
+    return isinstance(text, str) and all(text.rpartition(":"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,26 +119,28 @@ class EntryPoint:
             raise self._cannot_import(error) from error
 
     def _cannot_import(self, error: BaseException) -> ConfigurationError:
-        return ConfigurationError(f"{self.what} {self.word}: cannot be imported: {where(error)}")
+        return ConfigurationError(
+            f"{self.what} {self.word}: cannot be imported: {describe_user_error(error)}"
+        )
 
 
-def accepted_arguments(make: Callable[..., Any]) -> set[str] | None:
+def accepted_arguments(function_or_class: Callable[..., Any]) -> set[str] | None:
     """Names of the arguments that a function or class accepts.
 
     Args:
-        make: a function, or a class; `**options` of a class are taken to go to its base class.
+        function_or_class: `**options` of a class are taken to go to its base class.
 
     Returns:
         The names, or None if it accepts any.
     """
-    if not isinstance(make, type):
-        parameters = signature(make).parameters.values()
+    if not isinstance(function_or_class, type):
+        parameters = signature(function_or_class).parameters.values()
         if any(one.kind is Parameter.VAR_KEYWORD for one in parameters):
             return None
         return {one.name for one in parameters}
     names: set[str] = set()
     hands_on = False
-    for owner in make.__mro__[:-1]:
+    for owner in function_or_class.__mro__[:-1]:
         # the `__init__` of a protocol accepts anything and ignores it
         if "__init__" not in vars(owner) or vars(owner).get("_is_protocol"):
             continue
@@ -154,7 +156,7 @@ def accepted_arguments(make: Callable[..., Any]) -> set[str] | None:
     return None if hands_on else names
 
 
-def where(error: BaseException) -> str:
+def describe_user_error(error: BaseException) -> str:
     """Describe an error in a user's code, with its place, in one line.
 
     Args:

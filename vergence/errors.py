@@ -59,7 +59,7 @@ class HeadFileError(VergenceError):
         return type(self), (self.key, self.value, self.expected, self.file)
 
 
-class Words(str):
+class UnquotedText(str):
     """Text that a message shows in place of a value, without quotes."""
 
     def __repr__(self) -> str:
@@ -82,7 +82,7 @@ class MistakesError(HeadFileError):
     """
 
     def __init__(self, file: str, mistakes: Sequence[VergenceError]) -> None:
-        super().__init__(file, Words(f"{len(mistakes)} mistakes"), "a file without mistakes")
+        super().__init__(file, UnquotedText(f"{len(mistakes)} mistakes"), "a file without mistakes")
         self.mistakes = tuple(mistakes)
         self.args = ("\n".join(self.lines),)
 

@@ -1,7 +1,9 @@
 """Write files and folders atomically.
 
-Files are written to a hidden folder beside their destination, on the same disk, and renamed in one
-step when complete. A process that is killed leaves behind at most such a hidden folder.
+Content is written to a hidden folder beside its destination, on the same disk, and renamed when
+complete. Each file or new folder appears in one rename; a set of files one by one, `last` at the
+end; a replaced folder is missing for an instant. A process that is killed leaves at most such a
+hidden folder behind.
 """
 
 import hashlib
@@ -14,15 +16,17 @@ from itertools import count
 from pathlib import Path
 from typing import Final
 
-PARTIAL: Final = ".vergence-partial-"
+PARTIAL_PREFIX: Final = ".vergence-partial-"
 """Prefix of the names of these hidden folders."""
 
-Name = str | os.PathLike[str]
+PathName = str | os.PathLike[str]
 
 
 @contextmanager
-def atomic_files(folder: Name, last: str | None = None) -> Iterator[Path]:
+def atomic_files(folder: PathName, last: str | None = None) -> Iterator[Path]:
     """Write several files of a folder to a temporary one, and move them when all are complete.
+
+    They are moved one by one, so a reader or a kill in between finds new and former files.
 
     Args:
         folder: an existing folder; files with these names are replaced, others stay.
@@ -39,14 +43,14 @@ def atomic_files(folder: Name, last: str | None = None) -> Iterator[Path]:
         yield beside
         written = sorted(beside.iterdir(), key=lambda path: (path.name == last, path.name))
         for path in written:
-            _to_disk(path)
+            _fsync(path)
         for path in written:
             os.replace(path, folder / path.name)
-    _to_disk(folder)
+    _fsync(folder)
 
 
 @contextmanager
-def atomic_file(path: Name) -> Iterator[Path]:
+def atomic_file(path: PathName) -> Iterator[Path]:
     """Write a file to a temporary folder, and move it to its path when it is complete.
 
     Args:
@@ -63,7 +67,7 @@ def atomic_file(path: Name) -> Iterator[Path]:
         yield beside / path.name
 
 
-def write_atomic(path: Name, content: str | bytes) -> None:
+def write_atomic(path: PathName, content: str | bytes) -> None:
     """Write a file atomically; text as UTF-8.
 
     Args:
@@ -78,12 +82,13 @@ def write_atomic(path: Name, content: str | bytes) -> None:
 
 
 @contextmanager
-def atomic_folder(path: Name, *, replace: bool = False) -> Iterator[Path]:
+def atomic_folder(path: PathName, *, replace: bool = False) -> Iterator[Path]:
     """Write a temporary folder, and rename it to its path when it is complete.
 
     Args:
         path: the folder. Missing parents are created.
-        replace: True to replace an existing folder even if it is not empty by then.
+        replace: True to replace an existing folder even if it is not empty by then; it is missing
+            for an instant.
 
     Yields:
         The folder to write to.
@@ -94,7 +99,7 @@ def atomic_folder(path: Name, *, replace: bool = False) -> Iterator[Path]:
     path = Path(path)
     with _new_folder(path) as partial:
         yield partial
-        _folder_to_disk(partial)
+        _fsync_folder(partial)
         if replace and path.exists():
             former = partial.with_name("old")
             os.replace(path, former)
@@ -104,11 +109,11 @@ def atomic_folder(path: Name, *, replace: bool = False) -> Iterator[Path]:
                 os.replace(former, path)
                 raise
         else:
-            _name(partial, path)
-    _to_disk(path.parent)
+            _rename_to(partial, path)
+    _fsync(path.parent)
 
 
-def save_folder(path: Name, write: Callable[[Path], None]) -> Path:
+def save_folder(path: PathName, write: Callable[[Path], None]) -> Path:
     """Write a folder atomically, under a different name if its path has been taken meanwhile.
 
     Args:
@@ -124,21 +129,21 @@ def save_folder(path: Name, write: Callable[[Path], None]) -> Path:
     path = Path(path)
     with _new_folder(path) as partial:
         write(partial)
-        _folder_to_disk(partial)
+        _fsync_folder(partial)
         place = path
         for number in count(2):
             try:
-                _name(partial, place)
+                _rename_to(partial, place)
                 break
             except OSError:
                 if not os.path.lexists(place):
                     raise
             place = path.with_name(f"{path.name}-{number}")
-    _to_disk(path.parent)
+    _fsync(path.parent)
     return place
 
 
-def remove_partial(folder: Name, name: str = "") -> None:
+def remove_partial(folder: PathName, name: str = "") -> None:
     """Remove incomplete files that killed processes have left in a folder.
 
     Args:
@@ -154,7 +159,11 @@ def remove_partial(folder: Name, name: str = "") -> None:
 
 def _prefix(name: str) -> str:
     # a digest, since a prefix could make a long name too long
-    return f"{PARTIAL}{hashlib.sha256(name.encode()).hexdigest()[:12]}-" if name else PARTIAL
+    return (
+        f"{PARTIAL_PREFIX}{hashlib.sha256(name.encode()).hexdigest()[:12]}-"
+        if name
+        else PARTIAL_PREFIX
+    )
 
 
 @contextmanager
@@ -188,19 +197,19 @@ def _new_folder(path: Path) -> Iterator[Path]:
         yield partial
 
 
-def _name(partial: Path, path: Path) -> None:
+def _rename_to(partial: Path, path: Path) -> None:
     """Rename a complete folder to its path; only an empty folder may exist there."""
     if path.exists():
         path.rmdir()  # raises OSError for a folder that is not empty, a file or a link
     os.replace(partial, path)
 
 
-def _folder_to_disk(folder: Path) -> None:
+def _fsync_folder(folder: Path) -> None:
     for written in (*folder.rglob("*"), folder):
-        _to_disk(written)
+        _fsync(written)
 
 
-def _to_disk(path: Path) -> None:
+def _fsync(path: Path) -> None:
     """Wait until a file, or the names in a folder, would survive a loss of power."""
     # not every system can open folders or sync them; the files are written anyway
     with suppress(OSError) if path.is_dir() else nullcontext():

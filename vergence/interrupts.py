@@ -16,7 +16,7 @@ _seen = False
 _guards = False  # True if this process was started as the command line
 
 
-def guard_start() -> None:
+def end_quietly_on_interrupt() -> None:
     """Make Ctrl-C end the command line with one line; called at this module's import, the first."""
     global _guards
     _guards = _is_command_line()
@@ -25,13 +25,13 @@ def guard_start() -> None:
             signal.signal(signal.SIGINT, _leave)
 
 
-def guard_run() -> None:
-    """Make Ctrl-C raise `KeyboardInterrupt` from now on, and record it, see `interrupted`."""
+def raise_on_interrupt() -> None:
+    """Make Ctrl-C raise `KeyboardInterrupt` from now on, and record it, see `was_interrupted`."""
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, _interrupt)
 
 
-def guard_robot() -> None:
+def raise_on_termination() -> None:
     """Make SIGTERM and SIGHUP end the command line like Ctrl-C, so that the robot is stopped."""
     if _guards:
         for number in _enders():
@@ -39,7 +39,7 @@ def guard_robot() -> None:
                 signal.signal(number, _interrupt)
 
 
-def guard_end() -> None:
+def ignore_interrupts() -> None:
     """Ignore Ctrl-C from now on: the command has ended and reported its result."""
     for number in _enders():
         if signal.getsignal(number) is _interrupt:
@@ -56,7 +56,7 @@ def _enders() -> list[signal.Signals]:
     return [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
-def interrupted() -> bool:
+def was_interrupted() -> bool:
     """True if Ctrl-C was pressed, even if a library has converted or ignored it."""
     return _seen
 
@@ -80,4 +80,4 @@ def _interrupt(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
-guard_start()
+end_quietly_on_interrupt()

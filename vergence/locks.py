@@ -24,7 +24,7 @@ Name = str | os.PathLike[str]
 
 
 @contextmanager
-def locked(path: Name, *, wait: bool = False) -> Iterator[bool]:
+def hold_lock(path: Name, *, wait: bool = False) -> Iterator[bool]:
     """Hold the lock of a file or folder; it excludes only processes that use this lock as well.
 
     Missing parents are created, and removed at the end if they are still empty. If the file system

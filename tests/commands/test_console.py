@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from vergence.cli import main
-from vergence.commands.console import make_printable, note
+from vergence.commands.console import print_note, replace_unprintable
 
 
 class Terminal:
@@ -38,7 +38,7 @@ def call(*words: object) -> int:
 def test_ranges_signs_and_boxes_are_written_with_what_looks_alike():
     for encoding, dash in (("ascii", "-"), ("cp1252", "–"), ("latin-1", "-")):
         with Terminal(encoding) as terminal:
-            make_printable()
+            replace_unprintable()
             print("651–700 −3 ─│┼ 漢")
         assert terminal.out == f"651{dash}700 -3 -|+ \\u6f22\n"
 
@@ -75,7 +75,7 @@ def test_a_word_that_makes_no_command_is_still_one_line():
 
 
 def test_a_note_is_one_printable_line_of_bounded_length(capsys):
-    note("a\nb\r\nc\x1b[31m\0" + "x" * 100_000)
+    print_note("a\nb\r\nc\x1b[31m\0" + "x" * 100_000)
     err = capsys.readouterr().err
     assert err.startswith("vergence: a b c\\x1b[31m\\x00xxx")
     assert len(err.splitlines()) == 1

@@ -274,7 +274,7 @@ def test_an_assumption_is_shown_with_its_value_and_unit(tmp_path, capsys):
     found = {a.keys[0]: a for a in assumed_values(load_head(path))}
     for i, (key, value) in enumerate(keys.items()):
         assert found[key].value.startswith(value)
-        assert found[key].why == f"reason{i}"
+        assert found[key].reason == f"reason{i}"
     assert run("info", "--head", path) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "66.67 ms reason0" in said

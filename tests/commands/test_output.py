@@ -8,7 +8,7 @@ import pytest
 
 from vergence.cli import main
 from vergence.eval import gaze_figure
-from vergence.locks import locked
+from vergence.locks import hold_lock
 
 GAZE = ("gaze", "--plant", "kinematic", "--duration", "0.1", "--json")
 
@@ -34,7 +34,7 @@ def test_a_command_whose_place_another_holds_is_refused_before_any_work(
         ("export", "urdf", "--out", "R"),
         ("export", "bundle", "run", "R.vgp"),
     ]:
-        with locked(Path("R.vgp" if "R.vgp" in words else "R")):
+        with hold_lock(Path("R.vgp" if "R.vgp" in words else "R")):
             before = sorted(tmp_path.rglob("*"))
             assert call(*words) == 2, words
             assert sorted(tmp_path.rglob("*")) == before

@@ -219,7 +219,7 @@ def test_decode_gives_the_joints_that_the_actuators_move() -> None:
             rates = np.zeros((5, 7))
             speeds = SPEED_MARGIN * own.velocity * _slots(observation[:, 11 + 2 * m : 11 + 3 * m])
             rates[:, 3:] = speeds[:, 3:]
-            assert seen.velocities == pytest.approx(own.rates_of(rates), abs=1e-14)
+            assert seen.velocities == pytest.approx(own.joint_velocities_of(rates), abs=1e-14)
             assert seen.last_command[:, :m] == pytest.approx(
                 5.0 * observation[:, 11 + 3 * m :], abs=1e-14
             )

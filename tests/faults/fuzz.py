@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 
 from tests.faults import corpus
 from tests.faults.harness import Outcome, fresh, load, run, try_each, warm
-from vergence.files import PARTIAL
+from vergence.files import PARTIAL_PREFIX
 
 _WORDS: Final = 24
 """Command lines in a round (chosen: balance of the kinds of cases)."""
@@ -367,7 +367,7 @@ class Fuzz:
         found = outcome.faults()
         if outcome.code is None and not stopped:
             found.append("ended by a signal")
-        if not stopped and list(self._case.rglob(f"{PARTIAL}*")):
+        if not stopped and list(self._case.rglob(f"{PARTIAL_PREFIX}*")):
             found.append("something half-written")
         if not found:
             return

@@ -30,7 +30,7 @@ from typing import Any, Final
 
 from tests.faults import corpus
 from tests.faults.harness import Outcome, fresh, load, run, warm
-from vergence.files import PARTIAL
+from vergence.files import PARTIAL_PREFIX
 
 FAULTS: Final = ("kill", "full", "permission")
 COMMANDS: Final = {
@@ -319,13 +319,17 @@ def try_moment(
         wrong.append("exit code 2 without a reason")
     wrong += check(command, trial.folder, reference)
     trial.mend()
-    if trial.fault != "kill" and list(trial.folder.glob(f"{PARTIAL}*")) and trial.fault == "full":
+    if (
+        trial.fault != "kill"
+        and list(trial.folder.glob(f"{PARTIAL_PREFIX}*"))
+        and trial.fault == "full"
+    ):
         wrong.append("a half-written folder is left")
     there = _complete(command, trial.folder, reference)
     again = trial.run(_next_words(command, trial.folder))
     wrong += [f"the next call: {fault}" for fault in again.faults()]
     wrong += [f"after the next call: {fault}" for fault in check(command, trial.folder, reference)]
-    if list(trial.folder.glob(f"{PARTIAL}*")) and again.code != 2:
+    if list(trial.folder.glob(f"{PARTIAL_PREFIX}*")) and again.code != 2:
         wrong.append("what was half-written is still there after the next call")
     if again.code == 2 and not there:
         wrong.append(f"the next call does not go on: {again.err.strip()[-200:]}")

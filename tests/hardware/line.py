@@ -10,13 +10,13 @@ import tty
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import Parser
 from vergence.hardware.emulator.line import ServoLine
-from vergence.hardware.emulator.servo import Servo
+from vergence.hardware.emulator.servo import EmulatedServo
 from vergence.hardware.emulator.terminal import baud_rate_of
 
 
 def make_servo(id=1, **options):
     """A servo with a quick joint, at 1 Mb/s, that answers at once."""
-    servo = Servo(
+    servo = EmulatedServo(
         id, **{"lag_s": 0.02, "acceleration": 50.0, "lower": -1.0, "upper": 1.0, **options}
     )
     servo.set(table.BAUD_RATE, table.BAUD_RATES.index(1_000_000))

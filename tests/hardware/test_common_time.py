@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vergence import load_head
-from vergence.hardware.common_time import at_common_time
+from vergence.hardware.common_time import pixels_at_common_time
 from vergence.models.joints import EYES
 
 
@@ -17,7 +17,7 @@ def test_a_resting_target_is_where_a_synchronised_pair_would_see_it(name: str) -
         exposed = np.tile(common, (2, 1))
         exposed[:, EYES] += rng.normal(0.0, 0.02, (2, 4))
         pixels = np.stack([head.project(exposed[eye], point)[eye] for eye in range(2)])
-        found = at_common_time(head, pixels, exposed, common)
+        found = pixels_at_common_time(head, pixels, exposed, common)
         assert found == pytest.approx(head.project(common, point), abs=1e-6)
 
 
@@ -32,7 +32,7 @@ def test_a_neck_that_turns_takes_nothing_away() -> None:
     pixels = np.stack(
         [head.project(exposed[eye], (T_N_0[eye] @ here)[:3])[eye] for eye in range(2)]
     )
-    found = at_common_time(head, pixels, exposed, common)
+    found = pixels_at_common_time(head, pixels, exposed, common)
     assert found == pytest.approx(head.project(common, world[:3]), abs=1e-6)
 
 
@@ -40,5 +40,5 @@ def test_lines_that_do_not_meet_are_taken_far_away() -> None:
     head = load_head("turrets")
     q = head.rest()
     pixels = head.cameras.principal + np.array([[-30.0, 0.0], [30.0, 0.0]])
-    found = at_common_time(head, pixels, np.tile(q, (2, 1)), q)
+    found = pixels_at_common_time(head, pixels, np.tile(q, (2, 1)), q)
     assert found == pytest.approx(pixels, abs=1e-6)

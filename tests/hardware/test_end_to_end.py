@@ -21,7 +21,7 @@ from vergence.eval.robot.deploy import GazeState, deploy
 from vergence.eval.robot.evaluate import evaluate_on_robot, read_begun_config
 from vergence.eval.robot.replay import replay
 from vergence.hardware.config import load_hardware
-from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.emulator.client import WorldClient
 from vergence.recording.log import read_log
 
 BREAKS = """
@@ -105,7 +105,7 @@ def test_a_policy_that_raises_leaves_servos_at_rest_and_names_its_line(
     mine.write_text(BREAKS)
     config = DeployConfig(controller=f"{mine}:Breaks", hardware=desk)
     result = deploy(config, tmp_path / "run.mcap")
-    world = EmulatedWorld(load_hardware(desk).emulator)
+    world = WorldClient(load_hardware(desk).emulator)
     try:
         ended_s = time.monotonic()
         while (rested_s := world.rested_s(ended_s - 1.0)) is None:
@@ -137,7 +137,7 @@ def test_an_evaluation_that_a_pulled_cable_ends_goes_on_where_it_was(tmp_path: P
     def pull(done: int, total: int) -> None:
         ran.append(done)
         if done == 1:
-            with closing(EmulatedWorld(load_hardware(desk).emulator)) as world:
+            with closing(WorldClient(load_hardware(desk).emulator)) as world:
                 world.fault(what="unplug")
 
     with emulated(tmp_path) as (desk, _process):

@@ -13,7 +13,7 @@ import pytest
 
 from tests.hardware.emulated import REAL_TIME, emulated
 from vergence.hardware.config import load_hardware
-from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.emulator.client import WorldClient
 
 pytestmark = REAL_TIME
 
@@ -22,7 +22,7 @@ pytestmark = REAL_TIME
 def head(tmp_path: Path):
     """The configuration of an emulated head, and its world."""
     with emulated(tmp_path) as (desk, _process):
-        world = EmulatedWorld(load_hardware(desk).emulator)
+        world = WorldClient(load_hardware(desk).emulator)
         yield desk, world
         world.close()
 
@@ -51,7 +51,7 @@ def failure(process: subprocess.Popen[str]) -> str:
     return errors[0]
 
 
-def wait_until_moving(world: EmulatedWorld) -> None:
+def wait_until_moving(world: WorldClient) -> None:
     """Until the joints turn fast, as they do towards a target."""
     until = time.monotonic() + 120.0
     while np.abs(world.ask({"state": None})["velocities"]).max() < 0.3:
@@ -59,7 +59,7 @@ def wait_until_moving(world: EmulatedWorld) -> None:
         time.sleep(0.005)
 
 
-def speed_after(world: EmulatedWorld, seconds: float) -> float:
+def speed_after(world: WorldClient, seconds: float) -> float:
     """The greatest speed of a joint after some time."""
     time.sleep(seconds)
     return float(np.abs(world.ask({"state": None})["velocities"]).max())

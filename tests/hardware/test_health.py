@@ -9,9 +9,9 @@ from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.health import (
     Health,
+    HealthLevel,
     HealthLimits,
     HealthWatch,
-    Level,
     read_health,
     read_limits,
 )
@@ -66,19 +66,19 @@ def judge(**values):
 
 
 JUDGED = [
-    ({}, Level.OK, False),
-    ({"load": math.nan}, Level.OK, False),
-    ({"temperature_c": 61.0}, Level.OK, False),
-    ({"temperature_c": 62.0}, Level.WARN, False),
-    ({"temperature_c": 67.0}, Level.STOP, True),
-    ({"voltage_v": 6.3}, Level.OK, False),
-    ({"voltage_v": 6.1}, Level.WARN, False),
-    ({"voltage_v": 13.7}, Level.WARN, False),
-    ({"voltage_v": 5.9}, Level.STOP, False),
-    ({"voltage_v": 14.1}, Level.STOP, False),
-    ({"load": -0.79}, Level.OK, False),
-    ({"load": -0.80}, Level.WARN, False),
-    ({"errors": 0b1}, Level.STOP, False),
+    ({}, HealthLevel.OK, False),
+    ({"load": math.nan}, HealthLevel.OK, False),
+    ({"temperature_c": 61.0}, HealthLevel.OK, False),
+    ({"temperature_c": 62.0}, HealthLevel.WARN, False),
+    ({"temperature_c": 67.0}, HealthLevel.STOP, True),
+    ({"voltage_v": 6.3}, HealthLevel.OK, False),
+    ({"voltage_v": 6.1}, HealthLevel.WARN, False),
+    ({"voltage_v": 13.7}, HealthLevel.WARN, False),
+    ({"voltage_v": 5.9}, HealthLevel.STOP, False),
+    ({"voltage_v": 14.1}, HealthLevel.STOP, False),
+    ({"load": -0.79}, HealthLevel.OK, False),
+    ({"load": -0.80}, HealthLevel.WARN, False),
+    ({"errors": 0b1}, HealthLevel.STOP, False),
 ]
 
 
@@ -86,12 +86,12 @@ JUDGED = [
 def test_a_reading_is_judged_by_its_limits(values, level, hot):
     verdict = judge(**values)
     assert (verdict.level, verdict.hot) == (level, hot)
-    assert bool(verdict.text) is (level is not Level.OK)
+    assert bool(verdict.text) is (level is not HealthLevel.OK)
 
 
 def test_the_worst_decides_and_all_are_told():
     verdict = judge(temperature_c=63.0, voltage_v=5.0, load=0.9)
-    assert verdict.level is Level.STOP
+    assert verdict.level is HealthLevel.STOP
     assert [part.split(":")[0] for part in verdict.text.split("; ")] == [
         "temperature", "voltage", "load",
     ]  # fmt: skip

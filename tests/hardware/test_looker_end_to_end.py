@@ -12,19 +12,19 @@ from vergence import load_head
 from vergence.errors import HardwareError
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.hardware.config import load_hardware
-from vergence.hardware.emulator.board import parse_standing, standing
-from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.emulator.board import parse_sized_board, standing_board_pose
+from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.looker import RobotLooker
 from vergence.recording.looking import Looker
 
 pytestmark = REAL_TIME
 
-BOARD = parse_standing("checkerboard:9x6:24")
+BOARD = parse_sized_board("checkerboard:9x6:24")
 HEAD = load_head("turrets")
 SEED, SCALE = 4, 0.5
 TRUE = HEAD.perturbed(np.random.default_rng(SEED), TWIN_SPREADS.scaled(SCALE))
 CORNERS = np.column_stack([BOARD.corners_m, np.zeros(len(BOARD.corners_m)), np.ones(54)])
-T_0_T = standing(HEAD, BOARD, 0.7)
+T_0_T = standing_board_pose(HEAD, BOARD, 0.7)
 TURNS = np.array([[0, 0, 0, 0], [0.1, 0.05, 0.1, -0.1], [0.104, 0.046, 0.1, -0.1],
                   [-0.2, 0.1, -0.1, 0.1], [0.1, -0.15, -0.2, -0.1]])  # fmt: skip
 ASIDE = np.array([0, 0, 0, 1.2, 0, 0, 0])
@@ -58,7 +58,7 @@ def unhurried() -> Iterator[None]:
 def test_sights_are_those_of_the_true_head_at_its_angles(desk: Path) -> None:
     with (
         unhurried(),
-        closing(EmulatedWorld(load_hardware(desk).emulator)) as world,
+        closing(WorldClient(load_hardware(desk).emulator)) as world,
         closing(RobotLooker(desk, BOARD)) as looker,
     ):
         _known: Looker = looker

@@ -6,7 +6,7 @@ from tests.hardware.desk import ready_servos
 from vergence.cli import main
 from vergence.hardware import scan as scanning
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.scan import RATES, scan
+from vergence.hardware.scan import RATES, scan_for_servos
 
 QUICK = {"wait_per_id_s": 1e-4, "rates": (2_000_000, 1_000_000)}
 
@@ -21,7 +21,7 @@ def test_servos_are_found_at_their_own_rates(serve):
     own[0].set(table.BAUD_RATE, 4)
     own[3].set(table.ID, 200)
     shares = []
-    found = scan(serve(own).port, report=shares.append, **QUICK)
+    found = scan_for_servos(serve(own).port, report=shares.append, **QUICK)
     assert [(one.id, one.baud_rate) for one in found.servos] == [
         (1, 2_000_000), (2, 1_000_000), (3, 1_000_000), (200, 1_000_000),
     ]  # fmt: skip
@@ -30,7 +30,7 @@ def test_servos_are_found_at_their_own_rates(serve):
 
 
 def test_ids_are_asked_one_by_one_where_they_are_given(serve):
-    found = scan(serve(ready_servos()).port, ids=range(3, 5), **QUICK)
+    found = scan_for_servos(serve(ready_servos()).port, ids=range(3, 5), **QUICK)
     assert [one.id for one in found.servos] == [3, 4]
 
 
@@ -38,20 +38,26 @@ def test_servos_that_tell_only_their_model_are_listed(serve):
     own = ready_servos()[:2]
     own[0].set(table.MODEL_NUMBER, 12)
     own[1].set(table.STATUS_RETURN_LEVEL, 0)
-    found = scan(serve(own).port, ids=(1, 2), wait_per_id_s=1e-4, rates=(1_000_000,))
+    found = scan_for_servos(
+        serve(own).port, ids=(1, 2), wait_per_id_s=1e-4, baud_rates=(1_000_000,)
+    )
     assert [(one.model, one.memory) for one in found.servos] == [(12, None), (1060, None)]
 
 
 def test_a_rate_that_cannot_be_set_is_left_out_with_its_reason(serve, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "serial", None)
-    found = scan(serve(ready_servos()).port, wait_per_id_s=1e-4, rates=(123_456, 1_000_000))
+    found = scan_for_servos(
+        serve(ready_servos()).port, wait_per_id_s=1e-4, baud_rates=(123_456, 1_000_000)
+    )
     assert len(found.servos) == 4
     assert "expected pyserial for 123456 baud" in found.left_out[123_456]
 
 
 def run(monkeypatch, *words):
-    scan_all = scanning.scan
-    monkeypatch.setattr(scanning, "scan", lambda port, **options: scan_all(port, **options | QUICK))
+    scan_all = scanning.scan_for_servos
+    monkeypatch.setattr(
+        scanning, "scan_for_servos", lambda port, **options: scan_all(port, **options | QUICK)
+    )
     with pytest.raises(SystemExit) as stop:
         main(["scan-bus", *words])
     return stop.value.code

@@ -11,7 +11,7 @@ from vergence import load_head
 from vergence.hardware.config import ServoConfig, actuator_slots
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.line import ServoLine
-from vergence.hardware.emulator.servo import Servo
+from vergence.hardware.emulator.servo import EmulatedServo
 from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.servos import _STATE
 
@@ -43,7 +43,7 @@ class Rig:
         self.head = head
         self.configs = configs(head, sign, gear_ratio, zero_ticks)
         self.line = ServoLine(
-            Servo(
+            EmulatedServo(
                 one.id,
                 lag_s=float(head.timing.lag_s * head.actuation.lag_ratio[one.slot]),
                 acceleration=float(head.actuation.acceleration[one.slot]),
@@ -155,7 +155,7 @@ def test_tied_actuators_give_the_joints_angles_and_speeds():
         rig.step(told)
     q, v = rig.servos.joints()
     assert q == pytest.approx(ICUB.actuation.joints_of(rig.true), abs=2e-3)
-    assert v == pytest.approx(ICUB.actuation.rates_of(told), abs=2.0 * table.TICK_RAD_S)
+    assert v == pytest.approx(ICUB.actuation.joint_velocities_of(told), abs=2.0 * table.TICK_RAD_S)
     assert before == pytest.approx(ICUB.actuation.joints_of(np.zeros(7)), abs=2e-3)
 
 

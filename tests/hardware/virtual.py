@@ -180,7 +180,7 @@ class VirtualRobot:
             HEAD, config=config, appears=appears, clock=self.clock, sleep=self.clock.sleep
         )
         monkeypatch.setattr(DriveThread, "start", lambda drive: setattr(self.clock, "drive", drive))
-        monkeypatch.setattr(plant, "compile_loop", lambda _head, _target: None)
+        monkeypatch.setattr(plant, "compile_loop_kernels", lambda _head, _target: None)
         monkeypatch.setattr(plant, "check_devices", lambda _config: [])
         monkeypatch.setattr(self.plant._open.eyes, "open", self._open_cameras)
 

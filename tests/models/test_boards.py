@@ -11,7 +11,7 @@ from vergence.models.tag_families import (
     CORRECTED_BITS,
     UNPRINTED,
     library_family,
-    library_of,
+    load_library,
     tag_family,
 )
 from vergence.vision import (
@@ -77,7 +77,7 @@ def test_inner_corners_lie_where_four_squares_alternate() -> None:
 
 def test_texture_is_the_cells_enlarged() -> None:
     tag = AprilTag()
-    image = texture(tag, 3, surround=90, rim=2)
+    image = texture(tag, 3, surround=90, rim_px=2)
     assert image.dtype == np.uint8
     assert image.shape == (34, 34)
     assert (image[3:-2:3, 3:-2:3] == tag.cells).all()
@@ -110,10 +110,10 @@ def test_tags_are_the_librarys_own() -> None:
     """Cell by cell as the AprilTag library draws them, and found upright by it."""
     for family in sorted(CORRECTED_BITS):
         with named(family):
-            library = library_of()
+            library = load_library()
             library.apriltag_to_image.restype = library.image_u8_create.restype
-            code, pointer = tag_family(family), library_family(library_of(), family)
-            for identity in (0, 7, len(code.words) - 1):
+            code, pointer = tag_family(family), library_family(load_library(), family)
+            for identity in (0, 7, len(code.code_words) - 1):
                 drawn = library.apriltag_to_image(pointer, identity).contents
                 pixels = np.ctypeslib.as_array(drawn.buf, shape=(drawn.height, drawn.stride))
                 cells = code.cells(identity)

@@ -121,7 +121,9 @@ def test_the_mean_edge_errs_as_much_as_it_says(name, target):
     steps, rng = Noise.of(head).joint_rad, np.random.default_rng(4)
     means, said = [], []
     for _ in range(400):
-        turned = q + head.actuation.rates_of(rng.normal(0.0, steps) * (np.arange(7) >= 3))
+        turned = q + head.actuation.joint_velocities_of(
+            rng.normal(0.0, steps) * (np.arange(7) >= 3)
+        )
         noisy = [
             d._replace(corners_px=d.corners_px + rng.normal(0.0, 0.1, d.corners_px.shape))
             for d in sides

@@ -88,7 +88,7 @@ def test_a_disk_that_fails_in_mid_training_costs_nothing_that_was_saved(
             resume(folder, Silent())
     assert os.strerror(number) in str(caught.value)
     assert f"vergence train --resume {folder} goes on" in str(caught.value)
-    assert not list(folder.rglob(f"{files.PARTIAL}*"))
+    assert not list(folder.rglob(f"{files.PARTIAL_PREFIX}*"))
     last = read_checkpoint(folder / "checkpoints" / "last.pt")
     assert last["steps"] >= saved["steps"]
     resume(folder, Silent())

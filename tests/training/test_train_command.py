@@ -16,7 +16,7 @@ from tests.training.runs import PPO, SMALL, STEPS
 from vergence.commands.train import _watching
 from vergence.controllers.networks.inputs import KINDS
 from vergence.errors import ConfigurationError
-from vergence.files import PARTIAL
+from vergence.files import PARTIAL_PREFIX
 from vergence.training.checkpoint import read_checkpoint
 from vergence.training.choices import resolve_config
 from vergence.training.config import PLANTS, load_run
@@ -51,7 +51,7 @@ def test_a_run_killed_in_mid_training_goes_on_to_the_same_number_of_steps(tmp_pa
     done = read_checkpoint(folder / "checkpoints" / "last.pt")["steps"]
     assert 0 < done < LONG
     # as a kill in the midst of a write leaves it
-    left = folder / "checkpoints" / f"{PARTIAL}abc"
+    left = folder / "checkpoints" / f"{PARTIAL_PREFIX}abc"
     left.mkdir()
     (left / "last.pt").write_bytes(b"half")
 

@@ -12,7 +12,7 @@ from vergence.calibration.depth import pixel_noise_px
 from vergence.calibration.projection import camera_parameter_names
 from vergence.eval.reporting.runs import package_versions
 from vergence.models.calibrated import CalibrationRecord
-from vergence.models.files.import_stereo import head_of_pair
+from vergence.models.files.import_stereo import stereo_pair_to_head_toml
 from vergence.models.files.intrinsics import Intrinsics, Lens
 from vergence.models.files.stereo import StereoPair
 from vergence.models.joints import EYE_NAMES
@@ -55,7 +55,7 @@ def head_text(found: Calibration, name: str, response: Response | None = None) -
         rotation=found.rig.rotation,
         translation_m=found.rig.translation,
     )
-    return head_of_pair(
+    return stereo_pair_to_head_toml(
         pair,
         name,
         noise_px=pixel_noise_px(found),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
-from vergence.commands.console import note
+from vergence.commands.console import print_note
 from vergence.commands.options import parse_size
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
@@ -46,7 +46,7 @@ class CheckCameras:
         if states:
             print_table(_COLUMNS, [row for state in states for row in _rows(state)], wrapped=(0, 1))
         for finding in sorted(findings, key=lambda finding: finding.warning):
-            note(f"{'warning' if finding.warning else 'error'}: {finding}")
+            print_note(f"{'warning' if finding.warning else 'error'}: {finding}")
         return int(not all(finding.warning for finding in findings))
 
     def _requests(self) -> "list[CameraRequest]":
@@ -93,7 +93,7 @@ def _rows(state: "CameraState") -> list[list[str]]:
     rows = [
         ["size", _size(request.size), _size(state.size)],
         ["pixel format", request.pixel_format or "-", state.pixel_format or "-"],
-        ["rate as set (Hz)", _number(request.frame_rate_hz), _number(state.set_hz)],
+        ["rate as set (Hz)", _number(request.frame_rate_hz), _number(state.reported_hz)],
         ["rate measured (Hz)", _number(request.frame_rate_hz), _number(state.rate_hz)],
         [
             "exposure",

@@ -3,20 +3,20 @@
 import sys
 from typing import TYPE_CHECKING
 
-from vergence.commands.console import note
+from vergence.commands.console import print_note
 
 if TYPE_CHECKING:
     from vergence.hardware.config import HardwareConfig
 
 
-def print_checks(hardware: "HardwareConfig") -> None:
+def check_and_print(hardware: "HardwareConfig") -> None:
     """List all checks of a robot on standard error.
 
     Raises:
         ChecksFailedError: a check failed, so the robot must not move yet.
     """
     from vergence.hardware.checks.listing import check_robot
-    from vergence.hardware.checks.servos import refuse_errors
+    from vergence.hardware.checks.servos import raise_errors
 
     parts = check_robot(hardware)
     width = max(len(one.part) for one in parts)
@@ -25,5 +25,5 @@ def print_checks(hardware: "HardwareConfig") -> None:
         if one.findings:
             mark = "!" if one.ready else "x"
         print(f"{mark:>3} {one.part:<{width}}  {one.what or 'not known'}", file=sys.stderr)
-    for finding in refuse_errors([finding for one in parts for finding in one.findings]):
-        note(f"warning: {finding}")
+    for finding in raise_errors([finding for one in parts for finding in one.findings]):
+        print_note(f"warning: {finding}")

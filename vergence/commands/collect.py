@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 import tyro
 
 from vergence import interrupts
-from vergence.commands.console import note, progress
-from vergence.commands.extras import require
+from vergence.commands.console import print_note, progress_bar
+from vergence.commands.extras import require_modules
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class Collect:
 
     def run(self) -> int:
         """Run the command."""
-        require("robot", "mcap")
+        require_modules("robot", "mcap")
         from vergence.calibration.head.collect import CollectOptions, collect
         from vergence.calibration.head.logged import LOOKS
         from vergence.calibration.observations import parse_board
@@ -85,10 +85,10 @@ class Collect:
         facts = {"command": "collect", "plant": self.plant, "seed": str(self.seed)}
         facts[LOOKS] = self.plant if self.plant == "hardware" else self._looks(looker.head)
         try:
-            with closing(looker), progress("collect") as report:
+            with closing(looker), progress_bar("collect") as report:
                 found = collect(
                     looker, self.folder, options, facts, progress=report,
-                    evaluated=lambda found: note(_evaluated(found, looker.head)),
+                    evaluated=lambda found: print_note(_evaluated(found, looker.head)),
                 )  # fmt: skip
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
@@ -111,7 +111,7 @@ class Collect:
             raise ConfigurationError(
                 f"plant: expected one that this installation has, got hardware: {error}"
             ) from error
-        interrupts.guard_robot()
+        interrupts.raise_on_termination()
         looker: Looker = make(self.config, target)
         if self.head is not None and load_head(self.head).digest != looker.head.digest:
             looker.close()
@@ -165,9 +165,9 @@ class Collect:
         if found.preview is not None:
             print(f"depth will be known to {_depth(found.preview)}")
         if found.unseen:
-            note(f"{found.unseen} looks without the board, left out")
+            print_note(f"{found.unseen} looks without the board, left out")
         for line in advice(head, found, frames):
-            note(line)
+            print_note(line)
         named = _head_of(self.config) if self.config is not None else self.head or _HEAD
         words = ["calibrate", "head", str(self.folder), "--head", named, "--out", "calibrated.toml"]
         print(f"next: vergence {shlex.join(words)}")

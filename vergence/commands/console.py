@@ -28,7 +28,7 @@ _LONGEST = 1000
 _MOST_FAILURES = 5
 
 
-def note(text: str) -> None:
+def print_note(text: str) -> None:
     """Print a line on standard error, prefixed with the program's name."""
     line = "".join(
         c if c.isprintable() else f"\\x{ord(c):02x}" for c in " ".join(text.splitlines())
@@ -71,18 +71,20 @@ class _Notes(logging.Handler):
         name = record.name.removeprefix("vergence.")
         level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
         with suppress(OSError):  # standard error is closed
-            note(f"{1e-3 * record.relativeCreated:.3f} s {name}: {level}{record.getMessage()}")
+            print_note(
+                f"{1e-3 * record.relativeCreated:.3f} s {name}: {level}{record.getMessage()}"
+            )
 
 
 def print_failures(failures: Sequence[str]) -> None:
     """Print one line per file that could not be read, at most `_MOST_FAILURES`."""
     for text in failures[:_MOST_FAILURES]:
-        note(f"error: {text}")
+        print_note(f"error: {text}")
     if len(failures) > _MOST_FAILURES:
-        note(f"error: and {len(failures) - _MOST_FAILURES} more that could not be read")
+        print_note(f"error: and {len(failures) - _MOST_FAILURES} more that could not be read")
 
 
-def make_printable() -> None:
+def replace_unprintable() -> None:
     """Make standard output and error replace characters that their encoding lacks."""
     codecs.register_error(_PLAIN, _ascii_replacement)
     for stream in (sys.stdout, sys.stderr):
@@ -118,7 +120,7 @@ def _line_of_a_box(character: str) -> str:
 
 
 @contextmanager
-def progress(label: str) -> Iterator[Callable[[float], None]]:
+def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
     """Show a progress bar on standard error, only on a terminal and after two seconds."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
@@ -177,7 +179,7 @@ class ProgressListener:
             nonlocal told_s
             if not self._console.is_terminal and time.monotonic() - told_s > _LINE_AFTER_S:
                 told_s = time.monotonic()
-                note(f"{name}: {done} of {total}")
+                print_note(f"{name}: {done} of {total}")
             # an experiment may map several rounds of jobs: the bar shows the present one
             self._bars.update(task, completed=done, total=total, state=f"{done} of {total}")
 
@@ -188,7 +190,7 @@ class ProgressListener:
         if self._console.is_terminal:
             self._console.print(f"vergence: {name} {why}", markup=False, highlight=False)
         else:
-            note(f"{name} {why}")
+            print_note(f"{name} {why}")
 
     def end(self, name: str, seconds: float | None) -> None:
         """See `Listener.end`."""

@@ -13,10 +13,10 @@ from rich.live import Live
 from rich.text import Text
 
 from vergence import interrupts
-from vergence.commands.checks import print_checks
-from vergence.commands.extras import require
+from vergence.commands.checks import check_and_print
+from vergence.commands.extras import require_modules
 from vergence.commands.gaze_rows import print_gazes
-from vergence.commands.options import Flat, dated_folder
+from vergence.commands.options import Flat, dated_run_folder
 from vergence.eval.robot.config import DeployConfig
 
 if TYPE_CHECKING:
@@ -40,13 +40,13 @@ class Deploy:
 
     def run(self) -> int:
         """Run the command."""
-        require("robot", "mcap")
+        require_modules("robot", "mcap")
         from vergence.eval.robot.deploy import deploy
 
-        interrupts.guard_robot()
-        log = self.log or dated_folder("deploy").with_suffix(".mcap")
+        interrupts.raise_on_termination()
+        log = self.log or dated_run_folder("deploy").with_suffix(".mcap")
         with _StatusPrinter(self.config) as status:
-            result = deploy(self.config, log, check=print_checks, show=status.show)
+            result = deploy(self.config, log, check=check_and_print, show=status.show)
         if self.json:
             print(json.dumps(result.summary(), indent=2, allow_nan=False))
         elif self.config.dry_run:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from vergence.commands.console import note, print_failures, progress
+from vergence.commands.console import print_failures, print_note, progress_bar
 from vergence.commands.options import check_figure, parse_size
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
@@ -120,7 +120,7 @@ class Detect:
             if len(shown) < _MOST_PANELS:
                 shown.append(photograph)
 
-        with progress("detect") as report:
+        with progress_bar("detect") as report:
             finder = TargetFinder(targets, camera, response)
             result = detect(self.images, finder, report, keep if self.figure else None)
         if self.figure is not None:
@@ -129,20 +129,20 @@ class Detect:
             draw_photographs(shown, self.figure)
             left = len(result.images) - len(shown)
             more = f", without {left} of the images" if left else ""
-            note(f"{self.figure} is written{more}")
+            print_note(f"{self.figure} is written{more}")
         if self.json:
             print(json.dumps(result.rows(), indent=2, allow_nan=False))
         elif result.sightings:
             _print(result)
         for text in result.remarks:
-            note(text)
+            print_note(text)
         print_failures(result.failures)
         if not result.sightings:
             count = len(result.images)
             where = f"any of {count} images" if count > 1 else str(result.images[0])
             there = similar_targets(read_image(result.images[0]), targets, camera)
             hint = f"; in {result.images[0].name} {there}" if there else ""
-            note(f"error: expected {', '.join(self.target)} in {where}, found none{hint}")
+            print_note(f"error: expected {', '.join(self.target)} in {where}, found none{hint}")
         return 2 if result.failures else 0 if result.sightings else 1
 
 

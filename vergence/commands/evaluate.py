@@ -17,15 +17,15 @@ from rich.table import Table
 from tyro.conf import arg
 
 from vergence import interrupts
-from vergence.commands.checks import print_checks
-from vergence.commands.console import ProgressListener, note
-from vergence.commands.extras import require
+from vergence.commands.checks import check_and_print
+from vergence.commands.console import ProgressListener, print_note
+from vergence.commands.extras import require_modules
 from vergence.commands.options import (
     Flat,
     JobOptions,
     TableOptions,
     claimed_run_folder,
-    dated_folder,
+    dated_run_folder,
 )
 from vergence.commands.tables import print_cards, print_table
 from vergence.errors import ConfigurationError, VergenceError
@@ -76,7 +76,7 @@ class Evaluate:
         from vergence.eval.comparison.lineup import tune_baselines
 
         with claimed_run_folder(
-            self.out or dated_folder("margins" if self.margins else "evaluate")
+            self.out or dated_run_folder("margins" if self.margins else "evaluate")
         ) as run:
             # output of a user's own code must not mix with the result
             with (
@@ -86,33 +86,33 @@ class Evaluate:
             ):
                 if self.config.tune:
                     mapper.progress = bars.begin("tune")
-                    tune_baselines(self.config, mapper, report=note)
+                    tune_baselines(self.config, mapper, report=print_note)
                 mapper.progress = bars.begin("margins" if self.margins else "evaluate")
                 result = self._margins(mapper) if self.margins else self._evaluation(mapper)
             for text in result.notes:
-                note(text)
+                print_note(text)
             run.finish(partial(self._write, result), result.rows, result.show, as_json=self.json)
         # the other results are kept, and the exit code reports that some failed
         for text in result.failures:
-            note(f"error: {text}")
+            print_note(f"error: {text}")
         return 0 if run.saved and not result.failures else 2
 
     def _on_robot(self) -> int:
         """Run trials on a robot, or only the missing ones, and write the results of all."""
-        require("robot", "mcap")
+        require_modules("robot", "mcap")
         from vergence.eval.reporting.runs import check_writable
         from vergence.eval.robot.evaluate import evaluate_on_robot, read_begun_config
         from vergence.files import atomic_files
-        from vergence.locks import locked
+        from vergence.locks import hold_lock
 
         self._check_robot()
-        interrupts.guard_robot()
-        run, config = self.resume or self.out or dated_folder("evaluate"), self.config
+        interrupts.raise_on_termination()
+        run, config = self.resume or self.out or dated_run_folder("evaluate"), self.config
         if self.resume is None:
             check_writable(run)
         else:
             config = read_begun_config(run)
-        with locked(run), _kept(run):
+        with hold_lock(run), _kept(run):
             with (
                 redirect_stdout(sys.stderr),
                 ProgressListener() as bars,
@@ -121,10 +121,10 @@ class Evaluate:
                 mapper.progress = bars.begin("evaluate")
                 found = evaluate_on_robot(
                     config, run, mapper, bars.begin("robot"), resume=self.resume is not None,
-                    check=print_checks, keep_going=True,
+                    check=check_and_print, keep_going=True,
                 )  # fmt: skip
             for text in found.notes:
-                note(text)
+                print_note(text)
             result = _as_result(found)
             with atomic_files(run, last="evaluation.json") as folder:
                 self._write(result, folder)
@@ -135,7 +135,7 @@ class Evaluate:
             result.show()
             print(f"written to {run}")
         for text in result.failures:
-            note(f"error: {text}")
+            print_note(f"error: {text}")
         return 2 if result.failures else 0
 
     def _check_robot(self) -> None:
@@ -216,7 +216,7 @@ def _kept(run: Path) -> Iterator[None]:
         raise KeyboardInterrupt(kept()) if kept() else stop from None
     except VergenceError:
         if kept():
-            note(kept())
+            print_note(kept())
         raise
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from vergence.commands.extras import require
+from vergence.commands.extras import require_modules
 from vergence.commands.options import claimed_run_folder
 from vergence.errors import ConfigurationError
 
@@ -72,17 +72,17 @@ class ExportBundle:
 
     def run(self) -> int:
         """Run the command."""
-        require("train", "torch", "stable_baselines3", "onnx", "onnxscript", "onnxruntime")
+        require_modules("train", "torch", "stable_baselines3", "onnx", "onnxscript", "onnxruntime")
         if self.out.suffix != ".vgp":
             raise ConfigurationError(f"out: expected a name that ends in .vgp, got {self.out}")
         if self.out.exists() and not self.force:
             raise ConfigurationError(
                 f"out: expected no file of that name (--force replaces it), got {self.out}"
             )
-        from vergence.locks import locked
+        from vergence.locks import hold_lock
         from vergence.training.export import export_run
 
-        with locked(self.out):
+        with hold_lock(self.out):
             manifest = export_run(self.training_run, self.out, self.checkpoint, self.force)
         step = manifest.training["checkpoint"]["step"]
         difference = manifest.metrics["onnx_difference"]

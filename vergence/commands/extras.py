@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from vergence.errors import ConfigurationError, how_to_install
 
 
-def require(extra: str, *modules: str) -> None:
+def require_modules(extra: str, *modules: str) -> None:
     """Check that optional modules are installed.
 
     Args:

@@ -5,14 +5,14 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from vergence.commands.console import note
+from vergence.commands.console import print_note
 from vergence.commands.head_tables import (
     print_assumptions,
+    print_calibration_record,
     print_cameras,
     print_joints,
-    print_record,
-    warn_of_folds,
-    warn_of_rest,
+    warn_of_lens_folds,
+    warn_of_zero_outside_range,
 )
 from vergence.commands.tables import print_table
 
@@ -23,7 +23,7 @@ _FIXATED_PX: Final = 1.0
 """Largest residual pixel error at which eyes count as fixating, px (chosen: the settling band)."""
 
 
-def print_head(source: str, *, as_json: bool, figure: Path | None) -> None:
+def print_head_description(source: str, *, as_json: bool, figure: Path | None) -> None:
     """Print the parts of a head, its reach and its depth errors.
 
     Args:
@@ -50,10 +50,10 @@ def print_head(source: str, *, as_json: bool, figure: Path | None) -> None:
     else:
         _print_tables(summary)
         print_assumptions(assumed_values(head))
-    warn_of_rest(summary.joints)
-    warn_of_folds(summary.eyes)
+    warn_of_zero_outside_range(summary.joints)
+    warn_of_lens_folds(summary.eyes)
     if figure is not None:
-        note(f"{figure} is written")
+        print_note(f"{figure} is written")
 
 
 def _print_tables(summary: "HeadSummary") -> None:
@@ -75,7 +75,7 @@ def _print_tables(summary: "HeadSummary") -> None:
         print("The eyes do not move: points are found by triangulate_views alone.\n")
     print_cameras(summary.eyes)
     if summary.calibration is not None:
-        print_record(summary.calibration)
+        print_calibration_record(summary.calibration)
 
 
 def _reach(summary: "HeadSummary") -> list[list[str]]:

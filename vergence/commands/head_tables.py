@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from math import degrees
 from typing import TYPE_CHECKING, Final
 
-from vergence.commands.console import note
+from vergence.commands.console import print_note
 from vergence.commands.tables import print_table
 
 if TYPE_CHECKING:
     from vergence.eval.head_summary import EyeSummary, JointSummary
     from vergence.models.calibrated import CalibrationRecord
-    from vergence.models.files.assumed_values import Assumed
+    from vergence.models.files.assumed_values import AssumedValue
 
 _SIGMAS: Final = (
     ("left focal length", "left.camera", ("f_u", "f_v"), 1.0, "px"),
@@ -67,7 +67,7 @@ def print_cameras(eyes: "Sequence[EyeSummary]") -> None:
     print_table(columns, rows, title="cameras", wrapped=(0, 5))
 
 
-def print_record(record: "CalibrationRecord") -> None:
+def print_calibration_record(record: "CalibrationRecord") -> None:
     """Print how a head was calibrated, and the standard deviations except those of the lens.
 
     Args:
@@ -88,7 +88,7 @@ def print_record(record: "CalibrationRecord") -> None:
     print_table(["number", "value"], rows, title="calibration", wrapped=(0, 1))
 
 
-def warn_of_folds(eyes: "Sequence[EyeSummary]") -> None:
+def warn_of_lens_folds(eyes: "Sequence[EyeSummary]") -> None:
     """Warn of images with parts that no ray reaches, because the lens model folds back there.
 
     Args:
@@ -96,7 +96,7 @@ def warn_of_folds(eyes: "Sequence[EyeSummary]") -> None:
     """
     for eye in eyes:
         if eye.folds:
-            note(
+            print_note(
                 f"warning: the lens model of the {eye.name} eye has no rays in a part of its image "
                 f"of {eye.width_px} x {eye.height_px} px, where it folds back on itself or looks "
                 f"90 degrees or more aside: none beyond {eye.horizontal_deg:.0f} x "
@@ -104,7 +104,7 @@ def warn_of_folds(eyes: "Sequence[EyeSummary]") -> None:
             )
 
 
-def print_assumptions(assumptions: "Sequence[Assumed]") -> None:
+def print_assumptions(assumptions: "Sequence[AssumedValue]") -> None:
     """Print the values that are assumed, not measured: keys, values and reasons.
 
     Args:
@@ -116,7 +116,7 @@ def print_assumptions(assumptions: "Sequence[Assumed]") -> None:
         print_table(columns, rows, title="assumptions", wrapped=(0, 1, 2))
 
 
-def warn_of_rest(joints: "Sequence[JointSummary]") -> None:
+def warn_of_zero_outside_range(joints: "Sequence[JointSummary]") -> None:
     """Warn of joints whose range excludes zero, the angle of rest.
 
     Args:
@@ -124,7 +124,7 @@ def warn_of_rest(joints: "Sequence[JointSummary]") -> None:
     """
     for joint in joints:
         if joint.lower_deg > 0.0 or joint.upper_deg < 0.0:
-            note(
+            print_note(
                 f"warning: the range of {joint.name}, {joint.lower_deg:.1f} to "
                 f"{joint.upper_deg:.1f} degrees, is without zero, where the head was measured: "
                 "at rest it is at the nearest angle that it has (is a sign or an offset wrong?)"

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from vergence.commands.head_info import print_head
+from vergence.commands.head_info import print_head_description
 from vergence.commands.options import check_figure
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError, how_to_install
@@ -28,7 +28,7 @@ class Info:
         if self.head is not None:
             if self.figure is not None:
                 check_figure(self.figure)
-            print_head(self.head, as_json=self.json, figure=self.figure)
+            print_head_description(self.head, as_json=self.json, figure=self.figure)
             return 0
         for option, given in (("json", self.json), ("figure", self.figure is not None)):
             if given:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Final, TextIO
 import tyro
 
 from vergence import interrupts
-from vergence.commands.console import note
-from vergence.commands.extras import require
+from vergence.commands.console import print_note
+from vergence.commands.extras import require_modules
 from vergence.errors import ConfigurationError, VergenceError, did_you_mean
 
 if TYPE_CHECKING:
@@ -41,20 +41,20 @@ class Jog:
 
     def run(self) -> int:
         """Run the command."""
-        require("robot", "tomlkit")
+        require_modules("robot", "tomlkit")
         from vergence.hardware.checks.line import open_bus
-        from vergence.hardware.checks.servos import check_servos, refuse_errors
+        from vergence.hardware.checks.servos import check_servos, raise_errors
         from vergence.hardware.config import load_hardware
         from vergence.hardware.jog import Jogger as Joints
 
         config = load_hardware(self.config)
         step_rad = _step(self.step)
-        interrupts.guard_robot()
+        interrupts.raise_on_termination()
         bus, session = open_bus(config.bus), None
         try:
-            for finding in refuse_errors(check_servos(config, bus, posture=False)):
-                note(f"warning: {finding}")
-            session = Session(Joints(config, bus), self.config, step_rad, _say)
+            for finding in raise_errors(check_servos(config, bus, check_limits=False)):
+                print_note(f"warning: {finding}")
+            session = JogSession(Joints(config, bus), self.config, step_rad, _say)
             session.begin()
             _execute_all(session, sys.stdin)
             session.end()
@@ -67,7 +67,7 @@ class Jog:
         return int(session.failed and not sys.stdin.isatty())
 
 
-class Session:
+class JogSession:
     """Interpreter for the interactive commands of `vergence jog`.
 
     Args:
@@ -187,7 +187,7 @@ def _say(text: str) -> None:
     print(text, flush=True)
 
 
-def _execute_all(session: Session, stream: TextIO) -> None:
+def _execute_all(session: JogSession, stream: TextIO) -> None:
     """Carry out the lines of a stream until its end, with a prompt on a terminal."""
     while True:
         if stream.isatty():

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 
-from vergence.commands.console import note, print_failures, progress
-from vergence.commands.options import Flat, TableOptions, claimed_run_folder, dated_folder
+from vergence.commands.console import print_failures, print_note, progress_bar
+from vergence.commands.options import Flat, TableOptions, claimed_run_folder, dated_run_folder
 from vergence.perception.locate_config import LocateConfig
 
 if TYPE_CHECKING:
@@ -44,17 +44,17 @@ class Locate:
             write_config(folder, result.config, result.head)
             draw_located(result, folder / "locate.png")
 
-        with claimed_run_folder(self.out or dated_folder("locate")) as run:
-            with progress("locate") as report:
+        with claimed_run_folder(self.out or dated_run_folder("locate")) as run:
+            with progress_bar("locate") as report:
                 result: LocateResult = locate(self.config, report)
             if self.config.joints is None:
                 _say_rest(result.head)
             run.finish(write, result.rows, lambda: print_located(result), as_json=self.json)
         for text in result.notes():  # below the table: some explain its rows
-            note(text)
+            print_note(text)
         print_failures(result.failures)
         if not result.found:
-            note(f"error: {_nothing(result)}")
+            print_note(f"error: {_nothing(result)}")
         if not run.saved or result.failures:
             return 2
         return 0 if result.found else 1
@@ -89,4 +89,4 @@ def _say_rest(head: "HeadModel") -> None:
         return
     rest = zip(head.joints[EYES], np.degrees(head.rest()[EYES]), strict=True)
     angles = ", ".join(f"{name} {angle:z.3g}" for name, angle in dict(rest).items() if name)
-    note(f"no --joints: the eyes are taken to be at rest, in degrees {angles}")
+    print_note(f"no --joints: the eyes are taken to be at rest, in degrees {angles}")

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from vergence import interrupts
-from vergence.commands.checks import print_checks
-from vergence.commands.console import note, progress
-from vergence.commands.extras import require
+from vergence.commands.checks import check_and_print
+from vergence.commands.console import print_note, progress_bar
+from vergence.commands.extras import require_modules
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError, HardwareError
 from vergence.files import atomic_file
@@ -39,10 +39,10 @@ class MeasureDelay:
     def run(self) -> int:
         """Run the command."""
         if self.write:
-            require("robot", "tomlkit")
+            require_modules("robot", "tomlkit")
         from vergence.hardware.config import load_hardware
         from vergence.hardware.config_edit import write_loop
-        from vergence.hardware.delay.measure import measure_loop, slot_of
+        from vergence.hardware.delay.measure import actuator_slot, measure_loop
         from vergence.models.joints import EYE_NAMES
 
         hardware = load_hardware(self.hardware)
@@ -51,14 +51,14 @@ class MeasureDelay:
                 pass  # refuses a read-only file before anything moves; writes nothing
         eyes = EYE_NAMES if self.eye == "both" else (self.eye,)
         for eye in eyes:  # refuses a wrong actuator before the robot is checked
-            slot_of(hardware.head, EYE_NAMES.index(eye), self.actuator)
-        print_checks(hardware)
-        interrupts.guard_robot()
+            actuator_slot(hardware.head, EYE_NAMES.index(eye), self.actuator)
+        check_and_print(hardware)
+        interrupts.raise_on_termination()
         try:
-            with progress("measure") as report:
+            with progress_bar("measure") as report:
                 found = measure_loop(hardware, eyes, report, self.actuator)
         except HardwareError:
-            note(f"{self.hardware} stays as it was")
+            print_note(f"{self.hardware} stays as it was")
             raise
         if self.json:
             print(json.dumps(_as_json(found), indent=2, allow_nan=False))
@@ -68,7 +68,7 @@ class MeasureDelay:
             with self._writing():
                 write_loop(self.hardware, found.loop(), found.latencies_s)
             cameras = "".join(f"cameras.{name}.latency_s, " for name in found.latencies_s)
-            note(f"written to {self.hardware}: {cameras}[loop]")
+            print_note(f"written to {self.hardware}: {cameras}[loop]")
         return 0
 
     @contextmanager

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import tyro
 
-from vergence.commands.console import note
-from vergence.commands.extras import require
+from vergence.commands.console import print_note
+from vergence.commands.extras import require_modules
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class TableOptions:
             ConfigurationError: pyarrow is not installed.
         """
         if self.parquet:
-            require("parquet", "pyarrow")
+            require_modules("parquet", "pyarrow")
 
     def convert(self, *tables: Path) -> None:
         """Also write finished CSV files as Parquet, if requested.
@@ -103,10 +103,10 @@ class RunFolder:
         try:
             place = save_run(self.folder, write)
         except ConfigurationError as error:
-            note(f"error: {error}")
+            print_note(f"error: {error}")
             return False
         if place != self.folder:
-            note(f"{self.folder} has been taken meanwhile: written to {place} instead")
+            print_note(f"{self.folder} has been taken meanwhile: written to {place} instead")
         self.folder, self.saved = place, True
         return True
 
@@ -221,6 +221,6 @@ def parse_size(text: str | None) -> tuple[int, int] | None:
     return int(match[1]), int(match[2])
 
 
-def dated_folder(what: str) -> Path:
+def dated_run_folder(command: str) -> Path:
     """Default run folder of a command: runs/WHAT-DATE-TIME."""
-    return Path("runs") / f"{what}-{datetime.now():%Y%m%d-%H%M%S-%f}"
+    return Path("runs") / f"{command}-{datetime.now():%Y%m%d-%H%M%S-%f}"

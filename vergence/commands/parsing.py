@@ -11,7 +11,7 @@ import tyro
 
 from vergence import __version__
 from vergence.commands import Command
-from vergence.commands.console import note
+from vergence.commands.console import print_note
 from vergence.errors import UnknownNameError, did_you_mean
 
 
@@ -22,7 +22,7 @@ class Runnable(Protocol):
         """Run the command and return its exit code."""
 
 
-def parse(words: list[str]) -> Runnable:
+def parse_command(words: list[str]) -> Runnable:
     """Parse the words of a command line into a command.
 
     Args:
@@ -47,7 +47,7 @@ def parse(words: list[str]) -> Runnable:
         if stop.code == 2:
             path, commands = _command_of(words)
             reason = _reason(parser_output.getvalue(), path, commands, words[len(path) :])
-            note(f"error: {reason} (see {' '.join(['vergence', *path])} --help)")
+            print_note(f"error: {reason} (see {' '.join(['vergence', *path])} --help)")
         raise
 
 

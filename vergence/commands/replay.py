@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from vergence.commands.console import note, progress
-from vergence.commands.extras import require
+from vergence.commands.console import print_note, progress_bar
+from vergence.commands.extras import require_modules
 from vergence.commands.gaze_rows import print_gazes
-from vergence.commands.options import Flat, TableOptions, claimed_run_folder, dated_folder
+from vergence.commands.options import Flat, TableOptions, claimed_run_folder, dated_run_folder
 from vergence.commands.tables import print_table
 from vergence.eval.robot.config import ReplayConfig
 
@@ -31,19 +31,19 @@ class ReplayLog:
     def run(self) -> int:
         """Run the command."""
         self.tables.check()
-        require("robot", "mcap")
+        require_modules("robot", "mcap")
         from vergence.eval.robot.replay import replay
         from vergence.eval.robot.replay_folder import write_replay
 
-        with claimed_run_folder(self.out or dated_folder("replay")) as run:
-            with progress("replay") as report:
+        with claimed_run_folder(self.out or dated_run_folder("replay")) as run:
+            with progress_bar("replay") as report:
                 result = replay(self.config, report)
             for text in result.notes:
-                note(text)
+                print_note(text)
             if not result.log.trials:
-                note(f"there is no gaze in {result.log.path}")
+                print_note(f"there is no gaze in {result.log.path}")
             if result.log.cut_off:
-                note(f"{result.log.path} is cut off, as by a crash: read up to there")
+                print_note(f"{result.log.path} is cut off, as by a crash: read up to there")
 
             def write(folder: Path) -> None:
                 write_replay(folder, result, self.config.gaze)
@@ -51,7 +51,7 @@ class ReplayLog:
 
             run.finish(write, result.summary, lambda: _print(result), as_json=self.json)
         for text in result.log.faults:
-            note(f"the log has a fault: {text}")
+            print_note(f"the log has a fault: {text}")
         return 0 if run.saved else 2
 
 

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
-from vergence.commands.console import note, progress
+from vergence.commands.console import print_note, progress_bar
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from vergence.hardware.scan import FoundServo, Scan
+    from vergence.hardware.scan import FoundServo, ScanResult
 
 _COLUMNS: Final = ("id", "model", "firmware", "baud", "mode", "torque", "V", "C", "position")
 _REASONS: Final = (
@@ -39,17 +39,17 @@ class ScanBus:
         ids = _ids(self.ids)
         from vergence.hardware.checks.line import check_latency_timer, open_bus
         from vergence.hardware.config import BusConfig
-        from vergence.hardware.scan import scan
+        from vergence.hardware.scan import scan_for_servos
 
         # reports a port that cannot be opened once, not for each rate
         open_bus(BusConfig(port=self.port, baud_rate=57_600)).close()
-        with progress("scan-bus") as report:
-            found = scan(self.port, ids=ids, report=report)
+        with progress_bar("scan-bus") as report:
+            found = scan_for_servos(self.port, ids=ids, report=report)
         for rate, why in found.left_out.items():
-            note(f"{rate} baud was left out: {why}")
+            print_note(f"{rate} baud was left out: {why}")
         latency = check_latency_timer(self.port)
         if latency is not None:
-            note(f"warning: {latency}")
+            print_note(f"warning: {latency}")
         if not found.servos:
             _say_nobody(self.port, found)
             return 1
@@ -96,13 +96,13 @@ def _mode(mode: int) -> str:
     return words.get(mode, str(mode))
 
 
-def _say_nobody(port: str, found: "Scan") -> None:
+def _say_nobody(port: str, found: "ScanResult") -> None:
     if found.damaged:
-        note(
+        print_note(
             f"error: {port}: expected servos, got {found.damaged} damaged answers: servos with "
             "one id talk at once (plug in one alone and give it another id), or the cable is bad"
         )
         return
-    note(f"error: {port}: expected servos, got no answer at any baud rate")
+    print_note(f"error: {port}: expected servos, got no answer at any baud rate")
     for reason in _REASONS:
-        note(f"error: {reason}")
+        print_note(f"error: {reason}")

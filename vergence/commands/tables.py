@@ -39,7 +39,7 @@ def print_table(
     for cells in (rows, _with_short(rows, shortenable)):
         for stacked_heads, padding in ((False, 2), (True, 2), (True, 1)):
             table = _table(columns, cells, title, wrapped, padding, stacked_heads)
-            if least_width(table) <= console.width:
+            if min_table_width(table) <= console.width:
                 _fit(table, cells, console.width)
                 console.print(table)
                 return
@@ -85,7 +85,7 @@ def _end(name: str, length: int) -> str:
     return name if len(name) <= length else f"…{name[1 - length :]}"
 
 
-def least_width(table: Table) -> int:
+def min_table_width(table: Table) -> int:
     """Width that a table needs at least, characters; its columns must state their least width."""
     least = sum(column.min_width or 0 for column in table.columns)
     return least + len(table.columns) * (table.padding[1] + 1) - 1
@@ -93,7 +93,7 @@ def least_width(table: Table) -> int:
 
 def _fit(table: Table, rows: Sequence[Row], width: int) -> None:
     """Divide a terminal's spare width among the columns that wrap; rich alone would cut two."""
-    spare = width - least_width(table)
+    spare = width - min_table_width(table)
     wanting = {
         place: max(len(row[place]) for row in rows) - (column.min_width or 0)
         for place, column in enumerate(table.columns)

@@ -13,9 +13,9 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from vergence.commands.console import note
-from vergence.commands.extras import require
-from vergence.commands.options import Flat, dated_folder
+from vergence.commands.console import print_note
+from vergence.commands.extras import require_modules
+from vergence.commands.options import Flat, dated_run_folder
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 from vergence.training.options import TrainOptions
@@ -37,18 +37,18 @@ class Train:
 
     def run(self) -> int:
         """Run the command."""
-        require("train", "torch", "stable_baselines3", "tensorboard")
-        from vergence.locks import locked
+        require_modules("train", "torch", "stable_baselines3", "tensorboard")
+        from vergence.locks import hold_lock
         from vergence.training.choices import resolve_config
         from vergence.training.run import resume, train
 
         if self.resume is not None:
             self._check_nothing_else()
-            with locked(self.resume), _watching(self.resume) as watch:
+            with hold_lock(self.resume), _watching(self.resume) as watch:
                 return _end(resume(self.resume, watch, steps=self.options.steps))
         config, head = resolve_config(self.options)
-        folder = self.out or dated_folder(f"train-{config.kind}")
-        with locked(folder), _watching(folder) as watch:
+        folder = self.out or dated_run_folder(f"train-{config.kind}")
+        with hold_lock(folder), _watching(folder) as watch:
             return _end(train(folder, config, head, watch))
 
     def _check_nothing_else(self) -> None:
@@ -92,7 +92,9 @@ class _Watch:
 
     def resumed(self, done: int) -> None:
         """See `Listener.resumed`."""
-        note(f"goes on after {done} steps" if done else "nothing had been saved: begins at 0 steps")
+        print_note(
+            f"goes on after {done} steps" if done else "nothing had been saved: begins at 0 steps"
+        )
 
     def step(self, done: int, total: int) -> None:
         """See `Listener.step`."""
@@ -124,7 +126,7 @@ def _watching(folder: Path) -> Iterator[_Watch]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         said = "interrupted: saving after this update (again to stop at once)"
         try:
-            note(said)
+            print_note(said)
         except RuntimeError:  # raised by a write to the stream that the signal interrupted
             os.write(2, f"vergence: {said}\n".encode())
 
@@ -132,7 +134,9 @@ def _watching(folder: Path) -> Iterator[_Watch]:
     try:
         yield watch
     except KeyboardInterrupt:
-        note(f"interrupted: vergence train --resume {folder} goes on from the last checkpoint")
+        print_note(
+            f"interrupted: vergence train --resume {folder} goes on from the last checkpoint"
+        )
         raise SystemExit(130) from None
     finally:
         signal.signal(signal.SIGINT, before)
@@ -151,7 +155,9 @@ def _compared(gain: float, unit: str) -> str:
 def _end(result: "Result") -> int:
     """Print the result of a run; return the exit code."""
     if not result.finished:
-        note(f"stopped after {result.steps} steps: vergence train --resume {result.folder} goes on")
+        print_note(
+            f"stopped after {result.steps} steps: vergence train --resume {result.folder} goes on"
+        )
         return 130
     baseline = min(result.baselines, key=lambda name: result.baselines[name].headline)
     reference = result.baselines[baseline].headline

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.console import Console
 
-from vergence.commands.console import note, progress
-from vergence.commands.extras import require
+from vergence.commands.console import print_note, progress_bar
+from vergence.commands.extras import require_modules
 from vergence.commands.options import Flat, JobOptions
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
@@ -42,7 +42,7 @@ class Tune:
 
     def run(self) -> int:
         """Run the command."""
-        require("tune", "optuna")
+        require_modules("tune", "optuna")
         from vergence.controllers.tuned import write_tuned
         from vergence.envs.streams import as_seed
         from vergence.eval.reporting.runs import check_folder_free, run_folder_command
@@ -70,7 +70,7 @@ class Tune:
         # also refuses a plant on which the scenario cannot run
         scenario.env_options(plant=config.plant, head=head)
         self._check_tables(head, scenario)
-        with self.machines.open_mapper() as mapper, progress(f"tune {config.name}") as report:
+        with self.machines.open_mapper() as mapper, progress_bar(f"tune {config.name}") as report:
             if config.learned:
                 from vergence.training.tuning import SPANS, training_objective
 
@@ -83,7 +83,7 @@ class Tune:
                     folder, config, search_ranges, objective, head, lambda n, of: report(n / of)
                 )
             except KeyboardInterrupt:
-                note(f"interrupted: the study stays in {folder}; call again to go on")
+                print_note(f"interrupted: the study stays in {folder}; call again to go on")
                 return 130
         _print(result)
         for path in self._tables():
@@ -98,7 +98,7 @@ class Tune:
         Raises:
             ConfigurationError: an extra is missing, or such an option is set.
         """
-        require("train", "torch", "stable_baselines3", "tensorboard")
+        require_modules("train", "torch", "stable_baselines3", "tensorboard")
         options = {"write": self.write, "write-package": self.write_package}
         for name, value in {**options, "cluster": self.machines.cluster}.items():
             if value:
@@ -155,11 +155,11 @@ def repeat_command(config: TuneConfig, *, trials: bool) -> str:
         config: options of the search.
         trials: True to state the number of points; a grid defines it by itself.
     """
-    from vergence.models.files.head_file import from_anywhere
+    from vergence.models.files.head_file import absolute_source
 
     words = ["vergence", "tune", config.controller, "--scenario", config.scenario]
     if config.head is not None:
-        words += ["--head", from_anywhere(config.head)]
+        words += ["--head", absolute_source(config.head)]
     if config.plant != TuneConfig.plant:
         words += ["--plant", config.plant]
     if config.grid:

@@ -36,7 +36,7 @@ from vergence.controllers.rows import make_row, record_view, row_layout, row_siz
 from vergence.envs.fields import at_least_zero
 from vergence.envs.layout import ObservationLayout
 from vergence.models.head import HeadModel
-from vergence.models.packed import PACKED, PackedHead, is_direct
+from vergence.models.packed import PACKED, PackedHead, has_motor_per_joint
 from vergence.models.parts import FloatArray
 
 
@@ -230,7 +230,7 @@ def act(
     for eye in range(2):
         for axis in range(2):
             out[2 * eye + axis] = _asked(s, gains, eye, axis)
-    if is_direct(p):
+    if has_motor_per_joint(p):
         excess_l, excess_r = joints_of_image(p, q, error, law.depth_m, limit, out)
     else:
         excess_l = excess_r = actuators_of_image(p, q, error, law.depth_m, limit, out)

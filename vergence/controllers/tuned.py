@@ -20,7 +20,7 @@ import tomli_w
 
 from vergence.errors import ConfigurationError
 from vergence.files import atomic_file, write_atomic
-from vergence.locks import locked
+from vergence.locks import hold_lock
 from vergence.models.head import HeadModel
 
 TUNED_FILE: Final = Path(__file__).with_name("tuned.toml")
@@ -235,7 +235,7 @@ def write_tuned(path: Path, entry: Tuned) -> None:
     entry = dataclasses.replace(entry, controller=law, seed=int(entry.seed), options=options)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with locked(path, wait=True):
+        with hold_lock(path, wait=True):
             table = load_tuned(path) if path.exists() else {}
             table[entry.key] = entry
             content = {"tuned": [_fields(table[key]) for key in sorted(table)]}

@@ -9,8 +9,8 @@ from vergence.envs.reading import Image
 from vergence.models.boards import board_pose, make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.links import inverse_pose
-from vergence.models.mujoco.model import addresses_of, compile_model
-from vergence.models.mujoco.posture import posture_of
+from vergence.models.mujoco.model import compile_model, find_model_indices
+from vergence.models.mujoco.posture import rest_poses
 from vergence.models.parts import FloatArray
 
 EYE_COLOURS: Final = ((31, 119, 180), (214, 96, 30))
@@ -30,8 +30,8 @@ class OutsideView:
         self._data = mujoco.MjData(self._model)
         self._board = self._model.geom_bodyid == self._model.body("tag").id
         self._head = head
-        self._places = addresses_of(self._model, head).places
-        posture = posture_of(head)
+        self._places = find_model_indices(self._model, head).places
+        posture = rest_poses(head)
         self._upright, self._width_m = posture.upright, posture.baseline_m
         self._renderer: mujoco.Renderer | None = None
 

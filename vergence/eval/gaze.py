@@ -28,7 +28,7 @@ from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, NECK
 from vergence.models.parts import FloatArray
-from vergence.models.point_warnings import beyond_limits
+from vergence.models.point_warnings import describe_beyond_limits
 from vergence.recording import Recorder
 from vergence.triangulation import Fix
 
@@ -281,7 +281,7 @@ def _why_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -> s
     q = head.fixate(point, head.rest()[NECK], warn=False)
     if not np.isfinite(q).all():
         return f"{expected} the eyes have no angles"
-    beyond = beyond_limits(head.joints, head.limits, head.actuation, q)
+    beyond = describe_beyond_limits(head.joints, head.limits, head.actuation, q)
     return f"{expected} {beyond}" if beyond else ""
 
 

@@ -15,7 +15,7 @@ from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, figu
 from vergence.files import atomic_file
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
-from vergence.models.mujoco.posture import posture_of
+from vergence.models.mujoco.posture import rest_poses
 from vergence.models.parts import FloatArray
 from vergence.vision.optics import EyeCamera
 
@@ -43,7 +43,7 @@ class _Geometry:
     """
 
     def __init__(self, head: HeadModel) -> None:
-        posture = posture_of(head)
+        posture = rest_poses(head)
         from_base = np.linalg.inv(posture.base)
         poses = head.camera_poses(head.rest())
         self.eyes = _MM * poses[:, :3, 3]

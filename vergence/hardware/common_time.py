@@ -28,22 +28,22 @@ _PARALLEL: Final = 1e-8
 """Squared sine of the angle below which two lines count as parallel: 0.1 mrad (numerical)."""
 
 
-def at_common_time(
-    head: HeadModel, pixels: FloatArray, exposed: FloatArray, common: FloatArray
+def pixels_at_common_time(
+    head: HeadModel, pixels: FloatArray, exposure_joints: FloatArray, common_joints: FloatArray
 ) -> FloatArray:
     """Convert both eyes' pixels to a common time.
 
     Args:
         head: the model of the head.
         pixels: (2, 2) raw pixels of the target by eye, px.
-        exposed: (2, 7) joint angles at each eye's own exposure, rad.
-        common: (7,) joint angles at the common time, rad.
+        exposure_joints: (2, 7) joint angles at each eye's own exposure, rad.
+        common_joints: (7,) joint angles at the common time, rad.
 
     Returns:
         (2, 2) raw pixels, px; nan if a pixel has no ray or the target is out of view at that time.
     """
-    T_0_C = head.base_pose(exposed) @ np.stack(
-        [head.camera_poses(exposed[eye])[eye] for eye in range(2)]
+    T_0_C = head.base_pose(exposure_joints) @ np.stack(
+        [head.camera_poses(exposure_joints[eye])[eye] for eye in range(2)]
     )
     cameras = _cameras(head)
     rays = [np.append(cameras[eye].rays(pixels[eye][None])[0], 1.0) for eye in range(2)]
@@ -51,7 +51,7 @@ def at_common_time(
     directions = np.stack([T_0_C[eye, :3, :3] @ rays[eye] for eye in range(2)])
     depths = _depths(origins, directions)
     points = origins + depths[:, None] * directions
-    T_C_0 = np.linalg.inv(head.base_pose(common) @ head.camera_poses(common))
+    T_C_0 = np.linalg.inv(head.base_pose(common_joints) @ head.camera_poses(common_joints))
     seen = np.einsum("eij,ej->ei", T_C_0[:, :3, :3], points) + T_C_0[:, :3, 3]
     return np.concatenate([cameras[eye].project(seen[eye][None]) for eye in range(2)])
 
@@ -101,4 +101,4 @@ def merge_pair(
         return (seeing[0].exposed_s if seeing else pair.exposed_s), pixels
     common_s = pair.exposed_s
     exposed = np.stack([history.at(one.exposed_s) for one in seeing])
-    return common_s, at_common_time(head, pixels, exposed, history.at(common_s))
+    return common_s, pixels_at_common_time(head, pixels, exposed, history.at(common_s))

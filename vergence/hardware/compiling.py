@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from vergence.envs.plants.eye_views import EyeViews
-from vergence.hardware.common_time import at_common_time
+from vergence.hardware.common_time import pixels_at_common_time
 from vergence.models.boards import TagFamily, Target
 from vergence.models.head import HeadModel
 from vergence.vision.detectors import make_detector
@@ -16,7 +16,7 @@ _CELL_PX: Final = 8.0
 """Cell size of the board that is drawn for the compilation, px (chosen)."""
 
 
-def compile_loop(head: HeadModel, target: Target) -> None:
+def compile_loop_kernels(head: HeadModel, target: Target) -> None:
     """Call every kernel of the loop once, on images with the target and on one without.
 
     Args:
@@ -34,4 +34,4 @@ def compile_loop(head: HeadModel, target: Target) -> None:
         image = views.draw(q, still, point)[eye].copy()
         for seen in (image, image, np.full_like(image, image[0, 0])):
             tracker.find(seen, T_0_C=poses[eye])
-    at_common_time(head, head.cameras.principal, np.stack([q, q]), q)
+    pixels_at_common_time(head, head.cameras.principal, np.stack([q, q]), q)

@@ -49,12 +49,12 @@ from vergence.hardware.config_parts import (
     actuator_slots,
 )
 from vergence.hardware.config_tables import (
-    Mistakes,
+    MistakeCollector,
     read_bus,
     read_camera,
     read_emulator,
     read_loop,
-    read_places,
+    read_measured_targets,
     read_servos,
 )
 from vergence.hardware.safety.config import SafetyConfig, parse_safety
@@ -162,7 +162,7 @@ def refuse_other_head(config: HardwareConfig, head: HeadModel) -> None:
 
 
 def _parse(table: Table, path: str) -> HardwareConfig:
-    mistakes = Mistakes()
+    mistakes = MistakeCollector()
     head: HeadModel | None = None
     with mistakes:
         head = _head(table, path)
@@ -193,7 +193,7 @@ def _parse(table: Table, path: str) -> HardwareConfig:
     places: tuple[MeasuredTarget, ...] = ()
     with mistakes:
         if table.has("places"):
-            places = read_places(table.tables("places"), mistakes)
+            places = read_measured_targets(table.tables("places"), mistakes)
     with mistakes:
         table.close()
     if mistakes.found or head is None:
@@ -215,7 +215,7 @@ def _parse(table: Table, path: str) -> HardwareConfig:
     )
 
 
-def _error(mistakes: Mistakes, path: str) -> VergenceError:
+def _error(mistakes: MistakeCollector, path: str) -> VergenceError:
     """The error to raise for all mistakes, each with the name of the file."""
     found = [_in_file(mistake, path) for mistake in mistakes.found]
     return found[0] if len(found) == 1 else MistakesError(path, found)
@@ -238,7 +238,7 @@ def _refuse_other_digest(table: Table, head: HeadModel | None) -> None:
 
 
 def _cameras(
-    table: Table, head: HeadModel | None, mistakes: Mistakes
+    table: Table, head: HeadModel | None, mistakes: MistakeCollector
 ) -> tuple[list[CameraConfig], float]:
     """Read the cameras, left one first, and the pairing tolerance, s; mistakes are left out."""
     tolerance_s = 0.0 if head is None else _PAIRING * head.timing.frame_s

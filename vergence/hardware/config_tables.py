@@ -59,7 +59,7 @@ _SOURCE: Final = "a camera's number, its device file or a URL"
 _ADDRESS: Final = "HOST:PORT of an emulated head"
 
 
-class Mistakes:
+class MistakeCollector:
     """Collects the mistakes of one file: an error ends its `with` block alone.
 
     Attributes:
@@ -107,7 +107,7 @@ def read_bus(table: Table, head: HeadModel | None) -> BusConfig:
 
 
 def read_servos(
-    tables: Sequence[Table], head: HeadModel | None, mistakes: Mistakes
+    tables: Sequence[Table], head: HeadModel | None, mistakes: MistakeCollector
 ) -> tuple[ServoConfig, ...]:
     """Read the servos, in the order of their slots; those with mistakes are left out."""
     slots = None if head is None else actuator_slots(head)
@@ -264,7 +264,9 @@ def _loop_rule(name: str) -> Rule:
     return (lambda x: is_within(name, x, x), expected(name))
 
 
-def read_places(tables: Sequence[Table], mistakes: Mistakes) -> tuple[MeasuredTarget, ...]:
+def read_measured_targets(
+    tables: Sequence[Table], mistakes: MistakeCollector
+) -> tuple[MeasuredTarget, ...]:
     """Read the targets at measured points; those with mistakes are left out."""
     places: list[MeasuredTarget] = []
     told: dict[str, str] = {}

@@ -37,7 +37,7 @@ _JOIN_S: Final = 1.0
 """Longest wait for the thread to end, s (chosen)."""
 
 
-class InTrial(NamedTuple):
+class RunningTrial(NamedTuple):
     """State of the running trial for the supervisor, see `RobotState`."""
 
     images_s: FloatArray
@@ -110,7 +110,7 @@ class DriveThread(threading.Thread):
         if self._log is not None:
             self._log.joints(*sensed)
 
-    def send(self, requested: FloatArray, trial: InTrial | None = None) -> FloatArray:
+    def send(self, requested: FloatArray, trial: RunningTrial | None = None) -> FloatArray:
         """Send the supervisor's command for some requested velocities.
 
         Args:
@@ -132,7 +132,7 @@ class DriveThread(threading.Thread):
                     return self._send(requested, trial)
             self._sleep(ahead_s)
 
-    def _send(self, requested: FloatArray, trial: InTrial | None = None) -> FloatArray:
+    def _send(self, requested: FloatArray, trial: RunningTrial | None = None) -> FloatArray:
         self._refuse_others()  # again, under the lock
         servos = self._servos
         old_s = self._clock() - self._history.newest()[0]

@@ -11,7 +11,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.cameras import EyeThread
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.history import JointHistory
-from vergence.hardware.pairing import Counts, Pairing, SearchedImage, SearchedPair
+from vergence.hardware.pairing import PairCounts, Pairing, SearchedImage, SearchedPair
 from vergence.models.boards import Target
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
@@ -23,7 +23,7 @@ _READY_TIMEOUT_S: Final = 10.0
 """Longest wait for images at the frame rate after the cameras open, s (chosen)."""
 
 
-class Eyes:
+class HeadEyes:
     """The eyes of one head.
 
     Args:
@@ -78,7 +78,7 @@ class Eyes:
             idle()
 
     @property
-    def counts(self) -> Counts:
+    def counts(self) -> PairCounts:
         """Counts of paired and unpaired images so far."""
         return self._pairing.counts
 

@@ -15,7 +15,7 @@ import numpy as np
 from vergence.errors import HardwareError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.servo_memory import PRESENT, ServoMemory, fault_words, read_memory
+from vergence.hardware.servo_memory import PRESENT, ServoMemory, describe_fault_bits, read_memory
 
 _CURRENT_LIMIT: Final = table.Register("CURRENT_LIMIT", 38, 2)
 _REPORT_LOAD: Final = frozenset((30, 1060, 1070, 1080, 1090, 1160))
@@ -40,7 +40,7 @@ _FULL_READS: Final = 3
 """Consecutive reads at full load that stop the head; fewer may be an acceleration (chosen)."""
 
 
-class Level(StrEnum):
+class HealthLevel(StrEnum):
     """The judgement of a servo's health, from good to bad."""
 
     OK = "ok"
@@ -77,10 +77,10 @@ class HealthLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judgement:
+class HealthJudgement:
     """Judgement of one reading."""
 
-    level: Level
+    level: HealthLevel
     """Worst level of temperature, voltage, load and faults."""
     text: str
     """Expected and actual value of each that is not ok; empty if all are."""
@@ -150,20 +150,24 @@ class HealthWatch:
         self.limits = limits
         self._full = 0
 
-    def judge(self, health: Health) -> Judgement:
+    def judge(self, health: Health) -> HealthJudgement:
         """Judge a reading; full load stops the head only after three readings in a row."""
         hot, temperature = self._temperature(health.temperature_c)
         judged = [
             temperature,
             self._voltage(health.voltage_v),
             self._load(health.load),
-            (Level.STOP, f"fault: {fault_words(health.errors)}") if health.errors else _FINE,
+            (HealthLevel.STOP, f"fault: {describe_fault_bits(health.errors)}")
+            if health.errors
+            else _FINE,
         ]
-        order = list(Level)
+        order = list(HealthLevel)
         level = max((one for one, _ in judged), key=order.index)
-        return Judgement(level=level, text="; ".join(text for _, text in judged if text), hot=hot)
+        return HealthJudgement(
+            level=level, text="; ".join(text for _, text in judged if text), hot=hot
+        )
 
-    def _temperature(self, temperature_c: float) -> tuple[bool, tuple[Level, str]]:
+    def _temperature(self, temperature_c: float) -> tuple[bool, tuple[HealthLevel, str]]:
         limit_c = self.limits.temperature_c
         if temperature_c < limit_c - WARM_K:
             return False, _FINE
@@ -172,27 +176,27 @@ class HealthWatch:
         text = f"temperature: expected below {below_c:g} C, got {temperature_c:g} C"
         if hot:
             text += ", so its torque goes off"
-        return hot, (Level.STOP if hot else Level.WARN, text)
+        return hot, (HealthLevel.STOP if hot else HealthLevel.WARN, text)
 
-    def _voltage(self, voltage_v: float) -> tuple[Level, str]:
+    def _voltage(self, voltage_v: float) -> tuple[HealthLevel, str]:
         least, most = self.limits.least_v, self.limits.most_v
         text = f"voltage: expected {least:.1f} to {most:.1f} V, got {voltage_v:.1f} V"
         # voltages come in steps of 0.1 V: allow half a step
         if not least - 0.05 < voltage_v < most + 0.05:
-            return Level.STOP, text
+            return HealthLevel.STOP, text
         near = not least * (1.0 + _NEAR_VOLTAGE) < voltage_v < most * (1.0 - _NEAR_VOLTAGE)
-        return (Level.WARN, text) if near else _FINE
+        return (HealthLevel.WARN, text) if near else _FINE
 
-    def _load(self, load: float) -> tuple[Level, str]:
+    def _load(self, load: float) -> tuple[HealthLevel, str]:
         share = abs(load)
         self._full = self._full + 1 if share >= _FULL_LOAD_SHARE else 0
         if not share >= _HIGH_LOAD:  # also if it is unknown
             return _FINE
         if self._full < _FULL_READS:
-            return Level.WARN, f"load: expected below {_HIGH_LOAD:.0%}, got {share:.0%}"
-        return Level.STOP, (
+            return HealthLevel.WARN, f"load: expected below {_HIGH_LOAD:.0%}, got {share:.0%}"
+        return HealthLevel.STOP, (
             f"load: expected below {_FULL_LOAD_SHARE:.0%}, got {share:.0%} at {_FULL_READS} looks"
         )
 
 
-_FINE: Final = (Level.OK, "")
+_FINE: Final = (HealthLevel.OK, "")

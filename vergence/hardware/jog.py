@@ -17,7 +17,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.resting import let_rest, stand_still
+from vergence.hardware.resting import broadcast_zero_speed, stop_and_disarm
 from vergence.hardware.servo_angles import SILENT_S, ServoAngles
 
 MOST_STEP_RAD: Final = 0.5
@@ -79,12 +79,12 @@ class Jogger:
         angles.update({servo.id: bytes(table.PRESENT_VELOCITY.length) + position}, self._clock())
         return float(angles.angles[servo.slot])
 
-    def step(self, name: str, way_rad: float) -> float:
+    def step(self, name: str, signed_step_rad: float) -> float:
         """Turn a joint by some angle and let it rest there, with torque.
 
         Args:
             name: the joint.
-            way_rad: signed step, rad, up to `MOST_STEP_RAD` in size.
+            signed_step_rad: signed step, rad, up to `MOST_STEP_RAD` in size.
 
         Returns:
             Measured rotation, rad.
@@ -96,7 +96,7 @@ class Jogger:
         servo = self.servos[name]
         try:
             self._arm(servo)
-            return self._drive(servo, way_rad)
+            return self._drive(servo, signed_step_rad)
         finally:
             self._rest(servo)
 
@@ -124,7 +124,7 @@ class Jogger:
                     "another mode: hold the head, and switch its power off and on"
                 )
             bus.write(ident, table.OPERATING_MODE, table.VELOCITY_MODE)
-        stand_still(bus, [servo.id])
+        broadcast_zero_speed(bus, [servo.id])
         bus.write(ident, table.BUS_WATCHDOG, 0)
         bus.write(ident, table.GOAL_VELOCITY, 0)
         if not torque:
@@ -135,8 +135,8 @@ class Jogger:
     def _rest(self, servo: ServoConfig) -> None:
         """Stop the servo, with the watchdog off, as it would trip before the next step."""
         with suppress(HardwareError):
-            stand_still(self._bus, [servo.id])
-            let_rest(self._bus, servo.id)
+            broadcast_zero_speed(self._bus, [servo.id])
+            stop_and_disarm(self._bus, servo.id)
 
     def _drive(self, servo: ServoConfig, way_rad: float) -> float:
         timing, speed_rad_s = self._config.head.timing, self._speed(servo)

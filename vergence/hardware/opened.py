@@ -1,8 +1,8 @@
 """Resources that a plant holds open: the servos' line, the cameras, an emulated head's world."""
 
 from vergence.hardware.drive import DriveThread
-from vergence.hardware.emulator.client import EmulatedWorld
-from vergence.hardware.eyes import Eyes
+from vergence.hardware.emulator.client import WorldClient
+from vergence.hardware.eyes import HeadEyes
 
 
 class OpenedHead:
@@ -12,10 +12,10 @@ class OpenedHead:
         eyes: the eyes, still closed.
     """
 
-    def __init__(self, eyes: Eyes) -> None:
+    def __init__(self, eyes: HeadEyes) -> None:
         self.eyes = eyes
         self.drive: DriveThread | None = None
-        self.world: EmulatedWorld | None = None
+        self.world: WorldClient | None = None
 
     def close(self) -> None:
         """Stop the servos at once and release everything; a second call does nothing."""

@@ -48,7 +48,7 @@ class SearchedPair(NamedTuple):
 
 
 @dataclass
-class Counts:
+class PairCounts:
     """Numbers of pairs and of images without a partner."""
 
     pairs: int = 0
@@ -71,7 +71,7 @@ class Pairing:
         self._tolerance_s = tolerance_s
         self._wait_s = wait_s
         self._waiting: tuple[deque[SearchedImage], deque[SearchedImage]] = (deque(), deque())
-        self.counts = Counts()
+        self.counts = PairCounts()
 
     def clear(self) -> None:
         """Discard the images that wait."""

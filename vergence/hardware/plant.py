@@ -22,19 +22,19 @@ from vergence.envs.streams import IntArray
 from vergence.envs.targets.board import POINT, Board
 from vergence.errors import ChecksFailedError, ConfigurationError, HardwareError, VergenceWarning
 from vergence.hardware.checks.cameras import check_devices
-from vergence.hardware.checks.servos import refuse_errors
+from vergence.hardware.checks.servos import raise_errors
 from vergence.hardware.common_time import merge_pair
-from vergence.hardware.compiling import compile_loop
+from vergence.hardware.compiling import compile_loop_kernels
 from vergence.hardware.config import (
     HardwareConfig,
     load_hardware,
     refuse_other_head,
 )
 from vergence.hardware.count_log import CountLog
-from vergence.hardware.drive import DriveThread, InTrial
+from vergence.hardware.drive import DriveThread, RunningTrial
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.emulator.client import EmulatedWorld
-from vergence.hardware.eyes import Eyes
+from vergence.hardware.emulator.client import WorldClient
+from vergence.hardware.eyes import HeadEyes
 from vergence.hardware.history import JointHistory
 from vergence.hardware.opened import OpenedHead
 from vergence.hardware.pairing import SearchedPair
@@ -44,7 +44,7 @@ from vergence.hardware.safety.supervisor import Supervisor
 from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.servos import HeadServos
 from vergence.hardware.start import come_to_start
-from vergence.hardware.still import StillServos
+from vergence.hardware.still import ReadOnlyServos
 from vergence.models.boards import AprilTag, Target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -110,7 +110,7 @@ class HardwarePlant(Plant):
         self._period_s = head.timing.period_s
         self._reading = Reading.empty(1)
         self._history = JointHistory()
-        self._open = OpenedHead(Eyes(self.config, self._history, log, clock))
+        self._open = OpenedHead(HeadEyes(self.config, self._history, log, clock))
         # runs when the plant is deleted or the process ends, whichever comes first
         weakref.finalize(self, self._open.close)
         self._prepared = self._ready = self._begun = False
@@ -163,11 +163,11 @@ class HardwarePlant(Plant):
         if self._prepared:
             return
         begun_s = self._clock()
-        compile_loop(self.head, self.config.target)
+        compile_loop_kernels(self.head, self.config.target)
         try:
             cameras = check_devices(self.config)
             try:
-                make = HeadServos if self._moves else StillServos
+                make = HeadServos if self._moves else ReadOnlyServos
                 servos = make(self.config, self._clock)
             except ChecksFailedError as error:
                 raise ChecksFailedError([*error.findings, *cameras]) from error
@@ -180,13 +180,13 @@ class HardwarePlant(Plant):
                 clock=self._clock,
                 sleep=self._sleep,
             )
-            for finding in refuse_errors([*servos.findings, *cameras]):
+            for finding in raise_errors([*servos.findings, *cameras]):
                 _warn(str(finding))
             self._sense()
             self._open.drive.start()
             self._open.eyes.open(self._idle)
             if self.config.emulator:
-                self._open.world = EmulatedWorld(self.config.emulator)
+                self._open.world = WorldClient(self.config.emulator)
         except BaseException:
             self.close()
             raise
@@ -279,7 +279,7 @@ class HardwarePlant(Plant):
             self._check_watchdog()
             missed = self.overruns - self._reported_overruns
             self._reported_overruns = self.overruns
-            trial = InTrial(
+            trial = RunningTrial(
                 images_s=self._open.eyes.newest_s,
                 seen=bool(self._reading.visible[0].any()),
                 goals=self._goals,
@@ -401,7 +401,7 @@ class HardwarePlant(Plant):
         if self._open.drive is not None:
             self._open.drive.brake()
             with suppress(HardwareError), self._open.drive.exclusive() as servos:
-                servos.let_go_if_hot()
+                servos.release_if_hot()
         _LOG.error("stopped: %s", self._supervisor.fault)
 
     def _warn_of_limiting_posture(self) -> None:

@@ -11,7 +11,7 @@ _TRIES: Final = 3
 """Number of times that zero velocity is sent, as servos do not confirm a broadcast (chosen)."""
 
 
-def stand_still(bus: Bus, ids: Iterable[int]) -> None:
+def broadcast_zero_speed(bus: Bus, ids: Iterable[int]) -> None:
     """Send zero velocity at once, so that no servo keeps turning while its watchdog is off.
 
     Raises:
@@ -22,7 +22,7 @@ def stand_still(bus: Bus, ids: Iterable[int]) -> None:
         bus.sync_write(table.GOAL_VELOCITY, goals)
 
 
-def let_rest(bus: Bus, id: int) -> None:
+def stop_and_disarm(bus: Bus, id: int) -> None:
     """Bring a servo to rest and switch its watchdog off; without a confirmation it stays on.
 
     Raises:

@@ -45,7 +45,7 @@ class FoundServo:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scan:
+class ScanResult:
     """Result of a search at all baud rates."""
 
     servos: list[FoundServo] = field(default_factory=list)
@@ -56,19 +56,19 @@ class Scan:
     """Number of damaged packets: from two servos with one id, or noise."""
 
 
-def scan(
+def scan_for_servos(
     port: str,
     *,
-    rates: Sequence[int] = RATES,
+    baud_rates: Sequence[int] = RATES,
     ids: Iterable[int] | None = None,
     wait_per_id_s: float = _TURN_S,
     report: Callable[[float], None] = lambda _done: None,
-) -> Scan:
+) -> ScanResult:
     """Ping for servos at each baud rate.
 
     Args:
         port: device file of the line.
-        rates: baud rates, bit/s.
+        baud_rates: baud rates, bit/s.
         ids: ids to ping one by one; None pings all at once.
         wait_per_id_s: wait per id if all are pinged at once, s.
         report: progress callback, called with the fraction that is done.
@@ -80,8 +80,8 @@ def scan(
     left_out: dict[int, str] = {}
     damaged = 0
     asked = None if ids is None else list(ids)
-    for place, rate in enumerate(rates):
-        report(place / len(rates))
+    for place, rate in enumerate(baud_rates):
+        report(place / len(baud_rates))
         try:
             bus = Bus(port, rate)
         except HardwareError as error:
@@ -97,7 +97,7 @@ def scan(
             damaged += bus.damaged
         finally:
             bus.close()
-    return Scan(servos=found, left_out=left_out, damaged=damaged)
+    return ScanResult(servos=found, left_out=left_out, damaged=damaged)
 
 
 def _everybody(bus: Bus, wait_per_id_s: float) -> tuple[list[int], int]:

@@ -68,7 +68,7 @@ def read_memory(bus: Bus, id: int, spans: tuple[tuple[int, int], ...] = SPANS) -
     return ServoMemory(found)
 
 
-def fault_words(errors: int) -> str:
+def describe_fault_bits(errors: int) -> str:
     """Describe the bits of HARDWARE_ERROR_STATUS in words."""
     bits = [bit for bit in range(8) if errors >> bit & 1]
     return ", ".join(_FAULTS.get(bit, f"unknown fault {bit}") for bit in bits)

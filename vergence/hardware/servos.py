@@ -8,14 +8,14 @@ from typing import Final, TypeVar
 
 from vergence.errors import HardwareError
 from vergence.hardware.checks.line import open_bus
-from vergence.hardware.checks.servos import check_servos, refuse_errors
+from vergence.hardware.checks.servos import check_servos, raise_errors
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.count_log import CountLog
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.health import HealthWatch, Level, read_health, read_limits
-from vergence.hardware.resting import let_rest, stand_still
+from vergence.hardware.health import HealthLevel, HealthWatch, read_health, read_limits
+from vergence.hardware.resting import broadcast_zero_speed, stop_and_disarm
 from vergence.hardware.servo_angles import SILENT_S, ServoAngles
-from vergence.hardware.servo_memory import fault_words
+from vergence.hardware.servo_memory import describe_fault_bits
 from vergence.models.parts import FloatArray
 
 _LOG: Final = logging.getLogger(__name__)
@@ -67,7 +67,7 @@ class HeadServos:
         self._hot: set[int] = set()
         self._bus = open_bus(config.bus)
         try:
-            self.findings = refuse_errors(check_servos(config, self._bus))
+            self.findings = raise_errors(check_servos(config, self._bus))
             self._stand_still()
             for servo in config.servos:
                 self._set_up(servo)
@@ -85,7 +85,7 @@ class HeadServos:
         return self._bus.misses
 
     def _stand_still(self) -> None:
-        stand_still(self._bus, self.angles.ids)
+        broadcast_zero_speed(self._bus, self.angles.ids)
 
     def _set_up(self, servo: ServoConfig) -> None:
         bus = self._bus
@@ -181,8 +181,9 @@ class HeadServos:
                     errors = self._bus.read(servo.id, table.HARDWARE_ERROR_STATUS)
                 raise HardwareError(
                     f"servos: {servo.name}: expected a servo without a fault, got "
-                    f"{fault_words(errors) or 'one that it does not tell'}: it may have let go; "
-                    "cure: hold the head, remove the cause, then switch its power off and on"
+                    f"{describe_fault_bits(errors) or 'one that it does not tell'}: it may have "
+                    "let go; cure: hold the head, remove the cause, then switch its power off "
+                    "and on"
                 )
 
     def _check_torque(self) -> None:
@@ -221,16 +222,18 @@ class HeadServos:
             text = f"servos: {servo.name}: {verdict.text}"
             if verdict.hot:
                 self._hot.add(servo.id)
-            if verdict.level is Level.STOP:
+            if verdict.level is HealthLevel.STOP:
                 stop = stop or text
-            elif verdict.level is Level.WARN and servo.id not in self._warned:
+            elif verdict.level is HealthLevel.WARN and servo.id not in self._warned:
                 said.append(text)
-            (self._warned.discard if verdict.level is Level.OK else self._warned.add)(servo.id)
+            (self._warned.discard if verdict.level is HealthLevel.OK else self._warned.add)(
+                servo.id
+            )
         if stop:
             raise HardwareError(stop)
         return said
 
-    def let_go_if_hot(self) -> None:
+    def release_if_hot(self) -> None:
         """Switch the torque of hot servos off, as holding still heats them too."""
         for ident in self._hot:
             with suppress(HardwareError):
@@ -272,5 +275,5 @@ class HeadServos:
             self._stand_still()
         for ident in self.angles.ids:
             with suppress(HardwareError):
-                let_rest(self._bus, ident)
+                stop_and_disarm(self._bus, ident)
         self._bus.close()

@@ -9,7 +9,7 @@ import numpy as np
 from vergence.envs.reading import BoolArray
 from vergence.errors import HardwareError
 from vergence.hardware.config import HardwareConfig, ServoConfig
-from vergence.hardware.safety.motion import inside
+from vergence.hardware.safety.motion import find_containing_posture
 from vergence.hardware.safety.supervisor import Supervisor
 from vergence.hardware.servo_angles import ServoAngles
 from vergence.models.parts import FloatArray
@@ -34,7 +34,7 @@ _PROOF_TIMEOUT_S: Final = 3.0
 """Longest time of each half of that motion, s (chosen)."""
 
 
-class NotThereError(HardwareError):
+class GoalNotReachedError(HardwareError):
     """Joints that have not reached their goal."""
 
 
@@ -61,7 +61,7 @@ def come_to_start(
         HardwareError: a trial must not begin there, or the joints do not get there; see `move`.
     """
     goal = np.clip(goal, angles.lower, angles.upper)
-    entered = inside(config.safety.forbidden, goal)
+    entered = find_containing_posture(config.safety.forbidden, goal)
     if entered is not None:
         raise HardwareError(
             f"safety: start: {entered.refusal(goal, config.slots)}; cure: another start"
@@ -69,11 +69,11 @@ def come_to_start(
     unproved = angles.has_servo & ~supervisor.proved
     slowest = float(supervisor.max_speed[angles.has_servo].min())
     if unproved.any():
-        prove(unproved, config.servos, angles, move)
+        prove_joints_follow(unproved, config.servos, angles, move)
     try:
         way_s = float(np.abs(goal - angles.angles)[angles.has_servo].max()) / slowest
         return drive_to(goal, config.servos, angles, move, _TIMEOUT_S + way_s)
-    except NotThereError as error:
+    except GoalNotReachedError as error:
         name = supervisor.limiting_posture
         why = f": the forbidden posture {name!r} is in the way" if name else ""
         raise HardwareError(f"{error}{why}") from None
@@ -116,7 +116,7 @@ def drive_to(
         waited_s, rested_s = now_s - begun_s, now_s - moved_s
         if waited_s > timeout_s or rested_s > _BLOCKED_S:
             worst = max(servos, key=lambda one: abs(error[one.slot]))
-            raise NotThereError(
+            raise GoalNotReachedError(
                 f"servos: {worst.name}: expected the joint to reach {goal[worst.slot]:.3f} rad "
                 f"within {timeout_s:.0f} s, got {angles.angles[worst.slot]:.3f} rad after "
                 f"{waited_s:.0f} s"
@@ -125,7 +125,7 @@ def drive_to(
     return now_s
 
 
-def prove(
+def prove_joints_follow(
     unproved: BoolArray,
     servos: tuple[ServoConfig, ...],
     angles: ServoAngles,
@@ -147,5 +147,5 @@ def prove(
     way = np.where(angles.angles <= middle, _PROOF_RAD, -_PROOF_RAD) * unproved
     begin = angles.angles.copy()
     for goal in (begin + way, begin):
-        with suppress(NotThereError):  # for example if a forbidden posture is in the way
+        with suppress(GoalNotReachedError):  # for example if a forbidden posture is in the way
             drive_to(goal, servos, angles, move, _PROOF_TIMEOUT_S)

@@ -8,7 +8,7 @@ from vergence.hardware.servos import HeadServos
 from vergence.models.parts import FloatArray
 
 
-class StillServos(HeadServos):
+class ReadOnlyServos(HeadServos):
     """The servos of one head, left as they are; for the arguments and errors see `HeadServos`."""
 
     def _stand_still(self) -> None:
@@ -28,7 +28,7 @@ class StillServos(HeadServos):
         """Return 0, as no watchdog is armed."""
         return 0.0
 
-    def let_go_if_hot(self) -> None:
+    def release_if_hot(self) -> None:
         """Leave the torque as it is."""
 
     def close(self) -> None:

@@ -132,7 +132,7 @@ class Actuation(FrozenArrays):
             out[..., EYES] = out[..., EYES] @ self.to_joints.T + self.offset
         return out
 
-    def rates_of(self, actuators: ArrayLike) -> FloatArray:
+    def joint_velocities_of(self, actuators: ArrayLike) -> FloatArray:
         """Convert velocities of the neck and the eyes' actuators to joint velocities."""
         out = as_operand("actuators", actuators, 7).copy()
         if not self.direct:
@@ -155,7 +155,7 @@ class Actuation(FrozenArrays):
         return out
 
 
-def actuation_of(
+def assemble_actuation(
     joints: Sequence[str],
     limits: JointLimits,
     timing: LoopTiming,

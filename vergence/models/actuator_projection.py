@@ -28,7 +28,7 @@ _DAMPING: Final = 1e-11
 def actuator_least_squares(
     p: PackedHead,
     jacobian: FloatArray,
-    wanted: FloatArray,
+    image_motions: FloatArray,
     use_left: bool,
     use_right: bool,
     out: FloatArray,
@@ -38,7 +38,7 @@ def actuator_least_squares(
     Args:
         p: a packed head.
         jacobian: (2, 2, 2) by eye, image axis and joint of that eye, px/rad.
-        wanted: (2, 2) by eye and image axis, px or px/s.
+        image_motions: (2, 2) by eye and image axis, px or px/s.
         use_left: True if the left eye's wanted motion counts.
         use_right: True if the right eye's wanted motion counts.
         out: (4,) result, rad or rad/s.
@@ -59,7 +59,7 @@ def actuator_least_squares(
     for k in range(SLOTS):
         out[k] = 0.0
         for r in range(4):
-            value = wanted[r // 2, r % 2] if rows[r, k] != 0.0 else 0.0
+            value = image_motions[r // 2, r % 2] if rows[r, k] != 0.0 else 0.0
             out[k] += rows[r, k] * value
             for i in range(k + 1):
                 normal[k, i] += rows[r, k] * rows[r, i]

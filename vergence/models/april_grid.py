@@ -54,7 +54,7 @@ class AprilGrid:
 
     def __post_init__(self) -> None:
         """Check the counts and the sizes."""
-        most = len(self.code.words)
+        most = len(self.code.code_words)
         if min(self.columns, self.rows) < 1 or self.columns * self.rows > most:
             raise ConfigurationError(
                 f"AprilGrid: expected 1 to {most} tags in columns and rows, "

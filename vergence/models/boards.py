@@ -370,24 +370,29 @@ def board_pose(
 
 
 def texture(
-    target: PlanarTarget, texels: int, *, surround: int = 255, rim: int = 0, blur: float = 0.0
+    target: PlanarTarget,
+    texels_per_cell: int,
+    *,
+    surround: int = 255,
+    rim_px: int = 0,
+    blur_px: float = 0.0,
 ) -> NDArray[np.uint8]:
     """Render the board as an image.
 
     Args:
         target: the board.
-        texels: pixels of the image along a cell.
+        texels_per_cell: pixels of the image along a cell.
         surround: grey level around the board.
-        rim: width of the surround on each side, pixels.
-        blur: standard deviation of a Gaussian blur, in pixels of the image; 0 for none.
+        rim_px: width of the surround on each side, pixels.
+        blur_px: standard deviation of a Gaussian blur, in pixels of the image; 0 for none.
 
     Returns:
         Grey levels, 0 for black and 255 for white, shape
         (rows * texels + 2 rim, columns * texels + 2 rim).
     """
-    image = target.cells.repeat(texels, axis=0).repeat(texels, axis=1)
-    image = np.pad(image, rim, constant_values=surround)
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), blur) if blur > 0 else image, np.uint8)
+    image = target.cells.repeat(texels_per_cell, axis=0).repeat(texels_per_cell, axis=1)
+    image = np.pad(image, rim_px, constant_values=surround)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px) if blur_px > 0 else image, np.uint8)
 
 
 def _check_length(name: str, value: float) -> None:

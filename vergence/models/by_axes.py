@@ -14,7 +14,7 @@ _NO_MORE: Final = ("links", "eyes")
 """Prefixes of assumption keys whose numbers a file of a head by `JointAxes` does not have."""
 
 
-def as_axes(head: HeadModel) -> HeadModel:
+def to_joint_axes(head: HeadModel) -> HeadModel:
     """Describe the same head by one free axis per joint instead of Denavit-Hartenberg numbers.
 
     D-H numbers cannot rotate a joint about the y axis, nor shift it along y, if the joint is

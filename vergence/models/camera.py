@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vergence._jit import inlined, kernel
 from vergence.models.kinematics import point_in_eye
-from vergence.models.lens import CameraRow, distort, is_distorted, is_invertible, undistort_ray
+from vergence.models.lens import CameraRow, distort, is_distorted, is_invertible_at, undistort_ray
 from vergence.models.packed import CAMERA, PACKED, PackedHead, camera_at, camera_of
 from vergence.models.parts import FloatArray
 
@@ -22,7 +22,7 @@ def ray_to_pixel(camera: CameraRow, x: float, y: float) -> tuple[float, float]:
     """The pixel of a ray (X / Z, Y / Z), nan beyond the lens model's valid region."""
     if is_distorted(camera):
         distorted = distort(camera, x, y)
-        if not is_invertible(camera, x, y, distorted):
+        if not is_invertible_at(camera, x, y, distorted):
             return nan, nan
         x, y = distorted.x, distorted.y
     return pinhole_pixel(camera, x, y)
@@ -89,7 +89,7 @@ def project(
     points: FloatArray,
     distorted: NDArray[bool_],
     p: PackedHead,
-    pair: FloatArray,
+    _two: FloatArray,
     out: FloatArray,
 ) -> None:
     """Pixels in both eyes of a point given in N."""

@@ -65,14 +65,14 @@ class Cameras:
         return _camera_parameters(self.lens)
 
 
-def coefficient_slots(lens: tuple[str, str]) -> int:
+def coefficient_count(lens: tuple[str, str]) -> int:
     """Number of columns of `Cameras.distortion`."""
     return 5 if lens == (BROWN_CONRADY, BROWN_CONRADY) else 8
 
 
 @lru_cache(maxsize=16)
 def _camera_parameters(lens: tuple[str, str]) -> tuple[Parameter, ...]:
-    slots = {"focal": 2, "principal": 2, "distortion": coefficient_slots(lens)}
+    slots = {"focal": 2, "principal": 2, "distortion": coefficient_count(lens)}
     return tuple(
         Parameter(f"{eye}.camera.{name}", unit, field, slots[field] * i + j)
         for i, eye in enumerate(EYE_NAMES)
@@ -122,7 +122,7 @@ def _pair_of_sizes(size: ArrayLike) -> NDArray[np.int64]:
 def _coefficients(distortion: ArrayLike, lens: tuple[str, str]) -> FloatArray:
     """Check the coefficients, and pad or trim them to the columns that the lenses need."""
     values = np.asarray(distortion, dtype=np.float64)
-    slots, count = coefficient_slots(lens), values.shape[-1] if values.ndim else 0
+    slots, count = coefficient_count(lens), values.shape[-1] if values.ndim else 0
     if values.ndim < 2 or values.shape[-2] != 2 or not 4 <= count <= 8:
         raise ConfigurationError(
             f"distortion: expected shape (..., 2, {slots}), got {values.shape}"

@@ -14,7 +14,7 @@ from vergence._jit import inlined, kernel, subroutine
 from vergence.models.actuation import SLOTS
 from vergence.models.actuator_projection import actuator_least_squares
 from vergence.models.kinematics import eye_frames
-from vergence.models.packed import PACKED, PackedHead, camera_of, joint_at
+from vergence.models.packed import PACKED, PackedHead, camera_of, eye_joint_angle
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector, point_rate, point_to_local
 
@@ -150,7 +150,7 @@ def fixate_coupled(p: PackedHead, x: float, y: float, z: float, joints: FloatArr
     bearings, found, size = True, False, 0.0
     for _ in range(2 * _STEPS):
         for joint in range(SLOTS):
-            joints[joint] = joint_at(p, joint, own)
+            joints[joint] = eye_joint_angle(p, joint, own)
         sees = True
         for eye in range(2):
             sees = sees and _aim_error(p, eye, joints, (x, y, z), bearings, error, rate)
@@ -173,7 +173,7 @@ def fixate_coupled(p: PackedHead, x: float, y: float, z: float, joints: FloatArr
     if not found and not bearings and size < _SETTLED_RAD:
         found = True  # Gauss-Newton converges slowly if a large error remains
     for joint in range(SLOTS):
-        joints[joint] = joint_at(p, joint, own) if found else nan
+        joints[joint] = eye_joint_angle(p, joint, own) if found else nan
     return found
 
 

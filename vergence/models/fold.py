@@ -14,7 +14,7 @@ from vergence.models.lens import FISHEYE, PINHOLE, POLYNOMIAL, RATIONAL
 from vergence.models.parts import FloatArray
 
 LENS_NUMBERS: Final = 11
-"""Length of the array that `lens_numbers` returns (numerical)."""
+"""Length of the array that `pack_lens` returns (numerical)."""
 _BEFORE_A_POLE: Final = 1.0 - 1e-9
 """Factor on the squared radius of a pole: the model has no value at the pole, only before it
 (numerical)."""
@@ -26,7 +26,7 @@ _LEAST_RECIPROCAL: Final = 1e-12
 belong to rays within about 1e-6 of a right angle from the axis (numerical)."""
 
 
-def lens_numbers(lens: str, distortion: FloatArray) -> FloatArray:
+def pack_lens(lens: str, distortion: FloatArray) -> FloatArray:
     """Pack a lens for kernels.
 
     Args:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.models import camera, fixation, jacobian, kinematics, population
-from vergence.models.actuation import Actuation, Actuators, actuation_of
+from vergence.models.actuation import Actuation, Actuators, assemble_actuation
 from vergence.models.calibrated import CalibrationRecord
 from vergence.models.cameras import Cameras
 from vergence.models.digest import digest_of
@@ -93,7 +93,9 @@ class HeadModel:
     @cached_property
     def actuation(self) -> Actuation:
         """Actuators that take commands: the neck's joints and the actuators of the eyes."""
-        return actuation_of(self.joints, self.limits, self.timing, self.sensor, self.actuators)
+        return assemble_actuation(
+            self.joints, self.limits, self.timing, self.sensor, self.actuators
+        )
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
@@ -144,7 +146,7 @@ class HeadModel:
 
     def __getitem__(self, index: Any) -> "HeadModel":
         """Select one head, or several, of a population."""
-        return self._with(population.pick(self.geometry, self.batch_shape, index))
+        return self._with(population.pick_geometry(self.geometry, self.batch_shape, index))
 
     @staticmethod
     def stack(heads: Sequence["HeadModel"]) -> "HeadModel":
@@ -153,7 +155,7 @@ class HeadModel:
         Raises:
             ConfigurationError: the heads have different lens models or different joints.
         """
-        return heads[0]._with(population.stack([head.geometry for head in heads]))
+        return heads[0]._with(population.stack_geometries([head.geometry for head in heads]))
 
     def _with(self, geometry: Geometry) -> "HeadModel":
         # the calibration record does not apply to another geometry

@@ -104,8 +104,8 @@ class JointAxes(FrozenArrays):
             pose[..., :3, 3] = position.reshape(*position.shape[:-1], len(self.names), 3)
         return replace(self, pose=pose)
 
-    def folded(self) -> list[FloatArray]:
-        """See `Links.folded`."""
+    def constant_poses(self) -> list[FloatArray]:
+        """See `Links.constant_poses`."""
         poses: list[FloatArray] = [np.eye(4)] * 10
         into_n = inverse_pose(self.frame)
         poses[3] = self.frame

@@ -18,7 +18,7 @@ from vergence._jit import inlined, kernel
 from vergence.models.actuation import Actuation
 from vergence.models.cameras import Cameras
 from vergence.models.links import Links
-from vergence.models.packed import PACKED, PackedHead, eye_link, neck_link, pack
+from vergence.models.packed import PACKED, PackedHead, eye_link, neck_link, pack_constants
 from vergence.models.parts import FloatArray
 from vergence.models.pose import (
     Pose,
@@ -26,7 +26,7 @@ from vergence.models.pose import (
     compose,
     inverse,
     point_to_local,
-    pose_of,
+    pose_of_matrix,
     rotate_z,
     store_pose,
 )
@@ -54,7 +54,7 @@ def pack_head(
         (..., PACKED) read-only array, see `vergence.models.packed`; its leading shape is the
         broadcast shape of the parts.
     """
-    poses = links.folded()
+    poses = links.constant_poses()
     for eye in range(2):
         poses[6 + 3 * eye] = poses[6 + 3 * eye] @ head_eye[..., eye, :, :]
     batch = np.broadcast_shapes(
@@ -64,7 +64,7 @@ def pack_head(
         cameras.principal.shape[:-2],
         cameras.distortion.shape[:-2],
     )
-    return pack(poses, cameras, actuation, batch)
+    return pack_constants(poses, cameras, actuation, batch)
 
 
 class EyeFrames(NamedTuple):
@@ -111,14 +111,14 @@ def neck_frame(p: PackedHead, q1: float, q2: float, q3: float) -> Pose:
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:,:])"], f"(7),({PACKED}),(4)->(4,4)")
-def base_pose(q: FloatArray, p: PackedHead, quad: FloatArray, out: FloatArray) -> None:
+def base_pose(q: FloatArray, p: PackedHead, _four: FloatArray, out: FloatArray) -> None:
     """T_0_N of a packed head."""
     store_pose(out, neck_frame(p, q[0], q[1], q[2]))
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:,:,:])"], f"(7),({PACKED}),(2),(4)->(2,4,4)")
 def camera_poses(
-    q: FloatArray, p: PackedHead, pair: FloatArray, quad: FloatArray, out: FloatArray
+    q: FloatArray, p: PackedHead, _two: FloatArray, _four: FloatArray, out: FloatArray
 ) -> None:
     """T_N_Cl and T_N_Cr of a packed head."""
     for eye in range(2):
@@ -130,4 +130,4 @@ def link_poses(q: FloatArray, p: PackedHead, head_eye: FloatArray, out: FloatArr
     """Poses in N of the eyes' last links, of a packed head and its head-eye transforms."""
     for eye in range(2):
         camera = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye]).camera
-        store_pose(out[eye], compose(camera, inverse(pose_of(head_eye[eye]))))
+        store_pose(out[eye], compose(camera, inverse(pose_of_matrix(head_eye[eye]))))

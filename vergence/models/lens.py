@@ -77,7 +77,7 @@ class CameraRow(NamedTuple):
     """Squared ideal radius within which the Jacobian is guaranteed to be positive definite."""
 
 
-class Distorted(NamedTuple):
+class DistortedPoint(NamedTuple):
     """Distorted normalised coordinates and their derivatives by the ideal ones."""
 
     x: float
@@ -95,7 +95,7 @@ def is_distorted(camera: CameraRow) -> bool:
 
 
 @inlined
-def distort(camera: CameraRow, x: float, y: float) -> Distorted:
+def distort(camera: CameraRow, x: float, y: float) -> DistortedPoint:
     """Distort a ray's ideal normalised coordinates."""
     if camera.lens > POLYNOMIAL:
         return _distort_rational_or_fisheye(camera, x, y)
@@ -103,7 +103,7 @@ def distort(camera: CameraRow, x: float, y: float) -> Distorted:
 
 
 @inlined
-def is_invertible(camera: CameraRow, x: float, y: float, distorted: Distorted) -> bool:
+def is_invertible_at(camera: CameraRow, x: float, y: float, distorted: DistortedPoint) -> bool:
     """True if the model is invertible at a ray: before the fold, Jacobian positive definite."""
     r2 = x * x + y * y
     return r2 < camera.safe_radius_squared or (
@@ -142,7 +142,7 @@ def undistort_ray(camera: CameraRow, xd: float, yd: float) -> tuple[float, float
 
 
 @inlined
-def _distort_by_polynomial(camera: CameraRow, x: float, y: float) -> Distorted:
+def _distort_by_polynomial(camera: CameraRow, x: float, y: float) -> DistortedPoint:
     k1, k2, k3 = camera.k1, camera.k2, camera.k3
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -153,10 +153,10 @@ def _distort_by_polynomial(camera: CameraRow, x: float, y: float) -> Distorted:
 @inlined
 def _radial_and_tangential(
     camera: CameraRow, x: float, y: float, r2: float, radial: float, slope: float
-) -> Distorted:
+) -> DistortedPoint:
     """Combine the radial and tangential terms; slope is the derivative of radial by r^2."""
     p1, p2 = camera.p1, camera.p2
-    return Distorted(
+    return DistortedPoint(
         x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
         y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
         radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x,
@@ -166,7 +166,7 @@ def _radial_and_tangential(
 
 
 @subroutine
-def _distort_generic(camera: CameraRow, x: float, y: float) -> Distorted:
+def _distort_generic(camera: CameraRow, x: float, y: float) -> DistortedPoint:
     """`distort` of all models except the fisheye, and of the fisheye for angles instead of x and y.
 
     The angles are (x, y) t / r; in them the fisheye is a polynomial too. A polynomial is computed
@@ -183,7 +183,7 @@ def _distort_generic(camera: CameraRow, x: float, y: float) -> Distorted:
 
 
 @subroutine
-def _distort_rational_or_fisheye(camera: CameraRow, x: float, y: float) -> Distorted:
+def _distort_rational_or_fisheye(camera: CameraRow, x: float, y: float) -> DistortedPoint:
     """`distort` of the rational and the fisheye model."""
     r2 = x * x + y * y
     if camera.lens != FISHEYE or r2 < 1e-24:
@@ -194,7 +194,7 @@ def _distort_rational_or_fisheye(camera: CameraRow, x: float, y: float) -> Disto
     # derivative of the angles: the ratio across the radius, 1 / (1 + r^2) along it
     more = (1.0 / (1.0 + r2) - ratio) / r2
     axx, axy, ayy = ratio + x * x * more, x * y * more, ratio + y * y * more
-    return Distorted(
+    return DistortedPoint(
         distorted.x,
         distorted.y,
         distorted.dxx * axx + distorted.dxy * axy,

@@ -55,14 +55,14 @@ class Links(Protocol):
     def with_fields(self, fields: Mapping[str, FloatArray]) -> Any:
         """A copy of these links with other parameters: the inverse of `fields`."""
 
-    def folded(self) -> list[FloatArray]:
+    def constant_poses(self) -> list[FloatArray]:
         """Ten constants (..., 4, 4): B_0 to B_3 of the neck, M_0 to M_2 of the left, right eye.
 
         M_2 does not include the head-eye transform, which is its last factor.
         """
 
     def twists(self, reference: Any) -> FloatArray:
-        """Exact derivatives of the eyes' constants of `folded` by the parameters, for one head.
+        """Exact derivatives of the eyes' `constant_poses` by the parameters, for one head.
 
         Args:
             reference: the links that rotations are relative to, see `fields`.
@@ -142,8 +142,8 @@ class DenavitHartenberg(FrozenArrays):
         before = _rot_x(self.alpha[..., i]) @ _translation(0, self.a[..., i])
         return before @ _rot_z(self.offset[..., i]), _translation(2, self.d[..., i])
 
-    def folded(self) -> list[FloatArray]:
-        """See `Links.folded`."""
+    def constant_poses(self) -> list[FloatArray]:
+        """See `Links.constant_poses`."""
         pre, post = zip(*(self.transforms(frame) for frame in range(1, 10)), strict=True)
         poses = [pre[0], post[0] @ pre[1], post[1] @ pre[2], post[2] @ T_3_N]
         for tilt in (3, 6):
@@ -159,7 +159,7 @@ class DenavitHartenberg(FrozenArrays):
                 after = np.eye(4)
                 for field, link in reversed(factors):
                     i = tilt + link
-                    twist = twist_of(inverse_pose(after) @ _GENERATORS[field] @ after)
+                    twist = twist_vector(inverse_pose(after) @ _GENERATORS[field] @ after)
                     found[field, i] = 3 * eye + k, twist
                     after = _factor(field, getattr(self, field)[i]) @ after
         out = np.zeros((len(self.parameters), 6, 6))
@@ -231,7 +231,7 @@ def _factor(field: str, value: float) -> FloatArray:
     return _translation(0 if field == "a" else 2, np.asarray(number))
 
 
-def twist_of(matrix: FloatArray) -> FloatArray:
+def twist_vector(matrix: FloatArray) -> FloatArray:
     """(..., 6) vector (rotation, then translation) of a twist in matrix form (..., 4, 4)."""
     return np.stack(
         [matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0],

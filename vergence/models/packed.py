@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import inlined
-from vergence._runs import run_of
+from vergence._runs import make_tuple_reader
 from vergence.models.actuation import SLOTS, Actuation
 from vergence.models.cameras import Cameras
-from vergence.models.fold import lens_numbers
+from vergence.models.fold import pack_lens
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Pose, pose_at
@@ -40,8 +40,11 @@ PACKED: Final = _TO_ACTUATORS + SLOTS * SLOTS
 """Length of a packed head (numerical)."""
 
 
-def pack(
-    poses: Sequence[FloatArray], cameras: Cameras, actuation: Actuation, batch: tuple[int, ...]
+def pack_constants(
+    poses: Sequence[FloatArray],
+    cameras: Cameras,
+    actuation: Actuation,
+    batch_shape: tuple[int, ...],
 ) -> FloatArray:
     """Pack heads into one row of numbers each.
 
@@ -50,12 +53,12 @@ def pack(
             the three of the right eye, in the order of `neck_link` and `eye_link`.
         cameras: the two cameras, batched or not.
         actuation: the head's actuators.
-        batch: the leading shape; all parts broadcast to it.
+        batch_shape: the leading shape; all parts broadcast to it.
 
     Returns:
         (*batch, PACKED) read-only array.
     """
-    packed = np.zeros((*batch, PACKED))
+    packed = np.zeros((*batch_shape, PACKED))
     for i, pose in enumerate(poses):
         rows = pose[..., :3, :]
         packed[..., i * _POSE : (i + 1) * _POSE] = rows.reshape(*rows.shape[:-2], _POSE)
@@ -105,13 +108,13 @@ def pack_camera(
     """
     batch = np.broadcast_shapes(focal.shape[:-1], principal.shape[:-1], distortion.shape[:-1])
     rows = np.empty((*batch, CAMERA))
-    numbers = lens_numbers(lens, distortion)
+    numbers = pack_lens(lens, distortion)
     rows[..., 0:2], rows[..., 2:4], rows[..., 4:12] = focal, principal, numbers[..., :8]
     rows[..., 12:14], rows[..., 14:] = size, numbers[..., 8:]
     return rows
 
 
-_camera_run = run_of(CAMERA)
+_camera_run = make_tuple_reader(CAMERA)
 
 
 @inlined
@@ -139,7 +142,7 @@ def eye_link(p: PackedHead, eye: int, link: int) -> Pose:
 
 
 @inlined
-def is_direct(p: PackedHead) -> bool:
+def has_motor_per_joint(p: PackedHead) -> bool:
     """True if each of the four eye joints has its own motor, in joint order."""
     direct: bool = p[_DIRECT] > 0.5
     return direct
@@ -153,7 +156,7 @@ def joint_per_actuator(p: PackedHead, joint: int, actuator: int) -> float:
 
 
 @inlined
-def joint_at(p: PackedHead, joint: int, actuators: FloatArray) -> float:
+def eye_joint_angle(p: PackedHead, joint: int, actuators: FloatArray) -> float:
     """Angle of an eye joint, rad, from the actuators' angles (4,)."""
     i = _TO_JOINTS + SLOTS * joint
     angle: float = p[_OFFSET + joint]
@@ -163,7 +166,7 @@ def joint_at(p: PackedHead, joint: int, actuators: FloatArray) -> float:
 
 
 @inlined
-def joint_rate(p: PackedHead, joint: int, actuators: FloatArray) -> float:
+def eye_joint_velocity(p: PackedHead, joint: int, actuators: FloatArray) -> float:
     """Velocity of an eye joint, rad/s, from the actuators' velocities (4,)."""
     i = _TO_JOINTS + SLOTS * joint
     rate = 0.0
@@ -173,7 +176,7 @@ def joint_rate(p: PackedHead, joint: int, actuators: FloatArray) -> float:
 
 
 @inlined
-def actuator_at(p: PackedHead, actuator: int, joints: FloatArray) -> float:
+def eye_actuator_angle(p: PackedHead, actuator: int, joints: FloatArray) -> float:
     """Angle of an actuator of the eyes, rad, from the eye joints' angles (4,)."""
     i = _TO_ACTUATORS + SLOTS * actuator
     angle = 0.0
@@ -183,7 +186,7 @@ def actuator_at(p: PackedHead, actuator: int, joints: FloatArray) -> float:
 
 
 @inlined
-def actuator_rate(p: PackedHead, actuator: int, joints: FloatArray) -> float:
+def eye_actuator_velocity(p: PackedHead, actuator: int, joints: FloatArray) -> float:
     """Velocity of an actuator of the eyes, rad/s, from the eye joints' velocities (4,)."""
     i = _TO_ACTUATORS + SLOTS * actuator
     rate = 0.0

@@ -28,25 +28,25 @@ def is_name_tuple(value: object) -> bool:
     return isinstance(value, tuple) and all(isinstance(one, str) for one in value)
 
 
-def replace_fields(part: T, name: str, fields: Mapping[str, Any]) -> T:
+def replace_fields(part: T, part_name: str, fields: Mapping[str, Any]) -> T:
     """Copy a head, or a part of one, with some fields changed.
 
     Args:
         part: the dataclass to copy.
-        name: its name in error messages.
+        part_name: its name in error messages.
         fields: new values; a mapping as the value of a part changes fields of that part.
 
     Raises:
         ConfigurationError: a field is unknown, or a value has the wrong type.
     """
     known: Any = part
-    refuse_unknown(name, fields, [field.name for field in dataclasses.fields(known)])
+    refuse_unknown(part_name, fields, [field.name for field in dataclasses.fields(known)])
     new = {}
     for key, value in fields.items():
         if isinstance(value, Mapping) and dataclasses.is_dataclass(getattr(part, key)):
             new[key] = replace_fields(getattr(part, key), key, value)
         else:
-            new[key] = _checked(f"{name}.{key}", value, getattr(part, key))
+            new[key] = _checked(f"{part_name}.{key}", value, getattr(part, key))
     made: T = dataclasses.replace(known, **new)
     return made
 

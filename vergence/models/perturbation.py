@@ -186,10 +186,10 @@ def perturb_geometry(
         else rng.standard_normal((*shape, len(names)))
         for error, names in _DRAWS
     ]
-    return perturb_by(nominal, errors, np.concatenate(draws, axis=-1))
+    return perturb_by_deviates(nominal, errors, np.concatenate(draws, axis=-1))
 
 
-def perturb_by(nominal: Geometry, errors: ModelErrors, deviates: FloatArray) -> Geometry:
+def perturb_by_deviates(nominal: Geometry, errors: ModelErrors, deviates: FloatArray) -> Geometry:
     """Perturb the nominal geometry by given standard normal numbers.
 
     Args:

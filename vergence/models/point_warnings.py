@@ -83,14 +83,14 @@ def warn_of_point(bounds: FixationBounds, point: ArrayLike, q: FloatArray) -> No
             angles += bounds.actuation.actuators_of(q).tolist()[EYES]
         if all(map(le, bounds.lower, angles)) and all(map(le, angles, bounds.upper)):
             return
-        beyond = beyond_limits(bounds.joints, bounds.limits, bounds.actuation, q)
+        beyond = describe_beyond_limits(bounds.joints, bounds.limits, bounds.actuation, q)
         if not beyond:
             return
         said = f"a point that the eyes can turn to, got {_formatted(x, y, z)} m, for which {beyond}"
     warnings.warn(f"fixate: points: expected {said}", VergenceWarning, stacklevel=3)
 
 
-def beyond_limits(
+def describe_beyond_limits(
     joints: tuple[str, ...], limits: JointLimits, actuation: Actuation, q: FloatArray
 ) -> str:
     """Describe the first of the eyes' actuators or joints that would be beyond its limits.

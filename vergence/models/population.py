@@ -14,7 +14,7 @@ from vergence.models.parts import FloatArray, replace_fields
 _CAMERA_FIELDS: Final = ("focal", "principal", "distortion")
 
 
-def pick(geometry: Geometry, batch: tuple[int, ...], index: Any) -> Geometry:
+def pick_geometry(geometry: Geometry, batch: tuple[int, ...], index: Any) -> Geometry:
     """Select one geometry, or several, of a population.
 
     Args:
@@ -35,7 +35,7 @@ def pick(geometry: Geometry, batch: tuple[int, ...], index: Any) -> Geometry:
     )
 
 
-def stack(geometries: Sequence[Geometry]) -> Geometry:
+def stack_geometries(geometries: Sequence[Geometry]) -> Geometry:
     """Stack geometries of equal shape to a population.
 
     Raises:

@@ -4,7 +4,7 @@ from math import cos, sin
 from typing import NamedTuple
 
 from vergence._jit import inlined
-from vergence._runs import run_of
+from vergence._runs import make_tuple_reader
 from vergence.models.parts import FloatArray
 
 Vector = tuple[float, float, float]
@@ -28,7 +28,7 @@ class Pose(NamedTuple):
     z: float
 
 
-_pose_run = run_of(len(Pose._fields))
+_pose_run = make_tuple_reader(len(Pose._fields))
 
 
 @inlined
@@ -38,7 +38,7 @@ def pose_at(row: FloatArray, i: int) -> Pose:
 
 
 @inlined
-def pose_of(matrix: FloatArray) -> Pose:
+def pose_of_matrix(matrix: FloatArray) -> Pose:
     """The pose of a (4, 4) matrix."""
     a, b, c = matrix[0], matrix[1], matrix[2]
     return Pose(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3], c[0], c[1], c[2], c[3])

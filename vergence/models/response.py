@@ -79,24 +79,28 @@ def default_response(*, colour: bool) -> Response:
     return SRGB if colour else LINEAR
 
 
-def to_light(share: ArrayLike, response: Response) -> FloatArray:
+def to_light(grey_fraction: ArrayLike, response: Response) -> FloatArray:
     """Convert grey levels to light.
 
     Args:
-        share: levels as fractions of the greatest, 0 to 1.
+        grey_fraction: levels as fractions of the greatest, 0 to 1.
         response: see `parse_response`.
 
     Returns:
         Light of the same shape, 0 to 1.
     """
-    share = np.asarray(share, np.float64)
+    grey_fraction = np.asarray(grey_fraction, np.float64)
     if response == LINEAR:
-        return share
+        return grey_fraction
     if response == SRGB:  # IEC 61966-2-1
-        return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+        return np.where(
+            grey_fraction <= 0.04045,
+            grey_fraction / 12.92,
+            ((grey_fraction + 0.055) / 1.055) ** 2.4,
+        )
     if isinstance(response, tuple):
-        return np.asarray(np.interp(share, np.linspace(0.0, 1.0, len(response)), response))
-    return np.asarray(share ** float(response))
+        return np.asarray(np.interp(grey_fraction, np.linspace(0.0, 1.0, len(response)), response))
+    return np.asarray(grey_fraction ** float(response))
 
 
 @lru_cache(maxsize=32)

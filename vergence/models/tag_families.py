@@ -42,7 +42,7 @@ class TagFamilyCode:
 
     Attributes:
         name: name without the library's prefix `tag`, such as 36h11.
-        words: code words, shape (n,); the most significant of `bits` bits belongs to the first
+        code_words: code words, shape (n,); the most significant of `bits` bits belongs to the first
             place.
         places: (x, y) of each bit, in cells from the upper left corner of the square that the
             library detects, shape (bits, 2).
@@ -55,7 +55,7 @@ class TagFamilyCode:
     """
 
     name: str
-    words: NDArray[np.uint64]
+    code_words: NDArray[np.uint64]
     places: NDArray[np.int_]
     border: int
     total: int
@@ -77,7 +77,7 @@ class TagFamilyCode:
         """Draw the tag of an id.
 
         Args:
-            identity: id of the tag, 0 to `len(words)` - 1.
+            identity: id of the tag, 0 to `len(code_words)` - 1.
 
         Returns:
             Cells, shape (total, total): 0 black, 255 white, `UNPRINTED` outside bits and borders.
@@ -85,15 +85,15 @@ class TagFamilyCode:
         Raises:
             ConfigurationError: the family has no such tag.
         """
-        if not 0 <= identity < len(self.words):
+        if not 0 <= identity < len(self.code_words):
             raise ConfigurationError(
-                f"AprilTag id: expected 0 to {len(self.words) - 1} in the family {self.name}, "
+                f"AprilTag id: expected 0 to {len(self.code_words) - 1} in the family {self.name}, "
                 f"got {identity}"
             )
         cells = self._blank.copy()
         start = (self.total - self.border) // 2
         bits = len(self.places)
-        word = int(self.words[identity])
+        word = int(self.code_words[identity])
         for i, (x, y) in enumerate(self.places.tolist()):
             cells[y + start, x + start] = 255 if word >> (bits - i - 1) & 1 else 0
         return cells
@@ -113,7 +113,7 @@ def tag_family(name: str) -> TagFamilyCode:
     proper = known.get(name.lower().removeprefix("tag"))
     if proper is None:
         raise UnknownNameError("AprilTag family", name, sorted(CORRECTED_BITS))
-    library = library_of()
+    library = load_library()
     family = library_family(library, proper)
     code = family.contents
     bits = int(code.nbits)
@@ -123,7 +123,7 @@ def tag_family(name: str) -> TagFamilyCode:
     words = np.ctypeslib.as_array(code.codes, shape=(int(code.ncodes),)).copy()
     made = TagFamilyCode(
         name=proper,
-        words=words,
+        code_words=words,
         places=np.stack([x, y], axis=-1),
         border=int(code.width_at_border),
         total=int(code.total_width),
@@ -134,7 +134,7 @@ def tag_family(name: str) -> TagFamilyCode:
 
 
 @cache
-def library_of() -> ctypes.CDLL:
+def load_library() -> ctypes.CDLL:
     """Load the AprilTag library that the Python binding contains."""
     # a detector without families costs nothing and declares the return types of the functions
     library = pyapriltags.Detector(families="").libc

@@ -93,7 +93,9 @@ def mean_edge_sigma(
     sure = Noise()
     for turn in np.diag(np.asarray(Noise.of(head).joint_rad))[EYES]:
         if turn.any():
-            turned = triangulate_views(head, q + head.actuation.rates_of(turn), pixels, sure).point
+            turned = triangulate_views(
+                head, q + head.actuation.joint_velocities_of(turn), pixels, sure
+            ).point
             moved = np.linalg.norm(turned[first] - turned[second], axis=1)
             variance += float(moved.mean() - lengths.mean()) ** 2
     return float(np.sqrt(max(variance, 0.0)))

@@ -22,7 +22,13 @@ from vergence._jit import inlined, kernel
 from vergence.models.camera import pinhole_ray, undistort_pixel
 from vergence.models.kinematics import EyeFrames, eye_frames
 from vergence.models.lens import distort, is_distorted
-from vergence.models.packed import PACKED, PackedHead, camera_of, is_direct, joint_per_actuator
+from vergence.models.packed import (
+    PACKED,
+    PackedHead,
+    camera_of,
+    has_motor_per_joint,
+    joint_per_actuator,
+)
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Pose, Vector, direction_to_outer
 
@@ -168,7 +174,7 @@ def _add_joint_noise(
         _joint_rate(1, right.first, crossing),
         _joint_rate(1, right.second, crossing),
     )
-    if is_direct(p):
+    if has_motor_per_joint(p):
         for j in range(4):
             _add_outer(covariance, rates[j], sigma[3 + j])
         return

@@ -340,7 +340,7 @@ def _level(
     target: PlanarTarget, texels: int, blur: float, surround: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     """Blurred texture, and the transform from the board's plane in T to its pixels."""
-    image = texture(target, texels, surround=surround, rim=_TEXTURE_RIM, blur=blur)
+    image = texture(target, texels, surround=surround, rim_px=_TEXTURE_RIM, blur_px=blur)
     scale = texels / target.cell_m
     x, y = target.origin_cells
     shift = _TEXTURE_RIM - 0.5

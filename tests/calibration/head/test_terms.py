@@ -16,7 +16,7 @@ from vergence.calibration.head.simulated import JointReadingErrors, record
 from vergence.calibration.head.terms import AUTO, parse_terms
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
-from vergence.models.by_axes import as_axes
+from vergence.models.by_axes import to_joint_axes
 from vergence.models.files.head_toml import parse_head
 from vergence.models.joint_axes import JointAxes
 from vergence.triangulation import triangulate_views
@@ -41,7 +41,7 @@ def recorded(true=TRUE, faults=None):
 
 def turned():
     """The true head with one tilt axis 0.3 degrees about the vertical beside where it may be."""
-    true = as_axes(TRUE)
+    true = to_joint_axes(TRUE)
     names, _, values = true.parameters()
     aside = np.deg2rad(0.3) * (np.array(names) == "left.1.ry")
     return true.with_parameters(values + aside)

@@ -25,7 +25,7 @@ from vergence.eval.jobs import ProcessMapper, SerialMapper
 from vergence.eval.reporting.parquet import write_parquet
 from vergence.eval.reporting.report import Section, count_verdicts
 from vergence.eval.reporting.text import format_number
-from vergence.locks import locked
+from vergence.locks import hold_lock
 
 pytestmark = pytest.mark.usefixtures("toy")
 
@@ -154,7 +154,7 @@ def test_what_a_kill_has_left_half_written_is_removed(tmp_path):
 def test_what_another_process_is_writing_is_left_alone(tmp_path):
     theirs = tmp_path / "run" / "tables" / ".vergence-partial-1"
     theirs.mkdir(parents=True)
-    with locked(tmp_path / "run"), pytest.raises(ConfigurationError, match="is writing"):
+    with hold_lock(tmp_path / "run"), pytest.raises(ConfigurationError, match="is writing"):
         reproduce(config(tmp_path))
     assert theirs.exists()
 

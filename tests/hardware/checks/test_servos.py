@@ -8,16 +8,16 @@ import pytest
 from tests.hardware.desk import desk_config, ready_servos
 from vergence.errors import ChecksFailedError, HardwareError
 from vergence.hardware.checks.line import (
+    check_exchange_fits_period,
     check_latency_timer,
-    check_period,
-    exchange_s,
+    exchange_time_s,
     open_bus,
 )
-from vergence.hardware.checks.servos import check_servos, refuse_errors
+from vergence.hardware.checks.servos import check_servos, raise_errors
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
-from vergence.hardware.servo_memory import fault_words
+from vergence.hardware.servo_memory import describe_fault_bits
 
 
 @pytest.fixture
@@ -102,7 +102,7 @@ def test_a_joint_outside_its_limits_is_found_unless_zeros_are_being_set(check):
     own[3].q = 1.6
     (finding,), _served = check(own)
     assert "expected an angle of -1.500 to 1.500 rad, got 1.600 rad" in finding.problem
-    found, _served = check(own, posture=False)
+    found, _served = check(own, check_limits=False)
     assert found == []
 
 
@@ -186,7 +186,7 @@ def test_eight_mistakes_are_eight_lines_and_nothing_is_written(check):
     before = [written(servo) for servo in own]
     found, _served = check(own)
     with pytest.raises(ChecksFailedError) as refused:
-        refuse_errors(found)
+        raise_errors(found)
     assert isinstance(refused.value, HardwareError)
     lines = str(refused.value).splitlines()
     assert len(lines) == len(MISTAKES)
@@ -198,25 +198,25 @@ def test_warnings_alone_refuse_nothing(check):
     own = ready_servos()
     own[0].set(table.VELOCITY_LIMIT, 200)
     found, _served = check(own)
-    assert refuse_errors(found) == found
+    assert raise_errors(found) == found
 
 
 def test_faults_are_told_in_words():
-    assert fault_words(0b111101) == (
+    assert describe_fault_bits(0b111101) == (
         "input voltage, overheating, motor encoder, electrical shock, overload"
     )
-    assert fault_words(0b10) == "unknown fault 1"
+    assert describe_fault_bits(0b10) == "unknown fault 1"
 
 
 def test_an_exchange_takes_its_bytes_delays_and_latency():
     # two instructions of 34 and 18 bytes, four answers of 19
-    assert exchange_s(4, 1_000_000, 0.0, 0.0) == pytest.approx(1e-5 * (34 + 18 + 76))
-    assert exchange_s(4, 57_600, 2e-3, 1e-3) == pytest.approx(10 / 57_600 * 128 + 3e-3)
+    assert exchange_time_s(4, 1_000_000, 0.0, 0.0) == pytest.approx(1e-5 * (34 + 18 + 76))
+    assert exchange_time_s(4, 57_600, 2e-3, 1e-3) == pytest.approx(10 / 57_600 * 128 + 3e-3)
 
 
 def test_a_line_too_slow_for_the_control_period_is_an_error():
     config = desk_config("/dev/ttyNONE", baud_rate=57_600)
-    (finding,) = check_period(config, dict.fromkeys("abcd", 0))
+    (finding,) = check_exchange_fits_period(config, dict.fromkeys("abcd", 0))
     assert not finding.warning
     assert "within 60% of the control period of 16.7 ms, got 22.2 ms at 57600 baud" in (
         finding.problem
@@ -257,7 +257,7 @@ def test_an_adapter_that_holds_bytes_back_is_a_warning(tmp_path, latency_ms, fou
 
 def test_an_adapters_latency_counts_into_the_period(tmp_path):
     port = fake_adapter(tmp_path, 16)
-    (finding,) = check_period(desk_config(port), {}, str(tmp_path))
+    (finding,) = check_exchange_fits_period(desk_config(port), {}, str(tmp_path))
     assert "16 ms the adapter's latency" in finding.problem
 
 
@@ -280,7 +280,9 @@ def test_a_port_that_somebody_has_open_is_told_with_the_cure(serve):
 
 def test_warnings_come_last_and_say_so():
     config = desk_config("/dev/ttyNONE")
-    findings = check_period(config, dict.fromkeys("abcd", 250))
-    (error,) = check_period(dataclasses.replace(config, bus=desk_config("", 9600).bus), {})
+    findings = check_exchange_fits_period(config, dict.fromkeys("abcd", 250))
+    (error,) = check_exchange_fits_period(
+        dataclasses.replace(config, bus=desk_config("", 9600).bus), {}
+    )
     lines = ChecksFailedError([*findings, error]).lines
     assert [line.startswith("warning: ") for line in lines] == [False, True]

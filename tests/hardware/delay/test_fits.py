@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from scipy.signal import lsim, lti
 
-from vergence.hardware.delay.excitation import requested_velocities, speeds
+from vergence.hardware.delay.excitation import excitation_speeds, requested_velocities
 from vergence.hardware.delay.image_fit import fit_images
-from vergence.hardware.delay.joint_fit import FittedMotor, fit_joint, path_of, respond
+from vergence.hardware.delay.joint_fit import (
+    FittedMotor,
+    fit_joint,
+    fitted_angle_path,
+    simulate_motor,
+)
 from vergence.models.files.head_file import load_head
 
 HEAD = load_head("turrets")
@@ -22,10 +27,12 @@ GUESS = FittedMotor(latency_s=0.0, lag_s=0.03, gain=1.0, inverse_acceleration=1.
 def samples(motor, seed=0, way=None):
     """Commands a period apart, a little late as in life, and angles as an encoder has them."""
     rng = np.random.default_rng(seed)
-    sent = speeds(0.2, 6.0, PERIOD_S) if way is None else way
+    sent = excitation_speeds(0.2, 6.0, PERIOD_S) if way is None else way
     sent_s = PERIOD_S * np.arange(len(sent)) + rng.uniform(0.0, 0.003, len(sent))
     joints_s = sent_s + rng.uniform(0.008, 0.012, len(sent))
-    angles = respond(motor, sent_s, sent, joints_s)[0] + 0.05 * np.sin(0.2 * joints_s)  # a drift
+    angles = simulate_motor(motor, sent_s, sent, joints_s)[0] + 0.05 * np.sin(
+        0.2 * joints_s
+    )  # a drift
     return sent_s, sent, joints_s, STEP_RAD * np.round(angles / STEP_RAD)
 
 
@@ -76,11 +83,11 @@ def test_a_servo_that_overshoots_is_beside_a_lag():
 def test_images_tell_latency_jitter_and_play(latency_s, jitter_s, backlash_rad, focal):
     motor = FittedMotor(latency_s=0.01, lag_s=0.03, gain=0.95, inverse_acceleration=1.0 / 80.0)
     told = samples(motor)
-    path = path_of(motor, *told)
+    path = fitted_angle_path(motor, *told)
     rng = np.random.default_rng(1)
     exposed_s = np.arange(0.6, told[2][-1] - 0.2, HEAD.timing.frame_s)
     grid = np.arange(told[2][0], told[2][-1], 0.001)
-    angles = respond(motor, told[0], told[1], grid)[0] + 0.05 * np.sin(0.2 * grid)
+    angles = simulate_motor(motor, told[0], told[1], grid)[0] + 0.05 * np.sin(0.2 * grid)
     joint, behind = angles[0], []
     for angle in angles:
         joint = np.clip(joint, angle - 0.5 * backlash_rad, angle + 0.5 * backlash_rad)
@@ -117,10 +124,12 @@ def test_an_eye_that_sees_nothing_tells_nothing():
 
 def test_the_way_stays_about_its_middle_and_within_its_reach():
     motor = FittedMotor(latency_s=0.015, lag_s=0.04, gain=0.85, inverse_acceleration=1.0 / 60.0)
-    way, sent, angle = speeds(0.2, 5.0, PERIOD_S), [], [0.3]
+    way, sent, angle = excitation_speeds(0.2, 5.0, PERIOD_S), [], [0.3]
     for requested in requested_velocities(SLOT, way, PERIOD_S, lambda: angle[-1]):
         assert np.flatnonzero(requested).tolist() in ([], [SLOT])
         sent.append(requested[SLOT])
         times = PERIOD_S * np.arange(len(sent))
-        angle.append(0.3 + respond(motor, times, np.array(sent), times[-1:] + PERIOD_S)[0][0])
+        angle.append(
+            0.3 + simulate_motor(motor, times, np.array(sent), times[-1:] + PERIOD_S)[0][0]
+        )
     assert np.abs(np.array(angle) - 0.3).max() < 0.25

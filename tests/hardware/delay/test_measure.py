@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from vergence.errors import ConfigurationError
-from vergence.hardware.delay.measure import slot_of
-from vergence.hardware.delay.samples import Collector
+from vergence.hardware.delay.measure import actuator_slot
+from vergence.hardware.delay.samples import SampleCollector
 from vergence.models.files.head_file import load_head
 
 TURRETS = load_head("turrets")
@@ -16,25 +16,28 @@ def name_of(head, slot):
 
 
 def test_an_eye_is_turned_by_what_moves_its_own_image():
-    assert [name_of(TURRETS, slot_of(TURRETS, eye)) for eye in (0, 1)] == ["left_pan", "right_pan"]
-    assert name_of(TURRETS, slot_of(TURRETS, 1, "right_tilt")) == "right_tilt"
+    assert [name_of(TURRETS, actuator_slot(TURRETS, eye)) for eye in (0, 1)] == [
+        "left_pan",
+        "right_pan",
+    ]
+    assert name_of(TURRETS, actuator_slot(TURRETS, 1, "right_tilt")) == "right_tilt"
 
 
 @pytest.mark.parametrize("name", ["right_pan", "left_roll", ""])
 def test_an_actuator_that_does_not_turn_the_eye_is_refused(name):
     with pytest.raises(ConfigurationError, match="left_pan or left_tilt, got"):
-        slot_of(TURRETS, 0, name)
+        actuator_slot(TURRETS, 0, name)
 
 
 def test_an_actuator_that_eyes_share_turns_both():
     head = load_head("icub")
-    shared = {slot_of(head, eye, name) for eye in (0, 1) for name in ("eyes_tilt",)}
+    shared = {actuator_slot(head, eye, name) for eye in (0, 1) for name in ("eyes_tilt",)}
     assert len(shared) == 1
 
 
 def test_a_reading_is_dated_to_within_its_exchange():
     now = iter(np.arange(50.0) + 0.003)
-    collector = Collector(lambda: next(now))
+    collector = SampleCollector(lambda: next(now))
     for at_s in range(50):  # measured in the middle of 6 ms
         collector.joints(float(at_s), np.zeros(7), np.zeros(7))
     uniform_s = np.random.default_rng(0).uniform(-0.003, 0.003, 10_000).std()

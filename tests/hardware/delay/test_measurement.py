@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vergence.hardware.delay.image_fit import ImageFit
-from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, clustered
+from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, jackknife_covariance
 from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
 
 FIT = JointFit(
@@ -42,8 +42,8 @@ def test_a_jitter_that_was_not_told_is_left_out_and_said():
 def test_what_only_the_prior_knows_has_the_priors_deviation():
     data, before = np.array([[2.0, 0.0]] * 40), np.array([[0.0, 5.0]])
     residual = np.append(np.random.default_rng(0).normal(size=40), 0.0)
-    found = clustered(
-        np.concatenate([data, before]), residual, np.arange(40) // 4, soft=1e6, known=1
+    found = jackknife_covariance(
+        np.concatenate([data, before]), residual, np.arange(40) // 4, loss_scale=1e6, prior_count=1
     )
     assert found[1, 1] == pytest.approx(0.2**2)
     assert found[0, 0] == pytest.approx(1.0 / (4.0 * 40), rel=0.6)

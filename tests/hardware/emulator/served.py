@@ -6,7 +6,7 @@ import numpy as np
 
 from tests.hardware.fakes import FakeClock
 from vergence import load_head
-from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.emulator.server import WorldServer
 from vergence.hardware.emulator.world import World
 
@@ -25,7 +25,7 @@ class Served:
             target=self.server.serve, args=(self._over.is_set,), kwargs={"poll_s": 0.01}
         )
         self._thread.start()
-        self.client = EmulatedWorld(self.server.address)
+        self.client = WorldClient(self.server.address)
 
     def close(self):
         self.client.close()

@@ -12,7 +12,7 @@ import pytest
 from vergence.errors import HardwareError
 from vergence.hardware.emulator.camera_faults import CameraFaults
 from vergence.hardware.emulator.fault import parse_fault
-from vergence.hardware.emulator.streams import EmulatedCameras, StreamConfig, serve
+from vergence.hardware.emulator.streams import EmulatedCameras, StreamConfig, make_stream_server
 
 
 def grey(value):
@@ -77,7 +77,7 @@ class Rig:
     def __init__(self):
         self.faults, self.over, self.drawn = [], False, 0
         self.cameras = EmulatedCameras(self, self, StreamConfig(frame_rate_hz=200.0, latency_s=0.0))
-        self.server = serve(self.cameras, 0)
+        self.server = make_stream_server(self.cameras, 0)
         self.url = f"http://127.0.0.1:{self.server.server_address[1]}"
         self._threads = [
             threading.Thread(target=self._run),

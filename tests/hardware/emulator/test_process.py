@@ -9,7 +9,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.config import load_hardware
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.emulator.client import WorldClient
 
 pytestmark = REAL_TIME
 
@@ -34,7 +34,7 @@ def head(tmp_path):
     script.write_text(SCRIPT)
     with emulated(tmp_path, "--faults", str(script)) as (desk, _process):
         config = load_hardware(desk)
-        bus, world = Bus(config.bus.port, cycle_timeout_s=0.1), EmulatedWorld(config.emulator)
+        bus, world = Bus(config.bus.port, cycle_timeout_s=0.1), WorldClient(config.emulator)
         for id in IDS:
             bus.write(id, table.OPERATING_MODE, table.VELOCITY_MODE)
             bus.write(id, table.BUS_WATCHDOG, round(WATCHDOG_S / table.WATCHDOG_S))

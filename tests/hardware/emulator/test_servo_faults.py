@@ -13,7 +13,7 @@ from vergence.hardware.dynamixel.packets import (
     instruction_packet,
 )
 from vergence.hardware.emulator.line import ServoLine
-from vergence.hardware.emulator.servo import Servo
+from vergence.hardware.emulator.servo import EmulatedServo
 
 PING = instruction_packet(1, Instruction.PING)
 REBOOT = instruction_packet(1, Instruction.REBOOT)
@@ -21,13 +21,13 @@ SYNC_READ = Packet(BROADCAST, Instruction.SYNC_READ, bytes((132, 0, 4, 0, 1, 2))
 
 
 def test_each_answer_waits_for_its_servos_return_delay():
-    line = ServoLine([Servo(1, lag_s=0.1), make_servo(2)])
+    line = ServoLine([EmulatedServo(1, lag_s=0.1), make_servo(2)])
     line.servos[1].set(table.RETURN_DELAY_TIME, 50)
     assert [one.delay_s for one in line.answer(SYNC_READ, 0.0)] == pytest.approx([500e-6, 100e-6])
 
 
 def test_a_servo_hears_its_own_rate_alone():
-    line = ServoLine([Servo(1, lag_s=0.1), make_servo(2)])
+    line = ServoLine([EmulatedServo(1, lag_s=0.1), make_servo(2)])
     assert [one.id for one in line.answer(SYNC_READ, 0.0, 57_600)] == [1]
     assert [one.id for one in line.answer(SYNC_READ, 0.0, 1_000_000)] == [2]
     assert line.answer(SYNC_READ, 0.0, 0) == []

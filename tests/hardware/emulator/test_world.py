@@ -11,8 +11,8 @@ from vergence import load_head
 from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.config import load_hardware
-from vergence.hardware.emulator.board import parse_standing, standing
-from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.emulator.board import parse_sized_board, standing_board_pose
+from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.emulator.emulator import hardware_config_values
 from vergence.hardware.emulator.server import WorldServer
 from vergence.hardware.emulator.world import World
@@ -48,8 +48,8 @@ def test_a_moving_target_waits_for_the_beginning(served):
 
 def test_a_board_that_stands_stays_in_the_world_while_the_neck_turns():
     head = load_head("icub")
-    board = parse_standing("checkerboard:9x6:24")
-    world = World(head, POINT, T_0_T=standing(head, board, 0.7))
+    board = parse_sized_board("checkerboard:9x6:24")
+    world = World(head, POINT, T_0_T=standing_board_pose(head, board, 0.7))
     seen = []
     for angle in (0.0, 0.3):
         next(iter(world.servos.values())).q = angle
@@ -69,7 +69,7 @@ def test_a_board_that_stands_stays_in_the_world_while_the_neck_turns():
 
 def test_a_board_of_an_unknown_size_does_not_stand_anywhere():
     with pytest.raises(ConfigurationError, match="expected one board of a known size"):
-        parse_standing("checkerboard:9x6")
+        parse_sized_board("checkerboard:9x6")
 
 
 def test_a_hidden_target_is_nowhere(served):
@@ -114,7 +114,7 @@ def test_nobody_at_an_address_is_said_in_one_line():
         address = f"127.0.0.1:{free.getsockname()[1]}"
     for nowhere in (address, f"{'x' * 70}:80"):
         with pytest.raises(HardwareError, match=r"expected an emulated head at .* still run"):
-            EmulatedWorld(nowhere)
+            WorldClient(nowhere)
 
 
 def test_a_tied_heads_joints_are_its_actuators():

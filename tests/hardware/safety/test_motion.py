@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from benchmarks.safety import POLICIES, Joints, exceeded
 from vergence import load_head
 from vergence.hardware.safety.config import ForbiddenPosture, SafetyConfig
-from vergence.hardware.safety.motion import JointMotion
+from vergence.hardware.safety.motion import JointMotionLimiter
 
 TURRETS = load_head("turrets")
 LOWER, UPPER = TURRETS.actuation.lower, TURRETS.actuation.upper
@@ -38,7 +38,7 @@ def test_commands_that_last_lead_beyond_no_limit_and_into_no_posture(how):
 
 def drive(requested, start=None, config=None, steps=240):
     """Angles of the turrets after one constant request for 4 s."""
-    motion = JointMotion(TURRETS, LOWER, UPPER, config or SafetyConfig())
+    motion = JointMotionLimiter(TURRETS, LOWER, UPPER, config or SafetyConfig())
     joints = Joints(TURRETS, np.zeros(7) if start is None else start)
     for _ in range(steps):
         command = motion.allowed(joints.angles, joints.speeds, requested, motion.max_speed)
@@ -55,7 +55,7 @@ def test_a_joint_comes_close_to_its_limit():
 def test_a_joint_beyond_its_limit_may_only_come_back():
     beyond = np.zeros(7)
     beyond[3:] = UPPER[3:] + 0.05
-    motion = JointMotion(TURRETS, LOWER, UPPER, SafetyConfig())
+    motion = JointMotionLimiter(TURRETS, LOWER, UPPER, SafetyConfig())
     out = motion.allowed(beyond, np.zeros(7), np.full(7, 1.0), motion.max_speed)
     back = motion.allowed(beyond, np.zeros(7), np.full(7, -1.0), motion.max_speed)
     assert (out == 0.0).all()
@@ -63,7 +63,7 @@ def test_a_joint_beyond_its_limit_may_only_come_back():
 
 
 def test_a_measured_speed_that_the_model_does_not_know_counts():
-    motion = JointMotion(TURRETS, LOWER, UPPER, SafetyConfig())
+    motion = JointMotionLimiter(TURRETS, LOWER, UPPER, SafetyConfig())
     near = np.zeros(7)
     near[3:] = UPPER[3:] - 0.1
     pushed = np.zeros(7)
@@ -73,7 +73,7 @@ def test_a_measured_speed_that_the_model_does_not_know_counts():
 
 
 def test_a_request_within_all_bounds_is_the_command():
-    motion = JointMotion(TURRETS, LOWER, UPPER, SafetyConfig())
+    motion = JointMotionLimiter(TURRETS, LOWER, UPPER, SafetyConfig())
     requested = np.array([0.0, 0.0, 0.0, 1.0, -0.5, 0.3, 0.0])
     assert (
         motion.allowed(np.zeros(7), np.zeros(7), requested, motion.max_speed) == requested

@@ -14,8 +14,8 @@ from vergence.models import load_head, parse_head
 from vergence.models.files.import_urdf import UrdfSource, import_urdf
 from vergence.models.mujoco.drives import couplings_of
 from vergence.models.mujoco.export import export_files
-from vergence.models.mujoco.loads import loads_of
-from vergence.models.mujoco.model import addresses_of, compile_model
+from vergence.models.mujoco.loads import load_inertias
+from vergence.models.mujoco.model import compile_model, find_model_indices
 from vergence.models.mujoco.urdf import to_urdf
 
 BARE = {"target": None, "visuals": False}
@@ -54,7 +54,7 @@ def postures(head, rng, count=20):
 
 def placed(model, head, q):
     data = mujoco.MjData(model)
-    places = addresses_of(model, head).places
+    places = find_model_indices(model, head).places
     data.qpos[: len(places)] = q[places]
     mujoco.mj_forward(model, data)
     return data
@@ -86,7 +86,7 @@ class TestTree:
                 assert [name for name in names if not name.endswith("_rotor")] == joints
                 expected = [name for name in head.joints[:3] if name] + list(own.names)
                 assert [model.actuator(i).name for i in range(model.nu)] == expected
-                slots = addresses_of(model, head).slots
+                slots = find_model_indices(model, head).slots
                 np.testing.assert_array_equal(model.actuator_ctrlrange[:, 1], own.velocity[slots])
 
     def test_a_welded_neck_leaves_the_eyes_actuators(self):
@@ -132,7 +132,7 @@ class TestTies:
             with named(name):
                 head = any_head(name)
                 own, model = head.actuation, compile_model(head, **BARE)
-                addresses = addresses_of(model, head)
+                addresses = find_model_indices(model, head)
                 middle = 0.5 * (own.lower + own.upper)
                 data = placed(model, head, own.joints_of(middle))
                 data.qpos[len(addresses.places) :] = middle[addresses.rotors]
@@ -173,7 +173,7 @@ class TestTies:
 
     def test_servos_of_a_wide_head_are_stronger(self):
         wide = parse_head(text_of("common").replace("0.05, 0.0, 0.0", "0.5, 0.0, 0.0"))
-        assert (loads_of(wide).armature >= loads_of(head_of("common")).armature).all()
+        assert (load_inertias(wide).armature >= load_inertias(head_of("common")).armature).all()
 
 
 class TestExports:

@@ -179,7 +179,7 @@ class TestMjcf:
         assert (scene.cam_resolution <= [buffer.offwidth, buffer.offheight]).all()
 
     def test_the_scene_is_the_compiled_head(self, scene, simulated, random_poses):
-        ours = compile_model(simulated, gravity=True, fixed_pair=True)
+        ours = compile_model(simulated, gravity=True, observer_cameras=True)
         np.testing.assert_allclose(scene.actuator_gainprm, ours.actuator_gainprm, rtol=1e-5)
         np.testing.assert_allclose(scene.dof_armature, ours.dof_armature)
         first, second = mujoco.MjData(scene), mujoco.MjData(ours)
@@ -205,7 +205,7 @@ class TestMjcf:
         assert model.body_gravcomp[model.body("neck_pitch_link").id] == 1.0
 
     def test_one_text_has_it_all(self, physical):
-        text = to_mjcf(physical, target=None, fixed_pair=True)
+        text = to_mjcf(physical, target=None, observer_cameras=True)
         model = mujoco.MjModel.from_xml_string(text)
         assert model.ncam == 4
         assert model.nu == 7

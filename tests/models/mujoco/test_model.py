@@ -8,8 +8,8 @@ from tests.naming import named
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models import EYES, JOINTS
 from vergence.models.boards import make_planar_target
-from vergence.models.mujoco.model import addresses_of, build_spec, compile_model
-from vergence.models.mujoco.scene import FIXED_PAIR
+from vergence.models.mujoco.model import build_spec, compile_model, find_model_indices
+from vergence.models.mujoco.scene import OBSERVER_CAMERAS
 
 BARE = {"target": None, "visuals": False}
 PERIODS = 240
@@ -79,7 +79,7 @@ class TestActuators:
     @pytest.mark.parametrize("neck", ["servo", "welded"])
     def test_bang_bang_of_all_eye_joints(self, simulated, neck, bang_bang, exact_actuator):
         model = compile_model(simulated, neck=neck, **BARE)
-        joints = slice(*addresses_of(model, simulated).places[[0, -1]] + [0, 1])
+        joints = slice(*find_model_indices(model, simulated).places[[0, -1]] + [0, 1])
         acceleration, lag_s = simulated.limits.acceleration[joints], simulated.timing.lag_s
         for _ in range(10):
             commands = bang_bang(simulated, joints)
@@ -158,7 +158,7 @@ class TestTree:
         model = compile_model(head)
         assert [model.joint(i).name for i in range(model.njnt)] == list(JOINTS)
         assert [model.actuator(i).name for i in range(model.nu)] == list(JOINTS)
-        addresses = addresses_of(model, head)
+        addresses = find_model_indices(model, head)
         for places in (addresses.joints, addresses.places, addresses.slots):
             np.testing.assert_array_equal(places, range(7))
         np.testing.assert_array_equal(model.jnt_range.T, [head.limits.lower, head.limits.upper])
@@ -167,7 +167,7 @@ class TestTree:
     def test_a_welded_neck_leaves_the_eyes_where_it_holds_them(self, head):
         neck = [0.3, -0.2, 0.4]
         model = compile_model(head, neck="welded", neck_position=neck)
-        addresses = addresses_of(model, head)
+        addresses = find_model_indices(model, head)
         np.testing.assert_array_equal(addresses.joints, [-1, -1, -1, 0, 1, 2, 3])
         np.testing.assert_array_equal(addresses.places, range(7)[EYES])
         data = mujoco.MjData(model)
@@ -183,7 +183,7 @@ class TestTree:
             "</mujoco>"
         )
         with pytest.raises(ConfigurationError, match=r"neck_yaw.*elbow"):
-            addresses_of(other, simulated)
+            find_model_indices(other, simulated)
 
     def test_rotors_dominate_the_inertia(self, head):
         # what lets constant gains serve in every pose, and joints move undisturbed
@@ -275,7 +275,7 @@ class TestCameras:
             assert resolution == head.cameras.size[eye].tolist()
 
     def test_the_fixed_pair_is_the_articles(self, simulated):
-        model = compile_model(simulated, fixed_pair=True)
+        model = compile_model(simulated, observer_cameras=True)
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         left, right = data.camera("fixed_left"), data.camera("fixed_right")
@@ -285,7 +285,7 @@ class TestCameras:
         np.testing.assert_allclose(right.xpos - left.xpos, 0.063 * x_N, atol=1e-12)
         ahead = left.xpos + z_N
         pixel = mujoco_pixel(model, data, "fixed_left", ahead)
-        np.testing.assert_allclose(pixel, FIXED_PAIR.principal_px, atol=1e-4)
+        np.testing.assert_allclose(pixel, OBSERVER_CAMERAS.principal_px, atol=1e-4)
         beside = mujoco_pixel(model, data, "fixed_left", ahead + 0.1 * x_N) - pixel
         np.testing.assert_allclose(beside, [67.621, 0.0], atol=1e-4)
 

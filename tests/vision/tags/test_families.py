@@ -32,7 +32,7 @@ def drawn(target: AprilTag, roll: float = 0.0, turn: tuple[float, float] = (0.0,
 @pytest.mark.parametrize(("family", "roll"), some_of(FAMILIES, [0.0, 0.8, np.pi / 2, np.pi, -1.0]))
 def test_a_tag_is_found_by_its_number_its_upper_left_corner_first(family, roll):
     """To 0.1 px: taken for another corner it would be beside by the edge, 60 px and more."""
-    count = len(tag_family(family).words)
+    count = len(tag_family(family).code_words)
     for identity in (0, count // 2, count - 1):
         target = tag(family, identity)
         one = drawn(target, roll, (0.2, -0.3))
@@ -45,7 +45,7 @@ def test_a_tag_is_found_by_its_number_its_upper_left_corner_first(family, roll):
 def test_a_family_finds_its_tags_and_says_which():
     for family in FAMILIES:
         with named(family):
-            last = len(tag_family(family).words) - 1
+            last = len(tag_family(family).code_words) - 1
             one = drawn(tag(family, last))
             (found,) = make_detector(TagFamily(family=family, edge_m=0.1)).detect_all(one.image)
             assert found.target == AprilTag(family=family, id=last, edge_m=0.1)

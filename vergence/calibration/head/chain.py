@@ -63,7 +63,7 @@ class ParametricHead:
     @cached_property
     def constants(self) -> FloatArray:
         """(10, 4, 4) B_0 to B_3 of the neck, and M_0 to M_2 of each eye with its camera."""
-        poses = np.array(self.head.links.folded())
+        poses = np.array(self.head.links.constant_poses())
         for eye in range(2):
             poses[6 + 3 * eye] = poses[6 + 3 * eye] @ self.head.head_eye[eye]
         return poses

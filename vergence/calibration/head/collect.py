@@ -23,7 +23,7 @@ from vergence.calibration.head.preview import Preview, preview_calibration
 from vergence.calibration.head.recording import in_order
 from vergence.calibration.head.search import find_board, sees
 from vergence.errors import ConfigurationError
-from vergence.locks import locked
+from vergence.locks import hold_lock
 from vergence.models.boards import PlanarTarget
 from vergence.models.joints import EYE_NAMES
 from vergence.perception.located import orders_alike
@@ -125,7 +125,7 @@ def collect(
         raise ConfigurationError(
             f"target: expected a size in mm, which all lengths come from, got {looker.target}"
         )
-    with locked(folder):
+    with hold_lock(folder):
         found, number = _earlier(looker, folder, options.moved, facts.get(LOOKS, ""))
         if found.poses < options.poses and not _enough(found, options):
             _Run(looker, options, found, number).go(facts, progress, evaluated)

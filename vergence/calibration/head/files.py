@@ -6,7 +6,7 @@ from typing import Final
 from vergence.calibration.head.calibrate_head import HeadCalibration
 from vergence.eval.reporting.runs import package_versions
 from vergence.models.calibrated import CalibrationRecord
-from vergence.models.files.head_toml import check_name, head_to_toml
+from vergence.models.files.head_toml import check_head_name, head_to_toml
 from vergence.models.head import HeadModel
 
 _VERSIONED: Final = ("vergence", "numpy", "scipy", "opencv-python-headless")
@@ -25,7 +25,7 @@ def calibrated_head(found: HeadCalibration, sha256: str, name: str) -> HeadModel
     Raises:
         HeadFileError: the name is not valid.
     """
-    check_name(name)
+    check_head_name(name)
     names, prior_sigma = found.nominal_head.parameters().names, found.solution.problem.prior_sigma
     sigma = {
         each: deviation

@@ -23,7 +23,7 @@ from vergence.calibration.head.prior import prior_sigma_of
 from vergence.calibration.head.reading_terms import TERM_KINDS
 from vergence.calibration.head.solution import HeadSolution, solve
 from vergence.errors import ConfigurationError
-from vergence.models.by_axes import as_axes
+from vergence.models.by_axes import to_joint_axes
 from vergence.models.head import HeadModel
 from vergence.models.joint_axes import JointAxes
 from vergence.models.parts import FloatArray
@@ -64,7 +64,7 @@ def parse_terms(text: str) -> tuple[str, ...]:
 
 def convert_for_terms(head: HeadModel, terms: Collection[str]) -> HeadModel:
     """Convert a head to the form that its terms need."""
-    head = as_axes(head) if "axes" in terms else head
+    head = to_joint_axes(head) if "axes" in terms else head
     return without_backlash(head) if "play" in terms else head
 
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-from vergence.commands.console import note, print_failures, progress
-from vergence.commands.options import check_writable, claimed_run_folder, dated_folder
+from vergence.commands.console import print_failures, print_note, progress_bar
+from vergence.commands.options import check_writable, claimed_run_folder, dated_run_folder
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -93,8 +93,8 @@ class CalibrationOptions:
         from vergence.files import write_atomic
 
         board, response = parse_board(self.target), self.parsed_response()
-        with claimed_run_folder(self.report or dated_folder("calibrate")) as run:
-            with progress("calibrate") as report:
+        with claimed_run_folder(self.report or dated_run_folder("calibrate")) as run:
+            with progress_bar("calibrate") as report:
                 found = calibrate(board, photographs, self.lens, report, response)
             content = text(found)
             run.save(lambda folder: write_run(folder, found, content, out.name))
@@ -110,6 +110,6 @@ class CalibrationOptions:
             if run.saved:
                 print(f"written to {run.folder}")
         for line in advised:
-            note(line)
+            print_note(line)
         print_failures(found.failures)
         return 0 if run.saved and not found.failures else 2

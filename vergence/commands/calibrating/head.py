@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from vergence.commands.console import note, print_failures, progress
+from vergence.commands.console import print_failures, print_note, progress_bar
 from vergence.commands.options import (
     Flat,
     JobOptions,
     check_writable,
     claimed_run_folder,
-    dated_folder,
+    dated_run_folder,
 )
 from vergence.errors import ConfigurationError
 
@@ -73,7 +73,7 @@ class CalibrateHead:
         self._check(outs)
         from vergence.files import write_atomic
 
-        with claimed_run_folder(self.report or dated_folder("calibrate-head")) as run:
+        with claimed_run_folder(self.report or dated_run_folder("calibrate-head")) as run:
             jobs = self._jobs(outs)
             outcomes = self._run(jobs)
             if len(jobs) == 1 and outcomes[0].refused:
@@ -122,16 +122,16 @@ class CalibrateHead:
         from vergence.calibration.head.terms import parse_terms
         from vergence.calibration.observations import parse_board
         from vergence.models.files.head_file import load_head
-        from vergence.models.files.head_toml import check_name
+        from vergence.models.files.head_toml import check_head_name
 
         head: HeadModel = load_head(self.head)
         target = parse_board(self.target, tags=True) if self.target is not None else None
         terms = parse_terms(self.terms)
         jobs = []
-        with progress("read") as report:
+        with progress_bar("read") as report:
             for number, (path, out) in enumerate(zip(self.recordings, outs, strict=True)):
                 name = self.name if self.name and len(outs) == 1 else out.stem
-                check_name(name)
+                check_head_name(name)
                 recorded = read_recording(
                     path,
                     head,
@@ -153,14 +153,17 @@ class CalibrateHead:
         return jobs
 
     def _run(self, jobs: "list[HeadJob]") -> "list[HeadOutcome]":
-        with progress("calibrate") as report:
+        with progress_bar("calibrate") as report:
             if len(jobs) == 1 and self.machines.cluster is None:
                 return [jobs[0](report)]
             with self.machines.open_mapper(lambda done, total: report(done / total)) as mapper:
                 return mapper(jobs)
 
     def _show(self, outs: list[Path], outcomes: "list[HeadOutcome]", run: "RunFolder") -> None:
-        from vergence.commands.calibrating.printed_head import print_head, print_heads
+        from vergence.commands.calibrating.printed_head import (
+            print_head_calibration,
+            print_head_calibrations,
+        )
 
         if self.json:
             documents = [
@@ -168,18 +171,18 @@ class CalibrateHead:
             ]
             print(json.dumps(documents[0] if len(outs) == 1 else documents, indent=2))
         elif len(outs) == 1:
-            print_head(outcomes[0], outs[0])
+            print_head_calibration(outcomes[0], outs[0])
         else:
-            print_heads(outcomes, outs)
+            print_head_calibrations(outcomes, outs)
         if run.saved and not self.json:
             print(f"written to {run.folder}")
         for out, outcome in zip(outs, outcomes, strict=True):
             before = f"{out.stem}: " if len(outs) > 1 else ""
             if outcome.refused:
-                note(f"{before}{outcome.refused}")
+                print_note(f"{before}{outcome.refused}")
                 continue
             for remark in outcome.document["remarks"]:
-                note(f"{before}{remark}")
+                print_note(f"{before}{remark}")
             print_failures(outcome.document["not_read"])
 
 

@@ -10,51 +10,54 @@ if TYPE_CHECKING:
     from vergence.calibration.calibrate import Calibration
 
 
-def print_calibration(found: "Calibration", out: Path) -> None:
+def print_calibration(calibration: "Calibration", out: Path) -> None:
     """Print a calibration: values, residuals, views left out, and the path of its file.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
         out: the file that it is written to.
     """
     from vergence.calibration.adjustment import rms
     from vergence.calibration.projection import camera_parameter_names
     from vergence.models.joints import EYE_NAMES
 
-    several = len(found.single_fits) > 1
+    several = len(calibration.single_fits) > 1
     names = list(EYE_NAMES) if several else ["camera"]
     rows = []
-    for camera, (name, values) in enumerate(zip(names, found.rig.values, strict=False)):
-        sigma = found.sigma[found.rig.blocks[camera]]
+    for camera, (name, values) in enumerate(zip(names, calibration.rig.values, strict=False)):
+        sigma = calibration.sigma[calibration.rig.blocks[camera]]
         for label, value, deviation in zip(
-            camera_parameter_names(found.lens), values.tolist(), sigma.tolist(), strict=True
+            camera_parameter_names(calibration.lens), values.tolist(), sigma.tolist(), strict=True
         ):
             digits = 2 if label[1] == "_" else 5
             rows.append([name, label, f"{value:.{digits}f}", f"{deviation:.{digits}f}"])
     if several:
-        baseline, deviation = found.baseline_mm
+        baseline, deviation = calibration.baseline_mm
         digits = max(2, 1 - math.floor(math.log10(max(deviation, 1e-9))))
         rows.append(["pair", "baseline (mm)", f"{baseline:.{digits}f}", f"{deviation:.{digits}f}"])
     print_table(
-        ["of", "number", "value", "sigma"], rows, title=f"cameras ({found.lens})", wrapped=(0, 1)
+        ["of", "number", "value", "sigma"],
+        rows,
+        title=f"cameras ({calibration.lens})",
+        wrapped=(0, 1),
     )
     rows = [
         [f"{name} by itself", f"{each:.3f}"]
-        for name, each in zip(names, found.rms_alone_px, strict=True)
+        for name, each in zip(names, calibration.rms_alone_px, strict=True)
     ]
     if several:
-        rows.append(["both together", f"{rms(found.fit.solution.residuals_px):.3f}"])
-    rows.append(["views held out", f"{rms(found.held_out_px):.3f}"])
-    kept, every = int(found.fit.kept.sum()), len(found.fit.kept)
+        rows.append(["both together", f"{rms(calibration.fit.solution.residuals_px):.3f}"])
+    rows.append(["views held out", f"{rms(calibration.held_out_px):.3f}"])
+    kept, every = int(calibration.fit.kept.sum()), len(calibration.fit.kept)
     print_table(["residual", "rms (px)"], rows, title=f"{kept} of {every} views", wrapped=(0,))
-    if found.dropped:
+    if calibration.dropped:
         print_table(
             ["left out", "why"],
-            [list(one) for one in found.dropped],
+            [list(one) for one in calibration.dropped],
             wrapped=(0, 1),
             shortenable=(0,),
         )
     if several:
-        larger = f"if it is 1 % larger, the baseline is {1.01 * found.baseline_mm[0]:.2f} mm"
-        print(f"lengths are as right as the board ({found.seen.target}): {larger}\n")
+        larger = f"if it is 1 % larger, the baseline is {1.01 * calibration.baseline_mm[0]:.2f} mm"
+        print(f"lengths are as right as the board ({calibration.seen.target}): {larger}\n")
     print(out)

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from vergence.calibration.head.job import HeadOutcome
 
 
-def print_head(outcome: "HeadOutcome", out: Path) -> None:
+def print_head_calibration(outcome: "HeadOutcome", out: Path) -> None:
     """Print a head's calibration and the path of its file.
 
     Args:
@@ -43,7 +43,7 @@ def print_head(outcome: "HeadOutcome", out: Path) -> None:
     print(out)
 
 
-def print_heads(outcomes: "list[HeadOutcome]", outs: list[Path]) -> None:
+def print_head_calibrations(outcomes: "list[HeadOutcome]", outs: list[Path]) -> None:
     """Print a line for each of several heads.
 
     Args:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from vergence.commands.calibrating.common import CalibrationOptions
-from vergence.commands.console import note
+from vergence.commands.console import print_note
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -32,18 +32,18 @@ class CalibrateStereo(CalibrationOptions):
     def run(self) -> int:
         """Run the command."""
         self.check(self.out)
-        from vergence.models.files.head_toml import check_name
+        from vergence.models.files.head_toml import check_head_name
         from vergence.perception.pairing import pair_images
         from vergence.perception.photographs import photographs_of, some_of
 
         name = self.name or self.out.stem
-        check_name(name)
+        check_head_name(name)
         if not self.left or not self.right:
             raise ConfigurationError("left, right: expected images of both cameras, got none")
         lefts, rights = photographs_of(self.left), photographs_of(self.right)
         pairs = pair_images(lefts, rights, same=lefts == rights)
         if pairs.alone:
-            note(
+            print_note(
                 f"{len(pairs.alone)} of the images without a partner: "
                 f"{some_of(path.name for path in pairs.alone)}"
             )

@@ -15,7 +15,7 @@ RepeatableValues = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAct
 """Values of a repeatable option; each occurrence may have several values."""
 
 
-def flat(words: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+def join_repeated(words: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
     """All values of a repeatable option, in order."""
     return tuple(word for group in words for word in group)
 

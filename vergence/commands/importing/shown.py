@@ -8,8 +8,8 @@ from typing import Final, TypeVar
 from vergence.commands.head_tables import (
     print_assumptions,
     print_cameras,
-    warn_of_folds,
-    warn_of_rest,
+    warn_of_lens_folds,
+    warn_of_zero_outside_range,
 )
 from vergence.eval.head_summary import (
     EyeSummary,
@@ -19,7 +19,7 @@ from vergence.eval.head_summary import (
     eye_summaries,
     joint_summaries,
 )
-from vergence.models.files.assumed_values import Assumed, assumed_values, without_unit
+from vergence.models.files.assumed_values import AssumedValue, assumed_values, key_without_unit
 from vergence.models.files.import_urdf import ImportedHead
 from vergence.models.head import HeadModel
 
@@ -35,8 +35,8 @@ def show_import(imported: ImportedHead, path: Path) -> None:
     """
     head, chains = imported.head, imported.chains
     joints, eyes = joint_summaries(head), eye_summaries(head)
-    warn_of_rest(joints)
-    warn_of_folds(eyes)
+    warn_of_zero_outside_range(joints)
+    warn_of_lens_folds(eyes)
     print(f"head {head.name}, to be checked: names and ranges in degrees, what was assumed, {path}")
     parts = _grouped(joints, lambda joint: joint.moves)
     for line in (("neck",), ("both eyes",), ("left eye", "right eye")):
@@ -83,15 +83,15 @@ _GROUPS: Final = {
 """Group of assumptions to check together, by the table of the head file."""
 
 
-def _print_assumed(assumptions: Iterable[Assumed]) -> None:
+def _print_assumed(assumptions: Iterable[AssumedValue]) -> None:
     groups = _grouped(assumptions, lambda one: _GROUPS.get(one.keys[0].split(".")[0], "others"))
     for group, members in groups.items():
         count = sum(len(one.keys) for one in members)
-        fields = _grouped(members, lambda one: without_unit(one.keys[0].rpartition(".")[2]))
+        fields = _grouped(members, lambda one: key_without_unit(one.keys[0].rpartition(".")[2]))
         print(f"assumed, {group} ({count}): {'; '.join(starmap(_values, fields.items()))}")
 
 
-def _values(field: str, members: list[Assumed]) -> str:
+def _values(field: str, members: list[AssumedValue]) -> str:
     """Field with its distinct values; the field alone if the values are long."""
     values = " or ".join(dict.fromkeys(one.value for one in members))
     return f"{field} {values}" if len(values) <= _LONGEST else field
@@ -106,5 +106,5 @@ def show_eyes(head: HeadModel) -> None:
     eyes = eye_summaries(head)
     print_cameras(eyes)
     print(f"baseline {baseline_mm(head):.2f} mm at rest\n")
-    warn_of_folds(eyes)
+    warn_of_lens_folds(eyes)
     print_assumptions(assumed_values(head))

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from vergence.commands.console import note
+from vergence.commands.console import print_note
 from vergence.commands.importing.head_output import HeadOutput
 from vergence.commands.options import parse_size
 from vergence.errors import ConfigurationError
@@ -43,15 +43,15 @@ class ImportStereo(HeadOutput):
             raise ConfigurationError("files: expected calibration files, got none")
         from vergence.commands.importing.shown import show_eyes
         from vergence.models.files.head_toml import parse_head
-        from vergence.models.files.import_stereo import head_of_pair
+        from vergence.models.files.import_stereo import stereo_pair_to_head_toml
         from vergence.models.files.stereo import read_stereo
 
         pair = read_stereo(
             self.files, unit=self.unit, size=parse_size(self.size), lens=self.lens, swap=self.swap
         )
         for guess in pair.guesses:
-            note(f"assumed: {guess}")
-        text = head_of_pair(pair, self.name or self.out.stem)
+            print_note(f"assumed: {guess}")
+        text = stereo_pair_to_head_toml(pair, self.name or self.out.stem)
         head = parse_head(text)
         self.check()
         self.write(text, head)

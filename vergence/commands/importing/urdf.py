@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from vergence.commands.importing.head_output import HeadOutput, RepeatableValues, flat
+from vergence.commands.importing.head_output import HeadOutput, RepeatableValues, join_repeated
 from vergence.errors import ConfigurationError
 
 
@@ -67,10 +67,10 @@ class ImportUrdf(HeadOutput):
                 base=self.base,
                 cameras=(self.left_camera, self.right_camera),
                 neck=self.neck,
-                lock=flat(self.lock),
-                camera_axes=flat(self.camera_axes),
-                speed=flat(self.speed),
-                acceleration=flat(self.acceleration),
+                lock=join_repeated(self.lock),
+                camera_axes=join_repeated(self.camera_axes),
+                speed=join_repeated(self.speed),
+                acceleration=join_repeated(self.acceleration),
                 couplings=self.actuators,
                 intrinsics=self.intrinsics,
                 name=self.name,

@@ -30,7 +30,13 @@ from vergence.controllers.outlier_gate import GatedDetections
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.models.head import HeadModel
-from vergence.models.packed import PACKED, PackedHead, actuator_at, actuator_rate, is_direct
+from vergence.models.packed import (
+    PACKED,
+    PackedHead,
+    eye_actuator_angle,
+    eye_actuator_velocity,
+    has_motor_per_joint,
+)
 from vergence.models.parts import FloatArray
 
 IMAGES: Final = 4
@@ -211,7 +217,7 @@ def see_history(
         after[i] = before[i]
     s: HistoryState = record_view(after, _STATE)
     law: _Law = record_view(law_row, _LAW)
-    direct = is_direct(p)
+    direct = has_motor_per_joint(p)
     if s.periods > law.every - 0.5:
         _begin_moment(s)
     s.periods += 1.0
@@ -225,8 +231,8 @@ def see_history(
             continue
         angle, exposed, speed = q[3 + j], at[3 + j], velocities[3 + j]
         if not direct:
-            angle, exposed = actuator_at(p, j, q[3:]), actuator_at(p, j, at[3:])
-            speed = actuator_rate(p, j, velocities[3:])
+            angle, exposed = eye_actuator_angle(p, j, q[3:]), eye_actuator_angle(p, j, at[3:])
+            speed = eye_actuator_velocity(p, j, velocities[3:])
         new = seen = 0.0
         for eye in range(2):
             if law.moved[eye, j] > 0.5:

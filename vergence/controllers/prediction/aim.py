@@ -15,7 +15,7 @@ from vergence._jit import inlined
 from vergence.models.actuator_projection import actuator_least_squares
 from vergence.models.jacobian import eye_jacobian, pixel_rate
 from vergence.models.kinematics import eye_frames
-from vergence.models.packed import PackedHead, camera_of, joint_at
+from vergence.models.packed import PackedHead, camera_of, eye_joint_angle
 from vergence.models.parts import FloatArray
 from vergence.models.pose import point_rate, point_to_local, point_to_outer
 
@@ -65,8 +65,8 @@ def aim(
         u1, u2, v1, v2 = eye_jacobian(p, eye, frames, camera.centre_u, camera.centre_v, depth)
         jacobian[eye, 0, 0], jacobian[eye, 0, 1] = u1, u2
         jacobian[eye, 1, 0], jacobian[eye, 1, 1] = v1, v2
-        first = goals[eye, 0] - joint_at(p, 2 * eye, own)
-        second = goals[eye, 1] - joint_at(p, 2 * eye + 1, own)
+        first = goals[eye, 0] - eye_joint_angle(p, 2 * eye, own)
+        second = goals[eye, 1] - eye_joint_angle(p, 2 * eye + 1, own)
         wanted[eye, 0], wanted[eye, 1] = u1 * first + u2 * second, v1 * first + v2 * second
     actuator_least_squares(p, jacobian, wanted, left, right, step)
     for k in range(4):
@@ -75,7 +75,7 @@ def aim(
         for eye in range(2):
             if not (right if eye else left):
                 continue
-            q1, q2 = joint_at(p, 2 * eye, out), joint_at(p, 2 * eye + 1, out)
+            q1, q2 = eye_joint_angle(p, 2 * eye, out), eye_joint_angle(p, 2 * eye + 1, out)
             frames, camera = eye_frames(p, eye, q1, q2), camera_of(p, eye)
             x, y, z = points[eye, 0], points[eye, 1], points[eye, 2]
             cx, cy, cz = point_to_local(frames.camera, x, y, z)

@@ -30,7 +30,13 @@ from vergence.controllers.prediction.response import (
 )
 from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.envs.layout import AGE_S
-from vergence.models.packed import PackedHead, actuator_at, actuator_rate, is_direct, joint_at
+from vergence.models.packed import (
+    PackedHead,
+    eye_actuator_angle,
+    eye_actuator_velocity,
+    eye_joint_angle,
+    has_motor_per_joint,
+)
 from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import DEFAULT_DEPTH_M
 
@@ -222,7 +228,7 @@ def track(
     """
     memory.count += 1.0
     memory.still += 1.0
-    tick, direct, begins = int(memory.count), is_direct(p), memory.count == 0.0
+    tick, direct, begins = int(memory.count), has_motor_per_joint(p), memory.count == 0.0
     response = memory.response
     model = model_of(response)
     prompt = is_prompt(memory.observer)
@@ -231,8 +237,8 @@ def track(
     for j in range(4):
         angle, rate = positions[3 + j], velocities[3 + j]
         if not direct:
-            angle = actuator_at(p, j, positions[3:])
-            rate = actuator_rate(p, j, velocities[3:])
+            angle = eye_actuator_angle(p, j, positions[3:])
+            rate = eye_actuator_velocity(p, j, velocities[3:])
         if begins:  # at rest
             memory.actuators[j], memory.velocity[j] = angle, rate
             response.angles[j] = angle
@@ -255,7 +261,7 @@ def track(
     every = int(rig.keep_every)
     slot = np.uintp(tick // every & (RING_LENGTH - 1))
     for j in range(4 if tick % every == 0 else 0):
-        q = memory.actuators[j] if direct else joint_at(p, j, memory.actuators)
+        q = memory.actuators[j] if direct else eye_joint_angle(p, j, memory.actuators)
         if begins:
             begin_watch(memory.oscillation, j // 2, j % 2, q)
             for place in range(RING_LENGTH):

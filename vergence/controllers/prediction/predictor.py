@@ -37,7 +37,7 @@ from vergence.controllers.rows import record_view, row_layout, row_size
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.packed import PackedHead, is_direct, joint_at
+from vergence.models.packed import PackedHead, eye_joint_angle, has_motor_per_joint
 from vergence.models.parts import FloatArray
 
 LONGEST_S: Final = 0.25
@@ -263,7 +263,7 @@ def _fill_prediction(
     memory: PredictorState, rig: PredictorModel, p: PackedHead, present: _PredictionRow
 ) -> None:
     """Fill in the prediction: the state and the angles left to turn when the next command acts."""
-    response, direct = memory.response, is_direct(p)
+    response, direct = memory.response, has_motor_per_joint(p)
     model = model_of(response)
     sd = sqrt(max(model.variance[0], 0.0))
     latency = min(model.parameters[0] + _LATER * sd, longest_latency(rig))
@@ -277,7 +277,7 @@ def _fill_prediction(
     for j in range(4):
         present.positions[j] = present.actuators[j]
         if not direct:
-            present.positions[j] = joint_at(p, j, present.actuators)
+            present.positions[j] = eye_joint_angle(p, j, present.actuators)
     for eye in range(2):
         present.known[eye] = memory.known[eye]
         first, second = present.positions[2 * eye], present.positions[2 * eye + 1]
@@ -326,7 +326,7 @@ def _update(
         decay_count(memory.oscillation, rig.period_s)
         for eye in range(2):
             for joint in range(2 if memory.known[eye] > 0.5 else 0):
-                q = joint_at(p, 2 * eye + joint, memory.actuators)
+                q = eye_joint_angle(p, 2 * eye + joint, memory.actuators)
                 aim = memory.aims[eye, joint]
                 watch(memory.oscillation, rig, eye, joint, q, aim, memory.noise)
         _fill_prediction(memory, rig, p, record_view(present_rows[n], _PREDICTION))

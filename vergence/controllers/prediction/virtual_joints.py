@@ -12,7 +12,7 @@ import numpy as np
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.models.links import inverse_pose
-from vergence.models.packed import pack
+from vergence.models.packed import pack_constants
 from vergence.models.parts import FloatArray
 
 _PARALLEL = 1e-3
@@ -33,7 +33,7 @@ def two_joints_an_eye(head: HeadModel) -> FloatArray:
     lacks = [not name for name in head.joints[EYES]]
     if not any(lacks):
         return head.packed
-    poses = head.links.folded()
+    poses = head.links.constant_poses()
     for eye in range(2):
         first, second = lacks[2 * eye : 2 * eye + 2]
         before, between, after = poses[4 + 3 * eye : 7 + 3 * eye]
@@ -48,7 +48,7 @@ def two_joints_an_eye(head: HeadModel) -> FloatArray:
             across = _about(camera, axis if axis @ axis > _PARALLEL else camera[:3, 0])
             between, after = across, inverse_pose(across) @ camera
         poses[4 + 3 * eye : 7 + 3 * eye] = before, between, after
-    return pack(poses, head.cameras, head.actuation, ())
+    return pack_constants(poses, head.cameras, head.actuation, ())
 
 
 def _about(camera: FloatArray, axis: Sequence[float] | FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from vergence._jit import inlined
-from vergence._runs import run_of
+from vergence._runs import make_tuple_reader
 from vergence.envs.plants.imperfections import PER_ACTUATOR, PER_TRIAL, Imperfections
 from vergence.models.parts import FloatArray
 
@@ -57,7 +57,7 @@ else:  # kernels take named tuples, but no dataclasses
 
 TRIAL_CONDITIONS: Final = len(PER_TRIAL) + 1
 """Length of a row of `TrialConditions` (numerical)."""
-_row_run = run_of(TRIAL_CONDITIONS)
+_row_run = make_tuple_reader(TRIAL_CONDITIONS)
 GAIN: Final = PER_ACTUATOR.index("speed_gain")
 BACKLASH: Final = PER_ACTUATOR.index("backlash_rad")
 

@@ -30,7 +30,12 @@ from vergence.models.joint_response import (
     time_to_reversal,
 )
 from vergence.models.joints import EYES
-from vergence.models.packed import PackedHead, joint_at, joint_per_actuator, joint_rate
+from vergence.models.packed import (
+    PackedHead,
+    eye_joint_angle,
+    eye_joint_velocity,
+    joint_per_actuator,
+)
 from vergence.models.parts import FloatArray
 
 _CONTACT_RAD = 1e-12
@@ -255,7 +260,7 @@ def stop_at_joints(
                 factor = joint_per_actuator(p, j, k)
                 square += factor * factor
                 rate += factor * motors.speeds[n, 3 + k]
-            angle = joint_at(p, j, own)
+            angle = eye_joint_angle(p, j, own)
             beyond = angle - min(max(angle, coupling.joint_lower[j]), coupling.joint_upper[j])
             if beyond == 0.0 or square == 0.0:
                 continue
@@ -282,8 +287,8 @@ def joints_from_actuators(
     for k in range(SLOTS):
         scratch[k] = positions[3 + k]
     for j in range(SLOTS):
-        positions[3 + j] = joint_at(p, j, scratch)
+        positions[3 + j] = eye_joint_angle(p, j, scratch)
     for k in range(SLOTS):
         scratch[k] = velocities[3 + k]
     for j in range(SLOTS):
-        velocities[3 + j] = joint_rate(p, j, scratch)
+        velocities[3 + j] = eye_joint_velocity(p, j, scratch)

@@ -22,8 +22,8 @@ from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.mujoco.model import SUBSTEPS, addresses_of, compile_model
-from vergence.models.mujoco.servos import servo_rate
+from vergence.models.mujoco.model import SUBSTEPS, compile_model, find_model_indices
+from vergence.models.mujoco.servos import discrete_lag_rate
 
 
 class MujocoPlant(SimulatedPlant):
@@ -69,7 +69,7 @@ class MujocoPlant(SimulatedPlant):
         self._model = compile_model(moved, neck=neck, target=None, visuals=False)
         # the plant limits commands itself; an actuator's speed gain may exceed the limit
         self._model.actuator_ctrllimited[:] = 0
-        addresses = addresses_of(self._model, head)
+        addresses = find_model_indices(self._model, head)
         self._joints, self._rotors = addresses.joints, addresses.rotors
         self._qpos_from = np.append(addresses.places, 7 + np.arange(len(addresses.rotors)))
         self._slots = np.asarray(addresses.slots)
@@ -130,11 +130,11 @@ class MujocoPlant(SimulatedPlant):
         # the gain is the inertia times the rate of the discretised lag
         ratio = np.array(
             [
-                [servo_rate(lag * own, step) for own in self._lag_ratios]
+                [discrete_lag_rate(lag * own, step) for own in self._lag_ratios]
                 for lag in self.conditions.lag_s[ids]
             ]
         ).reshape(len(ids), len(self._lag_ratios))
-        ratio /= [servo_rate(self.head.timing.lag_s * own, step) for own in self._lag_ratios]
+        ratio /= [discrete_lag_rate(self.head.timing.lag_s * own, step) for own in self._lag_ratios]
         self._gain[ids, :, 0] = ratio[:, self._which_lag] * self._nominal_gain
         self._bias[ids, :, 2] = ratio[:, self._which_lag] * self._nominal_bias
 

@@ -32,7 +32,7 @@ from vergence.envs.streams import IntArray, Purpose, StreamKey, StreamKeys, rand
 from vergence.envs.targets.motion import is_shown, motion_of
 from vergence.models.actuation import SLOTS
 from vergence.models.camera import inside_image
-from vergence.models.packed import actuator_at
+from vergence.models.packed import eye_actuator_angle
 from vergence.models.parts import FloatArray
 
 _VARIATION: Final = int(Purpose.VARIATION)
@@ -102,7 +102,7 @@ def begin(
             motors.speeds[n, k] = motors.accelerations[n, k] = 0.0
         if coupling is not None:
             for k in range(SLOTS):
-                motors.angles[n, 3 + k] = actuator_at(coupling.head, k, positions[m, 3:])
+                motors.angles[n, 3 + k] = eye_actuator_angle(coupling.head, k, positions[m, 3:])
         for k in range(7):
             # the output is anywhere within the backlash
             offset = packed.own[n, BACKLASH, k] * (share[k] - 0.5)

@@ -24,7 +24,7 @@ from vergence.envs.plants.motors import (
 from vergence.envs.plants.scene import Scene, head_of
 from vergence.envs.streams import IntArray
 from vergence.models.joint_response import damping_ratio, follow_second_order_joint, lag_decay
-from vergence.models.packed import PackedHead, actuator_at, actuator_rate
+from vergence.models.packed import PackedHead, eye_actuator_angle, eye_actuator_velocity
 from vergence.models.parts import FloatArray
 
 
@@ -149,8 +149,8 @@ def read_joints(
         for k in range(7):
             q, v = angles[k], rates[k]
             if coupling is not None and k >= 3:
-                q = actuator_at(head, k - 3, angles[3:])
-                v = actuator_rate(head, k - 3, rates[3:])
+                q = eye_actuator_angle(head, k - 3, angles[3:])
+                v = eye_actuator_velocity(head, k - 3, rates[3:])
             motors.angles[n, k], motors.speeds[n, k] = q, v
             backlash = packed.own[n, BACKLASH, k]
             output = output_angle(motors.output[n, k], q, backlash)

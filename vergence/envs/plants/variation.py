@@ -34,7 +34,7 @@ from vergence.envs.streams import (
 from vergence.errors import ConfigurationError, refuse_unknown
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.models.perturbation import DEVIATES, ModelErrors, as_model_errors, perturb_by
+from vergence.models.perturbation import DEVIATES, ModelErrors, as_model_errors, perturb_by_deviates
 
 Range = tuple[float, float]
 
@@ -113,7 +113,7 @@ class Variation(Imperfections[Range | None]):
         """
         if self.model_errors is None:
             raise ConfigurationError("variation.model_errors: expected some, got None")
-        geometry = perturb_by(head.geometry, self.model_errors, deviates)
+        geometry = perturb_by_deviates(head.geometry, self.model_errors, deviates)
         return dataclasses.replace(head, **geometry._asdict())
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import inlined, kernel
-from vergence._runs import run_of
+from vergence._runs import make_tuple_reader
 from vergence.envs.targets.path import LEAST_PATH, point_at
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
@@ -134,7 +134,7 @@ class Motion(NamedTuple):
     """(p,) path; (0,) for a target without one."""
 
 
-_motion_run = run_of(MOTION)
+_motion_run = make_tuple_reader(MOTION)
 
 
 @inlined

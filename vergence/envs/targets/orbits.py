@@ -22,7 +22,7 @@ from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, TargetError
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
-from vergence.models.packed import actuator_at, is_direct
+from vergence.models.packed import eye_actuator_angle, has_motor_per_joint
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
@@ -165,7 +165,7 @@ def _can_follow(
     The last two arguments are scratch arrays (_PHASES, 4) for angles of the eye joints and of the
     actuators.
     """
-    direct = is_direct(gaze.head)
+    direct = has_motor_per_joint(gaze.head)
     for k in range(_PHASES):
         c, s = cos(2.0 * pi * k / _PHASES), sin(2.0 * pi * k / _PHASES)
         x = centre[0] + first[0] * c + second[0] * s
@@ -179,7 +179,7 @@ def _can_follow(
         if len(board.outline) and not in_view(gaze.head, angles[k], (x, y, z), 0.0, board):
             return False
         for i in range(SLOTS):
-            own[k, i] = angles[k, i] if direct else actuator_at(gaze.head, i, angles[k])
+            own[k, i] = angles[k, i] if direct else eye_actuator_angle(gaze.head, i, angles[k])
     step = 2.0 * pi / _PHASES / omega
     for k in range(_PHASES):
         for j in range(SLOTS):

@@ -13,7 +13,7 @@ from vergence.models.fixation import fixate_coupled, fixate_eye
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.models.kinematics import eye_frames, point_in_eye
-from vergence.models.packed import PackedHead, actuator_at
+from vergence.models.packed import PackedHead, eye_actuator_angle
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
@@ -139,7 +139,7 @@ def _can_fixate_coupled(
     for k in range(SLOTS):
         low, high = gaze.lower[k], gaze.upper[k]
         keep = margin if high > low else -_ROUNDING_RAD
-        if not low + keep <= actuator_at(gaze.head, k, angles) <= high - keep:
+        if not low + keep <= eye_actuator_angle(gaze.head, k, angles) <= high - keep:
             return False
         low, high = joints[0][k] - _ROUNDING_RAD, joints[1][k] + _ROUNDING_RAD
         if not low <= angles[k] <= high:

@@ -31,7 +31,7 @@ from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, TargetError
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
-from vergence.models.packed import actuator_at, is_direct
+from vergence.models.packed import eye_actuator_angle, has_motor_per_joint
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
@@ -190,9 +190,9 @@ def _can_look(
     # a fixated point is visible, but a board may be cut
     if len(board.outline) and not in_view(gaze.head, angles, point, 0.0, board):
         return False
-    direct = is_direct(gaze.head)
+    direct = has_motor_per_joint(gaze.head)
     for i in range(SLOTS):
-        own[i] = angles[i] if direct else actuator_at(gaze.head, i, angles)
+        own[i] = angles[i] if direct else eye_actuator_angle(gaze.head, i, angles)
     return True
 
 

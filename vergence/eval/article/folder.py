@@ -24,7 +24,7 @@ from vergence.eval.reporting.runs import (
 from vergence.eval.reporting.section import included_sections
 from vergence.eval.reporting.style import figure_style, save_figure
 from vergence.eval.reporting.text import render_text
-from vergence.files import PARTIAL, atomic_files, remove_partial, write_atomic
+from vergence.files import PARTIAL_PREFIX, atomic_files, remove_partial, write_atomic
 
 INCLUDED: Final = "evaluations"
 """Name of the subfolder with the sections of other runs."""
@@ -44,7 +44,9 @@ def open_run_folder(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         names = sorted(path.name for path in folder.iterdir())
-        others = [name for name in names if name not in ours and not name.startswith(PARTIAL)]
+        others = [
+            name for name in names if name not in ours and not name.startswith(PARTIAL_PREFIX)
+        ]
         if others:
             what = f"a folder with {', '.join(others[:3])} in it"
             if run_folder_command(folder) != "reproduce":

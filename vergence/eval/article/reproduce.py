@@ -23,7 +23,7 @@ from vergence.eval.reporting.section import (
     included_sections,
     read_section,
 )
-from vergence.locks import locked
+from vergence.locks import hold_lock
 
 
 class ReproduceListener(Protocol):
@@ -97,7 +97,7 @@ def reproduce(
     }
     for run in config.include:
         read_section(run / SECTION_FILE)
-    with locked(config.folder) as alone:
+    with hold_lock(config.folder) as alone:
         folder = open_run_folder(config.folder)
         if alone:
             remove_partial_files(folder)

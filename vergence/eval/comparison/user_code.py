@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.controllers.controller import Controller
-from vergence.entry_points import EntryPoint, shown_path, where
+from vergence.entry_points import EntryPoint, describe_user_error, shown_path
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.policy import Policy
 from vergence.errors import ConfigurationError, ControllerError, HardwareError, VergenceError
@@ -43,7 +43,9 @@ def make_user_controller(
     try:
         controller = make(head=head, layout=layout, **options)
     except (Exception, SystemExit) as error:
-        raise ControllerError(f"controller {entry.word}: cannot be made: {where(error)}") from error
+        raise ControllerError(
+            f"controller {entry.word}: cannot be made: {describe_user_error(error)}"
+        ) from error
     return GuardedController(controller, entry.word)
 
 
@@ -116,7 +118,7 @@ class GuardedController:
                 observation, state=state, episode_start=episode_start, deterministic=deterministic
             )
         except (Exception, SystemExit) as error:
-            raise self._wrong(where(error)) from error
+            raise self._wrong(describe_user_error(error)) from error
         try:
             action, state = answer
             action = np.asarray(action)

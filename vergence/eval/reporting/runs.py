@@ -15,7 +15,7 @@ import tomli_w
 
 from vergence.errors import ConfigurationError
 from vergence.files import atomic_folder, remove_partial, save_folder
-from vergence.locks import locked
+from vergence.locks import hold_lock
 from vergence.models.files.head_file import save_head
 from vergence.models.head import HeadModel
 
@@ -143,7 +143,7 @@ def locked_run_folder(folder: Path) -> Iterator[None]:
         ConfigurationError: the folder is not empty, cannot be created, or another process holds it.
     """
     check_writable(folder)
-    with locked(folder) as alone:
+    with hold_lock(folder) as alone:
         check_folder_free(folder)  # another process may have just ended
         if alone:
             place = Path(os.path.realpath(folder))

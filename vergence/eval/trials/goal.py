@@ -24,7 +24,7 @@ from vergence.models.actuator_projection import actuator_least_squares
 from vergence.models.camera import pixel_error, point_to_pixel
 from vergence.models.fixation import fixate_coupled, fixate_eye
 from vergence.models.kinematics import point_in_eye
-from vergence.models.packed import PackedHead, actuator_at, joint_at
+from vergence.models.packed import PackedHead, eye_actuator_angle, eye_joint_angle
 from vergence.models.parts import FloatArray
 
 _NEWTON_STEPS: Final = 30
@@ -174,10 +174,10 @@ def actuator_goal(
     if not fixate_coupled(true, point[0], point[1], point[2], joints):
         return False
     for k in range(SLOTS):
-        actuators[k] = actuator_at(true, k, joints)
+        actuators[k] = eye_actuator_angle(true, k, joints)
     for attempt in range(_GAUSS_NEWTON_STEPS):
         for joint in range(4):
-            joints[joint] = joint_at(true, joint, actuators)
+            joints[joint] = eye_joint_angle(true, joint, actuators)
         for eye in range(2):
             found = error_slopes(true, nominal, eye, joints[2 * eye], joints[2 * eye + 1], point)
             error[eye, 0], error[eye, 1] = found.u, found.v

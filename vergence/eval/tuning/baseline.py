@@ -17,7 +17,7 @@ from vergence.eval.trials.scenarios import Scenario
 from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.objective import Attempt, TrialsJob, summarise_trials
 from vergence.eval.tuning.spaces import SEARCH_SPACES
-from vergence.models.files.head_file import from_anywhere
+from vergence.models.files.head_file import absolute_source
 from vergence.models.head import HeadModel
 
 EPISODES: Final = TuneConfig.episodes
@@ -43,7 +43,7 @@ def tune_baseline(scenario: Scenario, head: HeadModel, source: str | None, mappe
         ConfigurationError: the table cannot be written.
     """
     words = ["vergence", "evaluate", "ibvs-tuned", "--scenario", scenario.name]
-    words += [] if source is None else ["--head", from_anywhere(source)]
+    words += [] if source is None else ["--head", absolute_source(source)]
     check_writable(user_file())  # before the search, which takes a minute
     gain = best_gain(scenario, head, mapper)
     entry = Tuned(

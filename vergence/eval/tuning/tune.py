@@ -19,7 +19,7 @@ from vergence.eval.tuning.spaces import SearchRange, default_point, is_grid
 from vergence.eval.tuning.study import SearchSpec, run_search
 from vergence.eval.tuning.study_storage import without_password
 from vergence.files import atomic_files
-from vergence.locks import locked
+from vergence.locks import hold_lock
 from vergence.models.head import HeadModel
 
 PACKAGES: Final = ("optuna",)
@@ -105,7 +105,7 @@ def _write(
 ) -> None:
     config = result.config
     # processes that share a study may end together, and each writes the results of all
-    with locked(folder, wait=True), atomic_files(folder, last="tune.json") as partial:
+    with hold_lock(folder, wait=True), atomic_files(folder, last="tune.json") as partial:
         shown = dataclasses.replace(config, storage=without_password(str(config.storage)))
         write_config(partial, shown, head, PACKAGES)
         rows = [

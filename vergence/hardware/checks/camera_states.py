@@ -27,7 +27,7 @@ _WARM_UP_S: Final = 0.5
 """Time after the first image in which buffers empty and the exposure settles, s (chosen)."""
 
 
-class Capture(Protocol):
+class CaptureDevice(Protocol):
     """The part of `cv2.VideoCapture` that the checks use."""
 
     def grab(self) -> bool:
@@ -71,7 +71,7 @@ class CameraState:
     """(width, height) of its images, px; None if none arrived."""
     pixel_format: str
     """Pixel format that it reports; empty if unknown."""
-    set_hz: float
+    reported_hz: float
     """Frame rate that it reports, Hz; nan if unknown."""
     rate_hz: float
     """Frame rate measured while all cameras gave images, Hz."""
@@ -112,7 +112,7 @@ def camera_requests(config: HardwareConfig) -> tuple[CameraRequest, ...]:
 def measure_cameras(
     requests: Sequence[CameraRequest],
     *,
-    open: Callable[..., Capture] = open_capture,
+    open: Callable[..., CaptureDevice] = open_capture,
     clock: Callable[[], float] = time.monotonic,
     seconds: float = 1.0,
 ) -> tuple[list[CameraState], dict[str, str]]:
@@ -129,7 +129,7 @@ def measure_cameras(
     """
     unopened: dict[str, str] = {}
     with silent_opencv(), ExitStack() as opened:
-        captures: list[tuple[CameraRequest, Capture]] = []
+        captures: list[tuple[CameraRequest, CaptureDevice]] = []
         for request in requests:
             try:
                 capture = _open(request, open)
@@ -157,7 +157,7 @@ class _Watched(NamedTuple):
     rate_hz: float
 
 
-def _open(request: CameraRequest, open: Callable[..., Capture]) -> Capture:
+def _open(request: CameraRequest, open: Callable[..., CaptureDevice]) -> CaptureDevice:
     return open(
         request.source,
         request.name,
@@ -168,7 +168,7 @@ def _open(request: CameraRequest, open: Callable[..., Capture]) -> Capture:
     )
 
 
-def _watch(capture: Capture, clock: Callable[[], float], seconds: float) -> _Watched:
+def _watch(capture: CaptureDevice, clock: Callable[[], float], seconds: float) -> _Watched:
     begun_s = clock()
     until_s = begun_s + PATIENCE_S
     times: list[float] = []
@@ -188,11 +188,11 @@ def _watch(capture: Capture, clock: Callable[[], float], seconds: float) -> _Wat
     return _Watched(size, (len(counted) - 1) / (counted[-1] - counted[0]))
 
 
-def _state(request: CameraRequest, capture: Capture, watched: _Watched) -> CameraState:
+def _state(request: CameraRequest, capture: CaptureDevice, watched: _Watched) -> CameraState:
     size, rate_hz = watched
     if not is_device(request.source):  # a stream's settings are those of its server
         return CameraState(
-            request=request, size=size, pixel_format="", set_hz=np.nan, rate_hz=rate_hz,
+            request=request, size=size, pixel_format="", reported_hz=np.nan, rate_hz=rate_hz,
             locked=None, exposure_s=np.nan,
         )  # fmt: skip
     mode = capture.get(cv2.CAP_PROP_AUTO_EXPOSURE)
@@ -203,7 +203,7 @@ def _state(request: CameraRequest, capture: Capture, watched: _Watched) -> Camer
         request=request,
         size=size,
         pixel_format=letters.to_bytes(4, "little").decode("latin-1") if letters > 0 else "",
-        set_hz=set_hz if set_hz > 0.0 else np.nan,
+        reported_hz=set_hz if set_hz > 0.0 else np.nan,
         rate_hz=rate_hz,
         locked=mode == MANUAL_EXPOSURE if mode >= 0.0 else None,
         exposure_s=EXPOSURE_STEP_S * steps if steps > 0.0 else np.nan,
@@ -211,7 +211,10 @@ def _state(request: CameraRequest, capture: Capture, watched: _Watched) -> Camer
 
 
 def _with_alone(
-    state: CameraState, open: Callable[..., Capture], clock: Callable[[], float], seconds: float
+    state: CameraState,
+    open: Callable[..., CaptureDevice],
+    clock: Callable[[], float],
+    seconds: float,
 ) -> CameraState:
     """Measure a slow camera's rate while the others are closed; return its completed state."""
     if not state.too_slow:

@@ -11,7 +11,7 @@ from vergence.hardware.checks.camera_states import (
     PATIENCE_S,
     CameraRequest,
     CameraState,
-    Capture,
+    CaptureDevice,
     camera_requests,
     measure_cameras,
 )
@@ -31,7 +31,7 @@ _RATE_SHARE: Final = 0.01
 def check_cameras(
     requests: Sequence[CameraRequest],
     *,
-    open: Callable[..., Capture] = open_capture,
+    open: Callable[..., CaptureDevice] = open_capture,
     clock: Callable[[], float] = time.monotonic,
     seconds: float = 1.0,
 ) -> tuple[list[CameraState], list[Finding]]:
@@ -114,11 +114,11 @@ def _judge_rate(state: CameraState) -> Iterator[Finding]:
             problem=f"expected {asked_hz:g} images a second, got {state.rate_hz:.3g}",
             cure=f'{dark}pixel_format = "MJPG", or a lower frame_rate_hz in the head file',
         )
-    elif asked_hz is not None and abs(state.set_hz - asked_hz) > _RATE_SHARE * asked_hz:
+    elif asked_hz is not None and abs(state.reported_hz - asked_hz) > _RATE_SHARE * asked_hz:
         yield Finding(
             part=state.request.name,
             problem=f"expected the setting of {asked_hz:g} images a second to be kept, got "
-            f"{state.set_hz:g}",
+            f"{state.reported_hz:g}",
             cure="a frame_rate_hz in the head file that the camera has, see "
             "v4l2-ctl --list-formats-ext",
             warning=True,

@@ -35,7 +35,7 @@ _LATENCY_MS: Final = 1
 """Least latency timer of FTDI adapters, ms; the factory default is 16 (physical: FTDI)."""
 
 
-def ports() -> list[str]:
+def serial_ports() -> list[str]:
     """Serial ports of this machine that may be an adapter, persistent names first."""
     return [port for pattern in _PORTS for port in sorted(glob(pattern))]
 
@@ -48,7 +48,7 @@ def open_bus(config: BusConfig) -> Bus:
             the finding names the cure.
     """
     if not os.path.exists(config.port):
-        there = ", ".join(ports()) or "none"
+        there = ", ".join(serial_ports()) or "none"
         raise ChecksFailedError(
             [
                 Finding(
@@ -104,20 +104,20 @@ def latency_timer_ms(port: str, sysfs: str = "/sys") -> int:
         return 0
 
 
-def exchange_s(count: int, baud_rate: int, delays_s: float, latency_s: float) -> float:
+def exchange_time_s(servo_count: int, baud_rate: int, delays_s: float, latency_s: float) -> float:
     """Time of one period's exchange with the servos, see the module's description, s.
 
     Args:
-        count: number of servos.
+        servo_count: number of servos.
         baud_rate: baud rate, bit/s.
         delays_s: sum of their return delays, s.
         latency_s: latency of the adapter, s.
     """
-    instructions = 2 * _FRAME_BYTES + count * (_GOAL_BYTES + 1)
-    return 10.0 * (instructions + count * _ANSWER_BYTES) / baud_rate + delays_s + latency_s
+    instructions = 2 * _FRAME_BYTES + servo_count * (_GOAL_BYTES + 1)
+    return 10.0 * (instructions + servo_count * _ANSWER_BYTES) / baud_rate + delays_s + latency_s
 
 
-def check_period(
+def check_exchange_fits_period(
     config: HardwareConfig, delays: Mapping[str, int], sysfs: str = "/sys"
 ) -> list[Finding]:
     """Check that the exchange with the servos fits into a control period.
@@ -130,7 +130,7 @@ def check_period(
     period_s = config.head.timing.period_s
     delays_s = RETURN_DELAY_S * sum(delays.values())
     latency_s = 1e-3 * latency_timer_ms(config.bus.port, sysfs)
-    taken_s = exchange_s(len(config.servos), config.bus.baud_rate, delays_s, latency_s)
+    taken_s = exchange_time_s(len(config.servos), config.bus.baud_rate, delays_s, latency_s)
     slow = ", ".join(f"{name} {delay}" for name, delay in delays.items() if delay)
     findings = []
     if taken_s > _MOST_SHARE * period_s:

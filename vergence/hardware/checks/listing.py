@@ -11,7 +11,7 @@ from vergence.hardware.checks.servos import check_servos
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.servo_memory import model_name, read_memory
 
 
@@ -46,7 +46,7 @@ def check_robot(config: HardwareConfig) -> list[CheckedPart]:
     """
     if config.emulator:
         try:
-            EmulatedWorld(config.emulator).close()
+            WorldClient(config.emulator).close()
         except HardwareError as error:
             return [_no_emulator(str(error))]
     there = {"bus": f"{config.bus.port} at {config.bus.baud_rate} baud"}

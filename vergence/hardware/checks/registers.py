@@ -8,7 +8,7 @@ from vergence.errors import Finding
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.servo_angles import ServoAngles
-from vergence.hardware.servo_memory import ServoMemory, fault_words, model_name
+from vergence.hardware.servo_memory import ServoMemory, describe_fault_bits, model_name
 
 _WATCHDOG_FIRMWARE: Final = 38
 """First firmware with BUS_WATCHDOG (physical: X series, and MX with Protocol 2.0)."""
@@ -32,7 +32,7 @@ _DRIVE_MODES: Final = {
 
 
 def check_registers(
-    config: HardwareConfig, servo: ServoConfig, memory: ServoMemory, *, posture: bool
+    config: HardwareConfig, servo: ServoConfig, memory: ServoMemory, *, check_limits: bool
 ) -> Iterator[Finding]:
     """Find all problems in a servo's registers.
 
@@ -40,11 +40,11 @@ def check_registers(
         config: the robot.
         servo: the servo, of a supported model.
         memory: its registers.
-        posture: True to check that its joint is within its limits.
+        check_limits: True to check that its joint is within its limits.
     """
     asked = _Asked(config, servo, memory)
     for check in _CHECKS:
-        if posture or check is not _posture:
+        if check_limits or check is not _posture:
             yield from check(asked)
 
 
@@ -169,8 +169,8 @@ def _faults(one: _Asked) -> Iterator[Finding]:
     errors = one.get(table.HARDWARE_ERROR_STATUS)
     if errors:
         yield one.finding(
-            f"expected no latched fault, got one of {fault_words(errors)} (hardware error status "
-            f"0b{errors:08b})",
+            f"expected no latched fault, got one of {describe_fault_bits(errors)} (hardware error "
+            f"status 0b{errors:08b})",
             f"remove the cause, then {_OFF_AND_ON}",
         )
 

@@ -25,7 +25,7 @@ _LATE: Final = 3
 """Rough delay of a joint behind its commands, control periods (chosen)."""
 
 
-def speeds(reach_rad: float, max_speed_rad_s: float, period_s: float) -> FloatArray:
+def excitation_speeds(reach_rad: float, max_speed_rad_s: float, period_s: float) -> FloatArray:
     """Speeds of the excitation, one per control period.
 
     Args:
@@ -70,22 +70,22 @@ def _chirp(reach_rad: float, speed_rad_s: float, period_s: float) -> FloatArray:
 
 
 def requested_velocities(
-    slot: int, way: FloatArray, period_s: float, angle: Callable[[], float]
+    slot: int, speeds_rad_s: FloatArray, period_s: float, read_angle: Callable[[], float]
 ) -> Iterator[FloatArray]:
     """Requested velocities for one actuator, with a slow correction against drift.
 
     Args:
         slot: its index in the 7-element command.
-        way: (n,) its speeds, rad/s.
+        speeds_rad_s: (n,) its speeds, rad/s.
         period_s: the control period, s.
-        angle: returns its present angle, rad.
+        read_angle: returns its present angle, rad.
 
     Yields:
         (7,) velocities, rad/s.
     """
-    middle = angle()
-    places = middle + period_s * np.concatenate([np.zeros(_LATE + 1), np.cumsum(way)])
-    for speed, place in zip(way, places, strict=False):
+    middle = read_angle()
+    places = middle + period_s * np.concatenate([np.zeros(_LATE + 1), np.cumsum(speeds_rad_s)])
+    for speed, place in zip(speeds_rad_s, places, strict=False):
         requested = np.zeros(7)
-        requested[slot] = speed + _BACK * (place - angle())
+        requested[slot] = speed + _BACK * (place - read_angle())
         yield requested

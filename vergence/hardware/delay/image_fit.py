@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from vergence.envs.streams import IntArray
-from vergence.hardware.delay.joint_fit import CLUSTER_S, clustered
+from vergence.hardware.delay.joint_fit import CLUSTER_S, jackknife_covariance
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -70,13 +70,13 @@ def fit_images(
     head: HeadModel,
     eye: int,
     slot: int,
-    base: FloatArray,
-    path: Callable[[FloatArray], FloatArray],
+    base_angles: FloatArray,
+    angle_at: Callable[[FloatArray], FloatArray],
     span_s: tuple[float, float],
     received_s: FloatArray,
     pixels: FloatArray,
-    point: FloatArray,
-    fastest_rad_s: float,
+    target_guess: FloatArray,
+    max_speed_rad_s: float,
 ) -> ImageFit | None:
     """Fit latency, backlash, target position and image scale to an eye's images.
 
@@ -84,19 +84,19 @@ def fit_images(
         head: the model.
         eye: 0 for left.
         slot: index in the 7-element command of the actuator that turned.
-        base: (7,) angles of neck and actuators, for those that did not turn, rad.
-        path: the actuator's angle by time.
+        base_angles: (7,) angles of neck and actuators, for those that did not turn, rad.
+        angle_at: the actuator's angle by time.
         span_s: first and last time of the path, s.
         received_s: (k,) times of receipt of the images, s.
         pixels: (k, 2) raw pixels of the target; nan if it was not found.
-        point: (3,) approximate position of the target, in N, m.
-        fastest_rad_s: speed above which images are blurred and left out, rad/s.
+        target_guess: (3,) approximate position of the target, in N, m.
+        max_speed_rad_s: speed above which images are blurred and left out, rad/s.
 
     Returns:
         The robust least-squares fit; None if too few images show the target.
     """
     grid = np.arange(*span_s, _GRID_S)
-    angles = path(grid)
+    angles = angle_at(grid)
     speeds = np.gradient(angles, _GRID_S)
 
     centre = head.cameras.principal[eye]
@@ -105,7 +105,7 @@ def fit_images(
         latency_s: float, backlash_rad: float, at: FloatArray, scale: float = 1.0
     ) -> FloatArray:
         joint = angles if backlash_rad == 0.0 else _through_backlash(angles, backlash_rad)
-        motors = np.tile(base, (len(seen), 1))
+        motors = np.tile(base_angles, (len(seen), 1))
         motors[:, slot] = np.interp(received_s[seen] - latency_s, grid, joint)
         found = head.project(head.actuation.joints_of(motors), at)[:, eye]
         return np.asarray(centre + scale * (found - centre))
@@ -116,19 +116,19 @@ def fit_images(
         return None
 
     def spread(latency_s: float) -> float:
-        residual = pixels[seen] - predicted(latency_s, 0.0, point)
+        residual = pixels[seen] - predicted(latency_s, 0.0, target_guess)
         residual -= np.median(residual, axis=0)
         return float(np.abs(residual).sum())
 
     coarse = min(np.arange(0.0, _MOST_S, 0.01), key=spread)
-    slow = np.abs(np.interp(received_s[seen] - coarse, grid, speeds)) < fastest_rad_s
+    slow = np.abs(np.interp(received_s[seen] - coarse, grid, speeds)) < max_speed_rad_s
     seen = seen[slow]
     if len(seen) < 30:
         return None
-    away = float(np.linalg.norm(point))
+    away = float(np.linalg.norm(target_guess))
 
     def weighted_residual(values: FloatArray) -> FloatArray:
-        at = point + away * values[2:5]
+        at = target_guess + away * values[2:5]
         residual = pixels[seen] - predicted(values[0], abs(values[1]), at, 1.0 + values[5])
         return np.concatenate([residual.ravel() / noise, values[2:] / before])
 
@@ -144,11 +144,11 @@ def fit_images(
         residual = noise * weighted_residual(found.x)[: -len(before)].reshape(-1, 2)
         noise = max(1.4826 * float(np.median(np.abs(residual))), _LEAST_PX)
     clusters = ((received_s[seen] - received_s[seen][0]) / CLUSTER_S).astype(np.int64)
-    covariance = clustered(
-        np.asarray(found.jac), found.fun, np.repeat(clusters, 2), _SOFT, known=len(before)
+    covariance = jackknife_covariance(
+        np.asarray(found.jac), found.fun, np.repeat(clusters, 2), _SOFT, prior_count=len(before)
     )
     sigma = np.sqrt(np.diagonal(covariance))
-    at, scale = point + away * found.x[2:5], 1.0 + float(found.x[5])
+    at, scale = target_guess + away * found.x[2:5], 1.0 + float(found.x[5])
     ahead, behind = (
         predicted(found.x[0] + late_s, abs(found.x[1]), at, scale) for late_s in (-0.001, 0.001)
     )

@@ -79,15 +79,15 @@ class JointFit:
         return self.sigma.inverse_acceleration / self.motor.inverse_acceleration**2
 
 
-def respond(
-    motor: FittedMotor, sent_s: FloatArray, sent: FloatArray, times: FloatArray
+def simulate_motor(
+    motor: FittedMotor, sent_s: FloatArray, commands: FloatArray, times: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Simulate a motor, at first at rest at angle 0, with its commands.
 
     Args:
         motor: its parameters.
         sent_s: (n,) times at which the commands were sent, s, increasing.
-        sent: (n,) commands, rad/s.
+        commands: (n,) commands, rad/s.
         times: (m,) times of the result, s, increasing.
 
     Returns:
@@ -95,7 +95,7 @@ def respond(
     """
     greatest = 1.0 / motor.inverse_acceleration
     begins = [*(sent_s + motor.latency_s).tolist(), np.inf]
-    commanded = [0.0, *(motor.gain * sent).tolist()]
+    commanded = [0.0, *(motor.gain * commands).tolist()]
     found = np.empty((2, len(times)))
     at_s, q, v, place = min(begins[0], float(times[0])), 0.0, 0.0, 0
 
@@ -118,32 +118,32 @@ def respond(
 
 def fit_joint(
     sent_s: FloatArray,
-    sent: FloatArray,
+    commands: FloatArray,
     joints_s: FloatArray,
     angles: FloatArray,
     guess: FittedMotor,
-    step_rad: float,
+    encoder_step_rad: float,
 ) -> JointFit:
     """Fit the response of an actuator.
 
     Args:
         sent_s: (n,) times at which the commands were sent, s.
-        sent: (n,) commands, rad/s.
+        commands: (n,) commands, rad/s.
         joints_s: (m,) times at which the encoder was read, s.
         angles: (m,) encoder angles, rad.
         guess: parameters of the head model, the start of the fit.
-        step_rad: quantisation step of the encoder, rad.
+        encoder_step_rad: quantisation step of the encoder, rad.
 
     Returns:
         The robust least-squares fit. Its uncertainty counts residuals within a second as dependent.
     """
     clusters = ((joints_s - joints_s[0]) / CLUSTER_S).astype(np.int64)
     detrender = _Detrender(joints_s, clusters)
-    rounded = max(_ROUNDED * step_rad, 1e-5)
+    rounded = max(_ROUNDED * encoder_step_rad, 1e-5)
     sigma = np.full(len(angles), rounded)
 
     def weighted_residual(values: FloatArray) -> FloatArray:
-        residual = angles - respond(FittedMotor(*values), sent_s, sent, joints_s)[0]
+        residual = angles - simulate_motor(FittedMotor(*values), sent_s, commands, joints_s)[0]
         return np.asarray(detrender.detrended(residual) / sigma)
 
     starts = [np.array(guess._replace(latency_s=latency)) for latency in _LATENCIES_S]
@@ -160,7 +160,7 @@ def fit_joint(
             diff_step=[1e-4] * 4,
         )
         start, motor = found.x, FittedMotor(*found.x.tolist())
-        speed = np.abs(respond(motor, sent_s, sent, joints_s)[1])
+        speed = np.abs(simulate_motor(motor, sent_s, commands, joints_s)[1])
         fast = speed > _FAST_RAD_S
         late_s = np.abs(sigma * weighted_residual(found.x))[fast] / speed[fast]
         timestamp_sigma_s = 1.4826 * float(np.median(late_s)) if fast.any() else 0.0
@@ -168,9 +168,9 @@ def fit_joint(
     without = weighted_residual(np.array(motor._replace(inverse_acceleration=_NO_LIMIT)))
     square = float(np.mean(weighted_residual(found.x) ** 2))
     worse = (float(np.sum(without**2)) / square - len(without)) > _WORSE
-    covariance = clustered(np.asarray(found.jac), found.fun, clusters, _SOFT)
+    covariance = jackknife_covariance(np.asarray(found.jac), found.fun, clusters, _SOFT)
     times = np.arange(joints_s[0], joints_s[-1], 0.002)
-    speeds = respond(motor, sent_s, sent, times)[1]
+    speeds = simulate_motor(motor, sent_s, commands, times)[1]
     deviations = np.sqrt(np.diagonal(covariance))
     return JointFit(
         motor=motor,
@@ -201,8 +201,12 @@ class _Detrender:
         return np.asarray(values - lines)
 
 
-def clustered(
-    jacobian: FloatArray, residual: FloatArray, clusters: IntArray, soft: float, known: int = 0
+def jackknife_covariance(
+    jacobian: FloatArray,
+    residual: FloatArray,
+    clusters: IntArray,
+    loss_scale: float,
+    prior_count: int = 0,
 ) -> FloatArray:
     """Covariance of a least-squares estimate whose residuals depend on their neighbours.
 
@@ -214,14 +218,14 @@ def clustered(
         jacobian: (m, p) Jacobian of `least_squares`, scaled by its loss `soft_l1`.
         residual: (m,) residuals of `least_squares`, not scaled.
         clusters: (m - known,) index of each residual's cluster.
-        soft: `f_scale` of the loss.
-        known: number of priors with standard deviation 1, which are the last residuals.
+        loss_scale: `f_scale` of the loss.
+        prior_count: number of priors with standard deviation 1, which are the last residuals.
 
     Returns:
         (p, p) covariance.
     """
-    whole, measured = jacobian.T @ jacobian, len(residual) - known
-    scaled = residual * (1.0 + (residual / soft) ** 2) ** 0.25
+    whole, measured = jacobian.T @ jacobian, len(residual) - prior_count
+    scaled = residual * (1.0 + (residual / loss_scale) ** 2) ** 0.25
     changes = []
     for cluster in np.unique(clusters):
         rows = np.flatnonzero(clusters == cluster)
@@ -236,10 +240,10 @@ def clustered(
     return np.asarray(found)
 
 
-def path_of(
+def fitted_angle_path(
     motor: FittedMotor,
     sent_s: FloatArray,
-    sent: FloatArray,
+    commands: FloatArray,
     joints_s: FloatArray,
     angles: FloatArray,
 ) -> Callable[[FloatArray], FloatArray]:
@@ -248,14 +252,14 @@ def path_of(
     Args:
         motor: its fitted parameters.
         sent_s: see `fit_joint`.
-        sent: see `fit_joint`.
+        commands: see `fit_joint`.
         joints_s: see `fit_joint`.
         angles: see `fit_joint`.
 
     Returns:
         A function of increasing times, s, that returns angles, rad.
     """
-    residual = angles - respond(motor, sent_s, sent, joints_s)[0]
+    residual = angles - simulate_motor(motor, sent_s, commands, joints_s)[0]
     rate_hz = (len(joints_s) - 1) / (joints_s[-1] - joints_s[0])
     width = max(3, round(0.5 * CLUSTER_S * rate_hz))
     kernel = np.ones(width)
@@ -264,7 +268,7 @@ def path_of(
     )
 
     def path(times: FloatArray) -> FloatArray:
-        angle = respond(motor, sent_s, sent, times)[0]
+        angle = simulate_motor(motor, sent_s, commands, times)[0]
         return np.asarray(angle + np.interp(times, joints_s, smooth))
 
     return path

@@ -13,11 +13,11 @@ from vergence.envs.rollout import run_trial
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.config import HardwareConfig
-from vergence.hardware.delay.excitation import CHIRP_RAD_S, requested_velocities, speeds
+from vergence.hardware.delay.excitation import CHIRP_RAD_S, excitation_speeds, requested_velocities
 from vergence.hardware.delay.image_fit import ImageFit, fit_images
-from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, fit_joint, path_of
+from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, fit_joint, fitted_angle_path
 from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
-from vergence.hardware.delay.samples import Collector, Samples
+from vergence.hardware.delay.samples import LoopSamples, SampleCollector
 from vergence.hardware.plant import HardwarePlant
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, NECK
@@ -62,8 +62,8 @@ def measure_loop(
         HardwareError: the robot was stopped, or the target is not visible.
         ConfigurationError: an eye has no room to turn, or this actuator does not turn it.
     """
-    head, collector = config.head, Collector()
-    slots = {name: slot_of(head, EYE_NAMES.index(name), actuator) for name in eyes}
+    head, collector = config.head, SampleCollector()
+    slots = {name: actuator_slot(head, EYE_NAMES.index(name), actuator) for name in eyes}
     target = {"kind": "static", "point": (0.0, 0.0, 1.0)}
     options = {"config": config, "log": collector}
     task = GazeTask(1, head=head, plant="hardware", target=target, plant_options=options)
@@ -91,7 +91,7 @@ class _Turn(NamedTuple):
 
     eye: int
     slot: int
-    samples: Samples
+    samples: LoopSamples
     exposed: tuple[FloatArray, FloatArray, FloatArray]
     """Reading before the excitation: (7,) joints, (7,) joints at exposure, rad, (2, 2) pixels."""
     reply_s: float
@@ -102,7 +102,7 @@ def _turn(
     config: HardwareConfig,
     task: GazeTask,
     look: Any,
-    collector: Collector,
+    collector: SampleCollector,
     eye: int,
     slot: int,
     progress: Callable[[float], None],
@@ -133,7 +133,7 @@ def _turn(
         return float(motors[slot])
 
     max_speed = min(float(head.actuation.velocity[slot]), config.safety.speed_rad_s)
-    way = speeds(reach, max_speed, period_s)
+    way = excitation_speeds(reach, max_speed, period_s)
     quiet = round(_QUIET_S / period_s)
     collector.clear()
 
@@ -169,7 +169,7 @@ def _fitted(config: HardwareConfig, turn: _Turn) -> EyeLoop:
 
 
 def _fit(
-    head: HeadModel, eye: int, slot: int, samples: Samples, point: FloatArray
+    head: HeadModel, eye: int, slot: int, samples: LoopSamples, point: FloatArray
 ) -> tuple[JointFit, ImageFit | None]:
     motors = head.actuation.actuators_of(samples.positions)
     timing, k = head.timing, slot
@@ -183,14 +183,14 @@ def _fit(
     recorded = samples.sent_s, samples.sent, samples.joints_s, motors[:, slot]
     fit = fit_joint(*recorded, guess, step)
     image = fit_images(
-        head, eye, slot, np.median(motors, axis=0), path_of(fit.motor, *recorded),
+        head, eye, slot, np.median(motors, axis=0), fitted_angle_path(fit.motor, *recorded),
         (float(samples.joints_s[0]), float(samples.joints_s[-1])),
         samples.received_s, samples.pixels, point, 1.5 * CHIRP_RAD_S,
     )  # fmt: skip
     return fit, image
 
 
-def slot_of(head: HeadModel, eye: int, actuator: str | None = None) -> int:
+def actuator_slot(head: HeadModel, eye: int, actuator: str | None = None) -> int:
     """Index in the 7-element command of the actuator that turns an eye.
 
     Args:

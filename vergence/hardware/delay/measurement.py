@@ -11,17 +11,17 @@ from vergence.hardware.config_parts import LoopConfig
 from vergence.hardware.delay.image_fit import ImageFit
 from vergence.hardware.delay.joint_fit import JointFit
 
-_TOGETHER: Final = 0.9
+_MOST_CORRELATION: Final = 0.9
 """Correlation of latency and lag above which it is reported (chosen)."""
-_BESIDE_RAD: Final = 3e-3
+_MISFIT_RAD: Final = 3e-3
 """Rms angle residual above which a misfit is reported, rad: twice that of timing errors for a servo
 with a pure lag, and less than that of an overshoot of 10 % (measured:
 tests/hardware/delay/test_fits.py)."""
-_BESIDE_PX: Final = 1.0
+_MISFIT_PX: Final = 1.0
 """Rms reprojection error above which a misfit is reported, px (chosen)."""
-_SCALED: Final = 0.05
+_MOST_SCALE_ERROR: Final = 0.05
 """Deviation of the image scale from 1 that is reported if it exceeds 3 sigma (chosen)."""
-_SPREAD_S: Final = 0.01
+_MOST_LATENCY_DIFFERENCE_S: Final = 0.01
 """Difference of the eyes' latencies above which their mean is reported as a poor model, s
 (chosen)."""
 
@@ -105,7 +105,7 @@ class LoopMeasurement:
         """Texts, a line each, on misfits of the model of a robot."""
         lines = []
         for one in self.eyes:
-            if one.joint.residual_rad > _BESIDE_RAD:
+            if one.joint.residual_rad > _MISFIT_RAD:
                 lines.append(
                     f"{one.actuator}: its angles are {1e3 * one.joint.residual_rad:.1f} mrad (rms) "
                     "beside those of a lag behind a latency, whose values are the nearest: a servo "
@@ -114,8 +114,8 @@ class LoopMeasurement:
             if one.image is None:
                 continue
             off = one.image.scale - 1.0
-            scaled = abs(off) > max(_SCALED, 3.0 * one.image.scale_sigma)
-            if scaled or one.image.residual_px > _BESIDE_PX:
+            scaled = abs(off) > max(_MOST_SCALE_ERROR, 3.0 * one.image.scale_sigma)
+            if scaled or one.image.residual_px > _MISFIT_PX:
                 lines.append(
                     f"{one.eye} eye: its camera is not as the head file has it: the image moves by "
                     f"{100.0 * abs(off):.0f} % {'more' if off > 0.0 else 'less'}, and is "
@@ -140,7 +140,7 @@ class LoopMeasurement:
                     f"{one.actuator}: its greatest acceleration was not reached: at least "
                     f"{joint.greatest_rad_s2:.0f} rad/s^2"
                 )
-            if abs(joint.correlation) > _TOGETHER:
+            if abs(joint.correlation) > _MOST_CORRELATION:
                 lines.append(
                     f"{one.actuator}: command latency and lag are told badly from one another "
                     f"(correlation {joint.correlation:.2f}); their sum is known better"
@@ -163,7 +163,7 @@ class LoopMeasurement:
                     "mrad"
                 )
         latencies = list(self.latencies_s.values())
-        if len(latencies) == 2 and abs(latencies[0] - latencies[1]) > _SPREAD_S:
+        if len(latencies) == 2 and abs(latencies[0] - latencies[1]) > _MOST_LATENCY_DIFFERENCE_S:
             lines.append(
                 f"the cameras' latencies differ by {1e3 * abs(latencies[0] - latencies[1]):.0f} "
                 "ms; a simulation has their mean"

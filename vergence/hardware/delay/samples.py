@@ -11,7 +11,7 @@ from vergence.recording.listener import RobotListener
 from vergence.recording.schema import CommandOrigin, LoggedCommand, LoggedDetection
 
 
-class Samples(NamedTuple):
+class LoopSamples(NamedTuple):
     """Commands and measurements of one eye, with times of one monotonic clock."""
 
     sent_s: FloatArray
@@ -32,7 +32,7 @@ class Samples(NamedTuple):
     """(k,) times from an image's receipt to the end of its detection, s."""
 
 
-class Collector(RobotListener):
+class SampleCollector(RobotListener):
     """RobotListener that keeps commands, joint angles and detections.
 
     Args:
@@ -81,7 +81,7 @@ class Collector(RobotListener):
         for kept in (self._commands, self._joints, self._answered_s, self._detections):
             kept.clear()
 
-    def samples(self, eye: str, slot: int, latency_s: float) -> Samples:
+    def samples(self, eye: str, slot: int, latency_s: float) -> LoopSamples:
         """Samples of one eye recorded so far.
 
         Args:
@@ -91,7 +91,7 @@ class Collector(RobotListener):
         """
         seen = [one for one in self._detections if one.eye == eye]
         received_s = np.array([one.exposed_s for one in seen]) + latency_s
-        return Samples(
+        return LoopSamples(
             sent_s=np.array([one.clock_s for one in self._commands]),
             sent=np.array([one.sent[slot] for one in self._commands]),
             joints_s=np.array([one[0] for one in self._joints]),

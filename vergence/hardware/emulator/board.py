@@ -18,7 +18,7 @@ _TILT_RAD: Final = (0.25, -0.3, 0.05)
 (chosen)."""
 
 
-def parse_standing(text: str) -> PlanarTarget:
+def parse_sized_board(text: str) -> PlanarTarget:
     """Parse the description of a board of known size.
 
     Args:
@@ -36,7 +36,7 @@ def parse_standing(text: str) -> PlanarTarget:
     return target
 
 
-def standing(head: HeadModel, target: PlanarTarget, distance_m: float) -> FloatArray:
+def standing_board_pose(head: HeadModel, target: PlanarTarget, distance_m: float) -> FloatArray:
     """Pose of a board ahead of a head at rest, slightly tilted.
 
     Args:

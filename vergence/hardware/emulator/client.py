@@ -17,7 +17,7 @@ _TIMEOUT_S: Final = 5.0
 """Longest wait for the connection or an answer, s (chosen)."""
 
 
-class EmulatedWorld:
+class WorldClient:
     """A connection to the world of an emulated head.
 
     Args:

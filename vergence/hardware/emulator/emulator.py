@@ -9,14 +9,14 @@ import numpy as np
 
 from vergence.errors import HardwareError
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.emulator.board import parse_standing, standing
+from vergence.hardware.emulator.board import parse_sized_board, standing_board_pose
 from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.hardware.emulator.fault import load_faults
 from vergence.hardware.emulator.server import WorldServer
 from vergence.hardware.emulator.streams import StreamConfig, run_streams
 from vergence.hardware.emulator.world import MotorOptions, World
 from vergence.models.boards import make_planar_target
-from vergence.models.files.head_file import from_anywhere, load_head
+from vergence.models.files.head_file import absolute_source, load_head
 from vergence.models.files.head_toml import head_to_toml
 from vergence.models.files.toml_text import toml_text
 from vergence.models.perturbation import ModelErrors
@@ -44,8 +44,8 @@ def emulate(
     head = load_head(config.head)
     # the same draw as `GazeTask`'s with this seed for its model's
     true = head.perturbed(np.random.default_rng(config.seed), errors) if errors else head
-    board = None if config.board is None else parse_standing(config.board)
-    T_0_T = None if board is None else standing(head, board, config.board_distance_m)
+    board = None if config.board is None else parse_sized_board(config.board)
+    T_0_T = None if board is None else standing_board_pose(head, board, config.board_distance_m)
     point = np.asarray(config.target_mm) / 1000.0
     motors = MotorOptions(
         **{field.name: getattr(config, field.name) for field in fields(MotorOptions)}
@@ -72,7 +72,7 @@ def emulate(
         if server.streams:
             target = str(board or make_planar_target("tag"))
             values = hardware_config_values(
-                from_anywhere(config.head), head.digest, world, server, target
+                absolute_source(config.head), head.digest, world, server, target
             )
             ready(toml_text(values))
             server.serve(lambda: stop() or not process.is_alive())

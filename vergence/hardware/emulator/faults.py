@@ -7,7 +7,7 @@ from typing import Final
 
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.fault import Fault, Place
-from vergence.hardware.emulator.servo import LOAD_ERROR, Servo
+from vergence.hardware.emulator.servo import LOAD_ERROR, EmulatedServo
 
 _LOG: Final = logging.getLogger(__name__)
 _MEASURED: Final = {
@@ -18,7 +18,7 @@ _MEASURED: Final = {
 """Register, and register units per unit of a fault's value, by the fault's name."""
 
 
-class Faults:
+class ActiveFaults:
     """The active faults, and those that a script will begin.
 
     Args:
@@ -28,7 +28,7 @@ class Faults:
         unplugged: True once the line's cable has been pulled.
     """
 
-    def __init__(self, servos: Iterable[Servo]) -> None:
+    def __init__(self, servos: Iterable[EmulatedServo]) -> None:
         self.unplugged = False
         self._servos = tuple(servos)
         self._healthy = [

@@ -21,7 +21,7 @@ from vergence.hardware.dynamixel.packets import (
     Packet,
     status_packet,
 )
-from vergence.hardware.emulator.servo import Servo
+from vergence.hardware.emulator.servo import EmulatedServo
 from vergence.models.parts import FloatArray
 
 _DELAY_S: Final = 2e-6
@@ -49,7 +49,7 @@ class ServoLine:
         ConfigurationError: two servos have the same id.
     """
 
-    def __init__(self, servos: Iterable[Servo]) -> None:
+    def __init__(self, servos: Iterable[EmulatedServo]) -> None:
         self.servos = tuple(servos)
         ids = [servo.id for servo in self.servos]
         if len(set(ids)) < len(ids):
@@ -104,7 +104,7 @@ class ServoLine:
         return [answer for answer in answers if answer is not None]
 
 
-def _execute(servo: Servo, packet: Packet) -> TimedAnswer | None:
+def _execute(servo: EmulatedServo, packet: Packet) -> TimedAnswer | None:
     """Execute an instruction on one servo; answer it if the servo's return level asks for it."""
     level, id = servo.get(table.STATUS_RETURN_LEVEL), servo.id
     params, data, error = packet.params, b"", 0
@@ -129,7 +129,7 @@ def _execute(servo: Servo, packet: Packet) -> TimedAnswer | None:
     return None if quiet else _status(servo, id, data, error)
 
 
-def _sync_read(servos: list[Servo], packet: Packet) -> Iterator[TimedAnswer]:
+def _sync_read(servos: list[EmulatedServo], packet: Packet) -> Iterator[TimedAnswer]:
     if packet.id != BROADCAST or len(packet.params) < 4:
         return
     address, length = _number(packet.params, 0), _number(packet.params, 2)
@@ -140,7 +140,7 @@ def _sync_read(servos: list[Servo], packet: Packet) -> Iterator[TimedAnswer]:
             yield _status(by_id[id], id, data, error)
 
 
-def _sync_write(servos: list[Servo], packet: Packet) -> None:
+def _sync_write(servos: list[EmulatedServo], packet: Packet) -> None:
     if packet.id != BROADCAST or len(packet.params) < 4:
         return
     address, length = _number(packet.params, 0), _number(packet.params, 2)
@@ -151,7 +151,7 @@ def _sync_write(servos: list[Servo], packet: Packet) -> None:
             servo.write(address, packet.params[at + 1 : at + 1 + length])
 
 
-def _status(servo: Servo, id: int, data: bytes, error: int) -> TimedAnswer:
+def _status(servo: EmulatedServo, id: int, data: bytes, error: int) -> TimedAnswer:
     alert = ALERT if servo.get(table.HARDWARE_ERROR_STATUS) else 0
     delay_s = _DELAY_S * servo.get(table.RETURN_DELAY_TIME)
     return TimedAnswer(id, delay_s, status_packet(id, data, error | alert))

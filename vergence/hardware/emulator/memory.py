@@ -115,7 +115,7 @@ class ControlTable:
                 continue
             if register in _READ_ONLY:
                 return ErrorNumber.ACCESS
-            value = written(register, address, data)
+            value = written_value(register, address, data)
             if value is None:
                 return ErrorNumber.DATA_LENGTH
             if error := self._out_of_range(register, value):
@@ -145,7 +145,7 @@ class ControlTable:
         return register.least, register.most
 
 
-def written(register: Register, address: int, data: bytes) -> int | None:
+def written_value(register: Register, address: int, data: bytes) -> int | None:
     """Value that bytes at an address write into a register; None unless they cover all of it."""
     at = register.address - address
     if not 0 <= at <= len(data) - register.length:

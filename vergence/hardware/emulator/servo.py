@@ -19,8 +19,8 @@ from vergence.errors import ConfigurationError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.control_table import TICK_RAD, TICK_RAD_S, Register
 from vergence.hardware.dynamixel.packets import ErrorNumber
-from vergence.hardware.emulator.memory import ControlTable, written
-from vergence.hardware.emulator.trace import Trace
+from vergence.hardware.emulator.memory import ControlTable, written_value
+from vergence.hardware.emulator.trace import MotionTrace
 from vergence.models.joint_response import follow_joint
 
 POSITION_GAIN: Final = 20.0
@@ -42,7 +42,7 @@ _GOALS: Final = (table.GOAL_PWM, table.GOAL_VELOCITY, table.GOAL_POSITION)
 _follow = getattr(follow_joint, "py_func", follow_joint)
 
 
-class Servo:
+class EmulatedServo:
     """One servo and the joint that it moves.
 
     Angles are the joint's: the servo's position in ticks is
@@ -109,11 +109,11 @@ class Servo:
         self.v = 0.0
         self.trips, self.silent = 0, False
         self.stuck = self.frozen = self.wrong_way = False
-        self.trace = Trace()
+        self.trace = MotionTrace()
         self._turns = sign * gear_ratio
         self._turn_ticks = 0  # ticks of the whole turns lost in reboots
         self._reported = 0.0  # velocity after the filter, rad/s
-        self._sensed = Trace()  # shaft angle, and velocity after the filter
+        self._sensed = MotionTrace()  # shaft angle, and velocity after the filter
         self._at_s: float | None = None  # None until time begins
         self._fed_s = 0.0
         self._tripped = False
@@ -195,7 +195,7 @@ class Servo:
             return error
         before = self.get(table.TORQUE_ENABLE), self.get(table.OPERATING_MODE)
         self.memory.bytes[address : address + len(data)] = data
-        if written(table.BUS_WATCHDOG, address, data) is not None:
+        if written_value(table.BUS_WATCHDOG, address, data) is not None:
             self._tripped = False  # the value is 0, as others are refused while tripped
         if before != (self.get(table.TORQUE_ENABLE), self.get(table.OPERATING_MODE)):
             self._hold()
@@ -317,12 +317,12 @@ class Servo:
 
     def _refusal(self, address: int, data: bytes) -> int:
         """Error number of writing these bytes in the servo's present state; 0 for none."""
-        if written(table.TORQUE_ENABLE, address, data) and self._is_shut_down():
+        if written_value(table.TORQUE_ENABLE, address, data) and self._is_shut_down():
             # by the manual only a reboot ends a shutdown; the error number here is a guess
             return ErrorNumber.RESULT_FAIL
         if self._tripped:
-            goals = any(written(goal, address, data) is not None for goal in _GOALS)
-            if goals or written(table.BUS_WATCHDOG, address, data):
+            goals = any(written_value(goal, address, data) is not None for goal in _GOALS)
+            if goals or written_value(table.BUS_WATCHDOG, address, data):
                 # by the manual a tripped watchdog answers goals with a range error
                 return ErrorNumber.DATA_RANGE
         return 0

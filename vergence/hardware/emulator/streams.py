@@ -21,9 +21,9 @@ import numpy as np
 from vergence.envs.plants.eye_views import EyeViews
 from vergence.envs.reading import Image
 from vergence.errors import HardwareError
-from vergence.hardware.emulator.board import parse_standing
+from vergence.hardware.emulator.board import parse_sized_board
 from vergence.hardware.emulator.camera_faults import CameraFaults
-from vergence.hardware.emulator.client import EmulatedWorld
+from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.emulator.fault import parse_fault
 from vergence.models.boards import make_planar_target
 from vergence.models.files.head_toml import parse_head
@@ -100,7 +100,7 @@ class EmulatedCameras:
 
     def __init__(
         self,
-        world: EmulatedWorld,
+        world: WorldClient,
         views: EyeViews,
         config: StreamConfig,
         clock: Callable[[], float] = time.monotonic,
@@ -169,7 +169,7 @@ def _jpeg(image: Image) -> bytes:
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
 
 
-def serve(cameras: EmulatedCameras, port: int) -> ThreadingHTTPServer:
+def make_stream_server(cameras: EmulatedCameras, port: int) -> ThreadingHTTPServer:
     """Make a server of the streams /left and /right on the loopback; port 0 for any free port.
 
     A request may limit the number of images: /left?images=90.
@@ -238,14 +238,14 @@ def run_streams(
     """
     cv2.setNumThreads(1)
     model = parse_head(head)
-    client = EmulatedWorld(world)
+    client = WorldClient(world)
     if board is None:
         views = EyeViews(model, make_planar_target("tag"), width_rad="fit")
     else:
-        views = EyeViews(model, parse_standing(board))
+        views = EyeViews(model, parse_sized_board(board))
     cameras = EmulatedCameras(client, views, config)
     cameras.draw()  # compiles everything before the first reader
-    server = serve(cameras, port)
+    server = make_stream_server(cameras, port)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     client.ask({"streams": f"http://127.0.0.1:{server.server_address[1]}"})
     try:

@@ -13,7 +13,7 @@ _KEPT: Final = 16_384
 """Least number of samples kept: 20 s of a joint whose speed always changes (numerical)."""
 
 
-class Moment(NamedTuple):
+class MotionSample(NamedTuple):
     """Time, angle and velocity of a joint."""
 
     time_s: float
@@ -21,7 +21,7 @@ class Moment(NamedTuple):
     velocity_rad_s: float
 
 
-class Trace:
+class MotionTrace:
     """The last samples of a joint, for 20 s or more.
 
     Between two samples the velocity changes monotonically.
@@ -43,20 +43,20 @@ class Trace:
         positions.append(position_rad)
         velocities.append(velocity_rad_s)
 
-    def since(self, time_s: float) -> list[Moment]:
+    def since(self, time_s: float) -> list[MotionSample]:
         """Samples from a time on, the first one interpolated at that time."""
         first = bisect_right(self._times, time_s)
         columns = (self._times[first:], self._positions[first:], self._velocities[first:])
-        moments = [Moment(*row) for row in zip(*columns, strict=True)]
+        moments = [MotionSample(*row) for row in zip(*columns, strict=True)]
         if first == 0:
             return moments
-        before = Moment(
+        before = MotionSample(
             self._times[first - 1], self._positions[first - 1], self._velocities[first - 1]
         )
         return [_between(before, moments[0], time_s) if moments else before, *moments]
 
 
-def rest_since(traces: Iterable[Trace], time_s: float) -> tuple[float | None, float]:
+def find_rest_start(traces: Iterable[MotionTrace], time_s: float) -> tuple[float | None, float]:
     """Start of the present rest of all joints, and their greatest speed.
 
     Returns:
@@ -73,7 +73,7 @@ def rest_since(traces: Iterable[Trace], time_s: float) -> tuple[float | None, fl
     return rested_s, fastest
 
 
-def _rested_s(moments: list[Moment], time_s: float) -> float | None:
+def _rested_s(moments: list[MotionSample], time_s: float) -> float | None:
     speeds = [abs(moment.velocity_rad_s) for moment in moments]
     last = next((i for i in reversed(range(len(speeds))) if speeds[i] > REST_RAD_S), None)
     if last is None:
@@ -85,9 +85,9 @@ def _rested_s(moments: list[Moment], time_s: float) -> float | None:
     return begun_s + share * (moments[last + 1].time_s - begun_s)
 
 
-def _between(before: Moment, after: Moment, time_s: float) -> Moment:
+def _between(before: MotionSample, after: MotionSample, time_s: float) -> MotionSample:
     share = (time_s - before.time_s) / (after.time_s - before.time_s)
-    return Moment(
+    return MotionSample(
         time_s,
         before.position_rad + share * (after.position_rad - before.position_rad),
         before.velocity_rad_s + share * (after.velocity_rad_s - before.velocity_rad_s),

@@ -22,11 +22,11 @@ from vergence.hardware.config import actuator_slots
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import Instruction, Packet
 from vergence.hardware.emulator.fault import Fault
-from vergence.hardware.emulator.faults import Faults
+from vergence.hardware.emulator.faults import ActiveFaults
 from vergence.hardware.emulator.line import ServoLine
 from vergence.hardware.emulator.line_faults import apply_line_faults
-from vergence.hardware.emulator.servo import Servo
-from vergence.hardware.emulator.trace import rest_since
+from vergence.hardware.emulator.servo import EmulatedServo
+from vergence.hardware.emulator.trace import find_rest_start
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -87,7 +87,7 @@ class World:
             acceleration = np.full(7, motors.acceleration_rad_s2)
         start = actuation.actuators_of(head.rest())
         self.servos = {
-            name: Servo(
+            name: EmulatedServo(
                 ident,
                 lower=float(actuation.lower[slot]),
                 upper=float(actuation.upper[slot]),
@@ -106,7 +106,7 @@ class World:
             servo.set(table.RETURN_DELAY_TIME, 0)
         self.ids = tuple(servo.id for servo in self.servos.values())
         self.line = ServoLine(self.servos.values())
-        self.faults = Faults(self.servos.values())
+        self.faults = ActiveFaults(self.servos.values())
         self._command_latency_s = motors.command_latency_s
         self._commands: deque[tuple[float, Packet]] = deque()
         self._rng = np.random.default_rng(seed)
@@ -185,9 +185,9 @@ class World:
         self.faults.clear()
 
     def rest(self, since_s: float, now_s: float) -> dict[str, Any]:
-        """Start of the present rest, `rested_s`, and `fastest`, see `rest_since`."""
+        """Start of the present rest, `rested_s`, and `fastest`, see `find_rest_start`."""
         self.advance_to(now_s)
-        rested_s, fastest = rest_since([servo.trace for servo in self.line.servos], since_s)
+        rested_s, fastest = find_rest_start([servo.trace for servo in self.line.servos], since_s)
         return {"rested_s": rested_s, "fastest": fastest}
 
     def record(self, now_s: float) -> dict[str, Any]:

@@ -49,7 +49,7 @@ _WINDOWS: Final = (_Window(0.5, 0.0, 0.1), _Window(4.0, 0.03, 0.2))
 0.3 rad/s; the long one those of 0.1 rad/s, or of 0.03 rad/s if the joint does not move at all."""
 
 
-class Following:
+class FollowingMonitor:
     """Comparison of the joints' motion with their commands.
 
     Args:
@@ -107,7 +107,7 @@ class _Comparison:
         self.last = np.zeros(7), np.zeros(7)
 
     def update(self, now_s: float, total: FloatArray, angles: FloatArray) -> FloatArray:
-        """See `Following.update`; `total` is the time integral C of the commands, (7,) rad."""
+        """See `FollowingMonitor.update`; `total` is C, the integral of the commands, (7,) rad."""
         length_s, rows = self._window.length_s, self._rows
         oldest_s = now_s - length_s - self._delay_s
         if not rows:

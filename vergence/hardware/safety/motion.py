@@ -64,7 +64,7 @@ class _Reach(NamedTuple):
     """(7,) speed when the next command begins to act, rad/s."""
 
 
-class JointMotion:
+class JointMotionLimiter:
     """Model of the joints, and the limits of their commands.
 
     Args:
@@ -152,13 +152,17 @@ class JointMotion:
         )
 
     def allowed(
-        self, angles: FloatArray, measured: FloatArray, requested: FloatArray, max_speed: FloatArray
+        self,
+        angles: FloatArray,
+        measured_speeds: FloatArray,
+        requested: FloatArray,
+        max_speed: FloatArray,
     ) -> FloatArray:
         """Limit requested velocities so that the joints can still brake inside their bounds.
 
         Args:
             angles: (7,) present angles, rad.
-            measured: (7,) measured speeds, rad/s; the greater of these and the model's count.
+            measured_speeds: (7,) rad/s; the greater of these and the model's count.
             requested: (7,) requested velocities, rad/s, finite or infinite.
             max_speed: (7,) present greatest speeds, rad/s.
 
@@ -166,7 +170,7 @@ class JointMotion:
             (7,) commands, the nearest safe ones, rad/s.
         """
         command = self._window(np.clip(requested, -max_speed, max_speed))
-        up, down = self._reach(measured, 1.0), self._reach(measured, -1.0)
+        up, down = self._reach(measured_speeds, 1.0), self._reach(measured_speeds, -1.0)
         highest = self._greatest(self._upper - angles - up.unavoidable, up)
         lowest = -self._greatest(angles - self._lower - down.unavoidable, down)
         command = np.clip(command, lowest, highest)
@@ -261,6 +265,8 @@ class JointMotion:
         return command
 
 
-def inside(postures: Sequence[ForbiddenPosture], angles: FloatArray) -> ForbiddenPosture | None:
+def find_containing_posture(
+    postures: Sequence[ForbiddenPosture], angles: FloatArray
+) -> ForbiddenPosture | None:
     """First forbidden posture that contains the angles, (7,) rad; None if there is none."""
     return next((one for one in postures if one.holds(angles)), None)

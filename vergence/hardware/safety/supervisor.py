@@ -13,8 +13,8 @@ import numpy as np
 
 from vergence.envs.reading import BoolArray
 from vergence.hardware.safety.config import SafetyConfig
-from vergence.hardware.safety.following import Following
-from vergence.hardware.safety.motion import JointMotion, inside
+from vergence.hardware.safety.following import FollowingMonitor
+from vergence.hardware.safety.motion import JointMotionLimiter, find_containing_posture
 from vergence.hardware.safety.oscillation import OscillationDetector
 from vergence.hardware.safety.searching import SpiralSearch
 from vergence.models.head import HeadModel
@@ -103,8 +103,8 @@ class Supervisor:
         self._head = head
         self._lower, self._upper = lower, upper
         self._names = names
-        self._motion = JointMotion(head, lower, upper, config, last_s)
-        self._following = Following(head, self._motion.max_speed)
+        self._motion = JointMotionLimiter(head, lower, upper, config, last_s)
+        self._following = FollowingMonitor(head, self._motion.max_speed)
         self._oscillation = OscillationDetector()
         self._search = SpiralSearch(head)
         self._last_sent = np.zeros(7)
@@ -189,7 +189,7 @@ class Supervisor:
                     f"rad, got {angle:.3f} rad: it was pushed, or commands came late; cure: turn "
                     "it back by hand with torque off (`vergence jog`: off)"
                 )
-        entered = inside(self._config.forbidden, state.angles)
+        entered = find_containing_posture(self._config.forbidden, state.angles)
         if entered is not None:
             self.stop(
                 f"safety: {entered.refusal(state.angles, self._names)}; cure: turn it out of there "

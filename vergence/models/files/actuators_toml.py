@@ -19,7 +19,7 @@ from vergence.models.files.head_rules import (
     RADIANS,
     RATIO,
 )
-from vergence.models.files.joints_toml import refuse_empty
+from vergence.models.files.joints_toml import refuse_empty_range
 from vergence.models.files.toml_table import Table
 from vergence.models.joint_axes import JointAxes
 from vergence.models.joints import EYES, JOINTS
@@ -51,7 +51,7 @@ def parse_actuators(root: Table, links: JointAxes) -> Actuators | None:
             matrix[places, k] = moves.number(joint, RATIO)
         for field, rule in JOINT_LIMITS.items():
             columns[field].append(table.number(field, rule))
-        refuse_empty(name, np.array([columns["lower_rad"][-1], columns["upper_rad"][-1]]))
+        refuse_empty_range(name, np.array([columns["lower_rad"][-1], columns["upper_rad"][-1]]))
         for field, rule in ACTUATOR_OWN.items():
             given = table.number(field, rule) if table.has(field) else np.nan
             columns[field].append(0.0 if field == "backlash_rad" and np.isnan(given) else given)
@@ -87,13 +87,13 @@ def parse_actuators(root: Table, links: JointAxes) -> Actuators | None:
 
 
 def joint_limits(
-    links: JointAxes, given: Sequence[FloatArray | None], actuators: Actuators | None
+    links: JointAxes, limits_in_file: Sequence[FloatArray | None], actuators: Actuators | None
 ) -> JointLimits:
     """Limits of the seven joints: those in the file, or else the range that the actuators reach.
 
     Args:
         links: the joints.
-        given: (4,) limits of each joint in the order of `JOINT_LIMITS`, or None.
+        limits_in_file: (4,) limits of each joint in the order of `JOINT_LIMITS`, or None.
         actuators: the actuators of the eye joints; None if each joint has its own.
 
     Raises:
@@ -101,7 +101,7 @@ def joint_limits(
     """
     seven = np.zeros((4, len(JOINTS)))
     seven[3] = np.inf
-    for name, places, own in zip(links.names, links.places, given, strict=True):
+    for name, places, own in zip(links.names, links.places, limits_in_file, strict=True):
         if own is not None:
             seven[:, places] = own[:, None]
             continue

@@ -23,18 +23,18 @@ _MOST: Final = 3
 """Most different values of several tables that are written out (chosen: keeps the text short)."""
 
 
-class Assumed(NamedTuple):
+class AssumedValue(NamedTuple):
     """A value that a head file assumes rather than measures."""
 
     keys: tuple[str, ...]
     """Keys that share the value and the reason."""
     value: str
     """Value with its unit; empty if the file has no such key."""
-    why: str
+    reason: str
     """Reason for the assumption."""
 
 
-def assumed_values(head: HeadModel) -> list[Assumed]:
+def assumed_values(head: HeadModel) -> list[AssumedValue]:
     """List the assumptions of a head with their values.
 
     Args:
@@ -44,7 +44,7 @@ def assumed_values(head: HeadModel) -> list[Assumed]:
     found: dict[tuple[str, str], list[str]] = {}
     for key, why in head.assumptions.items():
         found.setdefault((_value(document, key), why), []).append(key)
-    return [Assumed(tuple(keys), value, why) for (value, why), keys in found.items()]
+    return [AssumedValue(tuple(keys), value, why) for (value, why), keys in found.items()]
 
 
 def _value(document: dict[str, Any], key: str) -> str:
@@ -77,7 +77,7 @@ def _step(value: Any, part: str) -> Iterable[Any]:
 def _text(key: str, value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(
-            f"{without_unit(field)} {_text(field, own)}" for field, own in value.items()
+            f"{key_without_unit(field)} {_text(field, own)}" for field, own in value.items()
         )
     factor, unit = next(((f, u) for end, f, u in _UNITS if key.endswith(end)), (1.0, ""))
     numbers = _flat_numbers(value)
@@ -86,7 +86,7 @@ def _text(key: str, value: Any) -> str:
     return f"{', '.join(f'{factor * number:.4g}' for number in numbers)} {unit}".rstrip()
 
 
-def without_unit(field: str) -> str:
+def key_without_unit(field: str) -> str:
     """A key without its unit suffix, underscores replaced by spaces."""
     end = next((end for end, _, _ in _UNITS if field.endswith(end)), "")
     return field.removesuffix(end).replace("_", " ")

@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from vergence.errors import ConfigurationError
-from vergence.models.files.calibration_text import flattened, parse_numbers
+from vergence.models.files.calibration_text import flatten_keys, parse_numbers
 from vergence.models.parts import FloatArray
 
 # Known spellings of each key, lower-case without punctuation, in order of lookup.
@@ -44,7 +44,7 @@ SIDES: Final = (("1", "2"), ("left", "right"), ("l", "r"), ("0", "1"))
 """Labels by which keys distinguish the two cameras of a pair."""
 
 
-class Found(NamedTuple):
+class FoundValue(NamedTuple):
     """A value found in a calibration file."""
 
     value: Any
@@ -54,7 +54,7 @@ class Found(NamedTuple):
     """Name of the file."""
 
 
-def spellings(stem: str, side: str) -> Iterator[str]:
+def key_spellings(stem: str, side: str) -> Iterator[str]:
     """Possible spellings of a key of one camera of a pair, such as `cameramatrix1` or `leftk`."""
     yield stem + side
     yield side + stem
@@ -78,13 +78,13 @@ class CalibrationValues:
     def __init__(self, files: Mapping[str, Mapping[str, Any]]) -> None:
         self.name = ", ".join(files)
         self.used: set[str] = set()
-        self._found: dict[str, list[Found]] = {}
+        self._found: dict[str, list[FoundValue]] = {}
         for name, content in files.items():
-            for key, value in flattened(_unwrapped(content)):
+            for key, value in flatten_keys(_unwrapped(content)):
                 plain = re.sub(r"[^a-z0-9]", "", key.lower())
-                self._found.setdefault(plain, []).append(Found(value, f"{name}: {key}", name))
+                self._found.setdefault(plain, []).append(FoundValue(value, f"{name}: {key}", name))
 
-    def find(self, stems: Sequence[str], side: str = "") -> Found | None:
+    def find(self, stems: Sequence[str], side: str = "") -> FoundValue | None:
         """Find the value of the first spelling that is present; None if there is none.
 
         Args:
@@ -95,7 +95,7 @@ class CalibrationValues:
             ConfigurationError: the key occurs several times with different values.
         """
         for stem in stems:
-            for key in spellings(stem, side) if side else (stem,):
+            for key in key_spellings(stem, side) if side else (stem,):
                 found = self._found.get(key)
                 if found:
                     for other in found[1:]:
@@ -116,21 +116,21 @@ class CalibrationValues:
         return None
 
 
-def refuse_unused(files: Iterable[str], used: Collection[str]) -> None:
+def refuse_unused_files(files: Iterable[str], used_files: Collection[str]) -> None:
     """Refuse files that contribute nothing: the user may have meant them to count.
 
     Args:
         files: names of all files given.
-        used: names of the files that contribute a value.
+        used_files: names of the files that contribute a value.
 
     Raises:
         ConfigurationError: some files are unused; the message names them.
     """
-    others = [name for name in files if name not in used]
+    others = [name for name in files if name not in used_files]
     if others:
         raise ConfigurationError(
             f"{', '.join(others)}: expected files that belong together, got a calibration in "
-            f"{', '.join(name for name in files if name in used)} that uses nothing else"
+            f"{', '.join(name for name in files if name in used_files)} that uses nothing else"
         )
 
 
@@ -151,22 +151,22 @@ def _same(one: Any, other: Any) -> bool:
     return bool(np.array_equal(first, second))
 
 
-def array_of(found: Found, sizes: Sequence[int], expected: str) -> FloatArray:
+def flat_array_of(found: FoundValue, allowed_counts: Sequence[int], expected: str) -> FloatArray:
     """Numbers of a value, flattened to one dimension.
 
     Args:
         found: the value.
-        sizes: allowed counts of numbers.
+        allowed_counts: allowed counts of numbers.
         expected: description of the expected value, for messages.
 
     Raises:
         ConfigurationError: the value is not numeric or not finite, or has another count.
     """
     values = parse_numbers(found.value)
-    if values is not None and values.size in sizes and np.isfinite(values).all():
+    if values is not None and values.size in allowed_counts and np.isfinite(values).all():
         return values.reshape(-1)
     shown = found.value if values is None else values.tolist()
     got = f"{shown!r:.80}" if values is None or values.size < 10 else f"{values.size} numbers"
-    if values is not None and values.size in sizes:
+    if values is not None and values.size in allowed_counts:
         got = f"{got}, not all of them finite"
     raise ConfigurationError(f"{found.label}: expected {expected}, got {got}")

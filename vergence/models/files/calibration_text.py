@@ -201,10 +201,10 @@ def parse_numbers(value: Any) -> FloatArray | None:
         return None
 
 
-def flattened(value: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+def flatten_keys(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Values of nested mappings, each with its path of keys joined by dots."""
     for key, inner in value.items():
         if isinstance(inner, Mapping):
-            yield from flattened(inner, f"{before}{key}.")
+            yield from flatten_keys(inner, f"{prefix}{key}.")
         else:
-            yield f"{before}{key}", inner
+            yield f"{prefix}{key}", inner

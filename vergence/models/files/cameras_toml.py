@@ -123,13 +123,15 @@ def _parse_mount(table: Table) -> FloatArray:
     return mount
 
 
-def eyes_to_toml(cameras: Cameras, head_eye: FloatArray, mount: tuple[str, str]) -> dict[str, Any]:
+def eyes_to_toml(
+    cameras: Cameras, head_eye: FloatArray, mount_keys: tuple[str, str]
+) -> dict[str, Any]:
     """Write the table `eyes`, and the table `image` if both eyes have images of one size.
 
     Args:
         cameras: cameras of one head.
         head_eye: (2, 4, 4) pose of each camera in its eye's last link, metres.
-        mount: the keys of rotation and position.
+        mount_keys: the keys of rotation and position.
     """
     sizes = [{"width_px": width, "height_px": height} for width, height in cameras.size.tolist()]
     one_size = sizes[0] == sizes[1]
@@ -142,8 +144,8 @@ def eyes_to_toml(cameras: Cameras, head_eye: FloatArray, mount: tuple[str, str])
             **({} if lens == BROWN_CONRADY else {"lens": lens}),
             "distortion": cameras.distortion[eye, : len(LENSES[lens])].tolist(),
             **({} if cameras.response[eye] is None else {"response": cameras.response[eye]}),
-            mount[0]: head_eye[eye, :3, :3].tolist(),
-            mount[1]: head_eye[eye, :3, 3].tolist(),
+            mount_keys[0]: head_eye[eye, :3, :3].tolist(),
+            mount_keys[1]: head_eye[eye, :3, 3].tolist(),
         }
         for eye, (name, lens) in enumerate(zip(EYE_NAMES, cameras.lens, strict=True))
     ]

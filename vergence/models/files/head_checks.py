@@ -22,7 +22,7 @@ _TURN_RAD: Final = 1e-5
 """Step of central differences; keeps derivatives exact to ten digits, rad (numerical)."""
 
 
-def refuse_unfit(head: HeadModel) -> None:
+def refuse_unusable_head(head: HeadModel) -> None:
     """Refuse a head that cannot triangulate or servo at rest.
 
     Raises:

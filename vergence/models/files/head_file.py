@@ -81,7 +81,7 @@ def _meant(path: str) -> str:
     return f" (--head {near[0]} is the preset)" if near else ""
 
 
-def from_anywhere(source: str) -> str:
+def absolute_source(source: str) -> str:
     """Head name that is valid in any working directory: a preset's name or an absolute path."""
     return source if source in presets() else str(Path(source).absolute())
 

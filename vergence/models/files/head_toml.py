@@ -16,7 +16,7 @@ from vergence.models.files.actuators_toml import (
     parse_actuators,
 )
 from vergence.models.files.cameras_toml import eyes_to_toml, parse_eyes
-from vergence.models.files.head_checks import refuse_unfit
+from vergence.models.files.head_checks import refuse_unusable_head
 from vergence.models.files.head_rules import (
     COUNT,
     LATENCY,
@@ -34,9 +34,9 @@ from vergence.models.files.head_rules import (
     TIMING_OPTIONS,
 )
 from vergence.models.files.joints_toml import (
-    frame_between,
+    frame_between_cameras,
     joints_to_toml,
-    parse_frame,
+    parse_frame_n,
     parse_joints,
 )
 from vergence.models.files.toml_table import Rule, Table
@@ -73,7 +73,7 @@ def parse_head(text: str) -> HeadModel:
     except (ValueError, RecursionError) as error:  # nested too deep, or a number too long
         raise HeadFileError("TOML", str(error), "a well-formed TOML document") from error
     name = root.take("name", NAME[1])
-    check_name(name)
+    check_head_name(name)
     cameras, mounts = parse_eyes(root)
     parts: dict[str, Any] = {"head_eye": mounts}
     if root.has("links") or root.has("limits"):  # the article's nine links
@@ -91,7 +91,7 @@ def parse_head(text: str) -> HeadModel:
         **parts,
     )
     root.close()
-    refuse_unfit(head)
+    refuse_unusable_head(head)
     return head
 
 
@@ -105,15 +105,15 @@ def _parse_axes(root: Table, mounts: FloatArray) -> dict[str, Any]:
     head_eye = np.stack(
         [multiply_poses(carried[eye], mounts[i]) for i, eye in enumerate(EYE_NAMES)]
     )
-    frame = parse_frame(root)
+    frame = parse_frame_n(root)
     # N is fixed to the neck's last link, whose frame is rotated from that of the neck's last joint
     unframed = JointAxes(names=tuple(names), parts=tuple(parts), pose=pose, frame=carried["neck"])
     if frame is None:
-        eyes = [unframed.folded()[4 + 3 * eye : 7 + 3 * eye] for eye in range(2)]
+        eyes = [unframed.constant_poses()[4 + 3 * eye : 7 + 3 * eye] for eye in range(2)]
         chains = [
             multiply_poses(m0, m1, m2, head_eye[eye]) for eye, (m0, m1, m2) in enumerate(eyes)
         ]
-        frame = frame_between(np.stack(chains))
+        frame = frame_between_cameras(np.stack(chains))
     links = dataclasses.replace(unframed, frame=multiply_poses(carried["neck"], frame))
     actuators = parse_actuators(root, links)
     return {
@@ -153,7 +153,7 @@ def _parse_calibration(root: Table) -> CalibrationRecord | None:
     return record
 
 
-def check_name(name: object) -> None:
+def check_head_name(name: object) -> None:
     """Refuse a head name that cannot be part of a file name on every system.
 
     Raises:
@@ -272,7 +272,7 @@ def head_to_toml(head: HeadModel) -> str:
     """
     if head.batch_shape:
         raise HeadFileError("head", f"a population of shape {head.batch_shape}", "one head")
-    check_name(head.name)
+    check_head_name(head.name)
     mount = ("head_eye_rotation", "head_eye_translation_m")
     if isinstance(head.links, DenavitHartenberg):
         axes: dict[str, Any] = {

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.models.calibrated import CalibrationRecord
-from vergence.models.files.head_toml import check_name
+from vergence.models.files.head_toml import check_head_name
 from vergence.models.files.intrinsics import Intrinsics
 from vergence.models.files.stereo import StereoPair
 from vergence.models.files.toml_text import toml_text
@@ -48,7 +48,7 @@ _REASONS: Final = {
 }
 
 
-def head_of_pair(
+def stereo_pair_to_head_toml(
     pair: StereoPair,
     name: str,
     *,
@@ -74,7 +74,7 @@ def head_of_pair(
     Raises:
         HeadFileError: the name is invalid.
     """
-    check_name(name)
+    check_head_name(name)
     cameras = (pair.left, pair.right)
     positions = (np.zeros(3), pair.baseline_m)
     rotations = (np.eye(3), pair.rotation.T)
@@ -88,9 +88,9 @@ def head_of_pair(
         for eye in range(2)
     ]
     guesses = {
-        f"eyes.{eye}.distortion": camera.guess
+        f"eyes.{eye}.distortion": camera.lens_assumption
         for eye, camera in zip(EYE_NAMES, cameras, strict=True)
-        if camera.guess
+        if camera.lens_assumption
     }
     sensor, reasons = dict(_ASSUMED["sensor"]), dict(_REASONS)
     if noise_px is not None:

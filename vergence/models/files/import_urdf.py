@@ -10,23 +10,23 @@ import numpy as np
 
 from vergence.errors import ConfigurationError, HeadFileError
 from vergence.models.files.head_rules import NAME
-from vergence.models.files.head_toml import check_name, parse_head
-from vergence.models.files.joints_toml import frame_between
+from vergence.models.files.head_toml import check_head_name, parse_head
+from vergence.models.files.joints_toml import frame_between_cameras
 from vergence.models.files.robot_description.actuators import (
     Coupling,
     EyeJoint,
     EyeMotor,
     MotionLimits,
-    motors,
+    find_eye_motors,
 )
 from vergence.models.files.robot_description.camera_axes import (
     MUJOCO,
     OPTICAL,
-    EyeAtZero,
-    check_optical,
-    rotation_of,
+    EyeAtZeroAngles,
+    check_camera_axes,
+    rotation_of_axes,
 )
-from vergence.models.files.robot_description.given import locked_joints
+from vergence.models.files.robot_description.given import parse_locked_joints
 from vergence.models.files.robot_description.head_chains import HeadChains, head_chains
 from vergence.models.files.robot_description.head_tables import (
     ASSUMED_LOOP,
@@ -36,8 +36,8 @@ from vergence.models.files.robot_description.head_tables import (
     limit_fields,
     pose_fields,
 )
-from vergence.models.files.robot_description.image import eye_images
-from vergence.models.files.robot_description.limits import joint_ranges
+from vergence.models.files.robot_description.image import find_eye_intrinsics
+from vergence.models.files.robot_description.limits import joint_motion_limits
 from vergence.models.files.robot_description.mechanism import Mechanism
 from vergence.models.files.robot_description.reader import read_mechanism
 from vergence.models.files.toml_text import toml_text
@@ -123,12 +123,12 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         base=base,
         cameras=(cameras[0], cameras[1]),
         neck=source.neck,
-        locked=locked_joints(source.lock, mechanism.joints()),
+        locked=parse_locked_joints(source.lock, mechanism.joints()),
     )
     axes = _axes(mechanism, cameras, source.camera_axes)
     zero = dict.fromkeys(chains.parts, 0.0)
     eyes = [
-        EyeAtZero(
+        EyeAtZeroAngles(
             name=name,
             pose=chain.pose(zero) @ _turned(rotation),
             axes=chain.axes([n for n, part in chains.parts.items() if part != "neck"]),
@@ -142,13 +142,13 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
     ]
     if not source.camera_axes:
         root = mechanism.pose(0, base, {**zero, **chains.fixed})
-        check_optical(eyes, up=root[:3, 2])
-    ranges, assumed = joint_ranges(
+        check_camera_axes(eyes, up=root[:3, 2])
+    ranges, assumed = joint_motion_limits(
         [chains.joint(name).joint for name in chains.parts], source.speed, source.acceleration
     )
     moved = _motors(chains, eyes, ranges, source.couplings)
     assumed = _of_motors(assumed, moved)
-    images, why = eye_images(
+    images, why = find_eye_intrinsics(
         [mechanism.frames[camera].camera for camera in cameras], source.intrinsics
     )
     one_size = images[0].size == images[1].size
@@ -207,9 +207,9 @@ def _axes(
             f"camera-axes: expected one for both cameras or one for each, got {len(triples)}"
         )
     if triples:
-        return rotation_of(triples[0]), rotation_of(triples[-1])
+        return rotation_of_axes(triples[0]), rotation_of_axes(triples[-1])
     kinds = [mechanism.frames[camera].kind for camera in cameras]
-    return tuple(rotation_of(MUJOCO if kind == "camera" else OPTICAL) for kind in kinds)
+    return tuple(rotation_of_axes(MUJOCO if kind == "camera" else OPTICAL) for kind in kinds)
 
 
 def _turned(rotation: FloatArray) -> FloatArray:
@@ -220,21 +220,21 @@ def _turned(rotation: FloatArray) -> FloatArray:
 
 def _motors(
     chains: HeadChains,
-    eyes: Sequence[EyeAtZero],
+    eyes: Sequence[EyeAtZeroAngles],
     ranges: Mapping[str, MotionLimits],
     couplings: Sequence[Coupling],
 ) -> list[EyeMotor]:
     """Motors of the eyes; empty if each joint has its own."""
     if not chains.mimic_joints and not couplings:
         return []
-    between = frame_between(np.stack([eye.pose for eye in eyes]))
+    between = frame_between_cameras(np.stack([eye.pose for eye in eyes]))
     joints = []
     for name, part in chains.parts.items():
         if part != "neck":
             axis = chains.axis(name) @ between[:3, :3]
             joints.append(EyeJoint(name=name, part=part, axis=axis, range=ranges[name]))
     baseline = float(np.linalg.norm(eyes[1].pose[:3, 3] - eyes[0].pose[:3, 3]))
-    return motors(joints, chains.mimic_joints, couplings, baseline)
+    return find_eye_motors(joints, chains.mimic_joints, couplings, baseline)
 
 
 def _of_motors(assumed: Mapping[str, str], moved: Sequence[EyeMotor]) -> dict[str, str]:
@@ -255,7 +255,7 @@ def _of_motors(assumed: Mapping[str, str], moved: Sequence[EyeMotor]) -> dict[st
 
 def _name(source: UrdfSource, mechanism: Mechanism) -> str:
     if source.name:
-        check_name(source.name)
+        check_head_name(source.name)
         return source.name
     for name in (mechanism.name, Path(source.file).stem):
         fitted = re.sub(r"[^\w.-]+", "_", name).strip("_.-")[:64]

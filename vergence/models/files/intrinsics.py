@@ -22,9 +22,9 @@ from vergence.models.files.calibration_keys import (
     SIZE,
     WIDTH,
     CalibrationValues,
-    Found,
-    array_of,
-    refuse_unused,
+    FoundValue,
+    flat_array_of,
+    refuse_unused_files,
 )
 from vergence.models.files.calibration_text import parse_numbers, read_calibration
 from vergence.models.parts import FloatArray
@@ -69,7 +69,7 @@ class Intrinsics:
     """Lens model."""
     distortion: FloatArray
     """(5,), (8,) or (4,) coefficients of the lens, in OpenCV's order."""
-    guess: str = ""
+    lens_assumption: str = ""
     """Assumption made about the lens because the file does not specify it; empty if none."""
 
 
@@ -99,8 +99,8 @@ def read_intrinsics(
     together = CalibrationValues(files)
     sides = together.sides()
     if sides is not None:
-        left, right = (camera_of(together, side, size=size, lens=lens) for side in sides)
-        refuse_unused(files, together.used)
+        left, right = (find_intrinsics(together, side, size=size, lens=lens) for side in sides)
+        refuse_unused_files(files, together.used)
         return left, right
     singles = [
         keys for name in files if (keys := CalibrationValues({name: files[name]})).find(MATRIX)
@@ -110,9 +110,9 @@ def read_intrinsics(
             f"{together.name}: expected the camera matrices of one or two cameras (such as "
             f"cameraMatrix1 and cameraMatrix2, or camera_matrix), got {len(singles)}"
         )
-    cameras = [camera_of(keys, size=size, lens=lens) for keys in singles]
+    cameras = [find_intrinsics(keys, size=size, lens=lens) for keys in singles]
     _refuse_swapped(singles[0], singles[-1])
-    refuse_unused(files, set().union(*(keys.used for keys in singles)))
+    refuse_unused_files(files, set().union(*(keys.used for keys in singles)))
     return cameras[0], cameras[-1]
 
 
@@ -128,7 +128,7 @@ def _refuse_swapped(left: CalibrationValues, right: CalibrationValues) -> None:
         )
 
 
-def camera_of(
+def find_intrinsics(
     keys: CalibrationValues,
     side: str = "",
     *,
@@ -160,12 +160,12 @@ def camera_of(
     model, distortion, guess = _lens(keys, side, lens)
     return Intrinsics(
         width=width, height=height, focal=focal, principal=principal, lens=model,
-        distortion=distortion, guess=guess,
+        distortion=distortion, lens_assumption=guess,
     )  # fmt: skip
 
 
-def _pinhole(found: Found) -> tuple[FloatArray, FloatArray]:
-    values = array_of(found, (4, 9), "a camera matrix of 3 x 3 numbers, or f_u, f_v, u_0, v_0")
+def _pinhole(found: FoundValue) -> tuple[FloatArray, FloatArray]:
+    values = flat_array_of(found, (4, 9), "a camera matrix of 3 x 3 numbers, or f_u, f_v, u_0, v_0")
     if values.size == 4:  # kalibr's form of a pinhole
         focal, principal = values[:2], values[2:]
     else:
@@ -193,7 +193,7 @@ def _image_size(
 ) -> tuple[int, int]:
     found = keys.find(SIZE, side) or (keys.find(SIZE) if side else None)
     if found is not None:
-        sides = array_of(found, (2,), "an image size, width and height in pixels")
+        sides = flat_array_of(found, (2,), "an image size, width and height in pixels")
         label = found.label
     else:
         width = keys.find(WIDTH, side) or (keys.find(WIDTH) if side else None)
@@ -206,7 +206,7 @@ def _image_size(
                     "and detect)"
                 )
             return given
-        parts = [array_of(one, (1,), "an image's side in pixels") for one in (width, height)]
+        parts = [flat_array_of(one, (1,), "an image's side in pixels") for one in (width, height)]
         sides, label = np.concatenate(parts), width.label
     if not ((sides >= 16) & (sides <= 20_000) & (sides == np.round(sides))).all():
         raise ConfigurationError(
@@ -246,7 +246,7 @@ def _counts(
     """Label of the largest value for messages, and the pixel counts; 0 for missing keys."""
     found = [keys.find(stems, side) or (keys.find(stems) if side else None) for stems in every]
     values = [
-        float(array_of(one, (1,), "a number of pixels")[0]) if one is not None else 0.0
+        float(flat_array_of(one, (1,), "a number of pixels")[0]) if one is not None else 0.0
         for one in found
     ]
     named = found[int(np.argmax(np.abs(values)))]
@@ -264,7 +264,9 @@ def _lens(keys: CalibrationValues, side: str, given: Lens | None) -> tuple[Lens,
     if found is None or (parse_numbers(found.value) is not None and not np.size(found.value)):
         lens = lens or "brown-conrady"
         return lens, np.zeros(COEFFICIENTS[lens]), "" if found else "no distortion coefficients"
-    values = array_of(found, (1, 2, 4, 5, 8, 12, 14), "4, 5, 8, 12 or 14 distortion coefficients")
+    values = flat_array_of(
+        found, (1, 2, 4, 5, 8, 12, 14), "4, 5, 8, 12 or 14 distortion coefficients"
+    )
     guess = ""
     if lens is None and values.size == 4:
         guess = (

@@ -33,7 +33,7 @@ _MOST: Final = {"neck": 3, "eye": 2}
 _LIMITS: Final = tuple(JOINT_LIMITS)
 
 
-class Chains(NamedTuple):
+class ParsedJoints(NamedTuple):
     """Joints of a head file, from the base outwards."""
 
     names: list[str]
@@ -46,7 +46,7 @@ class Chains(NamedTuple):
     """(4, 4) pose of the last link in the frame of its joint, for the neck and each eye."""
 
 
-def parse_joints(root: Table) -> Chains:
+def parse_joints(root: Table) -> ParsedJoints:
     """Parse the joints of a head file.
 
     Args:
@@ -77,7 +77,7 @@ def parse_joints(root: Table) -> Chains:
             carried[chain] = out
         table.close()
     _refuse_crowd(parts)
-    return Chains(names, parts, np.array(poses).reshape(-1, 4, 4), limits, carried)
+    return ParsedJoints(names, parts, np.array(poses).reshape(-1, 4, 4), limits, carried)
 
 
 def _refuse_order(table: Table, parts: Sequence[str], part: str) -> None:
@@ -136,15 +136,15 @@ def _z_to(axis: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_rotvec(angle * turn / hypot(x, y)).as_matrix())
 
 
-def parse_pose(table: Table, position: str) -> FloatArray:
+def parse_pose(table: Table, position_key: str) -> FloatArray:
     """(4, 4) a pose from a position and an optional `rotation` (3, 3) or `rpy_rad` (3,).
 
     Args:
         table: table that holds the pose.
-        position: key of the position, metres.
+        position_key: key of the position, metres.
     """
     pose = np.eye(4)
-    pose[:3, 3] = table.numbers(position, (3,), LENGTH)
+    pose[:3, 3] = table.numbers(position_key, (3,), LENGTH)
     if table.has("rpy_rad"):
         if table.has("rotation"):
             raise HeadFileError(table.key("rotation"), "both", "one of rotation and rpy_rad")
@@ -171,11 +171,11 @@ def _parse_limits(table: Table, name: str) -> FloatArray | None:
     if not any(table.has(field) for field in _LIMITS):
         return None
     values = np.array([table.number(field, rule) for field, rule in JOINT_LIMITS.items()])
-    refuse_empty(name, values)
+    refuse_empty_range(name, values)
     return values
 
 
-def refuse_empty(name: str, limits: FloatArray) -> None:
+def refuse_empty_range(name: str, limits: FloatArray) -> None:
     """Refuse an empty range; the first two numbers are its lower and upper end, rad."""
     if not limits[0] < limits[1]:
         raise HeadFileError(
@@ -183,7 +183,7 @@ def refuse_empty(name: str, limits: FloatArray) -> None:
         )
 
 
-def parse_frame(root: Table) -> FloatArray | None:
+def parse_frame_n(root: Table) -> FloatArray | None:
     """(4, 4) frame N in the neck's last link; None if the file does not give it."""
     if not root.has("frame"):
         return None
@@ -193,12 +193,12 @@ def parse_frame(root: Table) -> FloatArray | None:
     return frame
 
 
-def frame_between(eyes: FloatArray) -> FloatArray:
+def frame_between_cameras(camera_poses: FloatArray) -> FloatArray:
     """(4, 4) default frame N: midway between the cameras, along their mean optical axis.
 
     Args:
-        eyes: (2, 4, 4) poses of both cameras at the zero posture, in the frame that N is to be
-            fixed to.
+        camera_poses: (2, 4, 4) poses of both cameras at the zero posture, in the frame that N
+            is to be fixed to.
 
     Returns:
         The pose of N: z is the mean of the optical axes, x the direction from the left camera to
@@ -208,14 +208,16 @@ def frame_between(eyes: FloatArray) -> FloatArray:
         HeadFileError: the eyes look in opposite directions, are in one place, or one is in front
             of the other.
     """
-    forward = eyes[:, :3, 2].sum(axis=0)
-    across = eyes[1, :3, 3] - eyes[0, :3, 3]
+    forward = camera_poses[:, :3, 2].sum(axis=0)
+    across = camera_poses[1, :3, 3] - camera_poses[0, :3, 3]
     length = max(float((forward * forward).sum()), 1e-12)
     right = across - forward * float((forward * across).sum()) / length
     if not hypot(*across) > 1e-4:
         raise HeadFileError("eyes", "both at one place", "cameras at two places")
     if not (hypot(*forward) > 0.5 and hypot(*right) > 1e-4):
-        between = np.degrees(np.arccos(np.clip(eyes[0, :3, 2] @ eyes[1, :3, 2], -1.0, 1.0)))
+        between = np.degrees(
+            np.arccos(np.clip(camera_poses[0, :3, 2] @ camera_poses[1, :3, 2], -1.0, 1.0))
+        )
         raise HeadFileError(
             "eyes",
             f"optical axes {between:.0f} degrees apart and the right camera "
@@ -227,12 +229,12 @@ def frame_between(eyes: FloatArray) -> FloatArray:
     frame[:3, 2] = forward / hypot(*forward)
     frame[:3, 0] = right / hypot(*right)
     frame[:3, 1] = np.cross(frame[:3, 2], frame[:3, 0])
-    frame[:3, 3] = eyes[:, :3, 3].mean(axis=0)
+    frame[:3, 3] = camera_poses[:, :3, 3].mean(axis=0)
     return frame
 
 
 def joints_to_toml(links: JointAxes, limits: JointLimits) -> dict[str, Any]:
-    """Write the tables of joints and frame N; `parse_joints` and `parse_frame` read them back."""
+    """Write the tables of joints and frame N; `parse_joints` and `parse_frame_n` read them back."""
     tables: dict[str, Any] = {
         "frame": {
             "origin_m": links.frame[:3, 3].tolist(),

@@ -16,12 +16,12 @@ from vergence.models.files.calibration_keys import (
     ROTATION,
     TRANSLATION,
     CalibrationValues,
-    Found,
-    array_of,
-    refuse_unused,
+    FoundValue,
+    flat_array_of,
+    refuse_unused_files,
 )
 from vergence.models.files.calibration_text import read_calibration
-from vergence.models.files.intrinsics import Intrinsics, Lens, camera_of
+from vergence.models.files.intrinsics import Intrinsics, Lens, find_intrinsics
 from vergence.models.parts import FloatArray
 
 Unit = Literal["m", "cm", "mm"]
@@ -62,7 +62,7 @@ class StereoPair:
         said = [
             f"{eye} camera: {guess}"
             for eye, camera in cameras.items()
-            for guess in (camera.guess, _far_from_middle(camera))
+            for guess in (camera.lens_assumption, _far_from_middle(camera))
             if guess
         ]
         across, along, _ = np.abs(self.baseline_m)
@@ -124,13 +124,13 @@ def read_stereo(
     together = CalibrationValues(files)
     sides = together.sides()
     if sides is not None:
-        left, right = (camera_of(together, side, size=size, lens=lens) for side in sides)
+        left, right = (find_intrinsics(together, side, size=size, lens=lens) for side in sides)
         placed = _placed(together)
         used = together.used
     else:
         left_keys, right_keys = _single_cameras(files)
         left, right = (
-            camera_of(keys, size=size, lens=lens) for keys in (left_keys, right_keys)
+            find_intrinsics(keys, size=size, lens=lens) for keys in (left_keys, right_keys)
         )  # fmt: skip
         others = {n: f for n, f in files.items() if not CalibrationValues({n: f}).find(MATRIX)}
         apart = CalibrationValues(others)
@@ -142,7 +142,7 @@ def read_stereo(
             f"{together.name}: expected the rotation R and the translation T from the left to "
             f"the right camera, got {_without_place(together)}"
         )
-    refuse_unused(names, used)
+    refuse_unused_files(names, used)
     rotation, translation, label = placed
     pair = StereoPair(
         left=left, right=right, rotation=rotation, translation_m=METRES[unit] * translation
@@ -185,13 +185,13 @@ def _placed(keys: CalibrationValues) -> _Placed | None:
     if chain is not None:
         if keys.find(MATRIX, "2"):
             raise ConfigurationError(f"{keys.name}: expected two cameras, got cam2 as well")
-        pose = array_of(chain, (16,), "a transform of 4 x 4 numbers").reshape(4, 4)
+        pose = flat_array_of(chain, (16,), "a transform of 4 x 4 numbers").reshape(4, 4)
         return _rotation(pose[:3, :3], chain.label), pose[:3, 3], chain.label
     rotation, translation = keys.find(ROTATION), keys.find(TRANSLATION)
     if rotation is None or translation is None:
         return None
-    values = array_of(rotation, (3, 9), "a rotation of 3 x 3 numbers, or a rotation vector")
-    shift = array_of(translation, (3,), "a translation of 3 numbers")
+    values = flat_array_of(rotation, (3, 9), "a rotation of 3 x 3 numbers, or a rotation vector")
+    shift = flat_array_of(translation, (3,), "a translation of 3 numbers")
     if values.size == 3:
         from scipy.spatial.transform import Rotation
 
@@ -206,7 +206,7 @@ def _rectified(left: CalibrationValues, right: CalibrationValues) -> _Placed | N
         turn, projection = keys.find(RECTIFICATION), keys.find(PROJECTION)
         if turn is None or projection is None:
             return None
-        values = array_of(turn, (9,), "a rectification of 3 x 3 numbers").reshape(3, 3)
+        values = flat_array_of(turn, (9,), "a rectification of 3 x 3 numbers").reshape(3, 3)
         turns.append(_rotation(values, turn.label))
         shifts.append(_shift(projection))
         label = projection.label
@@ -219,9 +219,9 @@ def _rectified(left: CalibrationValues, right: CalibrationValues) -> _Placed | N
     return turn_back @ turns[0], turn_back @ (shifts[1] - shifts[0]), label
 
 
-def _shift(projection: Found) -> FloatArray:
+def _shift(projection: FoundValue) -> FloatArray:
     """(3,) offset of a camera's rectified frame: last column of its projection by focal length."""
-    matrix = array_of(projection, (12,), "a projection of 3 x 4 numbers").reshape(3, 4)
+    matrix = flat_array_of(projection, (12,), "a projection of 3 x 4 numbers").reshape(3, 4)
     focal = matrix[[0, 1], [0, 1]]
     if not (focal > 0.0).all():
         raise ConfigurationError(

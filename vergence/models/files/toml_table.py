@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from vergence.errors import HeadFileError, Words
+from vergence.errors import HeadFileError, UnquotedText
 from vergence.models.parts import FloatArray
 
 Rule = tuple[Callable[[float], bool], str]
@@ -62,7 +62,7 @@ class Table:
             meant = f"; is it meant by {self.key(near[0])}?" if near else ""
             raise HeadFileError(
                 self.key(name),
-                Words("nothing"),
+                UnquotedText("nothing"),
                 f"{_HINT.sub('', expected)} (the key is missing{meant})",
             )
         return self._values.pop(name)

@@ -9,7 +9,7 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
 from vergence.models.links import inverse_pose
 from vergence.models.mujoco.bodies import Bodies
-from vergence.models.mujoco.posture import EYE_RADIUS_M, Posture, carriers, posture_of
+from vergence.models.mujoco.posture import EYE_RADIUS_M, RestPoses, carrier_bodies, rest_poses
 from vergence.models.mujoco.shapes import (
     DARK,
     LENS,
@@ -55,8 +55,8 @@ def add_appearance(spec: mujoco.MjSpec, bodies: Bodies, head: HeadModel) -> None
         head: the head; its link lengths determine the shapes.
     """
     add_materials(spec)
-    posture, links = posture_of(head), head.links.bodies()
-    skull, *ends = carriers(head)
+    posture, links = rest_poses(head), head.links.bodies()
+    skull, *ends = carrier_bodies(head)
     _add_stand(bodies[-1], posture)
     for place, link in enumerate(links):
         body, size = bodies[place], posture.scale
@@ -81,19 +81,19 @@ def add_appearance(spec: mujoco.MjSpec, bodies: Bodies, head: HeadModel) -> None
         _add_eye(bodies[place], head.camera_in_last_link(eye), posture, place != skull)
 
 
-def _on_bar(posture: Posture) -> bool:
+def _on_bar(posture: RestPoses) -> bool:
     """True if the eyes are on a bar instead of in a skull."""
     return not posture.is_article and posture.baseline_m > _WIDEST_SKULL_M
 
 
-def _add_stand(world: Any, posture: Posture) -> None:
+def _add_stand(world: Any, posture: RestPoses) -> None:
     """Add a stand from the floor to the first joint of the neck, or to the bar of the eyes."""
-    top, up = posture.stand, posture.upright[:3, 2]
+    top, up = posture.stand_top, posture.upright[:3, 2]
     height = up @ (top - posture.upright[:3, 3]) - (posture.lowest_m - _FOOT_M)
     add_segment(world, METAL, top - height * up, top, 0.022 * posture.scale)
 
 
-def _add_face(body: Any, skull: int, posture: Posture) -> None:
+def _add_face(body: Any, skull: int, posture: RestPoses) -> None:
     """Add a skull behind the eyes, or a bar that carries them, to the body that carries N."""
     frame = posture.links[skull] if skull >= 0 else np.eye(4)
     into = inverse_pose(frame)
@@ -112,8 +112,8 @@ def _add_face(body: Any, skull: int, posture: Posture) -> None:
             quat=quat,
         )
         return
-    held = [into[:3, :3] @ end + into[:3, 3] for end in posture.bar]
-    fronts = [into[:3, :3] @ root + into[:3, 3] for root in posture.roots]
+    held = [into[:3, :3] @ end + into[:3, 3] for end in posture.bar_ends]
+    fronts = [into[:3, :3] @ root + into[:3, 3] for root in posture.eye_roots]
     _add_rod(body, held[1], 0.009 * size, held[0])
     for back, front in zip(held, fronts, strict=True):
         _add_rod(body, front, 0.006 * size, back)
@@ -121,7 +121,7 @@ def _add_face(body: Any, skull: int, posture: Posture) -> None:
         _add_rod(body, 0.5 * (held[0] + held[1]), 0.009 * size)
 
 
-def _add_eye(body: Any, camera: FloatArray, posture: Posture, moves: bool) -> None:
+def _add_eye(body: Any, camera: FloatArray, posture: RestPoses, moves: bool) -> None:
     """Add an eyeball around the camera, with an iris in front."""
     radius, forward = posture.eye_radius_m, camera[:3, 2]
     small = radius / EYE_RADIUS_M

@@ -25,7 +25,7 @@ Bodies = Mapping[int, Any]
 
 
 def add_bodies(
-    spec: mujoco.MjSpec, head: HeadModel, held: Mapping[str, float], armature: FloatArray
+    spec: mujoco.MjSpec, head: HeadModel, welded_angles: Mapping[str, float], armature: FloatArray
 ) -> Bodies:
     """Add a body with its mass for each joint, and the site `N`.
 
@@ -34,7 +34,7 @@ def add_bodies(
     Args:
         spec: the specification to extend; its time step is set.
         head: one head.
-        held: rigid joints by name, with their angles, rad.
+        welded_angles: rigid joints by name, with their angles, rad.
         armature: (7,) inertia of the joints' rotors, kg m^2.
 
     Returns:
@@ -45,18 +45,18 @@ def add_bodies(
     for place in sorted(range(len(links)), key=lambda i: links[i].joints[0]):
         link = links[place]
         pose = link.pose
-        if link.name in held:
-            pose = pose @ _turn_z(held[link.name])
+        if link.name in welded_angles:
+            pose = pose @ _turn_z(welded_angles[link.name])
         body = bodies[link.parent].add_body(
-            name=body_name(link.name), gravcomp=1.0, **placement(pose)
+            name=body_name(link.name), gravcomp=1.0, **pos_and_quat(pose)
         )
         bodies[place] = body
         body.mass, body.ipos, body.inertia, _edges = link_inertia(head, link.name)
         body.explicitinertial = True
-        if link.name not in held:
+        if link.name not in welded_angles:
             _add_joint(body, link.name, link.joints[0], head, armature, spec.option.timestep)
     bodies[chain_end(links, None)].add_site(
-        name="N", group=4, size=[0.002] * 3, **placement(head.links.base_frame())
+        name="N", group=4, size=[0.002] * 3, **pos_and_quat(head.links.base_frame())
     )
     return bodies
 
@@ -76,11 +76,11 @@ def _add_joint(
         limited=mujoco.mjtLimited.mjLIMITED_TRUE,
         range=[head.limits.lower[place], head.limits.upper[place]],
         armature=armature[place],
-        solref_limit=stiff(timestep_s),
+        solref_limit=stiff_solref(timestep_s),
     )
 
 
-def stiff(timestep_s: float) -> list[float]:
+def stiff_solref(timestep_s: float) -> list[float]:
     """`solref` of a limit or an equality constraint, as stiff as the solver allows."""
     return [2.0 * timestep_s, 1.0]  # the least time constant is two time steps
 
@@ -95,7 +95,7 @@ def add_cameras(spec: mujoco.MjSpec, head: HeadModel, bodies: Bodies) -> None:
             sensor_size=_PIXEL_M * size,
             focal_pixel=head.cameras.focal[eye],
             principal_pixel=mujoco_principal(head)[eye],
-            **placement(head.camera_in_last_link(eye) @ _FROM_OPTICAL),
+            **pos_and_quat(head.camera_in_last_link(eye) @ _FROM_OPTICAL),
         )
     buffer = spec.visual.global_
     buffer.offwidth, buffer.offheight = head.cameras.size.max(axis=0).tolist()
@@ -110,7 +110,7 @@ def mujoco_principal(head: HeadModel) -> FloatArray:
     return np.asarray(head.cameras.size / 2.0 - (head.cameras.principal + 0.5))
 
 
-def placement(pose: FloatArray) -> dict[str, FloatArray]:
+def pos_and_quat(pose: FloatArray) -> dict[str, FloatArray]:
     """Convert a pose (4, 4) in the parent to MuJoCo's attributes `pos` and `quat`."""
     quat = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True, scalar_first=True)
     return {"pos": pose[:3, 3], "quat": quat}

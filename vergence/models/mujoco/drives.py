@@ -35,7 +35,7 @@ class Transmission(NamedTuple):
     """Greatest value of that sum, rad."""
     joint_or_rotor: str
     """Joint that only this actuator turns, over the joint's whole range, or the actuator's rotor,
-    see `has_rotors`; empty for neither."""
+    see `needs_rotor_bodies`; empty for neither."""
 
 
 class JointCoupling(NamedTuple):
@@ -48,7 +48,7 @@ class JointCoupling(NamedTuple):
     """Offset, rad."""
 
 
-def joint_places(head: HeadModel) -> dict[str, int]:
+def first_joint_indices(head: HeadModel) -> dict[str, int]:
     """Joints of a head in MuJoCo's order, each with its first index in an array of all seven."""
     places: dict[str, int] = {}
     for place, name in enumerate(head.joints):
@@ -57,7 +57,7 @@ def joint_places(head: HeadModel) -> dict[str, int]:
     return places
 
 
-def drives_of(head: HeadModel) -> tuple[Transmission, ...]:
+def transmissions_of(head: HeadModel) -> tuple[Transmission, ...]:
     """List the drives of a head: the neck's motors, then the actuators of the eyes.
 
     An actuator of the eyes with the name of a neck joint gets the prefix `eyes_`.
@@ -69,7 +69,7 @@ def drives_of(head: HeadModel) -> tuple[Transmission, ...]:
             sides = float(limits.lower[place]), float(limits.upper[place])
             out.append(Transmission(name, place, ((name, 1.0),), *sides, name))
     names, matrix, offset = _map(head)
-    places = joint_places(head)
+    places = first_joint_indices(head)
     for k, actuator in enumerate(own.names):
         factors = dict.fromkeys(names, 0.0)
         for joint, factor in zip(head.joints[EYES], own.to_actuators[k], strict=True):
@@ -87,7 +87,7 @@ def drives_of(head: HeadModel) -> tuple[Transmission, ...]:
             same = (lower, upper) == (limits.lower[place], limits.upper[place])
             joint_or_rotor = joint if same and np.count_nonzero(column) == 1 else ""
         name = f"eyes_{actuator}" if actuator in head.joints[NECK] else actuator
-        if has_rotors(head):
+        if needs_rotor_bodies(head):
             joint_or_rotor, lower, upper = rotor_name(name), own.lower[slot], own.upper[slot]
         out.append(
             Transmission(name, slot, tuple(turned), float(lower), float(upper), joint_or_rotor)
@@ -112,7 +112,7 @@ def couplings_of(head: HeadModel) -> tuple[JointCoupling, ...]:
     return tuple(out)
 
 
-def coupled(head: HeadModel) -> list[str]:
+def coupled_joint_equations(head: HeadModel) -> list[str]:
     """Equations, as text, of the eyes' joints that more than one actuator moves."""
     own = head.actuation
     names, matrix, offset = _map(head)
@@ -125,14 +125,14 @@ def coupled(head: HeadModel) -> list[str]:
     return out
 
 
-def has_rotors(head: HeadModel) -> bool:
+def needs_rotor_bodies(head: HeadModel) -> bool:
     """True if a simulator needs the actuators' rotors as bodies of their own.
 
     This is so if no division of the rotors' inertia among the joints keeps the actuators from
     disturbing one another, as for a pan of both eyes and a vergence of one of them.
     """
     names, _matrix, _offset = _map(head)
-    return divided_rotors(head, np.ones(len(names))) is None
+    return decoupling_rotor_inertias(head, np.ones(len(names))) is None
 
 
 def rotor_name(drive: str) -> str:
@@ -152,7 +152,7 @@ def rotor_couplings(head: HeadModel, drives: Sequence[Transmission]) -> tuple[Jo
     )
 
 
-def divided_rotors(head: HeadModel, least: FloatArray) -> FloatArray | None:
+def decoupling_rotor_inertias(head: HeadModel, least_inertias: FloatArray) -> FloatArray | None:
     """Solve for rotor inertias by joint that decouple the actuators.
 
     Rotor inertias r at the joints give the inertia matrix `S^T diag(r) S` at the actuators, with S
@@ -160,7 +160,7 @@ def divided_rotors(head: HeadModel, least: FloatArray) -> FloatArray | None:
 
     Args:
         head: the head.
-        least: (J,) least inertia of each distinct joint of the eyes, kg m^2.
+        least_inertias: (J,) least inertia of each distinct joint of the eyes, kg m^2.
 
     Returns:
         (J,) inertias with the least sum, kg m^2; None if there are none.
@@ -169,20 +169,22 @@ def divided_rotors(head: HeadModel, least: FloatArray) -> FloatArray | None:
     count = matrix.shape[1]
     pairs = [(i, k) for i in range(count) for k in range(i)]
     if not any((matrix[:, i] * matrix[:, k]).any() for i, k in pairs):
-        return least
+        return least_inertias
     products = np.array([matrix[:, i] * matrix[:, k] for i, k in pairs])
     found = linprog(
-        np.ones(len(least)),
+        np.ones(len(least_inertias)),
         A_eq=products,
         b_eq=np.zeros(len(pairs)),
-        bounds=[(low, None) for low in least],
+        bounds=[(low, None) for low in least_inertias],
     )
     return np.asarray(found.x) if found.success else None
 
 
 def _map(head: HeadModel) -> tuple[list[str], FloatArray, FloatArray]:
     """Distinct joints of the eyes: names, angles per actuator angle (J, m), offsets (J,), rad."""
-    places = {name: at - EYES.start for name, at in joint_places(head).items() if at >= EYES.start}
+    places = {
+        name: at - EYES.start for name, at in first_joint_indices(head).items() if at >= EYES.start
+    }
     rows = list(places.values())
     own = head.actuation
     assert own.to_joints.shape == (SLOTS, SLOTS)

@@ -64,8 +64,8 @@ def export_files(head: HeadModel, format: str) -> dict[str, bytes]:
     buffer.offwidth, buffer.offheight = head.cameras.size.max(axis=0).tolist()
     around = mujoco_scene.surroundings_of(head)
     mujoco_scene.add_scenery(scene, around)
-    mujoco_scene.add_target(scene, "tag", around=around)
-    mujoco_scene.add_fixed_pair(scene, around)
+    mujoco_scene.add_target(scene, "tag", surroundings=around)
+    mujoco_scene.add_observer_cameras(scene, around)
     root = ET.fromstring(_xml(scene))
     root.insert(0, ET.Element("include", file=f"{stem}.xml"))
     # the head's file sets these elements for both files

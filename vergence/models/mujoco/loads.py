@@ -13,7 +13,11 @@ import numpy as np
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES, JOINTS, NECK
 from vergence.models.mujoco.bodies import add_bodies
-from vergence.models.mujoco.drives import divided_rotors, has_rotors, joint_places
+from vergence.models.mujoco.drives import (
+    decoupling_rotor_inertias,
+    first_joint_indices,
+    needs_rotor_bodies,
+)
 from vergence.models.parts import FloatArray
 
 NECK_ARMATURE: Final = 0.1
@@ -30,7 +34,7 @@ _LEAST_RATIO: Final = 19.0
 constant gains against realistic rotors)."""
 
 
-class Loads(NamedTuple):
+class LoadInertias(NamedTuple):
     """Load inertias with the head at rest, kg m^2; zero for missing joints and actuators."""
 
     armature: FloatArray
@@ -40,34 +44,34 @@ class Loads(NamedTuple):
     actuators: FloatArray
     """(7,) total load of each joint of the neck and each actuator of the eyes."""
     rotors: FloatArray
-    """(7,) inertia of the rotors that are bodies of their own, see `has_rotors`."""
+    """(7,) inertia of the rotors that are bodies of their own, see `needs_rotor_bodies`."""
 
 
-def loads_of(head: HeadModel) -> Loads:
+def load_inertias(head: HeadModel) -> LoadInertias:
     """Compute the load inertias of the joints and actuators of one head."""
-    places = list(joint_places(head).values())
+    places = list(first_joint_indices(head).values())
     links = _links_inertia(head)
     own = np.diag(links)
     least = np.array([NECK_ARMATURE if place < NECK.stop else EYE_ARMATURE for place in places])
     armature = np.maximum(least, _LEAST_RATIO * own)
     eyes = np.array(places) >= EYES.start if places else np.zeros(0, dtype=bool)
     if not head.actuation.direct:
-        divided = divided_rotors(head, armature[eyes])
+        divided = decoupling_rotor_inertias(head, armature[eyes])
         armature[eyes] = 0.0 if divided is None else divided
     turned = _turned(head, places)
     seven = np.zeros((3, len(JOINTS)))
-    if has_rotors(head):
+    if needs_rotor_bodies(head):
         used = turned[:, EYES].any(axis=0)
         least = _LEAST_RATIO * np.diag(turned.T @ links @ turned)[EYES]
         seven[2, EYES] = np.where(used, np.maximum(EYE_ARMATURE, least), 0.0)
     back = np.linalg.pinv(turned)
     total = links + np.diag(armature)
     felt = total + back.T @ np.diag(seven[2]) @ back if seven[2].any() else total
-    for i, name in enumerate(joint_places(head)):
+    for i, name in enumerate(first_joint_indices(head)):
         at = [place for place, joint in enumerate(head.joints) if joint == name]
         seven[0, at], seven[1, at] = armature[i], felt[i, i]
     actuators = np.diag(turned.T @ total @ turned) + seven[2]
-    return Loads(armature=seven[0], joints=seven[1], actuators=actuators, rotors=seven[2])
+    return LoadInertias(armature=seven[0], joints=seven[1], actuators=actuators, rotors=seven[2])
 
 
 def _turned(head: HeadModel, places: list[int]) -> FloatArray:
@@ -82,7 +86,7 @@ def _turned(head: HeadModel, places: list[int]) -> FloatArray:
 
 
 def _links_inertia(head: HeadModel) -> FloatArray:
-    """(J, J) mass matrix of the links alone, in the order of `joint_places`."""
+    """(J, J) mass matrix of the links alone, in the order of `first_joint_indices`."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     add_bodies(spec, head, {}, np.zeros(len(JOINTS)))
@@ -90,7 +94,7 @@ def _links_inertia(head: HeadModel) -> FloatArray:
     inertia = np.zeros((model.nv, model.nv))
     if model.nv:
         data = mujoco.MjData(model)
-        data.qpos[:] = head.rest()[list(joint_places(head).values())]
+        data.qpos[:] = head.rest()[list(first_joint_indices(head).values())]
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, inertia)
     return inertia

@@ -20,12 +20,12 @@ from vergence.models.mujoco.appearance import add_appearance
 from vergence.models.mujoco.bodies import add_bodies, add_cameras
 from vergence.models.mujoco.drives import (
     couplings_of,
-    drives_of,
-    has_rotors,
-    joint_places,
+    first_joint_indices,
+    needs_rotor_bodies,
     rotor_couplings,
+    transmissions_of,
 )
-from vergence.models.mujoco.loads import loads_of
+from vergence.models.mujoco.loads import load_inertias
 from vergence.models.mujoco.servos import add_couplings, add_rotors, add_servos
 
 SUBSTEPS: Final = 4
@@ -40,7 +40,7 @@ def build_spec(
     neck_position: ArrayLike = 0.0,
     target: Literal["tag", "checkerboard"] | None = "tag",
     board: PlanarTarget | None = None,
-    fixed_pair: bool = False,
+    observer_cameras: bool = False,
     visuals: bool = True,
     gravity: bool = False,
     timestep_s: float | None = None,
@@ -55,8 +55,8 @@ def build_spec(
             frame is T: origin at the measured point, x right and y down as seen from in
             front, z into the board.
         board: the board on the target; None for the default board of that name.
-        fixed_pair: True to add the body `fixed_pair` with the cameras `fixed_left` and
-            `fixed_right`, which looks over the head.
+        observer_cameras: True to add the body `fixed_pair`, which looks over the head, with the
+            cameras `fixed_left` and `fixed_right`.
         visuals: True to add shapes, a stand, a floor and lights, for rendering. Without them the
             motion is the same and the simulation is faster.
         gravity: True to enable gravity, contacts, springs and constraints, for models with
@@ -68,7 +68,7 @@ def build_spec(
     Returns:
         The specification. Joints have the head's names, in the order of their first indices in
         `HeadModel.joints`. Actuators are the joints of the neck, then the actuators of the eyes,
-        see `drives_of`. `ctrl` is an actuator's commanded velocity in rad/s, clipped to its
+        see `transmissions_of`. `ctrl` is an actuator's commanded velocity in rad/s, clipped to its
         limits.
 
     Raises:
@@ -90,9 +90,9 @@ def build_spec(
     if visuals:
         mujoco_scene.add_scenery(spec, around)
     if target is not None:
-        mujoco_scene.add_target(spec, target, board, around=around)
-    if fixed_pair:
-        mujoco_scene.add_fixed_pair(spec, around)
+        mujoco_scene.add_target(spec, target, board, surroundings=around)
+    if observer_cameras:
+        mujoco_scene.add_observer_cameras(spec, around)
     return spec
 
 
@@ -110,13 +110,13 @@ def head_spec(
     spec = mujoco.MjSpec()
     spec.modelname = head.name
     timestep_s = head.timing.period_s / SUBSTEPS if timestep_s is None else timestep_s
-    drives, rotors = drives_of(head), has_rotors(head)
+    drives, rotors = transmissions_of(head), needs_rotor_bodies(head)
     couplings = rotor_couplings(head, drives) if rotors else couplings_of(head)
     _set_options(spec, timestep_s, gravity, bool(couplings))
     angles = np.broadcast_to(np.asarray(neck_position, np.float64), (3,)).tolist()
     named = zip(head.joints[NECK], angles, strict=True)
     held = {name: angle for name, angle in named if name and neck == "welded"}
-    loads = loads_of(head)
+    loads = load_inertias(head)
     bodies = add_bodies(spec, head, held, loads.armature)
     add_cameras(spec, head, bodies)
     if rotors:
@@ -133,11 +133,11 @@ def head_spec(
 def compile_model(head: HeadModel, **options: Any) -> mujoco.MjModel:
     """Compile the model of a head; see `build_spec` for the arguments and errors."""
     model = build_spec(head, **options).compile()
-    addresses_of(model, head)
+    find_model_indices(model, head)
     return model
 
 
-class Addresses(NamedTuple):
+class ModelIndices(NamedTuple):
     """Indices of a head's joints and actuators in the arrays of its MuJoCo model."""
 
     joints: NDArray[np.intp]
@@ -148,13 +148,13 @@ class Addresses(NamedTuple):
     `qpos[: len(places)] = q[places]`. This is all of `qpos`, unless the head has rotors."""
     rotors: NDArray[np.intp]
     """Index of each rotor in the same array as for `slots`; rotors are the rest of `qpos`, see
-    `has_rotors`."""
+    `needs_rotor_bodies`."""
     slots: NDArray[np.intp]
     """(nu,) index of each number in `ctrl` in an array of the neck's joints and the four actuators
     of the eyes."""
 
 
-def addresses_of(model: mujoco.MjModel, head: HeadModel) -> Addresses:
+def find_model_indices(model: mujoco.MjModel, head: HeadModel) -> ModelIndices:
     """Find a head's joints and actuators in a model from `build_spec`.
 
     Args:
@@ -167,19 +167,19 @@ def addresses_of(model: mujoco.MjModel, head: HeadModel) -> Addresses:
     """
     joints = tuple(model.joint(i).name for i in range(model.njnt))
     actuators = tuple(model.actuator(i).name for i in range(model.nu))
-    places, drives = joint_places(head), drives_of(head)
+    places, drives = first_joint_indices(head), transmissions_of(head)
     for first in (0, NECK.stop):
         moving = {name: place for name, place in places.items() if place >= first}
         driven = {drive.name: drive.slot for drive in drives if drive.slot >= first}
         rotors = {
             drive.joint_or_rotor: drive.slot
             for drive in drives
-            if drive.slot >= NECK.stop and has_rotors(head)
+            if drive.slot >= NECK.stop and needs_rotor_bodies(head)
         }
         expected = (*moving, *rotors)
         if joints == expected and actuators == tuple(driven) and model.nq == len(expected):
             index = {name: i for i, name in enumerate(moving)}
-            return Addresses(
+            return ModelIndices(
                 joints=np.array([index.get(name, -1) for name in head.joints], dtype=np.intp),
                 places=np.array([*moving.values()], dtype=np.intp),
                 rotors=np.array([*rotors.values()], dtype=np.intp),

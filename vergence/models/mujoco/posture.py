@@ -24,7 +24,7 @@ _N_ORIGIN_M: Final = (-0.011, -0.064, 0.0)
 """N's origin at rest in the article's frame 0, m (physical: the article's head)."""
 
 
-class Posture(NamedTuple):
+class RestPoses(NamedTuple):
     """A head at rest."""
 
     links: FloatArray
@@ -36,7 +36,7 @@ class Posture(NamedTuple):
     upright: FloatArray
     """(4, 4) pose in frame 0 of the upright frame: z up, -y forward, and N at the same pose in it
     as in the article's frame 0; the identity for the article's head."""
-    roots: FloatArray
+    eye_roots: FloatArray
     """(2, 3) positions in frame 0 of each eye's first joint, or of its camera if it does not move,
     m."""
     has_neck: bool
@@ -62,18 +62,18 @@ class Posture(NamedTuple):
         return EYE_RADIUS_M * narrow
 
     @property
-    def bar(self) -> FloatArray:
+    def bar_ends(self) -> FloatArray:
         """(2, 3) ends of a bar behind both eyes' first joints, in frame 0, metres."""
-        return np.asarray(self.roots - 1.6 * self.eye_radius_m * self.base[:3, 2])
+        return np.asarray(self.eye_roots - 1.6 * self.eye_radius_m * self.base[:3, 2])
 
     @property
-    def stand(self) -> FloatArray:
+    def stand_top(self) -> FloatArray:
         """(3,) top of the stand in frame 0, metres: below the neck, or at the middle of the bar."""
         if self.is_article:
             return np.array([0.0, 0.0, -0.03])
         if self.has_neck:
             return np.asarray(self.links[0, :3, 3] - 0.03 * self.scale * self.upright[:3, 2])
-        return np.asarray(self.bar.mean(axis=0))
+        return np.asarray(self.bar_ends.mean(axis=0))
 
     @property
     def lowest_m(self) -> float:
@@ -84,7 +84,7 @@ class Posture(NamedTuple):
         return float((self.upright[:3, 2] @ (points - self.upright[:3, 3]).T).min())
 
 
-def posture_of(head: HeadModel) -> Posture:
+def rest_poses(head: HeadModel) -> RestPoses:
     """Compute the posture of one head at rest."""
     q, links = head.rest(), head.links.bodies()
     frames: list[FloatArray] = []
@@ -100,25 +100,25 @@ def posture_of(head: HeadModel) -> Posture:
         upright[:3, :3] = base[:3, :3] @ _N_UPRIGHT.T
         upright[:3, 3] = base[:3, 3] - upright[:3, :3] @ _N_ORIGIN_M
     cameras = base @ head.camera_poses(q)
-    carrier, *ends = carriers(head)
+    carrier, *ends = carrier_bodies(head)
     roots = np.array(cameras[:, :3, 3])
     for eye, end in enumerate(ends):
         if end != carrier:
             while links[end].parent != carrier:
                 end = links[end].parent
             roots[eye] = frames[end][:3, 3]
-    return Posture(
+    return RestPoses(
         links=np.array(frames).reshape(-1, 4, 4),
         base=base,
         cameras=cameras,
         upright=upright,
-        roots=roots,
+        eye_roots=roots,
         has_neck=carrier >= 0,
         is_article=is_article,
     )
 
 
-def carriers(head: HeadModel) -> tuple[int, int, int]:
+def carrier_bodies(head: HeadModel) -> tuple[int, int, int]:
     """Indices in `Links.bodies` of the bodies that carry N and both cameras; -1 for the base."""
     bodies = head.links.bodies()
     return chain_end(bodies, None), chain_end(bodies, 0), chain_end(bodies, 1)

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from vergence.models.boards import PlanarTarget, make_planar_target, texture
 from vergence.models.head import HeadModel
-from vergence.models.mujoco.bodies import placement
-from vergence.models.mujoco.posture import posture_of
+from vergence.models.mujoco.bodies import pos_and_quat
+from vergence.models.mujoco.posture import rest_poses
 from vergence.models.mujoco.shapes import (
     COLOURS,
     DARK,
@@ -40,7 +40,7 @@ _TOWARDS_HEAD: Final = (0.0, 0.0, 0.5**0.5, -(0.5**0.5))
 z_T = -y_0 (numerical)."""
 
 
-class FixedPair(NamedTuple):
+class ObserverCameras(NamedTuple):
     """A stereo camera that does not move, like the article's ZED Mini (Table 6)."""
 
     width: int = 1280
@@ -52,7 +52,7 @@ class FixedPair(NamedTuple):
     """Midpoint between both optical centres in the upright frame, above the eyes at rest."""
 
 
-FIXED_PAIR: Final = FixedPair()
+OBSERVER_CAMERAS: Final = ObserverCameras()
 
 
 class Surroundings(NamedTuple):
@@ -83,15 +83,15 @@ class Surroundings(NamedTuple):
         pose = np.eye(4)
         rotation = Rotation.from_quat(np.asarray(quat), scalar_first=True).as_matrix()
         pose[:3, :3], pose[:3, 3] = self.frame[:3, :3] @ rotation, self.at(point)
-        return placement(pose)
+        return pos_and_quat(pose)
 
 
 def surroundings_of(head: HeadModel) -> Surroundings:
     """Compute the position and size of a head's surroundings."""
-    posture = posture_of(head)
+    posture = rest_poses(head)
     if posture.is_article:
         return Surroundings(posture.upright)
-    x, y, _z = (posture.stand - posture.upright[:3, 3]) @ posture.upright[:3, :3]
+    x, y, _z = (posture.stand_top - posture.upright[:3, 3]) @ posture.upright[:3, :3]
     return Surroundings(
         posture.upright,
         foot=(float(x), float(y)),
@@ -101,7 +101,7 @@ def surroundings_of(head: HeadModel) -> Surroundings:
 
 
 def add_target(
-    spec: mujoco.MjSpec, name: str, board: PlanarTarget | None = None, *, around: Surroundings
+    spec: mujoco.MjSpec, name: str, board: PlanarTarget | None = None, *, surroundings: Surroundings
 ) -> None:
     """Add the mocap body of a target, whose frame is T, one metre ahead of the head.
 
@@ -109,7 +109,7 @@ def add_target(
         spec: the specification to extend.
         name: name of the body.
         board: the board on the target; None for the board of that name with its default size.
-        around: the surroundings of the head.
+        surroundings: the surroundings of the head.
 
     Raises:
         UnknownNameError: there is no board of that name.
@@ -124,7 +124,7 @@ def add_target(
     spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file, vflip=True)
     material = spec.add_material(name=name, specular=0.0, shininess=0.0, emission=0.4)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
-    place = around.placed([-0.011, -1.064, 0.1], _TOWARDS_HEAD)
+    place = surroundings.placed([-0.011, -1.064, 0.1], _TOWARDS_HEAD)
     body = spec.worldbody.add_body(name=name, mocap=True, **place)
     body.add_geom(
         name=name,
@@ -140,23 +140,25 @@ def _png(image: NDArray[np.uint8]) -> bytes:
     return bytes(cv2.imencode(".png", image)[1])
 
 
-def add_fixed_pair(spec: mujoco.MjSpec, around: Surroundings, pair: FixedPair = FIXED_PAIR) -> None:
+def add_observer_cameras(
+    spec: mujoco.MjSpec, surroundings: Surroundings, cameras: ObserverCameras = OBSERVER_CAMERAS
+) -> None:
     """Add the body `fixed_pair`: x right, y down, z forward, origin midway between its cameras."""
-    place = around.placed(pair.position_m, _TOWARDS_HEAD)
+    place = surroundings.placed(cameras.position_m, _TOWARDS_HEAD)
     body = spec.worldbody.add_body(name="fixed_pair", **place)
-    size = np.array([pair.width, pair.height])
+    size = np.array([cameras.width, cameras.height])
     buffer = spec.visual.global_
-    buffer.offwidth = max(buffer.offwidth, pair.width)
-    buffer.offheight = max(buffer.offheight, pair.height)
+    buffer.offwidth = max(buffer.offwidth, cameras.width)
+    buffer.offheight = max(buffer.offheight, cameras.height)
     box = {"size": [0.062, 0.0133, 0.012], "pos": [0.0, 0.0, -0.013]}
     add_shape(body, _GEOM.mjGEOM_BOX, COLOURS[DARK], **box)
-    x, y, z = pair.position_m
-    elbow = around.at([x, MAST_Y_M, z])
-    for end in ([x, MAST_Y_M, around.floor_m + 0.01], [x, y + 0.02, z]):
+    x, y, z = cameras.position_m
+    elbow = surroundings.at([x, MAST_Y_M, z])
+    for end in ([x, MAST_Y_M, surroundings.floor_m + 0.01], [x, y + 0.02, z]):
         metal, capsule = COLOURS[METAL], _GEOM.mjGEOM_CAPSULE
-        add_segment(spec.worldbody, metal, elbow, around.at(end), 0.006, capsule)
+        add_segment(spec.worldbody, metal, elbow, surroundings.at(end), 0.006, capsule)
     for side, name in ((-1, "fixed_left"), (1, "fixed_right")):
-        centre = [side * pair.baseline_m / 2.0, 0.0, 0.0]
+        centre = [side * cameras.baseline_m / 2.0, 0.0, 0.0]
         # MuJoCo's cameras look along -z with y up, and count the principal point from the
         # image's centre towards the left and up, in edges instead of centres of pixels
         body.add_camera(
@@ -165,13 +167,13 @@ def add_fixed_pair(spec: mujoco.MjSpec, around: Surroundings, pair: FixedPair = 
             quat=[0.0, 1.0, 0.0, 0.0],
             resolution=size,
             sensor_size=2e-6 * size,
-            focal_pixel=[pair.focal_px, pair.focal_px],
-            principal_pixel=size / 2.0 - (np.array(pair.principal_px) + 0.5),
+            focal_pixel=[cameras.focal_px, cameras.focal_px],
+            principal_pixel=size / 2.0 - (np.array(cameras.principal_px) + 0.5),
         )
         add_segment(body, COLOURS[LENS], [centre[0], 0.0, -0.002], centre, 0.007)
 
 
-def add_scenery(spec: mujoco.MjSpec, around: Surroundings) -> None:
+def add_scenery(spec: mujoco.MjSpec, surroundings: Surroundings) -> None:
     """Add a floor, lights and a dim sky."""
     spec.add_texture(
         name="sky",
@@ -188,11 +190,11 @@ def add_scenery(spec: mujoco.MjSpec, around: Surroundings) -> None:
         type=_GEOM.mjGEOM_PLANE,
         size=[0.0, 0.0, 0.5],
         material="floor",
-        **around.placed([0.0, 0.0, around.floor_m]),
+        **surroundings.placed([0.0, 0.0, surroundings.floor_m]),
         **UNTOUCHABLE,
     )
-    bottom = around.at([*around.foot, around.floor_m])
-    top = around.at([*around.foot, around.floor_m + 0.012])
+    bottom = surroundings.at([*surroundings.foot, surroundings.floor_m])
+    top = surroundings.at([*surroundings.foot, surroundings.floor_m + 0.012])
     add_segment(spec.worldbody, COLOURS[DARK], bottom, top, 0.09)
     # offscreen multisampling and shadow maps take most of a frame's time on a CPU
     spec.visual.quality.offsamples = 0
@@ -203,10 +205,10 @@ def add_scenery(spec: mujoco.MjSpec, around: Surroundings) -> None:
     spec.visual.headlight.specular = [0.0, 0.0, 0.0]
     spec.worldbody.add_light(
         name="key",
-        pos=around.at([0.6, -0.8, 1.2]),
-        dir=around.frame[:3, :3] @ [-0.4, 0.5, -0.8],
+        pos=surroundings.at([0.6, -0.8, 1.2]),
+        dir=surroundings.frame[:3, :3] @ [-0.4, 0.5, -0.8],
         diffuse=[0.6, 0.6, 0.6],
     )
     spec.visual.map.znear = 0.005
-    spec.stat.center = around.at([0.0, -0.05, 0.0])
-    spec.stat.extent = around.extent_m
+    spec.stat.center = surroundings.at([0.0, -0.05, 0.0])
+    spec.stat.extent = surroundings.extent_m

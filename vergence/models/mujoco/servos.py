@@ -23,7 +23,7 @@ import numpy as np
 
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
-from vergence.models.mujoco.bodies import stiff
+from vergence.models.mujoco.bodies import stiff_solref
 from vergence.models.mujoco.drives import JointCoupling, Transmission
 from vergence.models.parts import FloatArray
 
@@ -35,7 +35,7 @@ _ROTOR_MASS: Final = 1e-3  # kg
 _ROTOR_INERTIA: Final = 1e-6  # kg m^2
 
 
-def servo_rate(lag_s: float, timestep_s: float) -> float:
+def discrete_lag_rate(lag_s: float, timestep_s: float) -> float:
     """Rate, 1/s, at which explicit steps reproduce the exact lag: `(1 - exp(-h / tau)) / h`."""
     return -expm1(-timestep_s / lag_s) / timestep_s if lag_s > 0.0 else 1.0 / timestep_s
 
@@ -55,7 +55,9 @@ def add_servos(
     for drive in drives:
         speed = own.velocity[drive.slot]
         torque = loads[drive.slot] * own.acceleration[drive.slot]
-        rate = servo_rate(head.timing.lag_s * own.lag_ratio[drive.slot], spec.option.timestep)
+        rate = discrete_lag_rate(
+            head.timing.lag_s * own.lag_ratio[drive.slot], spec.option.timestep
+        )
         if not drive.joint_or_rotor:
             _add_tendon(spec, drive)
         joint, tendon = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_TENDON
@@ -77,7 +79,7 @@ def _add_tendon(spec: mujoco.MjSpec, drive: Transmission) -> None:
     tendon = _tendon(spec, drive.name, drive.joints)
     tendon.limited = mujoco.mjtLimited.mjLIMITED_TRUE
     tendon.range = [drive.lower, drive.upper]
-    tendon.solref_limit = stiff(spec.option.timestep)
+    tendon.solref_limit = stiff_solref(spec.option.timestep)
 
 
 def _tendon(spec: mujoco.MjSpec, name: str, joints: Sequence[tuple[str, float]]) -> Any:
@@ -107,7 +109,7 @@ def add_rotors(spec: mujoco.MjSpec, drives: Sequence[Transmission], inertia: Flo
                 limited=mujoco.mjtLimited.mjLIMITED_TRUE,
                 range=[drive.lower, drive.upper],
                 armature=inertia[drive.slot],
-                solref_limit=stiff(spec.option.timestep),
+                solref_limit=stiff_solref(spec.option.timestep),
             )
 
 
@@ -140,6 +142,6 @@ def add_couplings(spec: mujoco.MjSpec, couplings: Sequence[JointCoupling]) -> No
             name1=first,
             name2=second,
             data=polynomial,
-            solref=stiff(spec.option.timestep),
+            solref=stiff_solref(spec.option.timestep),
             solimp=_RIGID,
         )

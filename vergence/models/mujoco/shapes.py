@@ -29,7 +29,7 @@ def add_materials(spec: mujoco.MjSpec) -> None:
 
 def add_segment(
     body: Any,
-    look: str | Sequence[float],
+    material_or_colour: str | Sequence[float],
     start: Any,
     end: Any,
     radius: float,
@@ -37,13 +37,19 @@ def add_segment(
 ) -> None:
     """Add a cylinder or a capsule between two points, see `add_shape`."""
     ends = np.concatenate([start, end])
-    add_shape(body, kind, look, size=[radius, 0.0, 0.0], fromto=ends)
+    add_shape(body, kind, material_or_colour, size=[radius, 0.0, 0.0], fromto=ends)
 
 
-def add_shape(body: Any, kind: mujoco.mjtGeom, look: str | Sequence[float], **where: Any) -> None:
+def add_shape(
+    body: Any, kind: mujoco.mjtGeom, material_or_colour: str | Sequence[float], **where: Any
+) -> None:
     """Add a shape with a material of the head, or with a colour of its own.
 
     The surroundings use colours, not the head's materials, so both can be in separate files.
     """
-    colour = {"material": look} if isinstance(look, str) else {"rgba": look}
+    colour = (
+        {"material": material_or_colour}
+        if isinstance(material_or_colour, str)
+        else {"rgba": material_or_colour}
+    )
     body.add_geom(type=kind, **colour, **where, **UNTOUCHABLE)

@@ -11,9 +11,9 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.links import chain_end
 from vergence.models.mujoco.bodies import body_name
-from vergence.models.mujoco.drives import JointCoupling, coupled, couplings_of
+from vergence.models.mujoco.drives import JointCoupling, coupled_joint_equations, couplings_of
 from vergence.models.mujoco.inertia import link_inertia
-from vergence.models.mujoco.loads import loads_of
+from vergence.models.mujoco.loads import load_inertias
 from vergence.models.parts import FloatArray
 
 
@@ -48,9 +48,9 @@ def to_urdf(head: HeadModel) -> str:
     compiler.set("fusestatic", "false")
     ET.SubElement(robot, "link", name="base")
     couplings = {coupling.joint: coupling for coupling in couplings_of(head)}
-    for sum_of_several in coupled(head):
+    for sum_of_several in coupled_joint_equations(head):
         robot.append(ET.Comment(f" {_comment(sum_of_several)} "))
-    bodies, loads = head.links.bodies(), loads_of(head)
+    bodies, loads = head.links.bodies(), load_inertias(head)
     links = {-1: "base"} | {place: body_name(body.name) for place, body in enumerate(bodies)}
     for place, body in enumerate(bodies):
         _add_link(robot, head, body.name)

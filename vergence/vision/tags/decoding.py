@@ -69,7 +69,7 @@ def decode(
     for turn in range(4):
         bits = np.rot90(white, turn)[y, x]
         word = int("".join("1" if bit else "0" for bit in bits), 2)
-        wrong = np.bitwise_count(code.words ^ np.uint64(word))
+        wrong = np.bitwise_count(code.code_words ^ np.uint64(word))
         number = int(np.argmin(wrong))
         if best is None or int(wrong[number]) < best[0]:
             best = (int(wrong[number]), number, turn)

@@ -27,13 +27,13 @@ class MotionLimits:
     velocity: float
     acceleration: float
 
-    def through(self, mimic: MimicJoint) -> "MotionLimits":
+    def limits_of_master(self, mimic: MimicJoint) -> "MotionLimits":
         """Limits that a joint with these ones sets its master, `joint = m master + offset`."""
         ends = [(end - mimic.offset) / mimic.multiplier for end in (self.lower, self.upper)]
         size = abs(mimic.multiplier)
         return MotionLimits(min(ends), max(ends), self.velocity / size, self.acceleration / size)
 
-    def within(self, other: "MotionLimits") -> "MotionLimits":
+    def intersection(self, other: "MotionLimits") -> "MotionLimits":
         """Intersection of both limits."""
         return MotionLimits(
             max(self.lower, other.lower),
@@ -86,7 +86,7 @@ class EyeJoint:
         return abs(float(self.axis[1])) > abs(float(self.axis[0]))
 
 
-def motors(
+def find_eye_motors(
     joints: Sequence[EyeJoint],
     mimic_joints: Sequence[MimicJoint],
     couplings: Sequence[Coupling],
@@ -129,7 +129,7 @@ def _free(
     mine = [mimic for mimic in mimic_joints if mimic.master == joint.name]
     allowed = joint.range
     for mimic in mine:
-        allowed = allowed.within(by_name[mimic.joint].range.through(mimic))
+        allowed = allowed.intersection(by_name[mimic.joint].range.limits_of_master(mimic))
     if not allowed.lower < allowed.upper:
         raise ConfigurationError(
             f"joint {joint.name}: expected a range that it and what follows it "
@@ -177,7 +177,7 @@ def _common_tilt(left: EyeMotor, right: EyeMotor, by_name: Mapping[str, EyeJoint
     axes = by_name[left.name].axis, by_name[right.name].axis
     factor = 1.0 if axes[0] @ axes[1] > 0.0 else -1.0
     mimic = MimicJoint(right.name, left.name, factor, 0.0)
-    allowed = left.range.within(right.range.through(mimic))
+    allowed = left.range.intersection(right.range.limits_of_master(mimic))
     if not allowed.lower < allowed.upper:
         raise ConfigurationError(
             f"actuators: expected for common-tilt a range that {left.name} and {right.name} have "
@@ -202,7 +202,7 @@ def _version_vergence(
     """
     signs = [float(np.sign(by_name[motor.name].axis[1])) for motor in (left, right)]
     turned = [
-        m.range.through(MimicJoint("", "", s, 0.0))
+        m.range.limits_of_master(MimicJoint("", "", s, 0.0))
         for m, s in zip((left, right), signs, strict=True)
     ]
     l, r = turned  # noqa: E741 ranges of the left and right eye's rotation to the right
@@ -217,7 +217,7 @@ def _version_vergence(
             f"actuators: expected for version-vergence pans that can converge on {_NEAREST_M} m, "
             f"got {left.name} and {right.name} with too little range"
         )
-    both = l.within(r)
+    both = l.intersection(r)
     reason = (
         "the largest ranges within those of both pans, chosen so that version and vergence at "
         "full speed together keep to the pans' limits"

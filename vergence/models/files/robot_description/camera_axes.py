@@ -24,34 +24,34 @@ _ROLLED: Final = np.cos(np.deg2rad(25.0))
 image (chosen: tilted mounts are accepted, wrong frames refused)."""
 
 
-def rotation_of(triple: str) -> FloatArray:
+def rotation_of_axes(axes: str) -> FloatArray:
     """R_frame_camera, (3, 3), from the axes `right,down,forward`, such as `x,-y,-z`.
 
     Args:
-        triple: three axes of the frame with their signs.
+        axes: three axes of the frame with their signs.
 
     Raises:
         ConfigurationError: the text does not name three axes, or the frame is left-handed.
     """
-    names = [name.strip().lower().removeprefix("+") for name in triple.split(",")]
+    names = [name.strip().lower().removeprefix("+") for name in axes.split(",")]
     expected = (
         "camera-axes: expected the axes of the camera's frame that point right in the image, down "
         "in it and forward, such as x,-y,-z"
     )
     if len(names) != 3 or not set(names) <= set(_AXES) or len({n[-1] for n in names}) != 3:
-        raise ConfigurationError(f"{expected}, got {triple!r}")
+        raise ConfigurationError(f"{expected}, got {axes!r}")
     rotation = np.column_stack([_AXES[name] for name in names])
     if np.linalg.det(rotation) < 0.0:
         mirrored = names[2].removeprefix("-") if names[2].startswith("-") else f"-{names[2]}"
         raise ConfigurationError(
-            f"{expected}, forward being right x down, got {triple!r}, which is left-handed "
+            f"{expected}, forward being right x down, got {axes!r}, which is left-handed "
             f"({names[0]},{names[1]},{mirrored} is not)"
         )
     return np.asarray(rotation)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class EyeAtZero:
+class EyeAtZeroAngles:
     """A camera and its joint axes at zero, in the base's frame, to check the camera's axes.
 
     Attributes:
@@ -65,7 +65,7 @@ class EyeAtZero:
     axes: FloatArray
 
 
-def check_optical(eyes: Sequence[EyeAtZero], up: FloatArray) -> None:
+def check_camera_axes(eyes: Sequence[EyeAtZeroAngles], up: FloatArray) -> None:
     """Refuse cameras unless, at zero, they are side by side, look ahead and are upright.
 
     Args:
@@ -108,7 +108,7 @@ def check_optical(eyes: Sequence[EyeAtZero], up: FloatArray) -> None:
     )
 
 
-def _fault(eye: EyeAtZero, across: FloatArray, up: FloatArray) -> str:
+def _fault(eye: EyeAtZeroAngles, across: FloatArray, up: FloatArray) -> str:
     right, down, forward = eye.pose[:3, :3].T
     if right @ across < _ALIGNED:
         return f"x is {_angle(right @ across)} from the line from the left camera to the right one"
@@ -126,11 +126,11 @@ def _angle(cosine: float) -> str:
     return f"{np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} degrees"
 
 
-def _fitting(eye: EyeAtZero, across: FloatArray, up: FloatArray) -> str:
+def _fitting(eye: EyeAtZeroAngles, across: FloatArray, up: FloatArray) -> str:
     """Axes `right,down,forward` of the frame that fit best."""
 
     def misfit(triple: str) -> float:
-        right, down, forward = (eye.pose[:3, :3] @ rotation_of(triple)).T
+        right, down, forward = (eye.pose[:3, :3] @ rotation_of_axes(triple)).T
         rolled = max((abs(float(forward @ axis)) for axis in eye.axes), default=0.0)
         return float(-2.0 * (right @ across) + down @ up + 1.5 * rolled)
 

@@ -62,7 +62,7 @@ class JointPath:
     down: tuple[Joint, ...]
 
 
-def path_to(mechanism: Mechanism, base: int, camera: int) -> JointPath:
+def find_joint_path(mechanism: Mechanism, base: int, camera: int) -> JointPath:
     """Find the joints on the path from a base to a camera."""
     above, below = mechanism.ancestors(base), mechanism.ancestors(camera)
     frames = mechanism.frames
@@ -72,8 +72,8 @@ def path_to(mechanism: Mechanism, base: int, camera: int) -> JointPath:
     )
 
 
-def fold(
-    mechanism: Mechanism, base: int, camera: int, fixed: Mapping[str, float]
+def build_chain(
+    mechanism: Mechanism, base: int, camera: int, fixed_values: Mapping[str, float]
 ) -> KinematicChain:
     """Build the chain from a base to a camera.
 
@@ -81,18 +81,18 @@ def fold(
         mechanism: the robot.
         base: index of the base's frame.
         camera: index of the camera's frame.
-        fixed: values of fixed joints by name, radians or metres; all other joints on the way down
-            are hinges.
+        fixed_values: values of fixed joints by name, radians or metres; all other joints on the way
+            down are hinges.
     """
     above, below = mechanism.ancestors(base), mechanism.ancestors(camera)
-    pending = np.linalg.inv(_still(mechanism, [i for i in above if i not in below], fixed))
+    pending = np.linalg.inv(_still(mechanism, [i for i in above if i not in below], fixed_values))
     joints = []
     for index in (i for i in below if i not in above):
         frame = mechanism.frames[index]
         pending = pending @ frame.pose
         for joint in frame.joints:
-            if joint.name in fixed:
-                pending = pending @ joint.motion(fixed[joint.name])
+            if joint.name in fixed_values:
+                pending = pending @ joint.motion(fixed_values[joint.name])
                 continue
             to_axis = np.eye(4)
             to_axis[:3, 3] = joint.anchor

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from vergence.errors import ConfigurationError
-from vergence.models.files.robot_description.mechanism import Joint, among
+from vergence.models.files.robot_description.mechanism import Joint, known_names_hint
 
 _NUMBER: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-z]*)\s*")
 _TURNS: Final = {"": np.pi / 180.0, "deg": np.pi / 180.0, "rad": 1.0}
@@ -17,11 +17,11 @@ _SLIDES: Final = {"m": 1.0, "mm": 1e-3}
 """Metres per unit of a length."""
 
 
-def locked_joints(words: Sequence[str], joints: Mapping[str, Joint]) -> dict[str, float]:
+def parse_locked_joints(texts: Sequence[str], joints: Mapping[str, Joint]) -> dict[str, float]:
     """Parse values of locked joints from `JOINT=DEG`, `JOINT=1.5rad`, `JOINT=0.1m`.
 
     Args:
-        words: the texts, as given.
+        texts: the texts, as given.
         joints: the robot's joints by name.
 
     Returns:
@@ -31,12 +31,14 @@ def locked_joints(words: Sequence[str], joints: Mapping[str, Joint]) -> dict[str
         ConfigurationError: a text is malformed, a joint is unknown, or is given twice.
     """
     found: dict[str, float] = {}
-    for word in words:
+    for word in texts:
         name, equals, text = word.rpartition("=")
         if not equals:
             raise ConfigurationError(f"lock: expected JOINT=DEG, got {word!r}")
         if name not in joints:
-            raise ConfigurationError(f"lock: expected {among('joint', name, joints)}, got {name!r}")
+            raise ConfigurationError(
+                f"lock: expected {known_names_hint('joint', name, joints)}, got {name!r}"
+            )
         if name in found:
             raise ConfigurationError(f"lock: expected each joint once, got {name} twice")
         slides = joints[name].kind == "slide"
@@ -50,7 +52,7 @@ def locked_joints(words: Sequence[str], joints: Mapping[str, Joint]) -> dict[str
 
 
 @dataclass(frozen=True)
-class PerJoint:
+class ValueByJoint:
     """Numbers that the user gives for joints.
 
     Attributes:
@@ -64,18 +66,18 @@ class PerJoint:
 
 def parse_per_joint(
     option: str,
-    words: Sequence[str],
+    texts: Sequence[str],
     joints: Sequence[str],
-    accepted: Callable[[float], bool],
+    is_valid: Callable[[float], bool],
     expected: str,
-) -> PerJoint:
+) -> ValueByJoint:
     """Parse numbers from `NUMBER` and `JOINT=NUMBER`.
 
     Args:
         option: name of the option, for messages.
-        words: the texts, as given.
+        texts: the texts, as given.
         joints: joints that may be named.
-        accepted: predicate of valid numbers.
+        is_valid: predicate of valid numbers.
         expected: description of a valid number, for messages.
 
     Raises:
@@ -83,17 +85,17 @@ def parse_per_joint(
     """
     each: dict[str, float] = {}
     others: float | None = None
-    for word in words:
+    for word in texts:
         name, equals, text = word.rpartition("=")
         try:
             number = float(text)
         except ValueError:
             number = np.nan
-        if np.isnan(number) or not accepted(number):
+        if np.isnan(number) or not is_valid(number):
             raise ConfigurationError(f"{option}: expected {expected}, got {word!r}")
         if equals and name not in joints:
             raise ConfigurationError(
-                f"{option}: expected {among('moving joint', name, joints)}, got {name!r}"
+                f"{option}: expected {known_names_hint('moving joint', name, joints)}, got {name!r}"
             )
         if name in each or (not equals and others is not None):
             raise ConfigurationError(f"{option}: expected one number a joint, got {word!r} too")
@@ -101,4 +103,4 @@ def parse_per_joint(
             each[name] = number
         else:
             others = number
-    return PerJoint(each, others)
+    return ValueByJoint(each, others)

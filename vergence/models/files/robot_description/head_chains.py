@@ -11,10 +11,15 @@ from vergence.models.files.robot_description.chain import (
     ChainJoint,
     JointPath,
     KinematicChain,
-    fold,
-    path_to,
+    build_chain,
+    find_joint_path,
 )
-from vergence.models.files.robot_description.mechanism import Joint, Mechanism, MimicJoint, among
+from vergence.models.files.robot_description.mechanism import (
+    Joint,
+    Mechanism,
+    MimicJoint,
+    known_names_hint,
+)
 from vergence.models.parts import FloatArray
 
 # Most joints that a head file has for the neck and for the chain of an eye (numerical).
@@ -69,7 +74,7 @@ def head_chains(
         ConfigurationError: a name is unknown, a joint is neither of the neck, locked nor of an
             eye, or a head file cannot express the mechanism; the message says why.
     """
-    paths = tuple(path_to(mechanism, base, camera) for camera in cameras)
+    paths = tuple(find_joint_path(mechanism, base, camera) for camera in cameras)
     on_way = list(dict.fromkeys(j.name for way in paths for j in (*way.up, *way.down)))
     shared = [j.name for j in paths[0].down if j.name in {k.name for k in paths[1].down}]
     _check_neck(mechanism, neck, on_way, shared, locked, paths)
@@ -93,7 +98,7 @@ def head_chains(
     _check_frames(mechanism, base, cameras)
     parts = _parts(paths, shared, neck, fixed)
     return HeadChains(
-        chains=tuple(fold(mechanism, base, camera, fixed) for camera in cameras),  # type: ignore[arg-type]
+        chains=tuple(build_chain(mechanism, base, camera, fixed) for camera in cameras),  # type: ignore[arg-type]
         parts=parts,
         mimic_joints=_eye_mimic_joints(mechanism, parts),
         fixed=fixed,
@@ -129,7 +134,7 @@ def _check_neck(
         for name in names:
             if name not in known:
                 raise ConfigurationError(
-                    f"{option}: expected {among('joint', name, known)}, got {name!r}"
+                    f"{option}: expected {known_names_hint('joint', name, known)}, got {name!r}"
                 )
             if name not in on_way:
                 raise ConfigurationError(
@@ -184,7 +189,7 @@ def _stand_still(
         elif mimic.master not in known:
             raise ConfigurationError(
                 f"joint {name}: expected one that follows "
-                f"{among('moving joint', mimic.master, known)}, got one that follows "
+                f"{known_names_hint('moving joint', mimic.master, known)}, got one that follows "
                 f"{mimic.master!r}, which is none"
             )
         elif mimic.master not in on_way:

@@ -12,13 +12,13 @@ from vergence.models.files.robot_description.head_chains import HeadChains
 from vergence.models.parts import FloatArray
 
 
-def pose_fields(position: str, pose: FloatArray, what: str) -> dict[str, Any]:
+def pose_fields(position_key: str, pose: FloatArray, name: str) -> dict[str, Any]:
     """Fields of a pose: its position and, unless it is the identity, its rotation.
 
     Args:
-        position: key of the position.
+        position_key: key of the position.
         pose: (4, 4) the pose, metres.
-        what: name of the posed element, for messages.
+        name: name of the posed element, for messages.
 
     Raises:
         ConfigurationError: the position is beyond the range of a head file.
@@ -28,11 +28,11 @@ def pose_fields(position: str, pose: FloatArray, what: str) -> dict[str, Any]:
     clean = np.where(np.abs(pose - near) < 1e-15, near, pose) + 0.0
     if not all(LENGTH[0](float(length)) for length in clean[:3, 3]):
         raise ConfigurationError(
-            f"{what}: expected to be less than 3 m from what carries it, got "
+            f"{name}: expected to be less than 3 m from what carries it, got "
             f"{np.linalg.norm(clean[:3, 3]):.3g} m: name a --base nearer to the head (or is the "
             "file in millimetres?)"
         )
-    fields = {position: clean[:3, 3].tolist()}
+    fields = {position_key: clean[:3, 3].tolist()}
     if (clean[:3, :3] != np.eye(3)).any():
         fields["rotation"] = clean[:3, :3].tolist()
     return fields
@@ -59,15 +59,15 @@ def limit_fields(limits: MotionLimits) -> dict[str, float]:
     }
 
 
-def actuator_fields(moved: Sequence[EyeMotor]) -> dict[str, Any]:
+def actuator_fields(motors: Sequence[EyeMotor]) -> dict[str, Any]:
     """Tables of actuators; empty if each joint has its own."""
-    if not moved:
+    if not motors:
         return {}
-    offsets = {joint: offset for motor in moved for joint, offset in motor.offsets.items()}
+    offsets = {joint: offset for motor in motors for joint, offset in motor.offsets.items()}
     tables: dict[str, Any] = {
         "actuators": [
             {"name": motor.name, "joints": dict(motor.joints), **limit_fields(motor.range)}
-            for motor in moved
+            for motor in motors
         ]
     }
     return tables | ({"joint_offsets_rad": offsets} if offsets else {})

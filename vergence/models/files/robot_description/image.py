@@ -10,7 +10,7 @@ import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.models.files.intrinsics import Intrinsics, read_intrinsics
-from vergence.models.files.robot_description.mechanism import SpecCamera
+from vergence.models.files.robot_description.mechanism import MjcfCamera
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 
@@ -22,7 +22,7 @@ _PINHOLE: Final = "brown-conrady"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class EyeImage:
+class EyeIntrinsics:
     """Intrinsics of one camera.
 
     Attributes:
@@ -53,9 +53,9 @@ class EyeImage:
         }
 
 
-def eye_images(
-    cameras: Sequence[SpecCamera | None], files: Sequence[str | os.PathLike[str]]
-) -> tuple[list[EyeImage], dict[str, str]]:
+def find_eye_intrinsics(
+    cameras: Sequence[MjcfCamera | None], files: Sequence[str | os.PathLike[str]]
+) -> tuple[list[EyeIntrinsics], dict[str, str]]:
     """Determine the intrinsics of both eyes.
 
     Args:
@@ -76,7 +76,7 @@ def eye_images(
             )
     if files:
         return _calibrated(read_intrinsics(files))
-    images: list[EyeImage] = []
+    images: list[EyeIntrinsics] = []
     assumed: dict[str, str] = {}
     for eye, camera in zip(EYE_NAMES, cameras, strict=True):
         image, reasons = _image(camera)
@@ -85,9 +85,9 @@ def eye_images(
     return images, assumed
 
 
-def _calibrated(cameras: Sequence[Intrinsics]) -> tuple[list[EyeImage], dict[str, str]]:
+def _calibrated(cameras: Sequence[Intrinsics]) -> tuple[list[EyeIntrinsics], dict[str, str]]:
     images = [
-        EyeImage(
+        EyeIntrinsics(
             size=(camera.width, camera.height),
             focal=camera.focal,
             principal=camera.principal,
@@ -97,16 +97,16 @@ def _calibrated(cameras: Sequence[Intrinsics]) -> tuple[list[EyeImage], dict[str
         for camera in cameras
     ]
     assumed = {
-        f"eyes.{eye}.distortion": camera.guess
+        f"eyes.{eye}.distortion": camera.lens_assumption
         for eye, camera in zip(EYE_NAMES, cameras, strict=True)
-        if camera.guess
+        if camera.lens_assumption
     }
     if cameras[0] is cameras[1]:
         assumed["eyes.right.focal_px"] = "one calibration was given for both cameras"
     return images, assumed
 
 
-def _image(camera: SpecCamera | None) -> tuple[EyeImage, dict[str, str]]:
+def _image(camera: MjcfCamera | None) -> tuple[EyeIntrinsics, dict[str, str]]:
     lens = {"distortion": "not in the file: no distortion"}
     size = _SIZE if camera is None or camera.size is None else camera.size
     unsaid = f"not in the file: {_SIZE[0]} x {_SIZE[1]}"
@@ -116,7 +116,7 @@ def _image(camera: SpecCamera | None) -> tuple[EyeImage, dict[str, str]]:
         field = f"not in the file: a field of view of {_FIELD_DEG:g} degrees horizontally"
         return _centred(size, focal), {**resolution, "focal_px": field, **lens}
     if camera.focal is not None and camera.principal is not None:
-        image = EyeImage(
+        image = EyeIntrinsics(
             size=size, focal=camera.focal, principal=camera.principal, distortion=np.zeros(5)
         )
         return image, lens
@@ -124,8 +124,8 @@ def _image(camera: SpecCamera | None) -> tuple[EyeImage, dict[str, str]]:
     return _centred(size, focal), (resolution if camera.size is None else {}) | lens
 
 
-def _centred(size: tuple[int, int], focal: float) -> EyeImage:
-    return EyeImage(
+def _centred(size: tuple[int, int], focal: float) -> EyeIntrinsics:
+    return EyeIntrinsics(
         size=size,
         focal=np.array([focal, focal]),
         principal=(np.array(size) - 1.0) / 2.0,

@@ -8,7 +8,7 @@ import numpy as np
 from vergence.errors import ConfigurationError
 from vergence.models.files.head_rules import ACCELERATION, RADIANS, SPEED
 from vergence.models.files.robot_description.actuators import MotionLimits
-from vergence.models.files.robot_description.given import PerJoint, parse_per_joint
+from vergence.models.files.robot_description.given import ValueByJoint, parse_per_joint
 from vergence.models.files.robot_description.mechanism import Joint
 
 ASSUMED_ACCELERATION: Final = 40.0
@@ -16,7 +16,7 @@ ASSUMED_ACCELERATION: Final = 40.0
 the weight of a small camera)."""
 
 
-def joint_ranges(
+def joint_motion_limits(
     joints: Sequence[Joint], speed: Sequence[str], acceleration: Sequence[str]
 ) -> tuple[dict[str, MotionLimits], dict[str, str]]:
     """Determine the limits of the moving joints.
@@ -84,7 +84,7 @@ def _is_real(velocity: float) -> bool:
     return not np.isnan(velocity) and SPEED[0](velocity)
 
 
-def _velocity(joint: Joint, speeds: PerJoint) -> tuple[float, str]:
+def _velocity(joint: Joint, speeds: ValueByJoint) -> tuple[float, str]:
     if joint.name in speeds.each:
         return speeds.each[joint.name], _override(joint)
     if _is_real(joint.velocity):
@@ -99,7 +99,7 @@ def _override(joint: Joint) -> str:
     return f"given by --speed in place of {joint.velocity:g} rad/s in the file"
 
 
-def _refuse_without_speed(joints: Sequence[Joint], speeds: PerJoint) -> None:
+def _refuse_without_speed(joints: Sequence[Joint], speeds: ValueByJoint) -> None:
     if speeds.others is not None:
         return
     lacking: Mapping[str, float] = {

@@ -60,7 +60,7 @@ class Joint:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SpecCamera:
+class MjcfCamera:
     """Image parameters of a camera in an MJCF; None if not given.
 
     Attributes:
@@ -97,7 +97,7 @@ class Frame:
     parent: int
     pose: FloatArray
     joints: tuple[Joint, ...] = ()
-    camera: SpecCamera | None = None
+    camera: MjcfCamera | None = None
     fault: str = ""
 
 
@@ -156,7 +156,7 @@ class Mechanism:
         root = next((f.name for f in self.frames if f.kind == "body" and f.name), "")
         below = f" (the root of the file is {root})" if option == "base" and root else ""
         raise ConfigurationError(
-            f"{option}: expected {among('frame', name, names)}, got {name!r}{below}"
+            f"{option}: expected {known_names_hint('frame', name, names)}, got {name!r}{below}"
         )
 
     def ancestors(self, frame: int) -> list[int]:
@@ -223,7 +223,7 @@ _SHOWN: Final = 12
 """Most names that a message lists (chosen: short messages)."""
 
 
-def among(what: str, name: str, names: Iterable[str]) -> str:
+def known_names_hint(what: str, name: str, names: Iterable[str]) -> str:
     """Description of an expected name for messages: the names like it, or else the first few."""
     known = sorted({known for known in names if known})
     if not known:

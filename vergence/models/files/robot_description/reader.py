@@ -15,7 +15,7 @@ from vergence.models.files.robot_description.mechanism import (
     JointKind,
     Mechanism,
     MimicJoint,
-    SpecCamera,
+    MjcfCamera,
 )
 from vergence.models.files.robot_description.robot_xml import (
     EXPECTED,
@@ -248,7 +248,7 @@ def _decimals(values: Any) -> FloatArray:
     return np.array([float(str(np.float32(value))) for value in values])
 
 
-def _camera(camera: Any) -> SpecCamera:
+def _camera(camera: Any) -> MjcfCamera:
     """Image parameters of a camera; one pixel, MuJoCo's default, is no given resolution."""
     fault = ""
     if camera.mode != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
@@ -258,7 +258,7 @@ def _camera(camera: Any) -> SpecCamera:
     fovy = float(camera.fovy)
     size = np.array(camera.resolution, dtype=np.float64)
     if size.max() <= 1.0:
-        return SpecCamera(size=None, focal=None, fovy_deg=fovy, principal=None, fault=fault)
+        return MjcfCamera(size=None, focal=None, fovy_deg=fovy, principal=None, fault=fault)
     focal, offset = _decimals(camera.focal_pixel), _decimals(camera.principal_pixel)
     sensor = _decimals(camera.sensor_size)
     if sensor.min() > 0.0:
@@ -267,7 +267,7 @@ def _camera(camera: Any) -> SpecCamera:
         if not offset.any():
             offset = _decimals(camera.principal_length) / sensor * size
     known = bool(sensor.min() > 0.0 and focal.min() > 0.0)
-    return SpecCamera(
+    return MjcfCamera(
         size=(int(size[0]), int(size[1])),
         focal=focal if known else None,
         fovy_deg=fovy,

@@ -7,8 +7,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence.errors import HeadFileError, UnreadableFileError, Words
-from vergence.models.files.robot_description.mechanism import JointKind, MimicJoint, among
+from vergence.errors import HeadFileError, UnquotedText, UnreadableFileError
+from vergence.models.files.robot_description.mechanism import (
+    JointKind,
+    MimicJoint,
+    known_names_hint,
+)
 
 EXPECTED: Final = "a URDF (<robot>) or an MJCF (<mujoco>)"
 """Description of an expected file, for messages."""
@@ -60,7 +64,7 @@ def check_names(path: str, root: ET.Element) -> None:
         for name, count in names.items():
             if name and count > 1:
                 raise HeadFileError(
-                    path, Words(f"two called {name!r}"), f"{tag}s with different names"
+                    path, UnquotedText(f"two called {name!r}"), f"{tag}s with different names"
                 )
     links = [link.get("name", "") for link in root.findall("link")]
     for joint in root.findall("joint[@name]"):
@@ -71,7 +75,7 @@ def check_names(path: str, root: ET.Element) -> None:
                 raise HeadFileError(
                     f"joint {joint.get('name')}",
                     name,
-                    f"a {end} that is {among('link', name, links)}",
+                    f"a {end} that is {known_names_hint('link', name, links)}",
                     path,
                 )
 
