@@ -156,7 +156,7 @@ class History:
         Returns:
             (..., channels, 4) the channels, in the order of `HISTORY_CHANNELS`.
         """
-        state[...], out = see_history(
+        state[...], out = history_channels(
             state,
             asked,
             detections.pixel_error,
@@ -201,7 +201,7 @@ def _begin_moment(s: HistoryState) -> None:
     ["(f8[:],f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:,:],f8[:],f8[:,:])"],
     f"({_SIZE}),(4),(2,2),(7),(2),(),(7),(7),(4),({row_size(_LAW)}),({PACKED}),({_COUNT},4)->({_SIZE}),({_COUNT},4)",
 )
-def see_history(
+def history_channels(
     before: FloatArray, asked: FloatArray, error: FloatArray, at: FloatArray, fresh: FloatArray,
     age_s: FloatArray, q: FloatArray, velocities: FloatArray, command: FloatArray,
     law_row: FloatArray, p: PackedHead, shape: FloatArray, after: FloatArray, out: FloatArray,

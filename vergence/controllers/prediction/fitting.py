@@ -29,11 +29,11 @@ from vergence.controllers.prediction.response import (
     SPEEDS,
     Response,
     ResponseModel,
-    advance,
     command_at,
     longest_latency,
-    mean_at,
-    model_of,
+    mean_speed_at,
+    selected_model,
+    simulate_period,
     speed_at,
 )
 from vergence.models.joint_pace import follow_pace, pace_of
@@ -157,7 +157,7 @@ def _posterior_cost(
     for j in range(4):
         gain = exp(model.gain[j])
         v, w = speed_at(response, first, j), model.accelerations[j]
-        lag, a = rig.lag_ratio[j] * exp(log_lag), rig.acceleration[j] * exp(ratio)
+        lag, a = rig.lag_ratio[j] * exp(log_lag), rig.acceleration_limit[j] * exp(ratio)
         before, after = pace_of(lag, build_up, a, rest), pace_of(lag, build_up, a, period - rest)
         mean_sd = _mean_step(rig, j)
         for i in range(first, tick):
@@ -165,7 +165,7 @@ def _posterior_cost(
             q, v, w = follow_pace(0.0, v, w, u, before)
             u = gain * command_at(response, i - whole, j)
             q, v, w = follow_pace(q, v, w, u, after)
-            measured, simulated, step_sd = mean_at(response, i + 1, j), q / period, mean_sd
+            measured, simulated, step_sd = mean_speed_at(response, i + 1, j), q / period, mean_sd
             if response.prompt > 0.5:
                 measured, simulated, step_sd = speed_at(response, i + 1, j), v, rig.speed_step[j]
             residual_variance = step_sd * step_sd + 0.05**2 + 0.01 * measured * measured
@@ -232,7 +232,7 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
     for j in range(4):
         own[j] = 1.0 / _GAIN_SD**2
         own_right[j] = own[j] * (model.gain_prior[j] - model.gain[j])
-        if not (rig.speed[j] > 0.0 and _is_excited(response, rig, first, tick, j)):
+        if not (rig.speed_limit[j] > 0.0 and _is_excited(response, rig, first, tick, j)):
             continue
         paces = [pace_of(1.0, 0.0, 1.0, 0.0)] * 12
         for m in range(size + 2):  # nominal (0), gain (1) or a parameter perturbed
@@ -243,7 +243,7 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
             gains[m] = exp(model.gain[j] + (_DIFFERENCES[4] if m == 1 else 0.0))
             holds[m] = int(latency / period + 1e-9)
             rest, lag = latency - holds[m] * period, rig.lag_ratio[j] * exp(log_lag)
-            a = rig.acceleration[j] * exp(ratio)
+            a = rig.acceleration_limit[j] * exp(ratio)
             paces[2 * m] = pace_of(lag, build_up, a, rest)
             paces[2 * m + 1] = pace_of(lag, build_up, a, period - rest)
             v[m], w[m] = speed_at(response, first, j), model.accelerations[j]
@@ -255,7 +255,7 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
                 distance, v[m], w[m] = follow_pace(distance, v[m], w[m], u, paces[2 * m + 1])
                 distances[m] = distance / period
             measured, step_sd, simulated = (
-                mean_at(response, i + 1, j),
+                mean_speed_at(response, i + 1, j),
                 _mean_step(rig, j),
                 distances,
             )
@@ -328,7 +328,7 @@ def _replay(
     for j in range(4):
         v, out[j] = speed_at(response, first, j), model.accelerations[j]
         for i in range(first, tick):
-            _q, v, out[j] = advance(response, model, rig, i, j, 0.0, v, out[j])
+            _q, v, out[j] = simulate_period(response, model, rig, i, j, 0.0, v, out[j])
 
 
 @inlined
@@ -352,9 +352,11 @@ def learn_response(response: Response, rig: PredictorModel, tick: int) -> None:
     ends = tick - first >= window or not moving
     excited = False
     for j in range(4):
-        excited = excited or (rig.speed[j] > 0.0 and _is_excited(response, rig, first, tick, j))
+        excited = excited or (
+            rig.speed_limit[j] > 0.0 and _is_excited(response, rig, first, tick, j)
+        )
     # a well-known response is updated only once a window
-    model = model_of(response)
+    model = selected_model(response)
     well_known = model.variance[0] < _SURE_S**2 and model.misfit < _GOOD
     if excited and (ends or not well_known or model.variance[1] > _SURE_RATIO**2):
         for i in range(RESPONSE_MODELS):
@@ -362,7 +364,7 @@ def learn_response(response: Response, rig: PredictorModel, tick: int) -> None:
                 _try_others(response, response.models[i], rig, tick)
             _fit(response, response.models[i], rig, tick)
         _select(response, (tick - first) * rig.period_s, ends)
-        _replay(response, model_of(response), rig, tick, response.accelerations)
+        _replay(response, selected_model(response), rig, tick, response.accelerations)
     if ends:
         for i in range(RESPONSE_MODELS):
             model = response.models[i]

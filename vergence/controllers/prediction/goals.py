@@ -27,14 +27,14 @@ from vergence.controllers.prediction.dating import (
     HYPOTHESES,
     accumulate_costs,
     active_range,
-    add_cost,
+    add_delay_cost,
     delay_posterior,
     forget_delay_evidence,
 )
 from vergence.controllers.prediction.joints import RING_LENGTH, PredictorModel
 from vergence.controllers.prediction.jumps import has_jumped
 from vergence.controllers.prediction.measuring import (
-    date_image,
+    average_exposure,
     goal_variance,
     measure_goals,
 )
@@ -44,15 +44,15 @@ from vergence.controllers.prediction.moving import (
     Motions,
     begin_modes,
     begin_motion,
-    infer,
+    update_from_other_eye,
     update_modes,
 )
 from vergence.controllers.prediction.oscillation import reduce_count
 from vergence.controllers.prediction.rest_or_motion import (
     classify_innovations,
     expect_motion,
+    find_direct_views,
     likely_model,
-    mark_direct,
     update_motion,
 )
 from vergence.models.packed import PackedHead
@@ -105,7 +105,7 @@ def _readmit_delays(memory: PredictorState, low: int, high: int) -> None:
 
 
 @inlined
-def take_image(
+def update_with_image(
     memory: PredictorState, rig: PredictorModel, error: FloatArray, p: PackedHead, learn: bool
 ) -> None:
     """Update the goals with a new image.
@@ -137,7 +137,7 @@ def take_image(
                 for i in range(low, high):
                     angles_by_delay[i, eye, joint] = angles_at_exposure[eye, joint]
     else:
-        memory.delay_s = date_image(
+        memory.delay_s = average_exposure(
             memory, rig, arrived, low, high, weights, angles_by_delay, angles_at_exposure,
             delay_variance,
         )  # fmt: skip
@@ -233,7 +233,7 @@ def _filter_joint(
         off = angles_by_delay[i, eye, joint] - angles_at_exposure[eye, joint]
         innovation = goals[eye, joint] + off - memory.goals_by_delay[i, eye, joint]
         if informative:
-            add_cost(added, innovation * innovation / expected, i)
+            add_delay_cost(added, innovation * innovation / expected, i)
         memory.goals_by_delay[i, eye, joint] += gain * innovation
     memory.variance[eye, joint] = (1.0 - gain) * before
     calm = delay_variance[eye, joint] < 0.1 * memory.noise and own < 1.1 * memory.noise
@@ -274,7 +274,7 @@ def _filter(
             variance[eye, joint] = goal_variance(memory, rig, exposed, eye, joint, turn)
     slip, backlash, direct = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2, dtype=np.bool_)
     is_outlier, matches_motion = np.zeros(2, dtype=np.bool_), np.zeros(2, dtype=np.bool_)
-    mark_direct(memory, goals, inferred, direct)
+    find_direct_views(memory, goals, inferred, direct)
     if targets_move:
         expect_motion(memory, rig, exposed, goals, direct, variance, delay_variance, slip, backlash)
     outliers = classify_innovations(
@@ -296,7 +296,7 @@ def _filter(
         motions: Motions = memory.motions[eye]
         if inferred[eye]:
             if moves and memory.displaced_count[1 - eye] < 0.5:
-                infer(motions, goals[eye], slip[eye])
+                update_from_other_eye(motions, goals[eye], slip[eye])
             goals[eye, 0] = goals[eye, 1] = nan
             continue
         if is_outlier[eye] and not matches_motion[eye]:

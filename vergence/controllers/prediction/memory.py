@@ -9,24 +9,29 @@ from typing import Annotated, Final
 import numpy as np
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.dating import HYPOTHESES, first_delay, prior_costs
+from vergence.controllers.prediction.dating import HYPOTHESES, first_hypothesis_delay, prior_costs
 from vergence.controllers.prediction.fitting import learn_response
 from vergence.controllers.prediction.joints import RIG, RING_LENGTH, PredictorModel
 from vergence.controllers.prediction.moving import MODELS, MODES, EyeMotion
-from vergence.controllers.prediction.observer import Observer, begin_comparison, is_prompt, observe
+from vergence.controllers.prediction.observer import (
+    Observer,
+    begin_comparison,
+    reads_without_delay,
+    update_observer,
+)
 from vergence.controllers.prediction.oscillation import (
     FIRST_PATIENCE_S,
     Oscillation,
-    begin_watch,
+    begin_oscillation,
 )
 from vergence.controllers.prediction.response import (
     COMMANDS,
     SPEEDS,
     Response,
-    advance,
     effective_command,
     initial_models,
-    model_of,
+    selected_model,
+    simulate_period,
 )
 from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.envs.layout import AGE_S
@@ -40,7 +45,7 @@ NOISE_PX: Final = 0.25
 """Least initial detection noise, standard deviation, px (chosen)."""
 
 
-class Image:
+class PastImage:
     """An earlier image."""
 
     arrived: float
@@ -111,7 +116,7 @@ class PredictorState:
     """Target motion models, by eye and model."""
     turns: float
     """Switches of the target between rest and motion, counted with decay."""
-    images: Annotated[list[Image], 2]
+    images: Annotated[list[PastImage], 2]
     """The last image and the one before it."""
     moved_at: float
     """Time to which the motion models were predicted: exposure of the last image, in periods."""
@@ -143,7 +148,8 @@ def initial_row(
     """(SIZE,) state before the first observation.
 
     Args:
-        rig_row: packed `PredictorModel`, see `vergence.controllers.prediction.joints.joint_rig`.
+        rig_row: packed `PredictorModel`, see
+            `vergence.controllers.prediction.joints.pack_predictor_model`.
         stamped: True if the camera stamps exposures.
         learn_delay: True to estimate the delay of images on line.
         learn_response: True to identify the actuators' response on line.
@@ -164,7 +170,7 @@ def initial_row(
         image_age_s=AGE_S,
         response=response,
         oscillation=oscillation,
-        first_delay_s=first_delay(rig.latency_s),
+        first_delay_s=first_hypothesis_delay(rig.latency_s),
         delay_cost=prior_costs(rig.latency_s, stamped, learn_delay),
         high=HYPOTHESES,
         delay_s=rig.latency_s,
@@ -200,7 +206,7 @@ def angle_at(memory: PredictorState, every: float, tick: float, eye: int, joint:
 
 
 @inlined
-def track(
+def update_joints(
     memory: PredictorState,
     rig: PredictorModel,
     p: PackedHead,
@@ -224,8 +230,8 @@ def track(
     memory.still += 1.0
     tick, direct, begins = int(memory.count), is_direct(p), memory.count == 0.0
     response = memory.response
-    model = model_of(response)
-    prompt = is_prompt(memory.observer)
+    model = selected_model(response)
+    prompt = reads_without_delay(memory.observer)
     response.prompt = 1.0 if prompt else 0.0
     before, now = np.uintp((tick - 1) & (COMMANDS - 1)), np.uintp(tick & (SPEEDS - 1))
     for j in range(4):
@@ -241,9 +247,9 @@ def track(
         response.commands[before, j] = effective_command(rig, command[j])
         q, v = memory.actuators[j], memory.velocity[j]
         w = response.accelerations[j]
-        ahead_q, ahead_v, w = advance(response, model, rig, tick - 1, j, q, v, w)
+        ahead_q, ahead_v, w = simulate_period(response, model, rig, tick - 1, j, q, v, w)
         response.accelerations[j] = w
-        q, v = observe(
+        q, v = update_observer(
             memory.observer, response, rig, tick - 1, j, v, ahead_q, ahead_v, angle, rate
         )
         memory.actuators[j], memory.velocity[j] = q, v
@@ -257,7 +263,7 @@ def track(
     for j in range(4 if tick % every == 0 else 0):
         q = memory.actuators[j] if direct else joint_at(p, j, memory.actuators)
         if begins:
-            begin_watch(memory.oscillation, j // 2, j % 2, q)
+            begin_oscillation(memory.oscillation, j // 2, j % 2, q)
             for place in range(RING_LENGTH):
                 memory.angles[place, j // 2, j % 2] = q
         memory.angles[slot, j // 2, j % 2] = q

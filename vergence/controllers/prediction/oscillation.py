@@ -88,13 +88,13 @@ def decay_count(oscillation: Oscillation, period_s: float) -> None:
 
 
 @inlined
-def begin_watch(oscillation: Oscillation, eye: int, joint: int, angle: float) -> None:
+def begin_oscillation(oscillation: Oscillation, eye: int, joint: int, angle: float) -> None:
     """Initialise a joint at rest at an angle, rad."""
     oscillation.turned_at[eye, joint] = oscillation.farthest[eye, joint] = angle
 
 
 @inlined
-def watch(
+def update_oscillation(
     oscillation: Oscillation,
     rig: PredictorModel,
     eye: int,

@@ -24,15 +24,25 @@ from numpy.typing import NDArray
 
 from vergence._jit import compiled, inlined
 from vergence.controllers.freshness import is_fresh
-from vergence.controllers.prediction.aim import aim
-from vergence.controllers.prediction.aiming import aim_ahead, present_error
+from vergence.controllers.prediction.aim import least_squares_aim
+from vergence.controllers.prediction.aiming import extrapolate_targets, present_error
 from vergence.controllers.prediction.backlash import cross_backlash
-from vergence.controllers.prediction.goals import take_image
-from vergence.controllers.prediction.joints import RIG, PredictorModel, joint_rig
-from vergence.controllers.prediction.memory import MEMORY, SIZE, PredictorState, initial_row, track
-from vergence.controllers.prediction.oscillation import decay_count, watch
-from vergence.controllers.prediction.response import longest_latency, model_of, when_next_acts
-from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
+from vergence.controllers.prediction.goals import update_with_image
+from vergence.controllers.prediction.joints import RIG, PredictorModel, pack_predictor_model
+from vergence.controllers.prediction.memory import (
+    MEMORY,
+    SIZE,
+    PredictorState,
+    initial_row,
+    update_joints,
+)
+from vergence.controllers.prediction.oscillation import decay_count, update_oscillation
+from vergence.controllers.prediction.response import (
+    longest_latency,
+    selected_model,
+    state_when_next_acts,
+)
+from vergence.controllers.prediction.virtual_joints import with_virtual_joints
 from vergence.controllers.rows import record_view, row_layout, row_size
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
@@ -175,8 +185,8 @@ class Predictor:
             )
         self.head = head
         self.layout = layout
-        self._packed = two_joints_an_eye(head)
-        self.rig = joint_rig(head, moving)
+        self._packed = with_virtual_joints(head)
+        self.rig = pack_predictor_model(head, moving)
         self._learn_delay = delay == "estimated"
         self._learn_response = lag == "estimated"
         self._initial = initial_row(
@@ -186,7 +196,7 @@ class Predictor:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         # an unpickled array is writable, and kernels would be recompiled for that type
-        self._packed = two_joints_an_eye(self.head)
+        self._packed = with_virtual_joints(self.head)
 
     @property
     def size(self) -> int:
@@ -248,7 +258,7 @@ def _update_goals(
         if fresh and isfinite(error[eye, 0]) and isfinite(error[eye, 1]):
             memory.unseen[eye] = 0.0
     if memory.unseen[0] == 0.0 or memory.unseen[1] == 0.0:
-        take_image(memory, rig, error, p, learn_delay)
+        update_with_image(memory, rig, error, p, learn_delay)
     for eye in range(2):
         unseen = memory.unseen[eye]
         # the other eye shows where a moving target is
@@ -264,16 +274,16 @@ def _fill_prediction(
 ) -> None:
     """Fill in the prediction: the state and the angles left to turn when the next command acts."""
     response, direct = memory.response, is_direct(p)
-    model = model_of(response)
+    model = selected_model(response)
     sd = sqrt(max(model.variance[0], 0.0))
     latency = min(model.parameters[0] + _LATER * sd, longest_latency(rig))
     for j in range(4):
         q, v = memory.actuators[j], memory.velocity[j]
-        q, v, w = when_next_acts(response, rig, int(memory.count), j, q, v, latency)
+        q, v, w = state_when_next_acts(response, rig, int(memory.count), j, q, v, latency)
         present.actuators[j] = min(max(q, rig.lower[j]), rig.upper[j])
         present.velocities[j], present.accelerations[j] = v, w
         present.speed_gain[j] = exp(model.gain[j])
-    aim_ahead(memory, rig, memory.count + latency / rig.period_s)
+    extrapolate_targets(memory, rig, memory.count + latency / rig.period_s)
     for j in range(4):
         present.positions[j] = present.actuators[j]
         if not direct:
@@ -320,7 +330,7 @@ def _update(
     rig: PredictorModel = record_view(rig_row, RIG)
     for n in range(rows.shape[0]):
         memory: PredictorState = record_view(rows[n][:SIZE], MEMORY)
-        track(memory, rig, p, positions[n], velocities[n], command[n], learn_response)
+        update_joints(memory, rig, p, positions[n], velocities[n], command[n], learn_response)
         _update_goals(memory, rig, age_s[n], error[n], p, learn_delay)
         cross_backlash(memory, p, command[n])
         decay_count(memory.oscillation, rig.period_s)
@@ -328,7 +338,7 @@ def _update(
             for joint in range(2 if memory.known[eye] > 0.5 else 0):
                 q = joint_at(p, 2 * eye + joint, memory.actuators)
                 aim = memory.aims[eye, joint]
-                watch(memory.oscillation, rig, eye, joint, q, aim, memory.noise)
+                update_oscillation(memory.oscillation, rig, eye, joint, q, aim, memory.noise)
         _fill_prediction(memory, rig, p, record_view(present_rows[n], _PREDICTION))
 
 
@@ -347,7 +357,9 @@ def _fill_coupled(
         if not (left or right):
             continue
         depth_l, depth_r = memory.fixated_depth[0], memory.fixated_depth[1]
-        aim(p, memory.aims, depth_l, depth_r, left, right, present.actuators, jacobian, goals)
+        least_squares_aim(
+            p, memory.aims, depth_l, depth_r, left, right, present.actuators, jacobian, goals
+        )
         moves = False
         for eye in range(2):
             for joint in range(2):
@@ -357,14 +369,21 @@ def _fill_coupled(
                 for joint in range(2):
                     turn = _AHEAD_S * memory.rates[eye, joint]
                     later[eye, joint] = memory.aims[eye, joint] + turn
-            aim(p, later, depth_l, depth_r, left, right, present.actuators, jacobian, ahead)
+            least_squares_aim(
+                p, later, depth_l, depth_r, left, right, present.actuators, jacobian, ahead
+            )
             for eye in range(2):
                 for joint in range(2):
                     turn = _AHEAD_S * memory.later_rates[eye, joint]
                     later[eye, joint] = memory.aims[eye, joint] + turn
-            aim(p, later, depth_l, depth_r, left, right, present.actuators, jacobian, shown)
+            least_squares_aim(
+                p, later, depth_l, depth_r, left, right, present.actuators, jacobian, shown
+            )
         for j in range(4):
-            if rig.moves[j, 0] * present.known[0] + rig.moves[j, 1] * present.known[1] > 0.0:
+            if (
+                rig.moves_eye[j, 0] * present.known[0] + rig.moves_eye[j, 1] * present.known[1]
+                > 0.0
+            ):
                 goal = min(max(goals[j], rig.lower[j]), rig.upper[j])
                 present.angle_error[j] = goal - present.actuators[j]
                 if moves and goal == goals[j]:

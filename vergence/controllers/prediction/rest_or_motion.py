@@ -12,7 +12,11 @@ from numpy.typing import NDArray
 
 from vergence._jit import inlined
 from vergence.controllers.prediction.backlash import backlash_variance
-from vergence.controllers.prediction.dating import HYPOTHESES, add_cost, negative_log_likelihood
+from vergence.controllers.prediction.dating import (
+    HYPOTHESES,
+    add_delay_cost,
+    negative_log_likelihood,
+)
 from vergence.controllers.prediction.following import predict_to_exposure, slip_variances
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.jumps import DISPLACED_GATE, UNMOVED_GATE, squared_mahalanobis
@@ -186,7 +190,7 @@ def update_motion(
             off = goals[eye, joint] - angles_at_exposure[eye, joint]
             off = off + angles_by_delay[i, eye, joint]
             square = (off - memory.goals_by_delay[i, eye, joint]) ** 2
-            add_cost(costs, min(square / known, square / crossed + log_ratio), i)
+            add_delay_cost(costs, min(square / known, square / crossed + log_ratio), i)
         motion: EyeMotion = motions[likely]
         off = goals[eye, joint] - motion.angle[joint]
         # expectation-maximisation estimate of the detection variance
@@ -199,7 +203,7 @@ def update_motion(
 
 
 @inlined
-def mark_direct(
+def find_direct_views(
     memory: PredictorState,
     goals: FloatArray,
     inferred: NDArray[np.bool_],

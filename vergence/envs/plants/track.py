@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vergence._jit import compiled
-from vergence.envs.plants.commands import Commands, hold_of
-from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, conditions_of
+from vergence.envs.plants.commands import CommandBuffers, held_commands
+from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, unpack_conditions
 from vergence.envs.plants.feedback import interpolate_joint
 from vergence.envs.plants.frames import TIME_TOLERANCE_S, Exposures, Frames, exposure_time
 from vergence.envs.plants.motors import (
@@ -21,14 +21,14 @@ from vergence.envs.plants.motors import (
     output_angle,
     output_speed,
 )
-from vergence.envs.plants.scene import Scene, head_of
+from vergence.envs.plants.scene import Scene, true_head_row
 from vergence.envs.streams import IntArray
 from vergence.models.joint_response import damping_ratio, follow_second_order_joint, lag_decay
 from vergence.models.packed import PackedHead, actuator_at, actuator_rate
 from vergence.models.parts import FloatArray
 
 
-class Track(NamedTuple):
+class JointTrack(NamedTuple):
     """Joint states within a period: at its beginning and at the end of each piece."""
 
     positions: FloatArray
@@ -37,15 +37,15 @@ class Track(NamedTuple):
     """(n, pieces + 1, 7) rad/s."""
 
     @classmethod
-    def empty(cls, num: int, pieces: int) -> "Track":
+    def empty(cls, num: int, pieces: int) -> "JointTrack":
         """Arrays for `num` heads."""
         return cls(*np.zeros((2, num, pieces + 1, 7)))
 
 
 @compiled
-def start_track(scene: Scene, track: Track) -> None:
+def start_track(scene: Scene, track: JointTrack) -> None:
     """Begin a period's track with the present joint states; both arguments are `untyped_tuple`."""
-    scene, track = Scene(*scene), Track(*track)
+    scene, track = Scene(*scene), JointTrack(*track)
     for n in range(scene.step.shape[0]):
         for j in range(7):
             track.positions[n, 0, j] = scene.positions[n, j]
@@ -53,13 +53,13 @@ def start_track(scene: Scene, track: Track) -> None:
 
 
 @compiled
-def hold_commands(
+def substep_controls(
     piece: int,
     pieces: int,
     period_s: float,
     packed: PackedConditions,
     steps: IntArray,
-    commands: Commands,
+    commands: CommandBuffers,
     motors: MotorStates,
     slots: IntArray,
     control: FloatArray,
@@ -81,10 +81,10 @@ def hold_commands(
         control: (n, nu) result, rad/s.
     """
     packed, motors = PackedConditions(*packed), MotorStates(*motors)
-    given, length = Commands(*commands).given, period_s / pieces
+    given, length = CommandBuffers(*commands).given, period_s / pieces
     for n in range(len(steps)):
-        conditions = conditions_of(packed, n)
-        hold = hold_of(conditions.command_latency_s, steps[n], given.shape[1], period_s)
+        conditions = unpack_conditions(packed, n)
+        hold = held_commands(conditions.command_latency_s, steps[n], given.shape[1], period_s)
         before = min(max(hold.change_s - piece * length, 0.0), length) / length
         for i in range(slots.shape[0]):
             k = slots[i]
@@ -115,7 +115,7 @@ def read_joints(
     scene: Scene,
     motors: MotorStates,
     coupling: ActuatorCoupling | None,
-    track: Track,
+    track: JointTrack,
 ) -> None:
     """Read angles and velocities of motors and joints at the end of a piece.
 
@@ -136,7 +136,7 @@ def read_joints(
         track: updated in place.
     """
     packed, scene = PackedConditions(*packed), Scene(*scene)
-    motors, track = MotorStates(*motors), Track(*track)
+    motors, track = MotorStates(*motors), JointTrack(*track)
     angles, rates = np.zeros(7), np.zeros(7)
     for n in range(motors.angles.shape[0]):
         for j in range(7):
@@ -158,7 +158,7 @@ def read_joints(
             scene.velocities[n, k] = output_speed(MotorState(q, v, output), backlash)
         if coupling is not None:
             joints_from_actuators(
-                coupling.scratch, head_of(scene, n), scene.positions[n], scene.velocities[n]
+                coupling.scratch, true_head_row(scene, n), scene.positions[n], scene.velocities[n]
             )
         for j in range(7):
             track.positions[n, piece + 1, j] = scene.positions[n, j]
@@ -171,7 +171,7 @@ def expose_on_track(
     packed: PackedConditions,
     steps: IntArray,
     frames: Frames,
-    track: Track,
+    track: JointTrack,
     exposures: Exposures,
 ) -> None:
     """Expose the frames of a period, with the joints interpolated within its pieces.
@@ -185,11 +185,11 @@ def expose_on_track(
         exposures: `untyped_tuple`, the result.
     """
     packed, frames = PackedConditions(*packed), Frames(*frames)
-    track, exposures = Track(*track), Exposures(*exposures)
+    track, exposures = JointTrack(*track), Exposures(*exposures)
     pieces = track.positions.shape[1] - 1
     length = period_s / pieces
     for n in range(len(steps)):
-        begin_s, count, conditions = steps[n] * period_s, 0, conditions_of(packed, n)
+        begin_s, count, conditions = steps[n] * period_s, 0, unpack_conditions(packed, n)
         while True:
             due = exposure_time(conditions, frames.next[n] + count) - begin_s
             if due > period_s + TIME_TOLERANCE_S:
@@ -205,4 +205,4 @@ def expose_on_track(
                 exposures.positions[n, count, j] = b if last else q
                 exposures.velocities[n, count, j] = vb if last else v
             count += 1
-        exposures.taken[n] = count
+        exposures.counts[n] = count

@@ -7,9 +7,9 @@ from typing import ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.fields import checked_numbers
-from vergence.envs.streams import IntArray, Streams
+from vergence.envs.streams import IntArray, RandomStreams
 from vergence.envs.targets.board import POINT, Board
+from vergence.envs.validation import check_numbers
 from vergence.errors import ConfigurationError, TargetError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -42,7 +42,7 @@ class Target(ABC):
             if name != "start":
                 default = getattr(type(self), name)
                 size = len(default) if isinstance(default, tuple) else 0
-                checked = checked_numbers(f"target.{name}", value, size, name in _ABOVE_ZERO)
+                checked = check_numbers(f"target.{name}", value, size, name in _ABOVE_ZERO)
                 if name in self.metres and not np.abs(np.array(checked)).max() < FARTHEST_M:
                     raise ConfigurationError(
                         f"target.{name}: expected metres below {FARTHEST_M:g} in size (is it in "
@@ -72,7 +72,7 @@ class Target(ABC):
 
     @abstractmethod
     def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
+        self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """Draw motions and starts for the trials of some environments.
 
@@ -89,10 +89,10 @@ class Target(ABC):
     def _begin(self, head: HeadModel, fixated: FloatArray) -> FloatArray:
         if self.start == "rest":
             return np.broadcast_to(head.rest(), (len(fixated), 7)).copy()
-        return fixating_angles(head, "start", fixated)
+        return fixation_angles(head, "start", fixated)
 
 
-def fixating_angles(head: HeadModel, what: str, points: FloatArray) -> FloatArray:
+def fixation_angles(head: HeadModel, what: str, points: FloatArray) -> FloatArray:
     """Compute joint angles that put points on both optical axes, or as near as actuators can.
 
     Args:
