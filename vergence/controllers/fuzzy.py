@@ -229,7 +229,7 @@ def fuzzy_gain_factors(
     f"({_SIZE}),(2,2),(2,2),(2),(2),(7),({row_size(FUZZY_LAW)}),(4),({PACKED})->({_SIZE}),(4)",
 )
 def fuzzy_command(
-    before: FloatArray,
+    state_before: FloatArray,
     error: FloatArray,
     reducible_error: FloatArray,
     fresh: FloatArray,
@@ -238,13 +238,13 @@ def fuzzy_command(
     law_row: FloatArray,
     limit: FloatArray,
     p: PackedHead,
-    after: FloatArray,
+    state_after: FloatArray,
     out: FloatArray,
 ) -> None:
     """Compute the updated state and the velocities of the eyes' actuators."""
     for k in range(_SIZE):
-        after[k] = before[k]
-    state: FuzzyState = record_view(after, FUZZY_STATE)
+        state_after[k] = state_before[k]
+    state: FuzzyState = record_view(state_after, FUZZY_STATE)
     law: FuzzyLaw = record_view(law_row, FUZZY_LAW)
     s, gains, basic = state.pid, state.gains, law.pid.gains
     elapsed = update_error_rates(s, law.pid, reducible_error, fresh, jumped)

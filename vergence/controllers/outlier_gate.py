@@ -148,7 +148,7 @@ class OutlierGate:
             seen: the observation.
             state: (..., S) updated in place.
         """
-        state[...], error, at, fresh, jumped = update_gate(
+        state[...], error, angles_at_exposure, fresh, jumped = update_gate(
             state,
             seen.pixel_error,
             seen.image_age_s,
@@ -156,7 +156,7 @@ class OutlierGate:
             seen.velocities,
             self._law,
         )
-        return GatedDetections(error, at, fresh, jumped)
+        return GatedDetections(error, angles_at_exposure, fresh, jumped)
 
 
 @inlined
@@ -191,27 +191,27 @@ def _classify(g: EyeGate, law: GateLaw, u: float, v: float) -> int:
     f"({_SIZE}),(2,2),(),(7),(7),({row_size(GATE_LAW)})->({_SIZE}),(2,2),(7),(2),(2)",
 )
 def update_gate(
-    before: FloatArray,
+    state_before: FloatArray,
     error: FloatArray,
     age_s: FloatArray,
     q: FloatArray,
     velocities: FloatArray,
     law_row: FloatArray,
-    after: FloatArray,
+    state_after: FloatArray,
     accepted: FloatArray,
-    at: FloatArray,
+    angles_at_exposure: FloatArray,
     fresh: FloatArray,
     jumped: FloatArray,
 ) -> None:
     """Compute the updated state and the fields of `GatedDetections`."""
     for k in range(_SIZE):
-        after[k] = before[k]
-    s: GateState = record_view(after, GATE_STATE)
+        state_after[k] = state_before[k]
+    s: GateState = record_view(state_after, GATE_STATE)
     law: GateLaw = record_view(law_row, GATE_LAW)
     new = is_fresh(age_s[0], s.image_age_s, law.period_s)
     s.image_age_s = age_s[0]
     for j in range(7):
-        at[j] = q[j]
+        angles_at_exposure[j] = q[j]
     for eye in range(2):
         g = s.eyes[eye]
         first = 3 + 2 * eye
@@ -245,4 +245,4 @@ def update_gate(
         accepted[eye, 0] = accepted[eye, 1] = nan
         if g.sees_target > 0.5:
             accepted[eye, 0], accepted[eye, 1] = g.error[0], g.error[1]
-            at[first], at[first + 1] = g.angles[0], g.angles[1]
+            angles_at_exposure[first], angles_at_exposure[first + 1] = g.angles[0], g.angles[1]

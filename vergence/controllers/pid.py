@@ -249,7 +249,7 @@ def pid_velocities(
     f"({_SIZE}),(2,2),(2,2),(2),(2),(7),({row_size(PID_LAW)}),(4),({PACKED})->({_SIZE}),(4)",
 )
 def pid_command(
-    before: FloatArray,
+    state_before: FloatArray,
     error: FloatArray,
     reducible_error: FloatArray,
     fresh: FloatArray,
@@ -258,13 +258,13 @@ def pid_command(
     law_row: FloatArray,
     limit: FloatArray,
     p: PackedHead,
-    after: FloatArray,
+    state_after: FloatArray,
     out: FloatArray,
 ) -> None:
     """Compute the updated state and the velocities of the eyes' actuators."""
     for k in range(_SIZE):
-        after[k] = before[k]
-    s: PIDState = record_view(after, PID_STATE)
+        state_after[k] = state_before[k]
+    s: PIDState = record_view(state_after, PID_STATE)
     law: PIDLaw = record_view(law_row, PID_LAW)
     elapsed = update_error_rates(s, law, reducible_error, fresh, jumped)
     pid_velocities(s, law, law.gains, error, q, elapsed, limit, p, out)

@@ -69,21 +69,21 @@ class StateFeedback(PredictiveController):
         return linear_command(self.predictor.update(seen, state), self.predictor.rig, self._law)
 
 
-def linear_command(now: Prediction, rig: FloatArray, law: ArrayLike) -> FloatArray:
+def linear_command(prediction: Prediction, rig_row: FloatArray, law: ArrayLike) -> FloatArray:
     """Compute the law's commands.
 
     Args:
-        now: the prediction.
-        rig: the head's packed `vergence.controllers.prediction.joints.PredictorModel`.
+        prediction: the prediction.
+        rig_row: the head's packed `vergence.controllers.prediction.joints.PredictorModel`.
         law: (2,) the options `gain` and `damping`.
 
     Returns:
         (..., 4) by actuator, rad/s.
     """
-    lag_values = np.stack([now.lag_s, now.build_up], axis=-1)
+    lag_values = np.stack([prediction.lag_s, prediction.build_up], axis=-1)
     command = feedback_command(
-        now.angle_error, now.velocities, now.accelerations, now.known, lag_values, now.speed_gain,
-        now.half_swings, rig, law,
+        prediction.angle_error, prediction.velocities, prediction.accelerations, prediction.known,
+        lag_values, prediction.speed_gain, prediction.half_swings, rig_row, law,
     )  # fmt: skip
     return np.asarray(command)
 

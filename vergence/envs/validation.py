@@ -52,19 +52,19 @@ def check_at_least_zero(name: str, value: object) -> None:
         raise ConfigurationError(f"{name}: expected a number of at least 0, got {value!r}")
 
 
-def check_count(name: str, value: object, *, least: int = 1) -> int:
-    """Check a whole number of at least `least` and return it.
+def check_count(name: str, value: object, *, minimum: int = 1) -> int:
+    """Check a whole number of at least `minimum` and return it.
 
     Args:
         name: name for error messages.
         value: the user's value.
-        least: smallest valid value.
+        minimum: smallest valid value.
 
     Raises:
         ConfigurationError: the value is something else.
     """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        what = "above 0" if least == 1 else f"of at least {least}"
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < minimum:
+        what = "above 0" if minimum == 1 else f"of at least {minimum}"
         raise ConfigurationError(f"{name}: expected a whole number {what}, got {value!r}")
     return int(value)
 

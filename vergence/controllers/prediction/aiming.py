@@ -31,7 +31,7 @@ def extrapolate_targets(memory: PredictorState, rig: PredictorModel, tick: float
     """
     moves = rig.targets_move > 0.5 and memory.mode_probabilities[0] < _SURE
     effect_delay_s = exp(selected_model(memory.response).parameters[2]) + 0.5 * rig.period_s
-    expected_s = memory.delay_s + rig.frame_s + (tick - memory.count) * rig.period_s + _GRACE_S
+    expected_s = memory.delay_s + rig.frame_s + (tick - memory.periods) * rig.period_s + _GRACE_S
     slow = 1.0
     for eye in range(2):
         for joint in range(2):

@@ -147,7 +147,7 @@ def _posterior_cost(
 
     Each squared normalised residual is bounded.
     """
-    first = int(response.begun)
+    first = int(response.window_begin)
     deviation = (latency - model.prior[0], ratio - model.prior[1], log_lag - model.prior[2])
     total = 0.0
     for i in range(3):
@@ -166,7 +166,7 @@ def _posterior_cost(
             u = gain * command_at(response, i - whole, j)
             q, v, w = follow_pace(q, v, w, u, after)
             measured, simulated, step_sd = mean_speed_at(response, i + 1, j), q / period, mean_sd
-            if response.prompt > 0.5:
+            if response.prompt_velocities > 0.5:
                 measured, simulated, step_sd = speed_at(response, i + 1, j), v, rig.speed_step[j]
             residual_variance = step_sd * step_sd + 0.05**2 + 0.01 * measured * measured
             total += min((measured - simulated) ** 2 / residual_variance, 30.0)
@@ -218,7 +218,7 @@ def _solve(matrix: FloatArray, right: FloatArray, out: FloatArray) -> None:
 @subroutine
 def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: int) -> None:
     """Take one Gauss-Newton step on the window."""
-    first, period = int(response.begun), rig.period_s
+    first, period = int(response.window_begin), rig.period_s
     builds_up = model.parameters[3] > 0.0
     size = 4 if builds_up else 3
     normal, right = np.zeros((size, size)), np.zeros(size)
@@ -259,7 +259,7 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
                 _mean_step(rig, j),
                 distances,
             )
-            if response.prompt > 0.5:
+            if response.prompt_velocities > 0.5:
                 measured, step_sd, simulated = speed_at(response, i + 1, j), rig.speed_step[j], v
             residual = measured - simulated[0]
             residual_variance = step_sd * step_sd + _SPEED_SD**2 * (1.0 + measured * measured)
@@ -324,7 +324,7 @@ def _replay(
     response: Response, model: ResponseModel, rig: PredictorModel, tick: int, out: FloatArray
 ) -> None:
     """(4,) accelerations at the end of the window, simulated with a response model, rad/s^2."""
-    first = int(response.begun)
+    first = int(response.window_begin)
     for j in range(4):
         v, out[j] = speed_at(response, first, j), model.accelerations[j]
         for i in range(first, tick):
@@ -341,13 +341,13 @@ def learn_response(response: Response, rig: PredictorModel, tick: int) -> None:
         tick: the period that has ended; its commands and velocities are already stored.
     """
     moving = _is_moving(response, rig, tick)
-    if response.begun < 0.0:
+    if response.window_begin < 0.0:
         if not moving:
             return
-        response.begun = tick - 1.0
-        for i in range(RESPONSE_MODELS if response.ended != response.begun else 0):
+        response.window_begin = tick - 1.0
+        for i in range(RESPONSE_MODELS if response.window_end != response.window_begin else 0):
             response.models[i].accelerations[:] = 0.0
-    first = int(response.begun)
+    first = int(response.window_begin)
     window = min(max(int(_WINDOW_S / rig.period_s + 0.5), _LEAST_WINDOW), SPEEDS - 4)
     ends = tick - first >= window or not moving
     excited = False
@@ -374,5 +374,5 @@ def learn_response(response: Response, rig: PredictorModel, tick: int) -> None:
                 variance = max(1.2 * model.variance[n], _FLOORS[n] ** 2)
                 model.information[n] = 1.0 / variance
                 model.gain_prior[n] = model.gain[n]
-        response.begun, response.ended = -1.0, float(tick)
+        response.window_begin, response.window_end = -1.0, float(tick)
         response.windows += 1.0

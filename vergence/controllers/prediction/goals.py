@@ -121,12 +121,12 @@ def update_with_image(
     angles_at_exposure, angles_by_delay = np.zeros((2, 2)), np.zeros((HYPOTHESES, 2, 2))
     goals = np.zeros((2, 2))
     inferred = np.zeros(2, dtype=np.bool_)
-    arrived = memory.count - (memory.image_age_s - rig.image_latency_s) / rig.period_s
+    arrived = memory.periods - (memory.image_age_s - rig.image_latency_s) / rig.period_s
     low, high = active_range(memory.delay_cost)
     _readmit_delays(memory, low, high)
     delay_posterior(memory.delay_cost, low, high, weights)
     # eyes at rest for longer than the longest delay: every delay gives the present angles
-    still = memory.still > (RING_LENGTH - 4.0) * rig.keep_every
+    still = memory.still_periods > (RING_LENGTH - 4.0) * rig.keep_every
     if still:
         exposed = arrived - memory.delay_s / rig.period_s
         for eye in range(2):
@@ -143,7 +143,7 @@ def update_with_image(
         )  # fmt: skip
         exposed = arrived - memory.delay_s / rig.period_s
     depth = (memory.depth[0], memory.depth[1])
-    most = rig.gap_rad + 4.0 * sqrt(2.0 * memory.noise)
+    most = rig.gap_rad + 4.0 * sqrt(2.0 * memory.detection_variance)
     agree = measure_goals(memory, p, angles_at_exposure, error, most, goals) < most
     for eye in range(2):
         inferred[eye] = not isfinite(error[eye, 0] + error[eye, 1])
@@ -170,7 +170,7 @@ def _begin_goals(
     """Initialise an eye's goals with an image."""
     memory.known[eye], memory.confirmations[eye] = 1.0, 1.0 if agree else 0.0
     for joint in range(2):
-        memory.variance[eye, joint] = variance[eye, joint]
+        memory.filter_variance[eye, joint] = variance[eye, joint]
         for i in range(low, high):
             off = angles_by_delay[i, eye, joint] - angles_at_exposure[eye, joint]
             memory.goals_by_delay[i, eye, joint] = goals[eye, joint] + off
@@ -194,9 +194,11 @@ def _store_image(
 def _learn_noise(memory: PredictorState, rig: PredictorModel, scatter: float, count: int) -> None:
     """Update the detection variance with an image's squared deviations: their sum and number."""
     least, most = _LEAST_NOISE_PX * rig.pixel_rad, _MOST_NOISE_PX * rig.pixel_rad
-    found = min(scatter / count, 9.0 * memory.noise)
-    noise = memory.noise + 0.25 * count * _NOISE_SHARE * (found - memory.noise)
-    memory.noise = min(max(noise, least * least), most * most)
+    found = min(scatter / count, 9.0 * memory.detection_variance)
+    noise = memory.detection_variance + 0.25 * count * _NOISE_SHARE * (
+        found - memory.detection_variance
+    )
+    memory.detection_variance = min(max(noise, least * least), most * most)
 
 
 @inlined
@@ -219,7 +221,7 @@ def _filter_joint(
     Returns:
         Squared deviation due to detection noise, rad^2; negative if other terms hide it.
     """
-    before = memory.variance[eye, joint] + _PROCESS * memory.noise
+    before = memory.filter_variance[eye, joint] + _PROCESS * memory.detection_variance
     own = variance[eye, joint]
     gain = before / (before + own + delay_variance[eye, joint])
     least, most = inf, -inf
@@ -235,12 +237,15 @@ def _filter_joint(
         if informative:
             add_delay_cost(added, innovation * innovation / expected, i)
         memory.goals_by_delay[i, eye, joint] += gain * innovation
-    memory.variance[eye, joint] = (1.0 - gain) * before
-    calm = delay_variance[eye, joint] < 0.1 * memory.noise and own < 1.1 * memory.noise
+    memory.filter_variance[eye, joint] = (1.0 - gain) * before
+    calm = (
+        delay_variance[eye, joint] < 0.1 * memory.detection_variance
+        and own < 1.1 * memory.detection_variance
+    )
     if moves or not calm:
         return -1.0
     off = goals[eye, joint] - memory.goals[eye, joint]
-    square: float = off * off / (1.0 + before / memory.noise)
+    square: float = off * off / (1.0 + before / memory.detection_variance)
     return square
 
 
@@ -341,8 +346,8 @@ def _filter(
         accumulate_costs(memory.delay_cost, low, high, added)
         # if rest and motion alternate, neither explains the images: the delay may be wrong
         turned = moves != (targets_move and memory.mode_probabilities[0] < 0.5)
-        memory.turns = _CALMS * memory.turns + (1.0 if turned else 0.0)
-        if turned and memory.turns > _MANY_TURNS:
+        memory.mode_switches = _CALMS * memory.mode_switches + (1.0 if turned else 0.0)
+        if turned and memory.mode_switches > _MANY_TURNS:
             forget_delay_evidence(memory.delay_cost)
     _store_image(memory, arrived, goals, angles_at_exposure)
     if count > 0:

@@ -167,4 +167,4 @@ def goal_variance(
     speed, model = (after - before) / rig.period_s, _MODEL * turn
     encoder = _ENCODER * rig.joint_step[eye, joint] if abs(speed) > _MOVING_RAD_S else 0.0
     jitter = JITTER_S * speed
-    return memory.noise + jitter * jitter + model * model + encoder * encoder
+    return memory.detection_variance + jitter * jitter + model * model + encoder * encoder

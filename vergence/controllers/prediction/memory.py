@@ -59,7 +59,7 @@ class PastImage:
 class PredictorState:
     """State of the predictor for one head."""
 
-    count: float
+    periods: float
     """Periods since the first observation of the trial; -1 before it."""
     image_age_s: float
     """Age of the newest image, s; the next period compares it to detect a new image."""
@@ -70,9 +70,9 @@ class PredictorState:
     """Estimated actuator angles, finer than the encoders' resolution, rad."""
     velocity: Annotated[FloatArray, 4]
     """Estimated actuator velocities, rad/s."""
-    still: float
+    still_periods: float
     """Periods since an actuator last moved."""
-    direction: Annotated[FloatArray, 4]
+    last_direction: Annotated[FloatArray, 4]
     """Sign of each actuator's last command to move: 1, -1, or 0 for none yet."""
     reversed_at: Annotated[FloatArray, 2, 2]
     """Period in which an actuator of each joint last reversed its command."""
@@ -99,9 +99,9 @@ class PredictorState:
     """Mean of these goals over the delays, rad."""
     goal_variance_over_delays: Annotated[FloatArray, 2, 2]
     """Variance of these goals over the delays, rad^2."""
-    variance: Annotated[FloatArray, 2, 2]
+    filter_variance: Annotated[FloatArray, 2, 2]
     """Variance of the Kalman filter of each goal, common to all delays, rad^2."""
-    noise: float
+    detection_variance: float
     """Detection variance, divided by the squared focal length, rad^2."""
     known: Annotated[FloatArray, 2]
     """1 if an eye's target is known, otherwise 0."""
@@ -114,7 +114,7 @@ class PredictorState:
     """Joint angles that fixate that displaced position, rad."""
     motions: Annotated[list[EyeMotion], 2, MODELS]
     """Target motion models, by eye and model."""
-    turns: float
+    mode_switches: float
     """Switches of the target between rest and motion, counted with decay."""
     images: Annotated[list[PastImage], 2]
     """The last image and the one before it."""
@@ -129,7 +129,7 @@ class PredictorState:
     later_rates: Annotated[FloatArray, 2, 2]
     """Rates of change when that command shows in the motion, a lag and half a period later,
     rad/s."""
-    unseen: Annotated[FloatArray, 2]
+    unseen_periods: Annotated[FloatArray, 2]
     """Periods since an image last showed each eye its target."""
     depth: Annotated[FloatArray, 2]
     """Depth at which each eye last saw its target, m."""
@@ -156,7 +156,7 @@ def initial_row(
     """
     rig: PredictorModel = rig_row.view(RIG)[0]
     response = np.zeros(1, dtype=MEMORY["response"])
-    response["begun"] = -1.0
+    response["window_begin"] = -1.0
     for name, value in initial_models(rig.response_s, rig.lag_s, learn_response).items():
         response["models"][name] = value
     oscillation = np.zeros(1, dtype=MEMORY["oscillation"])
@@ -165,7 +165,7 @@ def initial_row(
     images["arrived"] = -1e9
     return make_row(
         MEMORY,
-        count=-1.0,
+        periods=-1.0,
         reversed_at=-1e9,
         image_age_s=AGE_S,
         response=response,
@@ -174,7 +174,7 @@ def initial_row(
         delay_cost=prior_costs(rig.latency_s, stamped, learn_delay),
         high=HYPOTHESES,
         delay_s=rig.latency_s,
-        noise=(max(rig.detection_px, NOISE_PX) * rig.pixel_rad) ** 2,
+        detection_variance=(max(rig.detection_px, NOISE_PX) * rig.pixel_rad) ** 2,
         depth=DEFAULT_DEPTH_M,
         images=images,
     )
@@ -191,7 +191,7 @@ def angle_at(memory: PredictorState, every: float, tick: float, eye: int, joint:
         eye: index of the eye.
         joint: index of its joint.
     """
-    last = np.floor(memory.count / every)
+    last = np.floor(memory.periods / every)
     tick = min(max(tick / every, last - (RING_LENGTH - 4.0)), last)
     i = min(int(np.floor(tick)), int(last) - 2)
     s = tick - i
@@ -226,13 +226,13 @@ def update_joints(
         command: (4,) velocity commands that the actuators received, rad/s.
         learn: True to identify the response.
     """
-    memory.count += 1.0
-    memory.still += 1.0
-    tick, direct, begins = int(memory.count), is_direct(p), memory.count == 0.0
+    memory.periods += 1.0
+    memory.still_periods += 1.0
+    tick, direct, begins = int(memory.periods), is_direct(p), memory.periods == 0.0
     response = memory.response
     model = selected_model(response)
     prompt = reads_without_delay(memory.observer)
-    response.prompt = 1.0 if prompt else 0.0
+    response.prompt_velocities = 1.0 if prompt else 0.0
     before, now = np.uintp((tick - 1) & (COMMANDS - 1)), np.uintp(tick & (SPEEDS - 1))
     for j in range(4):
         angle, rate = positions[3 + j], velocities[3 + j]
@@ -253,11 +253,11 @@ def update_joints(
             memory.observer, response, rig, tick - 1, j, v, ahead_q, ahead_v, angle, rate
         )
         memory.actuators[j], memory.velocity[j] = q, v
-        response.means[now, j] = (angle - response.angles[j]) / rig.period_s
+        response.mean_speeds[now, j] = (angle - response.angles[j]) / rig.period_s
         response.angles[j] = angle
         response.speeds[now, j] = rate if prompt else v
         if abs(memory.velocity[j]) > _STILL_RAD_S:
-            memory.still = 0.0
+            memory.still_periods = 0.0
     every = int(rig.keep_every)
     slot = np.uintp(tick // every & (RING_LENGTH - 1))
     for j in range(4 if tick % every == 0 else 0):

@@ -278,16 +278,16 @@ def innovation_nll(innovation: float, variance: float) -> float:
 
 
 @inlined
-def add_nll(nll: FloatArray, own: FloatArray) -> None:
+def add_nll(nll: FloatArray, eye_nll: FloatArray) -> None:
     """Add the negative log-likelihoods of one eye (MODES,), bounded relative to the best mode.
 
     The bound keeps an outlier of one eye from ruling out a mode with one image.
     """
-    least = own[0]
+    least = eye_nll[0]
     for m in range(1, MODES):
-        least = min(least, own[m])
+        least = min(least, eye_nll[m])
     for m in range(MODES):
-        nll[m] += min(own[m] - least, _DOUBT)
+        nll[m] += min(eye_nll[m] - least, _DOUBT)
 
 
 @inlined

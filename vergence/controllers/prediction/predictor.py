@@ -254,16 +254,16 @@ def _update_goals(
     fresh = is_fresh(age_s, memory.image_age_s, rig.period_s)
     memory.image_age_s = age_s
     for eye in range(2):
-        memory.unseen[eye] += 1.0
+        memory.unseen_periods[eye] += 1.0
         if fresh and isfinite(error[eye, 0]) and isfinite(error[eye, 1]):
-            memory.unseen[eye] = 0.0
-    if memory.unseen[0] == 0.0 or memory.unseen[1] == 0.0:
+            memory.unseen_periods[eye] = 0.0
+    if memory.unseen_periods[0] == 0.0 or memory.unseen_periods[1] == 0.0:
         update_with_image(memory, rig, error, p, learn_delay)
     for eye in range(2):
-        unseen = memory.unseen[eye]
+        unseen = memory.unseen_periods[eye]
         # the other eye shows where a moving target is
         if rig.targets_move > 0.5 and memory.mode_probabilities[0] < 0.5:
-            unseen = min(unseen, memory.unseen[1 - eye])
+            unseen = min(unseen, memory.unseen_periods[1 - eye])
         if unseen > round(HOLD_S / rig.period_s):
             memory.known[eye] = 0.0
 
@@ -279,11 +279,11 @@ def _fill_prediction(
     latency = min(model.parameters[0] + _LATER * sd, longest_latency(rig))
     for j in range(4):
         q, v = memory.actuators[j], memory.velocity[j]
-        q, v, w = state_when_next_acts(response, rig, int(memory.count), j, q, v, latency)
+        q, v, w = state_when_next_acts(response, rig, int(memory.periods), j, q, v, latency)
         present.actuators[j] = min(max(q, rig.lower[j]), rig.upper[j])
         present.velocities[j], present.accelerations[j] = v, w
         present.speed_gain[j] = exp(model.gain[j])
-    extrapolate_targets(memory, rig, memory.count + latency / rig.period_s)
+    extrapolate_targets(memory, rig, memory.periods + latency / rig.period_s)
     for j in range(4):
         present.positions[j] = present.actuators[j]
         if not direct:
@@ -308,7 +308,7 @@ def _fill_prediction(
     present.latency_s, present.latency_sd_s = model.parameters[0], sd
     present.acceleration_ratio = exp(model.parameters[1])
     present.acceleration_sd = sqrt(max(model.variance[1], 0.0))
-    present.noise_rad = sqrt(memory.noise)
+    present.noise_rad = sqrt(memory.detection_variance)
     present.misfit = model.misfit if response.windows > 0.5 else 0.0
     present.half_swings = memory.oscillation.count
 
@@ -338,7 +338,9 @@ def _update(
             for joint in range(2 if memory.known[eye] > 0.5 else 0):
                 q = joint_at(p, 2 * eye + joint, memory.actuators)
                 aim = memory.aims[eye, joint]
-                update_oscillation(memory.oscillation, rig, eye, joint, q, aim, memory.noise)
+                update_oscillation(
+                    memory.oscillation, rig, eye, joint, q, aim, memory.detection_variance
+                )
         _fill_prediction(memory, rig, p, record_view(present_rows[n], _PREDICTION))
 
 

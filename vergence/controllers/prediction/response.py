@@ -90,9 +90,9 @@ class Response:
     those of the model with build-up."""
     windows: float
     """Number of windows that have ended."""
-    begun: float
+    window_begin: float
     """Period at which the present window begins; negative for none."""
-    ended: float
+    window_end: float
     """Period at which the previous window ended."""
     commands: Annotated[FloatArray, COMMANDS, 4]
     """Ring buffer of commands, rad/s; period k is at index k modulo its length."""
@@ -101,9 +101,9 @@ class Response:
     are prompt, otherwise estimated by the observer."""
     accelerations: Annotated[FloatArray, 4]
     """Present accelerations predicted from the commands, rad/s^2."""
-    prompt: float
+    prompt_velocities: float
     """1 if velocities are read without delay, otherwise 0."""
-    means: Annotated[FloatArray, SPEEDS, 4]
+    mean_speeds: Annotated[FloatArray, SPEEDS, 4]
     """Ring buffer of mean velocities in each period, from differences of measured angles, rad/s."""
     angles: Annotated[FloatArray, 4]
     """Last measured angles, rad."""
@@ -162,7 +162,7 @@ def speed_at(response: Response, tick: int, j: int) -> float:
 @inlined
 def mean_speed_at(response: Response, tick: int, j: int) -> float:
     """Return an actuator's mean velocity in a period, from measured angles, rad/s."""
-    speed: float = response.means[np.uintp(tick & (SPEEDS - 1)), j]
+    speed: float = response.mean_speeds[np.uintp(tick & (SPEEDS - 1)), j]
     return speed
 
 

@@ -182,7 +182,7 @@ def update_motion(
     for joint in range(2):
         step = _UNEVEN * rig.joint_step[eye, joint]
         exact[joint] = _UNEVEN_RAD * _UNEVEN_RAD + step * step
-        known = memory.variance[eye, joint] + variance[eye, joint] + exact[joint]
+        known = memory.filter_variance[eye, joint] + variance[eye, joint] + exact[joint]
         crossed = known + backlash[eye, joint]
         log_ratio = log(crossed / known)
         own[0] += 0.5 * log(known)
@@ -194,8 +194,8 @@ def update_motion(
         motion: EyeMotion = motions[likely]
         off = goals[eye, joint] - motion.angle[joint]
         # expectation-maximisation estimate of the detection variance
-        share = memory.noise / (motion.covariance[0] + slip[eye, joint])
-        scatter += (share * off) ** 2 + (1.0 - share) * memory.noise
+        share = memory.detection_variance / (motion.covariance[0] + slip[eye, joint])
+        scatter += (share * off) ** 2 + (1.0 - share) * memory.detection_variance
     update_models(motions, goals[eye], slip[eye], exact, own)
     own[0] += negative_log_likelihood(memory.delay_cost, low, high, costs)
     add_nll(nll, own)

@@ -26,29 +26,34 @@ _COMMAND: Final = int(StreamPurpose.COMMAND)
 class CommandBuffers(NamedTuple):
     """Ring buffers of the last commands; the command of step k lies at k modulo C."""
 
-    given: FloatArray
+    velocities: FloatArray
     """(n, C, 7) commands as they reach the motors, limited and quantised, rad/s; zero in the dead
     band of one quantisation step."""
-    limit: FloatArray
+    velocity_limits: FloatArray
     """(7,) velocity limits, rad/s."""
-    step: float
+    quantisation_step: float
     """Quantisation step of the commands, rad/s; 0 for exact."""
 
     @classmethod
     def empty(
-        cls, num: int, limit: FloatArray, step: float, max_latency_s: float, period_s: float
+        cls,
+        num: int,
+        velocity_limits: FloatArray,
+        quantisation_step: float,
+        max_latency_s: float,
+        period_s: float,
     ) -> "CommandBuffers":
         """Buffers of zero commands, long enough for all commands that have not taken effect yet.
 
         Args:
             num: number of heads.
-            limit: (7,) velocity limits, rad/s.
-            step: quantisation step, rad/s.
+            velocity_limits: (7,) velocity limits, rad/s.
+            quantisation_step: quantisation step, rad/s.
             max_latency_s: the largest command latency, s.
             period_s: the control period.
         """
         size = ring_size(ceil(max_latency_s / period_s) + 2)
-        return cls(np.zeros((num, size, 7)), limit, step)
+        return cls(np.zeros((num, size, 7)), velocity_limits, quantisation_step)
 
 
 RESUMES: Final = 0
@@ -117,7 +122,7 @@ def store_commands(
         False if any command is nan.
     """
     commands = CommandBuffers(*commands)
-    given, limits, size = commands.given, commands.limit, commands.step
+    given, limits, size = commands.velocities, commands.velocity_limits, commands.quantisation_step
     numbers, mask = True, given.shape[1] - 1
     for n in range(command.shape[0]):
         slot, before = np.uintp(step[n] & mask), np.uintp((step[n] - 1) & mask)

@@ -19,11 +19,11 @@ from vergence.vision.optics import EyeCamera
 class CellSize(NamedTuple):
     """Image widths of a board's cells at which the detector finds the board, px."""
 
-    fit: float
+    fit_px: float
     """Width for boards of width `fit`: reliably found, yet small."""
-    least: float
+    min_px: float
     """Least width; below it the detector misses a still board in some images."""
-    most: float
+    max_px: float
 
 
 CELL_SIZES: Final[dict[type[PlanarTarget], CellSize]] = {
@@ -95,8 +95,8 @@ class EyeViews:
             natural_distance_m=np.nan if self._natural_m is None else self._natural_m,
             facing_head=self._facing == "head",
             border_px=BOARD_BORDER_PX,
-            min_segment_px=0.5 * min(self._target.cells.shape) * size.least,
-            max_segment_px=0.5 * max(self._target.cells.shape) * size.most,
+            min_segment_px=0.5 * min(self._target.cells.shape) * size.min_px,
+            max_segment_px=0.5 * max(self._target.cells.shape) * size.max_px,
         )
 
     def draw(
@@ -184,7 +184,7 @@ def _natural_m(
         return None
     if width_rad == "fit":
         cells: int = target.cells.shape[1]
-        width = cells * CELL_SIZES[type(target)].fit / float(np.mean(head.cameras.focal))
+        width = cells * CELL_SIZES[type(target)].fit_px / float(np.mean(head.cameras.focal))
     else:
         width = check_number("width_rad", width_rad)
         if not 0.0 < width < 1.0:

@@ -149,17 +149,21 @@ def measured_interval(periods: float, step: int, ring: int) -> RingInterval:
 
 
 @inlined
-def low_pass(out: float, before: float, now: float, left: float, ramp: float) -> float:
+def low_pass(
+    output: float, last_input: float, present_input: float, decay: float, ramp_response: float
+) -> float:
     """Advance a first-order low-pass filter by a period in which its input changes linearly.
 
     Args:
-        out: the filter's output at the period's beginning.
-        before: its input at the period's beginning.
-        now: its input at the period's end.
-        left: fraction of the output that remains after the period, exp(-T/tau).
-        ramp: its response to a ramp from 0 to 1, 1 - (1 - exp(-T/tau)) tau/T.
+        output: the filter's output at the period's beginning.
+        last_input: its input at the period's beginning.
+        present_input: its input at the period's end.
+        decay: fraction of the output that remains after the period, exp(-T/tau).
+        ramp_response: its response to a ramp from 0 to 1, 1 - (1 - exp(-T/tau)) tau/T.
     """
-    return left * out + (1.0 - left - ramp) * before + ramp * now
+    return (
+        decay * output + (1.0 - decay - ramp_response) * last_input + ramp_response * present_input
+    )
 
 
 @inlined

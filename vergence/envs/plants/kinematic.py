@@ -69,7 +69,7 @@ def move_motors(
     # unpacked once, as numba would count references at each access in the loop
     heads, _motions, _necks, steps, positions, velocities = scene
     angles, speeds, rates, output, lower, upper, top, acceleration, lag_ratio = motors
-    given, own, many = commands.given, packed.own, np.uintp(heads.shape[0] > 1)
+    given, own, many = commands.velocities, packed.own, np.uintp(heads.shape[0] > 1)
     following, (counts, times, then_q, then_v) = frames.next, exposures
     ring = given.shape[1]
     for env in range(steps.shape[0]):

@@ -54,7 +54,7 @@ class MujocoPlant(SimulatedPlant):
         lag_s: ArrayLike | None = None,
         **options: Any,
     ) -> None:
-        nthread = check_count("nthread", nthread, least=0)
+        nthread = check_count("nthread", nthread, minimum=0)
         super().__init__(head, num, lag_s=lag_s, **options)
         variation = self._true_heads.variation
         drawn = variation.lag_s if variation is not None else None
@@ -80,7 +80,7 @@ class MujocoPlant(SimulatedPlant):
         self._motors_apart = self._has_backlash or self._coupling is not None
         self._has_falloff = whole.largest("torque_falloff") > 0.0
         self._forces_vary = self._has_falloff or self._varies_at_all("acceleration_ratio", 1.0)
-        # a period is one piece unless something happens within it; outputs behind backlash are
+        # a period is one substep unless something happens within it; outputs behind backlash are
         # pushed at every step, so that they do not miss the motors' turning points
         rate = head.timing.control_rate_hz / whole.largest("frame_rate_hz")
         within = (
@@ -95,8 +95,8 @@ class MujocoPlant(SimulatedPlant):
             or abs(rate - round(rate)) > TIME_TOLERANCE_S
             or rate < 0.5
         )
-        self._pieces = SUBSTEPS if within else 1
-        self._track = JointTrack.empty(num, self._pieces)
+        self._substeps = SUBSTEPS if within else 1
+        self._track = JointTrack.empty(num, self._substeps)
         self._nthread = min(nthread, num) if nthread else (1 if num == 1 else 0)
         self._half_step = 0.5 * self._model.opt.timestep
         self._start_batch()
@@ -151,16 +151,16 @@ class MujocoPlant(SimulatedPlant):
     def _move(self) -> None:
         own, period_s = self._arguments, self.head.timing.period_s
         start_track(own.scene, self._track)
-        for piece in range(self._pieces):
+        for substep in range(self._substeps):
             substep_controls(
-                piece, self._pieces, period_s, own.packed, self._scene.step, own.commands,
+                substep, self._substeps, period_s, own.packed, self._scene.step, own.commands,
                 own.motors, self._slots, self._ctrl,
             )  # fmt: skip
             if self._forces_vary:
                 self._limit_forces()
-            self._batch.step(None, SUBSTEPS // self._pieces)
+            self._batch.step(None, SUBSTEPS // self._substeps)
             read_joints(
-                piece, self._qpos, self._qvel, self._half_step, self._joints, self.head.packed,
+                substep, self._qpos, self._qvel, self._half_step, self._joints, self.head.packed,
                 own.packed, own.scene, own.motors, self._coupling, self._track,
             )  # fmt: skip
         expose_on_track(

@@ -170,8 +170,8 @@ def store_detections(
     keys: StreamKeys,
     exposures: Exposures,
     frames: Frames,
-    found: FloatArray,
-    seen: BoolArray,
+    detections_px: FloatArray,
+    detected: BoolArray,
 ) -> None:
     """Store the detections of some environments in the frames' ring buffers.
 
@@ -181,8 +181,8 @@ def store_detections(
         keys: keys of the trials' random streams.
         exposures: times of the exposures.
         frames: ring buffers, updated in place.
-        found: (n, E, 2, 2) detections, px.
-        seen: (n, E, 2) True if the target was detected.
+        detections_px: (n, E, 2, 2) detections, px.
+        detected: (n, E, 2) True if the target was detected.
     """
     packed, keys = PackedConditions(*packed), StreamKeys(*keys)
     exposures, frames = Exposures(*exposures), Frames(*frames)
@@ -200,15 +200,15 @@ def store_detections(
             frames.comes_s[n, slot] = frames.latest_s[n] = comes_s
             for eye in range(2):
                 missed = faults.missed_right if eye else faults.missed_left
-                visible = seen[n, i, eye] and not missed
+                visible = detected[n, i, eye] and not missed
                 frames.visible[n, slot, eye] = visible
                 if visible:
                     du, dv = outlier_offset(conditions, key, f, eye)
                     false_u = false_v = 0.0
                     if conditions.false_detection_probability > 0.0:
                         false_u, false_v = false_detection_offset(conditions, key, f, eye)
-                    frames.pixels[n, slot, eye, 0] = found[n, i, eye, 0] + du + false_u
-                    frames.pixels[n, slot, eye, 1] = found[n, i, eye, 1] + dv + false_v
+                    frames.pixels[n, slot, eye, 0] = detections_px[n, i, eye, 0] + du + false_u
+                    frames.pixels[n, slot, eye, 1] = detections_px[n, i, eye, 1] + dv + false_v
 
 
 @compiled

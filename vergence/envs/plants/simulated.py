@@ -300,7 +300,7 @@ class SimulatedPlant(Simulation):
             conditions=self._true_heads.arrays(),
             keys=self._streams.keys._asdict(),
             motors={name: getattr(motors, field) for name, field in MOVING.items()},
-            commands={"given": self._commands.given},
+            commands={"given": self._commands.velocities},
             feedback={name: getattr(feedback, field) for name, field in STATE.items()},
             frames=self._frames._asdict(),
             scene=scene,
@@ -312,7 +312,7 @@ class SimulatedPlant(Simulation):
         self._scene.velocities[:] = 0.0
         self._motors.speeds[:] = 0.0
         self._motors.accelerations[:] = 0.0
-        self._commands.given[:] = 0.0
+        self._commands.velocities[:] = 0.0
         self.reading.command[:] = 0.0
         self._put_at_rest(self._all)
 

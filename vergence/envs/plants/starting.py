@@ -119,8 +119,8 @@ def begin_trials(
             offset = packed.own[n, BACKLASH, k] * (share[k] - 0.5)
             motors.output[n, k] = scene.positions[n, k] = motors.angles[n, k] + offset
             scene.velocities[n, k] = reading.command[n, k] = 0.0
-            for slot in range(commands.given.shape[1]):
-                commands.given[n, slot, k] = 0.0
+            for slot in range(commands.velocities.shape[1]):
+                commands.velocities[n, slot, k] = 0.0
             feedback.filtered[n, 0, k] = feedback.filtered[n, 1, k] = 0.0
             angle = motors.output[n, k] if feedback.on_output else motors.angles[n, k]
             for slot in range(feedback.measured.shape[1]):

@@ -92,12 +92,12 @@ class Target(ABC):
         return fixation_angles(head, "start", fixated)
 
 
-def fixation_angles(head: HeadModel, what: str, points: FloatArray) -> FloatArray:
+def fixation_angles(head: HeadModel, point_name: str, points: FloatArray) -> FloatArray:
     """Compute joint angles that put points on both optical axes, or as near as actuators can.
 
     Args:
         head: the model of the head.
-        what: name of the points for error messages, such as `point`.
+        point_name: name of the points for error messages, such as `point`.
         points: (n, 3) in N, m.
 
     Returns:
@@ -115,7 +115,9 @@ def fixation_angles(head: HeadModel, what: str, points: FloatArray) -> FloatArra
         asked = "look at within their limits, and see then"
     if not within.all():
         bad = tuple(points[np.flatnonzero(~within)[0]].tolist())
-        raise TargetError(f"target: expected a {what} that both eyes can {asked}, got {bad} m")
+        raise TargetError(
+            f"target: expected a {point_name} that both eyes can {asked}, got {bad} m"
+        )
     return q
 
 
@@ -126,12 +128,12 @@ def _in_images(head: HeadModel, q: FloatArray, points: FloatArray) -> NDArray[np
     return np.asarray(inside.all(axis=-1))
 
 
-def refuse_unseen(head: HeadModel, what: str, point: FloatArray, q: FloatArray) -> None:
+def refuse_unseen(head: HeadModel, point_name: str, point: FloatArray, q: FloatArray) -> None:
     """Refuse a point that neither eye sees, as no controller could ever find it.
 
     Args:
         head: the model of the head.
-        what: name of the point for error messages.
+        point_name: name of the point for error messages.
         point: (3,) in N, m.
         q: (7,) joint angles at the start, rad.
 
@@ -144,6 +146,6 @@ def refuse_unseen(head: HeadModel, what: str, point: FloatArray, q: FloatArray) 
     if not np.isfinite(head.project(q, point)).any():
         where = "behind the head or far outside both images"
     raise TargetError(
-        f"target: expected a {what} that an eye sees at the start of the trial, got "
+        f"target: expected a {point_name} that an eye sees at the start of the trial, got "
         f"{tuple(point.tolist())} m, which is {where}"
     )
