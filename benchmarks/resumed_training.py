@@ -17,7 +17,7 @@ from rich.table import Table
 
 from vergence.training.checkpoint import read_checkpoint
 from vergence.training.choices import resolve_config
-from vergence.training.listener import Result
+from vergence.training.listener import TrainingResult
 from vergence.training.options import TrainOptions
 from vergence.training.run import resume, train
 
@@ -47,14 +47,14 @@ class StopsAfter:
         return self._done >= self._steps
 
 
-def network_of(result: Result) -> dict[str, torch.Tensor]:
+def network_of(result: TrainingResult) -> dict[str, torch.Tensor]:
     """Final weights of a run."""
     content = read_checkpoint(result.folder / "checkpoints" / "last.pt")
     policy: dict[str, torch.Tensor] = content["parameters"]["policy"]
     return policy
 
 
-def same_network(ours: Result, theirs: Result) -> bool:
+def same_network(ours: TrainingResult, theirs: TrainingResult) -> bool:
     """True if the final weights of two runs are bitwise identical."""
     mine, yours = network_of(ours), network_of(theirs)
     return set(mine) == set(yours) and all(torch.equal(mine[name], yours[name]) for name in mine)

@@ -13,7 +13,7 @@ import pytest
 
 from tests.naming import named
 from vergence.cli import main
-from vergence.controllers.controller import CONTROLLERS, own_options
+from vergence.controllers.controller import CONTROLLERS, default_options
 from vergence.models import load_head
 
 
@@ -162,7 +162,7 @@ def test_every_controller_turns_the_eyes_with_its_own_gain(controller, tmp_path)
     words = ("--controller", controller, "--plant", "kinematic", "--out", str(folder))
     assert call("gaze", *words) == 0
     result = json.loads((folder / "result.json").read_text())
-    assert result["gain"] == own_options(controller).get("gain")
+    assert result["gain"] == default_options(controller).get("gain")
     config = tomllib.loads((folder / "config.toml").read_text())["config"]
     assert config.get("gain") == result["gain"]
 
@@ -172,7 +172,7 @@ def test_a_gain_is_refused_by_a_controller_that_has_none(tmp_path, capsys):
     assert call("gaze", "--gain", "3", *words) == 2
     err = capsys.readouterr().err
     assert "controller saccade: expected one of its options" in err
-    assert all(option in err for option in own_options("saccade") if option != "layout")
+    assert all(option in err for option in default_options("saccade") if option != "layout")
     assert not (tmp_path / "run").exists()
 
 

@@ -11,7 +11,7 @@ from typing import Final, TextIO
 from vergence import _jit, interrupts
 from vergence.commands.console import logging_to_stderr, print_note, replace_unprintable
 from vergence.commands.parsing import parse_command, split_verbosity
-from vergence.envs.opengl import switch_off_what_fails
+from vergence.envs.opengl import disable_broken_opengl
 from vergence.errors import ConfigurationError, HardwareError, VergenceError, VergenceWarning
 
 TRACE_VARIABLE: Final = "VERGENCE_TRACE"
@@ -71,7 +71,7 @@ def _run(arguments: list[str]) -> int:
     words, verbosity = split_verbosity(arguments)
     command = parse_command(words)
     warnings.showwarning = _show_warning
-    opengl = switch_off_what_fails()
+    opengl = disable_broken_opengl()
     if opengl is not None:
         print_note(f"going on without OpenGL, as it does not work with {opengl}")
     _tell_of_kernels()

@@ -111,7 +111,7 @@ def test_a_result_whose_reader_has_gone_is_no_error(monkeypatch, capsys):
 def test_a_fault_of_the_package_is_one_line_that_says_where_and_a_trace_if_asked(
     monkeypatch, capsys
 ):
-    monkeypatch.setattr(cli, "switch_off_what_fails", None)
+    monkeypatch.setattr(cli, "disable_broken_opengl", None)
     with pytest.raises(TypeError):
         main(["info"])
     monkeypatch.delenv(cli.TRACE_VARIABLE)

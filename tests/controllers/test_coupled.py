@@ -8,7 +8,7 @@ from tests.grids import some_of
 from tests.heads import head_of
 from tests.naming import named
 from vergence.controllers import CONTROLLERS, make_controller
-from vergence.controllers.coupled import reducible
+from vergence.controllers.coupled import reducible_pixel_error
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
@@ -108,19 +108,19 @@ def test_the_reducible_part_is_what_the_actuators_can_undo():
     q = head.fixate(point)
     least = head.least_error(point)
     assert np.abs(least).max() > 10.0
-    assert np.abs(reducible(head, q, least, np.nan)).max() < 1e-3
+    assert np.abs(reducible_pixel_error(head, q, least, np.nan)).max() < 1e-3
     # turned away by one actuator, the error has that turn in it and nothing else
     away = head.actuation.actuators_of(q)
     away[4] += 1e-4
     turned = head.actuation.joints_of(away)
     error = head.project(turned, point, distorted=False) - head.cameras.principal
-    part = reducible(head, turned, error, np.nan)
+    part = reducible_pixel_error(head, turned, error, np.nan)
     assert part == pytest.approx(error - least, abs=2e-3)
 
 
 def test_a_head_with_four_motors_keeps_its_errors_as_they_are():
     head, error = head_of("panfirst"), np.array([[3.0, -40.0], [np.nan, np.nan]])
-    assert reducible(head, np.zeros(7), error, np.nan) is error
+    assert reducible_pixel_error(head, np.zeros(7), error, np.nan) is error
 
 
 @pytest.mark.parametrize("law", ["ibvs", "state-feedback", "saccade", "pursuit"])

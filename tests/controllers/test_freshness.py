@@ -21,7 +21,7 @@ LATENCY = 8
 
 def predicted_unseen(row: np.ndarray) -> np.ndarray:
     """For how many periods the left eye has not been seen by a predictor, whose row comes first."""
-    return np.ascontiguousarray(row[..., :SIZE]).view(MEMORY)["unseen"][..., 0, 0]
+    return np.ascontiguousarray(row[..., :SIZE]).view(MEMORY)["unseen_periods"][..., 0, 0]
 
 
 USED = {

@@ -13,9 +13,9 @@ from vergence.controllers.gain_schedule import (
     GAIN_LIMIT,
     GAIN_NAMES,
     ScheduledLaw,
-    action_of,
+    action_from_gains,
     gain_names,
-    gains_of,
+    gains_from_action,
 )
 from vergence.envs.task import GazeTask
 from vergence.models import load_head
@@ -25,7 +25,7 @@ numbers = st.lists(st.floats(-3.0, 3.0), min_size=4, max_size=4)
 
 @given(numbers)
 def test_gains_are_never_negative_and_never_above_their_limit(action) -> None:
-    gains = gains_of(action)
+    gains = gains_from_action(action)
     assert gains.shape == (2, 2)
     assert ((gains >= 0.0) & (gains <= GAIN_LIMIT)).all()
 
@@ -34,21 +34,23 @@ def test_gains_are_never_negative_and_never_above_their_limit(action) -> None:
 def test_every_gain_can_be_asked_for(gains) -> None:
     wanted = np.reshape(gains, (2, 2))
     # a float32 action near -1 resolves gains to 5 (1e-7)^2, elsewhere to 20 * 1e-7
-    assert gains_of(action_of(wanted)) == pytest.approx(wanted, abs=1e-5)
+    assert gains_from_action(action_from_gains(wanted)) == pytest.approx(wanted, abs=1e-5)
 
 
 def test_the_order_is_that_of_the_joints_which_answer() -> None:
     """A tilt moves v and a pan moves u."""
-    assert gains_of([-1, 1, -1, -1])[0].tolist() == [20.0, 0.0]
-    assert gains_of([-1, -1, 1, -1])[1].tolist() == [0.0, 20.0]
+    assert gains_from_action([-1, 1, -1, -1])[0].tolist() == [20.0, 0.0]
+    assert gains_from_action([-1, -1, 1, -1])[1].tolist() == [0.0, 20.0]
 
 
 def test_eyes_that_pan_first_have_their_gains_in_the_order_of_their_joints() -> None:
     names = gain_names(head_of("panfirst"))
     assert names == ("left_u", "left_v", "right_u", "right_v")
-    assert gains_of([1, -1, -1, -1], names)[0].tolist() == [20.0, 0.0]
+    assert gains_from_action([1, -1, -1, -1], names)[0].tolist() == [20.0, 0.0]
     wanted = [[1.0, 2.0], [3.0, 4.0]]
-    assert gains_of(action_of(wanted, names), names) == pytest.approx(np.array(wanted), abs=1e-5)
+    assert gains_from_action(action_from_gains(wanted, names), names) == pytest.approx(
+        np.array(wanted), abs=1e-5
+    )
 
 
 @pytest.mark.parametrize("name", ["simulated", "physical"])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.controllers.pole_placement import placed_command
+from vergence.controllers.pole_placement import pole_placement_command
 from vergence.models.held_response import follow_held, held_response
 
 LAG_S = 0.03
@@ -15,7 +15,7 @@ def angles(build_up, known, rate=30.0):
     q = v = w = 0.0
     way = []
     for _ in range(240):
-        u = placed_command(1.0 - q, v, w, rate, LAG_S, known)
+        u = pole_placement_command(1.0 - q, v, w, rate, LAG_S, known)
         q, v, w = follow_held(q, v, w, u, held_response(LAG_S, build_up, np.inf, PERIOD_S))
         way.append(q)
     return np.array(way)
@@ -30,4 +30,6 @@ def test_a_servo_that_overshoots_hardly_passes_its_goal(build_up) -> None:
 
 
 def test_a_law_without_a_build_up_is_that_of_two_poles() -> None:
-    assert placed_command(0.1, 0.5, 7.0, 20.0, 0.03, 0.0) == pytest.approx(20.0 * (0.1 - 0.015))
+    assert pole_placement_command(0.1, 0.5, 7.0, 20.0, 0.03, 0.0) == pytest.approx(
+        20.0 * (0.1 - 0.015)
+    )

@@ -9,7 +9,7 @@ from tests.grids import some_of
 from tests.joint_motion import respond
 from tests.naming import named
 from vergence import load_head, make_controller
-from vergence.controllers.prediction.joints import joint_rig
+from vergence.controllers.prediction.joints import pack_predictor_model
 from vergence.controllers.saccade import saccade_command
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
@@ -30,7 +30,7 @@ def settled(trial, band_px=1.0):
 
 def move(angle_error: float, v: float, periods: int, lag: float = 0.03) -> np.ndarray:
     """(periods + 1, 2) what is left and the velocity of one joint that follows its commands."""
-    rig = joint_rig(load_head("simulated"))
+    rig = pack_predictor_model(load_head("simulated"))
     q, speed = np.zeros((1, 7)), np.zeros((1, 7))
     speed[0, 3] = v
     states = [(angle_error, v)]

@@ -7,8 +7,8 @@ from tests.controllers.loops import settle_time, true_errors
 from tests.joint_motion import respond
 from tests.naming import named
 from vergence import load_head, make_controller
-from vergence.controllers.pole_placement import placed_command
-from vergence.controllers.prediction.joints import joint_rig
+from vergence.controllers.pole_placement import pole_placement_command
+from vergence.controllers.prediction.joints import pack_predictor_model
 from vergence.controllers.state_feedback import feedback_command
 from vergence.controllers.tuned import tuned_options
 from vergence.envs.task import GazeTask
@@ -39,7 +39,7 @@ def asked(
         [lag_s, build_up],
         np.full(4, gain),
         half_swings,
-        joint_rig(HEAD),
+        pack_predictor_model(HEAD),
         law,
     )
 
@@ -52,7 +52,7 @@ def test_the_command_is_its_equation() -> None:
 def test_a_servo_whose_own_loop_swings_is_damped_whatever_the_option_says(damping) -> None:
     found = asked(0.1, 0.5, build_up=1.0, law=(20.0, damping))
     assert found == pytest.approx(asked(0.1, 0.5, build_up=1.0))
-    assert found == pytest.approx(placed_command(0.1, 0.5, 0.0, 20.0, 0.03, 1.0))
+    assert found == pytest.approx(pole_placement_command(0.1, 0.5, 0.0, 20.0, 0.03, 1.0))
 
 
 def test_each_swing_too_many_halves_the_rate_down_to_one_that_is_slow() -> None:

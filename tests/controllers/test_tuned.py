@@ -18,7 +18,7 @@ from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.trials.scenarios import load_scenario
 
 
-def entry(controller="ibvs", scenario="step", options=None, **changes) -> tuned.Tuned:
+def entry(controller="ibvs", scenario="step", options=None, **changes) -> tuned.TunedEntry:
     fields = {
         "controller": controller,
         "scenario": scenario,
@@ -28,7 +28,7 @@ def entry(controller="ibvs", scenario="step", options=None, **changes) -> tuned.
         "seed": 0,
         "options": {"gain": 4.2} if options is None else options,
     }
-    return tuned.Tuned(**{**fields, **changes})
+    return tuned.TunedEntry(**{**fields, **changes})
 
 
 def other_head():
@@ -36,7 +36,7 @@ def other_head():
     return head.replace(name="mine", timing={"lag_s": 0.04})
 
 
-def own_gain(head, gain=3.25, scenario="workspace") -> tuned.Tuned:
+def own_gain(head, gain=3.25, scenario="workspace") -> tuned.TunedEntry:
     options = {"gain": gain}
     return entry(scenario=scenario, options=options, head=head.name, digest=head.digest)
 
@@ -165,7 +165,7 @@ def test_a_head_without_options_starts_from_those_of_the_scenarios_head() -> Non
     found = tuned.find_tuned("pid", "workspace", head)
     assert found is not None
     assert found.head == "simulated"
-    assert not tuned.is_for(found, head)
+    assert not tuned.is_tuned_for(found, head)
     law = make_controller("ibvs-tuned", head=head)
     assert not law.tuned
     assert np.array_equal(law.gain, make_controller("ibvs-tuned", load_head("simulated")).gain)
@@ -175,10 +175,10 @@ def test_the_users_table_lies_in_the_users_data_folder_unless_a_variable_says_wh
     monkeypatch, tmp_path
 ) -> None:
     monkeypatch.delenv("VERGENCE_TUNED")
-    assert tuned.user_file() == platformdirs.user_data_path("vergence") / "tuned.toml"
+    assert tuned.user_table_path() == platformdirs.user_data_path("vergence") / "tuned.toml"
     monkeypatch.setenv("VERGENCE_TUNED", str(tmp_path / "team.toml"))
-    assert tuned.user_file() == tmp_path / "team.toml"
-    assert not tuned.user_file().is_relative_to(tuned.TUNED_FILE.parent)
+    assert tuned.user_table_path() == tmp_path / "team.toml"
+    assert not tuned.user_table_path().is_relative_to(tuned.TUNED_FILE.parent)
 
 
 def test_a_damaged_table_of_the_users_is_said_where_it_would_count(user_table) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.streams import Streams
+from vergence.envs.streams import RandomStreams
 from vergence.envs.targets.board import POINT, Board
 from vergence.envs.targets.registry import make_target
 from vergence.models import HeadModel
@@ -20,20 +20,20 @@ def draw(
     board: Board = POINT,
 ) -> tuple[Array, Array]:
     """Motions and starting angles of trials of a seed, from the `first` on."""
-    streams, ids = Streams(num), np.arange(num)
+    streams, ids = RandomStreams(num), np.arange(num)
     trials = (first + ids).astype(np.uint64)
     streams.start(ids, np.full(num, seed, dtype=np.uint64), trials)
     return make_target(target).draw(head, streams, ids, board)
 
 
-def between_eyes(head: HeadModel) -> Array:
+def midpoint_between_eyes(head: HeadModel) -> Array:
     """(3,) the point in the middle of both eyes at rest, in N, m."""
     return head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
 
 
 def eccentricity(head: HeadModel, points: Array) -> Array:
     """(...) angles of points from straight ahead, as workspaces count them, rad."""
-    aside = np.hypot(*np.moveaxis((points - between_eyes(head))[..., :2], -1, 0))
+    aside = np.hypot(*np.moveaxis((points - midpoint_between_eyes(head))[..., :2], -1, 0))
     return np.arctan(aside / points[..., 2])
 
 

@@ -20,7 +20,7 @@ def forgotten(monkeypatch):
 
 def test_a_choice_with_which_mujoco_cannot_be_imported_is_switched_off(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "nonsense")
-    failure = opengl.switch_off_what_fails()
+    failure = opengl.disable_broken_opengl()
     assert failure is not None
     assert failure.startswith("MUJOCO_GL=nonsense: ")
     assert "nonsense" in failure.removeprefix("MUJOCO_GL=nonsense: ")
@@ -33,7 +33,7 @@ def test_a_choice_with_which_mujoco_cannot_be_imported_is_switched_off(monkeypat
 def test_a_choice_that_cannot_fail_is_not_tried(value, monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", value)
     monkeypatch.setattr(opengl, "_failure", None)
-    assert opengl.switch_off_what_fails() is None
+    assert opengl.disable_broken_opengl() is None
     assert os.environ["MUJOCO_GL"] == value
 
 

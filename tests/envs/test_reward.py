@@ -9,7 +9,7 @@ from vergence import load_head, make_controller
 from vergence._jit import untyped_tuple
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import Reading
-from vergence.envs.reward import TERMS, Progress, Rules, StepResult, assess
+from vergence.envs.reward import TERMS, StepResult, TimeLimits, TrialProgress, assess
 from vergence.envs.task import GazeTask
 
 STILL = np.zeros((1, 4))
@@ -171,7 +171,7 @@ def assessed(script, name="simulated", seed=0):
     """Rewards and losses by step, with eyes that see by a script and targets anywhere in view."""
     head = load_head(name)
     layout, rng = ObservationLayout.of(head), np.random.default_rng(seed)
-    progress, outcome = Progress.empty(1), StepResult.empty(1, layout.size)
+    progress, outcome = TrialProgress.empty(1), StepResult.empty(1, layout.size)
     progress.begin(np.arange(1), head.timing.period_s)
     reading = Reading.empty(1)
     reading.positions_at_exposure[:] = reading.positions[:] = head.rest()
@@ -185,7 +185,7 @@ def assessed(script, name="simulated", seed=0):
         )
         action = rng.uniform(-1.0, 1.0, (1, layout.count))
         assess(
-            np.arange(1), head.packed, layout.scaling, untyped_tuple(Rules.of(head)),
+            np.arange(1), head.packed, layout.scaling, untyped_tuple(TimeLimits.of(head)),
             untyped_tuple(reading), action, untyped_tuple(progress), untyped_tuple(outcome), tied,
         )  # fmt: skip
         found.append((float(outcome.reward[0]), bool(outcome.lost[0])))

@@ -24,7 +24,7 @@ from mcap.records import (
 
 from tests.recording.logged import log_trials
 from vergence.recording import schema
-from vergence.recording.records import records_of
+from vergence.recording.records import read_records
 
 _MAGIC: Final = b"\x89MCAP0\r\n"
 _BOMB: Final = 2**30
@@ -92,7 +92,7 @@ def parts(folder: Path) -> _Parts:
     log_trials(path, steps=8)
     found = _Parts([], {}, {})
     topics: dict[int, str] = {}
-    for one in records_of(path):
+    for one in read_records(path):
         if isinstance(one, Channel):
             topics[one.id] = one.topic
         elif isinstance(one, Message):

@@ -45,7 +45,7 @@ from vergence.hardware.dynamixel.packets import MOST_LENGTH, Parser, status_pack
 from vergence.hardware.history import JointHistory
 from vergence.models.files.head_toml import head_to_toml
 from vergence.recording.log import read_log
-from vergence.recording.recovery import recover
+from vergence.recording.recovery import recover_log
 
 _LIMIT_S: Final = 15.0
 """Time limit of one input, s (chosen: far longer than any takes)."""
@@ -204,7 +204,7 @@ class Inputs:
             found.trajectory()
         self.ended.update(ended)
         with watched(self.folder) as again:
-            recover(path, out)
+            recover_log(path, out)
             read_log(out)
         if "answer" in ended and "answer" not in again:
             raise FaultError(f"recovered, it can be read no more: {again}")

@@ -14,7 +14,7 @@ from tests.recording.logged import HEAD, STEPS, log_trials, open_log
 from vergence.errors import ConfigurationError, UnreadableFileError, VergenceError, VergenceWarning
 from vergence.recording import schema
 from vergence.recording.log import read_log
-from vergence.recording.recovery import recover
+from vergence.recording.recovery import recover_log
 from vergence.recording.schema import LoggedDetection
 
 mcap_reader = pytest.importorskip("mcap.reader")
@@ -97,7 +97,7 @@ def test_a_log_that_is_cut_off_is_read_up_to_there_and_recovered(logged, tmp_pat
         log = read_log(cut)
         assert log.cut_off
         assert log.head.digest == HEAD.digest
-        recover(cut, whole)
+        recover_log(cut, whole)
         again = read_log(whole)
         assert again.cut_off == ""
         assert [trial.steps for trial in again.trials] == [trial.steps for trial in log.trials]

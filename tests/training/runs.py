@@ -11,7 +11,7 @@ from vergence.training import run
 from vergence.training.choices import resolve_config
 from vergence.training.config import TrainConfig
 from vergence.training.curve import draw_curve
-from vergence.training.listener import Result
+from vergence.training.listener import TrainingResult
 from vergence.training.options import TrainOptions
 
 SMALL = (
@@ -65,5 +65,7 @@ def small(kind: str = "gain-schedule", *changes: str, **words: Any) -> tuple[Tra
     return resolve_config(TrainOptions(kind=kind, set=(*SMALL, *PPO, *changes), **words))
 
 
-def run_small(folder: Path, *changes: str, kind: str = "gain-schedule", **words: Any) -> Result:
+def run_small(
+    folder: Path, *changes: str, kind: str = "gain-schedule", **words: Any
+) -> TrainingResult:
     return run.train(folder, *small(kind, *changes, **words), Silent())

@@ -13,7 +13,7 @@ from tests.heads import text_of
 from tests.test_cli import call
 from tests.training.runs import Silent
 from vergence import load_head, make_controller
-from vergence.controllers.gain_schedule import gains_of
+from vergence.controllers.gain_schedule import gains_from_action
 from vergence.controllers.networks.bundle import read_bundle
 from vergence.controllers.networks.environments import velocity_action
 from vergence.controllers.networks.inputs import Inputs
@@ -29,7 +29,7 @@ from vergence.training.onnx_export import (
     TOLERANCE,
     check_agreement,
     export_network,
-    network_of,
+    learner_network,
 )
 from vergence.training.options import TrainOptions
 from vergence.training.run import train
@@ -70,7 +70,7 @@ def learner(activation: type[nn.Module] = nn.Tanh, **options):
 def test_onnx_and_torch_agree_on_10000_observations(kind):
     model = learner()
     env = model.get_vec_normalize_env()
-    network, difference = network_of(kind, model, env)
+    network, difference = learner_network(kind, model, env)
     assert difference <= TOLERANCE
     x = np.random.default_rng(1).uniform(-1, 1, (10_000, SIZE)).astype("f4")
     action, _state = model.predict(env.normalize_obs(x).astype("f4"), deterministic=True)
@@ -81,7 +81,7 @@ def test_onnx_and_torch_agree_on_10000_observations(kind):
     else:
         # by eye and image axis; in the order of the joints, v comes first
         gains = 10.0 * (1.0 + out.reshape(-1, 2, 2)[..., ::-1])
-        assert np.abs(gains - gains_of(action)).max() <= 1e-4
+        assert np.abs(gains - gains_from_action(action)).max() <= 1e-4
 
 
 @pytest.mark.slow
@@ -105,14 +105,14 @@ def test_the_network_shared_by_the_joints_is_exported():
     model = PPO(JointPolicy, room(), policy_kwargs=options, device="cpu", seed=0)
     with torch.no_grad():
         model.policy.action_net.out.weight.mul_(100.0)
-    network, _difference = network_of("gain-schedule", model, None)
-    assert network.outputs == 4
+    network, _difference = learner_network("gain-schedule", model, None)
+    assert network.output_size == 4
 
 
 @pytest.fixture(scope="module")
 def network():
     """The exported network of a policy without statistics of its inputs."""
-    return network_of("policy", learner(), None)[0]
+    return learner_network("policy", learner(), None)[0]
 
 
 @pytest.mark.slow
@@ -140,7 +140,7 @@ def test_other_bounds_of_actions_are_refused():
     model = learner()
     model.action_space = Box(-2.0, 2.0, (4,), np.float32)
     with pytest.raises(ConfigurationError, match="four actions from -1 to 1"):
-        network_of("policy", model, None)
+        learner_network("policy", model, None)
 
 
 # From a run folder.
@@ -192,7 +192,7 @@ def test_a_network_is_learned_and_exported_for_a_head_with_tied_joints(tmp_path,
     manifest = export_run(tmp_path / "run", tmp_path / "tied.vgp", "last")
     assert manifest.head["digest"] == head.digest
     assert manifest.metrics["onnx_difference"] <= 1e-5
-    assert read_bundle(tmp_path / "tied.vgp").network.outputs == actions
+    assert read_bundle(tmp_path / "tied.vgp").network.output_size == actions
     trials = run_trials(
         load_policy(tmp_path / "tied.vgp", head), load_scenario("workspace"), episodes=2, head=head
     )

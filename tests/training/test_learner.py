@@ -8,7 +8,7 @@ from vergence.controllers.networks.environments import GainScheduleTask, PolicyT
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.training.learner import LearnedSoFar
+from vergence.training.learner import LearnerPolicy
 
 TASKS = {"gain-schedule": GainScheduleTask, "policy": PolicyTask}
 
@@ -23,7 +23,7 @@ def test_the_environment_and_the_controller_act_alike_to_the_last_bit(kind, inpu
     def act(seen: np.ndarray) -> np.ndarray:
         return np.tanh(seen @ weights).astype(np.float32)
 
-    controller = LearnedSoFar(kind, Inputs.of(inputs, raw.head, raw.layout), act)
+    controller = LearnerPolicy(kind, Inputs.of(inputs, raw.head, raw.layout), act)
     state = None
     begin(task, 3)
     begin(raw, 3)

@@ -10,15 +10,15 @@ from vergence.eval.trials.loops import LATEST_ONSET_S
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models import load_head
 from vergence.training.choices import resolve_config
-from vergence.training.export import command_of
+from vergence.training.export import training_command
 from vergence.training.options import TrainOptions
-from vergence.training.recipes import RECIPES, recipe
+from vergence.training.recipes import RECIPES, default_recipe
 
 
 @pytest.mark.parametrize("kind", sorted(RECIPES))
 def test_a_recipe_is_a_runs_configuration(kind) -> None:
     config, head = resolve_config(TrainOptions(kind=kind))
-    made = recipe(kind)
+    made = default_recipe(kind)
     assert config.scenario == "hardware"
     assert head.digest == load_scenario("hardware").model().digest
     assert made.inputs in KINDS
@@ -30,7 +30,7 @@ def test_a_recipe_is_a_runs_configuration(kind) -> None:
 def test_an_episode_goes_on_after_the_latest_onset(kind) -> None:
     """By as long as a turn takes at the slowest, 0.7 s or so."""
     _config, head = resolve_config(TrainOptions(kind=kind))
-    assert recipe(kind).episode_steps * head.timing.period_s > LATEST_ONSET_S + 0.7
+    assert default_recipe(kind).episode_steps * head.timing.period_s > LATEST_ONSET_S + 0.7
 
 
 def test_a_head_that_is_named_is_that_head_and_none_is_the_scenarios() -> None:
@@ -44,9 +44,9 @@ def test_a_head_that_is_named_is_that_head_and_none_is_the_scenarios() -> None:
 @pytest.mark.parametrize("kind", sorted(RECIPES))
 def test_randomising_is_as_asked_and_else_as_the_recipe_has_it(kind, asked) -> None:
     config, _head = resolve_config(TrainOptions(kind=kind, randomise=asked))
-    assert config.randomise == (recipe(kind).randomise if asked is None else asked)
-    words = shlex.split(command_of(config))
-    usual = recipe(kind).randomise
+    assert config.randomise == (default_recipe(kind).randomise if asked is None else asked)
+    words = shlex.split(training_command(config))
+    usual = default_recipe(kind).randomise
     assert ("--randomise" in words, "--no-randomise" in words) == (
         config.randomise,
         usual and not config.randomise,
@@ -76,4 +76,4 @@ def test_a_number_of_the_recipe_can_be_changed() -> None:
 
 def test_an_unknown_recipe_is_refused() -> None:
     with pytest.raises(UnknownNameError, match="policy"):
-        recipe("dance")
+        default_recipe("dance")

@@ -6,8 +6,8 @@ from vergence import make_controller
 from vergence.commands.train import _end, _Watch
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.training.listener import Result
-from vergence.training.validation import BASELINES, Score, Validation
+from vergence.training.listener import TrainingResult
+from vergence.training.validation import BASELINES, Validation, ValidationScore
 
 
 def test_baselines_of_a_head_that_nothing_was_tuned_for_are_named_as_untuned():
@@ -36,7 +36,7 @@ def test_settling_counts_in_the_band_that_leads_the_scenario():
             make_controller("saccade", scenario.model()), scenario, episodes=5, split="validation"
         )
         settle = trials.settle_or_trial_s(scenario.band_px)
-        assert Score.of(trials).mean == pytest.approx(settle.mean())
+        assert ValidationScore.of(trials).mean == pytest.approx(settle.mean())
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_settling_counts_in_the_band_that_leads_the_scenario():
 )
 def test_a_run_is_compared_with_the_best_baseline_by_its_name(tmp_path, capsys, gain, unit, said):
     watch = _Watch(tmp_path)
-    score = Score(headline=0.7, mean=0.7, settled_fraction=1.0)
+    score = ValidationScore(headline=0.7, mean=0.7, settled_fraction=1.0)
     watch.begin({"ibvs-tuned (untuned for this head)": score}, unit)
     row = {"step": 1, "headline": 0.7 / gain, "settled_fraction": 1.0, "steps_per_s": 9}
     watch.row({**row, "gain": gain})
@@ -60,12 +60,14 @@ def test_a_run_is_compared_with_the_best_baseline_by_its_name(tmp_path, capsys, 
 
 def test_the_end_of_a_run_says_who_is_slower_than_the_best_baseline(capsys, tmp_path):
     baselines = {
-        name: Score(headline=headline, mean=headline, settled_fraction=1.0)
+        name: ValidationScore(headline=headline, mean=headline, settled_fraction=1.0)
         for name, headline in (("ibvs", 0.6), ("saccade", 0.2))
     }
     row = {"step": 1, "headline": 1.0, "mean": 1.0, "settled_fraction": 1.0, "gain": 0.2}
     rows = [{**row, "best": True}]
-    done = Result(folder=tmp_path, steps=1, finished=True, unit="s", baselines=baselines, rows=rows)
+    done = TrainingResult(
+        folder=tmp_path, steps=1, finished=True, unit="s", baselines=baselines, rows=rows
+    )
     assert _end(done) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert "than saccade" in printed

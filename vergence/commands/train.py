@@ -21,8 +21,8 @@ from vergence.errors import ConfigurationError
 from vergence.training.options import TrainOptions
 
 if TYPE_CHECKING:
-    from vergence.training.listener import Result
-    from vergence.training.validation import Score
+    from vergence.training.listener import TrainingResult
+    from vergence.training.validation import ValidationScore
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +80,7 @@ class _Watch:
         self._baseline = ""
         self.stop = False
 
-    def begin(self, baselines: "dict[str, Score]", unit: str) -> None:
+    def begin(self, baselines: "dict[str, ValidationScore]", unit: str) -> None:
         """See `Listener.begin`."""
         self._unit = unit
         self._baseline = min(baselines, key=lambda name: baselines[name].headline)
@@ -152,7 +152,7 @@ def _compared(gain: float, unit: str) -> str:
     return f"{gain:.2f} times {better}" if gain > 1.0 else f"{1.0 / gain:.2f} times {worse}"
 
 
-def _end(result: "Result") -> int:
+def _end(result: "TrainingResult") -> int:
     """Print the result of a run; return the exit code."""
     if not result.finished:
         print_note(

@@ -16,7 +16,7 @@ from vergence.errors import ConfigurationError
 from vergence.eval.tuning.config import TuneConfig
 
 if TYPE_CHECKING:
-    from vergence.controllers.tuned import Tuned
+    from vergence.controllers.tuned import TunedEntry
     from vergence.eval.trials.scenarios import Scenario
     from vergence.eval.tuning.tune import TuneResult
     from vergence.models.head import HeadModel
@@ -110,7 +110,7 @@ class Tune:
         """Files of the tables to save the result in."""
         from vergence.controllers import tuned
 
-        own = [tuned.user_file()] if self.write else []
+        own = [tuned.user_table_path()] if self.write else []
         return own + ([tuned.TUNED_FILE] if self.write_package else [])
 
     def _check_tables(self, head: "HeadModel", scenario: "Scenario") -> None:
@@ -130,13 +130,13 @@ class Tune:
                 load_tuned(path)
             check_writable(path)
 
-    def _entry(self, result: "TuneResult", head: "HeadModel") -> "Tuned":
+    def _entry(self, result: "TuneResult", head: "HeadModel") -> "TunedEntry":
         """The result as an entry of a table."""
-        from vergence.controllers.tuned import Tuned
+        from vergence.controllers.tuned import TunedEntry
 
         config = self.config
         options = result.best.options
-        return Tuned(
+        return TunedEntry(
             controller=config.controller,
             scenario=config.scenario,
             head=head.name,

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import kernel
-from vergence.controllers.coupled import reducible
-from vergence.controllers.ibvs import as_depth, servo, speed_limits
+from vergence.controllers.coupled import reducible_pixel_error
+from vergence.controllers.ibvs import as_depth, ibvs_velocities, speed_limits
 from vergence.controllers.image_law import ImageLaw
 from vergence.controllers.outlier_gate import GatedDetections
-from vergence.envs.fields import at_least_zero
 from vergence.envs.layout import ObservationLayout
+from vergence.envs.validation import check_at_least_zero
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead, camera_of
 from vergence.models.parts import FloatArray
@@ -59,7 +59,7 @@ class AdaptiveIBVS(ImageLaw):
     ) -> None:
         values = {"lambda_zero": lambda_zero, "lambda_inf": lambda_inf, "slope_zero": slope_zero}
         for name, value in values.items():
-            at_least_zero(name, value)
+            check_at_least_zero(name, value)
         super().__init__(head=head, layout=layout)
         self._depth = as_depth(depth)
         self._limit = speed_limits(layout, speed_limit)
@@ -79,8 +79,8 @@ class AdaptiveIBVS(ImageLaw):
     def command(self, q: ArrayLike, pixel_error: ArrayLike) -> FloatArray:
         """Compute the velocities of the law, see `IBVS.command`."""
         error = as_operand("pixel_error", pixel_error, 2, 2)
-        gains = self.gains(reducible(self.head, q, error, self._depth))
-        return servo(self.head, q, error, gains, self._depth, self._limit)
+        gains = self.gains(reducible_pixel_error(self.head, q, error, self._depth))
+        return ibvs_velocities(self.head, q, error, gains, self._depth, self._limit)
 
     def _law(self, detections: GatedDetections, own: FloatArray) -> FloatArray:
         return self.command(detections.positions_at_exposure, detections.pixel_error)

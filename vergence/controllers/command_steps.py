@@ -50,24 +50,24 @@ class CommandQuantiser:
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"], "(4),(4),(),(4)->(4),(4)")
 def quantise_command(
-    before: FloatArray,
+    carried_before: FloatArray,
     command: FloatArray,
     step: FloatArray,
     limits: FloatArray,
-    after: FloatArray,
+    carried_after: FloatArray,
     out: FloatArray,
 ) -> None:
     """Compute the rounding errors carried over, and the quantised commands."""
     size = step[0]
     for k in range(4):
-        after[k] = out[k] = 0.0
+        carried_after[k] = out[k] = 0.0
         if command[k] == 0.0:
             continue
-        wanted = command[k] + before[k]
+        wanted = command[k] + carried_before[k]
         most = np.floor(limits[k] / size * (1.0 + _ROUNDING))
         count = min(max(np.rint(wanted / size), -most), most)
         if abs(count) < 1.5:
             count = 0.0
         out[k] = size * count
         # an excess over 1.5 steps was cut off by the limits and is discarded
-        after[k] = min(max(wanted - out[k], -1.5 * size), 1.5 * size)
+        carried_after[k] = min(max(wanted - out[k], -1.5 * size), 1.5 * size)

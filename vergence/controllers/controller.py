@@ -90,11 +90,11 @@ def make_controller(
     if not isinstance(head, HeadModel):
         raise ConfigurationError(f"head: expected a HeadModel, see load_head, got {head!r:.80}")
     layout = checked_layout(head, layout)
-    make = entry_of(name)
+    make = controller_class(name)
     try:
         inspect.signature(make).bind(head=head, layout=layout, **options)
     except TypeError as error:
-        known = [option for option in own_options(name) if option != "layout"]
+        known = [option for option in default_options(name) if option != "layout"]
         for option in [one for one in options if one not in known]:
             raise ConfigurationError(
                 f"controller {name}: expected one of its options, "
@@ -106,19 +106,19 @@ def make_controller(
     return controller
 
 
-def own_options(name: str) -> dict[str, Any]:
+def default_options(name: str) -> dict[str, Any]:
     """Return a controller's options that have a default, with it, by name.
 
     Raises:
         UnknownNameError: there is no such controller.
     """
-    parameters = inspect.signature(entry_of(name)).parameters.values()
+    parameters = inspect.signature(controller_class(name)).parameters.values()
     return {
         one.name: one.default for one in parameters if one.default is not inspect.Parameter.empty
     }
 
 
-def entry_of(name: str) -> Any:
+def controller_class(name: str) -> Any:
     """Return the class of a registered controller.
 
     Raises:

@@ -25,7 +25,7 @@ from vergence.models.packed import PACKED, PackedHead
 from vergence.models.parts import FloatArray
 
 
-def reducible(
+def reducible_pixel_error(
     head: HeadModel, q: ArrayLike, pixel_error: FloatArray, depth: ArrayLike
 ) -> FloatArray:
     """Compute the part of pixel errors that the head's actuators can remove, to first order.
@@ -46,11 +46,11 @@ def reducible(
 
 
 @subroutine
-def actuators_of_image(
+def actuator_velocities(
     p: PackedHead,
     q: FloatArray,
     error: FloatArray,
-    constant: float,
+    depth_m: float,
     limit: FloatArray,
     out: FloatArray,
 ) -> float:
@@ -61,7 +61,7 @@ def actuators_of_image(
         q: (7,) joint angles at the exposure, rad.
         error: (2, 2) pixel errors by eye and image axis, px; an eye with nan does not see the
             target and is ignored.
-        constant: a depth, m; nan to triangulate it.
+        depth_m: the target's depth, m; nan to triangulate it.
         limit: (4,) largest speeds of the actuators, rad/s; a command beyond them is scaled down,
             keeping its direction.
         out: (4,) wanted image velocities (u, v) of the left, then the right eye, px/s, replaced by
@@ -72,7 +72,7 @@ def actuators_of_image(
     """
     jacobian, wanted = np.zeros((2, 2, 2)), np.zeros((2, 2))
     left, right = _sees(error, 0), _sees(error, 1)
-    image_jacobians(p, q, error, constant, left, right, jacobian)
+    image_jacobians(p, q, error, depth_m, left, right, jacobian)
     for k in range(4):
         wanted[k // 2, k % 2] = out[k]
     actuator_least_squares(p, jacobian, wanted, left, right, out)
@@ -98,12 +98,12 @@ def _sees(error: FloatArray, eye: int) -> bool:
 
 @kernel(["(f8[:],f8[:,:],f8[:],f8[:],f8[:,:])"], f"(7),(2,2),(),({PACKED})->(2,2)")
 def reducible_errors(
-    q: FloatArray, pixel_error: FloatArray, constant: FloatArray, p: PackedHead, out: FloatArray
+    q: FloatArray, pixel_error: FloatArray, depth_m: FloatArray, p: PackedHead, out: FloatArray
 ) -> None:
-    """Compute the reducible part of pixel errors; `constant` is a depth, nan to triangulate it."""
+    """Compute the reducible part of pixel errors; a `depth_m` of nan is triangulated."""
     jacobian = np.zeros((2, 2, 2))
     left, right = _sees(pixel_error, 0), _sees(pixel_error, 1)
-    image_jacobians(p, q, pixel_error, constant[0], left, right, jacobian)
+    image_jacobians(p, q, pixel_error, depth_m[0], left, right, jacobian)
     reducible_part(p, jacobian, pixel_error, left, right, out)
 
 
@@ -115,7 +115,7 @@ def coupled_command(
     q: FloatArray,
     pixel_error: FloatArray,
     gain: FloatArray,
-    constant: FloatArray,
+    depth_m: FloatArray,
     limit: FloatArray,
     p: PackedHead,
     out: FloatArray,
@@ -123,7 +123,7 @@ def coupled_command(
     """Compute actuator velocities from pixel errors, see `ibvs_command`."""
     jacobian, wanted = np.zeros((2, 2, 2)), np.zeros((2, 2))
     left, right = _sees(pixel_error, 0), _sees(pixel_error, 1)
-    image_jacobians(p, q, pixel_error, constant[0], left, right, jacobian)
+    image_jacobians(p, q, pixel_error, depth_m[0], left, right, jacobian)
     reducible_part(p, jacobian, pixel_error, left, right, wanted)
     for eye in range(2):
         for axis in range(2):

@@ -47,12 +47,12 @@ from vergence.controllers.pid import (
     Gains,
     PIDLaw,
     PIDState,
-    act,
-    take_in,
+    pid_velocities,
+    update_error_rates,
 )
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
-from vergence.envs.fields import finite_above_zero, number
 from vergence.envs.layout import ObservationLayout
+from vergence.envs.validation import check_above_zero, check_number
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead
@@ -156,10 +156,10 @@ class FuzzyPID(PID):
             head=head, layout=layout, kp=kp, ki=ki, kd=kd, filter_s=filter_s, depth=depth
         )
         for name, value in {"span_p": span_p, "span_i": span_i, "span_d": span_d}.items():
-            if not 0.0 <= number(name, value) <= 1.0:
+            if not 0.0 <= check_number(name, value) <= 1.0:
                 raise ConfigurationError(f"{name}: expected 0 to 1, got {value!r}")
-        finite_above_zero("error_px", error_px)
-        finite_above_zero("rate_px_s", rate_px_s)
+        check_above_zero("error_px", error_px)
+        check_above_zero("rate_px_s", rate_px_s)
         spans = np.array([span_p, span_i, span_d])
         self.universe = (error_px, rate_px_s)
         """Error E, px, and rate D, px/s, at full membership of the sets NB and PB."""
@@ -188,7 +188,7 @@ class FuzzyPID(PID):
         Returns:
             (..., 3) factors of kp, ki and kd.
         """
-        return np.asarray(infer(error, rate, self._constants, np.zeros(3)))
+        return np.asarray(fuzzy_gain_factors(error, rate, self._constants, np.zeros(3)))
 
 
 @inlined
@@ -215,7 +215,7 @@ def _infer(error: float, rate: float, law: FuzzyLaw, gain: int) -> float:
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], f"(),(),({row_size(FUZZY_LAW)}),(3)->(3)")
-def infer(
+def fuzzy_gain_factors(
     error: FloatArray, rate: FloatArray, law_row: FloatArray, shape: FloatArray, out: FloatArray
 ) -> None:
     """Compute the factors of kp, ki and kd from the rules."""
@@ -229,7 +229,7 @@ def infer(
     f"({_SIZE}),(2,2),(2,2),(2),(2),(7),({row_size(FUZZY_LAW)}),(4),({PACKED})->({_SIZE}),(4)",
 )
 def fuzzy_command(
-    before: FloatArray,
+    state_before: FloatArray,
     error: FloatArray,
     reducible_error: FloatArray,
     fresh: FloatArray,
@@ -238,20 +238,20 @@ def fuzzy_command(
     law_row: FloatArray,
     limit: FloatArray,
     p: PackedHead,
-    after: FloatArray,
+    state_after: FloatArray,
     out: FloatArray,
 ) -> None:
     """Compute the updated state and the velocities of the eyes' actuators."""
     for k in range(_SIZE):
-        after[k] = before[k]
-    state: FuzzyState = record_view(after, FUZZY_STATE)
+        state_after[k] = state_before[k]
+    state: FuzzyState = record_view(state_after, FUZZY_STATE)
     law: FuzzyLaw = record_view(law_row, FUZZY_LAW)
     s, gains, basic = state.pid, state.gains, law.pid.gains
-    elapsed = take_in(s, law.pid, reducible_error, fresh, jumped)
+    elapsed = update_error_rates(s, law.pid, reducible_error, fresh, jumped)
     for eye in range(2):
         for axis in range(2):
             e, rate = s.error[eye, axis], s.rate[eye, axis]
             gains.kp[eye, axis] = basic.kp[eye, axis] * _infer(e, rate, law, 0)
             gains.ki[eye, axis] = basic.ki[eye, axis] * _infer(e, rate, law, 1)
             gains.kd[eye, axis] = basic.kd[eye, axis] * _infer(e, rate, law, 2)
-    act(s, law.pid, gains, error, q, elapsed, limit, p, out)
+    pid_velocities(s, law.pid, gains, error, q, elapsed, limit, p, out)

@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.ibvs import servo
+from vergence.controllers.ibvs import ibvs_velocities
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
@@ -60,7 +60,7 @@ def gain_order(names: Sequence[str] = GAIN_NAMES) -> list[int]:
     return [names.index(f"{eye}_{axis}") for eye in EYE_NAMES for axis in "uv"]
 
 
-def gains_of(action: ArrayLike, names: Sequence[str] = GAIN_NAMES) -> FloatArray:
+def gains_from_action(action: ArrayLike, names: Sequence[str] = GAIN_NAMES) -> FloatArray:
     """Compute the gains that a schedule's action asks for.
 
     Args:
@@ -75,8 +75,8 @@ def gains_of(action: ArrayLike, names: Sequence[str] = GAIN_NAMES) -> FloatArray
     return np.ascontiguousarray(gains).reshape(*share.shape[:-1], 2, 2)
 
 
-def action_of(gains: ArrayLike, names: Sequence[str] = GAIN_NAMES) -> NDArray[np.float32]:
-    """Compute the schedule's action that asks for given gains, the inverse of `gains_of`.
+def action_from_gains(gains: ArrayLike, names: Sequence[str] = GAIN_NAMES) -> NDArray[np.float32]:
+    """Compute the schedule's action that asks for given gains, the inverse of `gains_from_action`.
 
     Args:
         gains: (..., 2, 2) by eye and image axis, 1/s; limited to 0 to 20.
@@ -127,7 +127,7 @@ class ScheduledLaw:
             (..., 4) velocities of the eyes' actuators, rad/s; an eye that does not see its target
             requests none.
         """
-        return servo(
+        return ibvs_velocities(
             self.head,
             seen.positions_at_exposure,
             seen.pixel_error,

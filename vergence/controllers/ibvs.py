@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from vergence._jit import inlined, kernel
 from vergence.controllers.coupled import coupled_command
 from vergence.controllers.fitting import checked_layout
-from vergence.envs.fields import float_array, number
 from vergence.envs.layout import ObservationLayout
+from vergence.envs.validation import check_number, float_array
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.jacobian import eye_jacobian
@@ -85,10 +85,10 @@ class IBVS:
         Returns:
             (..., 4) velocities of the eyes' actuators, rad/s.
         """
-        return servo(self.head, q, pixel_error, self.gain, self._depth, self._limit)
+        return ibvs_velocities(self.head, q, pixel_error, self.gain, self._depth, self._limit)
 
 
-def servo(
+def ibvs_velocities(
     head: HeadModel,
     q: ArrayLike,
     pixel_error: ArrayLike,
@@ -147,7 +147,7 @@ def as_depth(depth: str | float) -> float:
         if depth != "triangulated":
             raise ConfigurationError(f"depth: expected 'triangulated' or metres, got {depth!r}")
         return nan
-    if number("depth", depth) <= 0.0:
+    if check_number("depth", depth) <= 0.0:
         raise ConfigurationError(f"depth: expected metres above 0, got {depth!r}")
     return float(depth)
 
@@ -168,30 +168,30 @@ def speed_limits(layout: ObservationLayout, speed_limit: float | None) -> FloatA
     limit = np.array(layout.action_limits)
     if speed_limit is None:
         return limit
-    if number("speed_limit", speed_limit) <= 0.0:
+    if check_number("speed_limit", speed_limit) <= 0.0:
         raise ConfigurationError(f"speed_limit: expected rad/s above 0, got {speed_limit!r}")
     return np.minimum(limit, speed_limit)
 
 
 @inlined
-def joints_of_image(
+def joint_velocities(
     p: PackedHead,
     q: FloatArray,
     error: FloatArray,
-    constant: float,
+    depth_m: float,
     limit: FloatArray,
     out: FloatArray,
 ) -> tuple[float, float]:
     """Compute joint velocities that move the images as wanted, within the joints' speed limits.
 
-    For a head whose four eye joints each have their own motor; see `actuators_of_image` for other
+    For a head whose four eye joints each have their own motor; see `actuator_velocities` for other
     heads.
 
     Args:
         p: a packed head.
         q: (7,) joint angles at the exposure, rad.
         error: (2, 2) pixel errors by eye and image axis, px; nan where not visible.
-        constant: a depth, m; nan to triangulate it.
+        depth_m: the target's depth, m; nan to triangulate it.
         limit: (4,) largest joint speeds, rad/s; a command beyond them is scaled down.
         out: (4,) wanted image velocities (u, v) of the left, then the right eye, px/s, replaced by
             the velocities of each eye's joints, rad/s; zero for an eye that does not see the
@@ -201,8 +201,8 @@ def joints_of_image(
         Factor by which each eye's command exceeded the limits; 1 for not at all.
     """
     left, right = eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6])
-    depth_l = depth_r = constant
-    if not isfinite(constant):
+    depth_l = depth_r = depth_m
+    if not isfinite(depth_m):
         ray_l, ray_r = rays_of_image(p, left.camera, right.camera, error)
         depth_l, depth_r, _found = depths_on_rays(ray_l, ray_r)
     excess_l = excess_r = 1.0
@@ -238,13 +238,13 @@ def ibvs_command(
     q: FloatArray,
     pixel_error: FloatArray,
     gain: FloatArray,
-    constant: FloatArray,
+    depth_m: FloatArray,
     limit: FloatArray,
     p: PackedHead,
     out: FloatArray,
 ) -> None:
-    """Compute joint velocities from pixel errors; `constant` is a depth, nan to triangulate it."""
+    """Compute joint velocities from pixel errors; a `depth_m` of nan is triangulated."""
     for eye in range(2):
         for axis in range(2):
             out[2 * eye + axis] = -gain[eye, axis] * pixel_error[eye, axis]
-    joints_of_image(p, q, pixel_error, constant[0], limit, out)
+    joint_velocities(p, q, pixel_error, depth_m[0], limit, out)

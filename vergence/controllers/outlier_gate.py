@@ -80,13 +80,13 @@ class EyeGate:
     """Last detection that was held back, px."""
     held_since_s: float
     """Time since that one arrived, s."""
-    held: float
+    held_count: float
     """Number of detections held back since the last accepted one."""
-    missed: float
+    missed_count: float
     """Number of missed detections since the last one that was not missed."""
     speed_px_s: float
     """Largest recent speed of the image, px/s."""
-    sees: float
+    sees_target: float
     """1 if the eye sees its target, otherwise 0."""
 
 
@@ -105,7 +105,7 @@ class GateLaw:
     focal_px: Annotated[FloatArray, 2]
     smearing_px_s: float
     """Image speed above which motion blur may hide the target, px/s."""
-    fading: float
+    speed_decay: float
     """Per-period decay factor of a speed."""
     period_s: float
 
@@ -133,7 +133,7 @@ class OutlierGate:
             tolerance_px=TOLERANCE_PX + 6.0 * head.sensor.detection_noise_px,
             focal_px=head.cameras.focal.max(axis=-1),
             smearing_px_s=_SHARP * head.sensor.max_smear_px / exposure_s if exposure_s else inf,
-            fading=exp(-layout.period_s / (_FADING_S + layout.latency_s)),
+            speed_decay=exp(-layout.period_s / (_FADING_S + layout.latency_s)),
             period_s=layout.period_s,
         )
 
@@ -148,7 +148,7 @@ class OutlierGate:
             seen: the observation.
             state: (..., S) updated in place.
         """
-        state[...], error, at, fresh, jumped = pass_gate(
+        state[...], error, angles_at_exposure, fresh, jumped = update_gate(
             state,
             seen.pixel_error,
             seen.image_age_s,
@@ -156,22 +156,22 @@ class OutlierGate:
             seen.velocities,
             self._law,
         )
-        return GatedDetections(error, at, fresh, jumped)
+        return GatedDetections(error, angles_at_exposure, fresh, jumped)
 
 
 @inlined
 def _classify(g: EyeGate, law: GateLaw, u: float, v: float) -> int:
     """Classify a detection as held back, accepted or a jump; consistent motion raises the speed."""
-    if g.sees < 0.5:
+    if g.sees_target < 0.5:
         return _ACCEPTED
     off = hypot(u - g.error[0], v - g.error[1])
     if off <= law.tolerance_px + _MARGIN * g.speed_px_s * g.since_s:
         if off > 0.5 * law.tolerance_px:
             g.speed_px_s = max(g.speed_px_s, off / g.since_s)
         return _ACCEPTED
-    if g.held < 0.5:
+    if g.held_count < 0.5:
         return _HELD
-    if g.held > MOST_HELD - 0.5:
+    if g.held_count > MOST_HELD - 0.5:
         return _JUMPED
     room = law.tolerance_px + _MARGIN * g.speed_px_s * g.held_since_s
     beside = hypot(u - g.held_error[0], v - g.held_error[1])
@@ -190,33 +190,33 @@ def _classify(g: EyeGate, law: GateLaw, u: float, v: float) -> int:
     ["(f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:,:],f8[:],f8[:],f8[:])"],
     f"({_SIZE}),(2,2),(),(7),(7),({row_size(GATE_LAW)})->({_SIZE}),(2,2),(7),(2),(2)",
 )
-def pass_gate(
-    before: FloatArray,
+def update_gate(
+    state_before: FloatArray,
     error: FloatArray,
     age_s: FloatArray,
     q: FloatArray,
     velocities: FloatArray,
     law_row: FloatArray,
-    after: FloatArray,
+    state_after: FloatArray,
     accepted: FloatArray,
-    at: FloatArray,
+    angles_at_exposure: FloatArray,
     fresh: FloatArray,
     jumped: FloatArray,
 ) -> None:
     """Compute the updated state and the fields of `GatedDetections`."""
     for k in range(_SIZE):
-        after[k] = before[k]
-    s: GateState = record_view(after, GATE_STATE)
+        state_after[k] = state_before[k]
+    s: GateState = record_view(state_after, GATE_STATE)
     law: GateLaw = record_view(law_row, GATE_LAW)
     new = is_fresh(age_s[0], s.image_age_s, law.period_s)
     s.image_age_s = age_s[0]
     for j in range(7):
-        at[j] = q[j]
+        angles_at_exposure[j] = q[j]
     for eye in range(2):
         g = s.eyes[eye]
         first = 3 + 2 * eye
         turning = law.focal_px[eye] * hypot(velocities[first], velocities[first + 1])
-        g.speed_px_s = max(law.fading * g.speed_px_s, turning)
+        g.speed_px_s = max(law.speed_decay * g.speed_px_s, turning)
         g.since_s += law.period_s
         g.held_since_s += law.period_s
         u, v = error[eye, 0], error[eye, 1]
@@ -224,25 +224,25 @@ def pass_gate(
         if not new:
             pass
         elif isfinite(u) and isfinite(v):
-            g.missed = 0.0
+            g.missed_count = 0.0
             verdict = _classify(g, law, u, v)
             if verdict != _HELD:
                 g.error[0], g.error[1] = u, v
                 g.angles[0], g.angles[1] = q[first], q[first + 1]
-                g.since_s = g.held = 0.0
-                g.sees = fresh[eye] = 1.0
+                g.since_s = g.held_count = 0.0
+                g.sees_target = fresh[eye] = 1.0
                 jumped[eye] = 1.0 if verdict == _JUMPED else 0.0
             else:
                 g.held_error[0], g.held_error[1] = u, v
                 g.held_since_s = 0.0
-                g.held += 1.0
+                g.held_count += 1.0
         else:
-            g.missed += 1.0
-            late = g.missed > 1.5 and g.since_s > BRIDGED_S
-            if g.sees < 0.5 or late or g.speed_px_s > law.smearing_px_s:
-                g.sees = g.held = 0.0
+            g.missed_count += 1.0
+            late = g.missed_count > 1.5 and g.since_s > BRIDGED_S
+            if g.sees_target < 0.5 or late or g.speed_px_s > law.smearing_px_s:
+                g.sees_target = g.held_count = 0.0
                 fresh[eye] = 1.0
         accepted[eye, 0] = accepted[eye, 1] = nan
-        if g.sees > 0.5:
+        if g.sees_target > 0.5:
             accepted[eye, 0], accepted[eye, 1] = g.error[0], g.error[1]
-            at[first], at[first + 1] = g.angles[0], g.angles[1]
+            angles_at_exposure[first], angles_at_exposure[first + 1] = g.angles[0], g.angles[1]

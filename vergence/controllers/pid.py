@@ -28,13 +28,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import inlined, kernel
-from vergence.controllers.coupled import actuators_of_image, reducible
-from vergence.controllers.ibvs import as_depth, as_gains, joints_of_image
+from vergence.controllers.coupled import actuator_velocities, reducible_pixel_error
+from vergence.controllers.ibvs import as_depth, as_gains, joint_velocities
 from vergence.controllers.image_law import ImageLaw
 from vergence.controllers.outlier_gate import GatedDetections
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
-from vergence.envs.fields import at_least_zero
 from vergence.envs.layout import ObservationLayout
+from vergence.envs.validation import check_at_least_zero
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead, has_motor_per_joint
 from vergence.models.parts import FloatArray
@@ -107,7 +107,7 @@ class PID(ImageLaw):
     ) -> None:
         super().__init__(head=head, layout=layout)
         gains = as_gains("kp", kp), as_gains("ki", ki), as_gains("kd", kd)
-        at_least_zero("filter_s", filter_s)
+        check_at_least_zero("filter_s", filter_s)
         self._constants = make_row(
             PID_LAW,
             gains=gains,
@@ -131,7 +131,7 @@ class PID(ImageLaw):
         own[...], command = self._ask(
             own,
             error,
-            reducible(self.head, q, error, self._depth),
+            reducible_pixel_error(self.head, q, error, self._depth),
             detections.fresh,
             detections.jumped,
             q,
@@ -143,7 +143,7 @@ class PID(ImageLaw):
 
 
 @inlined
-def take_in(
+def update_error_rates(
     s: PIDState,
     law: PIDLaw,
     error: FloatArray,
@@ -203,7 +203,7 @@ def _asked(s: PIDState, gains: Gains, eye: int, axis: int) -> float:
 
 
 @inlined
-def act(
+def pid_velocities(
     s: PIDState,
     law: PIDLaw,
     gains: Gains,
@@ -222,7 +222,7 @@ def act(
         gains: the present gains.
         error: (2, 2) pixel errors by eye and image axis, px; nan where not visible.
         q: (7,) joint angles at the exposure, rad.
-        elapsed: times returned by `take_in`, s.
+        elapsed: times returned by `update_error_rates`, s.
         limit: (4,) largest speeds of the actuators, rad/s.
         p: a packed head.
         out: (4,) result: the velocities, rad/s.
@@ -231,9 +231,9 @@ def act(
         for axis in range(2):
             out[2 * eye + axis] = _asked(s, gains, eye, axis)
     if has_motor_per_joint(p):
-        excess_l, excess_r = joints_of_image(p, q, error, law.depth_m, limit, out)
+        excess_l, excess_r = joint_velocities(p, q, error, law.depth_m, limit, out)
     else:
-        excess_l = excess_r = actuators_of_image(p, q, error, law.depth_m, limit, out)
+        excess_l = excess_r = actuator_velocities(p, q, error, law.depth_m, limit, out)
     for eye in range(2):
         dt = elapsed[0] if eye == 0 else elapsed[1]
         limited = (excess_l if eye == 0 else excess_r) > 1.0
@@ -249,7 +249,7 @@ def act(
     f"({_SIZE}),(2,2),(2,2),(2),(2),(7),({row_size(PID_LAW)}),(4),({PACKED})->({_SIZE}),(4)",
 )
 def pid_command(
-    before: FloatArray,
+    state_before: FloatArray,
     error: FloatArray,
     reducible_error: FloatArray,
     fresh: FloatArray,
@@ -258,13 +258,13 @@ def pid_command(
     law_row: FloatArray,
     limit: FloatArray,
     p: PackedHead,
-    after: FloatArray,
+    state_after: FloatArray,
     out: FloatArray,
 ) -> None:
     """Compute the updated state and the velocities of the eyes' actuators."""
     for k in range(_SIZE):
-        after[k] = before[k]
-    s: PIDState = record_view(after, PID_STATE)
+        state_after[k] = state_before[k]
+    s: PIDState = record_view(state_after, PID_STATE)
     law: PIDLaw = record_view(law_row, PID_LAW)
-    elapsed = take_in(s, law, reducible_error, fresh, jumped)
-    act(s, law, law.gains, error, q, elapsed, limit, p, out)
+    elapsed = update_error_rates(s, law, reducible_error, fresh, jumped)
+    pid_velocities(s, law, law.gains, error, q, elapsed, limit, p, out)

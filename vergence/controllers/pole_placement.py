@@ -20,7 +20,7 @@ _DAMPING: Final = 0.8
 
 
 @inlined
-def placed_command(
+def pole_placement_command(
     angle_error: float, v: float, w: float, rate: float, lag: float, build_up: float
 ) -> float:
     """Compute the command of the law, rad/s.

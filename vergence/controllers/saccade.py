@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
-from vergence.controllers.pole_placement import placed_command
+from vergence.controllers.pole_placement import pole_placement_command
 from vergence.controllers.prediction.joints import RIG, RIG_SIZE, PredictorModel
 from vergence.controllers.prediction.oscillation import MANY_HALF_SWINGS, calmed_rate
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import record_view
 from vergence.controllers.time_optimal import fastest_command, joint_timing
-from vergence.envs.fields import at_least_zero, finite_above_zero, number
 from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.validation import check_above_zero, check_at_least_zero, check_number
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -102,11 +102,11 @@ class Saccade(PredictiveController):
         lag: Literal["estimated", "nominal"] = "estimated",
     ) -> None:
         super().__init__(head=head, layout=layout, delay=delay, lag=lag)
-        if not 0.0 < number("braking", braking) <= 1.0:
+        if not 0.0 < check_number("braking", braking) <= 1.0:
             raise ConfigurationError(f"braking: expected a share above 0 up to 1, got {braking!r}")
-        at_least_zero("caution", caution)
-        at_least_zero("trim_px", trim_px)
-        finite_above_zero("trim_gain", trim_gain)
+        check_at_least_zero("caution", caution)
+        check_at_least_zero("trim_px", trim_px)
+        check_above_zero("trim_gain", trim_gain)
         near = trim_px / float(np.mean(head.cameras.focal))
         gain = min(trim_gain, 0.5 / head.timing.period_s)
         self._law = np.array([braking, caution, near, gain])
@@ -174,17 +174,19 @@ def saccade_command(
     unexplained, builds_up = trust[4] > _UNEXPLAINED, trust[6] > 0.0
     for j in range(4):
         out[j] = 0.0
-        if not ((known[0] and rig.moves[j, 0] > 0.5) or (known[1] and rig.moves[j, 1] > 0.5)):
+        if not (
+            (known[0] and rig.moves_eye[j, 0] > 0.5) or (known[1] and rig.moves_eye[j, 1] > 0.5)
+        ):
             continue
         # from here on velocities are relative to the goal
         v, lag = velocity[j] - rate[j], rig.lag_ratio[j] * lag_s[0]
-        speed = max(gain[j] * rig.speed[j] - abs(rate[j]), 0.1 * gain[j] * rig.speed[j])
+        speed = max(gain[j] * rig.speed_limit[j] - abs(rate[j]), 0.1 * gain[j] * rig.speed_limit[j])
         if rate[j] != 0.0:  # lose sight only briefly of a target that may reverse
             visible_speed = max(
                 _SEES * rig.max_slip_rad_s / rig.leverage[j], abs(angle_error[j]) / _BLIND_S
             )
             speed = min(speed, visible_speed)
-        a = trust[0] * rig.acceleration[j]
+        a = trust[0] * rig.acceleration_limit[j]
         # uncertain part of the angle turned in a period at full acceleration
         wide = law[2] if rate[j] == 0.0 else _MOVING * law[2]
         soft = max(wide, _NOISY * trust[3]) / rig.leverage[j]
@@ -192,7 +194,9 @@ def saccade_command(
         calm = oscillates or (unexplained and rate[j] == 0.0)
         if calm or builds_up:
             linear_rate = calmed_rate(_CALM_RATE, trust[5]) if calm else _LINEAR_RATE
-            u = placed_command(angle_error[j], v, acceleration[j], linear_rate, lag, trust[6])
+            u = pole_placement_command(
+                angle_error[j], v, acceleration[j], linear_rate, lag, trust[6]
+            )
         elif abs(angle_error[j]) < near and abs(v) * lag < 3.0 * near:
             u = min(law[3], _RATE / max(lag, _LEAST_LAG_S)) * (angle_error[j] - lag * v)
         else:

@@ -20,14 +20,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
-from vergence.controllers.pole_placement import placed_command
+from vergence.controllers.pole_placement import pole_placement_command
 from vergence.controllers.prediction.joints import RIG, RIG_SIZE, PredictorModel
 from vergence.controllers.prediction.oscillation import calmed_rate
 from vergence.controllers.prediction.predictor import Prediction
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import record_view
-from vergence.envs.fields import at_least_zero, finite_above_zero
 from vergence.envs.layout import Observation, ObservationLayout
+from vergence.envs.validation import check_above_zero, check_at_least_zero
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -61,29 +61,29 @@ class StateFeedback(PredictiveController):
         lag: Literal["estimated", "nominal"] = "estimated",
     ) -> None:
         super().__init__(head=head, layout=layout, delay=delay, lag=lag)
-        finite_above_zero("gain", gain)
-        at_least_zero("damping", damping)
+        check_above_zero("gain", gain)
+        check_at_least_zero("damping", damping)
         self._law = np.array([gain, damping])
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         return linear_command(self.predictor.update(seen, state), self.predictor.rig, self._law)
 
 
-def linear_command(now: Prediction, rig: FloatArray, law: ArrayLike) -> FloatArray:
+def linear_command(prediction: Prediction, rig_row: FloatArray, law: ArrayLike) -> FloatArray:
     """Compute the law's commands.
 
     Args:
-        now: the prediction.
-        rig: the head's packed `vergence.controllers.prediction.joints.PredictorModel`.
+        prediction: the prediction.
+        rig_row: the head's packed `vergence.controllers.prediction.joints.PredictorModel`.
         law: (2,) the options `gain` and `damping`.
 
     Returns:
         (..., 4) by actuator, rad/s.
     """
-    lag_values = np.stack([now.lag_s, now.build_up], axis=-1)
+    lag_values = np.stack([prediction.lag_s, prediction.build_up], axis=-1)
     command = feedback_command(
-        now.angle_error, now.velocities, now.accelerations, now.known, lag_values, now.speed_gain,
-        now.half_swings, rig, law,
+        prediction.angle_error, prediction.velocities, prediction.accelerations, prediction.known,
+        lag_values, prediction.speed_gain, prediction.half_swings, rig_row, law,
     )  # fmt: skip
     return np.asarray(command)
 
@@ -122,12 +122,14 @@ def feedback_command(
     k = calmed_rate(law[0], half_swings[0])
     for j in range(4):
         out[j] = 0.0
-        if not ((known[0] and rig.moves[j, 0] > 0.5) or (known[1] and rig.moves[j, 1] > 0.5)):
+        if not (
+            (known[0] and rig.moves_eye[j, 0] > 0.5) or (known[1] and rig.moves_eye[j, 1] > 0.5)
+        ):
             continue
         v, w, lag = velocity[j], acceleration[j], rig.lag_ratio[j] * lag_values[0]
-        limit = gain[j] * rig.speed[j]
+        limit = gain[j] * rig.speed_limit[j]
         damping = law[1] if lag_values[1] == 0.0 else 1.0
-        u = placed_command(angle_error[j], v, w, k, damping * lag, lag_values[1])
+        u = pole_placement_command(angle_error[j], v, w, k, damping * lag, lag_values[1])
         u = min(max(u, -limit), limit)
         resting_error = angle_error[j] - lag * (v + lag_values[1] * lag * w)
         out[j] = least_command(u / gain[j], resting_error, rig, gain[j])

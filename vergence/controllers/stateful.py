@@ -62,12 +62,12 @@ class StatefulController(ABC):
                 this controller and this number of heads.
         """
         leading = np.shape(observation)[:-1]
-        rows = carried_on(self._start, leading, state, episode_start)
+        rows = continued_state(self._start, leading, state, episode_start)
         command = self._command(self.layout.decode(observation), rows)
         return self.layout.action(command), (rows,)
 
 
-def carried_on(
+def continued_state(
     initial: FloatArray,
     leading: tuple[int, ...],
     state: tuple[NDArray[Any], ...] | None,

@@ -43,14 +43,15 @@ class JointTiming(NamedTuple):
     decay: float
     """Factor exp(-period / lag) that a period leaves of the difference between command and
     velocity."""
-    smooth: float
+    smooth_stop_speed: float
     """Largest speed that a last period can stop within the acceleration limit, rad/s."""
-    last: float
+    last_stop_speed: float
     """Largest speed that a last period can stop at all, rad/s."""
     distance_per_speed: float
-    """Distance moved in a last period per unit of its initial speed, up to `smooth`, s."""
+    """Distance moved in a last period per unit of its initial speed, up to `smooth_stop_speed`,
+    s."""
     last_distance: float
-    """Distance moved in a last period from the speed `last`, rad."""
+    """Distance moved in a last period from the speed `last_stop_speed`, rad."""
 
 
 @inlined
@@ -59,11 +60,13 @@ def joint_timing(lag: float, u_max: float, a: float, period: float) -> JointTimi
     lag = max(lag, _LEAST_LAG_S)
     e = exp(-period / lag)
     per_speed = lag - period * e / (1.0 - e)
-    smooth = min(a * lag * (1.0 - e), u_max * (1.0 - e) / e if e > 0.0 else inf)
-    last, distance = smooth, per_speed * smooth
-    if a * lag <= u_max and a * period > smooth:
-        last, distance = a * period, 0.5 * a * period * period
-    return JointTiming(lag, u_max, a, period, e, smooth, last, per_speed, distance)
+    smooth_stop_speed = min(a * lag * (1.0 - e), u_max * (1.0 - e) / e if e > 0.0 else inf)
+    last_stop_speed, distance = smooth_stop_speed, per_speed * smooth_stop_speed
+    if a * lag <= u_max and a * period > smooth_stop_speed:
+        last_stop_speed, distance = a * period, 0.5 * a * period * period
+    return JointTiming(
+        lag, u_max, a, period, e, smooth_stop_speed, last_stop_speed, per_speed, distance
+    )
 
 
 @inlined
@@ -73,15 +76,15 @@ def stopping_distance(v: float, joint: JointTiming) -> float:
     v = abs(v)
     distance: float = 0.0
     for _ in range(_LONGEST):  # a joint that needs longer cannot be stopped
-        if not v > joint.last:
+        if not v > joint.last_stop_speed:
             break
         dq, v = follow_joint(0.0, v, -joint.u_max, joint.lag, joint.a, joint.period, joint.decay)
         distance += dq
-    if v <= joint.smooth:
+    if v <= joint.smooth_stop_speed:
         distance += joint.distance_per_speed * v
     else:
-        smooth_distance = joint.distance_per_speed * joint.smooth
-        share = (v - joint.smooth) / (joint.last - joint.smooth)
+        smooth_distance = joint.distance_per_speed * joint.smooth_stop_speed
+        share = (v - joint.smooth_stop_speed) / (joint.last_stop_speed - joint.smooth_stop_speed)
         distance += smooth_distance + share * (joint.last_distance - smooth_distance)
     return side * distance
 
@@ -109,7 +112,9 @@ def fastest_command(angle_error: float, v: float, a: float, trusted: JointTiming
     """
     e, u_max, period = trusted.decay, trusted.u_max, trusted.period
     u = (angle_error - trusted.lag * v + v * period * e * e / (1.0 - e)) / (period * (1.0 - e))
-    calm = abs(u - v) <= trusted.a * trusted.lag and abs(u + (v - u) * e) <= trusted.smooth
+    calm = (
+        abs(u - v) <= trusted.a * trusted.lag and abs(u + (v - u) * e) <= trusted.smooth_stop_speed
+    )
     if abs(u) <= u_max and calm:
         return u
     below = _overrun(-u_max, angle_error, v, a, trusted)

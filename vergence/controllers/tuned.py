@@ -47,7 +47,7 @@ class TunedKey(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tuned:
+class TunedEntry:
     """One entry of a table."""
 
     controller: str
@@ -73,21 +73,21 @@ class Tuned:
         return TunedKey(self.controller, self.scenario, self.digest)
 
 
-Table = dict[TunedKey, Tuned]
+Table = dict[TunedKey, TunedEntry]
 """Entries by their keys."""
 
 
-def law_of(controller: str) -> str:
+def tuned_controller(controller: str) -> str:
     """Return the controller whose options are tuned: `ibvs` for `ibvs-tuned`."""
     return "ibvs" if controller == "ibvs-tuned" else controller
 
 
-def judged_as(controller: str) -> str:
+def evaluated_controller(controller: str) -> str:
     """Return the controller that evaluates options of a law: `ibvs-tuned` for gains of `ibvs`."""
     return "ibvs-tuned" if controller == "ibvs" else controller
 
 
-def user_file() -> Path:
+def user_table_path() -> Path:
     """Path of the user's table, whether it exists yet or not."""
     named = os.environ.get(TUNED_VARIABLE)
     if named:
@@ -125,8 +125,8 @@ def load_tuned(path: Path = TUNED_FILE) -> Table:
     return {entry.key: entry for entry in found}
 
 
-def _entry(where: str, fields: Any) -> Tuned:
-    known = {field.name: field for field in dataclasses.fields(Tuned)}
+def _entry(where: str, fields: Any) -> TunedEntry:
+    known = {field.name: field for field in dataclasses.fields(TunedEntry)}
     if not isinstance(fields, dict):
         raise ConfigurationError(f"{where}: expected a table, got {fields!r}")
     for name, field in known.items():
@@ -138,11 +138,11 @@ def _entry(where: str, fields: Any) -> Tuned:
         kind = {"options": dict, "seed": int, "provisional": bool}.get(name, str)
         if type(value) is not kind:
             raise ConfigurationError(f"{where}: {name}: expected {kind.__name__}, got {value!r}")
-    return Tuned(**fields)
+    return TunedEntry(**fields)
 
 
 @cache
-def shipped() -> Table:
+def shipped_table() -> Table:
     """Load the table that ships with the package."""
     return load_tuned()
 
@@ -153,7 +153,7 @@ def user_table() -> Table:
     Raises:
         ConfigurationError: there is a file that is not such a table.
     """
-    path = user_file()
+    path = user_table_path()
     return load_tuned(path) if os.path.lexists(path) else {}
 
 
@@ -177,7 +177,7 @@ def _unwritable(path: Path, error: OSError) -> ConfigurationError:
     )
 
 
-def find_tuned(name: str, scenario: str, head: HeadModel) -> Tuned | None:
+def find_tuned(name: str, scenario: str, head: HeadModel) -> TunedEntry | None:
     """Find the best known options of a controller in a scenario.
 
     Args:
@@ -188,23 +188,23 @@ def find_tuned(name: str, scenario: str, head: HeadModel) -> Tuned | None:
 
     Returns:
         The entry of that head, from the user's table first, then the package's; otherwise the
-        package's entry for another head, with values to start from (see `is_for`); None if there is
-        none either.
+        package's entry for another head, with values to start from (see `is_tuned_for`); None if
+        there is none either.
 
     Raises:
         ConfigurationError: the user's table cannot be read.
     """
     if name == "ibvs":
         return None
-    key = TunedKey(law_of(name), scenario, head.digest)
-    own = user_table().get(key) or shipped().get(key)
+    key = TunedKey(tuned_controller(name), scenario, head.digest)
+    own = user_table().get(key) or shipped_table().get(key)
     if own is not None:
         return own
-    known = [one for one in shipped().values() if one.key[:2] == key[:2]]
+    known = [one for one in shipped_table().values() if one.key[:2] == key[:2]]
     return min(known, key=lambda one: one.head not in _SCENARIOS_OWN, default=None)
 
 
-def is_for(entry: Tuned | None, head: HeadModel) -> bool:
+def is_tuned_for(entry: TunedEntry | None, head: HeadModel) -> bool:
     """True if an entry was found for this head."""
     return entry is not None and entry.digest == head.digest
 
@@ -215,7 +215,7 @@ def tuned_options(name: str, scenario: str, head: HeadModel) -> dict[str, Any]:
     return {} if entry is None else dict(entry.options)
 
 
-def write_tuned(path: Path, entry: Tuned) -> None:
+def write_tuned(path: Path, entry: TunedEntry) -> None:
     """Write one entry to a table; the file is created if missing, and replaced as a whole.
 
     Several processes may write to one table without losing each other's entries.
@@ -229,7 +229,7 @@ def write_tuned(path: Path, entry: Tuned) -> None:
         ConfigurationError: an option has another type, or the file cannot be read or written; the
             file then stays as it was.
     """
-    law = law_of(entry.controller)
+    law = tuned_controller(entry.controller)
     where = f"{law}.{entry.scenario}"
     options = {key: _toml_value(f"{where}.{key}", value) for key, value in entry.options.items()}
     entry = dataclasses.replace(entry, controller=law, seed=int(entry.seed), options=options)
@@ -242,10 +242,10 @@ def write_tuned(path: Path, entry: Tuned) -> None:
             write_atomic(path, _HEADER + "\n" + tomli_w.dumps(content))
     except OSError as error:
         raise _unwritable(path, error) from error
-    shipped.cache_clear()
+    shipped_table.cache_clear()
 
 
-def _fields(entry: Tuned) -> dict[str, Any]:
+def _fields(entry: TunedEntry) -> dict[str, Any]:
     return {name: value for name, value in vars(entry).items() if value is not False}
 
 

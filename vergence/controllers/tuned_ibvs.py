@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from vergence.controllers.ibvs import IBVS
 from vergence.controllers.image_law import ImageLaw
 from vergence.controllers.outlier_gate import GatedDetections
-from vergence.controllers.tuned import find_tuned, is_for, shipped
+from vergence.controllers.tuned import find_tuned, is_tuned_for, shipped_table
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import UnknownNameError
 from vergence.models.head import HeadModel
@@ -51,9 +51,9 @@ class TunedIBVS(ImageLaw):
         if gain is None:
             entry = find_tuned("ibvs-tuned", scenario, head)
             if entry is None:
-                known = {key.scenario for key in shipped() if key.controller == "ibvs"}
+                known = {key.scenario for key in shipped_table() if key.controller == "ibvs"}
                 raise UnknownNameError("scenario", scenario, sorted(known))
-            self.tuned = is_for(entry, head)
+            self.tuned = is_tuned_for(entry, head)
             gain = entry.options.get("gain", np.nan)
         self.law = IBVS(head=head, layout=layout, gain=gain, depth=depth, speed_limit=speed_limit)
 

@@ -40,7 +40,7 @@ ACTUATORS: Final = 11
 """First index of the actuators' numbers."""
 
 
-def fields_of(actuators: int) -> dict[str, slice]:
+def observation_slices(actuators: int) -> dict[str, slice]:
     """Slice of each field in an observation, for a head with this many eye actuators."""
     groups = ("positions", "positions_at_exposure", "velocities", "last_action")
     starts = [ACTUATORS + actuators * i for i in range(len(groups) + 1)]
@@ -53,7 +53,7 @@ def fields_of(actuators: int) -> dict[str, slice]:
     }
 
 
-FIELDS: Final = fields_of(SLOTS)
+FIELDS: Final = observation_slices(SLOTS)
 """The fields of a head whose eyes have four actuators."""
 
 # packed indices of the scaling array of kernels (numerical); groups of four have one number per
@@ -73,7 +73,7 @@ SCALING: Final = 58
 """Length of the scaling array."""
 
 
-def scaling_of(head: HeadModel) -> FloatArray:
+def observation_scaling(head: HeadModel) -> FloatArray:
     """(SCALING,) packed scale factors of a head's observations, with its neck held at rest."""
     row = np.zeros(SCALING)
     own = head.actuation
@@ -145,7 +145,7 @@ def _actuators(scaling: FloatArray, k: int, joints: FloatArray, offset: float) -
 
 
 @inlined
-def encode(
+def encode_observation(
     out: NDArray[np.float32],
     scaling: FloatArray,
     error: FloatArray,
@@ -158,7 +158,7 @@ def encode(
 
     Args:
         out: (11 + 4 m,) result.
-        scaling: (SCALING,) see `scaling_of`.
+        scaling: (SCALING,) see `observation_scaling`.
         error: (2, 2) measured pixel errors, px.
         reading: readings of the batch.
         n: environment index.
@@ -195,13 +195,15 @@ _SHAPES: Final = (np.zeros(2), np.zeros(7), np.zeros(4))
 """Dummy operands: they name dimensions that `_decode` has only in its results (numerical)."""
 
 
-def decode(observation: ArrayLike, size: int, scaling: FloatArray) -> tuple[NDArray[Any], ...]:
+def decode_observation(
+    observation: ArrayLike, size: int, scaling: FloatArray
+) -> tuple[NDArray[Any], ...]:
     """Decode observations to physical units.
 
     Args:
         observation: (..., size).
         size: length of one observation.
-        scaling: (SCALING,) see `scaling_of`.
+        scaling: (SCALING,) see `observation_scaling`.
 
     Returns:
         The fields of `vergence.envs.layout.Observation`.

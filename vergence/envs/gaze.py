@@ -6,7 +6,6 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.envs.fields import as_numbers, finite_above_zero
 from vergence.envs.reading import Image
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask
@@ -18,7 +17,8 @@ from vergence.envs.task_env import (
     control_rate,
     reset_needed,
 )
-from vergence.envs.views import window_missing
+from vergence.envs.validation import as_action_array, check_above_zero
+from vergence.envs.views import missing_window_hint
 
 _FIRST = np.zeros(1, dtype=np.int64)
 
@@ -87,13 +87,13 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         **options: Any,
     ) -> None:
         if duration_s is not None:
-            finite_above_zero("duration_s", duration_s)
+            check_above_zero("duration_s", duration_s)
         self._duration_s = np.inf if duration_s is None else duration_s
         modes = type(self).metadata["render_modes"]
         self.render_mode = checked_render_mode(render_mode, modes)
         self.task = self.task_type(1, **checked_arguments(type(self), options))
         self.metadata = {**type(self).metadata, "render_fps": control_rate(self.task)}
-        if window_missing() is not None:
+        if missing_window_hint() is not None:
             # not removed from the class: `make` would then wrap the environment in a window of
             # Gymnasium's, which needs an extra of Gymnasium
             self.metadata["render_modes"] = [mode for mode in modes if mode != "human"]
@@ -151,7 +151,7 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if self._seed is None:
             raise reset_needed("step")
         task = self.task
-        array = as_numbers(action)
+        array = as_action_array(action)
         task.step(task.as_action(array.reshape(1, -1)))
         if self.render_mode == "human":
             self.render()

@@ -9,9 +9,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.envs.fields import count
 from vergence.envs.reading import Image
-from vergence.envs.saved_state import Arrays, SavedState, copied, put_back
+from vergence.envs.saved_state import Arrays, SavedState, copy_arrays, restore_arrays
 from vergence.envs.streams import as_seed
 from vergence.envs.task import GazeTask
 from vergence.envs.task_env import (
@@ -22,6 +21,7 @@ from vergence.envs.task_env import (
     control_rate,
     reset_needed,
 )
+from vergence.envs.validation import check_count
 from vergence.errors import ConfigurationError
 
 
@@ -51,7 +51,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        self.num_envs = num_envs = count("num_envs", num_envs)
+        self.num_envs = num_envs = check_count("num_envs", num_envs)
         self.max_episode_steps = max_episode_steps
         try:
             self._autoreset = AutoresetMode(autoreset_mode)
@@ -212,7 +212,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         Raises:
             ConfigurationError: the plant is not a simulation, or its state cannot be saved.
         """
-        return {"episodes": copied(self._arrays()), **self.task.state()}
+        return {"episodes": copy_arrays(self._arrays()), **self.task.state()}
 
     def restore(self, state: SavedState) -> None:
         """Restore the episodes from a result of `state`; they then repeat bit by bit.
@@ -223,7 +223,7 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         Raises:
             ConfigurationError: the state belongs to another environment.
         """
-        put_back(self._arrays(), state["episodes"])
+        restore_arrays(self._arrays(), state["episodes"])
         self.task.restore(state)
         self._begun, self._staggered = True, False
 

@@ -19,9 +19,9 @@ from vergence.envs.encoding import (
     TO_JOINTS,
     VISIBLE,
     WIDTH,
-    decode,
-    fields_of,
-    scaling_of,
+    decode_observation,
+    observation_scaling,
+    observation_slices,
 )
 from vergence.envs.reading import BoolArray
 from vergence.models.actuation import SLOTS
@@ -88,7 +88,7 @@ class ObservationLayout:
     def of(cls, head: HeadModel) -> "ObservationLayout":
         """The layout for a head, its neck held at rest."""
         return cls(
-            scaling=scaling_of(head),
+            scaling=observation_scaling(head),
             action_names=head.actuation.names,
             latency_s=head.timing.latency_s,
             period_s=head.timing.period_s,
@@ -116,7 +116,7 @@ class ObservationLayout:
     @property
     def fields(self) -> dict[str, slice]:
         """Slice of each field in an observation."""
-        return fields_of(self.count)
+        return observation_slices(self.count)
 
     @property
     def action_limits(self) -> FloatArray:
@@ -145,7 +145,7 @@ class ObservationLayout:
         Raises:
             ConfigurationError: the array does not hold observations.
         """
-        return Observation(*decode(observation, self.size, self.scaling))
+        return Observation(*decode_observation(observation, self.size, self.scaling))
 
     def action(self, velocity: ArrayLike) -> NDArray[np.float32]:
         """Compute the action that commands given actuator velocities, limited to [-1, 1].

@@ -22,7 +22,7 @@ _TIMEOUT_S: Final = 30
 _switched_off: str | None = None
 
 
-def switch_off_what_fails() -> str | None:
+def disable_broken_opengl() -> str | None:
     """Disable OpenGL if MuJoCo cannot be imported with it; call before importing MuJoCo.
 
     Returns:

@@ -68,11 +68,11 @@ class OutsideView:
             self._data.mocap_pos[0] = pose[:3, 3]
             mujoco.mju_mat2Quat(self._data.mocap_quat[0], pose[:3, :3].ravel())
         mujoco.mj_forward(self._model, self._data)
-        here = self._head.base_pose(positions)
-        seen_from = outside_camera(inverse_pose(self._upright) @ here, target, self._width_m)
+        base_pose = self._head.base_pose(positions)
+        seen_from = outside_camera(inverse_pose(self._upright) @ base_pose, target, self._width_m)
         self._renderer.update_scene(self._data, seen_from)
         self._turn_upright()
-        self._add_axes(here, positions, target)
+        self._add_axes(base_pose, positions, target)
         return np.asarray(self._renderer.render())
 
     def _turn_upright(self) -> None:
@@ -88,12 +88,12 @@ class OutsideView:
             if light.headlight:
                 light.pos, light.dir = turn @ light.pos + origin, turn @ light.dir
 
-    def _add_axes(self, here: FloatArray, positions: FloatArray, target: FloatArray) -> None:
+    def _add_axes(self, base_pose: FloatArray, positions: FloatArray, target: FloatArray) -> None:
         """Draw the optical axes of both eyes, to 1.1 times the target's distance."""
         assert self._renderer is not None
         scene, reach = self._renderer.scene, 1.1 * _reach(target)
         for pose, colour in zip(
-            here @ self._head.camera_poses(positions), EYE_COLOURS, strict=True
+            base_pose @ self._head.camera_poses(positions), EYE_COLOURS, strict=True
         ):
             geom = scene.geoms[scene.ngeom]
             scene.ngeom += 1
@@ -111,17 +111,19 @@ class OutsideView:
             self._renderer = None
 
 
-def outside_camera(here: FloatArray, target: FloatArray, width_m: float = 0.0) -> mujoco.MjvCamera:
+def outside_camera(
+    base_pose: FloatArray, target: FloatArray, width_m: float = 0.0
+) -> mujoco.MjvCamera:
     """Place a camera behind the right shoulder, with both the head and the target in view.
 
     Args:
-        here: (4, 4) present pose of N, which the neck moves, in the head's upright frame.
+        base_pose: (4, 4) present pose of N, which the neck moves, in the head's upright frame.
         target: (3,) in N, m; nan for none.
         width_m: baseline of the eyes, m.
     """
     camera, reach = mujoco.MjvCamera(), _reach(target)
     towards = target if np.isfinite(target).all() else np.array([0.0, 0.0, reach])
-    camera.lookat = (here @ [*(0.5 * towards), 1.0])[:3]
+    camera.lookat = (base_pose @ [*(0.5 * towards), 1.0])[:3]
     camera.distance = 0.35 + 1.35 * reach + 1.5 * max(0.0, width_m - _SLIM_M)
     camera.azimuth, camera.elevation = -145.0, -22.0
     return camera

@@ -25,7 +25,7 @@ def image_jacobians(
     p: PackedHead,
     q: FloatArray,
     error: FloatArray,
-    constant: float,
+    depth_m: float,
     left: bool,
     right: bool,
     jacobian: FloatArray,
@@ -36,15 +36,15 @@ def image_jacobians(
         p: a packed head.
         q: (7,) joint angles at the exposure, rad.
         error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
-        constant: the target's depth, m; nan to triangulate it.
+        depth_m: the target's depth, m; nan to triangulate it.
         left: True if the left eye sees the target.
         right: True if the right eye sees the target.
         jacobian: (2, 2, 2) result by eye, image axis and joint of this eye, px/rad; unchanged for
             an eye that does not see the target.
     """
     eyes = (eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6]))
-    depth_l = depth_r = constant
-    if not isfinite(constant):
+    depth_l = depth_r = depth_m
+    if not isfinite(depth_m):
         ray_l, ray_r = rays_of_image(p, eyes[0].camera, eyes[1].camera, error)
         depth_l, depth_r, _found = depths_on_rays(ray_l, ray_r)
     for eye in range(2):

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence._jit import compiled, inlined, untyped_tuple
-from vergence.envs.encoding import encode
+from vergence.envs.encoding import encode_observation
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import BoolArray, Reading
 from vergence.envs.reducible import reducible_error
@@ -65,7 +65,7 @@ _LOST: Final = 25.0
 """Cost of a lost target (chosen: weight of a loss against the reward of a trial)."""
 
 
-class Rules(NamedTuple):
+class TimeLimits(NamedTuple):
     """Time limits for a lost target and for a success, rounded to whole control periods."""
 
     lost_after_s: float
@@ -78,7 +78,7 @@ class Rules(NamedTuple):
     """Control period, s."""
 
     @classmethod
-    def of(cls, head: HeadModel) -> "Rules":
+    def of(cls, head: HeadModel) -> "TimeLimits":
         """The rules at a head's control rate."""
         rate, period_s = head.timing.control_rate_hz, head.timing.period_s
         limits = (LOST_AFTER_S, FIRST_SEEN_WITHIN_S, SUCCESS_AFTER_S)
@@ -86,7 +86,7 @@ class Rules(NamedTuple):
         return cls(lost, first, success, period_s)
 
 
-class Progress(NamedTuple):
+class TrialProgress(NamedTuple):
     """Progress of the running trials: visibility and settling of the target so far."""
 
     seen: BoolArray
@@ -99,7 +99,7 @@ class Progress(NamedTuple):
     trial's start."""
 
     @classmethod
-    def empty(cls, num: int) -> "Progress":
+    def empty(cls, num: int) -> "TrialProgress":
         """Arrays for `num` trials, to be initialised by `begin`."""
         return cls(np.zeros(num, dtype=np.bool_), np.zeros(num), np.zeros(num))
 
@@ -148,11 +148,11 @@ def assess(
     ids: IntArray,
     head: PackedHead,
     scaling: FloatArray,
-    rules: Rules,
+    rules: TimeLimits,
     reading: Reading,
     action: FloatArray,
-    progress: Progress,
-    outcome: StepResult,
+    progress: TrialProgress,
+    result: StepResult,
     coupled_head: PackedHead | None,
 ) -> None:
     """Compute observations, rewards and terminations of some environments of a batch.
@@ -165,13 +165,13 @@ def assess(
         reading: sensor readings.
         action: (n, m) the actions applied.
         progress: updated in place.
-        outcome: the result.
+        result: the result.
         coupled_head: the packed head again if its eye joints are coupled, else None; code for
             coupled joints is then not compiled.
     """
-    rules, reading = Rules(*rules), Reading(*reading)
-    progress, outcome = Progress(*progress), StepResult(*outcome)
-    error, terms = outcome.error, outcome.terms
+    rules, reading = TimeLimits(*rules), Reading(*reading)
+    progress, result = TrialProgress(*progress), StepResult(*result)
+    error, terms = result.error, result.terms
     m = action.shape[1]
     for n in ids:
         left, right = reading.visible[n, 0], reading.visible[n, 1]
@@ -195,7 +195,9 @@ def assess(
                 size = _norm(goal[eye, 0], goal[eye, 1])
                 precision += _PRECISE_PX / (_PRECISE_PX + size) / 6.0
                 settled = settled and size < SETTLED_PX
-        encode(outcome.observation[n], scaling, error[n], reading, n, action[n], coupled_head)
+        encode_observation(
+            result.observation[n], scaling, error[n], reading, n, action[n], coupled_head
+        )
         square = 0.0
         for j in range(m):
             square += action[n, j] * action[n, j]
@@ -210,24 +212,24 @@ def assess(
         if not settled:
             progress.unsettled_s[n] = now_s
         if progress.seen[n]:
-            outcome.lost[n] = later_s - progress.seen_s[n] >= rules.lost_after_s
+            result.lost[n] = later_s - progress.seen_s[n] >= rules.lost_after_s
         else:
-            outcome.lost[n] = later_s >= rules.first_seen_within_s
-        outcome.success[n] = later_s - progress.unsettled_s[n] >= rules.success_after_s
+            result.lost[n] = later_s >= rules.first_seen_within_s
+        result.success[n] = later_s - progress.unsettled_s[n] >= rules.success_after_s
         terms[n, 0], terms[n, 1] = tracking, precision
         terms[n, 2] = -_EFFORT * (tracking + precision) * square / m
-        terms[n, 3] = -_LOST if outcome.lost[n] else 0.0
-        outcome.reward[n] = terms[n, 0] + terms[n, 1] + terms[n, 2] + terms[n, 3]
+        terms[n, 3] = -_LOST if result.lost[n] else 0.0
+        result.reward[n] = terms[n, 0] + terms[n, 1] + terms[n, 2] + terms[n, 3]
 
 
 def compile_assess() -> None:
     """Compile `assess` for heads with one motor per eye joint, by a call for no environment."""
     head = load_head("simulated")
     layout, reading = ObservationLayout.of(head), untyped_tuple(Reading.empty(1))
-    progress, outcome = (
-        untyped_tuple(Progress.empty(1)),
+    progress, result = (
+        untyped_tuple(TrialProgress.empty(1)),
         untyped_tuple(StepResult.empty(1, layout.size)),
     )
     action = np.zeros((1, layout.count))
-    judged = (head.packed, layout.scaling, untyped_tuple(Rules.of(head)))
-    assess(np.arange(0), *judged, reading, action, progress, outcome, None)
+    judged = (head.packed, layout.scaling, untyped_tuple(TimeLimits.of(head)))
+    assess(np.arange(0), *judged, reading, action, progress, result, None)

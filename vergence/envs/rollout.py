@@ -1,4 +1,7 @@
-"""Rollouts: begin trials, let a controller act step by step, record, and always close the task."""
+"""Trials of a task: begin, let a policy act step by step, record.
+
+`rollout` closes the task in any case; `run_trial` leaves it open for the next trial.
+"""
 
 from collections.abc import Callable
 

@@ -14,22 +14,22 @@ SavedState = dict[str, Arrays]
 """Complete state of a simulation: the arrays of each of its parts."""
 
 
-def prefixed(**parts: Mapping[str, NDArray[Any]]) -> Arrays:
+def join_parts(**parts: Mapping[str, NDArray[Any]]) -> Arrays:
     """Join the arrays of several parts, each named `part.name`."""
     return {f"{part}.{name}": a for part, arrays in parts.items() for name, a in arrays.items()}
 
 
-def copied(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
+def copy_arrays(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
     """Copy all arrays."""
     return {name: array.copy() for name, array in arrays.items()}
 
 
-def put_back(arrays: Mapping[str, NDArray[Any]], saved: Mapping[str, NDArray[Any]]) -> None:
+def restore_arrays(arrays: Mapping[str, NDArray[Any]], saved: Mapping[str, NDArray[Any]]) -> None:
     """Restore the saved values of arrays.
 
     Args:
         arrays: updated in place.
-        saved: a result of `copied`.
+        saved: a result of `copy_arrays`.
 
     Raises:
         ConfigurationError: names, shapes or types differ, as for another simulation.

@@ -4,7 +4,7 @@ Philox-4x64-10 (Salmon, Moraes, Dror and Shaw 2011, "Parallel random numbers: as
 3") turns a key of two words and a counter of four into four random words. Here the key is
 (seed, trial) and the counter is (lane - 1, 0, purpose, block). So any random number of any trial
 can be drawn at any time, in any order, alone or among a thousand others, and is always the same.
-`Streams` does this with NumPy's generator; `random_words` computes the same words in compiled
+`RandomStreams` does this with NumPy's generator; `random_words` computes the same words in compiled
 code, without a generator's state or memory. (NumPy increments the counter before use.)
 """
 
@@ -36,7 +36,7 @@ _SINE: Final = tuple((-1.0) ** k / factorial(2 * k + 1) for k in range(8))
 _COSINE: Final = tuple((-1.0) ** k / factorial(2 * k) for k in range(8))
 
 
-class Purpose(IntEnum):
+class StreamPurpose(IntEnum):
     """Purpose of a random stream; each purpose has its own numbers."""
 
     TASK = 0
@@ -64,7 +64,7 @@ class StreamKey(NamedTuple):
     trial: np.uint64
 
 
-class Streams:
+class RandomStreams:
     """The random streams of a batch of trials.
 
     Args:
@@ -104,7 +104,7 @@ class Streams:
         self.seeds[ids] = seeds
         self.trials[ids] = trials
 
-    def at(self, n: int, purpose: Purpose, block: int = 0) -> np.random.Generator:
+    def generator_at(self, n: int, purpose: StreamPurpose, block: int = 0) -> np.random.Generator:
         """The generator of one environment, purpose and block, valid until the next call.
 
         Args:
@@ -126,20 +126,20 @@ class Streams:
         return self._rng
 
 
-def as_seed(value: object, what: str = "seed") -> int:
+def as_seed(value: object, name: str = "seed") -> int:
     """Check a seed or a trial number, and return it as an integer from 0 to 2**64 - 1.
 
     Args:
         value: the user's value.
-        what: name for error messages.
+        name: name for error messages.
 
     Raises:
         ConfigurationError: the value is not a whole number or out of range.
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise ConfigurationError(f"{what}: expected a whole number, got {value!r}")
+        raise ConfigurationError(f"{name}: expected a whole number, got {value!r}")
     if not 0 <= int(value) < 2**64:
-        raise ConfigurationError(f"{what}: expected 0 to 2**64 - 1, got {value}")
+        raise ConfigurationError(f"{name}: expected 0 to 2**64 - 1, got {value}")
     return int(value)
 
 

@@ -8,18 +8,18 @@ from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import compiled, untyped_tuple
-from vergence.envs.fields import as_numbers, refuse_fixed_pair
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.plant import make_plant, plant_type
 from vergence.envs.plants.simulation import Simulation, TrialStart, simulation_of
 from vergence.envs.plants.variation import Variation, make_variation
 from vergence.envs.policy import Policy
 from vergence.envs.reading import Reading, Truth
-from vergence.envs.reward import TERMS, Progress, Rules, StepResult, assess
-from vergence.envs.saved_state import Arrays, SavedState, copied, prefixed, put_back
-from vergence.envs.streams import IntArray, KeyArray, Streams, as_seed
+from vergence.envs.reward import TERMS, StepResult, TimeLimits, TrialProgress, assess
+from vergence.envs.saved_state import Arrays, SavedState, copy_arrays, join_parts, restore_arrays
+from vergence.envs.streams import IntArray, KeyArray, RandomStreams, as_seed
 from vergence.envs.targets.registry import make_target
 from vergence.envs.targets.target import Target
+from vergence.envs.validation import as_action_array, refuse_fixed_pair
 from vergence.errors import ConfigurationError
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
@@ -125,18 +125,22 @@ class GazeTask:
                 raise
         self.num = num
         self._all = np.arange(num)
-        self._streams = Streams(num)
+        self._streams = RandomStreams(num)
         self._command = np.zeros((num, 7))
         self._action = np.zeros((num, self.layout.count))
         self.reading = Reading.empty(num)
-        self._progress = Progress.empty(num)
+        self._progress = TrialProgress.empty(num)
         self._outcome = StepResult.empty(num, self.layout.size)
         self.encoded = self.observation = self._outcome.observation
         self.reward, self.success = self._outcome.reward, self._outcome.success
         self.lost = self._outcome.lost
         # made once: every step hands them to a kernel
         self._coupled_head = None if self.head.actuation.direct else self.head.packed
-        self._judged = (self.head.packed, self.layout.scaling, untyped_tuple(Rules.of(self.head)))
+        self._judged = (
+            self.head.packed,
+            self.layout.scaling,
+            untyped_tuple(TimeLimits.of(self.head)),
+        )
         self._result = (self._action, untyped_tuple(self._progress), untyped_tuple(self._outcome))
 
     def prepare(self, policy: Policy) -> None:
@@ -214,7 +218,7 @@ class GazeTask:
         Raises:
             ConfigurationError: the plant is not a simulation, or its state cannot be saved.
         """
-        return {"task": copied(self._arrays()), "plant": simulation_of(self.plant).state()}
+        return {"task": copy_arrays(self._arrays()), "plant": simulation_of(self.plant).state()}
 
     def restore(self, state: SavedState) -> None:
         """Restore the running trials from a result of `state`, bit by bit.
@@ -225,12 +229,12 @@ class GazeTask:
         Raises:
             ConfigurationError: the state belongs to another task.
         """
-        put_back(self._arrays(), state["task"])
+        restore_arrays(self._arrays(), state["task"])
         self._take(simulation_of(self.plant).restore(state["plant"]))
 
     def _arrays(self) -> Arrays:
         """State arrays of the task, without those of the plant."""
-        return prefixed(
+        return join_parts(
             keys=self._streams.keys._asdict(),
             progress=self._progress._asdict(),
             outcome=self._outcome._asdict(),
@@ -254,7 +258,7 @@ class GazeTask:
         Raises:
             ConfigurationError: the shape is wrong.
         """
-        array = as_numbers(action)
+        array = as_action_array(action)
         if array.shape != (self.num, len(self.action_names)):
             raise ConfigurationError(
                 f"action: expected shape ({self.num}, {len(self.action_names)}), heads by "

@@ -17,7 +17,7 @@ from vergence.envs.plant import plant_type
 from vergence.envs.plants.variation import Variation
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.task import GazeTask
-from vergence.envs.views import Viewer, window_missing
+from vergence.envs.views import Viewer, missing_window_hint
 from vergence.errors import ConfigurationError, RenderingUnavailableError, refuse_unknown
 from vergence.models.head import HeadModel
 from vergence.models.perturbation import ModelErrors
@@ -34,7 +34,7 @@ def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
         raise ConfigurationError(
             f"render_mode: expected None or one of {', '.join(known)}, got {mode!r}"
         )
-    missing = window_missing() if mode == "human" else None
+    missing = missing_window_hint() if mode == "human" else None
     if missing is not None:
         raise RenderingUnavailableError(missing)
     return mode

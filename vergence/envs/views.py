@@ -31,7 +31,7 @@ def opengl_works() -> bool:
     return opengl_failure() is None
 
 
-def posture(task: GazeTask, n: int) -> tuple[FloatArray, FloatArray]:
+def angles_and_target(task: GazeTask, n: int) -> tuple[FloatArray, FloatArray]:
     """Best known joint angles and target position of one head.
 
     Args:
@@ -66,7 +66,7 @@ def eye_images(task: GazeTask, n: int) -> tuple[Image, Image] | None:
         return left.copy(), right.copy()
     if not isinstance(task.plant, Simulation):
         return None
-    positions, target = posture(task, n)
+    positions, target = angles_and_target(task, n)
     left, right = _views(task.head).draw(positions, np.zeros(7), target)
     return left.copy(), right.copy()
 
@@ -113,7 +113,7 @@ class Viewer:
         eyes = [self._eye(n, eye, image) for eye, image in enumerate(images)]
         highest = max(len(eye) for eye in eyes)
         top = np.concatenate([_padded(eye, highest) for eye in eyes], axis=1)
-        positions, target = posture(self._task, n)
+        positions, target = angles_and_target(self._task, n)
         width, known = top.shape[1], self._task.truth() is not None
         if self._scene is None:
             below = schematic(self._task.head, positions, target, width, VIEW_HEIGHT, known=known)
@@ -211,7 +211,7 @@ def schematic(
     return out
 
 
-def window_missing() -> str | None:
+def missing_window_hint() -> str | None:
     """Hint to install pygame, an optional dependency that windows need; None if it is installed."""
     if find_spec("pygame") is not None:
         return None
@@ -226,7 +226,7 @@ class Window:
     """
 
     def __init__(self) -> None:
-        missing = window_missing()
+        missing = missing_window_hint()
         if missing is not None:
             raise RenderingUnavailableError(missing)
         import pygame

@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vergence.controllers.controller import make_controller, own_options
-from vergence.envs.fields import refuse_fixed_pair
+from vergence.controllers.controller import default_options, make_controller
 from vergence.envs.plants.simulation import is_simulated
 from vergence.envs.policy import Policy
 from vergence.envs.reading import Image
 from vergence.envs.rollout import rollout
 from vergence.envs.task import GazeTask
+from vergence.envs.validation import refuse_fixed_pair
 from vergence.envs.views import eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.gaze_config import GazeConfig
@@ -148,7 +148,7 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
             f"most a million, got {config.duration_s}"
         )
     if config.gain is None:
-        config = dataclasses.replace(config, gain=own_options(config.controller).get("gain"))
+        config = dataclasses.replace(config, gain=default_options(config.controller).get("gain"))
     options: dict[str, Any] = {} if config.gain is None else {"gain": config.gain}
     controller = make_controller(config.controller, head=head, **options)
     target = {"kind": "static", "point": point.tolist()}

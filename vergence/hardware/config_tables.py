@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence.envs.plants.imperfections import IMPERFECTIONS, expected, is_within
+from vergence.envs.plants.imperfections import IMPERFECTIONS, is_valid_range, valid_range_text
 from vergence.errors import ConfigurationError, HeadFileError, VergenceError
 from vergence.hardware.config_parts import (
     BusConfig,
@@ -261,7 +261,7 @@ def _loop_rule(name: str) -> Rule:
     """Rule of a measured value: the range of the simulated one, see `imperfections`."""
     if name not in IMPERFECTIONS:  # a time that simulation does not have
         return _LATENCY
-    return (lambda x: is_within(name, x, x), expected(name))
+    return (lambda x: is_valid_range(name, x, x), valid_range_text(name))
 
 
 def read_measured_targets(

@@ -34,7 +34,7 @@ class RobotListener:
     def truth(self, truth: Truth) -> None:
         """Receive the ground truth of one head."""
 
-    def detection(self, found: LoggedDetection) -> None:
+    def detection(self, detection: LoggedDetection) -> None:
         """Receive the detection in an image of an eye; its arrays must not change afterwards."""
 
     def image(self, eye: int, image: Image, exposed_s: float) -> None:

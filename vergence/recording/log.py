@@ -18,8 +18,8 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 from vergence.recording import schema
 from vergence.recording.jpeg import read_jpeg
-from vergence.recording.messages import decode, printable
-from vergence.recording.records import EXPECTED, records_of
+from vergence.recording.messages import decode_message, escape_control_characters
+from vergence.recording.records import EXPECTED, read_records
 from vergence.recording.schema import (
     CommandOrigin,
     LoggedCommand,
@@ -108,7 +108,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
             not installed.
     """
     parts = _LogBuilder()
-    for record in records_of(path, parts.broken):
+    for record in read_records(path, parts.broken):
         try:
             parts.add(record)
         except ConfigurationError as error:
@@ -214,9 +214,11 @@ class _LogBuilder:
             self._topics[record.id] = _KNOWN[record.topic]
         elif isinstance(record, Message) and record.channel_id in self._topics:
             topic = self._topics[record.channel_id]
-            self._add_message(topic, decode(topic, record.data))
+            self._add_message(topic, decode_message(topic, record.data))
         elif isinstance(record, Metadata) and record.name == schema.FACTS:
-            self.facts = {name: printable(text) for name, text in record.metadata.items()}
+            self.facts = {
+                name: escape_control_characters(text) for name, text in record.metadata.items()
+            }
         elif isinstance(record, Attachment):
             self.files[record.name] = record.data.decode("utf-8", "replace")
 

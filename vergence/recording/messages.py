@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.recording.schema import Form, Topic, shape
+from vergence.recording.schema import Form, Topic, shape_text
 
 _MAX_NUMBER: Final = 1e15
 """Largest absolute value of a number (chosen: above any measurement, and products stay finite)."""
@@ -18,7 +18,7 @@ _LATEST_S: Final = 2**33
 """Upper limit of times of day, s since 1970: some 270 years (chosen)."""
 
 
-def encode(message: dict[str, Any]) -> bytes:
+def encode_message(message: dict[str, Any]) -> bytes:
     """Encode a message of plain values and arrays as JSON."""
     return json.dumps({name: _json_value(value) for name, value in message.items()}).encode()
 
@@ -35,12 +35,12 @@ def _json_value(value: Any) -> Any:
     return value
 
 
-def stamp(time_ns: int) -> dict[str, int]:
+def foxglove_time(time_ns: int) -> dict[str, int]:
     """A time of day, ns since 1970, in the form of Foxglove's schemas."""
     return {"sec": time_ns // 10**9, "nsec": time_ns % 10**9}
 
 
-def decode(topic: Topic, data: bytes) -> dict[str, Any]:
+def decode_message(topic: Topic, data: bytes) -> dict[str, Any]:
     """Decode the fields of a message.
 
     Args:
@@ -75,7 +75,7 @@ def _decoded(form: Form, value: Any) -> Any:
     if isinstance(form, np.ndarray):
         return _array(form, value)
     if form is str:
-        return printable(value) if isinstance(value, str) else None
+        return escape_control_characters(value) if isinstance(value, str) else None
     if form is bytes:
         with suppress(TypeError, ValueError):
             return base64.b64decode(value, validate=True)
@@ -115,10 +115,10 @@ def _words(form: Form) -> str:
     kind = {"b": "true or false", "i": "a whole number"}.get(
         form.dtype.kind, f"a number up to {_MAX_NUMBER:g} in size, or null"
     )
-    return f"{kind}, in the shape {shape(form)}" if form.ndim else kind
+    return f"{kind}, in the shape {shape_text(form)}" if form.ndim else kind
 
 
-def printable(text: str) -> str:
+def escape_control_characters(text: str) -> str:
     """Escape control characters, so that the text stays in one line."""
     return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
 

@@ -17,14 +17,14 @@ _LARGEST_RATIO: Final = 200
 """Largest ratio of unpacked to packed bytes, beyond a first chunk (chosen: logs have 5 to 15)."""
 
 
-def records_of(
-    path: str | os.PathLike[str], broken: Callable[[str], None] = lambda reason: None
+def read_records(
+    path: str | os.PathLike[str], on_truncation: Callable[[str], None] = lambda reason: None
 ) -> "Iterator[McapRecord]":
     """Yield a file's records in order, with those in chunks, up to its end or to any damage.
 
     Args:
         path: path of the file.
-        broken: called with the reason if the file ends early.
+        on_truncation: called with the reason if the file ends early.
 
     Raises:
         UnreadableFileError: the file cannot be read, or is no MCAP file.
@@ -57,7 +57,7 @@ def records_of(
                 if not begun:
                     reason = "it is no MCAP file" if size else "it is empty"
                     raise UnreadableFileError(os.fspath(path), reason, EXPECTED) from error
-                broken(f"{type(error).__name__} {error}".strip())
+                on_truncation(f"{type(error).__name__} {error}".strip())
                 return
             begun = True
             yield from inside

@@ -3,10 +3,10 @@
 import os
 from typing import Any, cast
 
-from vergence.recording.records import records_of
+from vergence.recording.records import read_records
 
 
-def recover(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
+def recover_log(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
     """Copy all readable records of an MCAP file to a new, complete one, with an index and an end.
 
     Args:
@@ -25,7 +25,7 @@ def recover(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
     with open(out, "xb") as file:
         writer = cast(Any, Writer(file))  # some of its methods have no types
         writer.start()
-        for one in records_of(path):
+        for one in read_records(path):
             if isinstance(one, Schema):
                 if one.id not in schemas or schemas[one.id][0] != one:  # a file's end repeats them
                     number = writer.register_schema(one.name, one.encoding, one.data)

@@ -125,10 +125,14 @@ def _property(form: Form) -> dict[str, Any]:
     kind = {"b": "boolean", "i": "integer"}.get(form.dtype.kind, "number")
     if not form.ndim:
         return {"type": kind}
-    return {"type": "array", "items": {"type": kind}, "description": f"of the shape {shape(form)}"}
+    return {
+        "type": "array",
+        "items": {"type": kind},
+        "description": f"of the shape {shape_text(form)}",
+    }
 
 
-def shape(form: NDArray[Any]) -> str:
+def shape_text(form: NDArray[Any]) -> str:
     """The shape of a field in words."""
     return f"({', '.join(str(length) if length else 'n' for length in form.shape)})"
 

@@ -25,7 +25,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording import schema
 from vergence.recording.listener import RobotListener
-from vergence.recording.messages import encode, stamp
+from vergence.recording.messages import encode_message, foxglove_time
 from vergence.recording.schema import LoggedCommand, LoggedDetection, LoggedJoints, Topic
 
 _LOGGER: Final = logging.getLogger("vergence")
@@ -170,17 +170,17 @@ class LogWriter(RobotListener):
 
     def joints(self, clock_s: float, positions: FloatArray, velocities: FloatArray) -> None:
         """Keep a measurement of the joints, see `LoggedJoints`; it must not change afterwards."""
-        found = LoggedJoints(clock_s, positions, velocities)
-        self._put(schema.JOINTS, clock_s, found._asdict())
+        detection = LoggedJoints(clock_s, positions, velocities)
+        self._put(schema.JOINTS, clock_s, detection._asdict())
 
     def truth(self, truth: Truth) -> None:
         """Keep the ground truth of one head."""
         fields = {name: value[0].copy() for name, value in truth._asdict().items()}
         self._put(schema.TRUTH, self._clock(), fields)
 
-    def detection(self, found: LoggedDetection) -> None:
+    def detection(self, detection: LoggedDetection) -> None:
         """Keep the detection in an image of an eye; its arrays must not change afterwards."""
-        self._put(schema.DETECTION, found.ready_s, found._asdict())
+        self._put(schema.DETECTION, detection.ready_s, detection._asdict())
 
     def image(self, eye: int, image: Image, exposed_s: float) -> None:
         """Keep an image of an eye, as a JPEG; it must not change afterwards.
@@ -268,8 +268,8 @@ class LogWriter(RobotListener):
                 quality = (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY)
                 message["data"] = cv2.imencode(".jpg", message["data"], quality)[1].tobytes()
             if topic in schema.IMAGES or topic is schema.NOTES:
-                message = {"timestamp": stamp(time_ns), **message}
-            data = encode(message)
+                message = {"timestamp": foxglove_time(time_ns), **message}
+            data = encode_message(message)
             self._mcap.add_message(self._channels[topic.name], time_ns, data, time_ns)
         self._mcap.flush()
 

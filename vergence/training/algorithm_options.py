@@ -16,20 +16,20 @@ class OptionRange:
 
     low: float = 0.0
     high: float = LARGEST
-    above: bool = False
+    excludes_low: bool = False
     """True if `low` itself is excluded."""
-    whole: bool = False
+    integer: bool = False
     """True if only integers are allowed."""
 
-    def allow(self, value: object) -> bool:
+    def allows(self, value: object) -> bool:
         """True if a value is within the bounds."""
-        if isinstance(value, bool) or not isinstance(value, int if self.whole else int | float):
+        if isinstance(value, bool) or not isinstance(value, int if self.integer else int | float):
             return False
-        return self.low <= value <= self.high and not (self.above and value == self.low)
+        return self.low <= value <= self.high and not (self.excludes_low and value == self.low)
 
     def __str__(self) -> str:
-        kind = "a whole number" if self.whole else "a number"
-        first = f"{kind} above {self.low:g}" if self.above else f"{kind} from {self.low:g}"
+        kind = "a whole number" if self.integer else "a number"
+        first = f"{kind} above {self.low:g}" if self.excludes_low else f"{kind} from {self.low:g}"
         rest = [f"to {self.high:g}"] if self.high < _MANY else []
         return " ".join([first, *rest])
 
@@ -37,13 +37,13 @@ class OptionRange:
 _MANY: Final = 2**31
 """Largest count, beyond any practical one (numerical)."""
 _SHARE: Final = OptionRange(high=1.0)
-_COUNT: Final = OptionRange(low=1, high=_MANY, whole=True)
-_POSITIVE: Final = OptionRange(above=True)
+_COUNT: Final = OptionRange(low=1, high=_MANY, integer=True)
+_POSITIVE: Final = OptionRange(excludes_low=True)
 
 _OPTIONS: Final[dict[str, OptionRange | None]] = {
     "learning_rate": _POSITIVE,
     "n_steps": _COUNT,
-    "batch_size": OptionRange(low=2, high=_MANY, whole=True),
+    "batch_size": OptionRange(low=2, high=_MANY, integer=True),
     "n_epochs": _COUNT,
     "gamma": _SHARE,
     "gae_lambda": _SHARE,
@@ -58,7 +58,7 @@ _OPTIONS: Final[dict[str, OptionRange | None]] = {
 """Bounds by option; None for a boolean."""
 
 
-def check_algorithm(options: Mapping[str, Any]) -> None:
+def check_ppo_options(options: Mapping[str, Any]) -> None:
     """Raise an error for an invalid option of PPO.
 
     Args:
@@ -72,5 +72,5 @@ def check_algorithm(options: Mapping[str, Any]) -> None:
         bounds = _OPTIONS[name]
         if bounds is None and not isinstance(value, bool):
             raise ConfigurationError(f"algorithm.{name}: expected true or false, got {value!r}")
-        if bounds is not None and not bounds.allow(value):
+        if bounds is not None and not bounds.allows(value):
             raise ConfigurationError(f"algorithm.{name}: expected {bounds}, got {value!r}")

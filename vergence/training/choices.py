@@ -11,7 +11,7 @@ from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.training.config import TrainConfig, check_kind, check_type
 from vergence.training.options import TrainOptions
-from vergence.training.recipes import recipe
+from vergence.training.recipes import default_recipe
 
 _GROUPS: Final = ("algorithm",)
 """Fields of the configuration that are themselves mappings: `algorithm.gamma=0.95`."""
@@ -38,7 +38,7 @@ def resolve_config(options: TrainOptions) -> tuple[TrainConfig, HeadModel]:
     check_kind(options.kind)
     scenario = load_scenario(options.scenario)
     # fields that the user has not set are the recipe's
-    fields = {**vars(recipe(options.kind)), "head": ""}
+    fields = {**vars(default_recipe(options.kind)), "head": ""}
     fields |= {name: value for name, value in vars(options).items() if value is not None}
     del fields["set"]
     known = [field.name for field in dataclasses.fields(TrainConfig) if field.name not in _OWN]

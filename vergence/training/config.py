@@ -19,7 +19,7 @@ from vergence.eval.reporting.runs import (
 )
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
-from vergence.training.algorithm_options import check_algorithm
+from vergence.training.algorithm_options import check_ppo_options
 from vergence.training.options import Kind, TrainingPlant
 from vergence.training.recipes import Recipe
 
@@ -102,7 +102,7 @@ class TrainConfig(Recipe):
         last = self.final_learning_rate
         if last is not None and not (math.isfinite(last) and last >= 0.0):
             raise ConfigurationError(f"final_learning_rate: expected a number from 0, got {last!r}")
-        check_algorithm(self.algorithm)
+        check_ppo_options(self.algorithm)
         as_seed(self.seed)
 
 
@@ -166,7 +166,7 @@ def begin_run(folder: Path, config: TrainConfig, head: HeadModel) -> None:
         write_config(partial, config, head, PACKAGES)
 
 
-def check_new(folder: Path) -> None:
+def check_empty(folder: Path) -> None:
     """Raise an error for a folder that is not empty; it says how to resume a run in the folder.
 
     Raises:

@@ -18,9 +18,9 @@ from vergence.eval.reporting.runs import toml_value
 from vergence.training.choices import resolve_config
 from vergence.training.config import TrainConfig
 from vergence.training.learner import load_learner
-from vergence.training.onnx_export import network_of
+from vergence.training.onnx_export import learner_network
 from vergence.training.options import TrainOptions
-from vergence.training.recipes import recipe
+from vergence.training.recipes import default_recipe
 from vergence.training.run_checkpoints import RunCheckpoints
 
 
@@ -48,7 +48,7 @@ def export_run(run: Path, out: Path, checkpoint: str = "best", replace: bool = F
         ) from error
     try:
         config = learner.config
-        network, difference = network_of(config.kind, learner.model, learner.normalisation)
+        network, difference = learner_network(config.kind, learner.model, learner.normalisation)
         inputs = Inputs.of(config.inputs, learner.head)
     finally:
         learner.close()
@@ -58,7 +58,7 @@ def export_run(run: Path, out: Path, checkpoint: str = "best", replace: bool = F
         inputs,
         network.data,
         training={
-            "command": command_of(config),
+            "command": training_command(config),
             "scenario": config.scenario,
             "seed": config.seed,
             "steps": config.steps,
@@ -75,7 +75,7 @@ def export_run(run: Path, out: Path, checkpoint: str = "best", replace: bool = F
     return manifest
 
 
-def command_of(config: TrainConfig) -> str:
+def training_command(config: TrainConfig) -> str:
     """Command that reproduces a training run, independent of later changes of the recipe."""
     words = ["vergence", "train", config.kind]
     named = {name: getattr(config, name) for name in _NAMED}
@@ -85,7 +85,7 @@ def command_of(config: TrainConfig) -> str:
         words += [f"--{name}", str(value)]
     if config.randomise:
         words.append("--randomise")
-    elif recipe(config.kind).randomise:
+    elif default_recipe(config.kind).randomise:
         words.append("--no-randomise")
     usual, _head = resolve_config(
         TrainOptions(kind=config.kind, **named, randomise=config.randomise)

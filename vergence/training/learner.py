@@ -11,17 +11,17 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
-from vergence.controllers.gain_schedule import gain_names, gains_of
-from vergence.controllers.networks.acting import Acting
+from vergence.controllers.gain_schedule import gain_names, gains_from_action
+from vergence.controllers.networks.acting import NetworkLoop
 from vergence.controllers.networks.environments import training_env, velocity_action
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.manifest import GAIN_SCHEDULE
-from vergence.controllers.stateful import carried_on
+from vergence.controllers.stateful import continued_state
 from vergence.errors import ConfigurationError, DivergedError
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models.head import HeadModel
 from vergence.training.config import TrainConfig, load_run
-from vergence.training.learner_state import restore, restore_running_episodes
+from vergence.training.learner_state import restore_learner, restore_running_episodes
 from vergence.training.networks import JointPolicy
 from vergence.training.run_checkpoints import RUNNING_EPISODES, RunCheckpoints
 from vergence.training.vec_env import VectorEnvAdapter
@@ -108,7 +108,7 @@ class Learner:
         Raises:
             ConfigurationError: the checkpoint belongs to another learner.
         """
-        restore(content, self.model, self.normalisation)
+        restore_learner(content, self.model, self.normalisation)
         if RUNNING_EPISODES in content:
             restore_running_episodes(content[RUNNING_EPISODES], self.model, self.normalisation)
 
@@ -122,9 +122,9 @@ class Learner:
         if name is not None:
             raise DivergedError(f"{name} became nan or infinite")
 
-    def controller(self) -> "LearnedSoFar":
+    def controller(self) -> "LearnerPolicy":
         """The network as a controller; it keeps changing as the learner trains."""
-        return LearnedSoFar(self.config.kind, self.inputs, self._act)
+        return LearnerPolicy(self.config.kind, self.inputs, self._act)
 
     def _act(self, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
         """Map (n, size) inputs to (n, actions) in [-1, 1], without exploration."""
@@ -142,7 +142,7 @@ class Learner:
         self.env.close()
 
 
-class LearnedSoFar:
+class LearnerPolicy:
     """A network in training as a controller, to be evaluated like any other.
 
     Args:
@@ -155,7 +155,7 @@ class LearnedSoFar:
         self.inputs = inputs
         self._act = act
         self._names = gain_names(inputs.head) if kind == GAIN_SCHEDULE else None
-        self._acting = Acting(inputs, kind == GAIN_SCHEDULE)
+        self._acting = NetworkLoop(inputs, kind == GAIN_SCHEDULE)
 
     def predict(
         self,
@@ -167,27 +167,27 @@ class LearnedSoFar:
         """Choose actions, see `vergence.controllers.Controller`."""
         observation = np.asarray(observation)
         shape = observation.shape[:-1]
-        memory = carried_on(self._acting.initial(), shape, state, episode_start)
-        seen = self._acting.see(observation, memory)
+        memory = continued_state(self._acting.initial(), shape, state, episode_start)
+        seen = self._acting.network_inputs(observation, memory)
         action = self._act(seen.reshape(-1, self.inputs.size)).reshape(*shape, -1)
         if self._names is None:
-            return self._acting.turn(seen, velocity_action(action), memory), (memory,)
-        gains = gains_of(action, self._names)
-        return self._acting.servo(observation, gains, memory), (memory,)
+            return self._acting.policy_action(seen, velocity_action(action), memory), (memory,)
+        gains = gains_from_action(action, self._names)
+        return self._acting.schedule_action(observation, gains, memory), (memory,)
 
 
-def load_learner(folder: Path, which: str = "best") -> Learner:
+def load_learner(folder: Path, checkpoint: str = "best") -> Learner:
     """Load the learner of a run folder, with the weights and statistics of a checkpoint.
 
     Args:
         folder: the run folder.
-        which: `best` or `last`.
+        checkpoint: `best` or `last`.
 
     Raises:
         ConfigurationError: the folder holds no such checkpoint of its own run.
     """
     config, head = load_run(folder)
-    content = RunCheckpoints(folder, config, head).read(which)
+    content = RunCheckpoints(folder, config, head).read(checkpoint)
     learner = Learner(config, head)
     learner.restore(content)
     return learner

@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from vergence.errors import ConfigurationError
 
 
-def state_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any]:
+def learner_state_dict(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any]:
     """State of a learner: networks, optimisers, statistics and random generators.
 
     Args:
@@ -31,7 +31,7 @@ def state_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any
     }
 
 
-def running_episodes_of(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any]:
+def running_episodes_state(model: BaseAlgorithm, normalisation: VecNormalize) -> dict[str, Any]:
     """State of a learner's running episodes.
 
     Args:
@@ -52,7 +52,9 @@ _LAST: Final = ("obs", "original_obs", "episode_starts")
 """Attributes of SB3's models that hold the previous step, without their prefix `_last_`."""
 
 
-def restore(content: Mapping[str, Any], model: BaseAlgorithm, normalisation: VecNormalize) -> None:
+def restore_learner(
+    content: Mapping[str, Any], model: BaseAlgorithm, normalisation: VecNormalize
+) -> None:
     """Restore a learner from a checkpoint, except for its running episodes.
 
     Raises:
@@ -76,7 +78,7 @@ def restore(content: Mapping[str, Any], model: BaseAlgorithm, normalisation: Vec
 def restore_running_episodes(
     content: Mapping[str, Any], model: BaseAlgorithm, normalisation: VecNormalize
 ) -> None:
-    """Restore a learner's running episodes, see `running_episodes_of`.
+    """Restore a learner's running episodes, see `running_episodes_state`.
 
     Raises:
         ConfigurationError: the checkpoint belongs to other environments.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from vergence.training.validation import Score
+from vergence.training.validation import ValidationScore
 
 Row = dict[str, Any]
 """One evaluation, by the columns of `vergence.training.curve`."""
@@ -13,7 +13,7 @@ Row = dict[str, Any]
 class TrainingListener(Protocol):
     """Callbacks that receive a run's progress and may stop it."""
 
-    def begin(self, baselines: dict[str, Score], unit: str) -> None:
+    def begin(self, baselines: dict[str, ValidationScore], unit: str) -> None:
         """Called after the baselines are evaluated; their headline metric is in `unit`."""
 
     def resumed(self, done: int) -> None:
@@ -30,12 +30,12 @@ class TrainingListener(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Result:
+class TrainingResult:
     """Result of a run."""
 
     folder: Path
     rows: list[Row]
-    baselines: dict[str, Score]
+    baselines: dict[str, ValidationScore]
     unit: str
     steps: int
     finished: bool

@@ -53,7 +53,7 @@ class SharedLayers(nn.Module):
         return self.critic(inputs)  # type: ignore[no-any-return]
 
 
-class SharedHead(nn.Module):
+class SharedOutputLayer(nn.Module):
     """The last layer of the actor, (n, 4 width) to (n, 4), shared by the joints."""
 
     def __init__(self, width: int) -> None:
@@ -99,7 +99,7 @@ class JointPolicy(ActorCriticPolicy):
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
         widths: Any = self.net_arch
-        self.action_net = SharedHead(widths[-1])
+        self.action_net = SharedOutputLayer(widths[-1])
         make: Any = self.optimizer_class
         self.optimizer = make(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 

@@ -20,7 +20,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_order, gains_of
+from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_order, gains_from_action
 from vergence.controllers.networks.environments import VELOCITY_POWER, velocity_action
 from vergence.controllers.networks.manifest import POLICY
 from vergence.controllers.networks.onnx_graph import Network, read_network
@@ -34,7 +34,7 @@ TOLERANCE: Final = 1e-5
 """Largest difference between their outputs: 84 machine epsilons of float32 (numerical)."""
 
 
-def network_of(
+def learner_network(
     kind: str, model: BaseAlgorithm, normalisation: VecNormalize | None
 ) -> tuple[Network, float]:
     """Convert a learner to a network of a bundle, and check that both agree.
@@ -52,18 +52,18 @@ def network_of(
         BundleError: the learner cannot be exported, or the two differ.
         ConfigurationError: the learner is not a PPO with actions from -1 to 1.
     """
-    actor = actor_of(model)
+    actor = deterministic_actor(model)
     (size,) = model.observation_space.shape or ()
     if normalisation is not None and normalisation.norm_obs:
         moments: Any = normalisation.obs_rms
         std = np.sqrt(moments.var + normalisation.epsilon)
-        actor = Normalised(actor, moments.mean, std, normalisation.clip_obs)
-    network = export_network(Uniform(actor, kind), size)
+        actor = NormalisedActor(actor, moments.mean, std, normalisation.clip_obs)
+    network = export_network(LinearOutputs(actor, kind), size)
 
     def act(inputs: NDArray[np.float32]) -> NDArray[Any]:
         seen: Any = inputs if normalisation is None else normalisation.normalize_obs(inputs)
         action, _state = model.predict(seen.astype(np.float32), deterministic=True)
-        return outputs_of(kind, action)
+        return bundle_outputs(kind, action)
 
     return network, check_agreement(network, act)
 
@@ -143,7 +143,7 @@ def check_agreement(
         BundleError: the difference exceeds `TOLERANCE`.
     """
     rng = np.random.default_rng(seed)
-    inputs = rng.uniform(-1.0, 1.0, (CHECKED, network.inputs)).astype(np.float32)
+    inputs = rng.uniform(-1.0, 1.0, (CHECKED, network.input_size)).astype(np.float32)
     difference = float(np.abs(Runtime(network)(inputs) - reference(inputs)).max())
     if not difference <= TOLERANCE:
         raise BundleError(
@@ -167,7 +167,7 @@ class _Actor(nn.Module):
         return torch.tanh(action) if self.squashed else torch.clip(action, -1.0, 1.0)
 
 
-def actor_of(model: BaseAlgorithm) -> nn.Module:
+def deterministic_actor(model: BaseAlgorithm) -> nn.Module:
     """Deterministic actor of a learner, from normalised inputs to actions in [-1, 1].
 
     Args:
@@ -195,7 +195,7 @@ def actor_of(model: BaseAlgorithm) -> nn.Module:
     raise ConfigurationError(f"export: expected a policy of PPO, got {type(policy).__name__}")
 
 
-class Normalised(nn.Module):
+class NormalisedActor(nn.Module):
     """A network preceded by the normalisation of its inputs: clip((x - mean) / std).
 
     Args:
@@ -226,7 +226,7 @@ class Normalised(nn.Module):
         return self.network(torch.clip(normal, -self.clip, self.clip))  # type: ignore[no-any-return]
 
 
-class Uniform(nn.Module):
+class LinearOutputs(nn.Module):
     """Maps an actor's actions to outputs in [-1, 1] that are linear in gains or velocities.
 
     Training environments use nonlinear actions: gains grow with their square, velocities with their
@@ -243,7 +243,7 @@ class Uniform(nn.Module):
         self.kind = kind
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
-        """Map an actor's inputs to outputs, see `outputs_of`."""
+        """Map an actor's inputs to outputs, see `bundle_outputs`."""
         action: torch.Tensor = self.actor(inputs)
         if self.kind == POLICY:
             return torch.pow(action, VELOCITY_POWER)
@@ -251,7 +251,7 @@ class Uniform(nn.Module):
         return 2.0 * share * share - 1.0
 
 
-def outputs_of(kind: str, action: NDArray[Any]) -> NDArray[Any]:
+def bundle_outputs(kind: str, action: NDArray[Any]) -> NDArray[Any]:
     """Outputs of a bundle's network for actions of the training environment.
 
     Args:
@@ -264,5 +264,7 @@ def outputs_of(kind: str, action: NDArray[Any]) -> NDArray[Any]:
     if kind == POLICY:
         return velocity_action(action)
     outputs = np.empty(action.shape)
-    outputs[:, gain_order()] = 2.0 / GAIN_LIMIT * gains_of(action).reshape(action.shape) - 1.0
+    outputs[:, gain_order()] = (
+        2.0 / GAIN_LIMIT * gains_from_action(action).reshape(action.shape) - 1.0
+    )
     return outputs

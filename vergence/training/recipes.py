@@ -59,7 +59,7 @@ RECIPES: Final[dict[str, Recipe]] = {
 """The recipes by kind of training."""
 
 
-def recipe(kind: str) -> Recipe:
+def default_recipe(kind: str) -> Recipe:
     """The recipe of a kind of training.
 
     Raises:

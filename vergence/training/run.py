@@ -13,11 +13,11 @@ from vergence.errors import ConfigurationError, DivergedError
 from vergence.eval.reporting.runs import write_config
 from vergence.files import atomic_files, remove_partial
 from vergence.models.head import HeadModel
-from vergence.training.config import PACKAGES, TrainConfig, begin_run, check_new, load_run
+from vergence.training.config import PACKAGES, TrainConfig, begin_run, check_empty, load_run
 from vergence.training.curve import draw_curve, write_curve
 from vergence.training.learner import Learner
-from vergence.training.learner_state import running_episodes_of, state_of
-from vergence.training.listener import Result, Row, TrainingListener
+from vergence.training.learner_state import learner_state_dict, running_episodes_state
+from vergence.training.listener import Row, TrainingListener, TrainingResult
 from vergence.training.logs import make_logger
 from vergence.training.run_checkpoints import RunCheckpoints
 from vergence.training.validation import Validation
@@ -29,7 +29,7 @@ def train(
     head: HeadModel,
     listener: TrainingListener,
     clock: Callable[[], float] = time.perf_counter,
-) -> Result:
+) -> TrainingResult:
     """Train in a new run folder.
 
     Args:
@@ -45,7 +45,7 @@ def train(
     Raises:
         VergenceError: the folder is not empty, or an option is invalid.
     """
-    check_new(folder)
+    check_empty(folder)
     learner = Learner(config, head)  # before the folder is made: this raises on invalid options
     try:
         begin_run(folder, config, head)
@@ -60,7 +60,7 @@ def resume(
     listener: TrainingListener,
     steps: int | None = None,
     clock: Callable[[], float] = time.perf_counter,
-) -> Result:
+) -> TrainingResult:
     """Resume a run from its last checkpoint.
 
     The result is bit for bit the result without the interruption. If `steps` is given, a learning
@@ -155,7 +155,7 @@ class _Run(BaseCallback):
         self._since = (0, 0.0)
         self._checkpoints = RunCheckpoints(folder, config, learner.head)
 
-    def go_on(self) -> Result:
+    def go_on(self) -> TrainingResult:
         """Train until the configuration's steps are done or the listener stops the run."""
         learner, model = self._learner, self._learner.model
         total = learner.config.steps
@@ -181,7 +181,7 @@ class _Run(BaseCallback):
         finally:
             logger.close()
         self._draw()
-        return Result(
+        return TrainingResult(
             folder=self._folder,
             rows=self._rows,
             baselines=self._validation.baselines,
@@ -249,11 +249,11 @@ class _Run(BaseCallback):
         model.logger.dump(step=model.num_timesteps)
         normalisation = self._learner.normalisation
         content = {
-            **state_of(model, normalisation),
+            **learner_state_dict(model, normalisation),
             "curve": self._rows,
             "validation": dataclasses.asdict(score),
         }
-        self._checkpoints.write(content, running_episodes_of(model, normalisation), best)
+        self._checkpoints.write(content, running_episodes_state(model, normalisation), best)
         write_curve(self._folder, self._rows)
         self._listener.row(row)
         self._rewards, self._lengths = [], []

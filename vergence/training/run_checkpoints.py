@@ -35,22 +35,22 @@ class RunCheckpoints:
     head: HeadModel
     """Head in `head.toml`."""
 
-    def path(self, which: str) -> Path:
+    def path(self, checkpoint: str) -> Path:
         """Path of a checkpoint."""
-        return self.run / "checkpoints" / f"{which}.pt"
+        return self.run / "checkpoints" / f"{checkpoint}.pt"
 
-    def read(self, which: str) -> dict[str, Any]:
+    def read(self, checkpoint: str) -> dict[str, Any]:
         """Read the content of a checkpoint.
 
         Args:
-            which: `best` or `last`.
+            checkpoint: `best` or `last`.
 
         Raises:
             ConfigurationError: the checkpoint is missing, damaged, or of another run.
         """
-        if which not in CHECKPOINTS:
-            raise ConfigurationError(f"checkpoint: expected best or last, got {which!r}")
-        path = self.path(which)
+        if checkpoint not in CHECKPOINTS:
+            raise ConfigurationError(f"checkpoint: expected best or last, got {checkpoint!r}")
+        path = self.path(checkpoint)
         content = read_checkpoint(path)
         recorded = content.get("run", {})
         if recorded.get("head") != self.head.digest:

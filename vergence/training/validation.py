@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.controllers.controller import Controller, make_controller
-from vergence.controllers.tuned import find_tuned, is_for
+from vergence.controllers.tuned import find_tuned, is_tuned_for
 from vergence.eval.trials.run import Trials, headline_metric, run_trials
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
@@ -19,7 +19,7 @@ OF_MOVING: Final = ("ibvs-tuned", "pursuit")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Score:
+class ValidationScore:
     """Result of an evaluation."""
 
     headline: float
@@ -31,7 +31,7 @@ class Score:
     """Fraction of the trials that settle, or of the moving targets that are not lost."""
 
     @classmethod
-    def of(cls, trials: Trials) -> "Score":
+    def of(cls, trials: Trials) -> "ValidationScore":
         """Score of a set of trials."""
         if trials.target_moves:
             values, good = trials.tracking_px, ~trials.lost
@@ -45,7 +45,7 @@ class Score:
             settled_fraction=float(np.mean(good)),
         )
 
-    def rank(self, baseline: "Score") -> tuple[float, float, float]:
+    def rank(self, baseline: "ValidationScore") -> tuple[float, float, float]:
         """Sort key, smaller is better: failures in excess of the baseline's, then the metric.
 
         Median settling times are multiples of the control period; the mean decides between equals.
@@ -81,21 +81,21 @@ class Validation:
             "episodes": episodes,
             "split": "validation",
         }
-        self.baselines: dict[str, Score] = {}
+        self.baselines: dict[str, ValidationScore] = {}
         for name in OF_MOVING if scenario.target_moves else BASELINES:
             entry = find_tuned(name, scenario.name, head)
             if entry is not None:
-                label = name if is_for(entry, head) else f"{name} (untuned for this head)"
+                label = name if is_tuned_for(entry, head) else f"{name} (untuned for this head)"
                 self.baselines[label] = self.score(make_controller(name, head, **entry.options))
             else:  # default options; the plain article's law in place of one with a tuned gain
                 name = "ibvs" if name == "ibvs-tuned" else name
                 self.baselines[name] = self.score(make_controller(name, head))
 
     @property
-    def best_baseline(self) -> Score:
+    def best_baseline(self) -> ValidationScore:
         """Baseline with the best headline metric."""
         return min(self.baselines.values(), key=lambda score: score.headline)
 
-    def score(self, controller: Controller) -> Score:
+    def score(self, controller: Controller) -> ValidationScore:
         """Evaluate a controller."""
-        return Score.of(run_trials(controller, **self._run))
+        return ValidationScore.of(run_trials(controller, **self._run))

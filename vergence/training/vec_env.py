@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from vergence.envs.saved_state import SavedState, copied, put_back
+from vergence.envs.saved_state import SavedState, copy_arrays, restore_arrays
 from vergence.errors import ConfigurationError, DivergedError
 
 
@@ -109,7 +109,7 @@ class VectorEnvAdapter(VecEnv):
     def state(self) -> SavedState:
         """State from which the running episodes continue; the environments must have `state`."""
         env: Any = self.env
-        monitored = copied({"returns": self._returns, "lengths": self._lengths})
+        monitored = copy_arrays({"returns": self._returns, "lengths": self._lengths})
         return {"monitored": monitored, **env.state()}
 
     def restore(self, state: SavedState) -> None:
@@ -119,7 +119,7 @@ class VectorEnvAdapter(VecEnv):
             ConfigurationError: the state belongs to other environments.
         """
         env: Any = self.env
-        put_back({"returns": self._returns, "lengths": self._lengths}, state["monitored"])
+        restore_arrays({"returns": self._returns, "lengths": self._lengths}, state["monitored"])
         env.restore(state)
 
     def close(self) -> None:

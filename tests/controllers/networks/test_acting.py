@@ -7,7 +7,7 @@ from tests.controllers.loops import begin
 from tests.grids import some_of
 from tests.naming import named
 from vergence import load_head
-from vergence.controllers.networks.acting import Acting
+from vergence.controllers.networks.acting import NetworkLoop
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.scenarios import load_scenario
@@ -17,7 +17,7 @@ STEPPED = load_scenario("hardware").model()
 GAINS = np.full((2, 2), 10.0)
 
 
-def rows(acting: Acting, num: int) -> np.ndarray:
+def rows(acting: NetworkLoop, num: int) -> np.ndarray:
     return np.tile(acting.initial(), (num, 1))
 
 
@@ -37,14 +37,14 @@ def test_an_outlier_of_100_px_in_one_image_moves_no_schedule() -> None:
             with named(kind, head):
                 task = GazeTask(20, head=head, plant="kinematic")
                 begin(task, 3)
-                acting = Acting(Inputs.of(kind, head), schedule=True)
+                acting = NetworkLoop(Inputs.of(kind, head), schedule=True)
                 plain, other = rows(acting, 20), rows(acting, 20)
                 for step in range(20):
                     image = with_outlier(task, eye=step % 2) if step == 15 else task.encoded
                     actions = []
                     for observation, state in ((task.encoded, plain), (image, other)):
-                        acting.see(observation, state)
-                        actions.append(acting.servo(observation, GAINS, state))
+                        acting.network_inputs(observation, state)
+                        actions.append(acting.schedule_action(observation, GAINS, state))
                     # the images before and after show the same, as the eyes rest; 100 px are 0.4
                     # of full speed
                     assert actions[1] == pytest.approx(actions[0], abs=0.02)
@@ -58,13 +58,13 @@ def test_an_outlier_of_100_px_in_one_image_is_not_what_a_network_sees(kind) -> N
     head = load_head("simulated")
     task = GazeTask(20, head=head, plant="kinematic")
     begin(task, 3)
-    acting = Acting(Inputs.of(kind, head), schedule=False)
+    acting = NetworkLoop(Inputs.of(kind, head), schedule=False)
     turns = [i for i, name in enumerate(acting.inputs.names) if name.startswith("asked")]
     assert turns
     plain, other = rows(acting, 20), rows(acting, 20)
     for step in range(20):
         image = with_outlier(task, eye=0) if step == 15 else task.encoded
-        a, b = acting.see(task.encoded, plain), acting.see(image, other)
+        a, b = acting.network_inputs(task.encoded, plain), acting.network_inputs(image, other)
         assert b[:, turns] == pytest.approx(a[:, turns], abs=0.02)
         task.step(np.zeros((20, 4)))
 
@@ -72,10 +72,10 @@ def test_an_outlier_of_100_px_in_one_image_is_not_what_a_network_sees(kind) -> N
 def test_commands_are_whole_steps_and_on_average_what_was_asked_for() -> None:
     for share in [0.002, -0.011, 0.3]:
         with named(share):
-            acting = Acting(Inputs.of("observation", STEPPED), schedule=False)
+            acting = NetworkLoop(Inputs.of("observation", STEPPED), schedule=False)
             state, asked = rows(acting, 3), np.full((3, 4), share, dtype=np.float32)
             seen = np.ones((3, acting.inputs.size), dtype=np.float32)
-            sent = np.array([acting.turn(seen, asked, state) for _ in range(400)])
+            sent = np.array([acting.policy_action(seen, asked, state) for _ in range(400)])
             steps = (
                 sent * acting.inputs.layout.action_limits / STEPPED.sensor.command_resolution_rad_s
             )
@@ -92,11 +92,11 @@ def test_commands_are_whole_steps_and_on_average_what_was_asked_for() -> None:
 
 
 def test_a_head_without_steps_takes_the_actions_as_they_are() -> None:
-    acting = Acting(Inputs.of("to_go", load_head("simulated")), schedule=False)
+    acting = NetworkLoop(Inputs.of("to_go", load_head("simulated")), schedule=False)
     state = rows(acting, 5)
     share = np.random.default_rng(0).uniform(-1, 1, (5, 4)).astype(np.float32)
     seen = np.ones((5, acting.inputs.size), dtype=np.float32)
-    assert np.array_equal(acting.turn(seen, share, state), share)
+    assert np.array_equal(acting.policy_action(seen, share, state), share)
     assert np.array_equal(state, rows(acting, 5), equal_nan=True)
 
 
@@ -108,11 +108,13 @@ def test_eyes_that_wait_for_their_target_do_not_creep() -> None:
         with named(kind, head):
             task = GazeTask(4, head=head, plant="kinematic", variation={"onset_s": (0.2, 0.2)})
             begin(task, 3)
-            acting = Acting(Inputs.of(kind, head), schedule=False)
+            acting = NetworkLoop(Inputs.of(kind, head), schedule=False)
             state, asked = rows(acting, 4), np.full((4, 4), 0.1, dtype=np.float32)
             turned, visible = [], []
             for _ in range(60):
-                action = acting.turn(acting.see(task.encoded, state), asked, state)
+                action = acting.policy_action(
+                    acting.network_inputs(task.encoded, state), asked, state
+                )
                 turned.append((action != 0.0).any())
                 visible.append(task.reading.visible.any())
                 task.step(np.zeros((4, 4)))
@@ -126,14 +128,14 @@ def test_eyes_that_wait_for_their_target_do_not_creep() -> None:
 def test_one_head_is_a_row_of_a_batch(schedule) -> None:
     task = GazeTask(4, head=STEPPED, plant="kinematic")
     begin(task, 3)
-    acting = Acting(Inputs.of("history", STEPPED), schedule)
+    acting = NetworkLoop(Inputs.of("history", STEPPED), schedule)
     many, one = rows(acting, 4), acting.initial()
 
     def act(observation: np.ndarray, state: np.ndarray) -> np.ndarray:
-        seen = acting.see(observation, state)
+        seen = acting.network_inputs(observation, state)
         if schedule:
-            return acting.servo(observation, GAINS, state)
-        return acting.turn(seen, 0.3 * seen[..., :4], state)
+            return acting.schedule_action(observation, GAINS, state)
+        return acting.policy_action(seen, 0.3 * seen[..., :4], state)
 
     for _ in range(30):
         action = act(task.encoded, many)

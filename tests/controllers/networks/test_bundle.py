@@ -22,7 +22,7 @@ from vergence.controllers.networks.bundle import (
     write_bundle,
 )
 from vergence.controllers.networks.inputs import Inputs
-from vergence.controllers.networks.manifest import Manifest, fit_of
+from vergence.controllers.networks.manifest import Manifest, sensorless_digest
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError
 from vergence.eval.trials.scenarios import load_scenario
@@ -73,7 +73,7 @@ def test_what_is_written_is_read_back(tmp_path, kind):
     bundle = read_bundle(tmp_path / "a.vgp")
     assert bundle.manifest == manifest
     assert bundle.network.data == network
-    assert bundle.network.inputs == inputs.size
+    assert bundle.network.input_size == inputs.size
 
 
 def test_the_manifest_says_all_that_is_needed_to_run_it(parts):
@@ -83,7 +83,7 @@ def test_the_manifest_says_all_that_is_needed_to_run_it(parts):
     assert content["head"] == {
         "name": "simulated",
         "digest": head.digest,
-        "fits": fit_of(load_scenario("hardware").model()),
+        "fits": sensorless_digest(load_scenario("hardware").model()),
     }
     assert content["joints"] == list(JOINTS)
     assert content["period_s"] == head.timing.period_s

@@ -17,7 +17,7 @@ from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.controllers.gain_schedule import ScheduledLaw
 from vergence.controllers.networks import learned
-from vergence.controllers.networks.bundle import pretrained, read_bundle
+from vergence.controllers.networks.bundle import pretrained_bundles, read_bundle
 from vergence.controllers.networks.learned import LearnedGain, LearnedPolicy, load_policy
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError
@@ -266,7 +266,7 @@ def test_the_shipped_networks_are_calm_on_servos_that_overshoot(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_shipped_bundles_are_small_and_say_how_they_were_made(kind):
-    shipped = {name: path for name, path in pretrained().items() if name.startswith(kind)}
+    shipped = {name: path for name, path in pretrained_bundles().items() if name.startswith(kind)}
     assert f"{kind}-simulated" in shipped
     make_controller(NAMES[kind], load_head("simulated"))
     for path in shipped.values():

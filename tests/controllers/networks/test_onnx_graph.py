@@ -24,7 +24,7 @@ OUT = np.ones((27, 4), "f4")
 
 def test_a_perceptron_is_what_numpy_computes():
     network = read_network(perceptron())
-    assert (network.inputs, network.outputs) == (27, 4)
+    assert (network.input_size, network.output_size) == (27, 4)
     x = np.random.default_rng(0).uniform(-1, 1, (100, 27)).astype("f4")
     h = x
     for matrix, offset in weights_of(27):
@@ -294,7 +294,7 @@ def refused_or_runs(data: bytes) -> None:
     try:
         network = read_network(data)
         # what passes, as another weight does, runs
-        Runtime(network)(np.zeros((2, network.inputs), "f4"))
+        Runtime(network)(np.zeros((2, network.input_size), "f4"))
     except BundleError as error:
         said = str(error)
     assert "\n" not in said

@@ -9,8 +9,8 @@ from tests.grids import some_of
 from tests.heads import CENTRE, IMAGE, LOOP, eyes, head_of, joint
 from tests.naming import named
 from vergence import load_head
-from vergence.controllers.prediction.joints import RIG, joint_rig
-from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
+from vergence.controllers.prediction.joints import RIG, pack_predictor_model
+from vergence.controllers.prediction.virtual_joints import with_virtual_joints
 from vergence.envs.task import GazeTask
 from vergence.models import parse_head
 from vergence.models.fixation import fixate_eye
@@ -35,8 +35,8 @@ def skewed():
 @pytest.mark.parametrize("name", ["panfirst", "simulated"])
 def test_axes_at_right_angles_are_told_from_others(name) -> None:
     head = load_head(name) if name == "simulated" else head_of(name)
-    assert (joint_rig(head).view(RIG)["orthogonal"] == 1.0).all()
-    assert (joint_rig(skewed()).view(RIG)["orthogonal"] == 0.0).all()
+    assert (pack_predictor_model(head).view(RIG)["orthogonal"] == 1.0).all()
+    assert (pack_predictor_model(skewed()).view(RIG)["orthogonal"] == 0.0).all()
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_joints_made_up_for_an_eye_leave_the_cameras_where_they_are() -> None:
             q[3:] = np.where(
                 [bool(joint) for joint in head.joints[3:]], [0.2, -0.1, 0.2, -0.1], 0.0
             )
-            packed = two_joints_an_eye(head)
+            packed = with_virtual_joints(head)
             for eye in range(2):
                 own = eye_frames(head.packed, eye, *q[3 + 2 * eye : 5 + 2 * eye]).camera
                 assert eye_frames(

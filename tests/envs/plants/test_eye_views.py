@@ -6,7 +6,7 @@ import pytest
 from tests.envs.trials import begin, start_of
 from vergence.envs.plant import make_plant
 from vergence.envs.plants.eye_views import EyeViews
-from vergence.envs.streams import Purpose, Streams
+from vergence.envs.streams import RandomStreams, StreamPurpose
 from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError
 from vergence.models.boards import make_planar_target
@@ -20,9 +20,9 @@ VIEW = {"board": "tag", "facing": "forward", "width_rad": "fit"}
 
 def frame_noise(period: int) -> np.random.Generator:
     """The generator of the frame that is exposed at the end of a period of the first trial."""
-    streams = Streams(1)
+    streams = RandomStreams(1)
     streams.start(np.arange(1), np.full(1, SEED, np.uint64), np.zeros(1, np.uint64))
-    return streams.at(0, Purpose.IMAGE, 2 * period)
+    return streams.generator_at(0, StreamPurpose.IMAGE, 2 * period)
 
 
 def views_of(head) -> EyeViews:
@@ -93,8 +93,10 @@ def test_a_board_that_fits_looks_equally_large_near_and_far(physical):
 def test_the_true_eyes_see_a_board_that_fits_the_model(physical):
     true = physical.replace(cameras={"focal": 1.1 * physical.cameras.focal})
     target = make_planar_target("tag")
-    of_model = EyeViews(physical, target, width_rad="fit").board.natural_m
-    assert EyeViews(true, target, width_rad="fit", model=physical).board.natural_m == of_model
+    of_model = EyeViews(physical, target, width_rad="fit").board.natural_distance_m
+    assert (
+        EyeViews(true, target, width_rad="fit", model=physical).board.natural_distance_m == of_model
+    )
 
 
 def test_a_board_with_axes_of_its_own_is_drawn_by_them(physical):

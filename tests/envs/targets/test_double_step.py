@@ -7,7 +7,7 @@ from scipy import stats
 from tests.envs.drawn import draw, eccentricity, inside
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
-from vergence.envs.targets.board import in_view
+from vergence.envs.targets.board import is_in_view
 from vergence.envs.targets.double_step import DoubleStepTarget
 from vergence.envs.targets.motion import last_jump, target_position
 from vergence.errors import ConfigurationError
@@ -73,9 +73,9 @@ def test_the_whole_board_is_seen_at_both_points(simulated: HeadModel) -> None:
     first, second = target_position(rows, 0.0), target_position(rows, 1.0)
     goal = simulated.fixate(first)
     for begin, there, one, two in zip(q[:, 3:], goal[:, 3:], first, second, strict=True):
-        assert in_view(simulated.packed, begin, tuple(one), 0.0, board)
-        assert in_view(simulated.packed, begin, tuple(two), 0.0, board)
-        assert in_view(simulated.packed, there, tuple(two), 0.0, board)
+        assert is_in_view(simulated.packed, begin, tuple(one), 0.0, board)
+        assert is_in_view(simulated.packed, begin, tuple(two), 0.0, board)
+        assert is_in_view(simulated.packed, there, tuple(two), 0.0, board)
 
 
 def test_a_workspace_without_a_second_point_is_refused(simulated: HeadModel) -> None:

@@ -10,16 +10,16 @@ from vergence.envs.targets.motion import (
     MOTION,
     is_shown,
     last_jump,
-    motion_of,
     motion_rows,
     target_position,
+    unpack_motion,
 )
 
 FIRST, SECOND, BEFORE = (0.0, -0.1, 1.0), (0.2, 0.0, 0.8), (-0.1, 0.1, 1.2)
 
 
 def shown(row, times: list[float]) -> list[bool]:
-    return [is_shown(motion_of(row), t) for t in times]
+    return [is_shown(unpack_motion(row), t) for t in times]
 
 
 def test_a_target_jumps_a_second_time_exactly_when_said() -> None:
@@ -71,7 +71,7 @@ def test_a_hidden_target_is_gone_from_the_first_moment_and_back_at_the_last() ->
 
 
 def test_kernels_are_told_the_same() -> None:
-    asked = numba.njit(lambda row, t: is_shown(motion_of(row), t))
+    asked = numba.njit(lambda row, t: is_shown(unpack_motion(row), t))
     row = motion_rows([FIRST], hidden_from=1.0, hidden_until=1.3)[0]
     times = [-1.0, 0.0, 1.0, 1.2, 1.3, inf]
     assert [asked(row, t) for t in times] == shown(row, times)

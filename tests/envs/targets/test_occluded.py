@@ -9,8 +9,8 @@ from vergence.envs.targets.motion import (
     HIDDEN_FROM,
     HIDDEN_UNTIL,
     is_shown,
-    motion_of,
     target_position,
+    unpack_motion,
 )
 
 
@@ -29,7 +29,7 @@ def test_it_is_gone_for_as_long_as_said_from_a_drawn_moment_on(simulated: HeadMo
     assert stats.kstest((gone - 0.5) / 1.5, "uniform").pvalue > 1e-3
     assert np.array_equal(back, gone + 0.4)
     for n in range(20):
-        motion = motion_of(rows[n])
+        motion = unpack_motion(rows[n])
         for t in (-1.0, 0.0, np.nextafter(gone[n], 0.0), back[n], 100.0):
             assert is_shown(motion, t)
         for t in (gone[n], 0.5 * (gone[n] + back[n]), np.nextafter(back[n], 0.0)):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tests.envs.drawn import Array, between_eyes, draw, eccentricity
+from tests.envs.drawn import Array, draw, eccentricity, midpoint_between_eyes
 from tests.heads import MOVING, text_of
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
-from vergence.envs.targets.board import in_view
+from vergence.envs.targets.board import is_in_view
 from vergence.envs.targets.motion import MOTION, target_position
 from vergence.envs.targets.wander import WanderTarget
 from vergence.errors import ConfigurationError
@@ -24,7 +24,7 @@ def knots(rows: Array) -> Array:
 
 def sight(head: HeadModel, points: Array) -> tuple[Array, Array]:
     """(..., 3) directions seen from between the eyes, and (...) 1 / distance, 1/m."""
-    seen = points - between_eyes(head)
+    seen = points - midpoint_between_eyes(head)
     distance = np.linalg.norm(seen, axis=-1)
     return seen / distance[..., None], 1.0 / distance
 
@@ -129,7 +129,7 @@ def test_the_whole_board_is_seen_all_the_way(simulated: HeadModel) -> None:
     points = target_position(rows[:, None], t).reshape(-1, 3)
     angles = simulated.fixate(points)[:, 3:]
     for q, point in zip(angles, points, strict=True):
-        assert in_view(simulated.packed, q, tuple(point), 0.0, board)
+        assert is_in_view(simulated.packed, q, tuple(point), 0.0, board)
 
 
 def test_a_head_that_is_too_slow_for_it_is_told_so(simulated: HeadModel) -> None:

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from vergence.cli import main
-from vergence.controllers.tuned import Tuned, find_tuned, load_tuned, write_tuned
+from vergence.controllers.tuned import TunedEntry, find_tuned, load_tuned, write_tuned
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.evaluate import BASELINE, EvaluateConfig, evaluate
 from vergence.eval.comparison.folder import write_evaluation
@@ -91,7 +91,7 @@ def test_options_of_the_heads_digest_run_and_are_not_marked(mine, user_table):
     head = load_head(mine)
     write_tuned(
         user_table,
-        Tuned(
+        TunedEntry(
             controller="ibvs", scenario="workspace", head="other name", digest=head.digest,
             command="c", seed=0, options={"gain": 3.65},
         ),

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from vergence.envs.plants.imperfections import IMPERFECTIONS, PARTS, is_within
+from vergence.envs.plants.imperfections import IMPERFECTIONS, PARTS, is_valid_range
 from vergence.envs.plants.variation import RANGES
 from vergence.eval.margins.ranges import SEARCHED, has_effect, search_interval
 from vergence.eval.trials.scenarios import load_scenario
@@ -15,7 +15,7 @@ WORKSPACE, HARDWARE = load_scenario("workspace"), load_scenario("hardware")
 def test_every_imperfection_is_searched_within_what_it_may_be():
     assert SEARCHED.keys() == set(RANGES)
     for name, one in SEARCHED.items():
-        assert is_within(name, one.lowest, one.highest), name
+        assert is_valid_range(name, one.lowest, one.highest), name
 
 
 def test_margins_are_shown_part_by_part_of_the_loop():

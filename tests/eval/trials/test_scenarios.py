@@ -10,8 +10,8 @@ from scipy import stats
 from tests.grids import some_of
 from tests.heads import MOVING, head_of, text_of
 from vergence.controllers import make_controller
-from vergence.controllers.tuned import find_tuned, is_for
-from vergence.envs.streams import Streams
+from vergence.controllers.tuned import find_tuned, is_tuned_for
+from vergence.envs.streams import RandomStreams
 from vergence.envs.targets.motion import target_position
 from vergence.envs.targets.registry import make_target
 from vergence.errors import ConfigurationError, TargetError, UnknownNameError
@@ -54,7 +54,7 @@ def begin(scenario: Scenario, num: int, plant: str = "kinematic", split: str = "
 
 
 def motions(scenario: Scenario, num: int):
-    streams, ids = Streams(num), np.arange(num)
+    streams, ids = RandomStreams(num), np.arange(num)
     seeds = np.full(num, scenario.seed("test"), dtype=np.uint64)
     streams.start(ids, seeds, ids.astype(np.uint64))
     return make_target(scenario.target).draw(scenario.model(), streams, ids)
@@ -259,7 +259,7 @@ def test_the_tuned_laws_settle_in_two_pixels_through_a_robots_loop(name, law) ->
     scenario = load_scenario(name)
     head = scenario.model()
     entry = find_tuned(law, name, head)
-    assert is_for(entry, head)
+    assert is_tuned_for(entry, head)
     controller = make_controller(law, head, **entry.options)
     trials = run_trials(controller, scenario, episodes=100, split="validation")
     assert np.isfinite(trials.settle_s(2.0)).mean() >= 0.95

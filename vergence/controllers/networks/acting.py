@@ -30,7 +30,7 @@ from vergence.models.actuation import SLOTS
 from vergence.models.parts import FloatArray
 
 
-class Acting:
+class NetworkLoop:
     """Input and output stages of a network in a loop; their state is one packed row per head.
 
     The row holds the state of the inputs, then that of a schedule's gate, the linear law's commands
@@ -58,15 +58,15 @@ class Acting:
         if self._quantiser.step_rad_s > 0.0:
             rows.append(np.zeros(SLOTS))
         self._initial = np.concatenate(rows)
-        self._known = inputs.tells_known
+        self._known = inputs.known_indices
         self._of_gate = slice(rows[0].size, rows[0].size + OutlierGate.size)
 
     def initial(self) -> FloatArray:
         """(S,) state at a trial's start."""
         return self._initial.copy()
 
-    def see(self, observation: ArrayLike, state: FloatArray) -> NDArray[np.float32]:
-        """Compute the network's inputs, see `Inputs.look`.
+    def network_inputs(self, observation: ArrayLike, state: FloatArray) -> NDArray[np.float32]:
+        """Compute the network's inputs, see `Inputs.inputs_and_prediction`.
 
         Args:
             observation: (..., n) observations of the gaze task, each passed exactly once.
@@ -75,7 +75,7 @@ class Acting:
         Returns:
             (..., size) inputs.
         """
-        seen, now = self.inputs.look(observation, state)
+        seen, now = self.inputs.inputs_and_prediction(observation, state)
         if now is not None:
             state[..., self._of_calm] = self._calm(now)
         return seen
@@ -88,13 +88,13 @@ class Acting:
         calm = (now.half_swings > MANY_HALF_SWINGS) | (now.build_up > 0.0)
         return np.where(calm[..., None], command + now.later_rates / now.speed_gain, np.nan)
 
-    def turn(
+    def policy_action(
         self, seen: NDArray[np.float32], fraction: NDArray[np.float32], state: FloatArray
     ) -> NDArray[np.float32]:
         """Compute the action of a policy.
 
         Args:
-            seen: (..., size) inputs of the network, from `see`.
+            seen: (..., size) inputs of the network, from `network_inputs`.
             fraction: (..., m) actuator velocities as fractions of their limits, -1 to 1.
             state: (..., S) updated in place.
 
@@ -108,13 +108,14 @@ class Acting:
         command[..., : self._layout.count] = fraction
         return self._action(command * self._layout.action_limits, state)
 
-    def servo(
+    def schedule_action(
         self, observation: ArrayLike, gains: ArrayLike, state: FloatArray
     ) -> NDArray[np.float32]:
         """Compute the action of the article's law with a schedule's gains.
 
         Args:
-            observation: (..., n) the observations last passed to `see`, each exactly once.
+            observation: (..., n) the observations last passed to `network_inputs`, each exactly
+                once.
             gains: (..., 2, 2) by eye and image axis, 1/s.
             state: (..., S) updated in place.
 

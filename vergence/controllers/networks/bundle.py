@@ -17,7 +17,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Final
 
-from vergence.controllers.networks.manifest import NETWORK_PART, Manifest, part_of
+from vergence.controllers.networks.manifest import NETWORK_PART, Manifest, describe_part
 from vergence.controllers.networks.onnx_graph import MAX_NETWORK_BYTES, Network, read_network
 from vergence.errors import BundleError
 from vergence.files import write_atomic
@@ -77,7 +77,7 @@ def parse_bundle(data: bytes, source: str) -> Bundle:
     Raises:
         BundleError: it is too large, damaged, or not allowed.
     """
-    with naming(source):
+    with naming_source(source):
         parts, comment = _unpack(data)
         _check_hash("manifest.json (by the zip's comment)", comment, parts[MANIFEST_PART])
         manifest = Manifest.from_json(parts[MANIFEST_PART])
@@ -88,15 +88,15 @@ def parse_bundle(data: bytes, source: str) -> Bundle:
                 f"manifest: parts: expected {NETWORK_PART} alone, got {sorted(manifest.parts)}"
             )
         _check_hash(NETWORK_PART, stated.get("sha256"), network)
-        if stated != part_of(network):
+        if stated != describe_part(network):
             raise BundleError(
-                f"{NETWORK_PART}: expected {part_of(network)} in the manifest, got {stated}"
+                f"{NETWORK_PART}: expected {describe_part(network)} in the manifest, got {stated}"
             )
         return Bundle(source, manifest, read_network(network))
 
 
 @contextmanager
-def naming(source: str) -> Iterator[None]:
+def naming_source(source: str) -> Iterator[None]:
     """Prefix the message of a `BundleError` with the origin of the bytes."""
     try:
         yield
@@ -130,7 +130,7 @@ def write_bundle(
         raise BundleError(f"{target}: cannot be written: {error.strerror}") from error
 
 
-def pretrained() -> dict[str, Path]:
+def pretrained_bundles() -> dict[str, Path]:
     """Return the paths of the bundles that ship with the package, by name."""
     folder = Path(str(_PRETRAINED))
     return {path.stem: path for path in sorted(folder.glob(f"*{SUFFIX}"))}

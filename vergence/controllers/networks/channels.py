@@ -128,9 +128,9 @@ def _coasting(v: float, lag: float, a: float) -> float:
 @inlined
 def _present(
     to_go: float, v: float, u: float, limit: float, a: float, lag: float, rate: float,
-    later_rate: float, gain: float, sure: FloatArray, known: bool,
+    later_rate: float, gain: float, response_estimate: FloatArray, known: bool,
 ) -> _Present:  # fmt: skip
-    rest, sees = to_go - _coasting(v, lag, sure[0] * a), 1.0 if known else 0.0
+    rest, sees = to_go - _coasting(v, lag, response_estimate[0] * a), 1.0 if known else 0.0
     return _Present(
         to_go=clip(to_go / COARSE_RAD),
         to_go_log=log_scaled(to_go, LOG_RAD, COARSE_RAD),
@@ -143,11 +143,11 @@ def _present(
         velocity_log=log_scaled(v / limit, LOG_SPEED, 1.0),
         command=clip(u / limit),
         lag=min(lag / LONGEST_S, 1.0),
-        acceleration=clip(log(sure[0]) / log(MOST_RATIO)),
-        acceleration_sd=min(sure[1], 1.0),
+        acceleration=clip(log(response_estimate[0]) / log(MOST_RATIO)),
+        acceleration_sd=min(response_estimate[1], 1.0),
         gain=clip(log(gain) / log(MOST_GAIN)),
-        latency=clip(sure[2] / LONGEST_S),
-        latency_sd=min(sure[3] / MOST_LATENCY_SD_S, 1.0),
+        latency=clip(response_estimate[2] / LONGEST_S),
+        latency_sd=min(response_estimate[3] / MOST_LATENCY_SD_S, 1.0),
         rate=clip(rate / limit),
         later_rate=clip(later_rate / limit),
         known=sees,
@@ -158,7 +158,7 @@ def _present(
     ["(f8[:],b1[:],f8[:,:],f8[:,:])"],
     f"(4),(4),({_ERROR_CHANNELS},4)->({_ERROR_CHANNELS},4)",
 )
-def see_error(
+def error_channels(
     asked: FloatArray, visible: NDArray[np.bool_], shape: FloatArray, out: FloatArray
 ) -> None:
     """Compute the channels of `error`.
@@ -185,11 +185,11 @@ def see_error(
     ["(f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:,:],f8[:,:])"],
     "(4),(4),(4),(4),(4),(4),(4),(4),(4),(4),(4),(4),(c,4)->(c,4)",
 )
-def see_present(
+def present_channels(
     asked: FloatArray, to_go: FloatArray, velocity: FloatArray, command: FloatArray,
     limits: FloatArray, acceleration: FloatArray, lag: FloatArray, rate: FloatArray,
-    later_rate: FloatArray, gain: FloatArray, sure: FloatArray, known: NDArray[np.bool_],
-    shape: FloatArray, out: FloatArray,
+    later_rate: FloatArray, gain: FloatArray, response_estimate: FloatArray,
+    known: NDArray[np.bool_], shape: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
     """Compute the channels of `to_go` or `predicted`, selected by the length of `shape`.
 
@@ -204,8 +204,8 @@ def see_present(
         rate: (..., 4) velocities of the goals, rad/s.
         later_rate: (..., 4) velocities of the goals when the command shows, rad/s.
         gain: (..., 4) ratios of velocity to command.
-        sure: (..., 4) ratio of the accelerations to the model's, standard deviation of its
-            logarithm, latency of commands plus readings, s, and its standard deviation, s.
+        response_estimate: (..., 4) ratio of the accelerations to the model's, standard deviation of
+            its logarithm, latency of commands plus readings, s, and its standard deviation, s.
         known: (..., 4) True if the target of an eye that the actuator moves is known.
         shape: (channels, 4) array of any values; only its shape counts, which is that of the
             result.
@@ -231,7 +231,7 @@ def see_present(
                 out[c, j] = share[c]
         present = _present(
             side * to_go[j], side * velocity[j], side * command[j], limits[j], acceleration[j],
-            lag[j], side * rate[j], side * later_rate[j], gain[j], sure, known[j],
+            lag[j], side * rate[j], side * later_rate[j], gain[j], response_estimate, known[j],
         )  # fmt: skip
         for c in range(min(len(present), out.shape[0])):
             out[first + c, j] = present[c]

@@ -19,13 +19,13 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.gain_schedule import gain_names, gains_of
-from vergence.controllers.networks.acting import Acting
+from vergence.controllers.gain_schedule import gain_names, gains_from_action
+from vergence.controllers.networks.acting import NetworkLoop
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs import MAX_EPISODE_STEPS
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.gaze_vector import GazeVectorEnv
-from vergence.envs.saved_state import Arrays, prefixed
+from vergence.envs.saved_state import Arrays, join_parts
 from vergence.envs.streams import IntArray
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError
@@ -68,7 +68,7 @@ class NetworkTask(GazeTask, ABC):
         except BaseException:
             self.close()
             raise
-        self._acting = Acting(self.inputs, self.schedule)
+        self._acting = NetworkLoop(self.inputs, self.schedule)
         self._memory = np.tile(self._acting.initial(), (num, 1))
         self.observation = np.zeros((num, self.inputs.size), dtype=np.float32)
 
@@ -81,7 +81,7 @@ class NetworkTask(GazeTask, ABC):
         """See `GazeTask.begin`."""
         super().begin(ids, seeds, trials)
         memory = np.tile(self._acting.initial(), (len(ids), 1))
-        self.observation[ids] = self._acting.see(self.encoded[ids], memory)
+        self.observation[ids] = self._acting.network_inputs(self.encoded[ids], memory)
         self._memory[ids] = memory
 
     def step(self, action: NDArray[Any]) -> None:
@@ -90,11 +90,11 @@ class NetworkTask(GazeTask, ABC):
             # quantised commands, or a law without a visible target, would hide it
             raise ConfigurationError("action: expected numbers, got nan")
         super().step(self._decoded(action))
-        self.observation[:] = self._acting.see(self.encoded, self._memory)
+        self.observation[:] = self._acting.network_inputs(self.encoded, self._memory)
 
     def _arrays(self) -> Arrays:
         own: Arrays = {"memory": self._memory, "observation": self.observation}
-        return {**super()._arrays(), **prefixed(network=own)}
+        return {**super()._arrays(), **join_parts(network=own)}
 
     @abstractmethod
     def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
@@ -112,7 +112,7 @@ class PolicyTask(NetworkTask):
         super().__init__(num, inputs=inputs, **options)
 
     def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
-        return self._acting.turn(self.observation, velocity_action(action), self._memory)
+        return self._acting.policy_action(self.observation, velocity_action(action), self._memory)
 
 
 class GainScheduleTask(NetworkTask):
@@ -138,11 +138,11 @@ class GainScheduleTask(NetworkTask):
         self._gains[ids] = 0.0
 
     def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
-        self._gains[:] = gains_of(action, self._names)
-        return self._acting.servo(self.encoded, self._gains, self._memory)
+        self._gains[:] = gains_from_action(action, self._names)
+        return self._acting.schedule_action(self.encoded, self._gains, self._memory)
 
     def _arrays(self) -> Arrays:
-        return {**super()._arrays(), **prefixed(law={"gains": self._gains})}
+        return {**super()._arrays(), **join_parts(law={"gains": self._gains})}
 
     def info(self) -> dict[str, Any]:
         """See `GazeTask.info`; `gains` are those of the last step, (num, 2, 2) in 1/s."""

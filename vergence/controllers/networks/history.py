@@ -162,7 +162,7 @@ class History:
         Returns:
             (..., channels, 4) the channels, in the order of `HISTORY_CHANNELS`.
         """
-        state[...], out = see_history(
+        state[...], out = history_channels(
             state,
             asked,
             detections.pixel_error,
@@ -207,15 +207,16 @@ def _begin_moment(s: HistoryState) -> None:
     ["(f8[:],f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:,:],f8[:],f8[:,:])"],
     f"({_SIZE}),(4),(2,2),(7),(2),(),(7),(7),(4),({row_size(_LAW)}),({PACKED}),({_COUNT},4)->({_SIZE}),({_COUNT},4)",
 )
-def see_history(
-    before: FloatArray, asked: FloatArray, error: FloatArray, at: FloatArray, fresh: FloatArray,
-    age_s: FloatArray, q: FloatArray, velocities: FloatArray, command: FloatArray,
-    law_row: FloatArray, p: PackedHead, shape: FloatArray, after: FloatArray, out: FloatArray,
+def history_channels(
+    state_before: FloatArray, asked: FloatArray, error: FloatArray,
+    angles_at_exposure: FloatArray, fresh: FloatArray, age_s: FloatArray, q: FloatArray,
+    velocities: FloatArray, command: FloatArray, law_row: FloatArray, p: PackedHead,
+    shape: FloatArray, state_after: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
     """Compute the updated state and the channels."""
     for i in range(_SIZE):
-        after[i] = before[i]
-    s: HistoryState = record_view(after, _STATE)
+        state_after[i] = state_before[i]
+    s: HistoryState = record_view(state_after, _STATE)
     law: _Law = record_view(law_row, _LAW)
     direct = has_motor_per_joint(p)
     if s.periods > law.every - 0.5:
@@ -229,9 +230,12 @@ def see_history(
             for c in range(out.shape[0]):
                 out[c, j] = 0.0
             continue
-        angle, exposed, speed = q[3 + j], at[3 + j], velocities[3 + j]
+        angle, exposed, speed = q[3 + j], angles_at_exposure[3 + j], velocities[3 + j]
         if not direct:
-            angle, exposed = eye_actuator_angle(p, j, q[3:]), eye_actuator_angle(p, j, at[3:])
+            angle, exposed = (
+                eye_actuator_angle(p, j, q[3:]),
+                eye_actuator_angle(p, j, angles_at_exposure[3:]),
+            )
             speed = eye_actuator_velocity(p, j, velocities[3:])
         new = seen = 0.0
         for eye in range(2):

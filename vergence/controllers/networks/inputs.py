@@ -26,11 +26,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.ibvs import servo
-from vergence.controllers.networks.channels import CHANNELS, see_error, see_present
+from vergence.controllers.ibvs import ibvs_velocities
+from vergence.controllers.networks.channels import CHANNELS, error_channels, present_channels
 from vergence.controllers.networks.history import IMAGES, History
 from vergence.controllers.outlier_gate import OutlierGate
-from vergence.controllers.prediction.joints import eyes_moved
+from vergence.controllers.prediction.joints import actuator_moves_eye
 from vergence.controllers.prediction.predictor import Prediction, Predictor
 from vergence.envs.encoding import FIELDS, as_observation
 from vergence.envs.layout import ObservationLayout
@@ -52,10 +52,10 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
     },
 }
 """Names of all inputs of each kind, in their order, for the article's four eye joints; for any head
-see `names_of`. `observation` is the observation of the task."""
+see `all_input_names`. `observation` is the observation of the task."""
 
 
-def names_of(kind: str, layout: ObservationLayout) -> tuple[str, ...]:
+def all_input_names(kind: str, layout: ObservationLayout) -> tuple[str, ...]:
     """Return the names of all inputs of a kind, in their order.
 
     Args:
@@ -86,7 +86,7 @@ class Inputs:
     """
 
     def __init__(self, kind: str, head: HeadModel, layout: ObservationLayout) -> None:
-        self.names = names_of(kind, layout)
+        self.names = all_input_names(kind, layout)
         self.kind = kind
         self.head = head
         self.layout = layout
@@ -95,7 +95,7 @@ class Inputs:
         actuation = head.actuation
         self._acceleration = np.array(actuation.acceleration[EYES])
         self._lag_ratio = np.array(actuation.lag_ratio[EYES])
-        self._moved = eyes_moved(head).T
+        self._moved = actuator_moves_eye(head).T
         moved = np.asarray(self._moved, dtype=np.float64)
         self._history = History(head, layout, moved) if kind == "history" else None
         # the predictor's state comes first, as it accepts rows with further entries after it
@@ -127,7 +127,7 @@ class Inputs:
         return np.arange(self.size).reshape(-1, 4).T.copy()
 
     @property
-    def tells_known(self) -> NDArray[np.int64] | None:
+    def known_indices(self) -> NDArray[np.int64] | None:
         """(k, m) indices of inputs; a 1 in any of the k means that the actuator has a target.
 
         None for `observation`.
@@ -153,10 +153,10 @@ class Inputs:
         return self._initial.copy()
 
     def update(self, observation: ArrayLike, state: FloatArray) -> NDArray[np.float32]:
-        """Compute the network's inputs (..., size), see `look`."""
-        return self.look(observation, state)[0]
+        """Compute the network's inputs (..., size), see `inputs_and_prediction`."""
+        return self.inputs_and_prediction(observation, state)[0]
 
-    def look(
+    def inputs_and_prediction(
         self, observation: ArrayLike, state: FloatArray
     ) -> tuple[NDArray[np.float32], Prediction | None]:
         """Compute the network's inputs, and return the prediction they are based on.
@@ -178,20 +178,25 @@ class Inputs:
         if self._gate is not None:
             detections = self._gate.update(seen, state[..., self._of_gate])
             at, error = detections.positions_at_exposure, detections.pixel_error
-            asked = servo(self.head, at, error, _UNIT, np.nan, _UNLIMITED)
+            asked = ibvs_velocities(self.head, at, error, _UNIT, np.nan, _UNLIMITED)
             if self._history is not None:
                 memory = state[..., self._of_history]
                 channels = self._history.update(seen, detections, asked, memory, shape)
                 return self._flat(channels), None
         if self.predictor is None:
             sees = np.isfinite(error).all(axis=-1)
-            return self._flat(see_error(asked, sees @ self._moved, shape)), None
+            return self._flat(error_channels(asked, sees @ self._moved, shape)), None
         now = self.predictor.update(seen, state)
-        sure = (now.acceleration_ratio, now.acceleration_sd, now.latency_s, now.latency_sd_s)
-        out = see_present(
+        response_estimate = (
+            now.acceleration_ratio,
+            now.acceleration_sd,
+            now.latency_s,
+            now.latency_sd_s,
+        )
+        out = present_channels(
             asked, now.angle_error, now.velocities, seen.last_command, limits, self._acceleration,
             now.lag_s[..., None] * self._lag_ratio, now.rates, now.later_rates, now.speed_gain,
-            np.stack(sure, axis=-1), now.known @ self._moved, shape,
+            np.stack(response_estimate, axis=-1), now.known @ self._moved, shape,
         )  # fmt: skip
         return self._flat(out), now
 

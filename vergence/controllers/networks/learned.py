@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from vergence.controllers.controller import Controller
 from vergence.controllers.fitting import checked_layout
 from vergence.controllers.gain_schedule import GAIN_LIMIT, GAIN_NAMES, gain_names, gain_order
-from vergence.controllers.networks.acting import Acting
+from vergence.controllers.networks.acting import NetworkLoop
 from vergence.controllers.networks.bundle import (
     SUFFIX,
     Bundle,
-    naming,
-    pretrained,
+    naming_source,
+    pretrained_bundles,
     read_bundle,
     read_limited,
 )
@@ -29,7 +29,7 @@ from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.manifest import GAIN_SCHEDULE, POLICY
 from vergence.controllers.networks.onnx_graph import MAX_NETWORK_BYTES, Network, read_network
 from vergence.controllers.networks.runtime import Runtime
-from vergence.controllers.stateful import carried_on
+from vergence.controllers.stateful import continued_state
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError
 from vergence.models.head import HeadModel
@@ -49,16 +49,16 @@ class _Learned(ABC):
 
     def __init__(self, inputs: Inputs, network: Network, source: str) -> None:
         for what, expected, got in (
-            ("inputs", inputs.size, network.inputs),
-            ("outputs", self._outputs(inputs), network.outputs),
+            ("inputs", inputs.size, network.input_size),
+            ("outputs", self._outputs(inputs), network.output_size),
         ):
             if expected != got:
                 raise BundleError(f"{source}: network: expected {expected} {what}, got {got}")
         self.head = inputs.head
         self.layout = inputs.layout
         self.inputs = inputs
-        self._acting = Acting(inputs, self.schedule)
-        with naming(source):
+        self._acting = NetworkLoop(inputs, self.schedule)
+        with naming_source(source):
             self._runtime = Runtime(network)
 
     def predict(
@@ -68,10 +68,12 @@ class _Learned(ABC):
         episode_start: NDArray[Any] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Choose actions, see `Controller.predict`; the state is that of `Acting`."""
+        """Choose actions, see `Controller.predict`; the state is that of `NetworkLoop`."""
         observation = np.asarray(observation)
-        memory = carried_on(self._acting.initial(), observation.shape[:-1], state, episode_start)
-        seen = self._acting.see(observation, memory)
+        memory = continued_state(
+            self._acting.initial(), observation.shape[:-1], state, episode_start
+        )
+        seen = self._acting.network_inputs(observation, memory)
         return self._action(observation, seen, self._run(seen), memory), (memory,)
 
     def outputs(
@@ -93,8 +95,8 @@ class _Learned(ABC):
         """
         observation = np.asarray(observation)
         leading = observation.shape[:-1]
-        memory = carried_on(self._acting.initial(), leading, state, episode_start)
-        return self._run(self._acting.see(observation, memory)), (memory,)
+        memory = continued_state(self._acting.initial(), leading, state, episode_start)
+        return self._run(self._acting.network_inputs(observation, memory)), (memory,)
 
     def _run(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
         out = self._runtime(seen)
@@ -154,7 +156,7 @@ class LearnedPolicy(BundledNetwork):
     def _action(
         self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
     ) -> Action:
-        return self._acting.turn(seen, outputs, memory)
+        return self._acting.policy_action(seen, outputs, memory)
 
 
 class LearnedGain(BundledNetwork):
@@ -173,7 +175,9 @@ class LearnedGain(BundledNetwork):
     ) -> Action:
         shares = outputs[..., gain_order(gain_names(self.head))]
         gains = 0.5 * GAIN_LIMIT * (1.0 + shares)
-        return self._acting.servo(observation, gains.reshape(*gains.shape[:-1], 2, 2), memory)
+        return self._acting.schedule_action(
+            observation, gains.reshape(*gains.shape[:-1], 2, 2), memory
+        )
 
 
 class NetworkPolicy(_Learned):
@@ -198,7 +202,7 @@ class NetworkPolicy(_Learned):
         self, *, head: HeadModel, layout: ObservationLayout, path: str | os.PathLike[str]
     ) -> None:
         data = read_limited(path, MAX_NETWORK_BYTES)
-        with naming(str(path)):
+        with naming_source(str(path)):
             network = read_network(data)
         inputs = Inputs.of("observation", head, checked_layout(head, layout))
         super().__init__(inputs, network, str(path))
@@ -262,7 +266,7 @@ def open_bundle(kind: str, head: HeadModel, bundle: str | os.PathLike[str] | Non
     """
     if bundle is not None and Path(bundle).suffix == SUFFIX:
         return read_bundle(bundle)
-    shipped = pretrained()
+    shipped = pretrained_bundles()
     if bundle is None:
         return _shipped_for(kind, head, shipped)
     name = os.fspath(bundle)
@@ -295,6 +299,6 @@ def _fitting(
 ) -> tuple[Inputs, Network, str]:
     if bundle.manifest.kind != kind:
         raise BundleError(f"{bundle.source}: kind: expected {kind}, got {bundle.manifest.kind!r}")
-    with naming(bundle.source):
+    with naming_source(bundle.source):
         inputs = bundle.manifest.check_fits(head, layout, allow_other_head)
     return inputs, bundle.network, bundle.source

@@ -76,15 +76,15 @@ class Manifest:
         head, layout = inputs.head, inputs.layout
         return cls(
             kind=kind,
-            head={"name": head.name, "digest": head.digest, "fits": fit_of(head)},
+            head={"name": head.name, "digest": head.digest, "fits": sensorless_digest(head)},
             period_s=layout.period_s,
             joints=list(JOINTS),
             layout=layout.to_dict(),
             inputs=inputs.to_dict(),
-            actions=actions_of(kind, head, layout),
+            actions=describe_actions(kind, head, layout),
             training=dict(training),
             metrics=dict(metrics),
-            parts={NETWORK_PART: part_of(network)},
+            parts={NETWORK_PART: describe_part(network)},
         )
 
     def to_json(self) -> bytes:
@@ -140,7 +140,9 @@ class Manifest:
 
     def is_for(self, head: HeadModel) -> bool:
         """True if a head equals the one of the manifest, except for its sensor."""
-        return self.head.get("digest") == head.digest or self.head.get("fits") == fit_of(head)
+        return self.head.get("digest") == head.digest or self.head.get("fits") == sensorless_digest(
+            head
+        )
 
     def check_fits(
         self, head: HeadModel, layout: ObservationLayout, allow_other_head: bool = False
@@ -163,7 +165,7 @@ class Manifest:
             "period_s": layout.period_s,
             "joints": list(JOINTS),
             "layout": layout.to_dict(),
-            "actions": actions_of(self.kind, head, layout),
+            "actions": describe_actions(self.kind, head, layout),
         }
         differences = (
             first_difference(value, getattr(self, key), key) for key, value in expected.items()
@@ -197,7 +199,7 @@ _NO_SENSOR: Final = SensorModel(
 _JSON: Final = {str: "text", float: "number with a point", list: "list", dict: "table"}
 
 
-def fit_of(head: HeadModel) -> str:
+def sensorless_digest(head: HeadModel) -> str:
     """Digest of a head without its sensor: heads with the same digest share their networks.
 
     Quantisation of encoders and commands, noise and backlash are properties of the loop. The
@@ -206,7 +208,7 @@ def fit_of(head: HeadModel) -> str:
     return dataclasses.replace(head, sensor=_NO_SENSOR).digest
 
 
-def actions_of(kind: str, head: HeadModel, layout: ObservationLayout) -> dict[str, Any]:
+def describe_actions(kind: str, head: HeadModel, layout: ObservationLayout) -> dict[str, Any]:
     """Describe the outputs of a network: value = low + (1 + output) / 2 (high - low).
 
     Args:
@@ -228,7 +230,7 @@ def actions_of(kind: str, head: HeadModel, layout: ObservationLayout) -> dict[st
     raise BundleError(f"kind: expected {GAIN_SCHEDULE} or {POLICY}, got {kind!r}")
 
 
-def part_of(data: bytes) -> dict[str, Any]:
+def describe_part(data: bytes) -> dict[str, Any]:
     """Return hash and size of a part."""
     return {"sha256": hashlib.sha256(data).hexdigest(), "size": len(data)}
 

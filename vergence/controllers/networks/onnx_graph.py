@@ -72,19 +72,19 @@ class Network:
 
     Attributes:
         data: bytes of the file.
-        input: name of the input.
-        inputs: number of entries in a row of the input.
-        output: name of the output.
-        outputs: number of entries in a row of the output.
+        input_name: name of the input.
+        input_size: number of entries in a row of the input.
+        output_name: name of the output.
+        output_size: number of entries in a row of the output.
         one_row: True if it was exported for a batch of one, and must be run row by row.
         operators: names of its operators.
     """
 
     data: bytes
-    input: str
-    inputs: int
-    output: str
-    outputs: int
+    input_name: str
+    input_size: int
+    output_name: str
+    output_size: int
     one_row: bool
     operators: frozenset[str]
 

@@ -36,15 +36,15 @@ class Runtime:
         Returns:
             (..., outputs).
         """
-        rows = inputs.reshape(-1, self.network.inputs)
+        rows = inputs.reshape(-1, self.network.input_size)
         if self.network.one_row and len(rows) != 1:
             out = np.concatenate([self._run(row[None]) for row in rows])
         else:
             out = self._run(rows)
-        return out.reshape(*inputs.shape[:-1], self.network.outputs)
+        return out.reshape(*inputs.shape[:-1], self.network.output_size)
 
     def _run(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
-        (out,) = self._session.run([self.network.output], {self.network.input: rows})
+        (out,) = self._session.run([self.network.output_name], {self.network.input_name: rows})
         return np.asarray(out)
 
     def __getstate__(self) -> Network:

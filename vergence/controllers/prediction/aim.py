@@ -28,14 +28,14 @@ _NEAR_RAD: Final = 1e-6
 
 
 @inlined
-def aim(
+def least_squares_aim(
     p: PackedHead,
     goals: FloatArray,
     depth_left: float,
     depth_right: float,
     left: bool,
     right: bool,
-    own: FloatArray,
+    present: FloatArray,
     jacobian: FloatArray,
     out: FloatArray,
 ) -> None:
@@ -48,7 +48,7 @@ def aim(
         depth_right: depth of the target in the right eye likewise, m.
         left: True if the left eye has a goal.
         right: True if the right eye has a goal.
-        own: (4,) present actuator angles, rad; actuators that affect no goal keep theirs.
+        present: (4,) present actuator angles, rad; actuators that affect no goal keep theirs.
         jacobian: (2, 2, 2) result: image Jacobians at the solution, by eye, image axis and joint,
             px/rad.
         out: (4,) result: actuator angles, rad, without joint limits.
@@ -65,12 +65,12 @@ def aim(
         u1, u2, v1, v2 = eye_jacobian(p, eye, frames, camera.centre_u, camera.centre_v, depth)
         jacobian[eye, 0, 0], jacobian[eye, 0, 1] = u1, u2
         jacobian[eye, 1, 0], jacobian[eye, 1, 1] = v1, v2
-        first = goals[eye, 0] - eye_joint_angle(p, 2 * eye, own)
-        second = goals[eye, 1] - eye_joint_angle(p, 2 * eye + 1, own)
+        first = goals[eye, 0] - eye_joint_angle(p, 2 * eye, present)
+        second = goals[eye, 1] - eye_joint_angle(p, 2 * eye + 1, present)
         wanted[eye, 0], wanted[eye, 1] = u1 * first + u2 * second, v1 * first + v2 * second
     actuator_least_squares(p, jacobian, wanted, left, right, step)
     for k in range(4):
-        out[k] = own[k] + step[k]
+        out[k] = present[k] + step[k]
     for _ in range(_STEPS):
         for eye in range(2):
             if not (right if eye else left):

@@ -6,8 +6,8 @@ from typing import Final
 from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.memory import PredictorState
-from vergence.controllers.prediction.moving import extrapolate, slow_share
-from vergence.controllers.prediction.response import model_of
+from vergence.controllers.prediction.moving import extrapolate, visible_speed_fraction
+from vergence.controllers.prediction.response import selected_model
 from vergence.models.kinematics import eye_frames, point_in_eye
 from vergence.models.packed import PackedHead, camera_of
 from vergence.models.pose import point_to_outer
@@ -23,15 +23,15 @@ _GRACE_S: Final = 0.03
 
 
 @inlined
-def aim_ahead(memory: PredictorState, rig: PredictorModel, tick: float) -> None:
+def extrapolate_targets(memory: PredictorState, rig: PredictorModel, tick: float) -> None:
     """Extrapolate the targets to a time in periods: their angles `aims` and angular rates `rates`.
 
     `later_rates` are the rates when that command shows in the motion, a lag and half a period
     later.
     """
     moves = rig.targets_move > 0.5 and memory.mode_probabilities[0] < _SURE
-    effect_delay_s = exp(model_of(memory.response).parameters[2]) + 0.5 * rig.period_s
-    expected_s = memory.delay_s + rig.frame_s + (tick - memory.count) * rig.period_s + _GRACE_S
+    effect_delay_s = exp(selected_model(memory.response).parameters[2]) + 0.5 * rig.period_s
+    expected_s = memory.delay_s + rig.frame_s + (tick - memory.periods) * rig.period_s + _GRACE_S
     slow = 1.0
     for eye in range(2):
         for joint in range(2):
@@ -41,7 +41,7 @@ def aim_ahead(memory: PredictorState, rig: PredictorModel, tick: float) -> None:
                 time_s = (tick - memory.moved_at) * rig.period_s
                 motions, resting = memory.motions[eye], memory.goals[eye, joint]
                 if joint == 0:
-                    slow = slow_share(
+                    slow = visible_speed_fraction(
                         motions, memory.mode_probabilities, _CLEARLY * rig.max_slip_rad_s
                     )
                 angle, rate = extrapolate(

@@ -47,16 +47,16 @@ def cross_backlash(memory: PredictorState, p: PackedHead, command: FloatArray) -
         if abs(command[k]) < _TURNS_RAD_S:
             continue
         side = 1.0 if command[k] > 0.0 else -1.0
-        if memory.direction[k] == side:
+        if memory.last_direction[k] == side:
             continue
-        memory.direction[k] = side
+        memory.last_direction[k] = side
         for j in range(4):
             share = joint_per_actuator(p, j, k)
             if share == 0.0:
                 continue
             eye, joint, backlash = j // 2, j % 2, _BACKLASH_RAD * share
-            memory.variance[eye, joint] += backlash * backlash
-            memory.reversed_at[eye, joint] = memory.count
+            memory.filter_variance[eye, joint] += backlash * backlash
+            memory.reversed_at[eye, joint] = memory.periods
             motions: Motions = memory.motions[eye]
             for m in range(MODELS):  # half, as the covariance is common to both joints
                 motions[m].covariance[0] += 0.5 * backlash * backlash
@@ -91,7 +91,7 @@ def backlash_variance(
     if since_s > _LATELY_S:
         return 0.0
     off = goal - memory.goals[eye, joint]
-    clear = off * off > max(_CLEAR * memory.noise, _LEAST_RAD * _LEAST_RAD)
+    clear = off * off > max(_CLEAR * memory.detection_variance, _LEAST_RAD * _LEAST_RAD)
     if at_rest and clear and abs(off) < _MOST_RAD:
         half = 0.5 * off
         if memory.jump_sign[eye, joint] * off < 0.0:

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from vergence._jit import subroutine
-from vergence.controllers.prediction.dating import HYPOTHESES, SPACING_S, add_cost
+from vergence.controllers.prediction.dating import HYPOTHESES, SPACING_S, add_delay_cost
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.memory import PredictorState, angle_at
 from vergence.models.parts import FloatArray
@@ -81,4 +81,4 @@ def compare_delays(
             # an eye that follows as smoothly as its target moves carries no evidence on the delay
             if (most - least) ** 2 > INFORMATIVE_RATIO * innovation_variance:
                 for i in range(low, high):
-                    add_cost(added, (rest + turns[i]) ** 2 / innovation_variance, i)
+                    add_delay_cost(added, (rest + turns[i]) ** 2 / innovation_variance, i)

@@ -52,7 +52,7 @@ _KEPT_IN_DOUBT: Final = 0.5
 """Factor that remains of the costs once no hypothesis explains the images (chosen)."""
 
 
-def first_delay(latency_s: float) -> float:
+def first_hypothesis_delay(latency_s: float) -> float:
     """Delay of hypothesis 0, s, for a nominal delay; the nominal delay is one of the hypotheses."""
     earlier = min(_EARLIER, max(floor((latency_s - _LEAST_S) / SPACING_S), 0))
     return latency_s - earlier * SPACING_S
@@ -66,7 +66,7 @@ def prior_costs(latency_s: float, stamped: bool, learn: bool) -> FloatArray:
         stamped: True if the camera stamps exposures.
         learn: True to estimate the delay on line; False rules out all but the nominal one.
     """
-    delays = first_delay(latency_s) + SPACING_S * np.arange(HYPOTHESES)
+    delays = first_hypothesis_delay(latency_s) + SPACING_S * np.arange(HYPOTHESES)
     sd = _STAMPED_SD_S if stamped else _SD_S
     return np.asarray(((delays - latency_s) / (sd if learn else 1e-6)) ** 2)
 
@@ -100,7 +100,7 @@ def delay_posterior(cost: FloatArray, low: int, high: int, weights: FloatArray) 
 
 
 @inlined
-def add_cost(added: FloatArray, square: float, i: int) -> None:
+def add_delay_cost(added: FloatArray, square: float, i: int) -> None:
     """Add a bounded squared normalised innovation to the cost that an image adds to delay `i`."""
     added[i] += min(square, _LARGEST_TERM)
 

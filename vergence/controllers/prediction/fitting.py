@@ -29,11 +29,11 @@ from vergence.controllers.prediction.response import (
     SPEEDS,
     Response,
     ResponseModel,
-    advance,
     command_at,
     longest_latency,
-    mean_at,
-    model_of,
+    mean_speed_at,
+    selected_model,
+    simulate_period,
     speed_at,
 )
 from vergence.models.held_response import follow_held, held_response
@@ -147,7 +147,7 @@ def _posterior_cost(
 
     Each squared normalised residual is bounded.
     """
-    first = int(response.begun)
+    first = int(response.window_begin)
     deviation = (latency - model.prior[0], ratio - model.prior[1], log_lag - model.prior[2])
     total = 0.0
     for i in range(3):
@@ -157,7 +157,7 @@ def _posterior_cost(
     for j in range(4):
         gain = exp(model.gain[j])
         v, w = speed_at(response, first, j), model.accelerations[j]
-        lag, a = rig.lag_ratio[j] * exp(log_lag), rig.acceleration[j] * exp(ratio)
+        lag, a = rig.lag_ratio[j] * exp(log_lag), rig.acceleration_limit[j] * exp(ratio)
         before, after = (
             held_response(lag, build_up, a, rest),
             held_response(lag, build_up, a, period - rest),
@@ -168,8 +168,8 @@ def _posterior_cost(
             q, v, w = follow_held(0.0, v, w, u, before)
             u = gain * command_at(response, i - whole, j)
             q, v, w = follow_held(q, v, w, u, after)
-            measured, simulated, step_sd = mean_at(response, i + 1, j), q / period, mean_sd
-            if response.prompt > 0.5:
+            measured, simulated, step_sd = mean_speed_at(response, i + 1, j), q / period, mean_sd
+            if response.prompt_velocities > 0.5:
                 measured, simulated, step_sd = speed_at(response, i + 1, j), v, rig.speed_step[j]
             residual_variance = step_sd * step_sd + 0.05**2 + 0.01 * measured * measured
             total += min((measured - simulated) ** 2 / residual_variance, 30.0)
@@ -221,7 +221,7 @@ def _solve(matrix: FloatArray, right: FloatArray, out: FloatArray) -> None:
 @subroutine
 def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: int) -> None:
     """Take one Gauss-Newton step on the window."""
-    first, period = int(response.begun), rig.period_s
+    first, period = int(response.window_begin), rig.period_s
     builds_up = model.parameters[3] > 0.0
     size = 4 if builds_up else 3
     normal, right = np.zeros((size, size)), np.zeros(size)
@@ -235,7 +235,7 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
     for j in range(4):
         own[j] = 1.0 / _GAIN_SD**2
         own_right[j] = own[j] * (model.gain_prior[j] - model.gain[j])
-        if not (rig.speed[j] > 0.0 and _is_excited(response, rig, first, tick, j)):
+        if not (rig.speed_limit[j] > 0.0 and _is_excited(response, rig, first, tick, j)):
             continue
         responses = [held_response(1.0, 0.0, 1.0, 0.0)] * 12
         for m in range(size + 2):  # nominal (0), gain (1) or a parameter perturbed
@@ -246,7 +246,7 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
             gains[m] = exp(model.gain[j] + (_DIFFERENCES[4] if m == 1 else 0.0))
             holds[m] = int(latency / period + 1e-9)
             rest, lag = latency - holds[m] * period, rig.lag_ratio[j] * exp(log_lag)
-            a = rig.acceleration[j] * exp(ratio)
+            a = rig.acceleration_limit[j] * exp(ratio)
             responses[2 * m] = held_response(lag, build_up, a, rest)
             responses[2 * m + 1] = held_response(lag, build_up, a, period - rest)
             v[m], w[m] = speed_at(response, first, j), model.accelerations[j]
@@ -258,11 +258,11 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
                 distance, v[m], w[m] = follow_held(distance, v[m], w[m], u, responses[2 * m + 1])
                 distances[m] = distance / period
             measured, step_sd, simulated = (
-                mean_at(response, i + 1, j),
+                mean_speed_at(response, i + 1, j),
                 _mean_step(rig, j),
                 distances,
             )
-            if response.prompt > 0.5:
+            if response.prompt_velocities > 0.5:
                 measured, step_sd, simulated = speed_at(response, i + 1, j), rig.speed_step[j], v
             residual = measured - simulated[0]
             residual_variance = step_sd * step_sd + _SPEED_SD**2 * (1.0 + measured * measured)
@@ -327,11 +327,11 @@ def _replay(
     response: Response, model: ResponseModel, rig: PredictorModel, tick: int, out: FloatArray
 ) -> None:
     """(4,) accelerations at the end of the window, simulated with a response model, rad/s^2."""
-    first = int(response.begun)
+    first = int(response.window_begin)
     for j in range(4):
         v, out[j] = speed_at(response, first, j), model.accelerations[j]
         for i in range(first, tick):
-            _q, v, out[j] = advance(response, model, rig, i, j, 0.0, v, out[j])
+            _q, v, out[j] = simulate_period(response, model, rig, i, j, 0.0, v, out[j])
 
 
 @inlined
@@ -344,20 +344,22 @@ def learn_response(response: Response, rig: PredictorModel, tick: int) -> None:
         tick: the period that has ended; its commands and velocities are already stored.
     """
     moving = _is_moving(response, rig, tick)
-    if response.begun < 0.0:
+    if response.window_begin < 0.0:
         if not moving:
             return
-        response.begun = tick - 1.0
-        for i in range(RESPONSE_MODELS if response.ended != response.begun else 0):
+        response.window_begin = tick - 1.0
+        for i in range(RESPONSE_MODELS if response.window_end != response.window_begin else 0):
             response.models[i].accelerations[:] = 0.0
-    first = int(response.begun)
+    first = int(response.window_begin)
     window = min(max(int(_WINDOW_S / rig.period_s + 0.5), _LEAST_WINDOW), SPEEDS - 4)
     ends = tick - first >= window or not moving
     excited = False
     for j in range(4):
-        excited = excited or (rig.speed[j] > 0.0 and _is_excited(response, rig, first, tick, j))
+        excited = excited or (
+            rig.speed_limit[j] > 0.0 and _is_excited(response, rig, first, tick, j)
+        )
     # a well-known response is updated only once a window
-    model = model_of(response)
+    model = selected_model(response)
     well_known = model.variance[0] < _SURE_S**2 and model.misfit < _GOOD
     if excited and (ends or not well_known or model.variance[1] > _SURE_RATIO**2):
         for i in range(RESPONSE_MODELS):
@@ -365,7 +367,7 @@ def learn_response(response: Response, rig: PredictorModel, tick: int) -> None:
                 _try_others(response, response.models[i], rig, tick)
             _fit(response, response.models[i], rig, tick)
         _select(response, (tick - first) * rig.period_s, ends)
-        _replay(response, model_of(response), rig, tick, response.accelerations)
+        _replay(response, selected_model(response), rig, tick, response.accelerations)
     if ends:
         for i in range(RESPONSE_MODELS):
             model = response.models[i]
@@ -375,5 +377,5 @@ def learn_response(response: Response, rig: PredictorModel, tick: int) -> None:
                 variance = max(1.2 * model.variance[n], _FLOORS[n] ** 2)
                 model.information[n] = 1.0 / variance
                 model.gain_prior[n] = model.gain[n]
-        response.begun, response.ended = -1.0, float(tick)
+        response.window_begin, response.window_end = -1.0, float(tick)
         response.windows += 1.0

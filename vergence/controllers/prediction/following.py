@@ -10,10 +10,10 @@ from vergence.controllers.prediction.measuring import JITTER_S
 from vergence.controllers.prediction.memory import PredictorState, angle_at
 from vergence.controllers.prediction.moving import (
     MODELS,
-    mix,
+    mean_rate,
+    mix_models,
     predict_modes,
     predict_motions,
-    rate_of,
 )
 from vergence.models.parts import FloatArray
 
@@ -42,7 +42,7 @@ def predict_to_exposure(memory: PredictorState, rig: PredictorModel, exposed: fl
     mixed = np.zeros((MODELS, 12))
     for eye in range(2):
         if memory.known[eye] > 0.5:
-            mix(memory.motions[eye], memory.mode_probabilities, mixed)
+            mix_models(memory.motions[eye], memory.mode_probabilities, mixed)
             predict_motions(memory.motions[eye], time_s)
     predict_modes(memory.mode_probabilities)
     memory.moved_at = exposed
@@ -75,7 +75,7 @@ def slip_variances(
             after = angle_at(memory, rig.keep_every, exposed + 0.5, eye, joint)
             before = angle_at(memory, rig.keep_every, exposed - 0.5, eye, joint)
             speed = (after - before) / rig.period_s
-            share = speed - rate_of(memory.motions[eye], memory.mode_probabilities, joint)
+            share = speed - mean_rate(memory.motions[eye], memory.mode_probabilities, joint)
             share = min((share / max(abs(speed), _SLOW_RAD_S)) ** 2, 1.0)
             dating = JITTER_S * JITTER_S * speed * speed
             own = variance[eye, joint] - (1.0 - share) * dating

@@ -27,14 +27,14 @@ from vergence.controllers.prediction.dating import (
     HYPOTHESES,
     accumulate_costs,
     active_range,
-    add_cost,
+    add_delay_cost,
     delay_posterior,
     forget_delay_evidence,
 )
 from vergence.controllers.prediction.joints import RING_LENGTH, PredictorModel
 from vergence.controllers.prediction.jumps import has_jumped
 from vergence.controllers.prediction.measuring import (
-    date_image,
+    average_exposure,
     goal_variance,
     measure_goals,
 )
@@ -44,15 +44,15 @@ from vergence.controllers.prediction.moving import (
     Motions,
     begin_modes,
     begin_motion,
-    infer,
+    update_from_other_eye,
     update_modes,
 )
 from vergence.controllers.prediction.oscillation import reduce_count
 from vergence.controllers.prediction.rest_or_motion import (
     classify_innovations,
     expect_motion,
+    find_direct_views,
     likely_model,
-    mark_direct,
     update_motion,
 )
 from vergence.models.packed import PackedHead
@@ -105,7 +105,7 @@ def _readmit_delays(memory: PredictorState, low: int, high: int) -> None:
 
 
 @inlined
-def take_image(
+def update_with_image(
     memory: PredictorState, rig: PredictorModel, error: FloatArray, p: PackedHead, learn: bool
 ) -> None:
     """Update the goals with a new image.
@@ -121,12 +121,12 @@ def take_image(
     angles_at_exposure, angles_by_delay = np.zeros((2, 2)), np.zeros((HYPOTHESES, 2, 2))
     goals = np.zeros((2, 2))
     inferred = np.zeros(2, dtype=np.bool_)
-    arrived = memory.count - (memory.image_age_s - rig.image_latency_s) / rig.period_s
+    arrived = memory.periods - (memory.image_age_s - rig.image_latency_s) / rig.period_s
     low, high = active_range(memory.delay_cost)
     _readmit_delays(memory, low, high)
     delay_posterior(memory.delay_cost, low, high, weights)
     # eyes at rest for longer than the longest delay: every delay gives the present angles
-    still = memory.still > (RING_LENGTH - 4.0) * rig.keep_every
+    still = memory.still_periods > (RING_LENGTH - 4.0) * rig.keep_every
     if still:
         exposed = arrived - memory.delay_s / rig.period_s
         for eye in range(2):
@@ -137,13 +137,13 @@ def take_image(
                 for i in range(low, high):
                     angles_by_delay[i, eye, joint] = angles_at_exposure[eye, joint]
     else:
-        memory.delay_s = date_image(
+        memory.delay_s = average_exposure(
             memory, rig, arrived, low, high, weights, angles_by_delay, angles_at_exposure,
             delay_variance,
         )  # fmt: skip
         exposed = arrived - memory.delay_s / rig.period_s
     depth = (memory.depth[0], memory.depth[1])
-    most = rig.gap_rad + 4.0 * sqrt(2.0 * memory.noise)
+    most = rig.gap_rad + 4.0 * sqrt(2.0 * memory.detection_variance)
     agree = measure_goals(memory, p, angles_at_exposure, error, most, goals) < most
     for eye in range(2):
         inferred[eye] = not isfinite(error[eye, 0] + error[eye, 1])
@@ -170,7 +170,7 @@ def _begin_goals(
     """Initialise an eye's goals with an image."""
     memory.known[eye], memory.confirmations[eye] = 1.0, 1.0 if agree else 0.0
     for joint in range(2):
-        memory.variance[eye, joint] = variance[eye, joint]
+        memory.filter_variance[eye, joint] = variance[eye, joint]
         for i in range(low, high):
             off = angles_by_delay[i, eye, joint] - angles_at_exposure[eye, joint]
             memory.goals_by_delay[i, eye, joint] = goals[eye, joint] + off
@@ -194,9 +194,11 @@ def _store_image(
 def _learn_noise(memory: PredictorState, rig: PredictorModel, scatter: float, count: int) -> None:
     """Update the detection variance with an image's squared deviations: their sum and number."""
     least, most = _LEAST_NOISE_PX * rig.pixel_rad, _MOST_NOISE_PX * rig.pixel_rad
-    found = min(scatter / count, 9.0 * memory.noise)
-    noise = memory.noise + 0.25 * count * _NOISE_SHARE * (found - memory.noise)
-    memory.noise = min(max(noise, least * least), most * most)
+    found = min(scatter / count, 9.0 * memory.detection_variance)
+    noise = memory.detection_variance + 0.25 * count * _NOISE_SHARE * (
+        found - memory.detection_variance
+    )
+    memory.detection_variance = min(max(noise, least * least), most * most)
 
 
 @inlined
@@ -219,7 +221,7 @@ def _filter_joint(
     Returns:
         Squared deviation due to detection noise, rad^2; negative if other terms hide it.
     """
-    before = memory.variance[eye, joint] + _PROCESS * memory.noise
+    before = memory.filter_variance[eye, joint] + _PROCESS * memory.detection_variance
     own = variance[eye, joint]
     gain = before / (before + own + delay_variance[eye, joint])
     least, most = inf, -inf
@@ -233,14 +235,17 @@ def _filter_joint(
         off = angles_by_delay[i, eye, joint] - angles_at_exposure[eye, joint]
         innovation = goals[eye, joint] + off - memory.goals_by_delay[i, eye, joint]
         if informative:
-            add_cost(added, innovation * innovation / expected, i)
+            add_delay_cost(added, innovation * innovation / expected, i)
         memory.goals_by_delay[i, eye, joint] += gain * innovation
-    memory.variance[eye, joint] = (1.0 - gain) * before
-    calm = delay_variance[eye, joint] < 0.1 * memory.noise and own < 1.1 * memory.noise
+    memory.filter_variance[eye, joint] = (1.0 - gain) * before
+    calm = (
+        delay_variance[eye, joint] < 0.1 * memory.detection_variance
+        and own < 1.1 * memory.detection_variance
+    )
     if moves or not calm:
         return -1.0
     off = goals[eye, joint] - memory.goals[eye, joint]
-    square: float = off * off / (1.0 + before / memory.noise)
+    square: float = off * off / (1.0 + before / memory.detection_variance)
     return square
 
 
@@ -274,7 +279,7 @@ def _filter(
             variance[eye, joint] = goal_variance(memory, rig, exposed, eye, joint, turn)
     slip, backlash, direct = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2, dtype=np.bool_)
     is_outlier, matches_motion = np.zeros(2, dtype=np.bool_), np.zeros(2, dtype=np.bool_)
-    mark_direct(memory, goals, inferred, direct)
+    find_direct_views(memory, goals, inferred, direct)
     if targets_move:
         expect_motion(memory, rig, exposed, goals, direct, variance, delay_variance, slip, backlash)
     outliers = classify_innovations(
@@ -296,7 +301,7 @@ def _filter(
         motions: Motions = memory.motions[eye]
         if inferred[eye]:
             if moves and memory.displaced_count[1 - eye] < 0.5:
-                infer(motions, goals[eye], slip[eye])
+                update_from_other_eye(motions, goals[eye], slip[eye])
             goals[eye, 0] = goals[eye, 1] = nan
             continue
         if is_outlier[eye] and not matches_motion[eye]:
@@ -341,8 +346,8 @@ def _filter(
         accumulate_costs(memory.delay_cost, low, high, added)
         # if rest and motion alternate, neither explains the images: the delay may be wrong
         turned = moves != (targets_move and memory.mode_probabilities[0] < 0.5)
-        memory.turns = _CALMS * memory.turns + (1.0 if turned else 0.0)
-        if turned and memory.turns > _MANY_TURNS:
+        memory.mode_switches = _CALMS * memory.mode_switches + (1.0 if turned else 0.0)
+        if turned and memory.mode_switches > _MANY_TURNS:
             forget_delay_evidence(memory.delay_cost)
     _store_image(memory, arrived, goals, angles_at_exposure)
     if count > 0:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
+from vergence.controllers.prediction.virtual_joints import with_virtual_joints
 from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
@@ -65,9 +65,9 @@ class PredictorModel:
     """Resolution of the encoders, rad."""
     speed_step: Annotated[FloatArray, 4]
     """Resolution of the velocity feedback, rad/s."""
-    speed: Annotated[FloatArray, 4]
+    speed_limit: Annotated[FloatArray, 4]
     """Largest commands, rad/s."""
-    acceleration: Annotated[FloatArray, 4]
+    acceleration_limit: Annotated[FloatArray, 4]
     """Acceleration limits, rad/s^2; `_NO_LIMIT` for none."""
     lower: Annotated[FloatArray, 4]
     """Lower position limits, rad."""
@@ -75,7 +75,7 @@ class PredictorModel:
     """Upper position limits, rad."""
     leverage: Annotated[FloatArray, 4]
     """Largest eye joint rotation per radian of an actuator; 1 for one that moves no eye."""
-    moves: Annotated[FloatArray, 4, 2]
+    moves_eye: Annotated[FloatArray, 4, 2]
     """1 if an actuator turns an eye, otherwise 0; by actuator and eye."""
     joint_step: Annotated[FloatArray, 2, 2]
     """Resolution of each eye's joint angles, from that of the encoders, rad."""
@@ -90,7 +90,7 @@ _ORTHOGONAL: Final = 0.1
 """Largest cosine between two axes that count as at right angles (chosen)."""
 
 
-def joint_rig(head: HeadModel, moving: bool = True) -> FloatArray:
+def pack_predictor_model(head: HeadModel, moving: bool = True) -> FloatArray:
     """Pack the `PredictorModel` of a head into a row.
 
     Args:
@@ -102,7 +102,7 @@ def joint_rig(head: HeadModel, moving: bool = True) -> FloatArray:
     """
     timing, sensor, actuation = head.timing, head.sensor, head.actuation
     leverage = np.abs(actuation.to_joints).max(axis=0)
-    packed = two_joints_an_eye(head)
+    packed = with_virtual_joints(head)
     pixel_rad = 1.0 / float(np.mean(head.cameras.focal))
     moves = actuation.velocity[EYES] > 0.0
     return make_row(
@@ -123,27 +123,27 @@ def joint_rig(head: HeadModel, moving: bool = True) -> FloatArray:
         lag_ratio=actuation.lag_ratio[EYES],
         angle_step=actuation.angle_step[EYES],
         speed_step=actuation.speed_step[EYES],
-        speed=actuation.velocity[EYES],
+        speed_limit=actuation.velocity[EYES],
         # a finite number instead of infinity, which is slow; also where there is no actuator
-        acceleration=np.where(
+        acceleration_limit=np.where(
             moves, np.minimum(actuation.acceleration[EYES], _NO_LIMIT), _NO_LIMIT
         ),
         lower=actuation.lower[EYES],
         upper=actuation.upper[EYES],
         leverage=np.where(leverage > 0.0, leverage, 1.0),
-        moves=eyes_moved(head),
-        joint_step=joint_steps(head).reshape(2, 2),
+        moves_eye=actuator_moves_eye(head),
+        joint_step=joint_resolutions(head).reshape(2, 2),
         orthogonal=[_is_orthogonal(packed, eye) for eye in range(2)],
     )
 
 
-def eyes_moved(head: HeadModel) -> NDArray[np.bool_]:
+def actuator_moves_eye(head: HeadModel) -> NDArray[np.bool_]:
     """(4, 2) True where an actuator turns an eye."""
     turns = head.actuation.to_joints != 0.0
     return np.asarray(turns.reshape(2, 2, 4).any(axis=1).T)
 
 
-def joint_steps(head: HeadModel) -> FloatArray:
+def joint_resolutions(head: HeadModel) -> FloatArray:
     """(4,) resolution of the eyes' joint angles, from that of the encoders, rad."""
     steps: FloatArray = (np.abs(head.actuation.to_joints) * head.actuation.angle_step[EYES]).sum(1)
     return steps

@@ -43,7 +43,7 @@ def squared_mahalanobis(
     most = 0.0
     for joint in range(2):
         off = goals[eye, joint] - memory.goals[eye, joint]
-        known = memory.variance[eye, joint] + memory.goal_variance_over_delays[eye, joint]
+        known = memory.filter_variance[eye, joint] + memory.goal_variance_over_delays[eye, joint]
         known += variance[eye, joint] + delay_variance[eye, joint]
         most = max(most, off * off / known)
     return most

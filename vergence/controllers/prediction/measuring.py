@@ -28,7 +28,7 @@ _NEWTON: Final = 10
 
 
 @inlined
-def date_image(
+def average_exposure(
     memory: PredictorState,
     rig: PredictorModel,
     arrived: float,
@@ -82,7 +82,7 @@ def measure_goals(
     p: PackedHead,
     angles_at_exposure: FloatArray,
     error: FloatArray,
-    most: float,
+    max_miss_ratio: float,
     goals: FloatArray,
 ) -> float:
     """Compute the goals of an image from the joint angles at its exposure.
@@ -95,7 +95,8 @@ def measure_goals(
         p: a packed head.
         angles_at_exposure: (2, 2) joint angles at the exposure, rad.
         error: (2, 2) undistorted pixel errors by eye and image axis, px; nan where not visible.
-        most: largest miss distance of two rays to one target, divided by the target's distance.
+        max_miss_ratio: largest miss distance of two rays to one target, divided by the target's
+            distance.
         goals: (2, 2) result: joint angles that fixate the target, rad; nan for none.
 
     Returns:
@@ -118,7 +119,7 @@ def measure_goals(
         y = ay + depths.left * by - cy - depths.right * dy
         z = az + depths.left * bz - cz - depths.right * dz
         gap = sqrt(x * x + y * y + z * z) / depths.left
-        if gap < most or memory.known[0] + memory.known[1] == 0.0:
+        if gap < max_miss_ratio or memory.known[0] + memory.known[1] == 0.0:
             memory.depth[0], memory.depth[1] = depths.left, depths.right
     for eye in range(2):
         source = eye
@@ -166,4 +167,4 @@ def goal_variance(
     speed, model = (after - before) / rig.period_s, _MODEL * turn
     encoder = _ENCODER * rig.joint_step[eye, joint] if abs(speed) > _MOVING_RAD_S else 0.0
     jitter = JITTER_S * speed
-    return memory.noise + jitter * jitter + model * model + encoder * encoder
+    return memory.detection_variance + jitter * jitter + model * model + encoder * encoder

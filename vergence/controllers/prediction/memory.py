@@ -9,24 +9,29 @@ from typing import Annotated, Final
 import numpy as np
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.dating import HYPOTHESES, first_delay, prior_costs
+from vergence.controllers.prediction.dating import HYPOTHESES, first_hypothesis_delay, prior_costs
 from vergence.controllers.prediction.fitting import learn_response
 from vergence.controllers.prediction.joints import RIG, RING_LENGTH, PredictorModel
 from vergence.controllers.prediction.moving import MODELS, MODES, EyeMotion
-from vergence.controllers.prediction.observer import Observer, begin_comparison, is_prompt, observe
+from vergence.controllers.prediction.observer import (
+    Observer,
+    begin_comparison,
+    reads_without_delay,
+    update_observer,
+)
 from vergence.controllers.prediction.oscillation import (
     FIRST_PATIENCE_S,
     Oscillation,
-    begin_watch,
+    begin_oscillation,
 )
 from vergence.controllers.prediction.response import (
     COMMANDS,
     SPEEDS,
     Response,
-    advance,
     effective_command,
     initial_models,
-    model_of,
+    selected_model,
+    simulate_period,
 )
 from vergence.controllers.rows import make_row, row_layout, row_size
 from vergence.envs.layout import AGE_S
@@ -46,7 +51,7 @@ NOISE_PX: Final = 0.25
 """Least initial detection noise, standard deviation, px (chosen)."""
 
 
-class Image:
+class PastImage:
     """An earlier image."""
 
     arrived: float
@@ -60,7 +65,7 @@ class Image:
 class PredictorState:
     """State of the predictor for one head."""
 
-    count: float
+    periods: float
     """Periods since the first observation of the trial; -1 before it."""
     image_age_s: float
     """Age of the newest image, s; the next period compares it to detect a new image."""
@@ -71,9 +76,9 @@ class PredictorState:
     """Estimated actuator angles, finer than the encoders' resolution, rad."""
     velocity: Annotated[FloatArray, 4]
     """Estimated actuator velocities, rad/s."""
-    still: float
+    still_periods: float
     """Periods since an actuator last moved."""
-    direction: Annotated[FloatArray, 4]
+    last_direction: Annotated[FloatArray, 4]
     """Sign of each actuator's last command to move: 1, -1, or 0 for none yet."""
     reversed_at: Annotated[FloatArray, 2, 2]
     """Period in which an actuator of each joint last reversed its command."""
@@ -100,9 +105,9 @@ class PredictorState:
     """Mean of these goals over the delays, rad."""
     goal_variance_over_delays: Annotated[FloatArray, 2, 2]
     """Variance of these goals over the delays, rad^2."""
-    variance: Annotated[FloatArray, 2, 2]
+    filter_variance: Annotated[FloatArray, 2, 2]
     """Variance of the Kalman filter of each goal, common to all delays, rad^2."""
-    noise: float
+    detection_variance: float
     """Detection variance, divided by the squared focal length, rad^2."""
     known: Annotated[FloatArray, 2]
     """1 if an eye's target is known, otherwise 0."""
@@ -115,9 +120,9 @@ class PredictorState:
     """Joint angles that fixate that displaced position, rad."""
     motions: Annotated[list[EyeMotion], 2, MODELS]
     """Target motion models, by eye and model."""
-    turns: float
+    mode_switches: float
     """Switches of the target between rest and motion, counted with decay."""
-    images: Annotated[list[Image], 2]
+    images: Annotated[list[PastImage], 2]
     """The last image and the one before it."""
     moved_at: float
     """Time to which the motion models were predicted: exposure of the last image, in periods."""
@@ -130,7 +135,7 @@ class PredictorState:
     later_rates: Annotated[FloatArray, 2, 2]
     """Rates of change when that command shows in the motion, a lag and half a period later,
     rad/s."""
-    unseen: Annotated[FloatArray, 2]
+    unseen_periods: Annotated[FloatArray, 2]
     """Periods since an image last showed each eye its target."""
     depth: Annotated[FloatArray, 2]
     """Depth at which each eye last saw its target, m."""
@@ -149,14 +154,15 @@ def initial_row(
     """(SIZE,) state before the first observation.
 
     Args:
-        rig_row: packed `PredictorModel`, see `vergence.controllers.prediction.joints.joint_rig`.
+        rig_row: packed `PredictorModel`, see
+            `vergence.controllers.prediction.joints.pack_predictor_model`.
         stamped: True if the camera stamps exposures.
         learn_delay: True to estimate the delay of images on line.
         learn_response: True to identify the actuators' response on line.
     """
     rig: PredictorModel = rig_row.view(RIG)[0]
     response = np.zeros(1, dtype=MEMORY["response"])
-    response["begun"] = -1.0
+    response["window_begin"] = -1.0
     for name, value in initial_models(rig.response_s, rig.lag_s, learn_response).items():
         response["models"][name] = value
     oscillation = np.zeros(1, dtype=MEMORY["oscillation"])
@@ -165,16 +171,16 @@ def initial_row(
     images["arrived"] = -1e9
     return make_row(
         MEMORY,
-        count=-1.0,
+        periods=-1.0,
         reversed_at=-1e9,
         image_age_s=AGE_S,
         response=response,
         oscillation=oscillation,
-        first_delay_s=first_delay(rig.latency_s),
+        first_delay_s=first_hypothesis_delay(rig.latency_s),
         delay_cost=prior_costs(rig.latency_s, stamped, learn_delay),
         high=HYPOTHESES,
         delay_s=rig.latency_s,
-        noise=(max(rig.detection_px, NOISE_PX) * rig.pixel_rad) ** 2,
+        detection_variance=(max(rig.detection_px, NOISE_PX) * rig.pixel_rad) ** 2,
         depth=DEFAULT_DEPTH_M,
         images=images,
     )
@@ -191,7 +197,7 @@ def angle_at(memory: PredictorState, every: float, tick: float, eye: int, joint:
         eye: index of the eye.
         joint: index of its joint.
     """
-    last = np.floor(memory.count / every)
+    last = np.floor(memory.periods / every)
     tick = min(max(tick / every, last - (RING_LENGTH - 4.0)), last)
     i = min(int(np.floor(tick)), int(last) - 2)
     s = tick - i
@@ -206,7 +212,7 @@ def angle_at(memory: PredictorState, every: float, tick: float, eye: int, joint:
 
 
 @inlined
-def track(
+def update_joints(
     memory: PredictorState,
     rig: PredictorModel,
     p: PackedHead,
@@ -226,13 +232,13 @@ def track(
         command: (4,) velocity commands that the actuators received, rad/s.
         learn: True to identify the response.
     """
-    memory.count += 1.0
-    memory.still += 1.0
-    tick, direct, begins = int(memory.count), has_motor_per_joint(p), memory.count == 0.0
+    memory.periods += 1.0
+    memory.still_periods += 1.0
+    tick, direct, begins = int(memory.periods), has_motor_per_joint(p), memory.periods == 0.0
     response = memory.response
-    model = model_of(response)
-    prompt = is_prompt(memory.observer)
-    response.prompt = 1.0 if prompt else 0.0
+    model = selected_model(response)
+    prompt = reads_without_delay(memory.observer)
+    response.prompt_velocities = 1.0 if prompt else 0.0
     before, now = np.uintp((tick - 1) & (COMMANDS - 1)), np.uintp(tick & (SPEEDS - 1))
     for j in range(4):
         angle, rate = positions[3 + j], velocities[3 + j]
@@ -247,23 +253,23 @@ def track(
         response.commands[before, j] = effective_command(rig, command[j])
         q, v = memory.actuators[j], memory.velocity[j]
         w = response.accelerations[j]
-        ahead_q, ahead_v, w = advance(response, model, rig, tick - 1, j, q, v, w)
+        ahead_q, ahead_v, w = simulate_period(response, model, rig, tick - 1, j, q, v, w)
         response.accelerations[j] = w
-        q, v = observe(
+        q, v = update_observer(
             memory.observer, response, rig, tick - 1, j, v, ahead_q, ahead_v, angle, rate
         )
         memory.actuators[j], memory.velocity[j] = q, v
-        response.means[now, j] = (angle - response.angles[j]) / rig.period_s
+        response.mean_speeds[now, j] = (angle - response.angles[j]) / rig.period_s
         response.angles[j] = angle
         response.speeds[now, j] = rate if prompt else v
         if abs(memory.velocity[j]) > _STILL_RAD_S:
-            memory.still = 0.0
+            memory.still_periods = 0.0
     every = int(rig.keep_every)
     slot = np.uintp(tick // every & (RING_LENGTH - 1))
     for j in range(4 if tick % every == 0 else 0):
         q = memory.actuators[j] if direct else eye_joint_angle(p, j, memory.actuators)
         if begins:
-            begin_watch(memory.oscillation, j // 2, j % 2, q)
+            begin_oscillation(memory.oscillation, j // 2, j % 2, q)
             for place in range(RING_LENGTH):
                 memory.angles[place, j // 2, j % 2] = q
         memory.angles[slot, j // 2, j % 2] = q

@@ -70,7 +70,7 @@ the target was last seen."""
 _LASTS_S: Final = 0.3
 """Mean time between changes of direction in the erratic model, s (chosen)."""
 _LEAST_SHARE: Final = 0.1
-"""Lower bound of the fraction `slow_share` (chosen)."""
+"""Lower bound of the fraction `visible_speed_fraction` (chosen)."""
 _RETURNS_S: Final = 0.15
 """Time constant of that return, s (chosen)."""
 
@@ -121,7 +121,7 @@ def predict_modes(probabilities: FloatArray) -> None:
 
 
 @inlined
-def mix(motions: Motions, probabilities: FloatArray, mixed: FloatArray) -> None:
+def mix_models(motions: Motions, probabilities: FloatArray, mixed: FloatArray) -> None:
     """Start each model from the mixture of the models that may have switched to it.
 
     Args:
@@ -218,7 +218,7 @@ def passes_gate(
 
 
 @inlined
-def update(motion: EyeMotion, goals: FloatArray, variance: float) -> None:
+def kalman_update(motion: EyeMotion, goals: FloatArray, variance: float) -> None:
     """Kalman update of one model with measured angles (2,) of one variance, rad^2."""
     c = motion.covariance
     innovation_variance = c[0] + variance
@@ -260,15 +260,15 @@ def update_models(
             innovation = goals[joint] - motion.angle[joint]
             known = motion.covariance[0] + variance[joint] + exact[joint]
             nll[m + 1] += innovation_nll(innovation, known)
-        update(motion, goals, own)
+        kalman_update(motion, goals, own)
 
 
 @inlined
-def infer(motions: Motions, goals: FloatArray, variance: FloatArray) -> None:
+def update_from_other_eye(motions: Motions, goals: FloatArray, variance: FloatArray) -> None:
     """Update an eye's models with angles (2,) inferred from the other eye; `variance` is (2,)."""
     own = 0.5 * (variance[0] + variance[1]) + _INFERRED_RAD * _INFERRED_RAD
     for m in range(MODELS):
-        update(motions[m], goals, own)
+        kalman_update(motions[m], goals, own)
 
 
 @inlined
@@ -278,16 +278,16 @@ def innovation_nll(innovation: float, variance: float) -> float:
 
 
 @inlined
-def add_nll(nll: FloatArray, own: FloatArray) -> None:
+def add_nll(nll: FloatArray, eye_nll: FloatArray) -> None:
     """Add the negative log-likelihoods of one eye (MODES,), bounded relative to the best mode.
 
     The bound keeps an outlier of one eye from ruling out a mode with one image.
     """
-    least = own[0]
+    least = eye_nll[0]
     for m in range(1, MODES):
-        least = min(least, own[m])
+        least = min(least, eye_nll[m])
     for m in range(MODES):
-        nll[m] += min(own[m] - least, _DOUBT)
+        nll[m] += min(eye_nll[m] - least, _DOUBT)
 
 
 @inlined
@@ -307,7 +307,7 @@ def update_modes(probabilities: FloatArray, nll: FloatArray) -> None:
 
 
 @inlined
-def rate_of(motions: Motions, probabilities: FloatArray, joint: int) -> float:
+def mean_rate(motions: Motions, probabilities: FloatArray, joint: int) -> float:
     """Mean rate of an eye's target over the motion models, rad/s."""
     total, rate = 1e-12, 0.0
     for m in range(MODELS):
@@ -317,9 +317,11 @@ def rate_of(motions: Motions, probabilities: FloatArray, joint: int) -> float:
 
 
 @inlined
-def slow_share(motions: Motions, probabilities: FloatArray, max_slip_rad_s: float) -> float:
+def visible_speed_fraction(
+    motions: Motions, probabilities: FloatArray, max_slip_rad_s: float
+) -> float:
     """Fraction of the target's speed at which an eye still sees it even if it has reversed."""
-    speed = hypot(rate_of(motions, probabilities, 0), rate_of(motions, probabilities, 1))
+    speed = hypot(mean_rate(motions, probabilities, 0), mean_rate(motions, probabilities, 1))
     return min(max((max_slip_rad_s - speed) / max(speed, 1e-6), _LEAST_SHARE), 1.0)
 
 
@@ -331,7 +333,7 @@ def extrapolate(
     joint: int,
     time_s: float,
     expected_s: float,
-    slow_share: float,
+    visible_speed_fraction: float,
 ) -> tuple[float, float]:
     """Extrapolate a target angle and its rate: the mean over all models.
 
@@ -342,11 +344,12 @@ def extrapolate(
         joint: index of the joint.
         time_s: time since the exposure of the newest image, s.
         expected_s: time by which another image should have shown the target, s.
-        slow_share: fraction of its speed at which it is followed after that time, see `slow_share`.
+        visible_speed_fraction: fraction of its speed at which it is followed after that time, from
+            the function of this name.
     """
     left = exp(-max(time_s - _UNSEEN_S, 0.0) / _RETURNS_S)
-    slow = slow_share * max(min(time_s, _UNSEEN_S) - expected_s, 0.0)
-    slower = left * (slow_share if time_s > expected_s else 1.0)
+    slow = visible_speed_fraction * max(min(time_s, _UNSEEN_S) - expected_s, 0.0)
+    slower = left * (visible_speed_fraction if time_s > expected_s else 1.0)
     time_s = min(time_s, _UNSEEN_S, expected_s)
     offset = rate = 0.0
     for m in range(MODELS):
@@ -357,7 +360,7 @@ def extrapolate(
         turn = w * time_s + a * forgets * forgets * (time_s / forgets - 1.0 + kept)
         share = 1.0
         if m == ERRATIC:  # it may have changed direction by then
-            share, lasts = slow_share, exp(-time_s / _LASTS_S)
+            share, lasts = visible_speed_fraction, exp(-time_s / _LASTS_S)
             now, turn = lasts * now, turn * _LASTS_S * (1.0 - lasts) / max(time_s, 1e-9)
         offset += probabilities[m + 1] * (
             motion.angle[joint] - resting + share * (turn + slow * now)

@@ -26,7 +26,7 @@ from vergence.controllers.prediction.response import (
     Response,
     command_at,
     longest_latency,
-    model_of,
+    selected_model,
 )
 from vergence.models.joint_response import lag_decay
 from vergence.models.parts import FloatArray
@@ -147,7 +147,7 @@ def _update_delay(
 
 
 @inlined
-def is_prompt(observer: Observer) -> bool:
+def reads_without_delay(observer: Observer) -> bool:
     """True if no evidence says that velocities are read with a delay."""
     return observer.delay_s < _PROMPT_S and observer.misfit < _EXPLAINED
 
@@ -155,7 +155,7 @@ def is_prompt(observer: Observer) -> bool:
 @inlined
 def _relative_acceleration_sd(response: Response, period: float) -> float:
     """Relative standard deviation of an actuator's predicted acceleration."""
-    model = model_of(response)
+    model = selected_model(response)
     v = model.variance
     square = _ACCELERATION_SHARE * _ACCELERATION_SHARE * max(model.misfit, 1.0)
     square += max(v[0], 0.0) / (period * period) + max(v[1], 0.0) + max(v[2], 0.0)
@@ -163,7 +163,7 @@ def _relative_acceleration_sd(response: Response, period: float) -> float:
 
 
 @inlined
-def observe(
+def update_observer(
     observer: Observer,
     response: Response,
     rig: PredictorModel,
@@ -192,13 +192,13 @@ def observe(
     Returns:
         The angle, within the resolution about the reading, rad, and the velocity, rad/s.
     """
-    period, c, model = rig.period_s, observer.covariance[j], model_of(response)
+    period, c, model = rig.period_s, observer.covariance[j], selected_model(response)
     lag = rig.lag_ratio[j] * exp(model.parameters[2])
     late_s = model.parameters[0] + 2.0 * sqrt(max(model.variance[0], 0.0))
     asked, gain = 0.0, exp(model.gain[j])
     for i in range(int(min(late_s, longest_latency(rig)) / period) + 2):
         asked = max(asked, abs(gain * command_at(response, tick - i, j) - v))
-    most = rig.acceleration[j] * exp(model.parameters[1] + sqrt(max(model.variance[1], 0.0)))
+    most = rig.acceleration_limit[j] * exp(model.parameters[1] + sqrt(max(model.variance[1], 0.0)))
     sd = _relative_acceleration_sd(response, period) * period * min(most, asked / lag)
     noise = sd * sd + _PUSHED_RAD_S * _PUSHED_RAD_S
     left = lag_decay(period, lag)
@@ -234,5 +234,5 @@ def observe(
     c[2] *= 1.0 - kv
     observer.expected_velocity[j] = expected + kv * innovation
     # bound the effect of a corrupted packet
-    fastest = _FASTEST * rig.speed[j]
+    fastest = _FASTEST * rig.speed_limit[j]
     return clip_to_quantisation(q, angle, rig.angle_step[j]), min(max(v, -fastest), fastest)

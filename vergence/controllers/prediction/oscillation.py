@@ -58,9 +58,9 @@ class Oscillation:
     """Its goal when that reversal was detected, rad."""
     goal_moved: Annotated[FloatArray, 2, 2, 2]
     """Largest distance of the goal from `aim` since then, and in the half swing before, rad."""
-    half: Annotated[FloatArray, 2, 2]
+    half_swing: Annotated[FloatArray, 2, 2]
     """Length of the previous half swing, rad; 0 for none."""
-    since: Annotated[FloatArray, 2, 2]
+    periods_since: Annotated[FloatArray, 2, 2]
     """Periods since that reversal was detected."""
     count: float
     """Decayed count of half swings, at most `MOST_HALF_SWINGS`."""
@@ -88,13 +88,13 @@ def decay_count(oscillation: Oscillation, period_s: float) -> None:
 
 
 @inlined
-def begin_watch(oscillation: Oscillation, eye: int, joint: int, angle: float) -> None:
+def begin_oscillation(oscillation: Oscillation, eye: int, joint: int, angle: float) -> None:
     """Initialise a joint at rest at an angle, rad."""
     oscillation.turned_at[eye, joint] = oscillation.farthest[eye, joint] = angle
 
 
 @inlined
-def watch(
+def update_oscillation(
     oscillation: Oscillation,
     rig: PredictorModel,
     eye: int,
@@ -116,17 +116,17 @@ def watch(
     """
     least = _LEAST_RAD + _STEPS * rig.joint_step[eye, joint] + _NOISES * sqrt(noise)
     side, farthest = oscillation.side[eye, joint], oscillation.farthest[eye, joint]
-    oscillation.since[eye, joint] += 1.0
+    oscillation.periods_since[eye, joint] += 1.0
     goal_moved = abs(aim - oscillation.aim[eye, joint])
     oscillation.goal_moved[eye, joint, 0] = max(oscillation.goal_moved[eye, joint, 0], goal_moved)
-    if oscillation.since[eye, joint] * rig.period_s > _SLOW_S:
-        oscillation.half[eye, joint] = 0.0
+    if oscillation.periods_since[eye, joint] * rig.period_s > _SLOW_S:
+        oscillation.half_swing[eye, joint] = 0.0
     if side == 0.0:
         off = angle - oscillation.turned_at[eye, joint]
         if abs(off) > least:
             oscillation.side[eye, joint] = 1.0 if off > 0.0 else -1.0
             oscillation.farthest[eye, joint] = angle
-            oscillation.since[eye, joint], oscillation.aim[eye, joint] = 0.0, aim
+            oscillation.periods_since[eye, joint], oscillation.aim[eye, joint] = 0.0, aim
         return
     if side * (angle - farthest) >= 0.0:
         oscillation.farthest[eye, joint] = angle
@@ -137,8 +137,8 @@ def watch(
     goal_moved = max(oscillation.goal_moved[eye, joint, 0], oscillation.goal_moved[eye, joint, 1])
     oscillation.goal_moved[eye, joint, 1] = oscillation.goal_moved[eye, joint, 0]
     oscillation.goal_moved[eye, joint, 0] = 0.0
-    before = oscillation.half[eye, joint]
-    time_s = (oscillation.since[eye, joint]) * rig.period_s
+    before = oscillation.half_swing[eye, joint]
+    time_s = (oscillation.periods_since[eye, joint]) * rig.period_s
     fast = pi * half > _SLOW_RAD_S * time_s
     if before > 0.0 and fast and half > _GOALS * goal_moved:
         share = (half / before - _DIES) / (_LASTS - _DIES)
@@ -146,6 +146,6 @@ def watch(
         if oscillation.count <= MANY_HALF_SWINGS < count:
             oscillation.patience_s *= 2.0
         oscillation.count = count
-    oscillation.half[eye, joint], oscillation.aim[eye, joint] = half, aim
-    oscillation.side[eye, joint], oscillation.since[eye, joint] = -side, 0.0
+    oscillation.half_swing[eye, joint], oscillation.aim[eye, joint] = half, aim
+    oscillation.side[eye, joint], oscillation.periods_since[eye, joint] = -side, 0.0
     oscillation.turned_at[eye, joint], oscillation.farthest[eye, joint] = farthest, angle

@@ -24,15 +24,25 @@ from numpy.typing import NDArray
 
 from vergence._jit import compiled, inlined
 from vergence.controllers.freshness import is_fresh
-from vergence.controllers.prediction.aim import aim
-from vergence.controllers.prediction.aiming import aim_ahead, present_error
+from vergence.controllers.prediction.aim import least_squares_aim
+from vergence.controllers.prediction.aiming import extrapolate_targets, present_error
 from vergence.controllers.prediction.backlash import cross_backlash
-from vergence.controllers.prediction.goals import take_image
-from vergence.controllers.prediction.joints import RIG, PredictorModel, joint_rig
-from vergence.controllers.prediction.memory import MEMORY, SIZE, PredictorState, initial_row, track
-from vergence.controllers.prediction.oscillation import decay_count, watch
-from vergence.controllers.prediction.response import longest_latency, model_of, when_next_acts
-from vergence.controllers.prediction.virtual_joints import two_joints_an_eye
+from vergence.controllers.prediction.goals import update_with_image
+from vergence.controllers.prediction.joints import RIG, PredictorModel, pack_predictor_model
+from vergence.controllers.prediction.memory import (
+    MEMORY,
+    SIZE,
+    PredictorState,
+    initial_row,
+    update_joints,
+)
+from vergence.controllers.prediction.oscillation import decay_count, update_oscillation
+from vergence.controllers.prediction.response import (
+    longest_latency,
+    selected_model,
+    state_when_next_acts,
+)
+from vergence.controllers.prediction.virtual_joints import with_virtual_joints
 from vergence.controllers.rows import record_view, row_layout, row_size
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.errors import ConfigurationError
@@ -175,8 +185,8 @@ class Predictor:
             )
         self.head = head
         self.layout = layout
-        self._packed = two_joints_an_eye(head)
-        self.rig = joint_rig(head, moving)
+        self._packed = with_virtual_joints(head)
+        self.rig = pack_predictor_model(head, moving)
         self._learn_delay = delay == "estimated"
         self._learn_response = lag == "estimated"
         self._initial = initial_row(
@@ -186,7 +196,7 @@ class Predictor:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         # an unpickled array is writable, and kernels would be recompiled for that type
-        self._packed = two_joints_an_eye(self.head)
+        self._packed = with_virtual_joints(self.head)
 
     @property
     def size(self) -> int:
@@ -244,16 +254,16 @@ def _update_goals(
     fresh = is_fresh(age_s, memory.image_age_s, rig.period_s)
     memory.image_age_s = age_s
     for eye in range(2):
-        memory.unseen[eye] += 1.0
+        memory.unseen_periods[eye] += 1.0
         if fresh and isfinite(error[eye, 0]) and isfinite(error[eye, 1]):
-            memory.unseen[eye] = 0.0
-    if memory.unseen[0] == 0.0 or memory.unseen[1] == 0.0:
-        take_image(memory, rig, error, p, learn_delay)
+            memory.unseen_periods[eye] = 0.0
+    if memory.unseen_periods[0] == 0.0 or memory.unseen_periods[1] == 0.0:
+        update_with_image(memory, rig, error, p, learn_delay)
     for eye in range(2):
-        unseen = memory.unseen[eye]
+        unseen = memory.unseen_periods[eye]
         # the other eye shows where a moving target is
         if rig.targets_move > 0.5 and memory.mode_probabilities[0] < 0.5:
-            unseen = min(unseen, memory.unseen[1 - eye])
+            unseen = min(unseen, memory.unseen_periods[1 - eye])
         if unseen > round(HOLD_S / rig.period_s):
             memory.known[eye] = 0.0
 
@@ -264,16 +274,16 @@ def _fill_prediction(
 ) -> None:
     """Fill in the prediction: the state and the angles left to turn when the next command acts."""
     response, direct = memory.response, has_motor_per_joint(p)
-    model = model_of(response)
+    model = selected_model(response)
     sd = sqrt(max(model.variance[0], 0.0))
     latency = min(model.parameters[0] + _LATER * sd, longest_latency(rig))
     for j in range(4):
         q, v = memory.actuators[j], memory.velocity[j]
-        q, v, w = when_next_acts(response, rig, int(memory.count), j, q, v, latency)
+        q, v, w = state_when_next_acts(response, rig, int(memory.periods), j, q, v, latency)
         present.actuators[j] = min(max(q, rig.lower[j]), rig.upper[j])
         present.velocities[j], present.accelerations[j] = v, w
         present.speed_gain[j] = exp(model.gain[j])
-    aim_ahead(memory, rig, memory.count + latency / rig.period_s)
+    extrapolate_targets(memory, rig, memory.periods + latency / rig.period_s)
     for j in range(4):
         present.positions[j] = present.actuators[j]
         if not direct:
@@ -298,7 +308,7 @@ def _fill_prediction(
     present.latency_s, present.latency_sd_s = model.parameters[0], sd
     present.acceleration_ratio = exp(model.parameters[1])
     present.acceleration_sd = sqrt(max(model.variance[1], 0.0))
-    present.noise_rad = sqrt(memory.noise)
+    present.noise_rad = sqrt(memory.detection_variance)
     present.misfit = model.misfit if response.windows > 0.5 else 0.0
     present.half_swings = memory.oscillation.count
 
@@ -320,7 +330,7 @@ def _update(
     rig: PredictorModel = record_view(rig_row, RIG)
     for n in range(rows.shape[0]):
         memory: PredictorState = record_view(rows[n][:SIZE], MEMORY)
-        track(memory, rig, p, positions[n], velocities[n], command[n], learn_response)
+        update_joints(memory, rig, p, positions[n], velocities[n], command[n], learn_response)
         _update_goals(memory, rig, age_s[n], error[n], p, learn_delay)
         cross_backlash(memory, p, command[n])
         decay_count(memory.oscillation, rig.period_s)
@@ -328,7 +338,9 @@ def _update(
             for joint in range(2 if memory.known[eye] > 0.5 else 0):
                 q = eye_joint_angle(p, 2 * eye + joint, memory.actuators)
                 aim = memory.aims[eye, joint]
-                watch(memory.oscillation, rig, eye, joint, q, aim, memory.noise)
+                update_oscillation(
+                    memory.oscillation, rig, eye, joint, q, aim, memory.detection_variance
+                )
         _fill_prediction(memory, rig, p, record_view(present_rows[n], _PREDICTION))
 
 
@@ -347,7 +359,9 @@ def _fill_coupled(
         if not (left or right):
             continue
         depth_l, depth_r = memory.fixated_depth[0], memory.fixated_depth[1]
-        aim(p, memory.aims, depth_l, depth_r, left, right, present.actuators, jacobian, goals)
+        least_squares_aim(
+            p, memory.aims, depth_l, depth_r, left, right, present.actuators, jacobian, goals
+        )
         moves = False
         for eye in range(2):
             for joint in range(2):
@@ -357,14 +371,21 @@ def _fill_coupled(
                 for joint in range(2):
                     turn = _AHEAD_S * memory.rates[eye, joint]
                     later[eye, joint] = memory.aims[eye, joint] + turn
-            aim(p, later, depth_l, depth_r, left, right, present.actuators, jacobian, ahead)
+            least_squares_aim(
+                p, later, depth_l, depth_r, left, right, present.actuators, jacobian, ahead
+            )
             for eye in range(2):
                 for joint in range(2):
                     turn = _AHEAD_S * memory.later_rates[eye, joint]
                     later[eye, joint] = memory.aims[eye, joint] + turn
-            aim(p, later, depth_l, depth_r, left, right, present.actuators, jacobian, shown)
+            least_squares_aim(
+                p, later, depth_l, depth_r, left, right, present.actuators, jacobian, shown
+            )
         for j in range(4):
-            if rig.moves[j, 0] * present.known[0] + rig.moves[j, 1] * present.known[1] > 0.0:
+            if (
+                rig.moves_eye[j, 0] * present.known[0] + rig.moves_eye[j, 1] * present.known[1]
+                > 0.0
+            ):
                 goal = min(max(goals[j], rig.lower[j]), rig.upper[j])
                 present.angle_error[j] = goal - present.actuators[j]
                 if moves and goal == goals[j]:

@@ -90,9 +90,9 @@ class Response:
     those of the model with build-up."""
     windows: float
     """Number of windows that have ended."""
-    begun: float
+    window_begin: float
     """Period at which the present window begins; negative for none."""
-    ended: float
+    window_end: float
     """Period at which the previous window ended."""
     commands: Annotated[FloatArray, COMMANDS, 4]
     """Ring buffer of commands, rad/s; period k is at index k modulo its length."""
@@ -101,9 +101,9 @@ class Response:
     are prompt, otherwise estimated by the observer."""
     accelerations: Annotated[FloatArray, 4]
     """Present accelerations predicted from the commands, rad/s^2."""
-    prompt: float
+    prompt_velocities: float
     """1 if velocities are read without delay, otherwise 0."""
-    means: Annotated[FloatArray, SPEEDS, 4]
+    mean_speeds: Annotated[FloatArray, SPEEDS, 4]
     """Ring buffer of mean velocities in each period, from differences of measured angles, rad/s."""
     angles: Annotated[FloatArray, 4]
     """Last measured angles, rad."""
@@ -131,7 +131,7 @@ def initial_models(latency_s: float, lag_s: float, learn: bool) -> dict[str, obj
 
 
 @inlined
-def model_of(response: Response) -> ResponseModel:
+def selected_model(response: Response) -> ResponseModel:
     """Return the response model in use."""
     return response.models[np.intp(response.selected)]
 
@@ -160,9 +160,9 @@ def speed_at(response: Response, tick: int, j: int) -> float:
 
 
 @inlined
-def mean_at(response: Response, tick: int, j: int) -> float:
+def mean_speed_at(response: Response, tick: int, j: int) -> float:
     """Return an actuator's mean velocity in a period, from measured angles, rad/s."""
-    speed: float = response.means[np.uintp(tick & (SPEEDS - 1)), j]
+    speed: float = response.mean_speeds[np.uintp(tick & (SPEEDS - 1)), j]
     return speed
 
 
@@ -176,7 +176,7 @@ def effective_command(rig: PredictorModel, command: float) -> float:
 
 
 @inlined
-def advance(
+def simulate_period(
     response: Response,
     model: ResponseModel,
     rig: PredictorModel,
@@ -188,7 +188,7 @@ def advance(
 ) -> tuple[float, float, float]:
     """Simulate one actuator with a model over one period, from the end of period `tick`."""
     latency, lag = model.parameters[0], rig.lag_ratio[j] * exp(model.parameters[2])
-    a, gain = rig.acceleration[j] * exp(model.parameters[1]), exp(model.gain[j])
+    a, gain = rig.acceleration_limit[j] * exp(model.parameters[1]), exp(model.gain[j])
     whole = int(latency / rig.period_s + 1e-9)
     rest = latency - whole * rig.period_s
     if rest > 1e-9:
@@ -199,7 +199,7 @@ def advance(
 
 
 @inlined
-def when_next_acts(
+def state_when_next_acts(
     response: Response, rig: PredictorModel, tick: int, j: int, q: float, v: float, latency: float
 ) -> tuple[float, float, float]:
     """Predict an actuator's state at the time the next command begins to act.
@@ -215,9 +215,9 @@ def when_next_acts(
         v: its present velocity, rad/s.
         latency: time until the command acts, s.
     """
-    model = model_of(response)
+    model = selected_model(response)
     lag, build_up = rig.lag_ratio[j] * exp(model.parameters[2]), model.parameters[3]
-    a, gain = rig.acceleration[j] * exp(model.parameters[1]), exp(model.gain[j])
+    a, gain = rig.acceleration_limit[j] * exp(model.parameters[1]), exp(model.gain[j])
     w = response.accelerations[j]
     whole = int(latency / rig.period_s + 1e-9)
     rest = latency - whole * rig.period_s

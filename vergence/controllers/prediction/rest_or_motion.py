@@ -12,7 +12,11 @@ from numpy.typing import NDArray
 
 from vergence._jit import inlined
 from vergence.controllers.prediction.backlash import backlash_variance
-from vergence.controllers.prediction.dating import HYPOTHESES, add_cost, negative_log_likelihood
+from vergence.controllers.prediction.dating import (
+    HYPOTHESES,
+    add_delay_cost,
+    negative_log_likelihood,
+)
 from vergence.controllers.prediction.following import predict_to_exposure, slip_variances
 from vergence.controllers.prediction.joints import PredictorModel
 from vergence.controllers.prediction.jumps import DISPLACED_GATE, UNMOVED_GATE, squared_mahalanobis
@@ -178,7 +182,7 @@ def update_motion(
     for joint in range(2):
         step = _UNEVEN * rig.joint_step[eye, joint]
         exact[joint] = _UNEVEN_RAD * _UNEVEN_RAD + step * step
-        known = memory.variance[eye, joint] + variance[eye, joint] + exact[joint]
+        known = memory.filter_variance[eye, joint] + variance[eye, joint] + exact[joint]
         crossed = known + backlash[eye, joint]
         log_ratio = log(crossed / known)
         own[0] += 0.5 * log(known)
@@ -186,12 +190,12 @@ def update_motion(
             off = goals[eye, joint] - angles_at_exposure[eye, joint]
             off = off + angles_by_delay[i, eye, joint]
             square = (off - memory.goals_by_delay[i, eye, joint]) ** 2
-            add_cost(costs, min(square / known, square / crossed + log_ratio), i)
+            add_delay_cost(costs, min(square / known, square / crossed + log_ratio), i)
         motion: EyeMotion = motions[likely]
         off = goals[eye, joint] - motion.angle[joint]
         # expectation-maximisation estimate of the detection variance
-        share = memory.noise / (motion.covariance[0] + slip[eye, joint])
-        scatter += (share * off) ** 2 + (1.0 - share) * memory.noise
+        share = memory.detection_variance / (motion.covariance[0] + slip[eye, joint])
+        scatter += (share * off) ** 2 + (1.0 - share) * memory.detection_variance
     update_models(motions, goals[eye], slip[eye], exact, own)
     own[0] += negative_log_likelihood(memory.delay_cost, low, high, costs)
     add_nll(nll, own)
@@ -199,7 +203,7 @@ def update_motion(
 
 
 @inlined
-def mark_direct(
+def find_direct_views(
     memory: PredictorState,
     goals: FloatArray,
     inferred: NDArray[np.bool_],

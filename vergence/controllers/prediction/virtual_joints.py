@@ -20,7 +20,7 @@ _PARALLEL = 1e-3
 (numerical)."""
 
 
-def two_joints_an_eye(head: HeadModel) -> FloatArray:
+def with_virtual_joints(head: HeadModel) -> FloatArray:
     """Pack a head with two joints in each eye.
 
     Args:

@@ -15,40 +15,45 @@ import numpy as np
 from vergence._jit import compiled, inlined
 from vergence.envs.plants.conditions import TrialConditions
 from vergence.envs.plants.frames import TIME_TOLERANCE_S, ring_size
-from vergence.envs.streams import IntArray, Purpose, StreamKey, random_words, to_uniform
+from vergence.envs.streams import IntArray, StreamKey, StreamPurpose, random_words, to_uniform
 from vergence.models.parts import FloatArray
 
 _ROUNDING: Final = 1e-9
 """Rounding tolerance, as a fraction of a limit or of a period (numerical)."""
-_COMMAND: Final = int(Purpose.COMMAND)
+_COMMAND: Final = int(StreamPurpose.COMMAND)
 
 
-class Commands(NamedTuple):
+class CommandBuffers(NamedTuple):
     """Ring buffers of the last commands; the command of step k lies at k modulo C."""
 
-    given: FloatArray
+    velocities: FloatArray
     """(n, C, 7) commands as they reach the motors, limited and quantised, rad/s; zero in the dead
     band of one quantisation step."""
-    limit: FloatArray
+    velocity_limits: FloatArray
     """(7,) velocity limits, rad/s."""
-    step: float
+    quantisation_step: float
     """Quantisation step of the commands, rad/s; 0 for exact."""
 
     @classmethod
     def empty(
-        cls, num: int, limit: FloatArray, step: float, longest_s: float, period_s: float
-    ) -> "Commands":
+        cls,
+        num: int,
+        velocity_limits: FloatArray,
+        quantisation_step: float,
+        max_latency_s: float,
+        period_s: float,
+    ) -> "CommandBuffers":
         """Buffers of zero commands, long enough for all commands that have not taken effect yet.
 
         Args:
             num: number of heads.
-            limit: (7,) velocity limits, rad/s.
-            step: quantisation step, rad/s.
-            longest_s: the largest command latency, s.
+            velocity_limits: (7,) velocity limits, rad/s.
+            quantisation_step: quantisation step, rad/s.
+            max_latency_s: the largest command latency, s.
             period_s: the control period.
         """
-        size = ring_size(ceil(longest_s / period_s) + 2)
-        return cls(np.zeros((num, size, 7)), limit, step)
+        size = ring_size(ceil(max_latency_s / period_s) + 2)
+        return cls(np.zeros((num, size, 7)), velocity_limits, quantisation_step)
 
 
 RESUMES: Final = 0
@@ -63,7 +68,7 @@ LOOP_STATE: Final = 3
 
 
 @inlined
-def is_lost(conditions: TrialConditions, key: StreamKey, step: int) -> bool:
+def is_command_lost(conditions: TrialConditions, key: StreamKey, step: int) -> bool:
     """True if a period's command never reaches the motors."""
     chance = conditions.lost_command_probability
     if chance == 0.0:
@@ -72,7 +77,7 @@ def is_lost(conditions: TrialConditions, key: StreamKey, step: int) -> bool:
 
 
 @inlined
-def stalled_until(
+def loop_resumes_at(
     conditions: TrialConditions, key: StreamKey, step: int, period_s: float, resumes: int
 ) -> int:
     """Compute the period in which the loop resumes: `step` or an earlier one if it is running.
@@ -96,10 +101,10 @@ def stalled_until(
 
 
 @compiled
-def take_commands(
+def store_commands(
     command: FloatArray,
-    commands: Commands,
-    loops: IntArray,
+    commands: CommandBuffers,
+    loop_states: IntArray,
     step: IntArray,
     sent: FloatArray,
 ) -> bool:
@@ -108,7 +113,7 @@ def take_commands(
     Args:
         command: (n, 7) velocity commands, rad/s.
         commands: `untyped_tuple`, updated in place.
-        loops: (n, LOOP_STATE) states of the control loops: stalls and lost commands.
+        loop_states: (n, LOOP_STATE) states of the control loops: stalls and lost commands.
         step: (n,) number of the period.
         sent: (n, 7) result: commands sent to the motors, rad/s; a stalled loop sends nothing and
             keeps its last value.
@@ -116,13 +121,13 @@ def take_commands(
     Returns:
         False if any command is nan.
     """
-    commands = Commands(*commands)
-    given, limits, size = commands.given, commands.limit, commands.step
+    commands = CommandBuffers(*commands)
+    given, limits, size = commands.velocities, commands.velocity_limits, commands.quantisation_step
     numbers, mask = True, given.shape[1] - 1
     for n in range(command.shape[0]):
         slot, before = np.uintp(step[n] & mask), np.uintp((step[n] - 1) & mask)
-        stalled = step[n] < loops[n, RESUMES]
-        lost = loops[n, LOST] != 0
+        stalled = step[n] < loop_states[n, RESUMES]
+        lost = loop_states[n, LOST] != 0
         for j in range(7):
             u, limit = command[n, j], limits[j]
             if u != u:
@@ -144,7 +149,7 @@ def take_commands(
     return numbers
 
 
-class Hold(NamedTuple):
+class HeldCommands(NamedTuple):
     """Ring positions of the commands that apply to the motors within a period."""
 
     first: np.uintp
@@ -156,22 +161,22 @@ class Hold(NamedTuple):
 
 
 @inlined
-def hold_of(late_s: float, step: int, ring: int, period_s: float) -> Hold:
+def held_commands(latency_s: float, step: int, ring: int, period_s: float) -> HeldCommands:
     """Find the commands that apply within a period.
 
     Args:
-        late_s: the command latency, s.
+        latency_s: the command latency, s.
         step: number of the period.
-        ring: C, length of the ring buffers of `Commands`.
+        ring: C, length of the ring buffers of `CommandBuffers`.
         period_s: the control period, s.
     """
     mask = ring - 1
-    if late_s == 0.0:
+    if latency_s == 0.0:
         now = np.uintp(step & mask)
-        return Hold(now, now, 0.0)
-    whole = int(late_s / period_s + _ROUNDING)
-    rest = late_s - whole * period_s
+        return HeldCommands(now, now, 0.0)
+    whole = int(latency_s / period_s + _ROUNDING)
+    rest = latency_s - whole * period_s
     then = np.uintp((step - whole) & mask)
     if rest < TIME_TOLERANCE_S:
-        return Hold(then, then, 0.0)
-    return Hold(np.uintp((step - whole - 1) & mask), then, rest)
+        return HeldCommands(then, then, 0.0)
+    return HeldCommands(np.uintp((step - whole - 1) & mask), then, rest)

@@ -63,6 +63,6 @@ BACKLASH: Final = PER_ACTUATOR.index("backlash_rad")
 
 
 @inlined
-def conditions_of(packed: PackedConditions, n: EnvIndex) -> TrialConditions:
+def unpack_conditions(packed: PackedConditions, n: EnvIndex) -> TrialConditions:
     """Unpack the scalar conditions of one trial."""
     return TrialConditions(*_row_run(packed.loop[n], 0))

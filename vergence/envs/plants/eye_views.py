@@ -5,9 +5,9 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.envs.fields import number
 from vergence.envs.reading import Image
 from vergence.envs.targets.board import Board
+from vergence.envs.validation import check_number
 from vergence.errors import ConfigurationError
 from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget, board_pose, outline_m
 from vergence.models.head import HeadModel
@@ -19,11 +19,11 @@ from vergence.vision.optics import EyeCamera
 class CellSize(NamedTuple):
     """Image widths of a board's cells at which the detector finds the board, px."""
 
-    fit: float
+    fit_px: float
     """Width for boards of width `fit`: reliably found, yet small."""
-    least: float
+    min_px: float
     """Least width; below it the detector misses a still board in some images."""
-    most: float
+    max_px: float
 
 
 CELL_SIZES: Final[dict[type[PlanarTarget], CellSize]] = {
@@ -92,11 +92,11 @@ class EyeViews:
         size = CELL_SIZES[type(self._target)]
         return Board(
             outline=np.stack([corners, halves], axis=1).reshape(-1, 2),
-            natural_m=np.nan if self._natural_m is None else self._natural_m,
+            natural_distance_m=np.nan if self._natural_m is None else self._natural_m,
             facing_head=self._facing == "head",
             border_px=BOARD_BORDER_PX,
-            least_px=0.5 * min(self._target.cells.shape) * size.least,
-            most_px=0.5 * max(self._target.cells.shape) * size.most,
+            min_segment_px=0.5 * min(self._target.cells.shape) * size.min_px,
+            max_segment_px=0.5 * max(self._target.cells.shape) * size.max_px,
         )
 
     def draw(
@@ -137,10 +137,10 @@ class EyeViews:
         self, q: FloatArray, v: FloatArray, point: FloatArray, point_velocity: ArrayLike
     ) -> FloatArray:
         """(2, 2) displacement of the point's images from an exposure's beginning to its end, px."""
-        half_s = 0.5 * self._head.timing.exposure_s
-        if half_s == 0.0:
+        half_exposure_s = 0.5 * self._head.timing.exposure_s
+        if half_exposure_s == 0.0:
             return np.zeros((2, 2))
-        ends_s = half_s * np.array([[-1.0], [1.0]])
+        ends_s = half_exposure_s * np.array([[-1.0], [1.0]])
         angles, points = q + ends_s * v, point + ends_s * np.asarray(point_velocity)
         # the point belongs to the world, while N moves with the neck
         T_N_now = np.linalg.inv(self._head.base_pose(angles)) @ self._head.base_pose(q)
@@ -184,9 +184,9 @@ def _natural_m(
         return None
     if width_rad == "fit":
         cells: int = target.cells.shape[1]
-        width = cells * CELL_SIZES[type(target)].fit / float(np.mean(head.cameras.focal))
+        width = cells * CELL_SIZES[type(target)].fit_px / float(np.mean(head.cameras.focal))
     else:
-        width = number("width_rad", width_rad)
+        width = check_number("width_rad", width_rad)
         if not 0.0 < width < 1.0:
             raise ConfigurationError(f"width_rad: expected 0 to 1, got {width_rad!r}")
     return float(np.ptp(outline_m(target)[:, 0])) / width

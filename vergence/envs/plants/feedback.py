@@ -7,7 +7,7 @@ import numpy as np
 
 from vergence._jit import compiled, inlined
 from vergence.envs.plants.commands import LOOP_STATE, READ, RESUMES
-from vergence.envs.plants.conditions import BACKLASH, PackedConditions, conditions_of
+from vergence.envs.plants.conditions import BACKLASH, PackedConditions, unpack_conditions
 from vergence.envs.plants.frames import TIME_TOLERANCE_S, ring_size
 from vergence.envs.plants.motors import (
     ActuatorCoupling,
@@ -17,12 +17,19 @@ from vergence.envs.plants.motors import (
     output_speed,
 )
 from vergence.envs.reading import Reading
-from vergence.envs.streams import IntArray, Purpose, StreamKey, StreamKeys, random_words, to_normals
+from vergence.envs.streams import (
+    IntArray,
+    StreamKey,
+    StreamKeys,
+    StreamPurpose,
+    random_words,
+    to_normals,
+)
 from vergence.models.head import HeadModel
 from vergence.models.joint_response import lag_decay
 from vergence.models.parts import FloatArray
 
-_FEEDBACK: Final = int(Purpose.FEEDBACK)
+_FEEDBACK: Final = int(StreamPurpose.FEEDBACK)
 
 
 class Feedback(NamedTuple):
@@ -35,7 +42,7 @@ class Feedback(NamedTuple):
     """(n, R, 2, 7) angles, rad, and speeds, rad/s, on the encoders' side of the backlash."""
     reported: FloatArray
     """(n, L, 7) joint angles as reported, rad."""
-    loops: IntArray
+    loop_states: IntArray
     """(n, LOOP_STATE) states of the control loops, see `vergence.envs.plants.commands`."""
     filtered: FloatArray
     """(n, 2, 7) last outputs and last inputs of the servos' speed filters, rad/s."""
@@ -47,20 +54,20 @@ class Feedback(NamedTuple):
     """True if the encoders sit on the output side of the backlash."""
 
     @classmethod
-    def of(cls, head: HeadModel, num: int, longest_s: float, oldest_s: float) -> "Feedback":
+    def of(cls, head: HeadModel, num: int, max_latency_s: float, max_age_s: float) -> "Feedback":
         """Feedback of a batch of heads, with empty buffers.
 
         Args:
             head: head model with the encoders.
             num: number of heads.
-            longest_s: the largest feedback latency, that of speeds included, s.
-            oldest_s: the greatest age of angles that are looked up, s.
+            max_latency_s: the largest feedback latency, that of speeds included, s.
+            max_age_s: the greatest age of angles that are looked up, s.
         """
         period_s, own = head.timing.period_s, head.actuation
         return cls(
-            measured=np.zeros((num, ring_size(ceil(longest_s / period_s) + 2), 2, 7)),
-            reported=np.zeros((num, ring_size(ceil(oldest_s / period_s) + 3), 7)),
-            loops=np.zeros((num, LOOP_STATE), dtype=np.int64),
+            measured=np.zeros((num, ring_size(ceil(max_latency_s / period_s) + 2), 2, 7)),
+            reported=np.zeros((num, ring_size(ceil(max_age_s / period_s) + 3), 7)),
+            loop_states=np.zeros((num, LOOP_STATE), dtype=np.int64),
             filtered=np.zeros((num, 2, 7)),
             angle_step=own.angle_step,
             speed_step=own.speed_step,
@@ -71,7 +78,7 @@ class Feedback(NamedTuple):
 STATE: Final = {
     "measured": "measured",
     "told": "reported",
-    "loops": "loops",
+    "loops": "loop_states",
     "filtered": "filtered",
 }
 """Fields of `Feedback` that are part of a trial's state, by their names in a saved state."""
@@ -107,7 +114,7 @@ def interpolate_joint(
 
 
 @inlined
-def noise_of(
+def joint_noise(
     key: StreamKey, step: int, lane: int, sigma: float
 ) -> tuple[float, float, float, float]:
     """White noise of the eye actuators' encoders at a step."""
@@ -127,7 +134,7 @@ class RingInterval(NamedTuple):
 
 
 @inlined
-def measured_before(periods: float, step: int, ring: int) -> RingInterval:
+def measured_interval(periods: float, step: int, ring: int) -> RingInterval:
     """Find the measurements around a time before the newest one; `first` is the later of them.
 
     Args:
@@ -142,21 +149,25 @@ def measured_before(periods: float, step: int, ring: int) -> RingInterval:
 
 
 @inlined
-def low_pass(out: float, before: float, now: float, left: float, ramp: float) -> float:
+def low_pass(
+    output: float, last_input: float, present_input: float, decay: float, ramp_response: float
+) -> float:
     """Advance a first-order low-pass filter by a period in which its input changes linearly.
 
     Args:
-        out: the filter's output at the period's beginning.
-        before: its input at the period's beginning.
-        now: its input at the period's end.
-        left: fraction of the output that remains after the period, exp(-T/tau).
-        ramp: its response to a ramp from 0 to 1, 1 - (1 - exp(-T/tau)) tau/T.
+        output: the filter's output at the period's beginning.
+        last_input: its input at the period's beginning.
+        present_input: its input at the period's end.
+        decay: fraction of the output that remains after the period, exp(-T/tau).
+        ramp_response: its response to a ramp from 0 to 1, 1 - (1 - exp(-T/tau)) tau/T.
     """
-    return left * out + (1.0 - left - ramp) * before + ramp * now
+    return (
+        decay * output + (1.0 - decay - ramp_response) * last_input + ramp_response * present_input
+    )
 
 
 @inlined
-def reported_at(periods: float, step: int, ring: int) -> RingInterval:
+def reported_interval(periods: float, step: int, ring: int) -> RingInterval:
     """Find the joint readings around a time, which is clamped to those in the ring buffer.
 
     Args:
@@ -200,13 +211,13 @@ def sense_joints(
         feedback: updated in place.
         reading: result: its positions and velocities.
     """
-    measured, reported, loops, filtered, angle_step, speed_step, on_output = feedback
+    measured, reported, loop_states, filtered, angle_step, speed_step, on_output = feedback
     angles, speeds, output, own = motors.angles, motors.speeds, motors.output, packed.own
     positions, velocities = reading.positions, reading.velocities
     ring, kept, rate = measured.shape[1], reported.shape[1] - 1, 1.0 / period_s
     for env in ids:
         n = np.uintp(env)
-        step, conditions = steps[n], conditions_of(packed, n)
+        step, conditions = steps[n], unpack_conditions(packed, n)
         slot = np.uintp(step & (ring - 1))
         for k in range(7):
             speed = speeds[n, k]
@@ -216,8 +227,8 @@ def sense_joints(
                 measured[n, slot, 0, k] = motor.output
                 measured[n, slot, 1, k] = output_speed(motor, own[n, BACKLASH, k])
         late = conditions.feedback_latency_s * rate
-        at = measured_before(late, step, ring)
-        sped = measured_before(late + conditions.speed_latency_s * rate, step, ring)
+        at = measured_interval(late, step, ring)
+        sped = measured_interval(late + conditions.speed_latency_s * rate, step, ring)
         rest, new, old = at.share, at.first, at.second
         left = ramp = 0.0
         if conditions.speed_filter_s > 0.0:
@@ -226,9 +237,9 @@ def sense_joints(
         noise = rates = (0.0, 0.0, 0.0, 0.0)
         if conditions.angle_noise_rad > 0.0 or conditions.speed_noise_rad_s > 0.0:
             key = StreamKey(keys.seeds[n], keys.trials[n])
-            noise = noise_of(key, step, 1, conditions.angle_noise_rad)
-            rates = noise_of(key, step, 2, conditions.speed_noise_rad_s)
-        stalled = step < loops[n, RESUMES]
+            noise = joint_noise(key, step, 1, conditions.angle_noise_rad)
+            rates = joint_noise(key, step, 2, conditions.speed_noise_rad_s)
+        stalled = step < loop_states[n, RESUMES]
         for k in range(7):
             q, v = measured[n, new, 0, k], measured[n, new, 1, k]
             if rest > 0.0 and not (v == 0.0 and measured[n, old, 1, k] == 0.0):
@@ -250,15 +261,15 @@ def sense_joints(
             continue
         if coupling is not None:
             joints_from_actuators(coupling.scratch, coupling.head, positions[n], velocities[n])
-        since = step - loops[n, READ]
+        since = step - loop_states[n, READ]
         for missed in range(1, since):
             share = missed / since
             then = np.uintp((step - missed) & kept)
-            last = np.uintp(loops[n, READ] & kept)
+            last = np.uintp(loop_states[n, READ] & kept)
             for k in range(7):
                 q = positions[n, k]
                 reported[n, then, k] = q + share * (reported[n, last, k] - q)
-        loops[n, READ] = step
+        loop_states[n, READ] = step
         span = int(np.rint(conditions.speed_span_s * rate))
         if span > 0:
             slot = np.uintp((step - span) & kept)

@@ -19,8 +19,8 @@ from vergence.envs.plants.conditions import TrialConditions
 from vergence.envs.reading import BoolArray
 from vergence.envs.streams import (
     IntArray,
-    Purpose,
     StreamKey,
+    StreamPurpose,
     Words,
     random_words,
     to_normals,
@@ -30,13 +30,13 @@ from vergence.models.parts import FloatArray
 
 TIME_TOLERANCE_S: Final = 1e-9
 """Difference below which two times are equal: rounding of sums of periods, s (numerical)."""
-_SENSOR: Final = int(Purpose.SENSOR)
-_BEFORE: Final = int(Purpose.BEFORE)
+_SENSOR: Final = int(StreamPurpose.SENSOR)
+_BEFORE: Final = int(StreamPurpose.BEFORE)
 
 
-def ring_size(least: int) -> int:
-    """Length of a ring buffer for `least` items or more: a power of two, so a mask is modulo."""
-    return 1 << (least - 1).bit_length()
+def ring_size(min_length: int) -> int:
+    """Length of a ring buffer of at least `min_length`: a power of two, so a mask is modulo."""
+    return 1 << (min_length - 1).bit_length()
 
 
 class Frames(NamedTuple):
@@ -56,23 +56,23 @@ class Frames(NamedTuple):
     comes_s: FloatArray
     """(n, F) time at which the frame becomes readable, s."""
     next: IntArray
-    """(n,) number of the next exposure, see `frame_of`."""
+    """(n,) number of the next exposure, see `exposed_eyes`."""
     pending: IntArray
     """(n,) number of the first frame that has not arrived."""
     latest_s: FloatArray
     """(n,) time at which the last exposed frame becomes readable, s."""
 
     @classmethod
-    def empty(cls, num: int, longest_s: float, most_hz: float) -> "Frames":
+    def empty(cls, num: int, max_latency_s: float, max_hz: float) -> "Frames":
         """Ring buffers without frames.
 
         Args:
             num: number of heads.
-            longest_s: the longest time from an exposure to the end of the period in which it is
+            max_latency_s: the longest time from an exposure to the end of the period in which it is
                 read, s.
-            most_hz: the highest frame rate, Hz.
+            max_hz: the highest frame rate, Hz.
         """
-        size = ring_size(ceil(longest_s * most_hz) + 2)
+        size = ring_size(ceil(max_latency_s * max_hz) + 2)
         return cls(
             pixels=np.zeros((num, size, 2, 2)),
             visible=np.zeros((num, size, 2), dtype=np.bool_),
@@ -88,7 +88,7 @@ class Frames(NamedTuple):
 class Exposures(NamedTuple):
     """The exposures within the present period, and the joints at their times."""
 
-    taken: IntArray
+    counts: IntArray
     """(n,) number of exposures."""
     time_s: FloatArray
     """(n, E) middle of each exposure since the trial's start, s."""
@@ -98,11 +98,13 @@ class Exposures(NamedTuple):
     """(n, E, 7) joint velocities, rad/s."""
 
     @classmethod
-    def empty(cls, num: int, period_s: float, most_hz: float, each: int = 1) -> "Exposures":
-        """Arrays for a period at the highest frame rate, with `each` exposures per frame."""
-        size = each * (ceil(period_s * most_hz) + 1)
+    def empty(
+        cls, num: int, period_s: float, max_hz: float, exposures_per_frame: int = 1
+    ) -> "Exposures":
+        """Arrays for a period at the highest frame rate."""
+        size = exposures_per_frame * (ceil(period_s * max_hz) + 1)
         return cls(
-            taken=np.zeros(num, dtype=np.int64),
+            counts=np.zeros(num, dtype=np.int64),
             time_s=np.zeros((num, size)),
             positions=np.zeros((num, size, 7)),
             velocities=np.zeros((num, size, 7)),
@@ -113,7 +115,7 @@ class FrameFaults(NamedTuple):
     """Random faults of one pair of frames."""
 
     dropped: bool
-    late_s: float
+    extra_latency_s: float
     """Delay beyond the latency, s."""
     missed_left: bool
     missed_right: bool
@@ -125,7 +127,7 @@ def frame_time(conditions: TrialConditions, frame: int) -> float:
     return (conditions.frame_phase + frame) * conditions.frame_s
 
 
-class FrameOf(NamedTuple):
+class ExposedEyes(NamedTuple):
     """Frame and eyes of an exposure."""
 
     frame: int
@@ -136,12 +138,12 @@ class FrameOf(NamedTuple):
 
 
 @inlined
-def frame_of(conditions: TrialConditions, exposure: int) -> FrameOf:
+def exposed_eyes(conditions: TrialConditions, exposure: int) -> ExposedEyes:
     """Find the frame of an exposure, and the eyes that it exposes."""
     if conditions.skew_s == 0.0:
-        return FrameOf(exposure, 0, 2)
+        return ExposedEyes(exposure, 0, 2)
     eye = exposure & 1
-    return FrameOf(exposure >> 1, eye, eye + 1)
+    return ExposedEyes(exposure >> 1, eye, eye + 1)
 
 
 @inlined
@@ -151,7 +153,7 @@ def first_exposure(conditions: TrialConditions, frame: int) -> int:
 
 
 @inlined
-def skew_of(conditions: TrialConditions) -> float:
+def eye_skew_s(conditions: TrialConditions) -> float:
     """Delay of the right eye's exposure after the left's, at most one frame time, s."""
     return min(conditions.skew_s, conditions.frame_s)
 
@@ -161,7 +163,7 @@ def exposure_time(conditions: TrialConditions, exposure: int) -> float:
     """Time of an exposure since the trial's start, s."""
     if conditions.skew_s == 0.0:
         return frame_time(conditions, exposure)
-    return frame_time(conditions, exposure >> 1) + (exposure & 1) * skew_of(conditions)
+    return frame_time(conditions, exposure >> 1) + (exposure & 1) * eye_skew_s(conditions)
 
 
 @inlined
@@ -173,7 +175,7 @@ def _words(key: StreamKey, frame: int, lane: int) -> Words:
 
 
 @inlined
-def faults_of(conditions: TrialConditions, key: StreamKey, frame: int) -> FrameFaults:
+def draw_frame_faults(conditions: TrialConditions, key: StreamKey, frame: int) -> FrameFaults:
     """Draw the faults of a frame."""
     drop, jitter = conditions.dropped_frame_probability, conditions.jitter_s
     miss = conditions.missed_detection_probability
@@ -210,7 +212,7 @@ def _random_offset(most_px: float, size: np.uint64, direction: np.uint64) -> tup
 
 
 @inlined
-def outlier(
+def outlier_offset(
     conditions: TrialConditions, key: StreamKey, frame: int, eye: int
 ) -> tuple[float, float]:
     """Offset of an eye's detection from the target if it is an outlier, px; mostly zero."""
@@ -222,7 +224,7 @@ def outlier(
 
 
 @subroutine
-def false_detection(
+def false_detection_offset(
     conditions: TrialConditions, key: StreamKey, frame: int, eye: int
 ) -> tuple[float, float]:
     """Offset of an eye's false detection from the target, px; mostly zero.
@@ -249,15 +251,17 @@ def false_detection(
 
 
 @inlined
-def comes_at(
-    conditions: TrialConditions, exposed_s: float, late_s: float, latest_s: float
+def available_at(
+    conditions: TrialConditions, exposed_s: float, extra_latency_s: float, latest_s: float
 ) -> float:
     """Time at which a frame becomes readable, never before an earlier frame, s.
 
     Args:
         conditions: the trial's conditions.
         exposed_s: exposure time of its first eye, s.
-        late_s: delay beyond the latency, s.
+        extra_latency_s: delay beyond the latency, s.
         latest_s: time at which the frame before becomes readable, s.
     """
-    return max(exposed_s + skew_of(conditions) + conditions.latency_s + late_s, latest_s)
+    return max(
+        exposed_s + eye_skew_s(conditions) + conditions.latency_s + extra_latency_s, latest_s
+    )

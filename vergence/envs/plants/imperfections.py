@@ -31,7 +31,7 @@ class Imperfection(NamedTuple):
     least: float
     most: float
     """Upper limit of valid values; for times it is excluded."""
-    searched: tuple[float, float]
+    search_range: tuple[float, float]
     """Range in which margins are searched. It exceeds the values of existing robots, and ends where
     nothing more can be learned."""
     head_path: str = ""
@@ -42,7 +42,7 @@ class Imperfection(NamedTuple):
     """True if each actuator has its own value."""
     probability: str = ""
     """Name of the probability that must be above 0 for an effect; empty if there always is one."""
-    shown: tuple[str, float] = ("", 1.0)
+    display_unit: tuple[str, float] = ("", 1.0)
     """Unit for display, empty for a ratio, and the factor from `unit` to it."""
 
     def nominal(self, head: HeadModel) -> float | FloatArray:
@@ -76,11 +76,11 @@ def _one(
     description: str,
     unit: str,
     span: tuple[float, float],
-    searched: tuple[float, float],
+    search_range: tuple[float, float],
     **others: Any,
 ) -> Any:
     """Define a field of `Imperfections`."""
-    one = Imperfection(part, label, description, unit, *span, searched, **others)
+    one = Imperfection(part, label, description, unit, *span, search_range, **others)
     return field(default=None, metadata={"imperfection": one})
 
 
@@ -95,72 +95,77 @@ class Imperfections(Generic[Value]):
     latency_s: Value = _one(
         "camera", "image latency", "from the middle of an exposure to the image being readable; a "
         "reading dates its image by the model's latency, unless the cameras stamp it",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.3), head_path="timing.latency_s", shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.3), head_path="timing.latency_s", display_unit=_MS,
     )
     lag_s: Value = _one(
         # margins exclude 0: a joint without lag has no dynamics
         "motors", "joint lag", "time constant of the motors' response; above 0 for dynamics; an "
         "actuator with a lag of its own keeps its ratio to the head's",
-        "s", (0.0, _MAX_DELAY_S), (0.001, 0.2), head_path="timing.lag_s", shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.001, 0.2), head_path="timing.lag_s", display_unit=_MS,
     )
     detection_noise_px: Value = _one(
         "camera", "detection noise", "standard deviation of a detection, each coordinate; not on "
         "`rendered`, whose detector has its own",
-        "px", (0.0, inf), (0.0, 3.0), head_path="sensor.detection_noise_px", shown=("px", 1.0),
+        "px", (0.0, inf), (0.0, 3.0), head_path="sensor.detection_noise_px",
+        display_unit=("px", 1.0),
     )
     dropped_frame_probability: Value = _one(
         "camera", "dropped frames", "that a frame of both eyes never comes",
-        "1", (0.0, 1.0), (0.0, 0.9), head_path="sensor.dropped_frame_probability", shown=_PERCENT,
+        "1", (0.0, 1.0), (0.0, 0.9), head_path="sensor.dropped_frame_probability",
+        display_unit=_PERCENT,
     )
     jitter_s: Value = _one(
         "camera", "frame jitter", "the most by which a frame comes later than the latency, "
         "uniform; frames keep their order",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
     )
     missed_detection_probability: Value = _one(
         "camera", "missed detections", "that an eye's image shows the detector nothing, each eye "
         "by itself",
-        "1", (0.0, 1.0), (0.0, 0.9), shown=_PERCENT,
+        "1", (0.0, 1.0), (0.0, 0.9), display_unit=_PERCENT,
     )
     outlier_probability: Value = _one(
         "camera", "outliers", "that an eye's detection is beside the target, each eye by itself",
-        "1", (0.0, 1.0), (0.0, 0.3), shown=_PERCENT,
+        "1", (0.0, 1.0), (0.0, 0.3), display_unit=_PERCENT,
     )
     outlier_px: Value = _one(
         "camera", "outlier size", "how far beside it at most: uniform from 0, in any direction",
         "px", (0.0, inf), (0.0, 300.0), default=100.0, probability="outlier_probability",
-        shown=("px", 1.0),
+        display_unit=("px", 1.0),
     )
     frame_rate_hz: Value = _one(
         "camera", "frame rate", "frames per second",
-        "Hz", (1.0, 1000.0), (10.0, 240.0), head_path="timing.frame_rate_hz", shown=("Hz", 1.0),
+        "Hz", (1.0, 1000.0), (10.0, 240.0), head_path="timing.frame_rate_hz",
+        display_unit=("Hz", 1.0),
     )
     frame_phase: Value = _one(
         "camera", "camera phase", "when the first frame after time zero is exposed, by the time "
         "between two",
-        "1", (0.0, 1.0), (0.0, 1.0), shown=("of a frame", 1.0),
+        "1", (0.0, 1.0), (0.0, 1.0), display_unit=("of a frame", 1.0),
     )
     clock_drift: Value = _one(
         "camera", "camera clock slow by", "by how much the cameras' clock goes slow",
-        "1", (-0.1, 0.1), (-0.05, 0.05), shown=_PERCENT,
+        "1", (-0.1, 0.1), (-0.05, 0.05), display_unit=_PERCENT,
     )
     command_latency_s: Value = _one(
         "motors", "command latency", "from a command to the motors' response",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), head_path="timing.command_latency_s", shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), head_path="timing.command_latency_s",
+        display_unit=_MS,
     )
     feedback_latency_s: Value = _one(
         "encoders", "feedback latency", "from a measurement of the joints to its reading",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), head_path="timing.feedback_latency_s", shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), head_path="timing.feedback_latency_s",
+        display_unit=_MS,
     )
     angle_noise_rad: Value = _one(
         "encoders", "encoder noise, angle", "standard deviation of an encoder's angle, before it "
         "is rounded",
-        "rad", (0.0, inf), (0.0, 0.01), shown=_MRAD,
+        "rad", (0.0, inf), (0.0, 0.01), display_unit=_MRAD,
     )
     speed_noise_rad_s: Value = _one(
         "encoders", "encoder noise, speed", "standard deviation of an encoder's speed, before it "
         "is rounded",
-        "rad/s", (0.0, inf), (0.0, 0.5), shown=("rad/s", 1.0),
+        "rad/s", (0.0, inf), (0.0, 0.5), display_unit=("rad/s", 1.0),
     )
     acceleration_ratio: Value = _one(
         "motors", "acceleration by model", "greatest accelerations by those of the limits",
@@ -173,7 +178,7 @@ class Imperfections(Generic[Value]):
     )
     onset_s: Value = _one(
         "target", "onset", "when the target appears, jumps or begins to move",
-        "s", (0.0, 10.0), (0.0, 0.5), shown=("s", 1.0),
+        "s", (0.0, 10.0), (0.0, 0.5), display_unit=("s", 1.0),
     )
     speed_gain: Value = _one(
         "motors", "speed gain", "speed at rest by command, each actuator its own",
@@ -183,69 +188,69 @@ class Imperfections(Generic[Value]):
         "motors", "backlash", "play between motor and joint, whole width, each actuator its own "
         "(in a file `sensor.backlash_rad` or the actuator's); none in the neck",
         "rad", (0.0, 0.2), (0.0, 0.02), head_path="actuation.backlash", by_actuator=True,
-        shown=_MRAD,
+        display_unit=_MRAD,
     )
     speed_filter_s: Value = _one(
         "encoders", "speed filter", "time constant of a servo's low-pass filter of first order on "
         "the speed that it reports; 0 for none",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
     )
     speed_latency_s: Value = _one(
         "encoders", "speed latency", "by how much a reported speed is older than the angle beside "
         "it; the filter comes after it",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
     )
     speed_span_s: Value = _one(
         "encoders", "speed as difference over", "of heads whose servos report no speed: it is the "
         "difference of the angles as read over this time, in whole periods; less than half a "
         "period for the servos' own speed, whose noise, steps, latency and filter differences do "
         "not have",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
     )
     lost_command_probability: Value = _one(
         "motors", "lost commands", "that a period's command never reaches the motors, which go on "
         "with the one before; `command` of a reading says what was sent",
-        "1", (0.0, 1.0), (0.0, 0.9), shown=_PERCENT,
+        "1", (0.0, 1.0), (0.0, 0.9), display_unit=_PERCENT,
     )
     stall_probability: Value = _one(
         "motors", "stalls of the control loop", "that the control loop stalls in a period, after "
         "one in which it ran: joints and images are not read, and the command reaches nobody",
-        "1", (0.0, 1.0), (0.0, 0.5), shown=_PERCENT,
+        "1", (0.0, 1.0), (0.0, 0.5), display_unit=_PERCENT,
     )
     stall_s: Value = _one(
         "motors", "length of a stall", "for how long it stalls at most: uniform from 0, in whole "
         "periods and at least one",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.5), default=0.1, probability="stall_probability",
-        shown=_MS,
+        display_unit=_MS,
     )
     false_detection_probability: Value = _one(
         "camera", "false detections", "that in a frame a lamp, a reflection or another mark begins "
         "to be taken for the target: in the left eye, the right or both, a third each; in half of "
         "the last both eyes are off by the same",
-        "1", (0.0, 1.0), (0.0, 0.2), shown=_PERCENT,
+        "1", (0.0, 1.0), (0.0, 0.2), display_unit=_PERCENT,
     )
     false_detection_s: Value = _one(
         "camera", "length of a false detection", "for how long it is taken for it at most: uniform "
         "from 0, in whole frames and at least one",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.5), default=0.2,
-        probability="false_detection_probability", shown=_MS,
+        probability="false_detection_probability", display_unit=_MS,
     )
     false_detection_px: Value = _one(
         "camera", "distance of a false detection", "how far beside the target it is at most, in "
         "all of its frames alike: uniform from 0, in any direction",
         "px", (0.0, inf), (0.0, 300.0), default=100.0, probability="false_detection_probability",
-        shown=("px", 1.0),
+        display_unit=("px", 1.0),
     )
     overshoot: Value = _one(
         "motors", "overshoot", "share by which the speed of a servo of second order overshoots a "
         "step of its command, the joint lag being its time constant; 0 for the lag of first order",
-        "1", (0.0, 0.9), (0.0, 0.6), shown=_PERCENT,
+        "1", (0.0, 0.9), (0.0, 0.6), display_unit=_PERCENT,
     )
     skew_s: Value = _one(
         "camera", "right eye exposed later by", "by how much the right eye's frames are exposed "
         "after the left's, at most the time between two; a pair comes when the later one does, and "
         "a stamp is the left one's; not on `rendered`",
-        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), shown=_MS,
+        "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
     )
 # fmt: on
 
@@ -260,7 +265,7 @@ PER_ACTUATOR: Final = tuple(name for name, one in IMPERFECTIONS.items() if one.b
 """Names of the imperfections with one number per actuator."""
 
 
-def expected(name: str) -> str:
+def valid_range_text(name: str) -> str:
     """Valid values of an imperfection, in words for an error message."""
     one = IMPERFECTIONS[name]
     if one.unit == "s":
@@ -270,7 +275,7 @@ def expected(name: str) -> str:
     return f"{one.least:g} to {one.most:g}"
 
 
-def is_within(name: str, low: float, high: float) -> bool:
+def is_valid_range(name: str, low: float, high: float) -> bool:
     """True if an imperfection may have all values from `low` to `high`."""
     one = IMPERFECTIONS[name]
     return one.least <= low and (high < one.most if one.unit == "s" else high <= one.most)

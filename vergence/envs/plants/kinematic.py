@@ -3,8 +3,8 @@
 import numpy as np
 
 from vergence._jit import compiled
-from vergence.envs.plants.commands import Commands, hold_of
-from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, conditions_of
+from vergence.envs.plants.commands import CommandBuffers, held_commands
+from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, unpack_conditions
 from vergence.envs.plants.frames import TIME_TOLERANCE_S, Exposures, Frames, exposure_time
 from vergence.envs.plants.motors import (
     ActuatorCoupling,
@@ -48,7 +48,7 @@ def move_motors(
     scene: Scene,
     motors: MotorStates,
     coupling: ActuatorCoupling | None,
-    commands: Commands,
+    commands: CommandBuffers,
     frames: Frames,
     exposures: Exposures,
 ) -> None:
@@ -65,18 +65,18 @@ def move_motors(
         exposures: the result.
     """
     packed, scene, motors = PackedConditions(*packed), Scene(*scene), MotorStates(*motors)
-    commands, frames, exposures = Commands(*commands), Frames(*frames), Exposures(*exposures)
+    commands, frames, exposures = CommandBuffers(*commands), Frames(*frames), Exposures(*exposures)
     # unpacked once, as numba would count references at each access in the loop
     heads, _motions, _necks, steps, positions, velocities = scene
     angles, speeds, rates, output, lower, upper, top, acceleration, lag_ratio = motors
-    given, own, many = commands.given, packed.own, np.uintp(heads.shape[0] > 1)
+    given, own, many = commands.velocities, packed.own, np.uintp(heads.shape[0] > 1)
     following, (counts, times, then_q, then_v) = frames.next, exposures
     ring = given.shape[1]
     for env in range(steps.shape[0]):
         n = np.uintp(env)  # unsigned, so that no index is counted from the end
-        step, frame, conditions = steps[n], following[n], conditions_of(packed, n)
+        step, frame, conditions = steps[n], following[n], unpack_conditions(packed, n)
         begin_s = step * period_s
-        hold = hold_of(conditions.command_latency_s, step, ring, period_s)
+        hold = held_commands(conditions.command_latency_s, step, ring, period_s)
         slot, done, count = hold.first, 0.0, np.uintp(0)
         due = exposure_time(conditions, frame) - begin_s
         neck = 0.0  # motion of the neck; at rest it is skipped

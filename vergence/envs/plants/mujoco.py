@@ -7,19 +7,19 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
-from vergence.envs.fields import count
 from vergence.envs.plants.frames import TIME_TOLERANCE_S
 from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.plants.track import (
-    Track,
+    JointTrack,
     expose_on_track,
-    hold_commands,
     read_joints,
     start_track,
+    substep_controls,
 )
 from vergence.envs.reading import Reading
 from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray
+from vergence.envs.validation import check_count
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.mujoco.model import SUBSTEPS, compile_model, find_model_indices
@@ -54,7 +54,7 @@ class MujocoPlant(SimulatedPlant):
         lag_s: ArrayLike | None = None,
         **options: Any,
     ) -> None:
-        nthread = count("nthread", nthread, least=0)
+        nthread = check_count("nthread", nthread, minimum=0)
         super().__init__(head, num, lag_s=lag_s, **options)
         variation = self._true_heads.variation
         drawn = variation.lag_s if variation is not None else None
@@ -76,27 +76,27 @@ class MujocoPlant(SimulatedPlant):
         self._lag_ratios, self._which_lag = np.unique(
             true.actuation.lag_ratio[self._slots], return_inverse=True
         )
-        self._has_backlash = whole.greatest("backlash_rad") > 0.0
+        self._has_backlash = whole.largest("backlash_rad") > 0.0
         self._motors_apart = self._has_backlash or self._coupling is not None
-        self._has_falloff = whole.greatest("torque_falloff") > 0.0
+        self._has_falloff = whole.largest("torque_falloff") > 0.0
         self._forces_vary = self._has_falloff or self._varies_at_all("acceleration_ratio", 1.0)
-        # a period is one piece unless something happens within it; outputs behind backlash are
+        # a period is one substep unless something happens within it; outputs behind backlash are
         # pushed at every step, so that they do not miss the motors' turning points
-        rate = head.timing.control_rate_hz / whole.greatest("frame_rate_hz")
+        rate = head.timing.control_rate_hz / whole.largest("frame_rate_hz")
         within = (
             self._has_backlash
             or self._has_falloff
-            or whole.greatest("command_latency_s") > 0.0
-            or whole.greatest("overshoot") > 0.0
-            or whole.greatest("skew_s") > 0.0
+            or whole.largest("command_latency_s") > 0.0
+            or whole.largest("overshoot") > 0.0
+            or whole.largest("skew_s") > 0.0
             or self._varies_at_all("frame_phase", 0.0)
             or self._varies_at_all("clock_drift", 0.0)
-            or self._varies_at_all("frame_rate_hz", whole.greatest("frame_rate_hz"))
+            or self._varies_at_all("frame_rate_hz", whole.largest("frame_rate_hz"))
             or abs(rate - round(rate)) > TIME_TOLERANCE_S
             or rate < 0.5
         )
-        self._pieces = SUBSTEPS if within else 1
-        self._track = Track.empty(num, self._pieces)
+        self._substeps = SUBSTEPS if within else 1
+        self._track = JointTrack.empty(num, self._substeps)
         self._nthread = min(nthread, num) if nthread else (1 if num == 1 else 0)
         self._half_step = 0.5 * self._model.opt.timestep
         self._start_batch()
@@ -151,16 +151,16 @@ class MujocoPlant(SimulatedPlant):
     def _move(self) -> None:
         own, period_s = self._arguments, self.head.timing.period_s
         start_track(own.scene, self._track)
-        for piece in range(self._pieces):
-            hold_commands(
-                piece, self._pieces, period_s, own.packed, self._scene.step, own.commands,
+        for substep in range(self._substeps):
+            substep_controls(
+                substep, self._substeps, period_s, own.packed, self._scene.step, own.commands,
                 own.motors, self._slots, self._ctrl,
             )  # fmt: skip
             if self._forces_vary:
                 self._limit_forces()
-            self._batch.step(None, SUBSTEPS // self._pieces)
+            self._batch.step(None, SUBSTEPS // self._substeps)
             read_joints(
-                piece, self._qpos, self._qvel, self._half_step, self._joints, self.head.packed,
+                substep, self._qpos, self._qvel, self._half_step, self._joints, self.head.packed,
                 own.packed, own.scene, own.motors, self._coupling, self._track,
             )  # fmt: skip
         expose_on_track(

@@ -6,26 +6,26 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from vergence._jit import compiled
-from vergence.envs.plants.conditions import PackedConditions, conditions_of
+from vergence.envs.plants.conditions import PackedConditions, unpack_conditions
 from vergence.envs.plants.eye_views import EyeViews
 from vergence.envs.plants.frames import (
     TIME_TOLERANCE_S,
     Exposures,
     Frames,
-    comes_at,
-    false_detection,
-    faults_of,
-    outlier,
+    available_at,
+    draw_frame_faults,
+    false_detection_offset,
+    outlier_offset,
 )
 from vergence.envs.plants.mujoco import MujocoPlant
-from vergence.envs.plants.scene import Scene, head_of, image_motion, target_in_n
+from vergence.envs.plants.scene import Scene, image_displacement, target_in_n, true_head_row
 from vergence.envs.plants.simulation import TrialStart
 from vergence.envs.plants.variation import RANGES
 from vergence.envs.reading import BoolArray, Image, Reading
 from vergence.envs.saved_state import Arrays
-from vergence.envs.streams import IntArray, Purpose, StreamKey, StreamKeys
+from vergence.envs.streams import IntArray, StreamKey, StreamKeys, StreamPurpose
 from vergence.envs.targets.board import Board, board_axes
-from vergence.envs.targets.motion import is_shown, motion_of
+from vergence.envs.targets.motion import is_shown, unpack_motion
 from vergence.errors import ConfigurationError
 from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
@@ -122,18 +122,18 @@ class RenderedPlant(MujocoPlant):
 
     def _expose(self, ids: IntArray) -> None:
         for env in ids.tolist():
-            count = int(self._exposures.taken[env])
+            count = int(self._exposures.counts[env])
             first = int(self._frames.next[env])
             for i in range(count):
                 self._photograph(env, first + i, i)
         own = self._arguments
-        take_detections(
+        store_detections(
             ids, own.packed, own.keys, own.exposures, own.frames, self._found, self._seen
         )
 
     def _photograph(self, env: int, frame: int, i: int) -> None:
         """Take both eyes' frames of the period's i-th exposure, and keep the detections."""
-        there = poses_in_cameras(
+        there = board_poses_in_cameras(
             env,
             i,
             0.5 * self.head.timing.exposure_s,
@@ -150,7 +150,9 @@ class RenderedPlant(MujocoPlant):
         positions = self._exposures.positions[env, i]
         T_0_C = self.head.base_pose(positions) @ self.head.camera_poses(positions)
         # frames before time zero have the odd blocks, later ones the even blocks
-        rng = self._streams.at(env, Purpose.IMAGE, 2 * frame if frame >= 0 else -2 * frame - 1)
+        rng = self._streams.generator_at(
+            env, StreamPurpose.IMAGE, 2 * frame if frame >= 0 else -2 * frame - 1
+        )
         views = self._views[env]
         frames = views.draw_poses(self._T_C_T, rng, self._smear_px)
         for eye, tracker in enumerate(self._trackers[env]):
@@ -162,14 +164,14 @@ class RenderedPlant(MujocoPlant):
 
 
 @compiled
-def take_detections(
+def store_detections(
     ids: IntArray,
     packed: PackedConditions,
     keys: StreamKeys,
     exposures: Exposures,
     frames: Frames,
-    found: FloatArray,
-    seen: BoolArray,
+    detections_px: FloatArray,
+    detected: BoolArray,
 ) -> None:
     """Store the detections of some environments in the frames' ring buffers.
 
@@ -179,41 +181,41 @@ def take_detections(
         keys: keys of the trials' random streams.
         exposures: times of the exposures.
         frames: ring buffers, updated in place.
-        found: (n, E, 2, 2) detections, px.
-        seen: (n, E, 2) True if the target was detected.
+        detections_px: (n, E, 2, 2) detections, px.
+        detected: (n, E, 2) True if the target was detected.
     """
     packed, keys = PackedConditions(*packed), StreamKeys(*keys)
     exposures, frames = Exposures(*exposures), Frames(*frames)
     mask = frames.dropped.shape[1] - 1
     for n in ids:
-        conditions, key = conditions_of(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
-        for i in range(exposures.taken[n]):
+        conditions, key = unpack_conditions(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
+        for i in range(exposures.counts[n]):
             f, time_s = frames.next[n], exposures.time_s[n, i]
             frames.next[n] = f + 1
-            slot, faults = np.uintp(f & mask), faults_of(conditions, key, f)
+            slot, faults = np.uintp(f & mask), draw_frame_faults(conditions, key, f)
             frames.exposed_s[n, slot], frames.dropped[n, slot] = time_s, faults.dropped
             if faults.dropped:
                 continue
-            comes_s = comes_at(conditions, time_s, faults.late_s, frames.latest_s[n])
+            comes_s = available_at(conditions, time_s, faults.extra_latency_s, frames.latest_s[n])
             frames.comes_s[n, slot] = frames.latest_s[n] = comes_s
             for eye in range(2):
                 missed = faults.missed_right if eye else faults.missed_left
-                visible = seen[n, i, eye] and not missed
+                visible = detected[n, i, eye] and not missed
                 frames.visible[n, slot, eye] = visible
                 if visible:
-                    du, dv = outlier(conditions, key, f, eye)
+                    du, dv = outlier_offset(conditions, key, f, eye)
                     false_u = false_v = 0.0
                     if conditions.false_detection_probability > 0.0:
-                        false_u, false_v = false_detection(conditions, key, f, eye)
-                    frames.pixels[n, slot, eye, 0] = found[n, i, eye, 0] + du + false_u
-                    frames.pixels[n, slot, eye, 1] = found[n, i, eye, 1] + dv + false_v
+                        false_u, false_v = false_detection_offset(conditions, key, f, eye)
+                    frames.pixels[n, slot, eye, 0] = detections_px[n, i, eye, 0] + du + false_u
+                    frames.pixels[n, slot, eye, 1] = detections_px[n, i, eye, 1] + dv + false_v
 
 
 @compiled
-def poses_in_cameras(
+def board_poses_in_cameras(
     n: int,
     i: int,
-    half_s: float,
+    half_exposure_s: float,
     facing_head: bool,
     scene: Scene,
     exposures: Exposures,
@@ -226,7 +228,7 @@ def poses_in_cameras(
     Args:
         n: environment index.
         i: index of the exposure within the period.
-        half_s: half the exposure time, s.
+        half_exposure_s: half the exposure time, s.
         facing_head: True if the board is square to the line from N's origin, see
             `vergence.models.boards.board_pose`.
         scene: `untyped_tuple`.
@@ -239,10 +241,10 @@ def poses_in_cameras(
         True if there is a target at this time.
     """
     scene, exposures = Scene(*scene), Exposures(*exposures)
-    p, time_s = head_of(scene, n), exposures.time_s[n, i]
+    p, time_s = true_head_row(scene, n), exposures.time_s[n, i]
     q, v = exposures.positions[n, i], exposures.velocities[n, i]
-    motion, own_time_s = motion_of(scene.motions[n]), time_s - onset_s + TIME_TOLERANCE_S
-    x, y, z = target_in_n(p, motion, scene.necks[n], q, own_time_s)
+    motion, target_time_s = unpack_motion(scene.motions[n]), time_s - onset_s + TIME_TOLERANCE_S
+    x, y, z = target_in_n(p, motion, scene.necks[n], q, target_time_s)
     # columns of the board's rotation in N
     axes = board_axes((x, y, z), facing_head)
     for eye in range(2):
@@ -255,7 +257,9 @@ def poses_in_cameras(
         out[3, 0] = out[3, 1] = out[3, 2] = 0.0
         out[3, 3] = 1.0
         du = dv = 0.0
-        if half_s > 0.0:
-            du, dv = image_motion(p, motion, scene.necks[n], eye, q, v, own_time_s, half_s)
+        if half_exposure_s > 0.0:
+            du, dv = image_displacement(
+                p, motion, scene.necks[n], eye, q, v, target_time_s, half_exposure_s
+            )
         smear_px[eye, 0], smear_px[eye, 1] = du if du == du else 0.0, dv if dv == dv else 0.0
-    return is_shown(motion, own_time_s)
+    return is_shown(motion, target_time_s)

@@ -8,7 +8,7 @@ from vergence._jit import compiled, inlined
 from vergence.envs.plants.conditions import EnvIndex
 from vergence.envs.reading import Truth
 from vergence.envs.streams import IntArray
-from vergence.envs.targets.motion import Motion, motion_of, position_at
+from vergence.envs.targets.motion import Motion, position_at, unpack_motion
 from vergence.models.camera import inside_image, pixel_error, point_to_pixel
 from vergence.models.kinematics import neck_frame, point_in_eye
 from vergence.models.packed import PackedHead
@@ -34,7 +34,7 @@ class Scene(NamedTuple):
 
 
 @inlined
-def head_of(scene: Scene, n: EnvIndex) -> PackedHead:
+def true_head_row(scene: Scene, n: EnvIndex) -> PackedHead:
     """(PACKED,) true head of an environment."""
     head: PackedHead = scene.heads[np.uintp(n) * np.uintp(scene.heads.shape[0] > 1)]
     return head
@@ -61,7 +61,7 @@ def eye_pixel(p: PackedHead, eye: int, q: FloatArray, point: Vector) -> tuple[fl
 
 
 @inlined
-def image_motion(
+def image_displacement(
     p: PackedHead,
     motion: Motion,
     neck: FloatArray,
@@ -69,7 +69,7 @@ def image_motion(
     q: FloatArray,
     v: FloatArray,
     time_s: float,
-    half_s: float,
+    half_exposure_s: float,
 ) -> tuple[float, float]:
     """Displacement of the target's image while the shutter is open, px.
 
@@ -84,12 +84,12 @@ def image_motion(
         q: (7,) joint angles in the middle of the exposure, rad.
         v: (7,) joint velocities then, rad/s.
         time_s: the middle of the exposure in the target's own time, s.
-        half_s: half the exposure time, s.
+        half_exposure_s: half the exposure time, s.
     """
     tilt, pan = q[3 + 2 * eye], q[4 + 2 * eye]
-    dt, dp = v[3 + 2 * eye] * half_s, v[4 + 2 * eye] * half_s
-    yaw, roll, pitch = v[0] * half_s, v[1] * half_s, v[2] * half_s
-    begin, end = time_s - half_s, time_s + half_s
+    dt, dp = v[3 + 2 * eye] * half_exposure_s, v[4 + 2 * eye] * half_exposure_s
+    yaw, roll, pitch = v[0] * half_exposure_s, v[1] * half_exposure_s, v[2] * half_exposure_s
+    begin, end = time_s - half_exposure_s, time_s + half_exposure_s
     for jump in (motion.jump, motion.second_jump):
         if time_s >= jump:
             begin = max(begin, jump)
@@ -106,25 +106,25 @@ def image_motion(
 
 @compiled
 def update_truth(
-    nominal: PackedHead, period_s: float, own_time_s: FloatArray, scene: Scene, truth: Truth
+    nominal: PackedHead, period_s: float, target_time_s: FloatArray, scene: Scene, truth: Truth
 ) -> None:
     """Update the ground truth.
 
     Args:
         nominal: (PACKED,) the head that the controller knows.
         period_s: the control period.
-        own_time_s: (n,) the targets' own times, s.
+        target_time_s: (n,) the targets' own times, s.
         scene: `untyped_tuple`.
         truth: `untyped_tuple`, the result.
     """
     scene, truth = Scene(*scene), Truth(*truth)
     for n in range(scene.step.shape[0]):
         truth.time_s[n] = scene.step[n] * period_s
-        p, q = head_of(scene, n), scene.positions[n]
+        p, q = true_head_row(scene, n), scene.positions[n]
         for j in range(7):
             truth.positions[n, j], truth.velocities[n, j] = q[j], scene.velocities[n, j]
-        motion = motion_of(scene.motions[n])
-        point = target_in_n(p, motion, scene.necks[n], q, own_time_s[n])
+        motion = unpack_motion(scene.motions[n])
+        point = target_in_n(p, motion, scene.necks[n], q, target_time_s[n])
         truth.target[n, 0], truth.target[n, 1], truth.target[n, 2] = point
         for eye in range(2):
             u, v = eye_pixel(p, eye, q, point)

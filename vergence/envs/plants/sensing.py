@@ -1,9 +1,9 @@
 r"""Sensor model of simulated plants: detections in each frame, and the time of their reading.
 
-`expose` takes the frames of the last period, each with the joint angles at its own exposure, and
-stores the detections in ring buffers. `report` reads the newest frame that has become readable, and
-the joint feedback. While the control loop stalls nothing is read: a reading then has the present
-time and is otherwise unchanged.
+`store_frames` takes the frames of the last period, each with the joint angles at its own exposure,
+and stores the detections in ring buffers. `read_sensors` reads the newest frame that has become
+readable, and the joint feedback. While the control loop stalls nothing is read: a reading then has
+the present time and is otherwise unchanged.
 
 A reading dates its image by the camera's stamp if there is one, else by the receipt minus the
 nominal latency, as does a robot that only knows when an image arrived. If the actual latency
@@ -17,26 +17,26 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence._jit import compiled
-from vergence.envs.plants.commands import LOST, RESUMES, is_lost, stalled_until
-from vergence.envs.plants.conditions import PackedConditions, conditions_of
-from vergence.envs.plants.feedback import Feedback, reported_at, sense_joints
+from vergence.envs.plants.commands import LOST, RESUMES, is_command_lost, loop_resumes_at
+from vergence.envs.plants.conditions import PackedConditions, unpack_conditions
+from vergence.envs.plants.feedback import Feedback, reported_interval, sense_joints
 from vergence.envs.plants.frames import (
     TIME_TOLERANCE_S,
     Exposures,
     Frames,
-    comes_at,
-    false_detection,
-    faults_of,
+    available_at,
+    draw_frame_faults,
+    exposed_eyes,
+    false_detection_offset,
     first_exposure,
-    frame_of,
-    outlier,
+    outlier_offset,
     pixel_noise,
 )
 from vergence.envs.plants.motors import ActuatorCoupling, MotorStates
-from vergence.envs.plants.scene import Scene, eye_pixel, image_motion, target_in_n
+from vergence.envs.plants.scene import Scene, eye_pixel, image_displacement, target_in_n
 from vergence.envs.reading import Reading
 from vergence.envs.streams import IntArray, StreamKey, StreamKeys
-from vergence.envs.targets.motion import is_shown, motion_of
+from vergence.envs.targets.motion import is_shown, unpack_motion
 from vergence.models.camera import inside_image
 from vergence.models.head import HeadModel
 
@@ -75,7 +75,7 @@ class Sensor(NamedTuple):
 
 
 @compiled
-def expose(
+def store_frames(
     ids: IntArray,
     sensor: Sensor,
     packed: PackedConditions,
@@ -101,56 +101,56 @@ def expose(
     heads, motions, necks, _steps, _positions, _velocities = scene
     counts, times, then_q, then_v = exposures
     pixels, visible, dropped, exposed_s, comes_s, following, _pending, latest_s = frames
-    half_s = 0.5 * sensor.exposure_s
+    half_exposure_s = 0.5 * sensor.exposure_s
     mask, many = dropped.shape[1] - 1, np.uintp(heads.shape[0] > 1)
     for env in ids:
         n = np.uintp(env)  # unsigned, so that no index is counted from the end
         if counts[n] == 0:
             continue
-        conditions, key = conditions_of(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
-        p, motion = heads[n * many], motion_of(motions[n])
+        conditions, key = unpack_conditions(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
+        p, motion = heads[n * many], unpack_motion(motions[n])
         for i in range(counts[n]):
-            (f, first_eye, end_eye), time_s = frame_of(conditions, following[n]), times[n, i]
+            (f, first_eye, end_eye), time_s = exposed_eyes(conditions, following[n]), times[n, i]
             following[n] += 1
-            slot, faults = np.uintp(f & mask), faults_of(conditions, key, f)
+            slot, faults = np.uintp(f & mask), draw_frame_faults(conditions, key, f)
             if first_eye == 0:
                 exposed_s[n, slot], dropped[n, slot] = time_s, faults.dropped
                 visible[n, slot, 0] = visible[n, slot, 1] = False
             if faults.dropped:
                 continue
             if first_eye == 0:
-                comes_s[n, slot] = latest_s[n] = comes_at(
-                    conditions, time_s, faults.late_s, latest_s[n]
+                comes_s[n, slot] = latest_s[n] = available_at(
+                    conditions, time_s, faults.extra_latency_s, latest_s[n]
                 )
             # a frame at a jump shows the target after the jump
-            own_time_s = time_s - conditions.onset_s + TIME_TOLERANCE_S
-            if not is_shown(motion, own_time_s):
+            target_time_s = time_s - conditions.onset_s + TIME_TOLERANCE_S
+            if not is_shown(motion, target_time_s):
                 continue
             q = then_q[n, i]
-            point = target_in_n(p, motion, necks[n], q, own_time_s)
+            point = target_in_n(p, motion, necks[n], q, target_time_s)
             noise = pixel_noise(conditions, key, f)
             for eye in range(first_eye, end_eye):
                 u, v = eye_pixel(p, eye, q, point)
                 missed = faults.missed_right if eye else faults.missed_left
                 if missed or not inside_image(p, eye, u, v):
                     continue
-                if half_s > 0.0:
-                    smear = image_motion(
-                        p, motion, necks[n], eye, q, then_v[n, i], own_time_s, half_s
+                if half_exposure_s > 0.0:
+                    smear = image_displacement(
+                        p, motion, necks[n], eye, q, then_v[n, i], target_time_s, half_exposure_s
                     )
                     if not hypot(smear[0], smear[1]) <= sensor.max_smear_px:
                         continue
-                du, dv = outlier(conditions, key, f, eye)
+                du, dv = outlier_offset(conditions, key, f, eye)
                 false_u = false_v = 0.0
                 if conditions.false_detection_probability > 0.0:
-                    false_u, false_v = false_detection(conditions, key, f, eye)
+                    false_u, false_v = false_detection_offset(conditions, key, f, eye)
                 visible[n, slot, eye] = True
                 pixels[n, slot, eye, 0] = u + (noise[2] if eye else noise[0]) + du + false_u
                 pixels[n, slot, eye, 1] = v + (noise[3] if eye else noise[1]) + dv + false_v
 
 
 @compiled
-def report(
+def read_sensors(
     ids: IntArray,
     sensor: Sensor,
     packed: PackedConditions,
@@ -178,13 +178,15 @@ def report(
     """
     sensor, packed, keys = Sensor(*sensor), PackedConditions(*packed), StreamKeys(*keys)
     frames, reading = Frames(*frames), Reading(*reading)
-    period_s, loops = sensor.period_s, Feedback(*feedback).loops
+    period_s, loop_states = sensor.period_s, Feedback(*feedback).loop_states
     for env in ids:
         n = np.uintp(env)
-        conditions, step = conditions_of(packed, n), steps[n]
+        conditions, step = unpack_conditions(packed, n), steps[n]
         key = StreamKey(keys.seeds[n], keys.trials[n])
-        loops[n, RESUMES] = stalled_until(conditions, key, step, period_s, loops[n, RESUMES])
-        loops[n, LOST] = is_lost(conditions, key, step)
+        loop_states[n, RESUMES] = loop_resumes_at(
+            conditions, key, step, period_s, loop_states[n, RESUMES]
+        )
+        loop_states[n, LOST] = is_command_lost(conditions, key, step)
     sense_joints(
         ids, period_s, packed, keys, steps, MotorStates(*motors), coupling, Feedback(*feedback),
         reading,
@@ -206,10 +208,10 @@ def report(
         k = steps[n]
         now_s = k * period_s
         time_s[n] = now_s
-        if k < loops[n, RESUMES]:
+        if k < loop_states[n, RESUMES]:
             continue
         joints_s[n] = now_s - sensor.feedback_latency_s
-        newest, f, conditions = _NONE, pending[n], conditions_of(packed, n)
+        newest, f, conditions = _NONE, pending[n], unpack_conditions(packed, n)
         # a frame whose right eye is still to be exposed has not arrived
         while first_exposure(conditions, f) < following[n]:
             slot = np.uintp(f & mask)
@@ -226,7 +228,7 @@ def report(
         received_s[n] = comes_s[n, slot]
         date_s = exposed_s[n, slot] if sensor.stamped else comes_s[n, slot] - sensor.latency_s
         read_exposure_s[n] = date_s
-        at = reported_at((date_s + sensor.feedback_latency_s) * rate, k, kept)
+        at = reported_interval((date_s + sensor.feedback_latency_s) * rate, k, kept)
         for j in range(7):
             old = reported[n, at.first, j]
             at_exposure[n, j] = old

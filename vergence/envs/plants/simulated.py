@@ -9,23 +9,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import untyped_tuple
-from vergence.envs.fields import count
 from vergence.envs.plants import starting
-from vergence.envs.plants.commands import Commands, take_commands
+from vergence.envs.plants.commands import CommandBuffers, store_commands
 from vergence.envs.plants.conditions import Conditions, PackedConditions
 from vergence.envs.plants.feedback import STATE, Feedback
 from vergence.envs.plants.frames import TIME_TOLERANCE_S, Exposures, Frames
 from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.envs.plants.motors import MOVING, ActuatorCoupling, MotorStates
 from vergence.envs.plants.scene import Scene, update_truth
-from vergence.envs.plants.sensing import Sensor, expose, report
+from vergence.envs.plants.sensing import Sensor, read_sensors, store_frames
 from vergence.envs.plants.simulation import Simulation, TrialStart
 from vergence.envs.plants.true_heads import TrueHeads
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
 from vergence.envs.reading import Reading, Truth
-from vergence.envs.saved_state import Arrays, copied, prefixed, put_back
-from vergence.envs.streams import IntArray, StreamKeys, Streams
+from vergence.envs.saved_state import Arrays, copy_arrays, join_parts, restore_arrays
+from vergence.envs.streams import IntArray, RandomStreams, StreamKeys
 from vergence.envs.targets.motion import JUMP, last_jump, motion_rows
+from vergence.envs.validation import check_count
 from vergence.errors import ConfigurationError, refuse_unknown
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -43,7 +43,7 @@ class _KernelArguments(NamedTuple):
     keys: StreamKeys
     scene: Scene
     motors: MotorStates
-    commands: Commands
+    commands: CommandBuffers
     feedback: Feedback
     frames: Frames
     exposures: Exposures
@@ -94,7 +94,7 @@ class SimulatedPlant(Simulation):
         **loop: ArrayLike | None,
     ) -> None:
         refuse_unknown("plant_options", loop, IMPERFECTIONS)
-        num = count("num", num)
+        num = check_count("num", num)
         if head.batch_shape:
             raise ConfigurationError(
                 f"head: expected one head, got a population of shape {head.batch_shape}"
@@ -109,30 +109,30 @@ class SimulatedPlant(Simulation):
         self.num = num
         self.reading = Reading.empty(num)
         self._all = np.arange(num)
-        self._streams = Streams(num)
+        self._streams = RandomStreams(num)
         timing, period_s = head.timing, head.timing.period_s
-        most_hz = heads.greatest("frame_rate_hz") / (1.0 + IMPERFECTIONS["clock_drift"].least)
-        skew_s = heads.greatest("skew_s")
-        late_s = heads.greatest("latency_s") + heads.greatest("jitter_s") + skew_s
+        max_hz = heads.largest("frame_rate_hz") / (1.0 + IMPERFECTIONS["clock_drift"].least)
+        skew_s = heads.largest("skew_s")
+        late_s = heads.largest("latency_s") + heads.largest("jitter_s") + skew_s
         stalled_s = 0.0
-        if heads.greatest("stall_probability") > 0.0:
-            stalled_s = max(heads.greatest("stall_s"), period_s) + period_s
-        self._frames = Frames.empty(num, late_s + stalled_s + 2.0 * period_s, most_hz)
-        self._exposures = Exposures.empty(num, period_s, most_hz, 2 if skew_s > 0.0 else 1)
+        if heads.largest("stall_probability") > 0.0:
+            stalled_s = max(heads.largest("stall_s"), period_s) + period_s
+        self._frames = Frames.empty(num, late_s + stalled_s + 2.0 * period_s, max_hz)
+        self._exposures = Exposures.empty(num, period_s, max_hz, 2 if skew_s > 0.0 else 1)
         self._motors = MotorStates.of(head, heads.given, num)
         self._coupling = ActuatorCoupling.of(head, heads.given)
-        self._commands = Commands.empty(
+        self._commands = CommandBuffers.empty(
             num,
             heads.given.actuation.velocity,
             head.sensor.command_resolution_rad_s,
-            heads.greatest("command_latency_s"),
+            heads.largest("command_latency_s"),
             period_s,
         )
         # the reading of an image looks up joint angles as old as its date
-        oldest_s = max(late_s, timing.latency_s) + 1.0 / most_hz + timing.feedback_latency_s
-        oldest_s = max(oldest_s, heads.greatest("speed_span_s"))
-        feedback_s = heads.greatest("feedback_latency_s") + heads.greatest("speed_latency_s")
-        self._feedback = Feedback.of(head, num, feedback_s, oldest_s + stalled_s + period_s)
+        max_age_s = max(late_s, timing.latency_s) + 1.0 / max_hz + timing.feedback_latency_s
+        max_age_s = max(max_age_s, heads.largest("speed_span_s"))
+        feedback_s = heads.largest("feedback_latency_s") + heads.largest("speed_latency_s")
+        self._feedback = Feedback.of(head, num, feedback_s, max_age_s + stalled_s + period_s)
         self._scene = Scene(
             heads=heads.packed.heads,
             motions=motion_rows(np.tile(_AHEAD, (num, 1))),
@@ -205,7 +205,7 @@ class SimulatedPlant(Simulation):
         own = self._arguments
         self._streams.start(ids, start.seeds, start.trials)
         self._true_heads.draw(self._streams, ids)
-        starting.begin(
+        starting.begin_trials(
             ids, positions, start.motions, own.packed, own.keys, own.scene, own.motors,
             self._coupling, own.commands, own.feedback, own.frames, own.reading,
         )  # fmt: skip
@@ -226,9 +226,9 @@ class SimulatedPlant(Simulation):
             raise ConfigurationError(
                 f"command: expected shape ({self.num}, 7), got {command.shape}"
             )
-        loops = self._feedback.loops
-        if not take_commands(
-            command, self._arguments.commands, loops, self._scene.step, self.reading.command
+        loop_states = self._feedback.loop_states
+        if not store_commands(
+            command, self._arguments.commands, loop_states, self._scene.step, self.reading.command
         ):
             raise ConfigurationError("command: expected numbers, got nan")
         self._move()
@@ -239,21 +239,21 @@ class SimulatedPlant(Simulation):
 
     def truth(self) -> Truth:
         """Ground truth of the present, without delay or noise."""
-        own_time_s = self._scene.step * self.head.timing.period_s - self.conditions.onset_s
+        target_time_s = self._scene.step * self.head.timing.period_s - self.conditions.onset_s
         # a jump at the time of a control step counts as done
-        own_time_s[np.abs(own_time_s) < TIME_TOLERANCE_S] = 0.0
-        return self._truth_at(own_time_s)
+        target_time_s[np.abs(target_time_s) < TIME_TOLERANCE_S] = 0.0
+        return self._truth_at(target_time_s)
 
     def truth_at_rest(self) -> Truth:
         """See `Simulation.truth_at_rest`."""
         return self._truth_at(last_jump(self._scene.motions))
 
-    def _truth_at(self, own_time_s: FloatArray) -> Truth:
+    def _truth_at(self, target_time_s: FloatArray) -> Truth:
         """Ground truth of the present, with the targets at given own times."""
         truth = Truth.unknown(self.num)
         period_s = self.head.timing.period_s
         update_truth(
-            self.head.packed, period_s, own_time_s, self._arguments.scene, untyped_tuple(truth)
+            self.head.packed, period_s, target_time_s, self._arguments.scene, untyped_tuple(truth)
         )
         truth.motors[:] = self._motors.angles
         return truth
@@ -274,7 +274,7 @@ class SimulatedPlant(Simulation):
 
     def state(self) -> Arrays:
         """See `Simulation.state`."""
-        return copied(self._arrays())
+        return copy_arrays(self._arrays())
 
     def _widen_motions(self, width: int) -> None:
         """Lengthen the rows of the targets' motions to `width` if they are shorter."""
@@ -288,7 +288,7 @@ class SimulatedPlant(Simulation):
     def restore(self, state: Arrays) -> Reading:
         """See `Simulation.restore`."""
         self._widen_motions(state["scene.motions"].shape[1] if "scene.motions" in state else 0)
-        put_back(self._arrays(), state)
+        restore_arrays(self._arrays(), state)
         return self.reading
 
     def _arrays(self) -> Arrays:
@@ -296,11 +296,11 @@ class SimulatedPlant(Simulation):
         scene, feedback = self._scene._asdict(), self._feedback
         del scene["heads"]  # part of the conditions
         motors = self._motors
-        return prefixed(
+        return join_parts(
             conditions=self._true_heads.arrays(),
             keys=self._streams.keys._asdict(),
             motors={name: getattr(motors, field) for name, field in MOVING.items()},
-            commands={"given": self._commands.given},
+            commands={"given": self._commands.velocities},
             feedback={name: getattr(feedback, field) for name, field in STATE.items()},
             frames=self._frames._asdict(),
             scene=scene,
@@ -312,19 +312,19 @@ class SimulatedPlant(Simulation):
         self._scene.velocities[:] = 0.0
         self._motors.speeds[:] = 0.0
         self._motors.accelerations[:] = 0.0
-        self._commands.given[:] = 0.0
+        self._commands.velocities[:] = 0.0
         self.reading.command[:] = 0.0
         self._put_at_rest(self._all)
 
     def _expose(self, ids: IntArray) -> None:
         """Take the last period's frames of some environments."""
         own = self._arguments
-        expose(ids, own.sensor, own.packed, own.keys, own.scene, own.exposures, own.frames)
+        store_frames(ids, own.sensor, own.packed, own.keys, own.scene, own.exposures, own.frames)
 
     def _report(self, ids: IntArray) -> None:
         """Read the sensors of some environments."""
         own = self._arguments
-        report(
+        read_sensors(
             ids, own.sensor, own.packed, own.keys, self._scene.step, own.motors, self._coupling,
             own.feedback, own.frames, own.reading,
         )  # fmt: skip

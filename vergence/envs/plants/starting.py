@@ -6,36 +6,43 @@ from typing import Final
 import numpy as np
 
 from vergence._jit import compiled, inlined
-from vergence.envs.plants.commands import LOOP_STATE, Commands
+from vergence.envs.plants.commands import LOOP_STATE, CommandBuffers
 from vergence.envs.plants.conditions import (
     BACKLASH,
     PackedConditions,
     TrialConditions,
-    conditions_of,
+    unpack_conditions,
 )
 from vergence.envs.plants.feedback import Feedback, quantise
 from vergence.envs.plants.frames import (
     TIME_TOLERANCE_S,
     Exposures,
     Frames,
-    comes_at,
+    available_at,
+    draw_frame_faults,
     exposure_time,
-    faults_of,
+    eye_skew_s,
     first_exposure,
     frame_time,
-    skew_of,
 )
 from vergence.envs.plants.motors import ActuatorCoupling, MotorStates, joints_from_actuators
-from vergence.envs.plants.scene import Scene, eye_pixel, head_of, target_in_n
+from vergence.envs.plants.scene import Scene, eye_pixel, target_in_n, true_head_row
 from vergence.envs.reading import Reading
-from vergence.envs.streams import IntArray, Purpose, StreamKey, StreamKeys, random_words, to_uniform
-from vergence.envs.targets.motion import is_shown, motion_of
+from vergence.envs.streams import (
+    IntArray,
+    StreamKey,
+    StreamKeys,
+    StreamPurpose,
+    random_words,
+    to_uniform,
+)
+from vergence.envs.targets.motion import is_shown, unpack_motion
 from vergence.models.actuation import SLOTS
 from vergence.models.camera import inside_image
 from vergence.models.packed import eye_actuator_angle
 from vergence.models.parts import FloatArray
 
-_VARIATION: Final = int(Purpose.VARIATION)
+_VARIATION: Final = int(StreamPurpose.VARIATION)
 _LONGEST_S: Final = 10.0
 """Time without a sight after which a target counts as never seen, s (chosen: length of the search
 against late sights)."""
@@ -44,12 +51,12 @@ against late sights)."""
 @inlined
 def first_frame(conditions: TrialConditions) -> int:
     """First frame to be exposed in a trial, early enough to have arrived by time zero."""
-    oldest_s = conditions.latency_s + conditions.jitter_s + skew_of(conditions)
-    return floor(-oldest_s / conditions.frame_s - conditions.frame_phase - TIME_TOLERANCE_S)
+    max_age_s = conditions.latency_s + conditions.jitter_s + eye_skew_s(conditions)
+    return floor(-max_age_s / conditions.frame_s - conditions.frame_phase - TIME_TOLERANCE_S)
 
 
 @compiled
-def begin(
+def begin_trials(
     ids: IntArray,
     positions: FloatArray,
     motions: FloatArray,
@@ -58,7 +65,7 @@ def begin(
     scene: Scene,
     motors: MotorStates,
     coupling: ActuatorCoupling | None,
-    commands: Commands,
+    commands: CommandBuffers,
     feedback: Feedback,
     frames: Frames,
     reading: Reading,
@@ -82,17 +89,21 @@ def begin(
         reading: set to the reading of heads that have seen nothing yet.
     """
     packed, keys, scene = PackedConditions(*packed), StreamKeys(*keys), Scene(*scene)
-    motors, commands, feedback = MotorStates(*motors), Commands(*commands), Feedback(*feedback)
+    motors, commands, feedback = (
+        MotorStates(*motors),
+        CommandBuffers(*commands),
+        Feedback(*feedback),
+    )
     frames, reading = Frames(*frames), Reading(*reading)
     share = np.full(8, 0.5)
     for m in range(ids.shape[0]):
         n = ids[m]
-        conditions = conditions_of(packed, n)
+        conditions = unpack_conditions(packed, n)
         for i in range(motions.shape[1]):
             scene.motions[n, i] = motions[m, i]
         scene.step[n] = 0
         for i in range(LOOP_STATE):
-            feedback.loops[n, i] = 0
+            feedback.loop_states[n, i] = 0
         for lane in range(2):
             words = random_words(keys.seeds[n], keys.trials[n], _VARIATION, 3, lane + 1)
             for i in range(4):
@@ -108,8 +119,8 @@ def begin(
             offset = packed.own[n, BACKLASH, k] * (share[k] - 0.5)
             motors.output[n, k] = scene.positions[n, k] = motors.angles[n, k] + offset
             scene.velocities[n, k] = reading.command[n, k] = 0.0
-            for slot in range(commands.given.shape[1]):
-                commands.given[n, slot, k] = 0.0
+            for slot in range(commands.velocities.shape[1]):
+                commands.velocities[n, slot, k] = 0.0
             feedback.filtered[n, 0, k] = feedback.filtered[n, 1, k] = 0.0
             angle = motors.output[n, k] if feedback.on_output else motors.angles[n, k]
             for slot in range(feedback.measured.shape[1]):
@@ -119,7 +130,7 @@ def begin(
             reading.velocities[n, k] = 0.0
         if coupling is not None:
             joints_from_actuators(
-                coupling.scratch, head_of(scene, n), scene.positions[n], scene.velocities[n]
+                coupling.scratch, true_head_row(scene, n), scene.positions[n], scene.velocities[n]
             )
             joints_from_actuators(
                 coupling.scratch, coupling.head, reading.positions[n], reading.velocities[n]
@@ -160,7 +171,7 @@ def expose_at_rest(
     frames, exposures = Frames(*frames), Exposures(*exposures)
     some = False
     for n in ids:
-        count, most, conditions = 0, exposures.time_s.shape[1], conditions_of(packed, n)
+        count, most, conditions = 0, exposures.time_s.shape[1], unpack_conditions(packed, n)
         while count < most:
             time_s = exposure_time(conditions, frames.next[n] + count)
             if time_s > TIME_TOLERANCE_S:
@@ -170,7 +181,7 @@ def expose_at_rest(
                 exposures.positions[n, count, j] = scene.positions[n, j]
                 exposures.velocities[n, count, j] = 0.0
             count += 1
-        exposures.taken[n] = count
+        exposures.counts[n] = count
         some = some or count > 0
     return some
 
@@ -197,22 +208,25 @@ def first_detection_times(
     """
     packed, keys, scene = PackedConditions(*packed), StreamKeys(*keys), Scene(*scene)
     for n in range(len(times_s)):
-        conditions, key = conditions_of(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
-        p, motion = head_of(scene, n), motion_of(scene.motions[n])
+        conditions, key = unpack_conditions(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
+        p, motion = true_head_row(scene, n), unpack_motion(scene.motions[n])
         q, neck = scene.positions[n], scene.necks[n]
         frame, latest_s = first_frame(conditions), -np.inf
         times_s[n] = np.inf
-        own_time_s = -np.inf
-        while own_time_s < since_s[n] + _LONGEST_S:
-            time_s, faults = frame_time(conditions, frame), faults_of(conditions, key, frame)
-            own_time_s = time_s - conditions.onset_s
+        target_time_s = -np.inf
+        while target_time_s < since_s[n] + _LONGEST_S:
+            time_s, faults = (
+                frame_time(conditions, frame),
+                draw_frame_faults(conditions, key, frame),
+            )
+            target_time_s = time_s - conditions.onset_s
             frame += 1
             if faults.dropped:
                 continue
-            latest_s = comes_at(conditions, time_s, faults.late_s, latest_s)
+            latest_s = available_at(conditions, time_s, faults.extra_latency_s, latest_s)
             found = False
             for eye in range(2):
-                then_s = own_time_s + eye * skew_of(conditions)
+                then_s = target_time_s + eye * eye_skew_s(conditions)
                 if then_s < since_s[n] - TIME_TOLERANCE_S or not is_shown(
                     motion, then_s + TIME_TOLERANCE_S
                 ):

@@ -1,7 +1,7 @@
-"""Control periods in pieces, for commands that change and frames that are exposed within a period.
+"""Control periods in substeps, as commands change and frames are exposed within a period.
 
-For each piece, a physics engine is given a mean command, and its state is read at the end. The
-joint angles at the exposure of a frame are interpolated between both ends of its piece.
+For each substep, a physics engine is given a mean command, and its state is read at the end. The
+joint angles at the exposure of a frame are interpolated between both ends of its substep.
 """
 
 from typing import NamedTuple
@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vergence._jit import compiled
-from vergence.envs.plants.commands import Commands, hold_of
-from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, conditions_of
+from vergence.envs.plants.commands import CommandBuffers, held_commands
+from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, unpack_conditions
 from vergence.envs.plants.feedback import interpolate_joint
 from vergence.envs.plants.frames import TIME_TOLERANCE_S, Exposures, Frames, exposure_time
 from vergence.envs.plants.motors import (
@@ -21,31 +21,31 @@ from vergence.envs.plants.motors import (
     output_angle,
     output_speed,
 )
-from vergence.envs.plants.scene import Scene, head_of
+from vergence.envs.plants.scene import Scene, true_head_row
 from vergence.envs.streams import IntArray
 from vergence.models.joint_response import damping_ratio, follow_second_order_joint, lag_decay
 from vergence.models.packed import PackedHead, eye_actuator_angle, eye_actuator_velocity
 from vergence.models.parts import FloatArray
 
 
-class Track(NamedTuple):
-    """Joint states within a period: at its beginning and at the end of each piece."""
+class JointTrack(NamedTuple):
+    """Joint states within a period: at its beginning and at the end of each substep."""
 
     positions: FloatArray
-    """(n, pieces + 1, 7) rad."""
+    """(n, substeps + 1, 7) rad."""
     velocities: FloatArray
-    """(n, pieces + 1, 7) rad/s."""
+    """(n, substeps + 1, 7) rad/s."""
 
     @classmethod
-    def empty(cls, num: int, pieces: int) -> "Track":
+    def empty(cls, num: int, substeps: int) -> "JointTrack":
         """Arrays for `num` heads."""
-        return cls(*np.zeros((2, num, pieces + 1, 7)))
+        return cls(*np.zeros((2, num, substeps + 1, 7)))
 
 
 @compiled
-def start_track(scene: Scene, track: Track) -> None:
+def start_track(scene: Scene, track: JointTrack) -> None:
     """Begin a period's track with the present joint states; both arguments are `untyped_tuple`."""
-    scene, track = Scene(*scene), Track(*track)
+    scene, track = Scene(*scene), JointTrack(*track)
     for n in range(scene.step.shape[0]):
         for j in range(7):
             track.positions[n, 0, j] = scene.positions[n, j]
@@ -53,25 +53,25 @@ def start_track(scene: Scene, track: Track) -> None:
 
 
 @compiled
-def hold_commands(
-    piece: int,
-    pieces: int,
+def substep_controls(
+    substep: int,
+    substeps: int,
     period_s: float,
     packed: PackedConditions,
     steps: IntArray,
-    commands: Commands,
+    commands: CommandBuffers,
     motors: MotorStates,
     slots: IntArray,
     control: FloatArray,
 ) -> None:
-    """Compute the servos' controls for a piece of a period: the mean of its commands.
+    """Compute the servos' controls for a substep of a period: the mean of its commands.
 
     A second-order servo is simulated as a first-order one with another control: the control that
-    leads to the speed of the second-order response at the piece's end.
+    leads to the speed of the second-order response at the substep's end.
 
     Args:
-        piece: index of the piece.
-        pieces: number of pieces per period.
+        substep: index of the substep.
+        substeps: number of substeps per period.
         period_s: the control period, s.
         packed: `untyped_tuple`, conditions of the trials.
         steps: (n,) numbers of the periods.
@@ -81,11 +81,11 @@ def hold_commands(
         control: (n, nu) result, rad/s.
     """
     packed, motors = PackedConditions(*packed), MotorStates(*motors)
-    given, length = Commands(*commands).given, period_s / pieces
+    given, length = CommandBuffers(*commands).velocities, period_s / substeps
     for n in range(len(steps)):
-        conditions = conditions_of(packed, n)
-        hold = hold_of(conditions.command_latency_s, steps[n], given.shape[1], period_s)
-        before = min(max(hold.change_s - piece * length, 0.0), length) / length
+        conditions = unpack_conditions(packed, n)
+        hold = held_commands(conditions.command_latency_s, steps[n], given.shape[1], period_s)
+        before = min(max(hold.change_s - substep * length, 0.0), length) / length
         for i in range(slots.shape[0]):
             k = slots[i]
             u = before * given[n, hold.first, k] + (1.0 - before) * given[n, hold.then, k]
@@ -105,7 +105,7 @@ def hold_commands(
 
 @compiled
 def read_joints(
-    piece: int,
+    substep: int,
     qpos: FloatArray,
     qvel: FloatArray,
     half_step: float,
@@ -115,14 +115,14 @@ def read_joints(
     scene: Scene,
     motors: MotorStates,
     coupling: ActuatorCoupling | None,
-    track: Track,
+    track: JointTrack,
 ) -> None:
-    """Read angles and velocities of motors and joints at the end of a piece.
+    """Read angles and velocities of motors and joints at the end of a substep.
 
     Semi-implicit integration leaves the angle half a step ahead of the velocity; this is corrected.
 
     Args:
-        piece: index of the piece that has ended.
+        substep: index of the substep that has ended.
         qpos: (n, nq) MuJoCo's angles.
         qvel: (n, nv) MuJoCo's velocities.
         half_step: half a time step of the simulation, s.
@@ -136,7 +136,7 @@ def read_joints(
         track: updated in place.
     """
     packed, scene = PackedConditions(*packed), Scene(*scene)
-    motors, track = MotorStates(*motors), Track(*track)
+    motors, track = MotorStates(*motors), JointTrack(*track)
     angles, rates = np.zeros(7), np.zeros(7)
     for n in range(motors.angles.shape[0]):
         for j in range(7):
@@ -158,11 +158,11 @@ def read_joints(
             scene.velocities[n, k] = output_speed(MotorState(q, v, output), backlash)
         if coupling is not None:
             joints_from_actuators(
-                coupling.scratch, head_of(scene, n), scene.positions[n], scene.velocities[n]
+                coupling.scratch, true_head_row(scene, n), scene.positions[n], scene.velocities[n]
             )
         for j in range(7):
-            track.positions[n, piece + 1, j] = scene.positions[n, j]
-            track.velocities[n, piece + 1, j] = scene.velocities[n, j]
+            track.positions[n, substep + 1, j] = scene.positions[n, j]
+            track.velocities[n, substep + 1, j] = scene.velocities[n, j]
 
 
 @compiled
@@ -171,10 +171,10 @@ def expose_on_track(
     packed: PackedConditions,
     steps: IntArray,
     frames: Frames,
-    track: Track,
+    track: JointTrack,
     exposures: Exposures,
 ) -> None:
-    """Expose the frames of a period, with the joints interpolated within its pieces.
+    """Expose the frames of a period, with the joints interpolated within its substeps.
 
     Args:
         period_s: the control period, s.
@@ -185,24 +185,24 @@ def expose_on_track(
         exposures: `untyped_tuple`, the result.
     """
     packed, frames = PackedConditions(*packed), Frames(*frames)
-    track, exposures = Track(*track), Exposures(*exposures)
-    pieces = track.positions.shape[1] - 1
-    length = period_s / pieces
+    track, exposures = JointTrack(*track), Exposures(*exposures)
+    substeps = track.positions.shape[1] - 1
+    length = period_s / substeps
     for n in range(len(steps)):
-        begin_s, count, conditions = steps[n] * period_s, 0, conditions_of(packed, n)
+        begin_s, count, conditions = steps[n] * period_s, 0, unpack_conditions(packed, n)
         while True:
             due = exposure_time(conditions, frames.next[n] + count) - begin_s
             if due > period_s + TIME_TOLERANCE_S:
                 break
-            piece = min(max(int(due / length), 0), pieces - 1)
-            share = min(max(due / length - piece, 0.0), 1.0)
+            substep = min(max(int(due / length), 0), substeps - 1)
+            share = min(max(due / length - substep, 0.0), 1.0)
             last = share > 1.0 - TIME_TOLERANCE_S
             exposures.time_s[n, count] = begin_s + due
             for j in range(7):
-                a, b = track.positions[n, piece, j], track.positions[n, piece + 1, j]
-                va, vb = track.velocities[n, piece, j], track.velocities[n, piece + 1, j]
+                a, b = track.positions[n, substep, j], track.positions[n, substep + 1, j]
+                va, vb = track.velocities[n, substep, j], track.velocities[n, substep + 1, j]
                 q, v = interpolate_joint(a, va, b, vb, share, length)
                 exposures.positions[n, count, j] = b if last else q
                 exposures.velocities[n, count, j] = vb if last else v
             count += 1
-        exposures.taken[n] = count
+        exposures.counts[n] = count

@@ -6,18 +6,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.envs.fields import float_array
 from vergence.envs.plants.conditions import TRIAL_CONDITIONS, Conditions, PackedConditions
 from vergence.envs.plants.imperfections import (
     IMPERFECTIONS,
     PER_ACTUATOR,
     PER_TRIAL,
-    expected,
-    is_within,
+    is_valid_range,
+    valid_range_text,
 )
 from vergence.envs.plants.variation import Variation
 from vergence.envs.saved_state import Arrays
-from vergence.envs.streams import IntArray, KeyArray, Streams
+from vergence.envs.streams import IntArray, KeyArray, RandomStreams
+from vergence.envs.validation import float_array
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED
@@ -25,7 +25,7 @@ from vergence.models.parts import FloatArray
 from vergence.models.perturbation import DEVIATES
 
 
-class HeadCache:
+class TrueHeadCache:
     """True heads of coming trials, made in advance: a few cost as much as a thousand.
 
     The environments of a batch usually go on to their next trials one by one. When one of them
@@ -45,7 +45,7 @@ class HeadCache:
         self._seeds, self._trials = np.zeros((2, num), dtype=np.uint64)
         self._ready = np.zeros(num, dtype=np.bool_)
 
-    def take(self, streams: Streams, ids: IntArray) -> tuple[FloatArray, FloatArray]:
+    def take(self, streams: RandomStreams, ids: IntArray) -> tuple[FloatArray, FloatArray]:
         """Take the heads of the trials of some environments.
 
         Args:
@@ -121,14 +121,14 @@ class TrueHeads:
                 f"{', '.join(true.names) or 'none'}"
             )
         self._head = head
-        self._head_cache: HeadCache | None = None
+        self._head_cache: TrueHeadCache | None = None
         self.given = true_head
         """True heads before model errors are drawn; they set the limits."""
         heads = np.ascontiguousarray(true_head.packed.reshape(-1, PACKED))
         if variation is not None and self._heads_vary:
             heads = np.repeat(heads, num, axis=0)
             self._deviates = np.zeros((num, DEVIATES))
-            self._head_cache = HeadCache(variation, true_head, num)
+            self._head_cache = TrueHeadCache(variation, true_head, num)
         self.packed = PackedConditions(
             np.empty((num, TRIAL_CONDITIONS)), np.empty((num, len(PER_ACTUATOR), 7)), heads
         )
@@ -160,10 +160,10 @@ class TrueHeads:
             return self.variation.heads(self.given, self._deviates)
         return self.given
 
-    def greatest(self, name: str) -> float:
+    def largest(self, name: str) -> float:
         """Largest value of an imperfection in any trial."""
         given = float(getattr(self.conditions, name).max())
-        return given if self.variation is None else self.variation.greatest(name, given)
+        return given if self.variation is None else self.variation.largest(name, given)
 
     def arrays(self) -> Arrays:
         """Conditions of the running trials, as state arrays."""
@@ -174,7 +174,7 @@ class TrueHeads:
             del arrays["heads"]  # given once and for all
         return arrays
 
-    def draw(self, streams: Streams, ids: IntArray) -> None:
+    def draw(self, streams: RandomStreams, ids: IntArray) -> None:
         """Draw the varying conditions of the trials of some environments.
 
         Args:
@@ -185,7 +185,7 @@ class TrueHeads:
         if variation is None:
             return
         drawn = variation.draw(streams, ids)
-        for names, numbers in ((PER_TRIAL, drawn.shares), (PER_ACTUATOR, drawn.own)):
+        for names, numbers in ((PER_TRIAL, drawn.per_trial), (PER_ACTUATOR, drawn.per_actuator)):
             for column, name in enumerate(names):
                 span = getattr(variation, name)
                 if span is not None:
@@ -229,7 +229,7 @@ def _values(num: int, name: str, given: ArrayLike | None, head: HeadModel) -> Fl
     except (TypeError, ValueError) as error:
         raise ConfigurationError(f"{name}: expected {shape}, got {given!r:.80}") from error
     if not (
-        np.isfinite(values).all() and is_within(name, float(values.min()), float(values.max()))
+        np.isfinite(values).all() and is_valid_range(name, float(values.min()), float(values.max()))
     ):
-        raise ConfigurationError(f"{name}: expected {expected(name)}, got {given!r:.80}")
+        raise ConfigurationError(f"{name}: expected {valid_range_text(name)}, got {given!r:.80}")
     return values

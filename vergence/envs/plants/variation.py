@@ -13,24 +13,24 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from vergence._jit import compiled
-from vergence.envs.fields import float_array
 from vergence.envs.plants.imperfections import (
     IMPERFECTIONS,
     PER_ACTUATOR,
     PER_TRIAL,
     Imperfections,
-    expected,
-    is_within,
+    is_valid_range,
+    valid_range_text,
 )
 from vergence.envs.streams import (
     IntArray,
     KeyArray,
-    Purpose,
-    Streams,
+    RandomStreams,
+    StreamPurpose,
     random_words,
     to_normals,
     to_uniform,
 )
+from vergence.envs.validation import float_array
 from vergence.errors import ConfigurationError, refuse_unknown
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -38,7 +38,7 @@ from vergence.models.perturbation import DEVIATES, ModelErrors, as_model_errors,
 
 Range = tuple[float, float]
 
-_VARIATION: Final = int(Purpose.VARIATION)
+_VARIATION: Final = int(StreamPurpose.VARIATION)
 RANGES: Final = tuple(IMPERFECTIONS)
 """Fields of `Variation` that are ranges."""
 
@@ -64,7 +64,7 @@ class Variation(Imperfections[Range | None]):
             errors = as_model_errors(self.model_errors, "variation.model_errors")
             object.__setattr__(self, "model_errors", errors)
 
-    def greatest(self, name: str, given: float) -> float:
+    def largest(self, name: str, given: float) -> float:
         """Largest value of one of `RANGES` in any trial.
 
         Args:
@@ -74,7 +74,7 @@ class Variation(Imperfections[Range | None]):
         span: Range | None = getattr(self, name)
         return given if span is None else span[1]
 
-    def draw(self, streams: Streams, ids: IntArray) -> "Draws":
+    def draw(self, streams: RandomStreams, ids: IntArray) -> "Draws":
         """Draw the conditions of the trials of some environments, except their heads.
 
         Args:
@@ -120,9 +120,9 @@ class Variation(Imperfections[Range | None]):
 class Draws(NamedTuple):
     """Random numbers of m trials."""
 
-    shares: FloatArray
+    per_trial: FloatArray
     """(m, len(PER_TRIAL)) uniform in [0, 1)."""
-    own: FloatArray
+    per_actuator: FloatArray
     """(m, len(PER_ACTUATOR), 7) uniform in [0, 1), for the neck's joints and the eye actuators."""
 
 
@@ -154,30 +154,36 @@ def _range(name: str, value: Any) -> Range:
         raise ConfigurationError(f"variation.{name}: expected finite numbers, got {value!r}")
     if not low <= high:
         raise ConfigurationError(f"variation.{name}: expected least <= greatest, got {value!r}")
-    if not is_within(name, low, high):
-        raise ConfigurationError(f"variation.{name}: expected {expected(name)}, got {value!r}")
+    if not is_valid_range(name, low, high):
+        raise ConfigurationError(
+            f"variation.{name}: expected {valid_range_text(name)}, got {value!r}"
+        )
     return low, high
 
 
 @compiled
 def _draw(
-    seeds: KeyArray, trials: KeyArray, ids: IntArray, shares: FloatArray, own: FloatArray
+    seeds: KeyArray,
+    trials: KeyArray,
+    ids: IntArray,
+    per_trial: FloatArray,
+    per_actuator: FloatArray,
 ) -> None:
     """Fill one row per environment: numbers of the trial, and numbers per actuator."""
-    count, numbers = shares.shape[1], own.shape[1] * own.shape[2]
+    count, numbers = per_trial.shape[1], per_actuator.shape[1] * per_actuator.shape[2]
     for m in range(ids.shape[0]):
         seed, trial = seeds[ids[m]], trials[ids[m]]
         for lane in range((count + 3) // 4):
             words = random_words(seed, trial, _VARIATION, 0, lane + 1)
             for i in range(4):
                 if 4 * lane + i < count:
-                    shares[m, 4 * lane + i] = to_uniform(words[i])
+                    per_trial[m, 4 * lane + i] = to_uniform(words[i])
         for lane in range((numbers + 3) // 4):
             words = random_words(seed, trial, _VARIATION, 2, lane + 1)
             for i in range(4):
                 at = 4 * lane + i
                 if at < numbers:
-                    own[m, at // 7, at % 7] = to_uniform(words[i])
+                    per_actuator[m, at // 7, at % 7] = to_uniform(words[i])
 
 
 @compiled

@@ -20,16 +20,16 @@ class Board(NamedTuple):
 
     outline: FloatArray
     """(k, 2) points round the board's edge in its own frame, m; none for a mere point."""
-    natural_m: float
+    natural_distance_m: float
     """Distance at which a board that looks equally large near and far has its own size, m; nan
     for a board of constant size."""
     facing_head: bool
     """True if it is square to the line from N's origin, False if parallel to N's xy plane."""
     border_px: float
     """Least distance of the outline from the images' edges, px."""
-    least_px: float
+    min_segment_px: float
     """Least length in the image from one point of the outline to the next, px."""
-    most_px: float
+    max_segment_px: float
     """Greatest such length, px."""
 
 
@@ -83,7 +83,7 @@ def distance_from_eyes(p: PackedHead, angles: FloatArray, point: Vector) -> floa
 
 
 @inlined
-def in_view(
+def is_in_view(
     p: PackedHead, angles: FloatArray, point: Vector, border_px: float, board: Board
 ) -> bool:
     """True if both eyes see a target: its point, and all of its board at a detectable size.
@@ -98,8 +98,8 @@ def in_view(
     """
     k = len(board.outline)
     size = 1.0
-    if k and board.natural_m == board.natural_m:
-        size = distance_from_eyes(p, angles, point) / board.natural_m
+    if k and board.natural_distance_m == board.natural_distance_m:
+        size = distance_from_eyes(p, angles, point) / board.natural_distance_m
     right, down, _into = board_axes(point, board.facing_head)
     for eye in range(2):
         camera = camera_of(p, eye)
@@ -121,7 +121,7 @@ def in_view(
             if not (border <= v <= camera.height - 1.0 - border):
                 return False
             length = hypot(u - before_u, v - before_v)
-            if i > 1 and not board.least_px <= length <= board.most_px:
+            if i > 1 and not board.min_segment_px <= length <= board.max_segment_px:
                 return False
             before_u, before_v = u, v
     return True

@@ -6,22 +6,22 @@ from typing import ClassVar, Final
 import numpy as np
 
 from vergence._jit import compiled, untyped_tuple
-from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words
-from vergence.envs.targets.board import POINT, Board, in_view
-from vergence.envs.targets.moments import draw_moments
+from vergence.envs.streams import IntArray, RandomStreams, StreamKeys, StreamPurpose, random_words
+from vergence.envs.targets.board import POINT, Board, is_in_view
+from vergence.envs.targets.moments import draw_event_times
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.placement import (
-    ATTEMPTS,
-    GazingHead,
-    between_eyes,
+    MAX_CANDIDATES,
+    HeadWithLimits,
     can_fixate,
+    midpoint_between_eyes,
     random_point,
 )
-from vergence.envs.targets.workspace import RandomTarget, Workspace, draw_target, turn_between
+from vergence.envs.targets.workspace import RandomTarget, Workspace, draw_candidate, larger_eye_turn
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-_TASK: Final = int(Purpose.TASK)
+_TASK: Final = int(StreamPurpose.TASK)
 _SECOND_ATTEMPTS: Final = 100
 """Candidates for the second point per first point (numerical)."""
 
@@ -47,14 +47,14 @@ class DoubleStepTarget(RandomTarget):
         self._refuse_unordered("second_after")
 
     def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
+        self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; candidates are drawn until one is valid."""
         n = len(ids)
         first, second, q = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 7))
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
-        gaze, space = GazingHead.of(head), self._workspace()
-        found = choose_double_steps(
+        gaze, space = HeadWithLimits.of(head), self._workspace()
+        found = draw_double_steps(
             untyped_tuple(keys),
             untyped_tuple(gaze),
             untyped_tuple(space),
@@ -65,14 +65,14 @@ class DoubleStepTarget(RandomTarget):
         )
         if not found:
             raise self._unseen("pairs of points", board)
-        after = draw_moments(streams, ids, *self.second_after)
+        after = draw_event_times(streams, ids, *self.second_after)
         return motion_rows(first, second_jump=after, second_anchor=second), q
 
 
 @compiled
-def choose_double_steps(
+def draw_double_steps(
     keys: StreamKeys,
-    gaze: GazingHead,
+    gaze: HeadWithLimits,
     space: Workspace,
     board: Board,
     first: FloatArray,
@@ -95,18 +95,18 @@ def choose_double_steps(
     """
     keys, gaze, space, board = (
         StreamKeys(*keys),
-        GazingHead(*gaze),
+        HeadWithLimits(*gaze),
         Workspace(*space),
         Board(*board),
     )
-    eye = between_eyes(gaze.head, gaze.rest)
+    eye = midpoint_between_eyes(gaze.head, gaze.rest)
     begin, goal, last = np.empty(4), np.empty(4), np.empty(4)
     for n in range(len(first)):
         seed, trial = keys.seeds[n], keys.trials[n]
         q[n] = gaze.rest
         found = False
-        for attempt in range(ATTEMPTS):
-            fit, point = draw_target(seed, trial, attempt, gaze, space, board, eye, goal, begin)
+        for attempt in range(MAX_CANDIDATES):
+            fit, point = draw_candidate(seed, trial, attempt, gaze, space, board, eye, goal, begin)
             if not fit:
                 continue
             first[n, 0], first[n, 1], first[n, 2] = point
@@ -115,9 +115,9 @@ def choose_double_steps(
                 point = random_point(words, eye, space.near, space.far, space.eccentricity)
                 found = (
                     can_fixate(gaze, space.margin, point, last)
-                    and turn_between(goal, last) >= space.shift
-                    and in_view(gaze.head, begin, point, space.border, board)
-                    and in_view(gaze.head, goal, point, space.border, board)
+                    and larger_eye_turn(goal, last) >= space.shift
+                    and is_in_view(gaze.head, begin, point, space.border, board)
+                    and is_in_view(gaze.head, goal, point, space.border, board)
                 )
                 if found:
                     break

@@ -5,16 +5,18 @@ from typing import Final
 import numpy as np
 
 from vergence._jit import compiled, untyped_tuple
-from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words
-from vergence.envs.targets.placement import uniform_in
+from vergence.envs.streams import IntArray, RandomStreams, StreamKeys, StreamPurpose, random_words
+from vergence.envs.targets.placement import uniform_between
 from vergence.models.parts import FloatArray
 
-_TASK: Final = int(Purpose.TASK)
+_TASK: Final = int(StreamPurpose.TASK)
 # lane of the random words (numerical); the first four are used for positions and speeds
 _LANE: Final = 5
 
 
-def draw_moments(streams: Streams, ids: IntArray, earliest: float, latest: float) -> FloatArray:
+def draw_event_times(
+    streams: RandomStreams, ids: IntArray, earliest: float, latest: float
+) -> FloatArray:
     """Draw a moment for each of some trials, uniform in a range.
 
     Args:
@@ -41,4 +43,4 @@ def _fill(keys: StreamKeys, earliest: float, latest: float, moments: FloatArray)
     keys = StreamKeys(*keys)
     for n in range(len(moments)):
         words = random_words(keys.seeds[n], keys.trials[n], _TASK, 0, _LANE)
-        moments[n] = uniform_in(words[0], earliest, latest)
+        moments[n] = uniform_between(words[0], earliest, latest)

@@ -138,7 +138,7 @@ _motion_run = make_tuple_reader(MOTION)
 
 
 @inlined
-def motion_of(row: FloatArray) -> Motion:
+def unpack_motion(row: FloatArray) -> Motion:
     """Unpack a motion's row, in the order of the constants above."""
     m = _motion_run(row, 0)
     return Motion(
@@ -192,7 +192,7 @@ def _positions(row: FloatArray, t: FloatArray, shape: FloatArray, out: FloatArra
     out[0] = out[1] = out[2] = nan
     beyond = len(row) - MOTION
     if beyond == 0 or beyond >= LEAST_PATH:
-        out[0], out[1], out[2] = position_at(motion_of(row), t[0])
+        out[0], out[1], out[2] = position_at(unpack_motion(row), t[0])
 
 
 def target_position(rows: ArrayLike, time_s: ArrayLike) -> FloatArray:

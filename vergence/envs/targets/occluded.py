@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from vergence.envs.streams import IntArray, Streams
+from vergence.envs.streams import IntArray, RandomStreams
 from vergence.envs.targets.board import POINT, Board
-from vergence.envs.targets.moments import draw_moments
+from vergence.envs.targets.moments import draw_event_times
 from vergence.envs.targets.motion import HIDDEN_FROM, HIDDEN_UNTIL
 from vergence.envs.targets.orbits import OrbitTarget
 from vergence.models.head import HeadModel
@@ -31,10 +31,10 @@ class OccludedTarget(OrbitTarget):
         self._refuse_unordered("gone_after")
 
     def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
+        self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`."""
         rows, q = super().draw(head, streams, ids, board)
-        gone = draw_moments(streams, ids, *self.gone_after)
+        gone = draw_event_times(streams, ids, *self.gone_after)
         rows[:, HIDDEN_FROM], rows[:, HIDDEN_UNTIL] = gone, gone + self.gone_s
         return rows, q

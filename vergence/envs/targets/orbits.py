@@ -7,16 +7,23 @@ from typing import ClassVar, Final, Literal, NamedTuple
 import numpy as np
 
 from vergence._jit import compiled, inlined, untyped_tuple
-from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words, to_uniform
-from vergence.envs.targets.board import POINT, Board, in_view, whole_board_text
+from vergence.envs.streams import (
+    IntArray,
+    RandomStreams,
+    StreamKeys,
+    StreamPurpose,
+    random_words,
+    to_uniform,
+)
+from vergence.envs.targets.board import POINT, Board, is_in_view, whole_board_text
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.placement import (
-    ATTEMPTS,
-    GazingHead,
-    between_eyes,
+    MAX_CANDIDATES,
+    HeadWithLimits,
     can_fixate,
+    midpoint_between_eyes,
     random_point,
-    uniform_in,
+    uniform_between,
 )
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, TargetError
@@ -26,7 +33,7 @@ from vergence.models.packed import eye_actuator_angle, has_motor_per_joint
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
-_TASK: Final = int(Purpose.TASK)
+_TASK: Final = int(StreamPurpose.TASK)
 _PHASES: Final = 48
 """Points of an ellipse at which fixation and the actuators' limits are checked (numerical)."""
 _FINE_PHASES: Final = 256
@@ -72,18 +79,18 @@ class OrbitTarget(Target):
                 raise ConfigurationError(f"target.{name}: expected less than 1.5 rad, got {angle}")
 
     def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
+        self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; candidates are drawn until one is valid."""
         n = len(ids)
         orbits = Orbits(np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n))
-        ranges = Ranges(
+        ranges = OrbitRanges(
             *self.depth, self.eccentricity, *self.radius, *self.speed, self.turns, self.margin
         )
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
-        found = choose_orbits(
+        found = draw_orbits(
             untyped_tuple(keys),
-            untyped_tuple(GazingHead.of(head)),
+            untyped_tuple(HeadWithLimits.of(head)),
             untyped_tuple(ranges),
             untyped_tuple(board),
             untyped_tuple(orbits),
@@ -91,7 +98,7 @@ class OrbitTarget(Target):
         if not found:
             raise TargetError(
                 f"target: expected ellipses that this head can follow and "
-                f"see{whole_board_text(board)}, got none of {ATTEMPTS} of {self}"
+                f"see{whole_board_text(board)}, got none of {MAX_CANDIDATES} of {self}"
             )
         before = orbits.centre + orbits.cosine
         rows = motion_rows(
@@ -104,7 +111,7 @@ class OrbitTarget(Target):
         return rows, self._begin(head, before)
 
 
-class Ranges(NamedTuple):
+class OrbitRanges(NamedTuple):
     """The fields of an `OrbitTarget`, in the form kernels take."""
 
     near: float
@@ -150,8 +157,8 @@ def _peak_rate(centre: Vector, first: Vector, second: Vector, eye: Vector) -> fl
 
 @inlined
 def _can_follow(
-    gaze: GazingHead,
-    ranges: Ranges,
+    gaze: HeadWithLimits,
+    ranges: OrbitRanges,
     board: Board,
     centre: Vector,
     first: Vector,
@@ -176,7 +183,7 @@ def _can_follow(
         if not can_fixate(gaze, ranges.margin, (x, y, z), angles[k]):
             return False
         # a fixated point is visible, but a board may be cut
-        if len(board.outline) and not in_view(gaze.head, angles[k], (x, y, z), 0.0, board):
+        if len(board.outline) and not is_in_view(gaze.head, angles[k], (x, y, z), 0.0, board):
             return False
         for i in range(SLOTS):
             own[k, i] = angles[k, i] if direct else eye_actuator_angle(gaze.head, i, angles[k])
@@ -194,8 +201,8 @@ def _can_follow(
 
 
 @compiled
-def choose_orbits(
-    keys: StreamKeys, gaze: GazingHead, ranges: Ranges, board: Board, orbits: Orbits
+def draw_orbits(
+    keys: StreamKeys, gaze: HeadWithLimits, ranges: OrbitRanges, board: Board, orbits: Orbits
 ) -> bool:
     """Draw ellipses for each trial until the eyes can follow one.
 
@@ -209,21 +216,21 @@ def choose_orbits(
     Returns:
         False if some trial has no valid candidate.
     """
-    keys, gaze = StreamKeys(*keys), GazingHead(*gaze)
-    ranges, board, orbits = Ranges(*ranges), Board(*board), Orbits(*orbits)
-    eye = between_eyes(gaze.head, gaze.rest)
+    keys, gaze = StreamKeys(*keys), HeadWithLimits(*gaze)
+    ranges, board, orbits = OrbitRanges(*ranges), Board(*board), Orbits(*orbits)
+    eye = midpoint_between_eyes(gaze.head, gaze.rest)
     angles, own = np.empty((_PHASES, 4)), np.empty((_PHASES, SLOTS))
     for n in range(len(orbits.omega)):
         seed, trial = keys.seeds[n], keys.trials[n]
         # one speed for all candidates, else the selection would favour slow targets
-        speed = uniform_in(
+        speed = uniform_between(
             random_words(seed, trial, _TASK, 0, 4)[0], ranges.slowest, ranges.fastest
         )
         found = False
-        for attempt in range(ATTEMPTS):
+        for attempt in range(MAX_CANDIDATES):
             words = random_words(seed, trial, _TASK, attempt, 1)
             centre = random_point(words, eye, ranges.near, ranges.far, ranges.eccentricity)
-            radius = uniform_in(words[3], ranges.least_radius, ranges.greatest_radius)
+            radius = uniform_between(words[3], ranges.least_radius, ranges.greatest_radius)
             long = centre[2] * tan(radius)
             words = random_words(seed, trial, _TASK, attempt, 2)
             # any plane: its normal is uniform on the sphere, and the long axis within it too

@@ -17,13 +17,13 @@ from vergence.models.packed import PackedHead, eye_actuator_angle
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
-ATTEMPTS: Final = 1000
+MAX_CANDIDATES: Final = 1000
 """Candidates tried for a trial (numerical)."""
 _ROUNDING_RAD: Final = 1e-9
 """Rounding tolerance beyond an angle limit that is reached exactly, rad (numerical)."""
 
 
-class GazingHead(NamedTuple):
+class HeadWithLimits(NamedTuple):
     """The head that looks, with the limits of its actuators and joints."""
 
     head: PackedHead
@@ -38,12 +38,12 @@ class GazingHead(NamedTuple):
     """(4,) speed limits of the eye actuators, rad/s."""
     acceleration: FloatArray
     """(4,) acceleration limits of the eye actuators, rad/s^2."""
-    joints: tuple[FloatArray, FloatArray] | None
+    joint_limits: tuple[FloatArray, FloatArray] | None
     """(4,) each, lower and upper angle limits of the eye joints, rad; None if each has a motor."""
 
     @classmethod
-    def of(cls, head: HeadModel) -> "GazingHead":
-        """The `GazingHead` of a head model."""
+    def of(cls, head: HeadModel) -> "HeadWithLimits":
+        """The `HeadWithLimits` of a head model."""
         own, limits = head.actuation, head.limits
         return cls(
             head.packed,
@@ -57,13 +57,13 @@ class GazingHead(NamedTuple):
 
 
 @inlined
-def uniform_in(word: np.uint64, low: float, high: float) -> float:
+def uniform_between(word: np.uint64, low: float, high: float) -> float:
     """Uniform number in a range, from a random word."""
     return low + to_uniform(word) * (high - low)
 
 
 @inlined
-def between_eyes(p: PackedHead, rest: FloatArray) -> Vector:
+def midpoint_between_eyes(p: PackedHead, rest: FloatArray) -> Vector:
     """Midpoint between both eyes of a head at rest, in N, m."""
     left = eye_frames(p, 0, rest[3], rest[4]).camera
     right = eye_frames(p, 1, rest[5], rest[6]).camera
@@ -71,27 +71,29 @@ def between_eyes(p: PackedHead, rest: FloatArray) -> Vector:
 
 
 @inlined
-def random_point(words: Words, eye: Vector, near: float, far: float, eccentricity: float) -> Vector:
+def random_point(
+    words: Words, viewpoint: Vector, min_z_m: float, max_z_m: float, max_angle_rad: float
+) -> Vector:
     """Point from three random words: uniform in 1 / depth and in the angle from straight ahead.
 
     Args:
         words: at least three.
-        eye: viewpoint of the angle, in N, m.
-        near: least z, m.
-        far: greatest z, m.
-        eccentricity: greatest angle, rad.
+        viewpoint: origin of the angle, in N, m.
+        min_z_m: least z, m.
+        max_z_m: greatest z, m.
+        max_angle_rad: greatest angle, rad.
 
     Returns:
         x, y and z in N, m.
     """
-    z = 1.0 / uniform_in(words[0], 1.0 / far, 1.0 / near)
-    slope = z * tan(eccentricity * to_uniform(words[1]))
+    z = 1.0 / uniform_between(words[0], 1.0 / max_z_m, 1.0 / min_z_m)
+    slope = z * tan(max_angle_rad * to_uniform(words[1]))
     around = 2.0 * pi * to_uniform(words[2])
-    return eye[0] + slope * cos(around), eye[1] + slope * sin(around), z
+    return viewpoint[0] + slope * cos(around), viewpoint[1] + slope * sin(around), z
 
 
 @inlined
-def can_fixate(gaze: GazingHead, margin: float, point: Vector, angles: FloatArray) -> bool:
+def can_fixate(gaze: HeadWithLimits, margin_rad: float, point: Vector, angles: FloatArray) -> bool:
     """True if both eyes can fixate a point with a margin to their limits.
 
     For coupled joints, the angles are those of the least pixel errors, and both eyes must see the
@@ -99,28 +101,28 @@ def can_fixate(gaze: GazingHead, margin: float, point: Vector, angles: FloatArra
 
     Args:
         gaze: the head that looks.
-        margin: least distance of the actuators from their limits, rad.
+        margin_rad: least distance of the actuators from their limits, rad.
         point: in N, m.
         angles: (4,) result: angles of the eye joints, rad; complete only if both eyes can.
     """
-    return _can_fixate(gaze, gaze.joints, margin, point, angles)
+    return _can_fixate(gaze, gaze.joint_limits, margin_rad, point, angles)
 
 
 @inlined
 def _can_fixate(
-    gaze: GazingHead,
-    joints: tuple[FloatArray, FloatArray] | None,
-    margin: float,
+    gaze: HeadWithLimits,
+    joint_limits: tuple[FloatArray, FloatArray] | None,
+    margin_rad: float,
     point: Vector,
     angles: FloatArray,
 ) -> bool:
-    if joints is not None:  # a function of its own, compiled only for coupled joints
-        return _can_fixate_coupled(gaze, joints, margin, point, angles)
+    if joint_limits is not None:  # a function of its own, compiled only for coupled joints
+        return _can_fixate_coupled(gaze, joint_limits, margin_rad, point, angles)
     for eye in range(2):
         k = 2 * eye
         angles[k], angles[k + 1] = fixate_eye(gaze.head, eye, point[0], point[1], point[2])
         for j in range(2):
-            low, high = gaze.lower[k + j] + margin, gaze.upper[k + j] - margin
+            low, high = gaze.lower[k + j] + margin_rad, gaze.upper[k + j] - margin_rad
             if not low <= angles[k + j] <= high:
                 return False
     return True
@@ -128,9 +130,9 @@ def _can_fixate(
 
 @inlined
 def _can_fixate_coupled(
-    gaze: GazingHead,
-    joints: tuple[FloatArray, FloatArray],
-    margin: float,
+    gaze: HeadWithLimits,
+    joint_limits: tuple[FloatArray, FloatArray],
+    margin_rad: float,
     point: Vector,
     angles: FloatArray,
 ) -> bool:
@@ -138,10 +140,10 @@ def _can_fixate_coupled(
         return False
     for k in range(SLOTS):
         low, high = gaze.lower[k], gaze.upper[k]
-        keep = margin if high > low else -_ROUNDING_RAD
+        keep = margin_rad if high > low else -_ROUNDING_RAD
         if not low + keep <= eye_actuator_angle(gaze.head, k, angles) <= high - keep:
             return False
-        low, high = joints[0][k] - _ROUNDING_RAD, joints[1][k] + _ROUNDING_RAD
+        low, high = joint_limits[0][k] - _ROUNDING_RAD, joint_limits[1][k] + _ROUNDING_RAD
         if not low <= angles[k] <= high:
             return False
     for eye in range(2):

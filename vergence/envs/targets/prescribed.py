@@ -6,10 +6,10 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vergence.envs.streams import IntArray, Streams
+from vergence.envs.streams import IntArray, RandomStreams
 from vergence.envs.targets.board import POINT, Board
 from vergence.envs.targets.motion import motion_rows
-from vergence.envs.targets.target import Target, fixating_angles, refuse_unseen
+from vergence.envs.targets.target import Target, fixation_angles, refuse_unseen
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -17,7 +17,7 @@ Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prescribed(Target):
+class PrescribedTarget(Target):
     """A target without randomness: one motion for all trials."""
 
     seen_first: ClassVar[str]
@@ -43,10 +43,10 @@ class Prescribed(Target):
         first = np.array(self._first_point())
         refuse_unseen(head, self.seen_first, first, q)
         if self.stays:
-            fixating_angles(head, self.seen_first, first[None])
+            fixation_angles(head, self.seen_first, first[None])
 
     def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
+        self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`."""
         held = np.broadcast_to(self._fixated_point(), (len(ids), 3))
@@ -54,7 +54,7 @@ class Prescribed(Target):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StaticTarget(Prescribed):
+class StaticTarget(PrescribedTarget):
     """A target that appears at time zero and stays."""
 
     kind: ClassVar[str] = "static"
@@ -72,7 +72,7 @@ class StaticTarget(Prescribed):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StepTarget(Prescribed):
+class StepTarget(PrescribedTarget):
     """A target that both eyes fixate until it jumps at time zero: the article's gain sweep."""
 
     kind: ClassVar[str] = "step"
@@ -96,7 +96,7 @@ class StepTarget(Prescribed):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CircleTarget(Prescribed):
+class CircleTarget(PrescribedTarget):
     """A target on a circle in a plane of constant depth: `x = r sin(wt)`, `y = r cos(wt)`."""
 
     kind: ClassVar[str] = "circle"
@@ -126,7 +126,7 @@ class CircleTarget(Prescribed):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LineTarget(Prescribed):
+class LineTarget(PrescribedTarget):
     """A target that moves along a line at constant speed and stops at its end."""
 
     kind: ClassVar[str] = "line"

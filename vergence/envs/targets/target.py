@@ -7,9 +7,9 @@ from typing import ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.envs.fields import checked_numbers
-from vergence.envs.streams import IntArray, Streams
+from vergence.envs.streams import IntArray, RandomStreams
 from vergence.envs.targets.board import POINT, Board
+from vergence.envs.validation import check_numbers
 from vergence.errors import ConfigurationError, TargetError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -42,7 +42,7 @@ class Target(ABC):
             if name != "start":
                 default = getattr(type(self), name)
                 size = len(default) if isinstance(default, tuple) else 0
-                checked = checked_numbers(f"target.{name}", value, size, name in _ABOVE_ZERO)
+                checked = check_numbers(f"target.{name}", value, size, name in _ABOVE_ZERO)
                 if name in self.metres and not np.abs(np.array(checked)).max() < FARTHEST_M:
                     raise ConfigurationError(
                         f"target.{name}: expected metres below {FARTHEST_M:g} in size (is it in "
@@ -72,7 +72,7 @@ class Target(ABC):
 
     @abstractmethod
     def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
+        self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """Draw motions and starts for the trials of some environments.
 
@@ -89,15 +89,15 @@ class Target(ABC):
     def _begin(self, head: HeadModel, fixated: FloatArray) -> FloatArray:
         if self.start == "rest":
             return np.broadcast_to(head.rest(), (len(fixated), 7)).copy()
-        return fixating_angles(head, "start", fixated)
+        return fixation_angles(head, "start", fixated)
 
 
-def fixating_angles(head: HeadModel, what: str, points: FloatArray) -> FloatArray:
+def fixation_angles(head: HeadModel, point_name: str, points: FloatArray) -> FloatArray:
     """Compute joint angles that put points on both optical axes, or as near as actuators can.
 
     Args:
         head: the model of the head.
-        what: name of the points for error messages, such as `point`.
+        point_name: name of the points for error messages, such as `point`.
         points: (n, 3) in N, m.
 
     Returns:
@@ -115,7 +115,9 @@ def fixating_angles(head: HeadModel, what: str, points: FloatArray) -> FloatArra
         asked = "look at within their limits, and see then"
     if not within.all():
         bad = tuple(points[np.flatnonzero(~within)[0]].tolist())
-        raise TargetError(f"target: expected a {what} that both eyes can {asked}, got {bad} m")
+        raise TargetError(
+            f"target: expected a {point_name} that both eyes can {asked}, got {bad} m"
+        )
     return q
 
 
@@ -126,12 +128,12 @@ def _in_images(head: HeadModel, q: FloatArray, points: FloatArray) -> NDArray[np
     return np.asarray(inside.all(axis=-1))
 
 
-def refuse_unseen(head: HeadModel, what: str, point: FloatArray, q: FloatArray) -> None:
+def refuse_unseen(head: HeadModel, point_name: str, point: FloatArray, q: FloatArray) -> None:
     """Refuse a point that neither eye sees, as no controller could ever find it.
 
     Args:
         head: the model of the head.
-        what: name of the point for error messages.
+        point_name: name of the point for error messages.
         point: (3,) in N, m.
         q: (7,) joint angles at the start, rad.
 
@@ -144,6 +146,6 @@ def refuse_unseen(head: HeadModel, what: str, point: FloatArray, q: FloatArray) 
     if not np.isfinite(head.project(q, point)).any():
         where = "behind the head or far outside both images"
     raise TargetError(
-        f"target: expected a {what} that an eye sees at the start of the trial, got "
+        f"target: expected a {point_name} that an eye sees at the start of the trial, got "
         f"{tuple(point.tolist())} m, which is {where}"
     )

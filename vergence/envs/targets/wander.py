@@ -9,23 +9,23 @@ import numpy as np
 from vergence._jit import compiled, inlined, subroutine, untyped_tuple
 from vergence.envs.streams import (
     IntArray,
-    Purpose,
+    RandomStreams,
     StreamKeys,
-    Streams,
+    StreamPurpose,
     Words,
     random_words,
     to_uniform,
 )
-from vergence.envs.targets.board import POINT, Board, in_view, whole_board_text
+from vergence.envs.targets.board import POINT, Board, is_in_view, whole_board_text
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.path import point_between_knots
 from vergence.envs.targets.placement import (
-    ATTEMPTS,
-    GazingHead,
-    between_eyes,
+    MAX_CANDIDATES,
+    HeadWithLimits,
     can_fixate,
+    midpoint_between_eyes,
     random_point,
-    uniform_in,
+    uniform_between,
 )
 from vergence.envs.targets.target import Target
 from vergence.errors import ConfigurationError, TargetError
@@ -35,7 +35,7 @@ from vergence.models.packed import eye_actuator_angle, has_motor_per_joint
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
-_TASK: Final = int(Purpose.TASK)
+_TASK: Final = int(StreamPurpose.TASK)
 _SEGMENTS: Final = 32
 """Segments of a path, after which the target goes back (chosen: variety against time to draw)."""
 _SEGMENT_ATTEMPTS: Final = 50
@@ -93,11 +93,11 @@ class WanderTarget(Target):
             )
 
     def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
+        self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; segments are drawn until one is valid."""
         paths = np.empty((len(ids), 4 * (_SEGMENTS + 2)))
-        walk = Walk(
+        walk = WanderRanges(
             *self.depth,
             self.eccentricity,
             *self.speed,
@@ -106,22 +106,22 @@ class WanderTarget(Target):
             self.margin,
         )
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
-        if not choose_paths(
+        if not draw_paths(
             untyped_tuple(keys),
-            untyped_tuple(GazingHead.of(head)),
+            untyped_tuple(HeadWithLimits.of(head)),
             untyped_tuple(walk),
             untyped_tuple(board),
             paths,
         ):
             raise TargetError(
                 f"target: expected paths that this head can follow and "
-                f"see{whole_board_text(board)}, got none of {ATTEMPTS} of {self}"
+                f"see{whole_board_text(board)}, got none of {MAX_CANDIDATES} of {self}"
             )
         beginning = paths[:, 5:8]
         return motion_rows(beginning, before=beginning, path=paths), self._begin(head, beginning)
 
 
-class Walk(NamedTuple):
+class WanderRanges(NamedTuple):
     """The fields of a `WanderTarget`, in the form kernels take."""
 
     near: float
@@ -136,7 +136,7 @@ class Walk(NamedTuple):
 
 
 @inlined
-def _draw_next_knot(path: FloatArray, knot: int, words: Words, walk: Walk) -> bool:
+def _draw_next_knot(path: FloatArray, knot: int, words: Words, walk: WanderRanges) -> bool:
     """Draw the next knot of a path.
 
     Returns:
@@ -147,8 +147,8 @@ def _draw_next_knot(path: FloatArray, knot: int, words: Words, walk: Walk) -> bo
     x, y, z = path[here + 1] - ex, path[here + 2] - ey, path[here + 3] - ez
     r = sqrt(x * x + y * y + z * z)
     x, y, z = x / r, y / r, z / r
-    span = uniform_in(words[0], walk.soonest, walk.latest)
-    nearness = 1.0 / r + uniform_in(words[1], -walk.approach, walk.approach) * span
+    span = uniform_between(words[0], walk.soonest, walk.latest)
+    nearness = 1.0 / r + uniform_between(words[1], -walk.approach, walk.approach) * span
     if nearness <= 0.0:
         return False
     # two directions orthogonal to the line of sight: one horizontal, one down
@@ -168,8 +168,8 @@ def _draw_next_knot(path: FloatArray, knot: int, words: Words, walk: Walk) -> bo
 
 @subroutine
 def _can_look(
-    gaze: GazingHead,
-    walk: Walk,
+    gaze: HeadWithLimits,
+    walk: WanderRanges,
     board: Board,
     eye: Vector,
     point: Vector,
@@ -188,7 +188,7 @@ def _can_look(
     if not can_fixate(gaze, walk.margin, point, angles):
         return False
     # a fixated point is visible, but a board may be cut
-    if len(board.outline) and not in_view(gaze.head, angles, point, 0.0, board):
+    if len(board.outline) and not is_in_view(gaze.head, angles, point, 0.0, board):
         return False
     direct = has_motor_per_joint(gaze.head)
     for i in range(SLOTS):
@@ -198,8 +198,8 @@ def _can_look(
 
 @inlined
 def _can_follow(
-    gaze: GazingHead,
-    walk: Walk,
+    gaze: HeadWithLimits,
+    walk: WanderRanges,
     board: Board,
     path: FloatArray,
     knot: int,
@@ -224,8 +224,8 @@ def _can_follow(
 
 
 @compiled
-def choose_paths(
-    keys: StreamKeys, gaze: GazingHead, walk: Walk, board: Board, paths: FloatArray
+def draw_paths(
+    keys: StreamKeys, gaze: HeadWithLimits, walk: WanderRanges, board: Board, paths: FloatArray
 ) -> bool:
     """Draw paths for each trial, segment by segment, until the eyes can follow one.
 
@@ -239,17 +239,24 @@ def choose_paths(
     Returns:
         False if some trial has no valid candidate.
     """
-    keys, gaze, walk, board = StreamKeys(*keys), GazingHead(*gaze), Walk(*walk), Board(*board)
-    eye = between_eyes(gaze.head, gaze.rest)
+    keys, gaze, walk, board = (
+        StreamKeys(*keys),
+        HeadWithLimits(*gaze),
+        WanderRanges(*walk),
+        Board(*board),
+    )
+    eye = midpoint_between_eyes(gaze.head, gaze.rest)
     angles, own = np.empty(4), np.empty((_SAMPLES + 1, SLOTS))
     last = paths.shape[1] // 4 - 1
     for n in range(len(paths)):
         seed, trial, path = keys.seeds[n], keys.trials[n], paths[n]
         # one speed for all candidates, else the selection would favour slow targets
-        path[0] = uniform_in(random_words(seed, trial, _TASK, 0, 4)[0], walk.slowest, walk.fastest)
+        path[0] = uniform_between(
+            random_words(seed, trial, _TASK, 0, 4)[0], walk.slowest, walk.fastest
+        )
         path[1], path[2], path[3] = eye
         knot = 0
-        for attempt in range(ATTEMPTS):
+        for attempt in range(MAX_CANDIDATES):
             words = random_words(seed, trial, _TASK, attempt, 1)
             point = random_point(words, eye, walk.near, walk.far, walk.eccentricity)
             path[4] = 0.0

@@ -7,14 +7,14 @@ from typing import ClassVar, Final, Literal, NamedTuple
 import numpy as np
 
 from vergence._jit import compiled, inlined, subroutine, untyped_tuple
-from vergence.envs.streams import IntArray, Purpose, StreamKeys, Streams, random_words
-from vergence.envs.targets.board import POINT, Board, in_view, whole_board_text
+from vergence.envs.streams import IntArray, RandomStreams, StreamKeys, StreamPurpose, random_words
+from vergence.envs.targets.board import POINT, Board, is_in_view, whole_board_text
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.placement import (
-    ATTEMPTS,
-    GazingHead,
-    between_eyes,
+    MAX_CANDIDATES,
+    HeadWithLimits,
     can_fixate,
+    midpoint_between_eyes,
     random_point,
 )
 from vergence.envs.targets.target import Target
@@ -23,7 +23,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
-_TASK: Final = int(Purpose.TASK)
+_TASK: Final = int(StreamPurpose.TASK)
 _START_ATTEMPTS: Final = 100
 """Starts tried for a candidate target (numerical)."""
 
@@ -62,14 +62,14 @@ class RandomTarget(Target):
             )
 
     def draw(
-        self, head: HeadModel, streams: Streams, ids: IntArray, board: Board = POINT
+        self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; candidates are drawn until one is valid."""
         points, q = np.empty((len(ids), 3)), np.empty((len(ids), 7))
         keys = StreamKeys(streams.seeds[ids], streams.trials[ids])
-        found = choose_targets(
+        found = draw_targets(
             untyped_tuple(keys),
-            untyped_tuple(GazingHead.of(head)),
+            untyped_tuple(HeadWithLimits.of(head)),
             untyped_tuple(self._workspace()),
             untyped_tuple(board),
             points,
@@ -92,7 +92,7 @@ class RandomTarget(Target):
     def _unseen(self, what: str, board: Board) -> TargetError:
         return TargetError(
             f"target: expected a workspace that this head can look at, got none of "
-            f"{ATTEMPTS} {what} of {self} that both eyes can fixate and "
+            f"{MAX_CANDIDATES} {what} of {self} that both eyes can fixate and "
             f"see{whole_board_text(board)}"
         )
 
@@ -111,18 +111,18 @@ class Workspace(NamedTuple):
 
 
 @inlined
-def turn_between(begin: FloatArray, goal: FloatArray) -> float:
+def larger_eye_turn(begin: FloatArray, goal: FloatArray) -> float:
     """Turn of the eye that turns farther, rad, between angles of the eyes, (4,) and (4,)."""
     left = hypot(goal[0] - begin[0], goal[1] - begin[1])
     return max(left, hypot(goal[2] - begin[2], goal[3] - begin[3]))
 
 
 @subroutine
-def draw_target(
+def draw_candidate(
     seed: np.uint64,
     trial: np.uint64,
     attempt: int,
-    gaze: GazingHead,
+    gaze: HeadWithLimits,
     space: Workspace,
     board: Board,
     eye: Vector,
@@ -158,7 +158,7 @@ def draw_target(
             begin[:] = gaze.rest[3:]
         elif not can_fixate(gaze, space.margin, other, begin):
             continue
-        if turn_between(begin, goal) >= space.shift and in_view(
+        if larger_eye_turn(begin, goal) >= space.shift and is_in_view(
             gaze.head, begin, point, space.border, board
         ):
             return True, point
@@ -166,9 +166,9 @@ def draw_target(
 
 
 @compiled
-def choose_targets(
+def draw_targets(
     keys: StreamKeys,
-    gaze: GazingHead,
+    gaze: HeadWithLimits,
     workspace: Workspace,
     board: Board,
     points: FloatArray,
@@ -189,17 +189,19 @@ def choose_targets(
     """
     keys, gaze, space, board = (
         StreamKeys(*keys),
-        GazingHead(*gaze),
+        HeadWithLimits(*gaze),
         Workspace(*workspace),
         Board(*board),
     )
-    eye = between_eyes(gaze.head, gaze.rest)
+    eye = midpoint_between_eyes(gaze.head, gaze.rest)
     goal, begin = np.empty(4), np.empty(4)
     for n in range(len(points)):
         seed, trial = keys.seeds[n], keys.trials[n]
         q[n] = gaze.rest
-        for attempt in range(ATTEMPTS):
-            found, point = draw_target(seed, trial, attempt, gaze, space, board, eye, goal, begin)
+        for attempt in range(MAX_CANDIDATES):
+            found, point = draw_candidate(
+                seed, trial, attempt, gaze, space, board, eye, goal, begin
+            )
             if found:
                 break
         else:

@@ -6,7 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from vergence.controllers.controller import CONTROLLERS, Controller, entry_of, make_controller
+from vergence.controllers.controller import (
+    CONTROLLERS,
+    Controller,
+    controller_class,
+    make_controller,
+)
 from vergence.controllers.networks.learned import load_policy
 from vergence.entry_points import EntryPoint
 from vergence.envs.layout import ObservationLayout
@@ -84,7 +89,7 @@ class Contestant:
         if isinstance(self.source, EntryPoint):
             return option_names(self.source.load())
         if isinstance(self.source, str) and self.source in CONTROLLERS:
-            return option_names(entry_of(self.source))
+            return option_names(controller_class(self.source))
         return set()
 
     def make(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from vergence.controllers.controller import Controller
-from vergence.controllers.tuned import user_file
+from vergence.controllers.tuned import user_table_path
 from vergence.entry_points import is_entry_point
 from vergence.envs.plant import plant_type
 from vergence.envs.streams import as_seed
@@ -146,7 +146,7 @@ def tune_baselines(
         if found.tuned is False:
             report(f"tuning {BASELINE} for the head {head.name} in {scenario.name}")
             entry = tune_baseline(scenario, head, config.head, mapper)
-            report(f"{BASELINE}: gain {entry.options['gain']:g}, kept in {user_file()}")
+            report(f"{BASELINE}: gain {entry.options['gain']:g}, kept in {user_table_path()}")
 
 
 def _hardware(config: EvaluateConfig) -> HardwareConfig | None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from vergence.controllers.controller import CONTROLLERS
-from vergence.controllers.tuned import find_tuned, is_for, law_of
+from vergence.controllers.tuned import find_tuned, is_tuned_for, tuned_controller
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import SCENARIOS
 from vergence.eval.tuning.spaces import SEARCH_SPACES
@@ -55,9 +55,9 @@ def resolve_options(
     Raises:
         ConfigurationError: the user's table of tuned options cannot be read.
     """
-    space = {} if name == "ibvs" else SEARCH_SPACES.get(law_of(name), {})
+    space = {} if name == "ibvs" else SEARCH_SPACES.get(tuned_controller(name), {})
     entry = find_tuned(name, scenario, head)
-    tuned = is_for(entry, head) if space else None
+    tuned = is_tuned_for(entry, head) if space else None
     # A given value replaces a tuned one, so options tuned for this head count as tuned no longer.
     # Remaining options that were tuned for another head stay marked as untuned.
     if space.keys() <= given.keys() or (tuned and space.keys() & given.keys()):

@@ -64,7 +64,7 @@ def with_imperfection(scenario: Scenario, name: str, value: float) -> Scenario:
     duration_s = scenario.duration_s
     if name == "onset_s":
         # trials with a later onset are longer, to leave the same time
-        duration_s += max(0.0, value - variation.greatest("onset_s", 0.0))
+        duration_s += max(0.0, value - variation.largest("onset_s", 0.0))
     return replace(
         scenario,
         variation=replace(variation, **fixed),

@@ -27,7 +27,7 @@ class ImperfectionRange(NamedTuple):
 
 
 SEARCHED: Final = {
-    name: ImperfectionRange(one.label, *one.searched, *one.shown)
+    name: ImperfectionRange(one.label, *one.search_range, *one.display_unit)
     for part in PARTS
     for name, one in IMPERFECTIONS.items()
     if one.part == part
@@ -73,4 +73,4 @@ def has_effect(name: str, scenario: Scenario) -> bool:
     if not chance:
         return True
     variation = scenario.variation
-    return variation is not None and variation.greatest(chance, 0.0) > 0.0
+    return variation is not None and variation.largest(chance, 0.0) > 0.0

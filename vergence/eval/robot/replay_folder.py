@@ -10,7 +10,7 @@ from vergence.eval.robot.replay import Replay, RerunCommands
 from vergence.models.files.head_file import save_head
 from vergence.models.head import HeadModel
 from vergence.recording import schema
-from vergence.recording.recovery import recover
+from vergence.recording.recovery import recover_log
 
 
 def write_replay(folder: Path, replay: Replay, gaze: int | None = None) -> None:
@@ -29,7 +29,7 @@ def write_replay(folder: Path, replay: Replay, gaze: int | None = None) -> None:
     save_head(log.head, folder / schema.HEAD_FILE)
     (folder / schema.CONFIG_FILE).write_text(log.config, encoding="utf-8")
     if log.cut_off:
-        recover(log.path, folder / "recovered.mcap")
+        recover_log(log.path, folder / "recovered.mcap")
     replay.trajectory().to_csv(folder / "trajectory.csv", index=False)
     if replay.results:
         draw_gaze(replay.results[-1 if gaze is None else gaze - 1], folder / "gaze.png")

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.envs.plant import Plant
-from vergence.envs.targets.target import fixating_angles
+from vergence.envs.targets.target import fixation_angles
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import Assignment
 from vergence.hardware.config import HardwareConfig
@@ -210,7 +210,7 @@ def _refuse_out_of_reach(hardware: HardwareConfig) -> None:
     head = hardware.head
     for k, place in enumerate(hardware.places):
         what = f"places[{k}].point_mm in {hardware.path}"
-        motors = head.actuation.actuators_of(fixating_angles(head, what, place.point[np.newaxis]))[
+        motors = head.actuation.actuators_of(fixation_angles(head, what, place.point[np.newaxis]))[
             0
         ]
         for servo in hardware.servos:

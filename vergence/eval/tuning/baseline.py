@@ -10,7 +10,7 @@ import shlex
 from collections.abc import Sequence
 from typing import Final
 
-from vergence.controllers.tuned import Tuned, check_writable, user_file, write_tuned
+from vergence.controllers.tuned import TunedEntry, check_writable, user_table_path, write_tuned
 from vergence.errors import ConfigurationError
 from vergence.eval.jobs import Mapper
 from vergence.eval.trials.scenarios import Scenario
@@ -27,7 +27,9 @@ _COARSE: Final = 10
 best gain)."""
 
 
-def tune_baseline(scenario: Scenario, head: HeadModel, source: str | None, mapper: Mapper) -> Tuned:
+def tune_baseline(
+    scenario: Scenario, head: HeadModel, source: str | None, mapper: Mapper
+) -> TunedEntry:
     """Find the best fixed gain and save it in the user's table of tuned options.
 
     Args:
@@ -44,9 +46,9 @@ def tune_baseline(scenario: Scenario, head: HeadModel, source: str | None, mappe
     """
     words = ["vergence", "evaluate", "ibvs-tuned", "--scenario", scenario.name]
     words += [] if source is None else ["--head", absolute_source(source)]
-    check_writable(user_file())  # before the search, which takes a minute
+    check_writable(user_table_path())  # before the search, which takes a minute
     gain = best_gain(scenario, head, mapper)
-    entry = Tuned(
+    entry = TunedEntry(
         controller="ibvs",
         scenario=scenario.name,
         head=head.name,
@@ -55,7 +57,7 @@ def tune_baseline(scenario: Scenario, head: HeadModel, source: str | None, mappe
         seed=TuneConfig.seed,
         options={"gain": gain},
     )
-    write_tuned(user_file(), entry)
+    write_tuned(user_table_path(), entry)
     return entry
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.controllers.controller import make_controller
-from vergence.controllers.tuned import judged_as
+from vergence.controllers.tuned import evaluated_controller
 from vergence.eval.jobs import Mapper, SerialMapper
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario
@@ -77,7 +77,7 @@ class TrialsJob:
         """
         options: dict[str, Any] = self.options
         trials = run_trials(
-            make_controller(judged_as(self.config.controller), self.head, **options),
+            make_controller(evaluated_controller(self.config.controller), self.head, **options),
             self.scenario,
             episodes=len(self.trial_numbers),
             plant=self.config.plant,

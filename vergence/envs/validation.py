@@ -12,7 +12,7 @@ from vergence.models.parts import FloatArray
 from vergence.operands import as_operand
 
 
-def checked_numbers(name: str, value: object, size: int, above_zero: bool = False) -> object:
+def check_numbers(name: str, value: object, size: int, above_zero: bool = False) -> object:
     """Check finite numbers and return them: a tuple, or a single one that is not negative.
 
     Args:
@@ -27,12 +27,12 @@ def checked_numbers(name: str, value: object, size: int, above_zero: bool = Fals
     if size:
         if not isinstance(value, list | tuple | np.ndarray) or len(value) != size:
             raise ConfigurationError(f"{name}: expected {size} numbers, got {value!r}")
-        return tuple(number(name, item) for item in value)
-    (finite_above_zero if above_zero else at_least_zero)(name, value)
-    return number(name, value)
+        return tuple(check_number(name, item) for item in value)
+    (check_above_zero if above_zero else check_at_least_zero)(name, value)
+    return check_number(name, value)
 
 
-def finite_above_zero(name: str, value: object) -> None:
+def check_above_zero(name: str, value: object) -> None:
     """Refuse a value that is not a finite number above zero.
 
     Args:
@@ -42,35 +42,35 @@ def finite_above_zero(name: str, value: object) -> None:
     Raises:
         ConfigurationError: it is not.
     """
-    if number(name, value) <= 0.0:
+    if check_number(name, value) <= 0.0:
         raise ConfigurationError(f"{name}: expected a finite number above 0, got {value!r}")
 
 
-def at_least_zero(name: str, value: object) -> None:
-    """Refuse a value that is not a finite number of at least zero; see `finite_above_zero`."""
-    if number(name, value) < 0.0:
+def check_at_least_zero(name: str, value: object) -> None:
+    """Refuse a value that is not a finite number of at least zero; see `check_above_zero`."""
+    if check_number(name, value) < 0.0:
         raise ConfigurationError(f"{name}: expected a number of at least 0, got {value!r}")
 
 
-def count(name: str, value: object, *, least: int = 1) -> int:
-    """Check a whole number of at least `least` and return it.
+def check_count(name: str, value: object, *, minimum: int = 1) -> int:
+    """Check a whole number of at least `minimum` and return it.
 
     Args:
         name: name for error messages.
         value: the user's value.
-        least: smallest valid value.
+        minimum: smallest valid value.
 
     Raises:
         ConfigurationError: the value is something else.
     """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        what = "above 0" if least == 1 else f"of at least {least}"
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < minimum:
+        what = "above 0" if minimum == 1 else f"of at least {minimum}"
         raise ConfigurationError(f"{name}: expected a whole number {what}, got {value!r}")
     return int(value)
 
 
-def number(name: str, value: object) -> float:
-    """Check one finite number and return it, see `checked_numbers`."""
+def check_number(name: str, value: object) -> float:
+    """Check one finite number and return it, see `check_numbers`."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         raise ConfigurationError(f"{name}: expected a number, got {value!r}")
     one = float(value)
@@ -99,7 +99,7 @@ def float_array(value: ArrayLike) -> FloatArray:
     return array.astype(np.float64)
 
 
-def as_numbers(action: ArrayLike) -> NDArray[Any]:
+def as_action_array(action: ArrayLike) -> NDArray[Any]:
     """Convert an action to an array without changing the type of its numbers.
 
     Raises:
