@@ -47,7 +47,7 @@ from vergence.calibration.stereo import fit_pair
 from vergence.errors import ConfigurationError
 from vergence.models.boards import Checkerboard
 from vergence.models.parts import FloatArray
-from vergence.perception.photographs import photographs_in
+from vergence.perception.photographs import photographs_in_folder
 from vergence.vision import read_image
 
 HALF_WINDOW: Final = 5
@@ -87,7 +87,7 @@ def files_of(folder: Path) -> list[list[Path]]:
     def number(path: Path) -> tuple[int, ...]:
         return tuple(map(int, re.findall(r"\d+", path.stem)))
 
-    files = sorted(photographs_in(folder), key=lambda path: (number(path), path.name))
+    files = sorted(photographs_in_folder(folder), key=lambda path: (number(path), path.name))
     eyes = [[path for path in files if path.stem.startswith(eye)] for eye in ("left", "right")]
     if not all(eyes):
         return [files]

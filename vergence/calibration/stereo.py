@@ -12,7 +12,7 @@ from vergence.calibration.observations import Observations
 from vergence.errors import ConfigurationError
 from vergence.models.files.stereo import GREATEST_BASELINE_M, LEAST_BASELINE_M
 from vergence.models.parts import FloatArray
-from vergence.perception.located import orders_alike
+from vergence.perception.located import equivalent_corner_orders
 
 _TOGETHER: Final = 0.03
 """Largest median reprojection error over the pairs, in image widths, with the relative pose of the
@@ -50,7 +50,7 @@ def fit_pair(
         )
     alone = [fit.solution.rig for fit in (left, right)]
     by_left = estimate_board_poses(seen.problem.of_camera(0), alone[0], seen.sizes[0])
-    orders = orders_alike(seen.target)
+    orders = equivalent_corner_orders(seen.target)
     turned = [_turned(seen, order, both) for order in orders]
     best: tuple[float, CameraRig, FloatArray] | None = None
     for one in turned:

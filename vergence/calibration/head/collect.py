@@ -26,7 +26,7 @@ from vergence.errors import ConfigurationError
 from vergence.locks import locked
 from vergence.models.boards import PlanarTarget
 from vergence.models.joints import EYE_NAMES
-from vergence.perception.located import orders_alike
+from vergence.perception.located import equivalent_corner_orders
 from vergence.recording.looking import BoardView, Looker
 from vergence.recording.schema import LoggedDetection
 from vergence.recording.writer import LogWriter
@@ -268,7 +268,7 @@ class _Run:
             return
         expected, looks = fitted_board.pixels(frame.positions[0]), frame.pixels[:, 0]
         # a rotationally symmetric board may be detected in any of its corner orders
-        orders = orders_alike(looker.target)
+        orders = equivalent_corner_orders(looker.target)
         away = min(float(np.nanmax(np.abs(looks[:, order] - expected))) for order in orders)
         if away > _MOVED_WIDTHS * looker.head.cameras.size.max():
             raise ConfigurationError(

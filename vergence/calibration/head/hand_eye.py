@@ -49,7 +49,7 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.links import inverse_pose
 from vergence.models.parts import FloatArray
-from vergence.perception.located import orders_alike
+from vergence.perception.located import equivalent_corner_orders
 
 _TURN_RAD: Final = 1.0
 """Prior standard deviation of a head-eye rotation, rad (chosen: too large to matter)."""
@@ -83,7 +83,7 @@ class _Views(NamedTuple):
 
     @classmethod
     def of(cls, head: HeadModel, frames: HeadFrames) -> "_Views":
-        if len(orders_alike(frames.target)) > 1:
+        if len(equivalent_corner_orders(frames.target)) > 1:
             frames = estimate_start(head, frames).frames
         boards = np.tile(np.eye(4), (2, len(frames.time_s), 1, 1))
         for eye, poses in enumerate(board_in_cameras(head, frames)):

@@ -13,7 +13,7 @@ from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
-from vergence.perception.photographs import in_order
+from vergence.perception.photographs import natural_sort_key
 from vergence.recording.log import Log, read_log
 from vergence.recording.looking import BoardView
 from vergence.recording.schema import LoggedDetection
@@ -50,7 +50,7 @@ def logs_in(path: Path) -> list[Path]:
     """
     if not path.is_dir():
         return [path]
-    found = sorted((one for one in path.iterdir() if one.suffix == SUFFIX), key=in_order)
+    found = sorted((one for one in path.iterdir() if one.suffix == SUFFIX), key=natural_sort_key)
     if not found:
         raise ConfigurationError(
             f"{path}: expected logs of a robot (*{SUFFIX}) in it, or the folders left and right "

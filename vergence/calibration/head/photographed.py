@@ -11,10 +11,10 @@ from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
-from vergence.perception.joint_angles import angles_of_row, as_number, rows_of_pairs
+from vergence.perception.joint_angles import parse_finite_number, parse_joint_angles, read_pair_rows
 from vergence.perception.joint_rows import Row
 from vergence.perception.pairing import pair_up
-from vergence.perception.photographs import some_of
+from vergence.perception.photographs import join_first_names
 from vergence.recording.looking import BoardView
 
 TABLES: Final = ("joints.csv", "joints.json", "joints.toml")
@@ -55,16 +55,17 @@ def read_photographs(
     if len(tables) != 1:
         raise ConfigurationError(
             f"{path}: expected one of {', '.join(TABLES)} with the angles of each pair of images, "
-            f"got {some_of(table.name for table in tables) or 'none'}"
+            f"got {join_first_names(table.name for table in tables) or 'none'}"
         )
     found = pair_up(*(path / eye for eye in EYE_NAMES))
     names = [pair.name for pair in found.pairs]
-    rows = rows_of_pairs(tables[0], names)
+    rows = read_pair_rows(tables[0], names)
     taken = [_read(head, rows[name], f"{tables[0]}: {name}") for name in names]
     untimed = [name for name, one in zip(names, taken, strict=True) if one.time_s is None]
     if 0 < len(untimed) < len(names):
         raise ConfigurationError(
-            f"{tables[0]}: expected {_TIME} of all pairs or of none, got none of {some_of(untimed)}"
+            f"{tables[0]}: expected {_TIME} of all pairs or of none, got none of "
+            f"{join_first_names(untimed)}"
         )
     seen, failures = observe(
         target,
@@ -83,9 +84,9 @@ def read_photographs(
         for view, one in enumerate(taken)
     ]
     remarks: tuple[str, ...] = ()
-    if found.alone:
-        names_alone = some_of(one.name for one in found.alone)
-        remarks = (f"{len(found.alone)} images without a partner left out: {names_alone}",)
+    if found.unpaired:
+        names_alone = join_first_names(one.name for one in found.unpaired)
+        remarks = (f"{len(found.unpaired)} images without a partner left out: {names_alone}",)
     files = [str(one.relative_to(path)) for pair in found.pairs for one in pair]
     return Gathered(
         target,
@@ -109,14 +110,14 @@ class _Taken(NamedTuple):
 
 def _read(head: HeadModel, row: Row, where: str) -> _Taken:
     angles = {name: value for name, value in row.items() if name not in (_TIME, _PLACEMENT)}
-    time_s = as_number(row[_TIME], f"{where}: {_TIME}") if _TIME in row else None
-    placement = as_number(row.get(_PLACEMENT, 0), f"{where}: {_PLACEMENT}")
+    time_s = parse_finite_number(row[_TIME], f"{where}: {_TIME}") if _TIME in row else None
+    placement = parse_finite_number(row.get(_PLACEMENT, 0), f"{where}: {_PLACEMENT}")
     if not (placement.is_integer() and 0 <= placement < MOST_PLACES):
         raise ConfigurationError(
             f"{where}: {_PLACEMENT}: expected a whole number below {MOST_PLACES}, got "
             f"{row[_PLACEMENT]!r:.40}"
         )
-    return _Taken(angles_of_row(head, angles, where), int(placement), time_s)
+    return _Taken(parse_joint_angles(head, angles, where), int(placement), time_s)
 
 
 def _refuse_other_sizes(path: Path, head: HeadModel, seen: Observations) -> None:

@@ -13,7 +13,7 @@ from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.projection import camera_parameter_names
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.perception.located import orders_alike
+from vergence.perception.located import equivalent_corner_orders
 
 LEAST_CORNERS: Final = 4
 """Fewest corners of a view (physical: geometry, fewer do not determine the board's pose)."""
@@ -66,7 +66,7 @@ def estimate_start(head: HeadModel, frames: HeadFrames) -> Start:
         LinAlgError: a placement has no view that determines the board's pose.
     """
     places, turns, shifts = board_in_base(head, frames)
-    orders = orders_alike(frames.target)
+    orders = equivalent_corner_orders(frames.target)
     enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
     enough &= np.isfinite(places).all(axis=(-2, -1))  # pixels outside the lens's range
     rotations, translations, spreads = [], [], []

@@ -34,7 +34,7 @@ class CalibrateIntrinsics(CalibrationOptions):
     def run(self) -> int:
         """Run the command."""
         self.check(self.out)
-        from vergence.perception.photographs import photographs_of
+        from vergence.perception.photographs import list_photographs
 
         if not self.images:
             raise ConfigurationError("expected images or folders of images, got none")
@@ -45,4 +45,4 @@ class CalibrateIntrinsics(CalibrationOptions):
 
             return str(yaml.safe_dump(camera_document(found), sort_keys=False))
 
-        return self.calibrated([photographs_of(self.images)], self.out, text)
+        return self.calibrated([list_photographs(self.images)], self.out, text)
