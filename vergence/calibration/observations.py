@@ -270,7 +270,8 @@ def _refuse_another(
 def _not_found(target: PlanarTarget, files: Sequence[Path], hint: str) -> ConfigurationError:
     return ConfigurationError(
         f"expected {target} in {files[0].parent} "
-        f"({join_first_names(path.name for path in files)}), found in none of {len(files)} images{hint}"
+        f"({join_first_names(path.name for path in files)}), found in none of {len(files)} "
+        f"images{hint}"
     )
 
 
