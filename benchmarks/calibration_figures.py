@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from vergence.calibration.calibrate import Calibration, calibrate
-from vergence.calibration.depth import depth_sigma_at, depths_shown
+from vergence.calibration.depth import depth_sigma_at, depths_to_plot_m
 from vergence.calibration.figures import (
     depth_sigma,
     direction_sigma,
@@ -25,7 +25,7 @@ from vergence.calibration.figures import (
 from vergence.calibration.observations import parse_board
 from vergence.eval.reporting.style import figure_style
 from vergence.perception.pairing import pair_images
-from vergence.perception.photographs import photographs_of
+from vergence.perception.photographs import list_photographs
 
 _DPI = 110
 _COLOURS = 128
@@ -38,7 +38,7 @@ def panels(found: Calibration) -> list[Figure]:
         residual_field(found, 0),
         image_coverage(found, 0),
         direction_sigma(found, 0),
-        depth_sigma(depth_sigma_at(found, depths_shown(found)), relative=False),
+        depth_sigma(depth_sigma_at(found, depths_to_plot_m(found)), in_percent=False),
     ]
 
 
@@ -70,8 +70,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--target", default="checkerboard:9x6:24.23")
     parser.add_argument("--out", type=Path, required=True, help="figure, without its suffix")
     options = parser.parse_args(arguments)
-    images = photographs_of([options.folder])
-    pairs = pair_images(images, images, same=True).pairs
+    images = list_photographs([options.folder])
+    pairs = pair_images(images, images, one_folder=True).pairs
     found = calibrate(
         parse_board(options.target),
         [[pair.left for pair in pairs], [pair.right for pair in pairs]],

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from vergence.cli import main
 from vergence.models.boards import Checkerboard
-from vergence.perception.photographs import photographs_in
-from vergence.perception.spacing import distances
+from vergence.perception.photographs import photographs_in_folder
+from vergence.perception.spacing import neighbour_distances_m
 from vergence.perception.target_finder import TargetFinder
 from vergence.vision import parse_target
 
@@ -138,7 +138,7 @@ def measure(folder: Path, target: str, finder: str = "classic") -> Measured:
                     "--target", target, "--json", "--out", work / "run")
         )  # fmt: skip
     points = [1e-3 * np.array(row["points_mm"], np.float64) for row in rows]
-    apart = 1e3 * np.concatenate([distances(board, each) for each in points])
+    apart = 1e3 * np.concatenate([neighbour_distances_m(board, each) for each in points])
     gaps = np.concatenate([row["gap_mm"] for row in rows]).astype(np.float64)
     return Measured(
         stereo_rms_px=rms,
@@ -152,7 +152,7 @@ def measure(folder: Path, target: str, finder: str = "classic") -> Measured:
 
 def detected(folder: Path, target: str) -> tuple[int, int]:
     """Number of images of a folder in which the board is found, and of all images."""
-    finder, images = TargetFinder([parse_target(target)]), photographs_in(folder)
+    finder, images = TargetFinder([parse_target(target)]), photographs_in_folder(folder)
     return sum(len(finder.find_in_file(path).found) == 1 for path in images), len(images)
 
 

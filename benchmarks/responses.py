@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from vergence.errors import VergenceError
-from vergence.perception.light import edge_ratios
+from vergence.perception.light import edge_log_ratios
 from vergence.perception.photographs import SUFFIXES
 from vergence.vision import make_detector, parse_target
 from vergence.vision.image import has_colours, measurement_channel, read_pixels, restore_grey
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 seen = detector.detect_all(image)
             except VergenceError:
                 continue
-            ratios = edge_ratios(measurement_channel(image), seen)
+            ratios = edge_log_ratios(measurement_channel(image), seen)
             found[has_colours(restore_grey(image))].append(ratios)
         for colour, images in found.items():
             every = np.array([ratio for ratios in images for ratio in ratios])

@@ -20,7 +20,7 @@ from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.vision.tags.detector import compile_fit
+from vergence.vision.tags.detector import compile_tag_fit
 
 DONE: Final = "compiled-for-tests"
 """The file in the kernels' folder that says that all is there."""
@@ -58,7 +58,7 @@ def steps(name: str, plant: str) -> None:
 SHARES: Final[tuple[tuple[Callable[[], None], ...], ...]] = (
     (
         partial(laws, "simulated"),
-        compile_fit,
+        compile_tag_fit,
         partial(steps, "simulated", "rendered"),
         partial(steps, "simulated", "mujoco"),
         partial(laws, "tied"),

@@ -70,7 +70,7 @@ class RecordingDetector(TagDetector):
             for number, middle, fit in self.fits
             if number == tag.id and np.linalg.norm(middle - tag.centre_px) < reach
         ]
-        return max(tried, key=lambda fit: fit.explained, default=None)
+        return max(tried, key=lambda fit: fit.explained_fraction, default=None)
 
 
 @dataclass(frozen=True)
@@ -103,10 +103,10 @@ class Seen:
             fit = self.fit
             row["fit"] = {
                 "contrast": round(fit.contrast, 1),
-                "explained": round(fit.explained, 3),
-                "wrong": fit.reading.wrong,
-                "frame": fit.reading.frame,
-                "unclear": round(fit.reading.unclear, 3),
+                "explained": round(fit.explained_fraction, 3),
+                "wrong": fit.reading.wrong_cells,
+                "frame": fit.reading.wrong_rim_cells,
+                "unclear": round(fit.reading.unclear_fraction, 3),
                 "moved_px": round(fit.moved_px, 2),
                 "sigma_px": round(fit.sigma_px, 3),
             }

@@ -70,7 +70,7 @@ def test_the_best_fit_of_a_tag_is_the_one_that_explains_most_of_it(ours) -> None
     ]
     best = ours.best_fit(found(5))
     assert best is not None
-    assert best.explained == 0.6
+    assert best.explained_fraction == 0.6
 
 
 def test_one_command_makes_the_table_of_rates(tmp_path, capsys) -> None:

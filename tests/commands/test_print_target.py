@@ -12,7 +12,7 @@ import pytest
 
 from tests.test_cli import call
 from vergence.vision import make_detector, parse_target
-from vergence.vision.printing import Paper, Sheet, lay_out, parse_paper
+from vergence.vision.printing import Paper, PrintSheet, lay_out_sheet, parse_paper
 
 DPI = 254  # ten pixels to the millimetre: sheets are whole pixels
 PX_MM = 0.1
@@ -26,8 +26,8 @@ BOARDS = [
 ]
 
 
-def laid_out(text: str, paper: str) -> Sheet:
-    return lay_out(parse_target(text), parse_paper(paper))
+def laid_out(text: str, paper: str) -> PrintSheet:
+    return lay_out_sheet(parse_target(text), parse_paper(paper))
 
 
 def printed(path: Path, text: str, paper: str, *words: str) -> np.ndarray:
@@ -67,10 +67,14 @@ def filled(path: Path) -> np.ndarray:
     return cv2.resize(image, None, fx=1 / FINE, fy=1 / FINE, interpolation=cv2.INTER_AREA)
 
 
-def ruler_length_mm(image: np.ndarray, sheet: Sheet) -> float:
+def ruler_length_mm(image: np.ndarray, sheet: PrintSheet) -> float:
     """The distance of the end ticks' middles, along a line that the other ticks do not reach."""
-    x, y = sheet.ruler_mm
-    line = image[:, round((x + 2.9) / PX_MM)] if sheet.upright else image[round((y + 2.9) / PX_MM)]
+    x, y = sheet.ruler_zero_mm
+    line = (
+        image[:, round((x + 2.9) / PX_MM)]
+        if sheet.ruler_upright
+        else image[round((y + 2.9) / PX_MM)]
+    )
     dark = 255.0 - line
     dark[dark < 40.0] = 0.0
     places = np.flatnonzero(dark)
@@ -117,7 +121,7 @@ def test_the_margin_is_white_and_nothing_leaves_the_printable_area(tmp_path):
         edge = int(4.8 / PX_MM)
         outside[edge:-edge, edge:-edge] = False
         assert not outside.any(), text
-        outline = np.vstack(laid_out(text, paper).black_mm)
+        outline = np.vstack(laid_out(text, paper).black_outlines_mm)
         left, top = np.floor((outline.min(axis=0) - 0.05) / PX_MM).astype(int)
         right, bottom = np.ceil((outline.max(axis=0) + 0.05) / PX_MM).astype(int)
         black[top:bottom, left:right] = False
@@ -135,7 +139,7 @@ def test_black_has_no_seams_at_a_resolution_that_cuts_its_cells(tmp_path):
     assert call("print-target", text, *words) == 0
     with pypdfium2.PdfDocument(tmp_path / "tag.pdf") as document:
         page = document[0].render(scale=97 / 72.0, grayscale=True).to_numpy().copy()
-    outline = np.vstack(laid_out(text, "a4").black_mm)
+    outline = np.vstack(laid_out(text, "a4").black_outlines_mm)
     (left, top), (_, bottom) = outline.min(axis=0) * mm, outline.max(axis=0) * mm
     column = round(left + 0.5 * 61.3 / 8 * mm)  # along the tag's black border, eight cells
     for image in (page, cv2.imread(str(tmp_path / "tag.png"), cv2.IMREAD_GRAYSCALE)):

@@ -7,7 +7,7 @@ from tests.perception.drawn import Studio, corners_in_space, pose_at
 from vergence import load_head
 from vergence.models.boards import AprilTag, TagFamily
 from vergence.perception.locate import _match
-from vergence.perception.similar_targets import similar_targets
+from vergence.perception.similar_targets import describe_similar_targets
 from vergence.perception.target_finder import TargetFinder, parse_targets
 from vergence.vision import AprilGrid, EyeCamera
 
@@ -26,7 +26,7 @@ def test_a_grid_is_one_target_whose_edges_are_as_stated():
     errors = one.fix.point - corners_in_space(GRID, pose)
     assert np.sqrt(np.mean((errors / one.fix.sigma) ** 2)) < 1.5
     assert one.spacing.mean_m == pytest.approx(0.03, rel=0.005)
-    assert one.spacing.number == 4 * 20  # edges of tags; the gaps between them are no edges
+    assert one.spacing.edge_count == 4 * 20  # edges of tags; the gaps between them are no edges
     assert (np.abs(one.centre.point - pose[:3, 3]) < 4.0 * one.centre.sigma).all()
 
 
@@ -36,9 +36,9 @@ def test_what_is_there_in_place_of_a_grid_is_said():
     tag = Studio(HEAD, AprilTag(id=7)).take(pose_at([0.0, 0.0, 0.5]), rng)[0]
     there = "aprilgrid:5x4:30:0.3 (tags, and their gap by their edge) is there"
     for asked in ("aprilgrid:4x5:30:0.3", "aprilgrid:5x4:30:0.2", "aprilgrid:5x3:30:0.3"):
-        assert similar_targets(grid, parse_targets([asked])) == there
-    assert similar_targets(grid, [TagFamily()]).startswith("aprilgrid:5x4:TAG:0.3")
+        assert describe_similar_targets(grid, parse_targets([asked])) == there
+    assert describe_similar_targets(grid, [TagFamily()]).startswith("aprilgrid:5x4:TAG:0.3")
     assert (
-        similar_targets(tag, [GRID])
+        describe_similar_targets(tag, [GRID])
         == "tag:36h11:7 (a single tag, its border one bit wide) is there"
     )

@@ -5,8 +5,8 @@ import pytest
 
 from vergence import load_head
 from vergence.models.boards import AprilTag, Checkerboard
-from vergence.perception.board_centre import centre_px, centre_weights, weighted
-from vergence.perception.spacing import distances, neighbours, spacing
+from vergence.perception.board_centre import centre_weights, target_centre_px, weighted_sum
+from vergence.perception.spacing import measure_spacing, neighbour_distances_m, neighbour_pairs
 from vergence.vision import Detection, EyeCamera
 
 BOARD = Checkerboard(columns=5, rows=4, square_m=0.03)
@@ -24,7 +24,7 @@ def test_a_part_of_a_board_has_the_same_middle_on_a_plane_in_space():
     found = np.zeros(20, bool)
     found[[0, 1, 2, 6, 7]] = True
     points[~found] = np.nan
-    middle = weighted(points, centre_weights(BOARD.corners_m, found))
+    middle = weighted_sum(points, centre_weights(BOARD.corners_m, found))
     whole = BOARD.corners_m @ space
     np.testing.assert_allclose(middle - points[0], whole.mean(axis=0) - whole[0], atol=1e-9)
 
@@ -48,29 +48,29 @@ def test_the_pixel_of_the_middle_is_where_the_lens_puts_it():
     points = flat @ turn.T + [0.08, -0.05, 0.4]
     corners = camera.project(points)
     true = camera.project([points.mean(axis=0)])[0]
-    pixel, sigma = centre_px(detection(BOARD, corners), camera)
+    pixel, sigma = target_centre_px(detection(BOARD, corners), camera)
     np.testing.assert_allclose(pixel, true, atol=1e-6)
     np.testing.assert_allclose(sigma, 0.1 / np.sqrt(20.0), atol=1e-12)
     corners[[0, 3, 7, 11]] = np.nan
-    pixel, _ = centre_px(detection(BOARD, corners), camera)
+    pixel, _ = target_centre_px(detection(BOARD, corners), camera)
     np.testing.assert_allclose(pixel, true, atol=1e-6)
     corners[5:] = np.nan
-    assert np.isnan(centre_px(detection(BOARD, corners), camera)[0]).all()
+    assert np.isnan(target_centre_px(detection(BOARD, corners), camera)[0]).all()
 
 
 def test_neighbours_are_an_edge_apart():
-    assert len(neighbours(BOARD)) == 4 * 4 + 5 * 3
-    assert len(neighbours(AprilTag())) == 4
+    assert len(neighbour_pairs(BOARD)) == 4 * 4 + 5 * 3
+    assert len(neighbour_pairs(AprilTag())) == 4
     points = np.column_stack([BOARD.corners_m, np.zeros(20)])
-    np.testing.assert_allclose(distances(BOARD, 1.01 * points), 0.0303, atol=1e-12)
+    np.testing.assert_allclose(neighbour_distances_m(BOARD, 1.01 * points), 0.0303, atol=1e-12)
     points[0] = np.nan
-    mean, spread, count, stated = spacing(BOARD, [points, 1.02 * points])
+    mean, spread, count, stated = measure_spacing(BOARD, [points, 1.02 * points])
     assert (mean, spread, count, stated) == pytest.approx((0.0303, 0.0003, 2 * 29, 0.03))
 
 
 def test_what_was_not_stated_and_what_was_not_found_is_none_in_json():
     unsaid = Checkerboard(columns=5, rows=4, size_known=False)
     nothing = np.full((20, 3), np.nan)
-    assert spacing(unsaid, [nothing]).document() == {
+    assert measure_spacing(unsaid, [nothing]).document() == {
         "mean": None, "spread": None, "count": 0, "stated": None,
     }  # fmt: skip

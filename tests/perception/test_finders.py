@@ -5,7 +5,7 @@ import pytest
 
 from tests.perception.test_target_finder import side_by_side
 from vergence.models.boards import TagFamily
-from vergence.perception.finders import FamilyTracker, finders_of
+from vergence.perception.finders import FamilyTracker, make_live_finders
 from vergence.vision import make_detector
 
 BOTH = side_by_side(7, 3)[0]
@@ -79,7 +79,7 @@ def test_a_tag_that_went_is_not_searched_for_for_ever():
 
 
 def test_each_target_has_its_finder():
-    finders = finders_of(
+    finders = make_live_finders(
         [TagFamily(), next(iter(make_detector(TagFamily()).detect_all(BOTH))).target]
     )
     assert [numbers(find(BOTH)) for find in finders] == [[3, 7], [3]]

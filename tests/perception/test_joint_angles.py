@@ -9,7 +9,7 @@ from tests.eval.refusals import not_refused
 from tests.heads import head_of
 from vergence import load_head
 from vergence.errors import ConfigurationError, UnreadableFileError
-from vergence.perception.joint_angles import angles_of_pairs
+from vergence.perception.joint_angles import read_joint_angles
 
 Q = [0.0, 0.0, 0.0, 0.1, -0.2, 0.12, 0.3]
 NAMES = ("left_tilt", "left_pan", "right_tilt", "right_pan")
@@ -40,7 +40,7 @@ def test_one_row_is_for_all_pairs(tmp_path):
         ("q.csv", f"{CSV_HEAD}\n{CSV_ROW}\n"),
         ("q.CSV", f"\ufeff{CSV_HEAD}\n{CSV_ROW}\n"),
     ]:
-        found = angles_of_pairs(load_head("physical"), write(tmp_path / name, text), PAIRS)
+        found = read_joint_angles(load_head("physical"), write(tmp_path / name, text), PAIRS)
         for pair in PAIRS:
             np.testing.assert_allclose(found[pair], Q, atol=1e-15)
 
@@ -52,7 +52,7 @@ def test_a_row_for_each_pair_names_its_left_image(tmp_path):
         ("q.csv", f"pair,{CSV_HEAD}\nb.png,{CSV_ROW}\na,0.1,0.25,0.12,0.3\n"),
         ("q.toml", f'["a.png"]\n{TOML.replace("-0.2", "0.25")}\n["b.png"]\n{TOML}\n'),
     ]:
-        found = angles_of_pairs(load_head("physical"), write(tmp_path / name, text), PAIRS)
+        found = read_joint_angles(load_head("physical"), write(tmp_path / name, text), PAIRS)
         assert found["b.png"].tolist() == pytest.approx(Q)
         assert found["a.png"][4] == 0.25
 
@@ -60,16 +60,16 @@ def test_a_row_for_each_pair_names_its_left_image(tmp_path):
 def test_actuators_that_tie_joints_may_be_given_in_their_place(tmp_path):
     head = head_of("tied")
     values = {"tilt": 0.1, "version": 0.2, "vergence": 0.3, "neck_yaw": 0.4}
-    q = angles_of_pairs(head, write(tmp_path / "q.json", values), ["a"])["a"]
+    q = read_joint_angles(head, write(tmp_path / "q.json", values), ["a"])["a"]
     np.testing.assert_allclose(q, [0.0, 0.0, 0.4, 0.1, 0.35, 0.1, 0.05], atol=1e-15)
     joints = {"eyes_tilt": 0.1, "left_pan": 0.35, "right_pan": 0.05}
-    other = angles_of_pairs(head, write(tmp_path / "q.json", joints), ["a"])["a"]
+    other = read_joint_angles(head, write(tmp_path / "q.json", joints), ["a"])["a"]
     np.testing.assert_allclose(other[3:], q[3:], atol=1e-15)
 
 
 def test_a_head_without_a_file_is_at_rest():
     head = head_of("tied")
-    np.testing.assert_array_equal(angles_of_pairs(head, None, ["a"])["a"], head.rest())
+    np.testing.assert_array_equal(read_joint_angles(head, None, ["a"])["a"], head.rest())
 
 
 def test_what_cannot_be_is_refused_in_one_line_that_names_the_file(tmp_path):
@@ -97,7 +97,7 @@ def test_what_cannot_be_is_refused_in_one_line_that_names_the_file(tmp_path):
 
     def attempt(file):
         name, text = file
-        angles_of_pairs(load_head("physical"), write(tmp_path / name, text), PAIRS)
+        read_joint_angles(load_head("physical"), write(tmp_path / name, text), PAIRS)
 
     named = [((name, text), f"(?s)^(?=.*{name}).*{said}") for name, text, said in cases]
     assert not_refused(attempt, named) == []
@@ -105,13 +105,13 @@ def test_what_cannot_be_is_refused_in_one_line_that_names_the_file(tmp_path):
 
 def test_a_file_that_is_not_there_or_no_text_is_named(tmp_path):
     with pytest.raises(UnreadableFileError, match=r"none\.json: No such file"):
-        angles_of_pairs(load_head("physical"), tmp_path / "none.json", PAIRS)
+        read_joint_angles(load_head("physical"), tmp_path / "none.json", PAIRS)
     (tmp_path / "q.json").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(UnreadableFileError, match="no text in UTF-8"):
-        angles_of_pairs(load_head("physical"), tmp_path / "q.json", PAIRS)
+        read_joint_angles(load_head("physical"), tmp_path / "q.json", PAIRS)
 
 
 def test_joints_of_a_fixed_pair_are_refused_with_the_reason(tmp_path):
     (tmp_path / "q.json").write_text('{"left_pan": 0.1}', encoding="utf-8")
     with pytest.raises(ConfigurationError, match=r"none \(a fixed pair\), got 'left_pan'"):
-        angles_of_pairs(head_of("pair"), tmp_path / "q.json", ["a.png"])
+        read_joint_angles(head_of("pair"), tmp_path / "q.json", ["a.png"])

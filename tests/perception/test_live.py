@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vergence.models.boards import AprilTag, Checkerboard
-from vergence.perception.live import LiveStatistics, watch
+from vergence.perception.live import LiveStatistics, watch_targets
 from vergence.vision import Detection
 
 TAG, OTHER = AprilTag(id=5), AprilTag(id=6)
@@ -18,15 +18,15 @@ def test_rates_are_of_the_window_and_totals_of_all():
     statistics = LiveStatistics([TAG], window_s=1.0)
     for image in range(40):
         statistics.add(0.1 * image, 0.02, [at(1.0, 2.0)] if image >= 20 and image % 2 else [])
-    state = statistics.state()
+    state = statistics.window_summary()
     (tag,) = state.targets
     assert (state.images, state.seconds) == (40, pytest.approx(3.92))
     assert state.frame_rate_hz == pytest.approx(10.0)
     assert state.detection_ms == pytest.approx(20.0)
     assert tag.rate == pytest.approx(0.5, abs=0.06)
-    assert (tag.seen, tag.images) == (6, 11)
-    (tag,) = statistics.total().targets
-    assert (tag.seen, tag.images, tag.rate) == (10, 40, 0.25)
+    assert (tag.images_with_target, tag.images) == (6, 11)
+    (tag,) = statistics.run_summary().targets
+    assert (tag.images_with_target, tag.images, tag.rate) == (10, 40, 0.25)
     assert tag.document()["images_without"] == 30
 
 
@@ -39,14 +39,14 @@ def test_the_summary_is_over_the_whole_run():
         statistics.add(
             0.05 * image if image < 200 else 10.0 + 0.1 * (image - 200), 0.01, [at(*point)]
         )
-    (tag,), (last,) = statistics.total().targets, statistics.state().targets
+    (tag,), (last,) = statistics.run_summary().targets, statistics.window_summary().targets
     np.testing.assert_allclose(tag.noise_px, points.std(axis=0, ddof=1), rtol=1e-9)
     np.testing.assert_allclose(tag.point_px, points.mean(axis=0), rtol=1e-12)
     np.testing.assert_allclose(tag.sigma_px, 0.1, rtol=1e-9)
     assert (last.noise_px < 1.0).all()
     assert (tag.noise_px > 1.4).all()
-    assert statistics.total().frame_rate_hz == pytest.approx(399 / 29.9)
-    assert statistics.state().frame_rate_hz == pytest.approx(10.0)
+    assert statistics.run_summary().frame_rate_hz == pytest.approx(399 / 29.9)
+    assert statistics.window_summary().frame_rate_hz == pytest.approx(10.0)
 
 
 def test_noise_is_the_standard_deviation_beside_the_detectors_own():
@@ -54,7 +54,7 @@ def test_noise_is_the_standard_deviation_beside_the_detectors_own():
     statistics = LiveStatistics(window_s=100.0)
     for image in range(500):
         statistics.add(0.1 * image, 0.0, [at(*rng.normal([320.0, 240.0], [0.05, 0.2]))])
-    (tag,) = statistics.state().targets
+    (tag,) = statistics.window_summary().targets
     # 500 draws: a standard deviation is known to 3 %
     assert tag.noise_px == pytest.approx([0.05, 0.2], rel=0.12)
     assert tag.point_px == pytest.approx([320.0, 240.0], abs=0.05)
@@ -64,9 +64,9 @@ def test_noise_is_the_standard_deviation_beside_the_detectors_own():
 def test_targets_that_were_asked_for_are_shown_unseen_and_others_once_seen():
     board = Checkerboard()
     statistics = LiveStatistics([board])
-    assert statistics.state().document()["targets"][0]["detection_rate"] == 0.0
+    assert statistics.window_summary().document()["targets"][0]["detection_rate"] == 0.0
     statistics.add(0.0, 0.01, [at(1.0, 1.0), at(2.0, 2.0, OTHER)])
-    document = statistics.state().document()
+    document = statistics.window_summary().document()
     assert [row["id"] for row in document["targets"]] == [None, 5, 6]
     assert document["frame_rate_hz"] is None
     assert document["targets"][1]["noise_px"] is None
@@ -84,8 +84,8 @@ def test_watching_ends_with_the_time_or_with_the_images():
     shown = []
     for seconds, over, count in ((1.0, True, 4), (None, False, 12)):
         statistics = LiveStatistics()
-        ended = watch(
-            images, [find], statistics, lambda: now[0], seconds=seconds, show=shown.append
+        ended = watch_targets(
+            images, [find], statistics, lambda: now[0], time_limit_s=seconds, on_update=shown.append
         )
-        assert (ended, statistics.state().images) == (over, count)
+        assert (ended, statistics.window_summary().images) == (over, count)
     assert [state.images for state in shown] == [4, 4, 8, 12]

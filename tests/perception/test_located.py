@@ -129,7 +129,7 @@ def test_the_mean_edge_errs_as_much_as_it_says(name, target):
             for d in sides
         ]
         one = locate_target(head, turned, "a", *noisy)
-        means.append(one.edges.mean_m)
-        said.append(one.edges.sigma_m)
+        means.append(one.mean_edge.mean_m)
+        said.append(one.mean_edge.sigma_m)
     # 400 draws: a standard deviation is known to 3.5 %; it is of first order
     assert np.std(means) == pytest.approx(np.mean(said), rel=0.12)

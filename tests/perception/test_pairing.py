@@ -6,7 +6,7 @@ import pytest
 
 from vergence.errors import ConfigurationError
 from vergence.perception.pairing import pair_up
-from vergence.perception.photographs import photographs_of
+from vergence.perception.photographs import list_photographs
 
 
 def folder_of(path: Path, *names: str) -> Path:
@@ -128,4 +128,4 @@ def test_what_is_not_there_is_said_with_what_was_expected(tmp_path):
     with pytest.raises(ConfigurationError, match=r"right in it, got an empty one$"):
         pair_up(tmp_path / "empty", tmp_path)
     with pytest.raises(ConfigurationError, match=r"b\.png: no such file or folder"):
-        photographs_of([there, tmp_path / "b.png"])
+        list_photographs([there, tmp_path / "b.png"])

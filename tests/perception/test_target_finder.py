@@ -8,7 +8,7 @@ from tests.perception.drawn import Studio, pose_at
 from vergence import load_head
 from vergence.models.boards import AprilTag, CharucoBoard
 from vergence.perception.locate import _match
-from vergence.perception.target_finder import TargetFinder, number_of, parse_targets
+from vergence.perception.target_finder import TargetFinder, parse_targets, tag_number
 from vergence.vision import EyeCamera
 
 HEAD = load_head("simulated")
@@ -34,7 +34,7 @@ def test_a_family_is_found_by_number_and_a_stated_tag_keeps_its_size():
     found = finder.find(side_by_side(7, 3)[0])
     assert [str(one.target) for one in found] == ["tag:36h11:7:100", "tag:36h11:3"]
     found = TargetFinder(parse_targets(["tag:36h11"])).find(side_by_side(7, 3)[0])
-    assert [number_of(one.target) for one in found] == [3, 7]
+    assert [tag_number(one.target) for one in found] == [3, 7]
 
 
 def test_tags_are_matched_by_number_and_one_that_is_there_twice_is_not():

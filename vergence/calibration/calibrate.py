@@ -9,20 +9,20 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import CameraRig, Solution, rms
+from vergence.calibration.adjustment import BundleSolution, CameraRig, rms_length
 from vergence.calibration.cameras import (
     FOLDS,
     CameraFit,
-    ViewFit,
+    ViewResiduals,
     choose_lens,
     cross_validation_errors,
     cross_validation_residuals,
-    first_fit,
     fit_camera,
+    fit_consistent_views,
 )
-from vergence.calibration.observations import Observations, observe
-from vergence.calibration.stereo import fit_pair
-from vergence.calibration.uncertainty import covariance_of
+from vergence.calibration.observations import Observations, detect_board_corners
+from vergence.calibration.stereo import fit_camera_pair
+from vergence.calibration.uncertainty import rig_covariance
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
 from vergence.models.cameras import LENSES
@@ -43,7 +43,7 @@ _MOST_FOCAL_CHANGE: Final = 0.01
 (chosen)."""
 
 
-class Dropped(NamedTuple):
+class DroppedView(NamedTuple):
     """A view that was left out, or one image of a pair whose other image was kept."""
 
     view: str
@@ -55,7 +55,7 @@ class Dropped(NamedTuple):
 class Calibration:
     """Calibration of one camera or of a pair."""
 
-    seen: Observations
+    observations: Observations
     single_fits: tuple[CameraFit, ...]
     """(c) fit of each camera alone."""
     fit: CameraFit
@@ -95,10 +95,10 @@ class Calibration:
     @property
     def rms_alone_px(self) -> list[float]:
         """(c) root mean square residual of each camera alone."""
-        return [rms(fit.solution.residuals_px) for fit in self.single_fits]
+        return [rms_length(fit.solution.residuals_px) for fit in self.single_fits]
 
     @property
-    def dropped(self) -> list[Dropped]:
+    def dropped(self) -> list[DroppedView]:
         """Views and images that were left out, and why."""
         found = []
         for view, kept in enumerate(self.fit.kept.tolist()):
@@ -111,22 +111,22 @@ class Calibration:
                 elif not why:
                     misfit = _misfit(self.fit.views, self.fit.kept, view)
                     why = f"both images together: {misfit}: did the board or a camera move?"
-                found.append(Dropped(Path(self.seen.names[0][view]).name, why))
+                found.append(DroppedView(Path(self.observations.names[0][view]).name, why))
                 continue
             for camera, reason in enumerate(reasons):
                 if reason:
                     other = EYE_NAMES[1 - camera]
-                    name = Path(self.seen.names[camera][view]).name
-                    found.append(Dropped(name, f"{reason}; the {other} image went in"))
+                    name = Path(self.observations.names[camera][view]).name
+                    found.append(DroppedView(name, f"{reason}; the {other} image went in"))
         return found
 
     def _reason(self, camera: int, view: int) -> str:
         """Explain why a photograph does not fit its own camera; empty if it does."""
         fit = self.single_fits[camera]
-        why = self.seen.excluded.get(self.seen.names[camera][view])
+        why = self.observations.excluded.get(self.observations.names[camera][view])
         if why is not None:
             return why
-        if not self.seen.usable[camera, view]:
+        if not self.observations.usable[camera, view]:
             return "the board was not found"
         if fit.kept[view]:
             return ""
@@ -136,7 +136,7 @@ class Calibration:
         """The result as plain values."""
         dropped = [one._asdict() for one in self.dropped]
         common = {
-            "rms_heldout_px": rms(self.held_out_px),
+            "rms_heldout_px": rms_length(self.held_out_px),
             "lens": self.lens,
             "views": int(self.fit.kept.sum()),
             "dropped": dropped,
@@ -148,7 +148,7 @@ class Calibration:
         return {
             "rms_left_px": left,
             "rms_right_px": right,
-            "rms_stereo_px": rms(self.fit.solution.residuals_px),
+            "rms_stereo_px": rms_length(self.fit.solution.residuals_px),
             "rms_heldout_px": common.pop("rms_heldout_px"),
             "baseline_mm": baseline,
             "baseline_sigma_mm": sigma,
@@ -156,7 +156,7 @@ class Calibration:
         }
 
 
-def _misfit(views: ViewFit, kept: NDArray[np.bool_], view: int) -> str:
+def _misfit(views: ViewResiduals, kept: NDArray[np.bool_], view: int) -> str:
     usual = float(np.median(views.rms_px[kept]))
     return f"{views.rms_px[view]:.2f} px, where others leave {usual:.2f}"
 
@@ -182,7 +182,7 @@ def calibrate(
         ConfigurationError: the photographs give no calibration; the message says why.
     """
     report = progress or _ignore
-    seen, failures = observe(
+    seen, failures = detect_board_corners(
         target,
         photographs,
         lambda done: report(_DETECTED * done),
@@ -193,14 +193,14 @@ def calibrate(
 
 
 def calibrate_views(
-    seen: Observations,
+    observations: Observations,
     lens: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
     """Calibrate from detected corners.
 
     Args:
-        seen: corners of a board in the photographs of one camera or two.
+        observations: corners of a board in the photographs of one camera or two.
         lens: see `calibrate`.
         progress: called with the fraction done.
 
@@ -208,7 +208,7 @@ def calibrate_views(
         ConfigurationError: see `calibrate`.
     """
     report = progress or _ignore
-    cameras = len(seen.names)
+    cameras = len(observations.names)
     lenses = tuple(LENSES) if lens is None else (lens,)
     ticks = 1 + 2 * cameras * len(lenses) + FOLDS
     done = 0
@@ -218,11 +218,12 @@ def calibrate_views(
         done += 1
         report(min(done / ticks, 1.0))
 
-    if not seen.target.size_known and cameras > 1:
+    if not observations.target.size_known and cameras > 1:
         raise ConfigurationError(
-            f"target: expected the size of a square, which the baseline needs, got {seen.target}"
+            "target: expected the size of a square, which the baseline needs, "
+            f"got {observations.target}"
         )
-    trials = _trials(seen, lenses, tick)
+    trials = _trials(observations, lenses, tick)
     errors = _errors(trials)
     chosen = choose_lens(errors)
     single_fits = tuple(trial.fit for trial in trials[chosen])
@@ -231,13 +232,13 @@ def calibrate_views(
     try:
         fit = single_fits[0]
         if cameras > 1:
-            seen, fit = fit_pair(seen, *single_fits)
+            observations, fit = fit_camera_pair(observations, *single_fits)
             _refuse_moved_cameras(fit, single_fits)
         found = Calibration(
-            seen=seen,
+            observations=observations,
             single_fits=single_fits,
             fit=fit,
-            covariance=covariance_of(fit.solution),
+            covariance=rig_covariance(fit.solution),
             held_out_px=cross_validation_residuals(fit.solution, tick),
             lens=chosen,
             lens_errors={
@@ -262,11 +263,11 @@ class _Trial(NamedTuple):
 
 
 def _trials(
-    seen: Observations, lenses: Sequence[str], tick: Callable[[], None]
+    observations: Observations, lenses: Sequence[str], tick: Callable[[], None]
 ) -> dict[str, list[_Trial]]:
     """Fit each camera alone with each lens model; leave out models that do not fit at all."""
-    cameras = len(seen.names)
-    every = [seen.camera(camera) for camera in range(cameras)]
+    cameras = len(observations.names)
+    every = [observations.camera(camera) for camera in range(cameras)]
     firsts = [_first(every[camera], camera, cameras) for camera in range(cameras)]
     tick()
     trials: dict[str, list[_Trial]] = {}
@@ -295,18 +296,20 @@ def _errors(trials: Mapping[str, Sequence[_Trial]]) -> dict[str, FloatArray]:
     }
 
 
-def _first(seen: Observations, camera: int, cameras: int) -> CameraFit:
+def _first(observations: Observations, camera: int, cameras: int) -> CameraFit:
     """Make the first fit of a camera; report parameters that no view determines."""
     try:
-        return first_fit(seen)
+        return fit_consistent_views(observations)
     except np.linalg.LinAlgError:
         raise _unsure(camera, cameras, "none at all") from None
 
 
-def _try_lens(lens: str, seen: Observations, first: CameraFit, tick: Callable[[], None]) -> _Trial:
-    fit = fit_camera(seen, lens, first)
+def _try_lens(
+    lens: str, observations: Observations, first: CameraFit, tick: Callable[[], None]
+) -> _Trial:
+    fit = fit_camera(observations, lens, first)
     tick()
-    errors = cross_validation_errors(fit, seen.problem)
+    errors = cross_validation_errors(fit, observations.problem)
     tick()
     return _Trial(fit, errors)
 
@@ -315,10 +318,10 @@ def _ignore(fraction: float) -> None:
     """Ignore the progress."""
 
 
-def _refuse_unsure(solution: Solution, camera: int, cameras: int) -> None:
+def _refuse_unsure(solution: BundleSolution, camera: int, cameras: int) -> None:
     """Refuse a camera whose focal length the views do not determine."""
     values = solution.rig.values[0]
-    sigma = np.sqrt(np.diagonal(covariance_of(solution)))[:2]
+    sigma = np.sqrt(np.diagonal(rig_covariance(solution)))[:2]
     if not float((sigma / values[:2]).max()) < _UNSURE:
         known = "none at all"
         if sigma.max() < values[:2].max():

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.adjustment import CameraRig, rms
+from vergence.calibration.adjustment import CameraRig, rms_length
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.depth import pixel_noise_px
 from vergence.calibration.projection import camera_parameter_names
@@ -27,22 +27,22 @@ _ROS_LENSES: Final[dict[str, str]] = {
 }
 
 
-def intrinsics_of(found: Calibration, camera: int) -> Intrinsics:
+def intrinsics_of(calibration: Calibration, camera: int) -> Intrinsics:
     """Extract the intrinsics of one camera."""
-    values, lens = found.rig.values[camera], found.rig.lenses[camera]
+    values, lens = calibration.rig.values[camera], calibration.rig.lenses[camera]
     known: dict[str, Lens] = {name: name for name in ("brown-conrady", "rational", "fisheye")}
-    width, height = found.seen.sizes[camera]
+    width, height = calibration.observations.sizes[camera]
     return Intrinsics(
         width=width, height=height, focal=values[:2], principal=values[2:4], lens=known[lens],
         distortion=values[4:],
     )  # fmt: skip
 
 
-def head_text(found: Calibration, name: str, response: Response | None = None) -> str:
+def head_file_text(calibration: Calibration, name: str, response: Response | None = None) -> str:
     """Write the head file of a calibrated pair as TOML text.
 
     Args:
-        found: a pair's calibration.
+        calibration: a pair's calibration.
         name: name of the head.
         response: light by grey level of both cameras, if it was stated.
 
@@ -50,46 +50,50 @@ def head_text(found: Calibration, name: str, response: Response | None = None) -
         HeadFileError: the name is not valid.
     """
     pair = StereoPair(
-        left=intrinsics_of(found, 0),
-        right=intrinsics_of(found, 1),
-        rotation=found.rig.rotation,
-        translation_m=found.rig.translation,
+        left=intrinsics_of(calibration, 0),
+        right=intrinsics_of(calibration, 1),
+        rotation=calibration.rig.rotation,
+        translation_m=calibration.rig.translation,
     )
     return stereo_pair_to_head_toml(
         pair,
         name,
-        noise_px=pixel_noise_px(found),
-        calibration=record_of(found),
+        noise_px=pixel_noise_px(calibration),
+        calibration=calibration_record(calibration),
         response=response,
     )
 
 
-def record_of(found: Calibration) -> CalibrationRecord:
+def calibration_record(calibration: Calibration) -> CalibrationRecord:
     """Record the origin and uncertainty of a calibrated pair."""
     sigma = {
         f"{eye}.camera.{value}": deviation
-        for eye, lens, block in zip(EYE_NAMES, found.rig.lenses, found.rig.blocks[:-2], strict=True)
+        for eye, lens, block in zip(
+            EYE_NAMES, calibration.rig.lenses, calibration.rig.blocks[:-2], strict=True
+        )
         for value, deviation in zip(
-            camera_parameter_names(lens), found.sigma[block].tolist(), strict=True
+            camera_parameter_names(lens), calibration.sigma[block].tolist(), strict=True
         )
     }
-    between = found.rig.blocks[-2]
-    placed = place_covariance(found.rig, found.covariance[between, between])
+    between = calibration.rig.blocks[-2]
+    placed = right_camera_pose_covariance(calibration.rig, calibration.covariance[between, between])
     names = ("rx", "ry", "rz", "x", "y", "z")
     deviations = np.sqrt(np.diagonal(placed)).tolist()
     sigma |= {f"right.head_eye.{n}": d for n, d in zip(names, deviations, strict=True)}
     return CalibrationRecord(
-        target=str(found.seen.target),
-        views=int(found.fit.kept.sum()),
-        rms_px=rms(found.fit.solution.residuals_px),
-        rms_heldout_px=rms(found.held_out_px),
-        corners_sha256=found.seen.digest,
-        versions=", ".join(f"{name} {each}" for name, each in package_versions(_VERSIONED).items()),
+        target=str(calibration.observations.target),
+        views=int(calibration.fit.kept.sum()),
+        rms_px=rms_length(calibration.fit.solution.residuals_px),
+        rms_heldout_px=rms_length(calibration.held_out_px),
+        corners_sha256=calibration.observations.digest,
+        versions=", ".join(
+            f"{name} {each}" for name, each in package_versions(_VERSIONED).items()
+        ),
         sigma=sigma,
     )
 
 
-def place_covariance(rig: CameraRig, covariance: FloatArray) -> FloatArray:
+def right_camera_pose_covariance(rig: CameraRig, covariance: FloatArray) -> FloatArray:
     """Compute the covariance of the right camera's pose in the left camera's frame.
 
     Args:
@@ -113,13 +117,13 @@ def place_covariance(rig: CameraRig, covariance: FloatArray) -> FloatArray:
     return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
-def camera_document(found: Calibration) -> dict[str, Any]:
+def ros_camera_document(calibration: Calibration) -> dict[str, Any]:
     """Convert a camera's calibration to plain values with the keys of ROS's camera_info files.
 
     Args:
-        found: one camera's calibration.
+        calibration: one camera's calibration.
     """
-    camera = intrinsics_of(found, 0)
+    camera = intrinsics_of(calibration, 0)
     (f_u, f_v), (u_0, v_0) = camera.focal.tolist(), camera.principal.tolist()
     names = camera_parameter_names(camera.lens)
     return {
@@ -138,12 +142,14 @@ def camera_document(found: Calibration) -> dict[str, Any]:
             "data": camera.distortion.tolist(),
         },
         "calibration": {
-            "target": str(found.seen.target),
-            "views": int(found.fit.kept.sum()),
-            "rms_px": found.rms_alone_px[0],
-            "rms_heldout_px": rms(found.held_out_px),
-            "corners_sha256": found.seen.digest,
-            "versions": package_versions(_VERSIONED),
-            "sigma": dict(zip(names, found.sigma[found.rig.blocks[0]].tolist(), strict=True)),
+            "target": str(calibration.observations.target),
+            "views": int(calibration.fit.kept.sum()),
+            "rms_px": calibration.rms_alone_px[0],
+            "rms_heldout_px": rms_length(calibration.held_out_px),
+            "corners_sha256": calibration.observations.digest,
+            "package_versions": package_versions(_VERSIONED),
+            "sigma": dict(
+                zip(names, calibration.sigma[calibration.rig.blocks[0]].tolist(), strict=True)
+            ),
         },
     }

@@ -11,14 +11,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Adjustment
+from vergence.calibration.adjustment import BundleAdjustment
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models.boards import AprilTag, PlanarTarget, TagFamily
 from vergence.models.parts import FloatArray
 from vergence.models.response import Response
 from vergence.perception.light import ResponseCheck
-from vergence.perception.photographs import some_of
-from vergence.perception.similar_targets import similar_targets
+from vergence.perception.photographs import join_first_names
+from vergence.perception.similar_targets import describe_similar_targets
 from vergence.vision import Detector, make_detector, parse_target, read_image
 from vergence.vision.image import read_pixels
 
@@ -82,11 +82,11 @@ class Observations:
         return np.asarray(count >= min(LEAST_CORNERS, self.pixels.shape[2]))
 
     @cached_property
-    def problem(self) -> Adjustment:
+    def problem(self) -> BundleAdjustment:
         """The bundle adjustment of all views; unusable photographs count as without corners."""
         corners = self.target.corners_m
         blank = ~self.usable[..., None, None]
-        return Adjustment(
+        return BundleAdjustment(
             np.column_stack([corners, np.zeros(len(corners))]),
             np.where(blank, np.nan, self.pixels),
             np.where(blank, np.nan, self.sigma),
@@ -134,7 +134,7 @@ class _Seen(NamedTuple):
     sigma_px: FloatArray | None
 
 
-def observe(
+def detect_board_corners(
     target: PlanarTarget,
     photographs: Sequence[Sequence[Path]],
     progress: Callable[[float], None] | None = None,
@@ -262,15 +262,16 @@ def _refuse_another(
     if any(isinstance(one, _Seen) and one.corners_px is not None for one in seen):
         return
     readable = [p for p, one in zip(files, seen, strict=True) if isinstance(one, _Seen)]
-    there = similar_targets(read_image(readable[0]), [target]) if readable else ""
+    there = describe_similar_targets(read_image(readable[0]), [target]) if readable else ""
     if there:
         raise _not_found(target, files, f"; in {readable[0].name} {there}")
 
 
 def _not_found(target: PlanarTarget, files: Sequence[Path], hint: str) -> ConfigurationError:
     return ConfigurationError(
-        f"expected {target} in {files[0].parent} ({some_of(path.name for path in files)}), found "
-        f"in none of {len(files)} images{hint}"
+        f"expected {target} in {files[0].parent} "
+        f"({join_first_names(path.name for path in files)}), found in none of {len(files)} "
+        f"images{hint}"
     )
 
 
@@ -287,6 +288,6 @@ def _one_size(files: Sequence[Path], row: Sequence[_Seen | str]) -> tuple[int, i
         (size, _), (other, names) = ordered[0], ordered[1]
         raise ConfigurationError(
             f"expected images of one size, as a calibration is of one, got {size[0]} x {size[1]} "
-            f"px in most and {other[0]} x {other[1]} in {some_of(names)}"
+            f"px in most and {other[0]} x {other[1]} in {join_first_names(names)}"
         )
     return ordered[0][0]

@@ -16,8 +16,8 @@ from vergence.commands.extras import require_modules
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from vergence.calibration.head.collect import Collected
-    from vergence.calibration.head.preview import Preview
+    from vergence.calibration.head.collect import CollectedRecording
+    from vergence.calibration.head.preview import CalibrationPreview
     from vergence.models.boards import PlanarTarget
     from vergence.models.head import HeadModel
     from vergence.recording.looking import Looker
@@ -88,7 +88,7 @@ class Collect:
             with closing(looker), progress_bar("collect") as report:
                 found = collect(
                     looker, self.folder, options, facts, progress=report,
-                    evaluated=lambda found: print_note(_evaluated(found, looker.head)),
+                    on_evaluation=lambda found: print_note(_evaluated(found, looker.head)),
                 )  # fmt: skip
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
@@ -152,9 +152,9 @@ class Collect:
         errors = self.errors or 0.0
         return f"{self.plant} {head.digest[:16]} {f'{errors:g} {self.seed}' if errors else ''}"
 
-    def _conclude(self, found: "Collected", head: "HeadModel") -> None:
+    def _conclude(self, found: "CollectedRecording", head: "HeadModel") -> None:
         """Print a summary of the recording, advice, and the next command."""
-        from vergence.calibration.head.advice import advice
+        from vergence.calibration.head.advice import advise_recording
 
         frames = found.frames()
         places = int(frames.placement.max()) + 1
@@ -164,16 +164,16 @@ class Collect:
         )
         if found.preview is not None:
             print(f"depth will be known to {_depth(found.preview)}")
-        if found.unseen:
-            print_note(f"{found.unseen} looks without the board, left out")
-        for line in advice(head, found, frames):
+        if found.looks_without_board:
+            print_note(f"{found.looks_without_board} looks without the board, left out")
+        for line in advise_recording(head, found, frames):
             print_note(line)
         named = _head_of(self.config) if self.config is not None else self.head or _HEAD
         words = ["calibrate", "head", str(self.folder), "--head", named, "--out", "calibrated.toml"]
         print(f"next: vergence {shlex.join(words)}")
 
 
-def _evaluated(found: "Collected", head: "HeadModel") -> str:
+def _evaluated(found: "CollectedRecording", head: "HeadModel") -> str:
     """Line on the accuracy of depth and the coverage of the images so far."""
     from vergence.calibration.head.advice import coverage_percent
 
@@ -184,7 +184,7 @@ def _evaluated(found: "Collected", head: "HeadModel") -> str:
     return f"{found.poses} poses: {known}; {left:.0f} and {right:.0f} % of both images covered"
 
 
-def _depth(preview: "Preview") -> str:
+def _depth(preview: "CalibrationPreview") -> str:
     from vergence.calibration.head.preview import DEPTHS_M
 
     return " and ".join(

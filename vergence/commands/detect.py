@@ -70,11 +70,11 @@ class Detect:
         """Run the command."""
         self._check()
         from vergence.models.response import parse_response
-        from vergence.perception.eye import camera_of
+        from vergence.perception.eye import load_camera
         from vergence.perception.target_finder import parse_targets
 
         targets = parse_targets(self.target)
-        camera = camera_of(self.head, self.camera, self.eye, parse_size(self.size))
+        camera = load_camera(self.head, self.camera, self.eye, parse_size(self.size))
         response = None if self.response is None else parse_response(self.response)
         if self.live is not None:
             from vergence.commands.live import run_live
@@ -104,8 +104,8 @@ class Detect:
     def _photographs(
         self, targets: "list[Target]", camera: "EyeCamera | None", response: "Response | None"
     ) -> int:
-        from vergence.perception.detect import detect
-        from vergence.perception.similar_targets import similar_targets
+        from vergence.perception.detect import detect_in_photographs
+        from vergence.perception.similar_targets import describe_similar_targets
         from vergence.perception.target_finder import Photograph, TargetFinder
         from vergence.vision import read_image
 
@@ -122,7 +122,9 @@ class Detect:
 
         with progress_bar("detect") as report:
             finder = TargetFinder(targets, camera, response)
-            result = detect(self.images, finder, report, keep if self.figure else None)
+            result = detect_in_photographs(
+                self.images, finder, report, keep if self.figure else None
+            )
         if self.figure is not None:
             from vergence.eval.reporting.detections_figure import draw_photographs
 
@@ -140,7 +142,7 @@ class Detect:
         if not result.sightings:
             count = len(result.images)
             where = f"any of {count} images" if count > 1 else str(result.images[0])
-            there = similar_targets(read_image(result.images[0]), targets, camera)
+            there = describe_similar_targets(read_image(result.images[0]), targets, camera)
             hint = f"; in {result.images[0].name} {there}" if there else ""
             print_note(f"error: expected {', '.join(self.target)} in {where}, found none{hint}")
         return 2 if result.failures else 0 if result.sightings else 1

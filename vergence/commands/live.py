@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from vergence.models.boards import Target
     from vergence.models.parts import FloatArray
     from vergence.models.response import Response
-    from vergence.perception.live import LiveState
+    from vergence.perception.live import LiveSummary
     from vergence.vision import EyeCamera
 
 
@@ -48,9 +48,9 @@ def run_live(
     Raises:
         ConfigurationError: the camera cannot be opened, or gives images of another size.
     """
-    from vergence.perception.finders import finders_of
-    from vergence.perception.live import LiveStatistics, watch
-    from vergence.vision.video import is_device, open_video
+    from vergence.perception.finders import make_live_finders
+    from vergence.perception.live import LiveStatistics, watch_targets
+    from vergence.vision.video import is_local_camera, open_video
 
     statistics = LiveStatistics(targets)
     console = Console(stderr=True, highlight=False)
@@ -60,33 +60,33 @@ def run_live(
     in_time = False
     try:
         with open_video(source) as images, shown as live:
-            in_time = watch(
+            in_time = watch_targets(
                 images,
-                finders_of(targets, camera, response),
+                make_live_finders(targets, camera, response),
                 statistics,
                 time.monotonic,
-                seconds=seconds,
-                show=_show(live),
+                time_limit_s=seconds,
+                on_update=_show(live),
             )
     except KeyboardInterrupt:  # the usual way to end, not a failure
-        if not statistics.total().images:
+        if not statistics.run_summary().images:
             raise
         in_time = True
-    state = statistics.total()
-    if is_device(source) and not in_time:
+    state = statistics.run_summary()
+    if is_local_camera(source) and not in_time:
         print_note(f"the images ended after {state.images}: is the camera still there?")
     if as_json:
         print(json.dumps({"source": source, **state.document()}, indent=2, allow_nan=False))
     else:
         Console(highlight=False).print(_picture(state, last=True))
-    if not any(target.seen for target in state.targets):
+    if not any(target.images_with_target for target in state.targets):
         print_note("error: expected a target in the images, found none")
         return 1
     return 0
 
 
-def _show(live: Live | None) -> "Callable[[LiveState], None]":
-    def show(state: "LiveState") -> None:
+def _show(live: Live | None) -> "Callable[[LiveSummary], None]":
+    def show(state: "LiveSummary") -> None:
         if live is not None:
             live.update(_picture(state), refresh=True)
         else:
@@ -95,7 +95,7 @@ def _show(live: Live | None) -> "Callable[[LiveState], None]":
     return show
 
 
-def _line(state: "LiveState") -> str:
+def _line(state: "LiveSummary") -> str:
     """State in one line, for output that is no terminal."""
     seen = "; ".join(
         f"{one.target} {one.rate:.0%} at {_pixel(one.point_px, 2)} noise {_pixel(one.noise_px, 3)}"
@@ -105,7 +105,7 @@ def _line(state: "LiveState") -> str:
     return f"{state.seconds:.0f} s: {rate} images/s; {seen or 'nothing found'}"
 
 
-def _picture(state: "LiveState", last: bool = False) -> Group:
+def _picture(state: "LiveSummary", last: bool = False) -> Group:
     from vergence.perception.live import WINDOW_S
 
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
@@ -116,7 +116,7 @@ def _picture(state: "LiveState", last: bool = False) -> Group:
         table.add_row(
             str(one.target),
             f"{one.rate:.0%}",
-            *([f"{one.images - one.seen} images"] if last else []),
+            *([f"{one.images - one.images_with_target} images"] if last else []),
             _pixel(one.point_px, 2),
             _pixel(one.noise_px, 3),
             _pixel(one.sigma_px, 3),

@@ -53,11 +53,11 @@ class Locate:
         for text in result.notes():  # below the table: some explain its rows
             print_note(text)
         print_failures(result.failures)
-        if not result.found:
+        if not result.any_triangulated:
             print_note(f"error: {_nothing(result)}")
         if not run.saved or result.failures:
             return 2
-        return 0 if result.found else 1
+        return 0 if result.any_triangulated else 1
 
 
 def _nothing(result: "LocateResult") -> str:
@@ -66,7 +66,7 @@ def _nothing(result: "LocateResult") -> str:
         return f"no point of {names} has an answer: the lines of sight do not cross"
     count = len(result.pairs)
     pairs = f"in both images of any of {count} pairs" if count > 1 else "in both images of the pair"
-    from vergence.perception.similar_targets import similar_targets
+    from vergence.perception.similar_targets import describe_similar_targets
     from vergence.perception.target_finder import parse_targets
     from vergence.vision import EyeCamera
 
@@ -74,7 +74,7 @@ def _nothing(result: "LocateResult") -> str:
     there = ""
     if not left.found:
         targets = parse_targets(result.config.target)
-        there = similar_targets(left.image, targets, EyeCamera.of(result.head, 0))
+        there = describe_similar_targets(left.image, targets, EyeCamera.of(result.head, 0))
     return f"expected {names} {pairs}, found none" + (
         f"; in {left.path.name} {there}" if there else ""
     )

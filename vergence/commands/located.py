@@ -6,9 +6,9 @@ from vergence.commands.tables import print_table
 from vergence.eval.reporting.text import format_fixed
 from vergence.models.boards import AprilTag
 from vergence.perception.locate import LocateResult
-from vergence.perception.located import Located
-from vergence.perception.spacing import MM, spacing
-from vergence.perception.target_finder import number_of
+from vergence.perception.located import LocatedTarget
+from vergence.perception.spacing import MM, measure_spacing
+from vergence.perception.target_finder import tag_number
 
 
 def print_located(result: LocateResult) -> None:
@@ -17,8 +17,8 @@ def print_located(result: LocateResult) -> None:
     Args:
         result: result of `vergence.perception.locate.locate`.
     """
-    for every in result.grouped():
-        of_tags = number_of(every[0].target) is not None
+    for every in result.located_by_target():
+        of_tags = tag_number(every[0].target) is not None
         head = ["pair", "tag" if of_tags else "found"]
         head += ["x (mm)", "y (mm)", "z (mm)", "centre sigma (mm)", "gap (mm)", "edge (mm)"]
         rows = [_row(one) for one in every]
@@ -34,14 +34,14 @@ def print_located(result: LocateResult) -> None:
         print(f"{_together(result, every)}\n")
 
 
-def _together(result: LocateResult, every: list[Located]) -> str:
+def _together(result: LocateResult, every: list[LocatedTarget]) -> str:
     """Summary line on targets of one kind in all pairs."""
     target = every[0].target
-    mean, spread, count, stated = spacing(target, [one.fix.point for one in every])
+    mean, spread, count, stated = measure_spacing(target, [one.fix.point for one in every])
     found = f"{len({one.pair for one in every if one.valid.any()})} of {len(result.pairs)} pairs"
     if not count:
         return found
-    of_tags = number_of(target) is not None
+    of_tags = tag_number(target) is not None
     text = (
         f"{found}; {'edges of tags' if of_tags else 'neighbouring corners'} "
         f"{format_fixed(MM * mean, 3)} mm in the mean, spread {format_fixed(MM * spread, 3)} mm"
@@ -52,8 +52,8 @@ def _together(result: LocateResult, every: list[Located]) -> str:
     return text
 
 
-def _row(one: Located) -> list[str]:
-    number = number_of(one.target)
+def _row(one: LocatedTarget) -> list[str]:
+    number = tag_number(one.target)
     what = f"{int(one.valid.sum())}/{len(one.valid)}"
     return [
         one.pair,
@@ -61,5 +61,6 @@ def _row(one: Located) -> list[str]:
         *(format_fixed(MM * value, 2) for value in one.centre.point),
         " ".join(format_fixed(MM * value, 2) for value in one.centre.sigma),
         format_fixed(MM * one.gap_m, 2),
-        f"{format_fixed(MM * one.spacing.mean_m, 2)}{'!' if one.edges.differs else ''}",
+        format_fixed(MM * one.spacing.mean_m, 2)
+        + ("!" if one.mean_edge.differs_from_stated else ""),
     ]

@@ -43,10 +43,10 @@ class PrintTarget:
         """Run the command."""
         self._check()
         from vergence.vision import parse_target
-        from vergence.vision.printing import lay_out, parse_paper, printable
+        from vergence.vision.printing import lay_out_sheet, parse_paper, require_printable
 
         paper = parse_paper(self.paper)
-        sheet = lay_out(printable(parse_target(self.target)), paper)
+        sheet = lay_out_sheet(require_printable(parse_target(self.target)), paper)
         dpi = self._resolution(sheet.width_mm * sheet.height_mm)
         from vergence.eval.reporting.printed_sheet import draw_sheet
 

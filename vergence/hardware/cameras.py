@@ -30,7 +30,7 @@ from vergence.vision.detectors import make_detector
 from vergence.vision.image import as_grey, restore_grey
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
-from vergence.vision.video import is_device, open_capture
+from vergence.vision.video import is_local_camera, open_capture
 
 _LOG: Final = logging.getLogger(__name__)
 _STEADY: Final = 5
@@ -81,7 +81,7 @@ class EyeThread(threading.Thread):
         self._last_s = self._newest_s = clock()
         self._fault = ""
         self._seen_q = head.rest()  # joint angles at the last image that differed
-        self._device = is_device(config.source)
+        self._device = is_local_camera(config.source)
         width, height = head.cameras.size[config.eye].tolist()
         self._capture = open_capture(
             config.source,

@@ -17,7 +17,7 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 from vergence.recording.listener import RobotListener
 from vergence.recording.schema import LoggedDetection
-from vergence.vision.image import silent_opencv
+from vergence.vision.image import suppress_opencv_log
 
 _READY_TIMEOUT_S: Final = 10.0
 """Longest wait for images at the frame rate after the cameras open, s (chosen)."""
@@ -60,7 +60,7 @@ class HeadEyes:
         """
         head, target = self._config.head, self._config.target
         # errors of streams are reported by our own messages
-        self._settings.enter_context(silent_opencv())
+        self._settings.enter_context(suppress_opencv_log())
         for camera in self._config.cameras:
             self.threads.append(EyeThread(camera, head, target, self._history))
         for eye in self.threads:

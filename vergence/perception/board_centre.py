@@ -11,29 +11,29 @@ from vergence.models.parts import FloatArray
 from vergence.vision import Detection, EyeCamera
 
 
-def centre_weights(corners_m: FloatArray, found: NDArray[np.bool_]) -> FloatArray:
+def centre_weights(corners_m: FloatArray, found_mask: NDArray[np.bool_]) -> FloatArray:
     """Weights whose weighted mean of a board's corners is its centre.
 
     They follow from the best affine fit to the corners found: the mean if all were found.
 
     Args:
         corners_m: (n, 2) the board's corners.
-        found: (n,) True for corners that were found.
+        found_mask: (n,) True for corners that were found.
 
     Returns:
         (n,) weights that sum to 1, zero for corners that were not found; nan if those that were
         found lie on a line.
     """
     weights = np.zeros(len(corners_m))
-    from_middle = (corners_m - corners_m.mean(axis=0))[found]
+    from_middle = (corners_m - corners_m.mean(axis=0))[found_mask]
     design = np.column_stack([np.ones(len(from_middle)), from_middle / np.ptp(corners_m)])
     if len(from_middle) < 3 or np.linalg.matrix_rank(design, tol=1e-6) < 3:
         return np.full(len(corners_m), np.nan)
-    weights[found] = np.linalg.pinv(design)[0]
+    weights[found_mask] = np.linalg.pinv(design)[0]
     return weights
 
 
-def weighted(values: FloatArray, weights: FloatArray) -> FloatArray:
+def weighted_sum(values: FloatArray, weights: FloatArray) -> FloatArray:
     """Weighted sum of rows; rows with weight 0 are ignored, even if they are nan.
 
     Args:
@@ -44,28 +44,30 @@ def weighted(values: FloatArray, weights: FloatArray) -> FloatArray:
     return np.asarray(np.tensordot(weights[used], values[used], axes=1))
 
 
-def centre_px(found: Detection, camera: EyeCamera | None) -> tuple[FloatArray, FloatArray]:
+def target_centre_px(
+    detection: Detection, camera: EyeCamera | None
+) -> tuple[FloatArray, FloatArray]:
     """Pixel of a target's centre in an image.
 
     For a tag it is the measured point. For a board, a homography fitted to its corners maps the
     centre to the image, through undistorted rays if the camera is known.
 
     Args:
-        found: the detection.
+        detection: the detection.
         camera: the eye; None for a pinhole.
 
     Returns:
         (2,) the pixel and (2,) its standard deviation; nan if the corners do not determine it.
     """
-    target = found.target
+    target = detection.target
     if isinstance(target, AprilTag):
-        return found.point_px, found.sigma_px
-    seen: NDArray[np.bool_] = np.asarray(np.isfinite(found.corners_px).all(axis=-1))
+        return detection.point_px, detection.sigma_px
+    seen: NDArray[np.bool_] = np.asarray(np.isfinite(detection.corners_px).all(axis=-1))
     weights = centre_weights(target.corners_m, seen)
     nowhere = np.full(2, np.nan)
     if seen.sum() < 4 or not np.isfinite(weights).all():
         return nowhere, nowhere
-    corners = found.corners_px[seen]
+    corners = detection.corners_px[seen]
     plane = corners if camera is None else camera.rays(corners)
     fitted: Any = cv2.findHomography(target.corners_m[seen], plane)
     homography = fitted[0]
@@ -75,4 +77,4 @@ def centre_px(found: Detection, camera: EyeCamera | None) -> tuple[FloatArray, F
     middle = ray[:2] / ray[2]
     if camera is not None:
         middle = camera.project([[*middle, 1.0]])[0]
-    return middle, np.sqrt(weighted(found.corners_sigma_px**2, weights**2))
+    return middle, np.sqrt(weighted_sum(detection.corners_sigma_px**2, weights**2))

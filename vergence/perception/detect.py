@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.json_values import json_value
 from vergence.models.parts import FloatArray
-from vergence.perception.board_centre import centre_px
-from vergence.perception.photographs import photographs_of
-from vergence.perception.target_finder import Photograph, TargetFinder, UnseenTargets, number_of
+from vergence.perception.board_centre import target_centre_px
+from vergence.perception.photographs import list_photographs
+from vergence.perception.target_finder import Photograph, TargetFinder, UnseenTargets, tag_number
 from vergence.vision import Detection
 
 
@@ -30,7 +30,7 @@ class Sighting(NamedTuple):
         return {
             "image": self.image,
             "target": str(self.detection.target),
-            "id": number_of(self.detection.target),
+            "id": tag_number(self.detection.target),
             "centre_px": json_value(self.centre_px),
             "corners_px": json_value(self.detection.corners_px),
             "sigma_px": json_value(self.sigma_px),
@@ -56,19 +56,19 @@ class DetectResult:
         return [sighting.document() for sighting in self.sightings]
 
 
-def detect(
-    places: Sequence[Path],
+def detect_in_photographs(
+    paths: Sequence[Path],
     finder: TargetFinder,
     progress: Callable[[float], None] | None = None,
-    show: Callable[[Photograph], None] | None = None,
+    on_photograph: Callable[[Photograph], None] | None = None,
 ) -> DetectResult:
     """Find targets in photographs.
 
     Args:
-        places: images and folders of images.
+        paths: images and folders of images.
         finder: finds the targets.
         progress: called with the fraction done after every image.
-        show: called with each image.
+        on_photograph: called with each image.
 
     Returns:
         The result.
@@ -76,9 +76,9 @@ def detect(
     Raises:
         VergenceError: there are no images, or none of them can be read or has the camera's size.
     """
-    if not places:
+    if not paths:
         raise ConfigurationError("expected images or folders of images, got none")
-    every = photographs_of(places)
+    every = list_photographs(paths)
     read: list[Path] = []
     sightings: list[Sighting] = []
     failures: list[str] = []
@@ -94,10 +94,10 @@ def detect(
         read.append(path)
         unseen.add(photograph)
         sightings += [
-            Sighting(str(path), d, *centre_px(d, finder.camera)) for d in photograph.found
+            Sighting(str(path), d, *target_centre_px(d, finder.camera)) for d in photograph.found
         ]
-        if show is not None:
-            show(photograph)
+        if on_photograph is not None:
+            on_photograph(photograph)
         if progress is not None:
             progress(number / len(every))
     if not read:

@@ -9,8 +9,8 @@ from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
-from vergence.perception.photographs import some_of
-from vergence.perception.spacing import MM, edge_m, neighbours
+from vergence.perception.photographs import join_first_names
+from vergence.perception.spacing import MM, neighbour_pairs, stated_edge_m
 from vergence.triangulation import Noise, triangulate_views
 
 _SURELY: Final = 3.0
@@ -33,7 +33,7 @@ _UNITS: Final = {
 """Likely mistake for each ratio of the measured to the stated length."""
 
 
-class Edges(NamedTuple):
+class MeanEdge(NamedTuple):
     """The mean edge of a target in one pair of images."""
 
     pair: str
@@ -45,11 +45,11 @@ class Edges(NamedTuple):
     """Standard deviation of that mean from the noise of pixels and joints."""
 
     @property
-    def differs(self) -> bool:
+    def differs_from_stated(self) -> bool:
         """True if it differs from the stated edge beyond noise and small calibration errors."""
         if not self.target.size_known:
             return False
-        stated = edge_m(self.target)
+        stated = stated_edge_m(self.target)
         return abs(self.mean_m - stated) > max(_SURELY * self.sigma_m, _SHARE * stated)
 
 
@@ -59,7 +59,7 @@ def mean_edge_sigma(
     target: PlanarTarget,
     pixels: FloatArray,
     points: FloatArray,
-    of_pixels: FloatArray,
+    point_covariances: FloatArray,
 ) -> float:
     """Standard deviation of the mean distance between neighbouring corners.
 
@@ -72,12 +72,12 @@ def mean_edge_sigma(
         target: the board.
         pixels: (n, 2, 2) its corners, by corner and eye.
         points: (n, 3) its corners in space, metres; nan for corners without a solution.
-        of_pixels: (n, 3, 3) their covariance from pixel noise alone, m^2.
+        point_covariances: (n, 3, 3) their covariance from pixel noise alone, m^2.
 
     Returns:
         Metres; nan if no two neighbours have a solution.
     """
-    first, second = neighbours(target).T
+    first, second = neighbour_pairs(target).T
     apart = points[first] - points[second]
     there = np.isfinite(apart).all(axis=1)
     if not there.any():
@@ -89,7 +89,7 @@ def mean_edge_sigma(
     np.add.at(slopes, first, along)
     np.subtract.at(slopes, second, along)
     used = slopes.any(axis=1)
-    variance = float(np.einsum("ni,nij,nj->", slopes[used], of_pixels[used], slopes[used]))
+    variance = float(np.einsum("ni,nij,nj->", slopes[used], point_covariances[used], slopes[used]))
     sure = Noise()
     for turn in np.diag(np.asarray(Noise.of(head).joint_rad))[EYES]:
         if turn.any():
@@ -101,29 +101,29 @@ def mean_edge_sigma(
     return float(np.sqrt(max(variance, 0.0)))
 
 
-def say_off(name: str, every: Sequence[Edges]) -> str:
+def describe_wrong_edges(name: str, mean_edges: Sequence[MeanEdge]) -> str:
     """Message about targets whose edges differ from the stated size.
 
     Args:
         name: name of the targets.
-        every: edges of all of them in all pairs; they share one stated size.
+        mean_edges: edges of all of them in all pairs; they share one stated size.
 
     Returns:
         One line; empty if all are as stated.
     """
-    every = [each for each in every if np.isfinite(each.mean_m)]
-    off = [each for each in every if each.differs]
+    mean_edges = [each for each in mean_edges if np.isfinite(each.mean_m)]
+    off = [each for each in mean_edges if each.differs_from_stated]
     if not off:
         return ""
-    lengths, stated = [MM * each.mean_m for each in off], MM * edge_m(off[0].target)
+    lengths, stated = [MM * each.mean_m for each in off], MM * stated_edge_m(off[0].target)
     low, high = f"{min(lengths):.2f}", f"{max(lengths):.2f}"
     found = low if low == high else f"{low} to {high}"
     sigma = MM * float(np.median([each.sigma_m for each in off]))
     ratio = float(np.median(lengths)) / stated
     hint = next((f"; {why}" for k, why in _UNITS.items() if abs(ratio / k - 1.0) < _NEAR), "")
-    where = some_of(dict.fromkeys(each.pair for each in off))
-    if len(every) > 1:
-        where = f"{len(off)} of {len(every)} places ({where})"
+    where = join_first_names(dict.fromkeys(each.pair for each in off))
+    if len(mean_edges) > 1:
+        where = f"{len(off)} of {len(mean_edges)} places ({where})"
     return (
         f"{name}: edges are {found} mm in {where}, expected {stated:g} ± {sigma:.2g} mm: joint "
         f"angles, the head's calibration or the size do not fit{hint}"

@@ -9,7 +9,7 @@ from vergence.models.joints import EYE_NAMES
 from vergence.vision import EyeCamera
 
 
-def camera_of(
+def load_camera(
     head: str | None,
     calibration: Path | None,
     eye: str | None,

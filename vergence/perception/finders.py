@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from vergence.models.boards import TagFamily, Target
 from vergence.models.response import Response
-from vergence.perception.target_finder import identity
+from vergence.perception.target_finder import target_key
 from vergence.vision import Detection, Detector, EyeCamera, Tracker, make_detector
 
 _SEARCHED_EVERY: Final = 15
@@ -16,18 +16,18 @@ _SEARCHED_EVERY: Final = 15
 (chosen: new tags found early against time)."""
 
 
-class Finder(Protocol):
+class LiveFinder(Protocol):
     """Finds targets in a sequence of images."""
 
     def __call__(self, image: NDArray[np.uint8]) -> Sequence[Detection]:
         """Find the targets in the next image."""
 
 
-def finders_of(
+def make_live_finders(
     targets: Sequence[Target],
     camera: EyeCamera | None = None,
     response: Response | None = None,
-) -> list[Finder]:
+) -> list[LiveFinder]:
     """Make a finder for each target in live images.
 
     Args:
@@ -38,7 +38,7 @@ def finders_of(
     return [_finder(make_detector(target, camera, response)) for target in targets]
 
 
-def _finder(detector: Detector[Any]) -> Finder:
+def _finder(detector: Detector[Any]) -> LiveFinder:
     if isinstance(detector.target, TagFamily):
         return FamilyTracker(detector)
     tracker = Tracker(detector)
@@ -79,14 +79,14 @@ class FamilyTracker:
         self._tracks = [track for track in followed if track is not None]
         if self._due(image):
             for new in self._detector.detect_all(image):
-                if identity(new.target) not in self._known():
+                if target_key(new.target) not in self._known():
                     self._tracks.append(_Track(new, np.zeros(2)))
         self._images += 1
         self._awaited.update(dict.fromkeys(self._known(), self._images + _SEARCHED_EVERY))
         return [track.last for track in self._tracks]
 
     def _known(self) -> list[Hashable]:
-        return [identity(track.last.target) for track in self._tracks]
+        return [target_key(track.last.target) for track in self._tracks]
 
     def _due(self, image: NDArray[np.uint8]) -> bool:
         """True if the whole image is to be searched."""

@@ -11,8 +11,8 @@ from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES, NECK
 from vergence.models.parts import FloatArray
-from vergence.perception.joint_rows import PAIR, Row, read_rows
-from vergence.perception.photographs import some_of
+from vergence.perception.joint_rows import PAIR, Row, read_table_rows
+from vergence.perception.photographs import join_first_names
 
 _BEYOND_RAD: Final = 0.1
 """Tolerance of a joint's limits, rad: encoders have an offset, and limits are rounded (chosen:
@@ -25,7 +25,7 @@ def eyes_move(head: HeadModel) -> bool:
     return head.actuation.count > 0
 
 
-def angles_of_pairs(
+def read_joint_angles(
     head: HeadModel, file: Path | None, pairs: Sequence[str]
 ) -> Mapping[str, FloatArray]:
     """Read the joint angles of each pair.
@@ -47,12 +47,12 @@ def angles_of_pairs(
     """
     if file is None:
         return dict.fromkeys(pairs, head.rest())
-    rows = rows_of_pairs(file, pairs)
-    return {pair: angles_of_row(head, row, f"{file}: {pair}") for pair, row in rows.items()}
+    rows = read_pair_rows(file, pairs)
+    return {pair: parse_joint_angles(head, row, f"{file}: {pair}") for pair, row in rows.items()}
 
 
-def rows_of_pairs(file: Path, pairs: Sequence[str]) -> Mapping[str, Row]:
-    """Read the row of each pair, see `angles_of_pairs`.
+def read_pair_rows(file: Path, pairs: Sequence[str]) -> Mapping[str, Row]:
+    """Read the row of each pair, see `read_joint_angles`.
 
     Args:
         file: JSON, CSV or TOML.
@@ -64,7 +64,7 @@ def rows_of_pairs(file: Path, pairs: Sequence[str]) -> Mapping[str, Row]:
     Raises:
         ConfigurationError: the file cannot be read, or a pair has no row.
     """
-    rows = read_rows(file)
+    rows = read_table_rows(file)
     if len(rows) == 1 and PAIR not in rows[0]:
         return dict.fromkeys(pairs, rows[0])
     by_pair: dict[str, Row] = {}
@@ -83,14 +83,15 @@ def rows_of_pairs(file: Path, pairs: Sequence[str]) -> Mapping[str, Row]:
         name = pair if pair in by_pair else Path(pair).stem
         if name not in by_pair:
             raise ConfigurationError(
-                f"{file}: expected a row whose {PAIR!r} is {pair!r}, got {some_of(by_pair)}"
+                f"{file}: expected a row whose {PAIR!r} is {pair!r}, got "
+                f"{join_first_names(by_pair)}"
             )
         found[pair] = by_pair[name]
     return found
 
 
-def angles_of_row(head: HeadModel, row: Row, where: str) -> FloatArray:
-    """Joint angles of a row, see `angles_of_pairs`.
+def parse_joint_angles(head: HeadModel, row: Row, where: str) -> FloatArray:
+    """Joint angles of a row, see `read_joint_angles`.
 
     Args:
         head: the head.
@@ -147,11 +148,11 @@ def _radians(head: HeadModel, row: Row, where: str) -> dict[str, float]:
             )
         if name in found:
             raise ConfigurationError(f"{where}: expected {name} once, got it twice")
-        found[name] = unit * as_number(value, f"{where}: {column}")
+        found[name] = unit * parse_finite_number(value, f"{where}: {column}")
     return found
 
 
-def as_number(value: Any, where: str) -> float:
+def parse_finite_number(value: Any, where: str) -> float:
     """Convert a table's value to a finite number.
 
     Args:

@@ -16,7 +16,7 @@ PAIR: Final = "pair"
 _FORMATS: Final = "JSON, CSV or TOML (by its ending)"
 
 
-def read_rows(path: Path) -> list[Row]:
+def read_table_rows(path: Path) -> list[Row]:
     """Read the rows of a file.
 
     A JSON or TOML file holds one row as a table; several as a list, as a table whose only value is

@@ -14,7 +14,7 @@ from scipy.special import ndtr
 
 from vergence.models.parts import FloatArray
 from vergence.models.response import LINEAR, SRGB, Response, light_table
-from vergence.perception.spacing import neighbours
+from vergence.perception.spacing import neighbour_pairs
 from vergence.vision import Detection
 from vergence.vision.image import measurement_channel
 
@@ -55,16 +55,18 @@ class ResponseCheck:
     def __init__(self) -> None:
         self._ratios: list[float] = []
 
-    def add(self, image: ArrayLike, detections: Iterable[Detection], stated: Response) -> None:
+    def add(
+        self, image: ArrayLike, detections: Iterable[Detection], stated_response: Response
+    ) -> None:
         """Add the edges of an image, until there are enough.
 
         Args:
             image: any image that `as_grey` takes.
             detections: detections of targets in it.
-            stated: response with which it was read.
+            stated_response: response with which it was read.
         """
-        if stated == LINEAR and len(self._ratios) < _ENOUGH_EDGES:
-            self._ratios += edge_ratios(measurement_channel(image), detections)
+        if stated_response == LINEAR and len(self._ratios) < _ENOUGH_EDGES:
+            self._ratios += edge_log_ratios(measurement_channel(image), detections)
 
     def notes(self) -> list[str]:
         """One line if the edges contradict a linear response, else none."""
@@ -80,7 +82,7 @@ class ResponseCheck:
         ]
 
 
-def edge_ratios(image: NDArray[np.uint8], detections: Iterable[Detection]) -> list[float]:
+def edge_log_ratios(image: NDArray[np.uint8], detections: Iterable[Detection]) -> list[float]:
     """Compare the responses "linear" and "srgb" by the edges of targets.
 
     Args:
@@ -93,7 +95,7 @@ def edge_ratios(image: NDArray[np.uint8], detections: Iterable[Detection]) -> li
     """
     ratios = []
     for found in detections:
-        corners = found.corners_px[neighbours(found.target)]
+        corners = found.corners_px[neighbour_pairs(found.target)]
         long = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1) >= _LEAST_EDGE_PX
         chosen = corners[long]  # without edges that have a corner of nan
         for start, end in chosen[:: max(len(chosen) // _MOST_EDGES, 1)][:_MOST_EDGES]:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from vergence.json_values import json_value
 from vergence.models.boards import PlanarTarget, TagFamily, Target
 from vergence.models.parts import FloatArray
-from vergence.perception.finders import Finder
-from vergence.perception.target_finder import number_of
+from vergence.perception.finders import LiveFinder
+from vergence.perception.target_finder import tag_number
 from vergence.vision import Detection
 
 WINDOW_S = 3.0
@@ -22,11 +22,11 @@ SHOWN_EVERY_S = 1.0
 """Interval between reports, s (chosen: up to date against readable)."""
 
 
-class TargetState(NamedTuple):
+class TargetStatistics(NamedTuple):
     """Statistics of a target over the window or the whole run."""
 
     target: PlanarTarget
-    seen: int
+    images_with_target: int
     """Number of images with the target."""
     images: int
     """Number of all images."""
@@ -40,22 +40,22 @@ class TargetState(NamedTuple):
     @property
     def rate(self) -> float:
         """Fraction of the images with the target."""
-        return self.seen / self.images if self.images else 0.0
+        return self.images_with_target / self.images if self.images else 0.0
 
     def document(self) -> dict[str, Any]:
         """Plain values."""
         return {
             "target": str(self.target),
-            "id": number_of(self.target),
+            "id": tag_number(self.target),
             "detection_rate": self.rate,
-            "images_without": self.images - self.seen,
+            "images_without": self.images - self.images_with_target,
             "point_px": json_value(self.point_px),
             "noise_px": json_value(self.noise_px),
             "sigma_px": json_value(self.sigma_px),
         }
 
 
-class LiveState(NamedTuple):
+class LiveSummary(NamedTuple):
     """Statistics over the window or the whole run."""
 
     images: int
@@ -66,7 +66,7 @@ class LiveState(NamedTuple):
     """Frame rate; nan for fewer than two images."""
     detection_ms: float
     """Median time of detection per image."""
-    targets: tuple[TargetState, ...]
+    targets: tuple[TargetStatistics, ...]
 
     def document(self) -> dict[str, Any]:
         """Plain values."""
@@ -102,11 +102,11 @@ class _Sums:
         self._squares = self._squares + before * (found.point_px - self._mean)
         self._variance = self._variance + (found.sigma_px**2 - self._variance) / self.seen
 
-    def state(self, target: PlanarTarget, images: int) -> TargetState:
+    def state(self, target: PlanarTarget, images: int) -> TargetStatistics:
         nothing, seen = np.full(2, np.nan), self.seen
-        return TargetState(
+        return TargetStatistics(
             target=target,
-            seen=seen,
+            images_with_target=seen,
             images=images,
             point_px=self._mean if seen else nothing,
             noise_px=np.sqrt(self._squares / (seen - 1)) if seen > 2 else nothing,
@@ -131,28 +131,28 @@ class LiveStatistics:
             target: _Sums() for target in targets if not isinstance(target, TagFamily)
         }
 
-    def add(self, time_s: float, took_s: float, found: Sequence[Detection]) -> None:
+    def add(self, time_s: float, detection_s: float, detections: Sequence[Detection]) -> None:
         """Add an image.
 
         Args:
             time_s: time at which detection ended.
-            took_s: duration of the detection.
-            found: detections in the image.
+            detection_s: duration of the detection.
+            detections: detections in the image.
         """
         if not self._took_s:
-            self._begun_s, self._first_s = time_s - took_s, time_s
+            self._begun_s, self._first_s = time_s - detection_s, time_s
         self._now_s = time_s
-        self._took_s.append(took_s)
+        self._took_s.append(detection_s)
         by_target: dict[PlanarTarget, Detection] = {}
-        for one in found:  # of several tags with one number, only the first counts
+        for one in detections:  # of several tags with one number, only the first counts
             by_target.setdefault(one.target, one)
         for target, one in by_target.items():
             self._sums.setdefault(target, _Sums()).add(one)
-        self._frames.append(_Frame(time_s, took_s, by_target))
+        self._frames.append(_Frame(time_s, detection_s, by_target))
         while self._frames[0].time_s < time_s - self._window_s:
             self._frames.popleft()
 
-    def state(self) -> LiveState:
+    def window_summary(self) -> LiveSummary:
         """Current statistics: images and seconds since the start, the rest over the window."""
         frames = list(self._frames)
         apart = frames[-1].time_s - frames[0].time_s if frames else 0.0
@@ -162,15 +162,15 @@ class LiveStatistics:
                 sums[target].add(one)
         return self._state(sums, [frame.took_s for frame in frames], apart)
 
-    def total(self) -> LiveState:
+    def run_summary(self) -> LiveSummary:
         """Statistics since the start."""
         return self._state(self._sums, self._took_s, self._now_s - self._first_s)
 
     def _state(
         self, sums: Mapping[PlanarTarget, _Sums], took_s: Sequence[float], apart_s: float
-    ) -> LiveState:
+    ) -> LiveSummary:
         count = len(took_s)
-        return LiveState(
+        return LiveSummary(
             images=len(self._took_s),
             seconds=self._now_s - self._begun_s,
             frame_rate_hz=(count - 1) / apart_s if apart_s > 0.0 else np.nan,
@@ -179,14 +179,14 @@ class LiveStatistics:
         )
 
 
-def watch(
+def watch_targets(
     images: Iterable[NDArray[np.uint8]],
-    finders: Sequence[Finder],
+    finders: Sequence[LiveFinder],
     statistics: LiveStatistics,
     clock: Callable[[], float],
     *,
-    seconds: float | None = None,
-    show: Callable[[LiveState], None] | None = None,
+    time_limit_s: float | None = None,
+    on_update: Callable[[LiveSummary], None] | None = None,
 ) -> bool:
     """Find targets in images until there are no more, or until the time is over.
 
@@ -195,8 +195,8 @@ def watch(
         finders: find the targets.
         statistics: updated with every image; valid even after an interruption.
         clock: returns seconds of a monotonic clock.
-        seconds: time after which to end; None for no limit.
-        show: called about once per second with the current statistics.
+        time_limit_s: time after which to end; None for no limit.
+        on_update: called about once per second with the current statistics.
 
     Returns:
         True if the time was over, False if the images were.
@@ -210,9 +210,9 @@ def watch(
         found = [one for finder in finders for one in finder(image)]
         now = clock()
         statistics.add(now, now - before, found)
-        if show is not None and now - shown >= SHOWN_EVERY_S:
-            show(statistics.state())
+        if on_update is not None and now - shown >= SHOWN_EVERY_S:
+            on_update(statistics.window_summary())
             shown = now
-        if seconds is not None and now - begun >= seconds:
+        if time_limit_s is not None and now - begun >= time_limit_s:
             return True
     return False

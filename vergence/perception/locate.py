@@ -15,19 +15,19 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES
 from vergence.models.parts import FloatArray
 from vergence.models.response import parse_response
-from vergence.perception.edges import say_off
-from vergence.perception.joint_angles import angles_of_pairs, eyes_move
+from vergence.perception.edges import describe_wrong_edges
+from vergence.perception.joint_angles import eyes_move, read_joint_angles
 from vergence.perception.locate_config import LocateConfig
-from vergence.perception.located import Located, locate_target
+from vergence.perception.located import LocatedTarget, locate_target
 from vergence.perception.pairing import pair_up
-from vergence.perception.photographs import some_of
-from vergence.perception.spacing import Spacing, spacing
+from vergence.perception.photographs import join_first_names
+from vergence.perception.spacing import EdgeSpacing, measure_spacing
 from vergence.perception.target_finder import (
     Photograph,
     TargetFinder,
     UnseenTargets,
-    identity,
     parse_targets,
+    target_key,
 )
 from vergence.triangulation import Noise
 from vergence.vision import Detection, EyeCamera
@@ -37,7 +37,7 @@ GAP_PX: Final = 2.0
 missed remarks)."""
 
 
-class Missed(NamedTuple):
+class MissedTarget(NamedTuple):
     """A target of a pair that could not be triangulated."""
 
     pair: str
@@ -46,7 +46,7 @@ class Missed(NamedTuple):
     """`left` or `right` if only that image has the target; `twice` if one has it more than once."""
 
 
-class Shown(NamedTuple):
+class ShownPair(NamedTuple):
     """The pair that is drawn in the picture."""
 
     left: Photograph
@@ -63,37 +63,37 @@ class LocateResult:
     """(7,) joint angles by pair, rad."""
     pairs: tuple[str, ...]
     """Names of the pairs that could be read."""
-    located: tuple[Located, ...]
-    missed: tuple[Missed, ...]
+    located: tuple[LocatedTarget, ...]
+    missed: tuple[MissedTarget, ...]
     remarks: tuple[str, ...]
     """Notes for the user, one line each: targets that are in no image although others are, clipped
     white, a response that seems wrong."""
-    alone: tuple[Path, ...]
+    unpaired: tuple[Path, ...]
     """Images without a partner."""
     failures: tuple[str, ...]
     """Images that could not be read, one line each."""
-    shown: Shown
+    shown: ShownPair
     """First pair in which a target was located, else the first with a detection in either image,
     else the first."""
 
     @property
-    def found(self) -> bool:
+    def any_triangulated(self) -> bool:
         """True if any point was triangulated."""
         return any(one.valid.any() for one in self.located)
 
-    def grouped(self) -> list[list[Located]]:
+    def located_by_target(self) -> list[list[LocatedTarget]]:
         """Located targets, grouped: each board by itself, tags of one family and size together."""
-        kinds: dict[PlanarTarget, list[Located]] = {}
+        kinds: dict[PlanarTarget, list[LocatedTarget]] = {}
         for one in self.located:
             target = one.target
             kind = replace(target, id=0) if isinstance(target, AprilTag) else target
             kinds.setdefault(kind, []).append(one)
         return list(kinds.values())
 
-    def spacings(self) -> dict[str, Spacing]:
+    def spacings(self) -> dict[str, EdgeSpacing]:
         """Distances between neighbouring corners over all pairs, by target."""
         return {
-            str(target): spacing(
+            str(target): measure_spacing(
                 target, [one.fix.point for one in self.located if one.target == target]
             )
             for target in dict.fromkeys(one.target for one in self.located)
@@ -121,17 +121,17 @@ class LocateResult:
                 {"pair": pair, "target": str(target), "why": why}
                 for pair, target, why in self.missed
             ],
-            "without_partner": [str(path) for path in self.alone],
+            "without_partner": [str(path) for path in self.unpaired],
             "not_read": list(self.failures),
         }
 
     def notes(self) -> list[str]:
         """Remarks for the user in addition to the table, one line each."""
         said = list(self.remarks)
-        if self.alone:
+        if self.unpaired:
             said.append(
-                f"{len(self.alone)} of the images without a partner: "
-                f"{some_of(path.name for path in self.alone)}"
+                f"{len(self.unpaired)} of the images without a partner: "
+                f"{join_first_names(path.name for path in self.unpaired)}"
             )
         for key, group in groupby(
             sorted(self.missed, key=lambda one: (str(one.target), one.why)),
@@ -141,7 +141,7 @@ class LocateResult:
             names = [one.pair for one in group]
             where = "more than once in an image" if why == "twice" else f"in the {why} image only"
             pairs = "pair" if len(names) == 1 else "pairs"
-            said.append(f"{name} found {where} of {len(names)} {pairs}: {some_of(names)}")
+            said.append(f"{name} found {where} of {len(names)} {pairs}: {join_first_names(names)}")
         return said + self._doubts()
 
     def _doubts(self) -> list[str]:
@@ -151,8 +151,8 @@ class LocateResult:
         lost = [one.pair for one in self.located if not one.valid.any()]
         if lost:
             said.append(
-                f"the lines of sight do not cross before the eyes in {some_of(dict.fromkeys(lost))}"
-                " (are left and right swapped?)"
+                f"the lines of sight do not cross before the eyes in "
+                f"{join_first_names(dict.fromkeys(lost))} (are left and right swapped?)"
             )
         # coarse encoders separate the lines of sight by as much as their error turns an eye
         blur_rad = float(np.max(np.asarray(Noise.of(self.head).joint_rad)[EYES]))
@@ -165,10 +165,10 @@ class LocateResult:
                 f"{len(crossed)} places, by {worst.gap_px:.1f} px in {worst.pair}: expected a head "
                 "file of these cameras as they stand, and joint angles of that moment"
             )
-        for every in self.grouped():
-            edges = [one.edges for one in every if one.spacing.number]
+        for every in self.located_by_target():
+            edges = [one.mean_edge for one in every if one.spacing.edge_count]
             names = list(dict.fromkeys(str(one.target) for one in edges))
-            said.append(say_off(some_of(names), edges))
+            said.append(describe_wrong_edges(join_first_names(names), edges))
         return [text for text in said if text]
 
 
@@ -190,17 +190,17 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
     targets = parse_targets(config.target)
     response = None if config.response is None else parse_response(config.response)
     head = load_head(config.head)
-    pairs, alone, single = pair_up(config.left, config.right)
-    angles = angles_of_pairs(head, config.joints, [pair.name for pair in pairs])
+    pairs, unpaired, single = pair_up(config.left, config.right)
+    angles = read_joint_angles(head, config.joints, [pair.name for pair in pairs])
     finders = [
         TargetFinder(targets, EyeCamera.of(head, eye), response) for eye in range(len(EYE_NAMES))
     ]
     read: list[str] = []
-    located: list[Located] = []
-    missed: list[Missed] = []
+    located: list[LocatedTarget] = []
+    missed: list[MissedTarget] = []
     failures: list[str] = []
     unseen = UnseenTargets(targets)
-    shown: Shown | None = None
+    shown: ShownPair | None = None
     rank = -1
     for number, pair in enumerate(pairs, 1):
         try:
@@ -220,7 +220,7 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
         missed += not_here
         worth = 2 * bool(here) + bool(left.found or right.found)
         if worth > rank:
-            shown, rank = Shown(left, right), worth
+            shown, rank = ShownPair(left, right), worth
         if progress is not None:
             progress(number / len(pairs))
     if shown is None:
@@ -239,7 +239,7 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
             *unseen.notes(),
             *dict.fromkeys(line for finder in finders for line in finder.check.notes()),
         ),
-        alone=tuple(alone),
+        unpaired=tuple(unpaired),
         failures=tuple(failures),
         shown=shown,
     )
@@ -251,17 +251,17 @@ def _match(
     pair: str,
     left: Sequence[Detection],
     right: Sequence[Detection],
-) -> tuple[list[Located], list[Missed]]:
+) -> tuple[list[LocatedTarget], list[MissedTarget]]:
     """Triangulate the targets that both images have exactly once; list the others as missed."""
     located, missed = [], []
-    for key, target in {identity(d.target): d.target for d in (*left, *right)}.items():
+    for key, target in {target_key(d.target): d.target for d in (*left, *right)}.items():
         of_left, of_right = (
-            [d for d in side if identity(d.target) == key] for side in (left, right)
+            [d for d in side if target_key(d.target) == key] for side in (left, right)
         )
         if len(of_left) == len(of_right) == 1:
             located.append(locate_target(head, q, pair, of_left[0], of_right[0]))
         elif of_left and of_right:
-            missed.append(Missed(pair, target, "twice"))
+            missed.append(MissedTarget(pair, target, "twice"))
         else:
-            missed.append(Missed(pair, target, "left" if of_left else "right"))
+            missed.append(MissedTarget(pair, target, "left" if of_left else "right"))
     return located, missed

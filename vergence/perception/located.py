@@ -11,15 +11,15 @@ from vergence.json_values import json_value, json_values
 from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.perception.board_centre import centre_weights, weighted
-from vergence.perception.edges import Edges, mean_edge_sigma
-from vergence.perception.spacing import MM, Spacing, spacing
-from vergence.perception.target_finder import number_of
+from vergence.perception.board_centre import centre_weights, weighted_sum
+from vergence.perception.edges import MeanEdge, mean_edge_sigma
+from vergence.perception.spacing import MM, EdgeSpacing, measure_spacing
+from vergence.perception.target_finder import tag_number
 from vergence.triangulation import Fix, Noise, triangulate_views
 from vergence.vision import Detection
 
 
-class Centre(NamedTuple):
+class TargetCentre(NamedTuple):
     """The centre of a target in frame N."""
 
     point: FloatArray
@@ -34,7 +34,7 @@ class Centre(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Located:
+class LocatedTarget:
     """A triangulated target."""
 
     pair: str
@@ -46,9 +46,9 @@ class Located:
     """(2, n, 2) their standard deviations."""
     fix: Fix
     """Triangulation of its n corners."""
-    centre: Centre
+    centre: TargetCentre
     edge_sigma_m: float
-    """Standard deviation of the mean distance between neighbouring corners, see `edges`."""
+    """Standard deviation of the mean distance between neighbouring corners, see `mean_edge`."""
     focal_px: float
     """Mean focal length of the head's cameras, which converts a point's gap to pixels."""
 
@@ -58,14 +58,14 @@ class Located:
         return np.asarray(self.fix.valid, bool)
 
     @property
-    def spacing(self) -> Spacing:
+    def spacing(self) -> EdgeSpacing:
         """Distances between its neighbouring corners."""
-        return spacing(self.target, [self.fix.point])
+        return measure_spacing(self.target, [self.fix.point])
 
     @property
-    def edges(self) -> Edges:
+    def mean_edge(self) -> MeanEdge:
         """Mean distance between its neighbouring corners, with its standard deviation."""
-        return Edges(self.pair, self.target, self.spacing.mean_m, self.edge_sigma_m)
+        return MeanEdge(self.pair, self.target, self.spacing.mean_m, self.edge_sigma_m)
 
     @property
     def gap_m(self) -> float:
@@ -85,7 +85,7 @@ class Located:
         return {
             "pair": self.pair,
             "target": str(self.target),
-            "id": number_of(self.target),
+            "id": tag_number(self.target),
             "pixels": json_value(self.pixels),
             "points_mm": json_value(MM * self.fix.point),
             "sigma_mm": json_value(MM * self.fix.sigma),
@@ -102,7 +102,7 @@ class Located:
 
 def locate_target(
     head: HeadModel, q: FloatArray, pair: str, left: Detection, right: Detection
-) -> Located:
+) -> LocatedTarget:
     """Triangulate a target that both eyes see.
 
     Args:
@@ -114,7 +114,7 @@ def locate_target(
     """
     target = left.target
     own = Noise.of(head)
-    turned = [_turned(right, order) for order in orders_alike(target)]
+    turned = [_turned(right, order) for order in equivalent_corner_orders(target)]
     fixes = [_corner_fix(head, q, left, each, own) for each in turned]
     best = int(np.argmin([_mismatch(fix) for fix in fixes])) if len(fixes) > 1 else 0
     right, fix = turned[best], fixes[best]
@@ -126,7 +126,7 @@ def locate_target(
         else _board_centre(target, fix, of_joints)
     )
     corners = np.stack([left.corners_px, right.corners_px], axis=1)
-    return Located(
+    return LocatedTarget(
         pair=pair,
         target=target,
         pixels=np.stack([left.corners_px, right.corners_px]),
@@ -140,7 +140,7 @@ def locate_target(
     )
 
 
-def orders_alike(target: PlanarTarget) -> list[NDArray[np.intp]]:
+def equivalent_corner_orders(target: PlanarTarget) -> list[NDArray[np.intp]]:
     """Possible orders of a board's corners, if turning the board does not change its appearance."""
     places: NDArray[np.intp] = np.arange(len(target.corners_m))
     if not isinstance(target, Checkerboard) or not target.symmetric:
@@ -181,24 +181,24 @@ def _fix(head: HeadModel, q: FloatArray, pixels: FloatArray, sigma: FloatArray, 
 
 def _measured_point(
     head: HeadModel, q: FloatArray, left: Detection, right: Detection, own: Noise
-) -> Centre:
+) -> TargetCentre:
     pixels = np.stack([left.point_px, right.point_px])
     fix = _fix(head, q, pixels, np.stack([left.sigma_px, right.sigma_px]), own)
-    return Centre(fix.point, fix.covariance)
+    return TargetCentre(fix.point, fix.covariance)
 
 
-_NOWHERE: Final = Centre(np.full(3, np.nan), np.full((3, 3), np.nan))
+_NOWHERE: Final = TargetCentre(np.full(3, np.nan), np.full((3, 3), np.nan))
 """Centre of a board that cannot be located (numerical)."""
 
 
-def _board_centre(target: PlanarTarget, fix: Fix, of_joints: FloatArray) -> Centre:
+def _board_centre(target: PlanarTarget, fix: Fix, of_joints: FloatArray) -> TargetCentre:
     """Centre of a board: pixel errors average out over its corners, joint errors do not."""
     weights = centre_weights(target.corners_m, np.asarray(fix.valid, bool))
     if not np.isfinite(weights).all():
         return _NOWHERE
     of_pixels = fix.covariance - of_joints
     used = weights != 0.0
-    return Centre(
-        weighted(fix.point, weights),
-        weighted(of_pixels, weights**2) + of_joints[used].mean(axis=0),
+    return TargetCentre(
+        weighted_sum(fix.point, weights),
+        weighted_sum(of_pixels, weights**2) + of_joints[used].mean(axis=0),
     )

@@ -12,7 +12,11 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from vergence.errors import ConfigurationError
-from vergence.perception.photographs import check_there, photographs_in, some_of
+from vergence.perception.photographs import (
+    join_first_names,
+    photographs_in_folder,
+    require_existing,
+)
 
 _WORDS: Final = (("left", "right"), ("l", "r"), ("cam0", "cam1"), ("camera0", "camera1"))
 """Words for the sides of a pair, left first."""
@@ -32,18 +36,18 @@ class ImagePair(NamedTuple):
         return self.left.name
 
 
-class Pairs(NamedTuple):
+class PairedImages(NamedTuple):
     """The pairs of two folders."""
 
     pairs: list[ImagePair]
     """In the order of the left images' names."""
-    alone: list[Path]
+    unpaired: list[Path]
     """Images without a partner, those of the left folder first."""
     single: bool
     """True if two files were given, not folders."""
 
 
-def pair_up(left: Path, right: Path) -> Pairs:
+def pair_up(left: Path, right: Path) -> PairedImages:
     """Pair two images, or the images of two folders.
 
     Args:
@@ -56,38 +60,43 @@ def pair_up(left: Path, right: Path) -> Pairs:
             no images, no image has a partner, or one has two.
     """
     for place in (left, right):
-        check_there(place)
+        require_existing(place)
     if not left.is_dir() and not right.is_dir():
-        return Pairs([ImagePair(left, right)], [], True)
+        return PairedImages([ImagePair(left, right)], [], True)
     if not (left.is_dir() and right.is_dir()):
         folder, other = (left, right) if left.is_dir() else (right, left)
         raise ConfigurationError(
             f"expected two images or two folders, got the folder {folder} and {other}"
         )
     return pair_images(
-        photographs_in(left), photographs_in(right), same=left.resolve() == right.resolve()
+        photographs_in_folder(left),
+        photographs_in_folder(right),
+        one_folder=left.resolve() == right.resolve(),
     )
 
 
-def pair_images(lefts: Sequence[Path], rights: Sequence[Path], *, same: bool = False) -> Pairs:
+def pair_images(
+    lefts: Sequence[Path], rights: Sequence[Path], *, one_folder: bool = False
+) -> PairedImages:
     """Pair the images of two lists.
 
     Args:
         lefts: images of the left eye.
         rights: images of the right eye.
-        same: True if both lists hold the same images, so that names must have a word for the side.
+        one_folder: True if both lists hold the same images, so that names must have a word for
+            the side.
 
     Raises:
         ConfigurationError: no image has a partner, or one has two.
     """
     by_key: dict[str, list[Path]] = {}
     for path in rights:
-        for key in _keys(path, 1, same):
+        for key in _keys(path, 1, one_folder):
             by_key.setdefault(key, []).append(path)
     pairs: list[ImagePair] = []
     taken: dict[Path, Path] = {}
     for path in lefts:
-        found = next((by_key[key] for key in _keys(path, 0, same) if key in by_key), [])
+        found = next((by_key[key] for key in _keys(path, 0, one_folder) if key in by_key), [])
         if len(found) > 1:
             raise ConfigurationError(
                 f"{path}: expected one image that belongs to it, got {found[0]} and {found[1]}"
@@ -112,12 +121,12 @@ def pair_images(lefts: Sequence[Path], rights: Sequence[Path], *, same: bool = F
     if not pairs:
         raise ConfigurationError(
             "expected images whose names differ by left and right, l and r, cam0 and cam1 or not "
-            f"at all, got {some_of(p.name for p in lefts)} in {lefts[0].parent} and "
-            f"{some_of(p.name for p in rights)} in {rights[0].parent}"
+            f"at all, got {join_first_names(p.name for p in lefts)} in {lefts[0].parent} and "
+            f"{join_first_names(p.name for p in rights)} in {rights[0].parent}"
         )
     paired = {path for pair in pairs for path in pair}
-    everyone = list(lefts) if same else [*lefts, *rights]
-    return Pairs(pairs, [path for path in everyone if path not in paired], False)
+    everyone = list(lefts) if one_folder else [*lefts, *rights]
+    return PairedImages(pairs, [path for path in everyone if path not in paired], False)
 
 
 def _keys(path: Path, eye: int, side_required: bool) -> list[str]:

@@ -16,15 +16,15 @@ _NAMED: Final = 5
 """Most names in a message; further ones are only counted (chosen: completeness against length)."""
 
 
-def in_order(path: Path) -> tuple[object, ...]:
+def natural_sort_key(path: Path) -> tuple[object, ...]:
     """Sort key that treats numbers in names as numbers: `left2` comes before `left10`."""
     # after the split, texts and numbers alternate, so that only like parts are compared
     parts = re.split(r"(\d+)", path.name)
     return tuple(int(part) if i % 2 else part.lower() for i, part in enumerate(parts)), path.name
 
 
-def photographs_in(folder: Path) -> list[Path]:
-    """List the image files directly in a folder, sorted by `in_order`.
+def photographs_in_folder(folder: Path) -> list[Path]:
+    """List the image files directly in a folder, sorted by `natural_sort_key`.
 
     Args:
         folder: a folder.
@@ -36,7 +36,9 @@ def photographs_in(folder: Path) -> list[Path]:
         there = [path for path in folder.iterdir() if not path.name.startswith(".")]
     except OSError as error:
         raise ConfigurationError(f"{folder}: {error.strerror or error}") from error
-    found = sorted((path for path in there if path.suffix.lower() in SUFFIXES), key=in_order)
+    found = sorted(
+        (path for path in there if path.suffix.lower() in SUFFIXES), key=natural_sort_key
+    )
     if not found:
         raise ConfigurationError(
             f"{folder}: expected a folder with images ({', '.join(SUFFIXES)}) right in it, got "
@@ -45,46 +47,46 @@ def photographs_in(folder: Path) -> list[Path]:
     return found
 
 
-def check_there(place: Path) -> None:
+def require_existing(path: Path) -> None:
     """Raise an error if a path does not exist.
 
     Raises:
         ConfigurationError: the path does not exist.
     """
     try:
-        there = place.exists()
+        there = path.exists()
     except (OSError, ValueError):  # e.g. a name that is too long: reading it raises a clear error
         there = True
     if not there:
         raise ConfigurationError(
-            f"{place}: no such file or folder; expected an image, or a folder of images"
+            f"{path}: no such file or folder; expected an image, or a folder of images"
         )
 
 
-def photographs_of(places: Sequence[Path]) -> list[Path]:
+def list_photographs(paths: Sequence[Path]) -> list[Path]:
     """List given files, the photographs of given folders, and files that match given patterns.
 
     Args:
-        places: files, folders, and patterns such as `photos/*.jpg` that no shell has expanded.
+        paths: files, folders, and patterns such as `photos/*.jpg` that no shell has expanded.
 
     Raises:
         ConfigurationError: a folder has no photographs, a path does not exist, or no file matches a
             pattern.
     """
     found: list[Path] = []
-    for place in places:
+    for place in paths:
         if glob.has_magic(str(place)) and not place.exists():
-            matches = sorted(map(Path, glob.glob(str(place), recursive=True)), key=in_order)
+            matches = sorted(map(Path, glob.glob(str(place), recursive=True)), key=natural_sort_key)
             if not matches:
                 raise ConfigurationError(f"expected images, got none that match {place}")
             found += matches
             continue
-        check_there(place)
-        found += photographs_in(place) if place.is_dir() else [place]
+        require_existing(place)
+        found += photographs_in_folder(place) if place.is_dir() else [place]
     return found
 
 
-def some_of(names: Iterable[str]) -> str:
+def join_first_names(names: Iterable[str]) -> str:
     """Join names for a message: the first few, and the number of further ones."""
     every = list(names)
     said = ", ".join(every[:_NAMED])

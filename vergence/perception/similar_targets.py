@@ -12,7 +12,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.april_grid import AprilGrid
 from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
 from vergence.vision import EyeCamera, make_detector
-from vergence.vision.boards.april_layout import grids_in
+from vergence.vision.boards.april_layout import plausible_grids
 from vergence.vision.tags.library import families_in
 
 _OTHERS: Final = ((-1, -1), (-1, 0), (0, -1), (1, 0), (0, 1), (1, 1), (-2, -2))
@@ -25,14 +25,14 @@ _MOST_PX: Final = 1280
 against the time of a dozen searches in 12 megapixels)."""
 
 
-def similar_targets(
-    image: NDArray[np.uint8], targets: Sequence[Target], camera: EyeCamera | None = None
+def describe_similar_targets(
+    image: NDArray[np.uint8], requested: Sequence[Target], camera: EyeCamera | None = None
 ) -> str:
     """Search an image for targets similar to those that were asked for.
 
     Args:
         image: (height, width) grey levels, in which none of the targets was found.
-        targets: targets that were asked for.
+        requested: targets that were asked for.
         camera: the eye; None if unknown.
 
     Returns:
@@ -40,14 +40,14 @@ def similar_targets(
     """
     image, camera = _reduced(image, camera)
     there: list[str] = []
-    if any(isinstance(target, AprilTag | TagFamily) for target in targets):
-        asked = [target.family for target in targets if isinstance(target, AprilTag)]
+    if any(isinstance(target, AprilTag | TagFamily) for target in requested):
+        asked = [target.family for target in requested if isinstance(target, AprilTag)]
         there += (
             _tags(image, asked, camera)
             or _grids(image, None, camera)
             or _tags(image, families_in(image), camera)
         )
-    for target in targets:
+    for target in requested:
         if isinstance(target, Checkerboard):
             there += _boards(image, target, camera)
         elif isinstance(target, CharucoBoard):
@@ -111,7 +111,7 @@ def _grids(
     image: NDArray[np.uint8], target: AprilGrid | None, camera: EyeCamera | None
 ) -> list[str]:
     """Grid with other counts or another spacing; any grid if no target is given."""
-    for other in grids_in(image, target):
+    for other in plausible_grids(image, target):
         if make_detector(other, camera).detect(image) is not None:
             size = "" if target is None else f"{1000 * target.tag_m:g}"
             name = f"aprilgrid:{other.columns}x{other.rows}:{size or 'TAG'}:{other.spacing:g}"

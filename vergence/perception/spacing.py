@@ -15,14 +15,14 @@ from vergence.models.parts import FloatArray
 MM = 1000.0
 
 
-class Spacing(NamedTuple):
+class EdgeSpacing(NamedTuple):
     """Distances between neighbouring corners: edges of squares, or of a tag."""
 
     mean_m: float
     """Mean distance; nan if there is none."""
     spread_m: float
     """Standard deviation of the distances."""
-    number: int
+    edge_count: int
     """Number of distances."""
     stated_m: float
     """Stated distance; nan if no size was stated."""
@@ -32,12 +32,12 @@ class Spacing(NamedTuple):
         return {
             "mean": None if np.isnan(self.mean_m) else MM * self.mean_m,
             "spread": None if np.isnan(self.spread_m) else MM * self.spread_m,
-            "count": self.number,
+            "count": self.edge_count,
             "stated": None if np.isnan(self.stated_m) else MM * self.stated_m,
         }
 
 
-def edge_m(target: PlanarTarget) -> float:
+def stated_edge_m(target: PlanarTarget) -> float:
     """Stated edge of a board's squares, of a grid's tags, or of a tag."""
     if isinstance(target, AprilGrid):
         return target.tag_m
@@ -45,16 +45,18 @@ def edge_m(target: PlanarTarget) -> float:
 
 
 @lru_cache(maxsize=64)
-def neighbours(target: PlanarTarget) -> NDArray[np.intp]:
+def neighbour_pairs(target: PlanarTarget) -> NDArray[np.intp]:
     """(k, 2) pairs of corners that are one edge apart on the board."""
     if isinstance(target, AprilGrid):  # gaps between tags are not edges
         first = np.arange(len(target.corners_m))
         return np.column_stack([first, first - first % 4 + (first + 1) % 4])
-    pairs = cKDTree(target.corners_m).query_pairs(1.01 * edge_m(target), output_type="ndarray")
+    pairs = cKDTree(target.corners_m).query_pairs(
+        1.01 * stated_edge_m(target), output_type="ndarray"
+    )
     return np.asarray(pairs[np.lexsort(pairs.T[::-1])])
 
 
-def distances(target: PlanarTarget, points: FloatArray) -> FloatArray:
+def neighbour_distances_m(target: PlanarTarget, points: FloatArray) -> FloatArray:
     """Distances between neighbouring corners.
 
     Args:
@@ -64,20 +66,20 @@ def distances(target: PlanarTarget, points: FloatArray) -> FloatArray:
     Returns:
         (k,) metres, for pairs of neighbours that both have a solution.
     """
-    first, second = neighbours(target).T
+    first, second = neighbour_pairs(target).T
     apart = np.linalg.norm(points[first] - points[second], axis=-1)
     return np.asarray(apart[np.isfinite(apart)])
 
 
-def spacing(target: PlanarTarget, points: Iterable[FloatArray]) -> Spacing:
+def measure_spacing(target: PlanarTarget, points: Iterable[FloatArray]) -> EdgeSpacing:
     """Mean and standard deviation of the distances over one or several views of a target.
 
     Args:
         target: the board.
         points: (n, 3) its corners in each view, metres.
     """
-    apart = np.concatenate([np.empty(0), *(distances(target, each) for each in points)])
-    stated = edge_m(target) if target.size_known else np.nan
+    apart = np.concatenate([np.empty(0), *(neighbour_distances_m(target, each) for each in points)])
+    stated = stated_edge_m(target) if target.size_known else np.nan
     if not len(apart):
-        return Spacing(np.nan, np.nan, 0, stated)
-    return Spacing(float(apart.mean()), float(apart.std()), len(apart), stated)
+        return EdgeSpacing(np.nan, np.nan, 0, stated)
+    return EdgeSpacing(float(apart.mean()), float(apart.std()), len(apart), stated)

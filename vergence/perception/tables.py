@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from vergence.models.joints import EYE_NAMES
-from vergence.perception.located import Located
+from vergence.perception.located import LocatedTarget
 from vergence.perception.spacing import MM
-from vergence.perception.target_finder import number_of
+from vergence.perception.target_finder import tag_number
 
 _SPACE = ("x", "y", "z")
 
 
-def write_points(path: Path, located: Sequence[Located]) -> None:
+def write_points(path: Path, located: Sequence[LocatedTarget]) -> None:
     """Write one row per corner of each target; cells without a solution are empty."""
     head = ["pair", "target", "id", "point"]
     head += [f"{axis}_mm" for axis in _SPACE] + [f"sigma_{axis}_mm" for axis in _SPACE] + ["gap_mm"]
@@ -23,7 +23,7 @@ def write_points(path: Path, located: Sequence[Located]) -> None:
     _write(path, head, (row for one in located for row in _points(one)))
 
 
-def _points(one: Located) -> Iterable[list[object]]:
+def _points(one: LocatedTarget) -> Iterable[list[object]]:
     numbers = np.column_stack(
         [
             MM * one.fix.point,
@@ -34,10 +34,10 @@ def _points(one: Located) -> Iterable[list[object]]:
         ]
     )
     for point, row in enumerate(numbers):
-        yield [one.pair, one.target, number_of(one.target), point, *map(_cell, row.tolist())]
+        yield [one.pair, one.target, tag_number(one.target), point, *map(_cell, row.tolist())]
 
 
-def write_targets(path: Path, located: Sequence[Located]) -> None:
+def write_targets(path: Path, located: Sequence[LocatedTarget]) -> None:
     """Write one row per target of each pair."""
     head = ["pair", "target", "id", "points"]
     head += [f"{axis}_mm" for axis in _SPACE] + [f"sigma_{axis}_mm" for axis in _SPACE]
@@ -47,7 +47,7 @@ def write_targets(path: Path, located: Sequence[Located]) -> None:
         mean, spread, _, stated = one.spacing
         numbers = [*one.centre.point, *one.centre.sigma, one.gap_m, mean, spread, stated]
         cells = [_cell(MM * float(number)) for number in numbers]
-        rows.append([one.pair, one.target, number_of(one.target), int(one.valid.sum()), *cells])
+        rows.append([one.pair, one.target, tag_number(one.target), int(one.valid.sum()), *cells])
     _write(path, head, rows)
 
 

@@ -39,26 +39,26 @@ def parse_targets(texts: Sequence[str]) -> list[Target]:
     return [parse_target(text) for text in dict.fromkeys(texts)]
 
 
-def identity(target: PlanarTarget) -> Hashable:
+def target_key(target: PlanarTarget) -> Hashable:
     """Key that is equal for detections of one target: family and number of a tag, else itself."""
     if isinstance(target, AprilTag):
         return target.family, target.id
     return target
 
 
-def number_of(target: PlanarTarget) -> int | None:
+def tag_number(target: PlanarTarget) -> int | None:
     """The number of a tag; None for a board."""
     return target.id if isinstance(target, AprilTag) else None
 
 
-def matches(detection: Detection, target: Target) -> bool:
+def is_of_target(detection: Detection, target: Target) -> bool:
     """True if a detection is of the target; tags are compared by family and number alone."""
     found = detection.target
     if isinstance(target, TagFamily):
         return isinstance(found, AprilTag) and found.family == target.family
     if isinstance(target, CharucoBoard) and isinstance(found, CharucoBoard):
         return replace(found, legacy=target.legacy) == target  # both layouts are searched for
-    return identity(found) == identity(target)
+    return target_key(found) == target_key(target)
 
 
 _CLIPPED_GREY: Final = 254
@@ -68,7 +68,7 @@ _MUCH_CLIPPED: Final = 0.15
 against false remarks)."""
 
 
-def is_clipped(image: NDArray[np.uint8], detection: Detection) -> bool:
+def is_white_clipped(image: NDArray[np.uint8], detection: Detection) -> bool:
     """True if the white of a target is clipped.
 
     Args:
@@ -97,8 +97,8 @@ class UnseenTargets:
         """Add an image."""
         self._images += 1
         found = photograph.found
-        self._unseen = [t for t in self._unseen if not any(matches(d, t) for d in found)]
-        self._clipped += any(is_clipped(photograph.image, each) for each in found)
+        self._unseen = [t for t in self._unseen if not any(is_of_target(d, t) for d in found)]
+        self._clipped += any(is_white_clipped(photograph.image, each) for each in found)
 
     def notes(self) -> list[str]:
         """One line per target that is in no image although others are, and one on clipped white."""
@@ -145,10 +145,10 @@ class TargetFinder:
         """
         found: list[Detection] = []
         for detector in self._detectors:
-            known = {identity(one.target) for one in found}
-            new = [d for d in detector.detect_all(image) if identity(d.target) not in known]
+            known = {target_key(one.target) for one in found}
+            new = [d for d in detector.detect_all(image) if target_key(d.target) not in known]
             self.check.add(image, new, detector.response_of(image))
-            found += sorted(new, key=lambda one: number_of(one.target) or 0)
+            found += sorted(new, key=lambda one: tag_number(one.target) or 0)
         return found
 
     def find_in_file(self, path: Path) -> Photograph:

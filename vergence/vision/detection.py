@@ -25,7 +25,7 @@ from vergence.models.response import (
     parse_response,
 )
 from vergence.vision.image import has_colours, measurement_channel
-from vergence.vision.optics import EyeCamera, FlatView, NoLens, ray_table
+from vergence.vision.optics import EyeCamera, FlatView, IdentityView, ray_table
 
 _REGION_MARGIN_SHARE = 0.5
 _REGION_MARGIN_PX = 24
@@ -35,7 +35,7 @@ _LEAST_REGION_PX = 24
 """Smallest side of a search region, px (chosen)."""
 _NO_RAYS = np.zeros((0, 0, 2), np.float32)
 _NO_RAYS.setflags(write=False)  # read-only like tables of rays, so that kernels compile only once
-_NO_LENS = NoLens()
+_NO_LENS = IdentityView()
 _NO_CAMERA = pack_camera((1, 1), np.ones(2), np.zeros(2), BROWN_CONRADY, np.zeros(5))
 
 TargetT = TypeVar("TargetT", bound=Target)
@@ -207,7 +207,7 @@ class Detector(ABC, Generic[TargetT]):
                 f"predicted: expected corners_px of shape {expected}, got {corners}"
             )
 
-    def _flat(self, pixels: NDArray[np.float64]) -> FlatView | NoLens:
+    def _flat(self, pixels: NDArray[np.float64]) -> FlatView | IdentityView:
         """Undistorted plane around some pixels."""
         return _NO_LENS if self._lens is None else self._lens.flat_about(pixels)
 

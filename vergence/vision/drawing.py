@@ -31,7 +31,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget, outline_m, texture
 from vergence.models.parts import Rendering
 from vergence.models.response import LINEAR, light_table
-from vergence.vision.blur import gaussian_taps, motion_kernel
+from vergence.vision.blur import gaussian_radius_and_sigma, motion_blur_kernel
 from vergence.vision.noise import NOISE_MEAN, NOISE_UNIT, noise_window
 from vergence.vision.optics import EyeCamera, ray_table
 
@@ -136,7 +136,7 @@ class TargetDrawing:
         texels, texture_blur, blur = self._choose_level(spacing, oversampling)
         smear = scale * np.asarray(smear_px, float)
         smear_length = math.hypot(smear[0], smear[1])
-        half_kernel, sigma = gaussian_taps(blur)
+        half_kernel, sigma = gaussian_radius_and_sigma(blur)
         reach = math.ceil((half_kernel + 0.5 * smear_length) / scale) + 2
         window = self._window(bounds, reach)
         if window is None:
@@ -147,7 +147,7 @@ class TargetDrawing:
             size = 2 * half_kernel + 1
             samples = cv2.GaussianBlur(samples, (size, size), sigma)
         if smear_length > 0.1:
-            samples = cv2.filter2D(samples, -1, motion_kernel(smear))
+            samples = cv2.filter2D(samples, -1, motion_blur_kernel(smear))
         if scale > 1:
             height, width = samples.shape
             samples = cv2.resize(

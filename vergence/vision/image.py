@@ -184,7 +184,7 @@ def _levels(array: NDArray[Any]) -> NDArray[np.float32]:
     return scaled
 
 
-def smoothed(image: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+def smooth_for_square_search(image: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
     """Smooth a noisy image for searches for squares.
 
     Noise makes such a search take ten times as long on an empty wall. It is estimated by the
@@ -215,7 +215,7 @@ def smoothed(image: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
 
 
 @contextmanager
-def silent_opencv() -> Iterator[None]:
+def suppress_opencv_log() -> Iterator[None]:
     """Suppress OpenCV's log messages on unreadable files; the package raises its own error."""
     before = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
@@ -263,7 +263,7 @@ def read_pixels(path: str | Path) -> NDArray[Any]:
     if not content:
         raise UnreadableFileError(str(path), "empty", expected)
     try:
-        with silent_opencv():
+        with suppress_opencv_log():
             read: Any = cv2.imdecode(
                 np.frombuffer(content, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
             )

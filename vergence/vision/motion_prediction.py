@@ -39,9 +39,9 @@ def is_pose(pose: FloatArray) -> bool:
 @compiled
 def predict_pixels(
     pixels: FloatArray,
-    row: FloatArray,
-    before: FloatArray,
-    now: FloatArray,
+    packed_camera: FloatArray,
+    T_0_C_before: FloatArray,
+    T_0_C_now: FloatArray,
     corners_m: FloatArray,
     out: FloatArray,
 ) -> bool:
@@ -49,9 +49,9 @@ def predict_pixels(
 
     Args:
         pixels: (n + 1, 2) the target's corners, nan where not detected, and its point, px.
-        row: the packed camera, see `pack_camera`.
-        before: (4, 4) T_0_C at the exposure of `pixels`, m.
-        now: (4, 4) T_0_C to predict for, m.
+        packed_camera: the packed camera, see `pack_camera`.
+        T_0_C_before: (4, 4) T_0_C at the exposure of `pixels`, m.
+        T_0_C_now: (4, 4) T_0_C to predict for, m.
         corners_m: (n, 2) the corners on the board, m; (0, 2) if its size is unknown.
         out: (n + 1, 2) result: the predicted pixels, px.
 
@@ -59,7 +59,7 @@ def predict_pixels(
         True if the point is predicted inside the lens model and no corner beside or behind the
         camera.
     """
-    camera = camera_at(row, 0)
+    camera = camera_at(packed_camera, 0)
     count = len(pixels)
     for k in range(count):
         x, y = pinhole_ray(camera, pixels[k, 0], pixels[k, 1])
@@ -82,9 +82,9 @@ def predict_pixels(
             continue
         x, y, z = 0.0, 0.0, 0.0
         for i in range(3):
-            a = before[i, 0] * out[k, 0] + before[i, 1] * out[k, 1] + before[i, 2]
-            a += (before[i, 3] - now[i, 3]) / depth_m
-            x, y, z = x + now[i, 0] * a, y + now[i, 1] * a, z + now[i, 2] * a
+            a = T_0_C_before[i, 0] * out[k, 0] + T_0_C_before[i, 1] * out[k, 1] + T_0_C_before[i, 2]
+            a += (T_0_C_before[i, 3] - T_0_C_now[i, 3]) / depth_m
+            x, y, z = x + T_0_C_now[i, 0] * a, y + T_0_C_now[i, 1] * a, z + T_0_C_now[i, 2] * a
         if z < _NEAREST:
             return False
         out[k, 0], out[k, 1] = ray_to_pixel(camera, x / z, y / z)

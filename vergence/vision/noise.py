@@ -12,7 +12,7 @@ NOISE_UNIT = 24.0
 
 
 def noise_window(
-    rng: np.random.Generator, shape: tuple[int, int], longest: int
+    rng: np.random.Generator, shape: tuple[int, int], longest_side_px: int
 ) -> NDArray[np.uint8]:
     """Independent normal numbers for the pixels of a region.
 
@@ -25,13 +25,13 @@ def noise_window(
     Args:
         rng: generator that picks the start; one number is drawn.
         shape: (height, width) of the region.
-        longest: longest side of the frame, which determines the size of the bank.
+        longest_side_px: longest side of the frame, which determines the size of the bank.
 
     Returns:
         Numbers stored as ``NOISE_MEAN + NOISE_UNIT * n``, n standard normal; a read-only view of
         the given shape.
     """
-    bank = _bank(max(2048, 1 << (longest + longest // 2 - 1).bit_length()))
+    bank = _bank(max(2048, 1 << (longest_side_px + longest_side_px // 2 - 1).bit_length()))
     height, width = shape
     columns = bank.shape[1] - width
     y, x = divmod(int(rng.integers((bank.shape[0] - height) * columns)), columns)

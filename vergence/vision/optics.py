@@ -191,7 +191,7 @@ class FlatView:
         return np.asarray(rays_to_pixels(np.asarray(rays, float), self.camera.row))
 
 
-class NoLens:
+class IdentityView:
     """View of an image without lens distortion: the image itself."""
 
     def to_plane(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ _SMALL_STEP: Final = 1e-4
 
 
 @subroutine
-def plane_of(corners: FloatArray, G: FloatArray) -> None:
+def image_to_square_homography(corners: FloatArray, G: FloatArray) -> None:
     """Compute the homography from the image to the plane of a square of corners (-1, -1) to (1, 1).
 
     Args:
@@ -43,8 +43,8 @@ def plane_of(corners: FloatArray, G: FloatArray) -> None:
 
 
 @subroutine
-def inverse_homography(G: FloatArray, H: FloatArray) -> None:
-    """Compute the homography from the plane to the image, the inverse of `plane_of`.
+def square_to_image_homography(G: FloatArray, H: FloatArray) -> None:
+    """Compute the homography from the plane to the image, see `image_to_square_homography`.
 
     Args:
         G: (3, 3) homography from the image to the plane.
@@ -58,7 +58,7 @@ def inverse_homography(G: FloatArray, H: FloatArray) -> None:
     H[2, 0], H[2, 1], H[2, 2] = d * h - e * g, b * g - a * h, a * e - b * d
 
 
-class View(NamedTuple):
+class UndistortedView(NamedTuple):
     """An undistorted image plane that agrees with the image to first order at one point.
 
     A tag's projection onto any plane is a homography of the tag. Far off the axis of a wide lens,
@@ -75,7 +75,7 @@ class View(NamedTuple):
 
 
 @subroutine
-def look_along(camera: CameraRow, x: float, y: float, view: View) -> None:
+def set_view_along(camera: CameraRow, x: float, y: float, view: UndistortedView) -> None:
     """Compute the view around a ray.
 
     Args:
@@ -111,10 +111,10 @@ def look_along(camera: CameraRow, x: float, y: float, view: View) -> None:
 
 
 @compiled
-def view_along(row: FloatArray, x: float, y: float) -> View:
-    """View around a ray, see `look_along`; `row` is a packed camera, see `pack_camera`."""
-    view = View(True, np.empty((3, 3)), np.empty((3, 3)))
-    look_along(camera_at(row, 0), x, y, view)
+def view_along(packed_camera: FloatArray, x: float, y: float) -> UndistortedView:
+    """View around a ray, see `set_view_along`, by a packed camera, see `pack_camera`."""
+    view = UndistortedView(True, np.empty((3, 3)), np.empty((3, 3)))
+    set_view_along(camera_at(packed_camera, 0), x, y, view)
     return view
 
 
@@ -125,7 +125,7 @@ def _turned_back(A: FloatArray, x: float, y: float) -> tuple[float, float]:
 
 
 @subroutine
-def ray_at(rays: NDArray[np.float32], u: float, v: float) -> tuple[float, float]:
+def interpolate_ray(rays: NDArray[np.float32], u: float, v: float) -> tuple[float, float]:
     """Ray of a pixel by bilinear interpolation, linearly extrapolated beyond the image's edges."""
     height, width, _ = rays.shape
     column, row = min(max(int(u), 0), width - 2), min(max(int(v), 0), height - 2)
@@ -148,7 +148,7 @@ def transform_point(H: FloatArray, x: float, y: float) -> tuple[float, float]:
 
 @subroutine
 def undistorted_point(
-    rays: NDArray[np.float32], view: View, u: float, v: float
+    rays: NDArray[np.float32], view: UndistortedView, u: float, v: float
 ) -> tuple[float, float]:
     """Approximate point of a view's plane for a pixel, by interpolated rays.
 
@@ -160,12 +160,14 @@ def undistorted_point(
     """
     if not view.lens:
         return u, v
-    x, y = ray_at(rays, u, v)
+    x, y = interpolate_ray(rays, u, v)
     return transform_point(view.plane_from_ray, x, y)
 
 
 @subroutine
-def distorted_pixel(camera: CameraRow, view: View, u: float, v: float) -> tuple[float, float]:
+def distorted_pixel(
+    camera: CameraRow, view: UndistortedView, u: float, v: float
+) -> tuple[float, float]:
     """Pixel of a point of a view's plane; nan beyond the lens model."""
     if not view.lens:
         return u, v

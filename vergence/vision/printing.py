@@ -93,7 +93,7 @@ def parse_paper(text: str) -> Paper:
     return Paper(short, long)
 
 
-def printable(target: Target) -> PlanarTarget:
+def require_printable(target: Target) -> PlanarTarget:
     """Return a target that is fully specified for printing.
 
     Raises:
@@ -113,7 +113,7 @@ def printable(target: Target) -> PlanarTarget:
 
 
 @dataclass(frozen=True)
-class Sheet:
+class PrintSheet:
     """A board and a ruler on a sheet of paper."""
 
     target: PlanarTarget
@@ -124,11 +124,11 @@ class Sheet:
     """Width of the sheet in its orientation."""
     height_mm: float
     """Height of the sheet in its orientation."""
-    board_mm: tuple[float, float]
+    board_corner_mm: tuple[float, float]
     """Upper left corner of the board's cells, (x, y)."""
-    ruler_mm: tuple[float, float]
+    ruler_zero_mm: tuple[float, float]
     """Zero of the ruler, (x, y)."""
-    upright: bool
+    ruler_upright: bool
     """True if the ruler is right of the board and runs up; false if it is below the board."""
 
     @property
@@ -137,13 +137,13 @@ class Sheet:
         return self.width_mm > self.height_mm
 
     @cached_property
-    def black_mm(self) -> list[NDArray[np.float64]]:
+    def black_outlines_mm(self) -> list[NDArray[np.float64]]:
         """Outlines of the board's black areas on the sheet, see `black_outlines`, each (n, 2)."""
         cell_mm = _MM_PER_M * self.target.cell_m
-        return [cell_mm * loop + self.board_mm for loop in black_outlines(self.target.cells)]
+        return [cell_mm * loop + self.board_corner_mm for loop in black_outlines(self.target.cells)]
 
 
-def lay_out(target: PlanarTarget, paper: Paper) -> Sheet:
+def lay_out_sheet(target: PlanarTarget, paper: Paper) -> PrintSheet:
     """Place a board on paper, upright and at true scale, with the ruler beside its white margin.
 
     The ruler is below the board if it fits there, else to its right; of portrait and landscape
@@ -172,14 +172,14 @@ def lay_out(target: PlanarTarget, paper: Paper) -> Sheet:
     else:
         left, top = 0.5 * (width - frame.width_mm), 0.5 * (ruler - frame.height_mm)
         zero = (0.5 * (width - RULER_MM), ruler)
-    return Sheet(
+    return PrintSheet(
         target=target,
         paper=paper,
         width_mm=width,
         height_mm=height,
-        board_mm=(left + frame.rim_mm, top + frame.rim_mm),
-        ruler_mm=zero,
-        upright=place.upright,
+        board_corner_mm=(left + frame.rim_mm, top + frame.rim_mm),
+        ruler_zero_mm=zero,
+        ruler_upright=place.upright,
     )
 
 

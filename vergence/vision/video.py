@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.vision.image import restore_grey, silent_opencv
+from vergence.vision.image import restore_grey, suppress_opencv_log
 
 MANUAL_EXPOSURE: Final = 1
 """Value of CAP_PROP_AUTO_EXPOSURE for a locked exposure (physical: V4L2_EXPOSURE_MANUAL of
@@ -37,7 +37,7 @@ def open_video(source: str) -> Iterator[Iterator[NDArray[np.uint8]]]:
     Raises:
         ConfigurationError: the source does not exist, or cannot be opened.
     """
-    device = is_device(source)
+    device = is_local_camera(source)
     capture = open_capture(source, "live")
     try:
         yield _images(capture, _MISSES if device else 0)
@@ -47,7 +47,7 @@ def open_video(source: str) -> Iterator[Iterator[NDArray[np.uint8]]]:
 
 def open_capture(
     source: str,
-    what: str,
+    option_name: str,
     *,
     pixel_format: str = "",
     size: tuple[int, int] | None = None,
@@ -60,7 +60,7 @@ def open_capture(
 
     Args:
         source: see `open_video`.
-        what: name of the option or field that gives the source, for messages.
+        option_name: name of the option or field that gives the source, for messages.
         pixel_format: four letters, such as MJPG; empty for the camera's default.
         size: (width, height), px; None for the camera's default.
         frame_rate_hz: images a second; None for the camera's default.
@@ -69,10 +69,10 @@ def open_capture(
     Raises:
         ConfigurationError: the source does not exist, or cannot be opened.
     """
-    device = is_device(source)
+    device = is_local_camera(source)
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg has a log of its own
-    with silent_opencv():
-        capture = _open(source, device, what)
+    with suppress_opencv_log():
+        capture = _open(source, device, option_name)
         if device:  # the format first, since it limits sizes and rates
             if pixel_format:
                 capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*pixel_format))
@@ -86,16 +86,16 @@ def open_capture(
                 capture.set(cv2.CAP_PROP_EXPOSURE, round(exposure_s / EXPOSURE_STEP_S))
     if not capture.isOpened():
         capture.release()
-        raise ConfigurationError(_why(source, device, what))
+        raise ConfigurationError(_why(source, device, option_name))
     return capture
 
 
-def is_device(source: str) -> bool:
+def is_local_camera(source: str) -> bool:
     """True if a source is a camera of this machine."""
     return source.isdecimal() or source.startswith("/dev/")
 
 
-def devices() -> list[str]:
+def list_camera_devices() -> list[str]:
     """Device files of this machine's cameras, persistent names first."""
     return sorted(glob("/dev/v4l/by-id/*")) + sorted(glob("/dev/video*"))
 
@@ -111,7 +111,7 @@ def _open(source: str, device: bool, what: str) -> cv2.VideoCapture:
         if not os.path.exists(path):
             raise ConfigurationError(
                 f"{what}: expected a camera, got {source}: no such device; there are: "
-                f"{', '.join(devices()) or 'none'}"
+                f"{', '.join(list_camera_devices()) or 'none'}"
             )
         # V4L2 only: FFmpeg and GStreamer open cameras too, but queue old images
         if number:

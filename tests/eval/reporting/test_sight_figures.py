@@ -11,7 +11,7 @@ from tests.perception.test_located import exact
 from vergence.eval.reporting.detections_figure import compose_detections, shorten_to_width
 from vergence.eval.reporting.locate_figure import compose_located
 from vergence.models.boards import AprilTag
-from vergence.perception.locate import LocateResult, Shown
+from vergence.perception.locate import LocateResult, ShownPair
 from vergence.perception.locate_config import LocateConfig
 from vergence.perception.located import locate_target
 from vergence.perception.target_finder import Photograph
@@ -32,7 +32,7 @@ def result_of(*places: tuple[str, AprilTag, tuple[float, float, float]], swap: b
     return LocateResult(
         config=LocateConfig(left=Path("l"), right=Path("r"), head="pair"), head=HEAD,
         angles=dict.fromkeys(names, HEAD.rest()), pairs=names, located=tuple(located), missed=(),
-        remarks=(), alone=(), failures=(), shown=Shown(*(photographs or [nothing])[0]),
+        remarks=(), unpaired=(), failures=(), shown=ShownPair(*(photographs or [nothing])[0]),
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from tests.grids import some_of
 from tests.vision.poses import pose
 from tests.vision.scenes import Image, Scene, defocus, jpeg, rig, scene
 from vergence.vision import Checkerboard, make_detector
-from vergence.vision.boards.clusters import clusters
+from vergence.vision.boards.clusters import find_corner_clusters
 
 SIZES = [(3, 3), (5, 4), (9, 6), (12, 9)]
 
@@ -56,7 +56,7 @@ def test_the_corners_of_a_board_are_one_cluster(columns, rows, square_px):
     if columns * square_px > 400:
         square_px = 30.0
     one = drawn(board(columns, rows, square_px))
-    (found,) = clusters(one.image, columns * rows)
+    (found,) = find_corner_clusters(one.image, columns * rows)
     assert len(found.corners_px) == columns * rows
     away = np.linalg.norm(found.corners_px[:, None] - one.corners, axis=-1)
     assert away.min(axis=0).max() < 1.5
@@ -82,12 +82,12 @@ def test_the_corners_of_a_board_are_one_cluster(columns, rows, square_px):
     ),
 )
 def test_what_is_no_board_has_no_cluster(image, corners):
-    assert clusters(image, corners) == []
+    assert find_corner_clusters(image, corners) == []
 
 
 def test_blocks_that_lie_by_chance_have_few_clusters_and_small_ones():
     image = blocks(12, (860, 1040))
-    for found in clusters(image, 54):
+    for found in find_corner_clusters(image, 54):
         x0, y0, x1, y1 = found.region
         assert (x1 - x0) * (y1 - y0) < 0.5 * image.size
 

@@ -24,20 +24,20 @@ class DepthErrors:
 
     distance_m: FloatArray
     """(n,) distance from midway between the eyes."""
-    before_m: FloatArray
+    nominal_error_m: FloatArray
     """(n,) depth error of the nominal head if the calibrated head is true; positive if too far."""
-    before_vector_m: FloatArray
+    nominal_error_norm_m: FloatArray
     """(n,) length of the same error in space."""
     sigma_m: FloatArray
     """(n,) standard deviation of depth from the uncertainty of the calibration."""
-    floor_m: FloatArray
+    noise_floor_m: FloatArray
     """(n,) standard deviation of depth of a single settled fixation from the noise of pixels and
     encoders."""
 
     @property
-    def before_percent(self) -> FloatArray:
+    def nominal_error_percent(self) -> FloatArray:
         """(n,) depth error of the nominal head, percent of the distance."""
-        return np.asarray(1e2 * self.before_m / self.distance_m)
+        return np.asarray(1e2 * self.nominal_error_m / self.distance_m)
 
     @property
     def sigma_percent(self) -> FloatArray:
@@ -45,12 +45,12 @@ class DepthErrors:
         return np.asarray(1e2 * self.sigma_m / self.distance_m)
 
 
-def ahead(distance_m: FloatArray) -> FloatArray:
+def points_ahead(distance_m: FloatArray) -> FloatArray:
     """(n, 3) points straight ahead, m."""
     return np.asarray(distance_m[:, None] * np.array([0.0, 0.0, 1.0]))
 
 
-def aside(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:
+def points_at_angles(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:
     """(n, 3) points at angles (n,) to the right and then down, m."""
     return np.asarray(
         distance_m
@@ -64,7 +64,9 @@ def aside(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> Flo
     )
 
 
-def depth_errors(found: HeadCalibration, from_eyes: FloatArray) -> DepthErrors:
+def predict_depth_errors(
+    calibration: HeadCalibration, points_from_eyes_m: FloatArray
+) -> DepthErrors:
     """Predict the errors of depth before and after a calibration.
 
     The calibrated head fixates each point; the nominal and the calibrated head triangulate it from
@@ -72,26 +74,29 @@ def depth_errors(found: HeadCalibration, from_eyes: FloatArray) -> DepthErrors:
     with derivatives by central differences.
 
     Args:
-        found: the calibration.
-        from_eyes: (n, 3) points relative to midway between the eyes, in N with the neck at rest, m.
+        calibration: the calibration.
+        points_from_eyes_m: (n, 3) points relative to midway between the eyes, in N with the neck at
+            rest, m.
     """
-    head = found.head
-    points = midpoint_between_cameras(head) + from_eyes
-    distance = np.linalg.norm(from_eyes, axis=-1)
-    along = from_eyes / distance[:, None]
+    head = calibration.head
+    points = midpoint_between_cameras(head) + points_from_eyes_m
+    distance = np.linalg.norm(points_from_eyes_m, axis=-1)
+    along = points_from_eyes_m / distance[:, None]
     q, sees = fixate_points(head, points)
     pixels = head.project(q, points)
     fix = triangulate_views(head, q, pixels)
-    off = triangulate_views(found.nominal_head, q, pixels).point - points
-    free = found.solution.problem.prior_sigma > 0.0
-    steps = _STEP * np.diag(found.solution.problem.prior_sigma)[free]
-    values = found.solution.state.values + np.stack([steps, -steps])
+    off = triangulate_views(calibration.nominal_head, q, pixels).point - points
+    free = calibration.solution.problem.prior_sigma > 0.0
+    steps = _STEP * np.diag(calibration.solution.problem.prior_sigma)[free]
+    values = calibration.solution.state.values + np.stack([steps, -steps])
     moved = triangulate_views(
-        found.nominal_head.with_parameters(values[:, :, None]), q, pixels
+        calibration.nominal_head.with_parameters(values[:, :, None]), q, pixels
     ).point
     depth = np.einsum("snpi,pi->snp", moved, along)
     by_number = (depth[0] - depth[1]) / (2.0 * steps.sum(axis=1))[:, None]
-    spread = np.einsum("np,nm,mp->p", by_number, found.covariance[np.ix_(free, free)], by_number)
+    spread = np.einsum(
+        "np,nm,mp->p", by_number, calibration.covariance[np.ix_(free, free)], by_number
+    )
     floor = np.einsum("pi,pij,pj->p", along, fix.covariance, along)
     return DepthErrors(
         distance,

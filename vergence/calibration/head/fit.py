@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Poses
+from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, Weights
 from vergence.calibration.head.solution import FIRST_CAUCHY_SCALE, HeadSolution, solve
 from vergence.calibration.head.start import LEAST_CORNERS
@@ -37,25 +37,25 @@ class HeadFit:
 
 def fit_robustly(
     problem: HeadAdjustment,
-    boards: Poses,
+    initial_boards: BoardPoses,
     inlier_views: NDArray[np.bool_],
-    near: HeadUnknowns | None = None,
+    start: HeadUnknowns | None = None,
 ) -> HeadFit:
     """Fit a head robustly, first to the views that agree on the board's pose.
 
     Args:
         problem: the adjustment problem.
-        boards: (b) initial poses of the board in frame 0.
+        initial_boards: (b) initial poses of the board in frame 0.
         inlier_views: (2, f) True for views that agree on these.
-        near: initial parameters and bend; None for the nominal head.
+        start: initial parameters and bend; None for the nominal head.
 
     Raises:
         LinAlgError: no views agree, or the start is behind a camera.
     """
     enough = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
-    begin = problem.start(boards)
-    if near is not None:
-        begin = begin._replace(values=near.values, bend=near.bend)
+    begin = problem.start(initial_boards)
+    if start is not None:
+        begin = begin._replace(values=start.values, bend=start.bend)
     first = Weights.of(enough & inlier_views[..., None])
     solution = solve(problem, begin, first, cauchy_scale=FIRST_CAUCHY_SCALE)
     if not inlier_views[enough.any(axis=-1)].all():  # views that disagreed by the nominal head
@@ -78,7 +78,7 @@ def refine_inliers(solution: HeadSolution) -> HeadFit:
     kept, scatter_ratio = np.zeros_like(enough), np.ones(7)
     for _ in range(_FITS):
         before = kept, scatter_ratio
-        scatter_ratio = scatter_of(solution)
+        scatter_ratio = reading_scatter_ratio(solution)
         kept = _inliers(solution, enough, scatter_ratio)
         if np.array_equal(kept, before[0]) and np.allclose(
             scatter_ratio, before[1], rtol=_SAME_SCATTER
@@ -101,7 +101,7 @@ def _inliers(
     known = np.ones(7) if already is None else already
     errors = np.abs(solution.normalised_reading_errors) * known / scatter_ratio
     wrong = errors > _OUTLYING * np.sqrt(typical_square)
-    moved = np.abs(solution.problem.to_joints) > 0.0
+    moved = np.abs(solution.problem.joints_from_actuators) > 0.0
     for eye in range(2):
         joints = moved[[3 + 2 * eye, 4 + 2 * eye]].any(axis=0)
         fit[eye] &= ~np.asarray((wrong & joints).any(axis=1))[:, None]
@@ -120,12 +120,12 @@ def _typical_square(solution: HeadSolution, enough: NDArray[np.bool_]) -> float:
     return min(max(float(np.median(solution.squares[counted])), 1.0), solution.weights.cauchy_scale)
 
 
-def scatter_of(solution: HeadSolution) -> FloatArray:
+def reading_scatter_ratio(solution: HeadSolution) -> FloatArray:
     """(7,) ratio of each actuator's reading scatter to its expectation, at least 1.
 
     The expectation comes from quantisation and backlash.
     """
-    own, already = solution.problem.joints, solution.problem.scatter_ratio
+    own, already = solution.problem.joint_errors, solution.problem.scatter_ratio
     known = np.ones(7) if already is None else already
     found = np.ones(7)
     counted = np.asarray((solution.weights.corners > 0.0).any(axis=(0, 2)))

@@ -16,7 +16,7 @@ _FOLD_TOLERANCE: Final = 1.0
 """Change of the cost below which a fold's fit ends (numerical)."""
 
 
-class HeldOut(NamedTuple):
+class CrossValidationErrors(NamedTuple):
     """Cross-validation errors."""
 
     views: FloatArray
@@ -27,9 +27,9 @@ class HeldOut(NamedTuple):
     error is estimated from them."""
 
 
-def held_out(
+def cross_validate(
     solution: HeadSolution, kept: NDArray[np.bool_], scatter_ratio: FloatArray | None = None
-) -> HeldOut:
+) -> CrossValidationErrors:
     """Judge views and their joint readings by heads that were calibrated without their poses.
 
     Args:
@@ -56,7 +56,7 @@ def held_out(
             problem.of(out),
             nominal_head=found.head,
             prior_sigma=np.zeros(len(problem.prior_sigma)),
-            terms=problem.terms.of(out).held(found.state.terms),
+            terms=problem.terms.of(out).fixed_at(found.state.terms),
             scatter_ratio=problem.scatter_ratio if scatter_ratio is None else scatter_ratio,
         )
         known = judged.start(solution.state.boards)._replace(bend=solution.state.bend)
@@ -65,11 +65,11 @@ def held_out(
         total = np.where(counted, best.squares, 0.0).sum(axis=-1)
         count = counted.sum(axis=-1)
         views[:, out] = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
-        own = judged.joints.is_single & np.asarray(count.any(axis=0))[:, None]
+        own = judged.joint_errors.is_single & np.asarray(count.any(axis=0))[:, None]
         for number in np.unique(pose[out]):
             here = pose[out] == number
             corners = total[:, here].sum() / max(count[:, here].sum(), 1)
             squares = (best.normalised_reading_errors[here] ** 2)[own[here]]
             read = squares.sum() / max(own[here].sum(), 1)
             poses[number] = corners + read if count[:, here].any() else np.nan
-    return HeldOut(views, poses)
+    return CrossValidationErrors(views, poses)

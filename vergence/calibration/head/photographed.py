@@ -4,17 +4,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from vergence.calibration.head.gathered import MOST_PLACES, Gathered
-from vergence.calibration.observations import Observations, observe
+from vergence.calibration.head.gathered import MOST_PLACES, RawRecording
+from vergence.calibration.observations import Observations, detect_board_corners
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
-from vergence.perception.joint_angles import angles_of_row, as_number, rows_of_pairs
+from vergence.perception.joint_angles import parse_finite_number, parse_joint_angles, read_pair_rows
 from vergence.perception.joint_rows import Row
 from vergence.perception.pairing import pair_up
-from vergence.perception.photographs import some_of
+from vergence.perception.photographs import join_first_names
 from vergence.recording.looking import BoardView
 
 TABLES: Final = ("joints.csv", "joints.json", "joints.toml")
@@ -23,7 +23,7 @@ _TIME: Final = "time_s"
 _PLACEMENT: Final = "placement"
 
 
-def is_photographed(path: Path) -> bool:
+def holds_photographs(path: Path) -> bool:
     """Return True if a folder holds photographs, not logs."""
     return path.is_dir() and any((path / eye).is_dir() for eye in EYE_NAMES)
 
@@ -33,7 +33,7 @@ def read_photographs(
     head: HeadModel,
     target: PlanarTarget | None,
     progress: Callable[[float], None] | None = None,
-) -> Gathered:
+) -> RawRecording:
     """Read the sights of a folder's photographs.
 
     Args:
@@ -55,18 +55,19 @@ def read_photographs(
     if len(tables) != 1:
         raise ConfigurationError(
             f"{path}: expected one of {', '.join(TABLES)} with the angles of each pair of images, "
-            f"got {some_of(table.name for table in tables) or 'none'}"
+            f"got {join_first_names(table.name for table in tables) or 'none'}"
         )
     found = pair_up(*(path / eye for eye in EYE_NAMES))
     names = [pair.name for pair in found.pairs]
-    rows = rows_of_pairs(tables[0], names)
+    rows = read_pair_rows(tables[0], names)
     taken = [_read(head, rows[name], f"{tables[0]}: {name}") for name in names]
     untimed = [name for name, one in zip(names, taken, strict=True) if one.time_s is None]
     if 0 < len(untimed) < len(names):
         raise ConfigurationError(
-            f"{tables[0]}: expected {_TIME} of all pairs or of none, got none of {some_of(untimed)}"
+            f"{tables[0]}: expected {_TIME} of all pairs or of none, got none of "
+            f"{join_first_names(untimed)}"
         )
-    seen, failures = observe(
+    seen, failures = detect_board_corners(
         target,
         [list(each) for each in zip(*found.pairs, strict=True)],
         progress,
@@ -83,11 +84,11 @@ def read_photographs(
         for view, one in enumerate(taken)
     ]
     remarks: tuple[str, ...] = ()
-    if found.alone:
-        names_alone = some_of(one.name for one in found.alone)
-        remarks = (f"{len(found.alone)} images without a partner left out: {names_alone}",)
+    if found.unpaired:
+        names_alone = join_first_names(one.name for one in found.unpaired)
+        remarks = (f"{len(found.unpaired)} images without a partner left out: {names_alone}",)
     files = [str(one.relative_to(path)) for pair in found.pairs for one in pair]
-    return Gathered(
+    return RawRecording(
         target,
         sights,
         [one.placement for one in taken],
@@ -109,18 +110,18 @@ class _Taken(NamedTuple):
 
 def _read(head: HeadModel, row: Row, where: str) -> _Taken:
     angles = {name: value for name, value in row.items() if name not in (_TIME, _PLACEMENT)}
-    time_s = as_number(row[_TIME], f"{where}: {_TIME}") if _TIME in row else None
-    placement = as_number(row.get(_PLACEMENT, 0), f"{where}: {_PLACEMENT}")
+    time_s = parse_finite_number(row[_TIME], f"{where}: {_TIME}") if _TIME in row else None
+    placement = parse_finite_number(row.get(_PLACEMENT, 0), f"{where}: {_PLACEMENT}")
     if not (placement.is_integer() and 0 <= placement < MOST_PLACES):
         raise ConfigurationError(
             f"{where}: {_PLACEMENT}: expected a whole number below {MOST_PLACES}, got "
             f"{row[_PLACEMENT]!r:.40}"
         )
-    return _Taken(angles_of_row(head, angles, where), int(placement), time_s)
+    return _Taken(parse_joint_angles(head, angles, where), int(placement), time_s)
 
 
-def _refuse_other_sizes(path: Path, head: HeadModel, seen: Observations) -> None:
-    for eye, size in zip(EYE_NAMES, seen.sizes, strict=True):
+def _refuse_other_sizes(path: Path, head: HeadModel, observations: Observations) -> None:
+    for eye, size in zip(EYE_NAMES, observations.sizes, strict=True):
         own = tuple(head.cameras.size[EYE_NAMES.index(eye)].tolist())
         if own != size:
             raise ConfigurationError(

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, Normal, Weights
+from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, NormalEquations, Weights
 from vergence.calibration.head.backlash import without_backlash
 from vergence.calibration.head.fit import HeadFit, refine_inliers
-from vergence.calibration.head.held_out import held_out
-from vergence.calibration.head.prior import prior_sigma_of
+from vergence.calibration.head.held_out import cross_validate
+from vergence.calibration.head.prior import parameter_prior_sigma
 from vergence.calibration.head.reading_terms import TERM_KINDS
 from vergence.calibration.head.solution import HeadSolution, solve
 from vergence.errors import ConfigurationError
@@ -33,8 +33,8 @@ TERMS: Final = (*TERM_KINDS, "axes")
 _CHANCE: Final = 1e-3
 """Probability that an absent term is tried, if all errors are independent (chosen)."""
 _LEAST_GAIN: Final = 0.02
-"""Least gain of a term in the mean logarithm of the poses' cross-validation errors, see `HeldOut`
-(chosen: less is not worth a term)."""
+"""Least gain of a term in the mean logarithm of the poses' cross-validation errors, see
+`CrossValidationErrors` (chosen: less is not worth a term)."""
 _LEAST_GAIN_OF_PLAY: Final = 0.15
 """Least gain of backlash if readings scatter even with it. A reading error also changes the
 difference to the previous reading, whose sign then predicts some of the error, just as with
@@ -68,7 +68,7 @@ def convert_for_terms(head: HeadModel, terms: Collection[str]) -> HeadModel:
     return without_backlash(head) if "play" in terms else head
 
 
-class Chosen(NamedTuple):
+class ChosenTerms(NamedTuple):
     """The head with the terms that its recording calls for."""
 
     fit: HeadFit
@@ -78,12 +78,12 @@ class Chosen(NamedTuple):
     """Solution with harmonics, of some of the frames, if these are called for too; else None."""
 
 
-def choose_terms(fit: HeadFit, cameras: bool) -> Chosen:
+def choose_terms(fit: HeadFit, cameras: bool) -> ChosenTerms:
     """Add the terms that a recording calls for, most significant first.
 
     Args:
         fit: fit of the head without terms.
-        cameras: True if the cameras are estimated, see `prior_sigma_of`.
+        cameras: True if the cameras are estimated, see `parameter_prior_sigma`.
     """
     chosen: tuple[str, ...] = ()
     left, some = set(TERMS), _thinned(fit)
@@ -100,7 +100,7 @@ def choose_terms(fit: HeadFit, cameras: bool) -> Chosen:
             if _predicts_better(richer, some, least):
                 some, chosen = richer, (*chosen, best)
     lasting = tuple(term for term in chosen if term != "harmonics")
-    return Chosen(
+    return ChosenTerms(
         _richer(fit, lasting, cameras) if lasting else fit,
         some.solution if lasting != chosen else None,
     )
@@ -115,7 +115,7 @@ def _thinned(fit: HeadFit) -> HeadFit:
         return fit
     problem, kept = own.of(some), fit.kept[:, some]
     start = problem.start(state.boards)._replace(
-        values=state.values, bend=state.bend, errors=state.errors[some]
+        values=state.values, bend=state.bend, frame_errors=state.frame_errors[some]
     )
     return HeadFit(solve(problem, start, Weights.of(kept)), kept)
 
@@ -137,7 +137,7 @@ def _extended(
     reading_terms = own.terms.with_terms(nominal_head, terms)
     problem = HeadAdjustment(
         nominal_head,
-        prior_sigma_of(nominal_head, cameras),
+        parameter_prior_sigma(nominal_head, cameras),
         own.frames,
         scatter_ratio=own.scatter_ratio,
         terms=reading_terms,
@@ -146,11 +146,11 @@ def _extended(
     start = problem.start(state.boards)._replace(
         values=convert_for_terms(solution.head, terms).parameters(nominal_head).values,
         bend=state.bend,
-        errors=state.errors,
+        frame_errors=state.frame_errors,
         terms=np.array([known.get(name, 0.0) for name in reading_terms.names]),
     )
-    if len(start.shared) == len(state.shared):
-        start = start._replace(shared=state.shared)
+    if len(start.shared_errors) == len(state.shared_errors):
+        start = start._replace(shared_errors=state.shared_errors)
     return problem, start
 
 
@@ -183,7 +183,7 @@ def _gains(
         gains["axes"] = _gain(normal, every, ~every) / chance["axes"]
     noise = max(solution.reduced_chi, 1.0) ** 2
     # while a term is missing, its error enlarges the readings' sigma and so reduces the gain
-    own, scatter_ratio = solution.problem.joints.is_single, solution.problem.scatter_ratio
+    own, scatter_ratio = solution.problem.joint_errors.is_single, solution.problem.scatter_ratio
     belief = 1.0 if scatter_ratio is None else float(scatter_ratio.max()) ** 2
     worth = _WORTH * 2.0 * own.sum() / belief
     return {
@@ -193,7 +193,7 @@ def _gains(
     }
 
 
-def _gain(normal: Normal, mine: NDArray[np.bool_], others: NDArray[np.bool_]) -> float:
+def _gain(normal: NormalEquations, mine: NDArray[np.bool_], others: NDArray[np.bool_]) -> float:
     """Predict the reduction of the sum of squares if some unknowns move and others follow."""
     M, slope = normal.matrix, normal.gradient
     across = np.linalg.solve(M[np.ix_(others, others)], M[np.ix_(others, mine)])
@@ -216,10 +216,12 @@ def _predicts_better(richer: HeadFit, simpler: HeadFit, least: float) -> bool:
     # judge the readings of both heads by the richer head's sigma
     rich, simple = richer.solution.problem, simpler.solution.problem
     scatter_ratio = np.ones(7) if simple.scatter_ratio is None else simple.scatter_ratio
-    known = simple.joints.sigma > 0.0
-    ratio = np.divide(rich.joints.sigma, simple.joints.sigma, out=np.ones(7), where=known)
-    less = np.log(held_out(simpler.solution, kept, ratio * scatter_ratio).poses) - np.log(
-        held_out(richer.solution, kept).poses
+    known = simple.joint_errors.sigma > 0.0
+    ratio = np.divide(
+        rich.joint_errors.sigma, simple.joint_errors.sigma, out=np.ones(7), where=known
+    )
+    less = np.log(cross_validate(simpler.solution, kept, ratio * scatter_ratio).poses) - np.log(
+        cross_validate(richer.solution, kept).poses
     )
     less = less[np.isfinite(less)]
     surely = _SURELY * np.std(less) / np.sqrt(max(len(less), 1))

@@ -34,15 +34,15 @@ class CalibrateIntrinsics(CalibrationOptions):
     def run(self) -> int:
         """Run the command."""
         self.check(self.out)
-        from vergence.perception.photographs import photographs_of
+        from vergence.perception.photographs import list_photographs
 
         if not self.images:
             raise ConfigurationError("expected images or folders of images, got none")
-        from vergence.calibration.files import camera_document
+        from vergence.calibration.files import ros_camera_document
 
         def text(found: "Calibration") -> str:
             import yaml
 
-            return str(yaml.safe_dump(camera_document(found), sort_keys=False))
+            return str(yaml.safe_dump(ros_camera_document(found), sort_keys=False))
 
-        return self.calibrated([photographs_of(self.images)], self.out, text)
+        return self.calibrated([list_photographs(self.images)], self.out, text)

@@ -17,7 +17,7 @@ def print_calibration(calibration: "Calibration", out: Path) -> None:
         calibration: the calibration.
         out: the file that it is written to.
     """
-    from vergence.calibration.adjustment import rms
+    from vergence.calibration.adjustment import rms_length
     from vergence.calibration.projection import camera_parameter_names
     from vergence.models.joints import EYE_NAMES
 
@@ -46,8 +46,8 @@ def print_calibration(calibration: "Calibration", out: Path) -> None:
         for name, each in zip(names, calibration.rms_alone_px, strict=True)
     ]
     if several:
-        rows.append(["both together", f"{rms(calibration.fit.solution.residuals_px):.3f}"])
-    rows.append(["views held out", f"{rms(calibration.held_out_px):.3f}"])
+        rows.append(["both together", f"{rms_length(calibration.fit.solution.residuals_px):.3f}"])
+    rows.append(["views held out", f"{rms_length(calibration.held_out_px):.3f}"])
     kept, every = int(calibration.fit.kept.sum()), len(calibration.fit.kept)
     print_table(["residual", "rms (px)"], rows, title=f"{kept} of {every} views", wrapped=(0,))
     if calibration.dropped:
@@ -59,5 +59,5 @@ def print_calibration(calibration: "Calibration", out: Path) -> None:
         )
     if several:
         larger = f"if it is 1 % larger, the baseline is {1.01 * calibration.baseline_mm[0]:.2f} mm"
-        print(f"lengths are as right as the board ({calibration.seen.target}): {larger}\n")
+        print(f"lengths are as right as the board ({calibration.observations.target}): {larger}\n")
     print(out)

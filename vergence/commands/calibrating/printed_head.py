@@ -34,10 +34,10 @@ def print_head_calibration(outcome: "HeadOutcome", out: Path) -> None:
         f"{told['rms_px']:.3f} px (length, rms) are left, {told['noise']:.2f} times what the "
         "detector says\n"
     )
-    if outcome.unseen:
+    if outcome.unobservable:
         print_table(
             ["not told by this recording", "cure", "cost"],
-            [[one.what, one.remedy or "none needed", one.cost] for one in outcome.unseen],
+            [[one.what, one.remedy or "none needed", one.cost] for one in outcome.unobservable],
             wrapped=(0, 1, 2), shortenable=(0, 1, 2),
         )  # fmt: skip
     print(out)
@@ -52,7 +52,7 @@ def print_head_calibrations(outcomes: "list[HeadOutcome]", outs: list[Path]) -> 
     """
     rows = []
     for outcome, out in zip(outcomes, outs, strict=True):
-        if outcome.refused:
+        if outcome.refusal:
             rows.append([str(out), "refused", "", "", ""])
             continue
         told = outcome.document

@@ -34,23 +34,23 @@ class CalibrateStereo(CalibrationOptions):
         self.check(self.out)
         from vergence.models.files.head_toml import check_head_name
         from vergence.perception.pairing import pair_images
-        from vergence.perception.photographs import photographs_of, some_of
+        from vergence.perception.photographs import join_first_names, list_photographs
 
         name = self.name or self.out.stem
         check_head_name(name)
         if not self.left or not self.right:
             raise ConfigurationError("left, right: expected images of both cameras, got none")
-        lefts, rights = photographs_of(self.left), photographs_of(self.right)
-        pairs = pair_images(lefts, rights, same=lefts == rights)
-        if pairs.alone:
+        lefts, rights = list_photographs(self.left), list_photographs(self.right)
+        pairs = pair_images(lefts, rights, one_folder=lefts == rights)
+        if pairs.unpaired:
             print_note(
-                f"{len(pairs.alone)} of the images without a partner: "
-                f"{some_of(path.name for path in pairs.alone)}"
+                f"{len(pairs.unpaired)} of the images without a partner: "
+                f"{join_first_names(path.name for path in pairs.unpaired)}"
             )
-        from vergence.calibration.files import head_text
+        from vergence.calibration.files import head_file_text
 
         def text(found: "Calibration") -> str:
-            return head_text(found, name, self.parsed_response())
+            return head_file_text(found, name, self.parsed_response())
 
         return self.calibrated(
             [[pair.left for pair in pairs.pairs], [pair.right for pair in pairs.pairs]],

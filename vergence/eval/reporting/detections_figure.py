@@ -15,7 +15,7 @@ from vergence.eval.reporting.style import figure_style, new_figure
 from vergence.files import atomic_file
 from vergence.models.boards import PlanarTarget
 from vergence.models.parts import FloatArray
-from vergence.perception.target_finder import Photograph, number_of
+from vergence.perception.target_finder import Photograph, tag_number
 from vergence.vision import Detection
 
 COLOURS: Final = ("#00a2ff", "#ff7a00", "#00c060", "#d84bff", "#e8c000", "#ff4060")
@@ -84,7 +84,7 @@ def draw_detections(
             panel.plot(*corners.T, "+", ms=5, mew=1.0, **style)
         first = np.nanargmin(corners.sum(axis=1) * 0.0 + target.corners_m.sum(axis=1))
         panel.plot(*corners[first], "s", ms=7, mfc="none", mew=1.8, **style)
-        number = number_of(target)
+        number = tag_number(target)
         if number is not None:
             panel.text(
                 *page_point(detection.point_px), str(number), ha="center", va="center", fontsize=12,
@@ -116,7 +116,7 @@ def _title(name: str, found: Sequence[Detection], width_in: float) -> str:
 
 def _what(found: Sequence[Detection]) -> str:
     """Summary of an image's detections: boards by name, and the number of tags."""
-    boards = [str(one.target) for one in found if number_of(one.target) is None]
+    boards = [str(one.target) for one in found if tag_number(one.target) is None]
     tags = len(found) - len(boards)
     count = [f"{tags} {'tag' if tags == 1 else 'tags'}"] if tags else []
     return ", ".join([*boards, *count]) or "nothing found"

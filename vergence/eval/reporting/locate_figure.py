@@ -22,7 +22,7 @@ from vergence.files import atomic_file
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 from vergence.perception.locate import LocateResult
-from vergence.perception.located import Located
+from vergence.perception.located import LocatedTarget
 from vergence.perception.spacing import MM
 
 _VIEWS: Final = (
@@ -99,7 +99,7 @@ def _draw_space(
     figure: Figure,
     grid: GridSpec,
     result: LocateResult,
-    seen: Sequence[Located],
+    seen: Sequence[LocatedTarget],
     colours: TargetColours,
 ) -> None:
     """Draw both views of space, with the number of points outside them."""
@@ -121,14 +121,14 @@ def _draw_space(
         panels[0].set_title(f"{panels[0].get_title()}\n{farther}", fontsize=_TITLE_PT)
 
 
-def _near(seen: Sequence[Located]) -> list[NDArray[np.bool_]]:
+def _near(seen: Sequence[LocatedTarget]) -> list[NDArray[np.bool_]]:
     """Mask of each target's points that are near enough to be drawn, (n,) each."""
     away = [np.linalg.norm(one.fix.point, axis=-1) for one in seen]
     usual = np.median([np.median(d[one.valid]) for d, one in zip(away, seen, strict=True)])
     return [one.valid & (d <= _FAR * usual) for d, one in zip(away, seen, strict=True)]
 
 
-def _heading(result: LocateResult, seen: Sequence[Located]) -> str:
+def _heading(result: LocateResult, seen: Sequence[LocatedTarget]) -> str:
     count = len({one.pair for one in seen})
     names = list(dict.fromkeys(str(one.target) for one in seen))
     what = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
@@ -141,7 +141,7 @@ def _heading(result: LocateResult, seen: Sequence[Located]) -> str:
 
 def _draw_view(
     panel: Axes,
-    seen: Sequence[Located],
+    seen: Sequence[LocatedTarget],
     near: Sequence[NDArray[np.bool_]],
     eyes: FloatArray,
     axes: tuple[int, int],
@@ -174,7 +174,7 @@ def _draw_view(
 
 def _draw_sigma(
     panels: Sequence[Axes],
-    seen: Sequence[Located],
+    seen: Sequence[LocatedTarget],
     near: Sequence[NDArray[np.bool_]],
     colours: TargetColours,
 ) -> None:
@@ -212,7 +212,7 @@ def _draw_sigma(
         panel.set_title(f"{panel.get_title()}; ellipses: {scale} sigma")
 
 
-def _outermost(one: Located, drawn: NDArray[np.bool_]) -> list[int]:
+def _outermost(one: LocatedTarget, drawn: NDArray[np.bool_]) -> list[int]:
     """Indices of the drawn corners that are farthest out along the diagonals of the board."""
     valid = np.flatnonzero(drawn)
     if not len(valid):

@@ -14,7 +14,7 @@ from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
 from vergence.files import atomic_file
-from vergence.vision.printing import RULER_MM, Sheet
+from vergence.vision.printing import RULER_MM, PrintSheet
 
 RULER_TEXT: Final = f"print at 100 %, measure this: {RULER_MM:g} mm"
 """Text next to the ruler."""
@@ -40,7 +40,7 @@ _RC: Final[Any] = {
 }
 
 
-def draw_sheet(sheet: Sheet, path: Path, dpi: float) -> None:
+def draw_sheet(sheet: PrintSheet, path: Path, dpi: float) -> None:
     """Write a sheet as PDF, SVG or PNG, atomically; equal sheets give equal bytes.
 
     Args:
@@ -64,14 +64,14 @@ def draw_sheet(sheet: Sheet, path: Path, dpi: float) -> None:
             figure.savefig(partial, format="png", dpi=dpi, metadata={"Software": None})
 
 
-def _figure(sheet: Sheet) -> Figure:
+def _figure(sheet: PrintSheet) -> Figure:
     figure = Figure(figsize=(sheet.width_mm / _INCH_MM, sheet.height_mm / _INCH_MM))
     FigureCanvasAgg(figure)
     inches = Affine2D().scale(1.0, -1.0).translate(0.0, sheet.height_mm).scale(1.0 / _INCH_MM)
     page = inches + figure.dpi_scale_trans
-    turned = Affine2D().rotate_deg(-90.0 if sheet.upright else 0.0)
-    strip = turned.translate(*sheet.ruler_mm) + page
-    for loops, transform in ((sheet.black_mm, page), (_ruler(), strip)):
+    turned = Affine2D().rotate_deg(-90.0 if sheet.ruler_upright else 0.0)
+    strip = turned.translate(*sheet.ruler_zero_mm) + page
+    for loops, transform in ((sheet.black_outlines_mm, page), (_ruler(), strip)):
         patch = PathPatch(_compound(loops), facecolor="black", linewidth=0.0, transform=transform)
         patch.set_snap(False)  # snapping to whole pixels would move edges by up to half a pixel
         figure.add_artist(patch)
@@ -79,7 +79,7 @@ def _figure(sheet: Sheet) -> Figure:
         figure.text(
             *(0.0, v, text),
             transform=strip,
-            rotation=90.0 if sheet.upright else 0.0,
+            rotation=90.0 if sheet.ruler_upright else 0.0,
             rotation_mode="anchor",
             verticalalignment="top",
             fontsize=_TEXT_PT,

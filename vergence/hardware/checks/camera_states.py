@@ -16,8 +16,8 @@ import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.hardware.config import HardwareConfig
-from vergence.vision.image import silent_opencv
-from vergence.vision.video import EXPOSURE_STEP_S, MANUAL_EXPOSURE, is_device, open_capture
+from vergence.vision.image import suppress_opencv_log
+from vergence.vision.video import EXPOSURE_STEP_S, MANUAL_EXPOSURE, is_local_camera, open_capture
 
 PATIENCE_S: Final = 5.0
 """Longest wait for the first image, s (chosen)."""
@@ -128,7 +128,7 @@ def measure_cameras(
         States of the cameras that could be opened, and the reasons of the others by name.
     """
     unopened: dict[str, str] = {}
-    with silent_opencv(), ExitStack() as opened:
+    with suppress_opencv_log(), ExitStack() as opened:
         captures: list[tuple[CameraRequest, CaptureDevice]] = []
         for request in requests:
             try:
@@ -190,7 +190,7 @@ def _watch(capture: CaptureDevice, clock: Callable[[], float], seconds: float) -
 
 def _state(request: CameraRequest, capture: CaptureDevice, watched: _Watched) -> CameraState:
     size, rate_hz = watched
-    if not is_device(request.source):  # a stream's settings are those of its server
+    if not is_local_camera(request.source):  # a stream's settings are those of its server
         return CameraState(
             request=request, size=size, pixel_format="", reported_hz=np.nan, rate_hz=rate_hz,
             locked=None, exposure_s=np.nan,

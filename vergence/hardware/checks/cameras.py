@@ -16,7 +16,7 @@ from vergence.hardware.checks.camera_states import (
     measure_cameras,
 )
 from vergence.hardware.config import HardwareConfig
-from vergence.vision.video import is_device, open_capture
+from vergence.vision.video import is_local_camera, open_capture
 
 __all__ = ["CameraRequest", "CameraState", "camera_requests", "check_cameras", "check_devices"]
 
@@ -58,12 +58,12 @@ def check_devices(config: HardwareConfig) -> list[Finding]:
     Args:
         config: the robot.
     """
-    requests = [one for one in camera_requests(config) if is_device(one.source)]
+    requests = [one for one in camera_requests(config) if is_local_camera(one.source)]
     return check_cameras(requests)[1] if requests else []
 
 
 def _unopened(request: CameraRequest, problem: str) -> Finding:
-    if not is_device(request.source):
+    if not is_local_camera(request.source):
         cure = "start its server, and try the address in a browser"
     elif "no such device" in problem:
         cure = "plug it in, or name another; names in /dev/v4l/by-id stay the same"
@@ -98,7 +98,7 @@ def _judge(state: CameraState) -> Iterator[Finding]:
 
 def _judge_rate(state: CameraState) -> Iterator[Finding]:
     asked_hz, source = state.request.frame_rate_hz, state.request.source
-    place = f"the camera {source}" if is_device(source) else source
+    place = f"the camera {source}" if is_local_camera(source) else source
     if not state.rate_hz:
         yield Finding(
             part=state.request.name,
@@ -127,7 +127,7 @@ def _judge_rate(state: CameraState) -> Iterator[Finding]:
 
 def _judge_exposure(state: CameraState) -> Iterator[Finding]:
     request, asked_s = state.request, state.request.exposure_s
-    if asked_s is not None and is_device(request.source):
+    if asked_s is not None and is_local_camera(request.source):
         apart = abs(state.exposure_s - asked_s)
         kept = apart <= _EXPOSURE_SHARE * asked_s or np.isnan(apart)
         if not state.locked or not kept:
@@ -155,7 +155,7 @@ def _bandwidth(shared: Sequence[CameraState]) -> Finding:
         f"{state.request.name} {state.rate_hz:.3g} ({state.alone_hz:.3g} alone)" for state in shared
     )
     full, cure = "USB controller", 'pixel_format = "MJPG", a port of another USB controller'
-    if not all(is_device(state.request.source) for state in shared):
+    if not all(is_local_camera(state.request.source) for state in shared):
         full, cure = "network or machine", "a stream of fewer bytes"
     return Finding(
         part="cameras",

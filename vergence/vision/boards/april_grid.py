@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.april_grid import AprilGrid
-from vergence.vision.boards.april_search import CornerSearch, Tags, known_of
+from vergence.vision.boards.april_search import CornerSearch, Tags, known_corner_mask
 from vergence.vision.boards.april_tags import (
     SEARCH_SCALES,
-    estimate_spacing,
+    estimate_spacing_and_edge_px,
     find_grid_tags,
     largest_consistent_group,
 )
-from vergence.vision.boards.homographies import sigma_of_middle
+from vergence.vision.boards.homographies import origin_sigma_px
 from vergence.vision.boards.smoothness import fit_board
 from vergence.vision.detection import Detection, Detector
 
@@ -120,35 +120,35 @@ class AprilGridDetector(Detector[AprilGrid]):
         board = self.target
         tags = np.where(np.abs(tags) < _FAR_PX, tags, np.nan)
         # only complete tags; the corners of others are predicted from these
-        there = np.repeat(known_of(tags).all(axis=1, keepdims=True), 4, axis=1)
+        there = np.repeat(known_corner_mask(tags).all(axis=1, keepdims=True), 4, axis=1)
         if not there.any():
             return None
         flat = self._flat(tags[there])
         search = CornerSearch(image, board, flat)
-        search.refine(there, tags, step)
-        search.grow()
-        known = np.flatnonzero(known_of(search.found))
+        search.refine_corners_of(there, tags, step)
+        search.find_neighbouring_tags()
+        known = np.flatnonzero(known_corner_mask(search.found))
         if len(known) < 4:
             return None
         corners, board_m = search.found.reshape(-1, 2)[known], board.corners_m[known]
         fit = fit_board(board_m, flat.to_plane(corners), search.half_gaps_px()[known // 4])
         if fit is None:
             return None
-        known, corners, board_m = known[fit.good], corners[fit.good], board_m[fit.good]
+        known, corners, board_m = known[fit.inliers], corners[fit.inliers], board_m[fit.inliers]
         own = np.unique(known // 4)
-        read = search.match_print(own)
+        read = search.tags_matching_print(own)
         least = min(_LEAST_TAGS, board.columns * board.rows)
         if len(known) < 4 or read.sum() < max(least, _LEAST_READ * len(own)):
             return None
         out, sigmas = np.full((2, len(board.corners_m), 2), np.nan)
         out[known] = corners
-        ratio, edge = estimate_spacing(out.reshape(-1, 4, 2), board)
+        ratio, edge = estimate_spacing_and_edge_px(out.reshape(-1, 4, 2), board)
         if abs(ratio - board.spacing) > max(_MOST_OFF, _MOST_OFF_PX / edge):
             return None
         grid_sigma_px = fit.residual_sigma_px or _DEFAULT_SIGMA_PX
         sigmas[known] = np.maximum(search.sigmas(known, corners, own), grid_sigma_px)
         middle = cv2.perspectiveTransform(np.zeros((1, 1, 2)), fit.homography)[0, 0]
-        sigma = sigma_of_middle(fit.homography, board_m, sigmas[known])
+        sigma = origin_sigma_px(fit.homography, board_m, sigmas[known])
         if (board_m.min(axis=0) < 0).all() and (board_m.max(axis=0) > 0).all():
             middle = middle + fit.distortion_px
             sigma = np.hypot(sigma, fit.distortion_sigma_px)

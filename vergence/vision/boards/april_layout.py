@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vergence.errors import ConfigurationError
 from vergence.models.april_grid import AprilGrid
 from vergence.vision.boards.april_tags import (
-    estimate_spacing,
+    estimate_spacing_and_edge_px,
     find_grid_tags,
     largest_consistent_group,
 )
@@ -29,48 +29,50 @@ _STEP: Final = 0.01
 """Resolution of estimated spacings (chosen: spacings are round numbers)."""
 
 
-def grids_in(image: NDArray[np.uint8], asked: AprilGrid | None) -> Iterator[AprilGrid]:
+def plausible_grids(image: NDArray[np.uint8], requested: AprilGrid | None) -> Iterator[AprilGrid]:
     """Find boards that explain the tags in an image.
 
     Args:
         image: grey levels, shape (height, width).
-        asked: the board that was not found; its tag edge is kept. None for any.
+        requested: the board that was not found; its tag edge is kept. None for any.
 
     Yields:
         Boards with the number of columns that most tags agree with, as many rows as the tags need,
         and the estimated spacing.
     """
-    given = asked is not None
-    asked = asked or AprilGrid()
+    given = requested is not None
+    requested = requested or AprilGrid()
     for method_index in _METHODS:
         found = find_grid_tags(image, method_index)
         if len(found) < _LEAST_TAGS:
             continue
-        spacing = _spacing(found, asked)
+        spacing = _spacing(found, requested)
         best: list[tuple[FoundSquare, int, int]] = []
         columns = 0
-        for count in dict.fromkeys([asked.columns, asked.rows, *range(1, _MOST_COLUMNS + 1)]):
+        for count in dict.fromkeys(
+            [requested.columns, requested.rows, *range(1, _MOST_COLUMNS + 1)]
+        ):
             placed = largest_consistent_group(found, count, spacing)
             if len(placed) > len(best):
                 best, columns = placed, count
         if len(best) < max(_LEAST_TAGS, _LEAST_SHARE * len(found)):
             continue
         rows = 1 + max(row for _, row, _ in best)
-        if given and rows < asked.rows and columns == asked.columns:
-            rows = asked.rows
+        if given and rows < requested.rows and columns == requested.columns:
+            rows = requested.rows
         try:
-            other = replace(asked, columns=columns, rows=rows, spacing=spacing)
+            other = replace(requested, columns=columns, rows=rows, spacing=spacing)
         except ConfigurationError:
             continue
         tags = np.full((rows * columns, 4, 2), np.nan)
         for each, _row, _column in best:
             tags[each.id] = each.corners
-        seen, _edge = estimate_spacing(tags, other)
-        if abs(seen - asked.spacing) < 2.0 * _STEP:
-            seen = asked.spacing
+        seen, _edge = estimate_spacing_and_edge_px(tags, other)
+        if abs(seen - requested.spacing) < 2.0 * _STEP:
+            seen = requested.spacing
         if np.isfinite(seen):
             other = replace(other, spacing=round(round(seen / _STEP) * _STEP, 6))
-        if other != asked or not given:
+        if other != requested or not given:
             yield other
 
 

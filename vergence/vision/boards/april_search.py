@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from vergence.models.april_grid import GRID_BORDER, AprilGrid
 from vergence.vision.boards.corners import (
     corner_sigmas,
-    estimate_noise,
+    estimate_noise_grey,
     refine_corners,
     remaining_move_px,
 )
-from vergence.vision.boards.homographies import homography
-from vergence.vision.boards.markers import sampled
-from vergence.vision.optics import FlatView, NoLens
+from vergence.vision.boards.homographies import fit_homography
+from vergence.vision.boards.markers import grey_at_pixels
+from vergence.vision.optics import FlatView, IdentityView
 
 _WINDOW: Final = 0.6
 """Half side of the refinement window, as a fraction of the distance to the next edge (chosen: more
@@ -42,7 +42,7 @@ Tags = NDArray[np.float64]
 """Corners of tags, px, shape (tags, 4, 2); nan for unknown ones."""
 
 
-def known_of(tags: Tags) -> NDArray[np.bool_]:
+def known_corner_mask(tags: Tags) -> NDArray[np.bool_]:
     """Mask of the known corners, (tags, 4)."""
     return np.asarray(np.isfinite(tags).all(axis=-1), np.bool_)
 
@@ -55,7 +55,9 @@ class CornerSearch:
         predicted: predicted corners of the tags that have been tried.
     """
 
-    def __init__(self, image: NDArray[np.uint8], board: AprilGrid, flat: FlatView | NoLens) -> None:
+    def __init__(
+        self, image: NDArray[np.uint8], board: AprilGrid, flat: FlatView | IdentityView
+    ) -> None:
         count = board.columns * board.rows
         self.found: Tags = np.full((count, 4, 2), np.nan)
         self.predicted: Tags = np.full((count, 4, 2), np.nan)
@@ -68,25 +70,30 @@ class CornerSearch:
         self._half_sides_px = np.zeros(count, int)
         self._corners_m = board.corners_m.reshape(-1, 4, 2)
 
-    def refine(self, wanted: NDArray[np.bool_], predicted: Tags, step: float | None = None) -> None:
+    def refine_corners_of(
+        self,
+        corner_mask: NDArray[np.bool_],
+        predicted: Tags,
+        max_move_fraction: float | None = None,
+    ) -> None:
         """Refine corners, and drop those without the printed contrast.
 
         Args:
-            wanted: (tags, 4) mask of the corners to refine.
+            corner_mask: (tags, 4) mask of the corners to refine.
             predicted: predicted corners of their tags, all four of each.
-            step: largest move of a corner as a fraction of the distance to the next edge; None for
-                the reach of the window.
+            max_move_fraction: largest move of a corner as a fraction of the distance to the next
+                edge; None for the reach of the window.
         """
-        numbers, own = np.nonzero(wanted)
+        numbers, own = np.nonzero(corner_mask)
         if not len(numbers):
             return
-        self.predicted[wanted] = predicted[wanted]
+        self.predicted[corner_mask] = predicted[corner_mask]
         height, width = self._image.shape
         lengths = np.linalg.norm(predicted - np.roll(predicted, 1, axis=1), axis=-1)[numbers]
         free = self._free * np.nan_to_num(np.nanmin(lengths, axis=1))
         half_sides_px = np.clip(np.rint(_WINDOW * free), *_WINDOW_PX).astype(int)
         self._half_sides_px[numbers] = half_sides_px
-        start = predicted[wanted]
+        start = predicted[corner_mask]
         places = np.full(start.shape, np.nan)
         end = np.array([width - 1.0, height - 1.0])
         inside = ((start > 0.0) & (start < end)).all(axis=1)
@@ -94,7 +101,11 @@ class CornerSearch:
             chosen = np.flatnonzero(inside & (half_sides_px == half_side_px))
             refined = refine_corners(self._image, start[chosen], half_side_px)
             moved = np.abs(refined - start[chosen]).max(axis=1)
-            most = half_side_px + 1.0 if step is None else np.maximum(step * free[chosen], 1.0)
+            most = (
+                half_side_px + 1.0
+                if max_move_fraction is None
+                else np.maximum(max_move_fraction * free[chosen], 1.0)
+            )
             good = (moved <= most) & (
                 remaining_move_px(self._image, refined, half_side_px) <= _MOST_MOVE_PX
             )
@@ -102,20 +113,20 @@ class CornerSearch:
             places[chosen[good]] = refined[good]
         self.found[numbers, own] = places
         tags = np.unique(numbers)
-        contrast = np.full(wanted.shape, np.nan)
+        contrast = np.full(corner_mask.shape, np.nan)
         contrast[tags] = self._alternation(tags)
-        seen = contrast[wanted & np.isfinite(contrast)]
+        seen = contrast[corner_mask & np.isfinite(contrast)]
         if np.isnan(self._contrast) and len(seen):
             self._contrast = max(_LEAST_CONTRAST * float(np.median(seen)), _LEAST_CONTRAST_GREY)
-        plain = np.asarray(wanted & ~(contrast > self._contrast))
+        plain = np.asarray(corner_mask & ~(contrast > self._contrast))
         self.found[plain] = np.nan
 
-    def grow(self) -> None:
+    def find_neighbouring_tags(self) -> None:
         """Search for tags next to those found, repeatedly outwards."""
         places = self._board.places
-        tried = np.asarray(known_of(self.found).any(axis=1), np.bool_)
+        tried = np.asarray(known_corner_mask(self.found).any(axis=1), np.bool_)
         while True:
-            there = known_of(self.found)
+            there = known_corner_mask(self.found)
             whole = there.all(axis=1)
             apart = np.abs(places[:, None] - places).max(axis=-1)
             new = np.flatnonzero(~tried & ((apart <= 1) & whole).any(axis=1))
@@ -126,8 +137,8 @@ class CornerSearch:
             self._refine_beside(new, 1.01 * self._board.spacing * self._board.tag_m)
             self._refine_beside(new, np.inf)
             seen = new[np.isfinite(self.predicted[new]).all(axis=(1, 2))]
-            self.found[np.setdiff1d(new, seen[self.match_print(seen)])] = np.nan
-        there = known_of(self.found)
+            self.found[np.setdiff1d(new, seen[self.tags_matching_print(seen)])] = np.nan
+        there = known_corner_mask(self.found)
         self._refine_beside(np.flatnonzero(there.any(axis=1) & ~there.all(axis=1)), np.inf)
 
     def _refine_beside(self, numbers: NDArray[np.intp], most_m: float) -> None:
@@ -137,7 +148,7 @@ class CornerSearch:
             numbers: numbers of the tags.
             most_m: largest distance on the board to the nearest known corner, m.
         """
-        there = known_of(self.found)
+        there = known_corner_mask(self.found)
         predicted, wanted = np.full(self.found.shape, np.nan), np.zeros(there.shape, bool)
         known_m, known = self._corners_m[there], self._flat.to_plane(self.found[there])
         for number in numbers.tolist():
@@ -145,7 +156,7 @@ class CornerSearch:
             away = np.linalg.norm(known_m - corners_m.mean(axis=0), axis=1)
             used = np.argsort(away)[:_MOST_BESIDE]
             used = used[away[used] < away[used[0]] + 1.5 * self._board.tag_m]
-            transform = homography(known_m[used], known[used]) if len(used) > 3 else None
+            transform = fit_homography(known_m[used], known[used]) if len(used) > 3 else None
             if transform is None:
                 continue
             ideal = cv2.perspectiveTransform(corners_m[None], transform)[0]
@@ -156,44 +167,49 @@ class CornerSearch:
         self.predicted[numbers] = np.where(
             there[numbers][..., None], self.predicted[numbers], predicted[numbers]
         )
-        self.refine(wanted, predicted)
+        self.refine_corners_of(wanted, predicted)
 
     def half_gaps_px(self) -> NDArray[np.float64]:
         """Half the gap between tags in the image at each tag, (tags,) px."""
         edges = self.predicted - np.roll(self.predicted, 1, axis=1)
         return np.asarray(0.5 * self._board.spacing * np.linalg.norm(edges, axis=-1).min(axis=1))
 
-    def match_print(self, numbers: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def tags_matching_print(self, tag_numbers: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Mask of the tags whose image agrees with their print."""
-        if not len(numbers):
+        if not len(tag_numbers):
             return np.zeros(0, bool)
-        printed = np.stack([self._board.tag_bits(int(number)) for number in numbers]).astype(float)
+        printed = np.stack([self._board.tag_bits(int(number)) for number in tag_numbers]).astype(
+            float
+        )
         size = printed.shape[-1]
         code = slice(GRID_BORDER, size - GRID_BORDER)  # borders are equal in all tags
         printed = printed[:, code, code]
         middles = (np.arange(size)[code] + 0.5) / size
         cells = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
-        grey = self._grey(numbers, cells)
-        wanted = printed.reshape(len(numbers), -1)
+        grey = self._grey(tag_numbers, cells)
+        wanted = printed.reshape(len(tag_numbers), -1)
         grey = grey - grey.mean(axis=1, keepdims=True)
         wanted = wanted - wanted.mean(axis=1, keepdims=True)
         scale = np.sqrt((grey**2).sum(axis=1) * (wanted**2).sum(axis=1))
         return np.asarray((grey * wanted).sum(axis=1) > _LEAST_ALIKE * np.maximum(scale, 1e-6))
 
     def sigmas(
-        self, known: NDArray[np.intp], corners: NDArray[np.float64], tags: NDArray[np.intp]
+        self,
+        corner_indices: NDArray[np.intp],
+        corners: NDArray[np.float64],
+        tag_numbers: NDArray[np.intp],
     ) -> NDArray[np.float64]:
         """Standard deviations of corners due to pixel noise, (n, 2) px.
 
         Args:
-            known: (n,) indices of the corners.
+            corner_indices: (n,) indices of the corners.
             corners: (n, 2) their pixels, px.
-            tags: numbers of the tags that they belong to.
+            tag_numbers: numbers of the tags that they belong to.
         """
         half = 0.5 * self._board.spacing
         gaps = np.array([[0.5, -half], [1.0 + half, 0.5], [0.5, 1.0 + half], [-half, 0.5]])
-        noise = estimate_noise(self._image, self._seen(tags, gaps).reshape(-1, 2))
-        half_sides_px = self._half_sides_px[known // 4]
+        noise = estimate_noise_grey(self._image, self._seen(tag_numbers, gaps).reshape(-1, 2))
+        half_sides_px = self._half_sides_px[corner_indices // 4]
         out = np.empty(corners.shape)
         for half_side_px in np.unique(half_sides_px).tolist():
             own = half_sides_px == half_side_px
@@ -207,14 +223,14 @@ class CornerSearch:
         grey = self._grey(numbers, (_SQUARE[:, None] + steps).reshape(-1, 2)).reshape(-1, 4, 4)
         falling = 0.5 * (grey[..., 2] + grey[..., 3] - grey[..., 0] - grey[..., 1])
         contrast = falling * np.array([1.0, -1.0, 1.0, -1.0])
-        missing = ~known_of(self.found[numbers])
+        missing = ~known_corner_mask(self.found[numbers])
         contrast[missing] = np.nan
         return np.asarray(contrast)
 
     def _grey(self, numbers: NDArray[np.intp], places: NDArray[np.float64]) -> NDArray[np.float64]:
         """Grey levels at positions on tags, in units of their edges, shape (tags, n)."""
         seen = self._seen(numbers, places)
-        return sampled(self._image, seen.reshape(-1, 2)).reshape(seen.shape[:2])
+        return grey_at_pixels(self._image, seen.reshape(-1, 2)).reshape(seen.shape[:2])
 
     def _seen(self, numbers: NDArray[np.intp], places: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels of positions on tags, in units of their edges, shape (tags, n, 2)."""

@@ -101,7 +101,7 @@ def _make() -> Any:
 
 
 def largest_consistent_group(
-    found: list[FoundSquare], columns: int, spacing: float
+    tags: list[FoundSquare], columns: int, spacing: float
 ) -> list[tuple[FoundSquare, int, int]]:
     """Select the largest connected group of tags that are arranged as on a board.
 
@@ -109,22 +109,22 @@ def largest_consistent_group(
     relative to each other.
 
     Args:
-        found: tags, perhaps of several boards.
+        tags: tags, perhaps of several boards.
         columns: tags per row of the board; the number of rows is free.
         spacing: ratio of gap to tag edge, see `AprilGrid`.
 
     Returns:
         Tags with their rows, counted from below, and columns; no number occurs twice.
     """
-    if not found:
+    if not tags:
         return []
-    row, column = np.divmod([each.id for each in found], columns)
-    corners = np.stack([each.corners for each in found])
+    row, column = np.divmod([each.id for each in tags], columns)
+    corners = np.stack([each.corners for each in tags])
     edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).mean(axis=1)
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
     near = (np.abs(row[:, None] - row) <= _NEAR) & (np.abs(column[:, None] - column) <= _NEAR)
-    fits = np.zeros((len(found), len(found)), bool)
-    for i in range(len(found)):
+    fits = np.zeros((len(tags), len(tags)), bool)
+    for i in range(len(tags)):
         others = np.flatnonzero(near[i])
         transform = cv2.getPerspectiveTransform(square, corners[i].astype(np.float32))
         away = (1.0 + spacing) * np.stack([column[others] - column[i], row[i] - row[others]], -1)
@@ -133,10 +133,10 @@ def largest_consistent_group(
         steps = np.maximum(np.abs(row[others] - row[i]), np.abs(column[others] - column[i]))
         fits[i, others] = beside < _BESIDE * np.maximum(steps, 1) * edge[others]
     fits &= fits.T
-    numbers = np.array([each.id for each in found])
-    fits &= (numbers[:, None] != numbers) | np.eye(len(found), dtype=bool)
+    numbers = np.array([each.id for each in tags])
+    fits &= (numbers[:, None] != numbers) | np.eye(len(tags), dtype=bool)
     best: list[int] = []
-    left = set(range(len(found)))
+    left = set(range(len(tags)))
     while left:
         group: list[int] = []
         rim = [left.pop()]
@@ -148,10 +148,12 @@ def largest_consistent_group(
             left -= more
             rim.extend(more)
         best = max(best, group, key=len)
-    return [(found[i], int(row[i]), int(column[i])) for i in best]
+    return [(tags[i], int(row[i]), int(column[i])) for i in best]
 
 
-def estimate_spacing(corners: NDArray[np.float64], target: AprilGrid) -> tuple[float, float]:
+def estimate_spacing_and_edge_px(
+    corners: NDArray[np.float64], target: AprilGrid
+) -> tuple[float, float]:
     """Estimate the ratio of gap to tag edge in an image.
 
     Args:

@@ -12,16 +12,20 @@ from vergence.models.boards import CharucoBoard
 from vergence.models.response import Response
 from vergence.vision.boards.corners import (
     corner_sigmas,
-    estimate_noise,
+    estimate_noise_grey,
     refine_corners,
     remaining_move_px,
 )
-from vergence.vision.boards.evenness import estimate_grid_sigma
-from vergence.vision.boards.homographies import homography, sigma_of_middle
-from vergence.vision.boards.markers import alternates, dark_first, fraction_confirmed
-from vergence.vision.boards.squares import Grid, middles
+from vergence.vision.boards.evenness import estimate_corner_scatter_px
+from vergence.vision.boards.homographies import fit_homography, origin_sigma_px
+from vergence.vision.boards.markers import (
+    fraction_of_markers_confirmed,
+    mask_alternating_corners,
+    upper_left_is_dark,
+)
+from vergence.vision.boards.squares import Grid, square_centres
 from vergence.vision.detection import Detection, Detector
-from vergence.vision.optics import EyeCamera, FlatView, NoLens
+from vergence.vision.optics import EyeCamera, FlatView, IdentityView
 
 _WINDOW_SQUARES: Final = 0.6
 """Largest half side of the refinement window, in squares (chosen)."""
@@ -163,35 +167,35 @@ class CharucoDetector(Detector[CharucoBoard]):
         limit = half_side_px + 1.0 if step_squares is None else step_squares * square
         good = (moved <= limit) & (remaining_move_px(image, refined, half_side_px) <= _MOST_MOVE_PX)
         ideal = flat.to_plane(refined)
-        transform = homography(board_m[good], ideal[good]) if good.sum() >= 4 else None
+        transform = fit_homography(board_m[good], ideal[good]) if good.sum() >= 4 else None
         if transform is None:
             return None
         beside = cv2.perspectiveTransform(board_m[None], transform)[0] - ideal
         used = good
         near = np.linalg.norm(beside, axis=1) <= _MOST_BESIDE * square
         project = partial(_project_board, flat, transform)
-        good = good & near & alternates(image, board, known, project)
+        good = good & near & mask_alternating_corners(image, board, known, project)
         if good.sum() < max(_LEAST_CORNERS, len(known) // 2):
             return None
         known, refined, ideal = known[good], refined[good], ideal[good]
-        if fraction_confirmed(image, board, known, project) < _LEAST_READ:
+        if fraction_of_markers_confirmed(image, board, known, project) < _LEAST_READ:
             return None
         out, sigmas = np.full((2, len(board.corners_m), 2), np.nan)
         out[known] = refined
         grid = out.reshape(board.rows - 1, board.columns - 1, 2)
-        noise = estimate_noise(image, _plain_squares(board, grid))
+        noise = estimate_noise_grey(image, _plain_squares(board, grid))
         even = np.full(out.shape, np.nan)
         even[known] = ideal
-        grid_sigma_px = estimate_grid_sigma(even.reshape(grid.shape)) or _DEFAULT_SIGMA_PX
+        grid_sigma_px = estimate_corner_scatter_px(even.reshape(grid.shape)) or _DEFAULT_SIGMA_PX
         sigmas[known] = np.maximum(
             corner_sigmas(image, refined, half_side_px, noise), grid_sigma_px
         )
         if not np.array_equal(good, used):  # fit again without the outliers
-            transform = homography(board.corners_m[known], ideal)
+            transform = fit_homography(board.corners_m[known], ideal)
             if transform is None:
                 return None
         point = cv2.perspectiveTransform(np.zeros((1, 1, 2)), transform)[0, 0]
-        sigma = sigma_of_middle(transform, board.corners_m[known], sigmas[known])
+        sigma = origin_sigma_px(transform, board.corners_m[known], sigmas[known])
         return Detection(board, flat.to_pixels(point[None])[0], out, sigma, sigmas)
 
 
@@ -216,7 +220,7 @@ def _most(found: list[Detection]) -> list[Detection]:
 
 
 def _project_board(
-    flat: FlatView | NoLens, transform: NDArray[np.float64], board_m: NDArray[np.float64]
+    flat: FlatView | IdentityView, transform: NDArray[np.float64], board_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Pixels of positions on the board, shape (n, 2)."""
     return flat.to_pixels(np.asarray(cv2.perspectiveTransform(board_m[None], transform)[0], float))
@@ -225,8 +229,8 @@ def _project_board(
 def _plain_squares(board: CharucoBoard, grid: Grid) -> NDArray[np.float64]:
     """Centres of the squares without a marker whose four corners are known, shape (n, 2), px."""
     rows, columns = np.indices((board.rows - 2, board.columns - 2))
-    plain = ((rows + columns) % 2 == 0) == dark_first(board)
-    places = middles(grid)[plain.ravel()]
+    plain = ((rows + columns) % 2 == 0) == upper_left_is_dark(board)
+    places = square_centres(grid)[plain.ravel()]
     return np.asarray(places[np.isfinite(places).all(axis=1)])
 
 

@@ -10,26 +10,26 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from vergence.models.boards import Checkerboard
-from vergence.vision.boards.clusters import clusters
+from vergence.vision.boards.clusters import find_corner_clusters
 from vergence.vision.boards.corners import (
     corner_sigmas,
-    estimate_noise,
+    estimate_noise_grey,
     refine_corners,
     refine_robustly,
     remaining_move_px,
 )
-from vergence.vision.boards.evenness import estimate_grid_sigma, leave_one_out_residuals
+from vergence.vision.boards.evenness import estimate_corner_scatter_px, leave_one_out_residuals
 from vergence.vision.boards.squares import (
     Grid,
-    alternates,
-    continues_beyond,
+    board_continues_beyond,
     is_regular,
-    middles,
-    shortest_square,
+    shortest_square_edge_px,
+    square_centres,
+    squares_alternate,
 )
 from vergence.vision.detection import Detection, Detector
-from vergence.vision.image import smoothed
-from vergence.vision.optics import FlatView, NoLens
+from vergence.vision.image import smooth_for_square_search
+from vergence.vision.optics import FlatView, IdentityView
 
 _WINDOW_SQUARES: Final = 0.6
 """Half side of the refinement window, in squares (chosen: a full square would contain the next
@@ -112,10 +112,10 @@ class CheckerboardDetector(Detector[Checkerboard]):
         if scale < 1.0:
             area = cv2.INTER_AREA
             small = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=area))
-        calm = smoothed(small)
+        calm = smooth_for_square_search(small)
         if calm is None:
             return []
-        for cluster in clusters(calm, self.target.columns * self.target.rows):
+        for cluster in find_corner_clusters(calm, self.target.columns * self.target.rows):
             x0, y0 = (math.floor(value / scale) for value in cluster.region[:2])
             x1, y1 = (math.ceil(value / scale) for value in cluster.region[2:])
             part = np.ascontiguousarray(image[y0:y1, x0:x1])
@@ -154,7 +154,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         if scale < 1.0:
             area = cv2.INTER_AREA
             small = np.asarray(cv2.resize(part, None, fx=scale, fy=scale, interpolation=area))
-        calm = smoothed(small)
+        calm = smooth_for_square_search(small)
         if calm is None:
             return []
         size = (self.target.columns, self.target.rows)
@@ -197,7 +197,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
             return None
         grid = corners.reshape(size)
         # a narrow window first: one wide enough for a moved target is less exact
-        for initial_error_px in (0.0, _MOVED_SQUARES * shortest_square(grid)):
+        for initial_error_px in (0.0, _MOVED_SQUARES * shortest_square_edge_px(grid)):
             for dark in (True, False) if self.target.symmetric else (True,):
                 found = self._at(image, grid, initial_error_px, _TRACKED_STEP, first_dark=dark)
                 if found is not None:
@@ -218,7 +218,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         `initial_error_px` is the error of the given corners, `step_squares` the largest move in
         squares.
         """
-        square = shortest_square(grid)
+        square = shortest_square_edge_px(grid)
         if not square >= _LEAST_SQUARE_PX:
             return None
         most = min(max(_WIDER_SQUARES * square, _WINDOW_PX[1]), _WIDER_PX)
@@ -237,19 +237,19 @@ class CheckerboardDetector(Detector[Checkerboard]):
         grid = refined.reshape(grid.shape)
         if not is_regular(grid):
             return None
-        if not alternates(image, grid, first_dark=first_dark):
+        if not squares_alternate(image, grid, upper_left_dark=first_dark):
             return None
-        if continues_beyond(image, grid, first_dark=first_dark):
+        if board_continues_beyond(image, grid, upper_left_dark=first_dark):
             return None
         flat = self._flat(refined)
         settled = _refine_strays(image, grid, square, flat)
         if settled is None:
             return None
         refined, beside = settled
-        grid_sigma_px = estimate_grid_sigma(flat.to_plane(refined).reshape(grid.shape))
+        grid_sigma_px = estimate_corner_scatter_px(flat.to_plane(refined).reshape(grid.shape))
         if grid_sigma_px > max(_UNEVEN_SQUARES * square, _UNEVEN_PX):
             return None
-        noise = estimate_noise(image, middles(grid))
+        noise = estimate_noise_grey(image, square_centres(grid))
         sigmas = np.maximum(corner_sigmas(image, refined, half_side_px, noise), grid_sigma_px)
         sigmas = np.maximum(sigmas, beside[:, None])
         if not self.target.symmetric:
@@ -257,7 +257,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
             return Detection(self.target, refined[first], refined, sigmas[first], sigmas)
         # the diagonals cross in the centre; each of four corners moves it by about a quarter
         outer = [0, self.target.columns - 1, len(refined) - 1, len(refined) - self.target.columns]
-        point = crossing(flat.to_plane(refined[outer]))
+        point = diagonal_crossing(flat.to_plane(refined[outer]))
         sigma = 0.5 * np.sqrt((sigmas[outer] ** 2).mean(axis=0))
         return Detection(self.target, flat.to_pixels(point[None])[0], refined, sigma, sigmas)
 
@@ -296,7 +296,7 @@ def _correct_displaced(grid: Grid, near: NDArray[np.float64]) -> Grid:
 
 
 def _refine_strays(
-    image: NDArray[np.uint8], grid: Grid, square: float, flat: FlatView | NoLens
+    image: NDArray[np.uint8], grid: Grid, square: float, flat: FlatView | IdentityView
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Refine stray corners again; None if one does not agree with the others in the end.
 
@@ -331,7 +331,7 @@ def _to_the_right(grid: Grid) -> float:
     return -float(along[0] / np.linalg.norm(along))
 
 
-def crossing(quad: NDArray[np.float64]) -> NDArray[np.float64]:
+def diagonal_crossing(quad: NDArray[np.float64]) -> NDArray[np.float64]:
     """Crossing of a quadrilateral's diagonals, shape (2,); its corners in cyclic order, (4, 2)."""
     (ax, ay), (bx, by), (cx, cy), (dx, dy) = quad.tolist()
     ux, uy, vx, vy = cx - ax, cy - ay, dx - bx, dy - by

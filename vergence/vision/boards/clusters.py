@@ -80,7 +80,7 @@ class _Saddles(NamedTuple):
     """(n,) range of grey levels on the circle around each; 0 if not sampled yet."""
 
 
-class Cluster(NamedTuple):
+class CornerCluster(NamedTuple):
     """A connected cluster of corners."""
 
     region: Region
@@ -89,32 +89,34 @@ class Cluster(NamedTuple):
     """(n, 2) the corners, to one pixel, px."""
 
 
-def clusters(image: NDArray[np.uint8], corners: int) -> list[Cluster]:
+def find_corner_clusters(image: NDArray[np.uint8], corner_count: int) -> list[CornerCluster]:
     """Find a few clusters with about as many corners as a board.
 
     Args:
         image: grey levels, shape (height, width), without much noise.
-        corners: number of corners of the board; clusters nearest to it in size come first.
+        corner_count: number of corners of the board; clusters nearest to it in size come first.
     """
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
     saddles = _crossed(smooth, _saddles(smooth))
     count = len(saddles.places)
-    if count < _LEAST_SHARE * corners:
+    if count < _LEAST_SHARE * corner_count:
         return []
     first, second = _of_squares(count, *_edges(smooth, saddles))
     links = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
     _number, cluster = connected_components(links, directed=False)
     sizes = np.bincount(cluster)
-    alike = np.flatnonzero((sizes >= _LEAST_SHARE * corners) & (sizes <= _MOST_TIMES * corners))
+    alike = np.flatnonzero(
+        (sizes >= _LEAST_SHARE * corner_count) & (sizes <= _MOST_TIMES * corner_count)
+    )
     lengths = np.linalg.norm(saddles.places[first] - saddles.places[second], axis=1)
     height, width = image.shape
     out = []
-    for k in alike[np.argsort(np.abs(sizes[alike] - corners), kind="stable")][:_MOST_CLUSTERS]:
+    for k in alike[np.argsort(np.abs(sizes[alike] - corner_count), kind="stable")][:_MOST_CLUSTERS]:
         places = saddles.places[cluster == k]
         margin = _MARGIN * float(np.median(lengths[cluster[first] == k])) + _MARGIN_PX
         x0, y0 = np.floor(np.maximum(places.min(axis=0) - margin, 0)).astype(int).tolist()
         x1, y1 = np.ceil(np.minimum(places.max(axis=0) + margin + 1, (width, height))).tolist()
-        out.append(Cluster((x0, y0, int(x1), int(y1)), places.astype(float)))
+        out.append(CornerCluster((x0, y0, int(x1), int(y1)), places.astype(float)))
     return out
 
 

@@ -193,19 +193,19 @@ def _moves(image: NDArray[np.uint8], corners: FloatArray, half_side_px: int) -> 
     return out
 
 
-def estimate_noise(image: NDArray[np.uint8], places: NDArray[np.float64]) -> float:
+def estimate_noise_grey(image: NDArray[np.uint8], points_px: NDArray[np.float64]) -> float:
     """Estimate the pixel noise at points inside squares of one colour.
 
     Args:
         image: grey levels, shape (height, width).
-        places: the points, px, shape (n, 2); those at the image's edge are left out.
+        points_px: the points, px, shape (n, 2); those at the image's edge are left out.
 
     Returns:
         Standard deviation of a pixel's grey level, from a trimmed mean over the points; at least
         that of rounding.
     """
     height, width = image.shape
-    x, y = np.rint(places).astype(int).T
+    x, y = np.rint(points_px).astype(int).T
     inside = (x > 0) & (y > 0) & (x < width - 1) & (y < height - 1)
     if not inside.any():
         return _LEAST_NOISE_GREY

@@ -24,7 +24,7 @@ _FREE: Final = 1.6
 
 
 @compiled
-def estimate_grid_sigma(grid: NDArray[np.float64]) -> float:
+def estimate_corner_scatter_px(grid: NDArray[np.float64]) -> float:
     """Standard deviation of corners about a smooth grid, of each coordinate, px.
 
     It includes errors beyond pixel noise: uneven print, the pixel grid, compression. Perspective

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def homography(
+def fit_homography(
     board_m: NDArray[np.float64], pixels: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
     """Least-squares homography from the board's plane to the image; None if corners are collinear.
@@ -22,20 +22,20 @@ def homography(
     return np.asarray(transform, float)
 
 
-def sigma_of_middle(
-    transform: NDArray[np.float64], board_m: NDArray[np.float64], sigmas: NDArray[np.float64]
+def origin_sigma_px(
+    homography: NDArray[np.float64], board_m: NDArray[np.float64], sigmas: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Standard deviations of the board's origin in the image by a homography of corners, (2,) px.
 
     They are large if the corners do not surround the origin.
 
     Args:
-        transform: the homography.
+        homography: the homography.
         board_m: (n, 2) corners on the board, m.
         sigmas: (n, 2) their standard deviations in the image, px.
     """
     scale = 1.0 / np.abs(board_m).max()
-    H = transform @ np.diag([1.0 / scale, 1.0 / scale, 1.0])
+    H = homography @ np.diag([1.0 / scale, 1.0 / scale, 1.0])
     x, y = (scale * board_m).T
     both = np.stack([x, y, np.ones_like(x)])
     w = H[2] @ both

@@ -23,20 +23,23 @@ BoardProjection = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Function from positions on the board, (n, 2) m, to pixels, (n, 2)."""
 
 
-def dark_first(board: CharucoBoard) -> bool:
+def upper_left_is_dark(board: CharucoBoard) -> bool:
     """True if the board's upper left square is black."""
     return not (board.legacy and board.rows % 2 == 0)
 
 
-def alternates(
-    image: NDArray[np.uint8], board: CharucoBoard, known: NDArray[np.intp], project: BoardProjection
+def mask_alternating_corners(
+    image: NDArray[np.uint8],
+    board: CharucoBoard,
+    corner_indices: NDArray[np.intp],
+    project: BoardProjection,
 ) -> NDArray[np.bool_]:
     """Check that black and white alternate around each corner as printed.
 
     Args:
         image: grey levels, shape (height, width).
         board: the board.
-        known: (n,) indices of the corners.
+        corner_indices: (n,) indices of the corners.
         project: projection of the board into the image.
 
     Returns:
@@ -44,36 +47,39 @@ def alternates(
     """
     away = _PROBE_MARGINS * 0.5 * (board.square_m - board.marker_m)
     steps = away * np.array([[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0]])
-    probes = (board.corners_m[known][:, None] + steps).reshape(-1, 2)
-    grey = sampled(image, project(probes)).reshape(-1, 4)
-    row, column = np.divmod(known, board.columns - 1)
-    sign = np.where(((row + column) % 2 == 0) == dark_first(board), 1.0, -1.0)
+    probes = (board.corners_m[corner_indices][:, None] + steps).reshape(-1, 2)
+    grey = grey_at_pixels(image, project(probes)).reshape(-1, 4)
+    row, column = np.divmod(corner_indices, board.columns - 1)
+    sign = np.where(((row + column) % 2 == 0) == upper_left_is_dark(board), 1.0, -1.0)
     contrast = 0.5 * sign * (grey[:, 2] + grey[:, 3] - grey[:, 0] - grey[:, 1])
     return contrast > max(_LEAST_CONTRAST_GREY, _LEAST_CONTRAST * float(np.median(contrast)))
 
 
-def fraction_confirmed(
-    image: NDArray[np.uint8], board: CharucoBoard, known: NDArray[np.intp], project: BoardProjection
+def fraction_of_markers_confirmed(
+    image: NDArray[np.uint8],
+    board: CharucoBoard,
+    corner_indices: NDArray[np.intp],
+    project: BoardProjection,
 ) -> float:
     """Fraction of the markers beside some corners whose image agrees with their print.
 
     Args:
-        image: see `alternates`.
-        board: see `alternates`.
-        known: see `alternates`.
-        project: see `alternates`.
+        image: see `mask_alternating_corners`.
+        board: see `mask_alternating_corners`.
+        corner_indices: see `mask_alternating_corners`.
+        project: see `mask_alternating_corners`.
     """
-    row, column = np.divmod(known, board.columns - 1)
+    row, column = np.divmod(corner_indices, board.columns - 1)
     beside = np.zeros((board.rows, board.columns), bool)
     for down in range(2):
         for right in range(2):
             beside[row + down, column + right] = True
     middles_m, printed = _squares(board)
     rows, columns = np.indices(beside.shape)
-    marked = ((rows + columns) % 2 == 1) == dark_first(board)
+    marked = ((rows + columns) % 2 == 1) == upper_left_is_dark(board)
     chosen = (beside & marked).ravel()
     places = middles_m[chosen]
-    grey = sampled(image, project(places.reshape(-1, 2))).reshape(places.shape[:2])
+    grey = grey_at_pixels(image, project(places.reshape(-1, 2))).reshape(places.shape[:2])
     grey = grey - grey.mean(axis=1, keepdims=True)
     wanted = printed[chosen]
     scale = np.sqrt((grey**2).sum(axis=1) * (wanted**2).sum(axis=1))
@@ -98,10 +104,10 @@ def _squares(board: CharucoBoard) -> tuple[NDArray[np.float64], NDArray[np.float
     )
 
 
-def sampled(image: NDArray[np.uint8], places: NDArray[np.float64]) -> NDArray[np.float64]:
+def grey_at_pixels(image: NDArray[np.uint8], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
     """Grey levels at pixels (n, 2); replicated beyond the border, the upper left pixel for nan."""
     remap: Any = cv2.remap
-    where = np.nan_to_num(places, nan=-1e4)
+    where = np.nan_to_num(pixels, nan=-1e4)
     out = np.empty(len(where))
     for start in range(0, len(where), 16384):  # remap takes at most 32767 in a row
         part = where[None, start : start + 16384].astype(np.float32)

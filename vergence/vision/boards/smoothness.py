@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.vision.boards.homographies import homography
+from vergence.vision.boards.homographies import fit_homography
 
 _HIGHEST: Final = 8
 """Highest degree of the polynomial that models lens distortion on top of a homography (chosen)."""
@@ -30,7 +30,7 @@ class BoardFit(NamedTuple):
 
     homography: NDArray[np.float64]
     """Homography from the board's plane to the image."""
-    good: NDArray[np.bool_]
+    inliers: NDArray[np.bool_]
     """(n,) mask of the inliers."""
     residual_sigma_px: float
     """Standard deviation of the inliers' residuals, of each coordinate; 0 if unknown."""
@@ -94,7 +94,7 @@ def _fit_polynomial(
 ) -> _Fit | None:
     """Fit the polynomial with least generalised cross validation (Golub, Heath and Wahba 1979)."""
     count = int(good.sum())
-    transform = homography(board_m[good], pixels[good]) if count >= _OF_HOMOGRAPHY else None
+    transform = fit_homography(board_m[good], pixels[good]) if count >= _OF_HOMOGRAPHY else None
     if transform is None:
         return None
     residuals = (pixels - cv2.perspectiveTransform(board_m[None], transform)[0])[good]

@@ -38,7 +38,7 @@ Grid = NDArray[np.float64]
 """Corners by row and column, shape (rows, columns, 2), px."""
 
 
-def shortest_square(grid: Grid) -> float:
+def shortest_square_edge_px(grid: Grid) -> float:
     """Length of the shortest edge of a square in the image, px."""
     along_x, along_y = np.diff(grid, axis=1), np.diff(grid, axis=0)
     shortest = min((along_x**2).sum(axis=-1).min(), (along_y**2).sum(axis=-1).min())
@@ -68,21 +68,25 @@ def is_regular(grid: Grid) -> bool:
     return True
 
 
-def alternates(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> bool:
+def squares_alternate(
+    image: NDArray[np.uint8], grid: Grid, *, upper_left_dark: bool = True
+) -> bool:
     """Check that squares alternate around the corners, up to a few wrong ones.
 
     Args:
         image: grey levels, shape (height, width).
         grid: the corners.
-        first_dark: true if the upper left square is dark.
+        upper_left_dark: true if the upper left square is dark.
     """
-    right, seen = _read(image, _extended(grid, 1, _OUTER_SHARE), first_dark)
+    right, seen = _read(image, _extended(grid, 1, _OUTER_SHARE), upper_left_dark)
     return bool((seen & ~right).sum() <= _MOST_WRONG * max(seen.sum(), 1)) and bool(
         seen[1:-1, 1:-1].all()
     )
 
 
-def continues_beyond(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool = True) -> bool:
+def board_continues_beyond(
+    image: NDArray[np.uint8], grid: Grid, *, upper_left_dark: bool = True
+) -> bool:
     """Check for four squares at the next corners beyond a side: a part of a larger board.
 
     The surroundings of a board may alternate by chance. At a corner they must do so both along the
@@ -91,12 +95,12 @@ def continues_beyond(image: NDArray[np.uint8], grid: Grid, *, first_dark: bool =
     Args:
         image: grey levels, shape (height, width).
         grid: the corners.
-        first_dark: true if the board's upper left square is dark.
+        upper_left_dark: true if the board's upper left square is dark.
     """
-    return bool(_continues_beyond(image, grid, first_dark))
+    return bool(_continues_beyond(image, grid, upper_left_dark))
 
 
-def middles(grid: Grid) -> NDArray[np.float64]:
+def square_centres(grid: Grid) -> NDArray[np.float64]:
     """Centres of the squares between the corners, shape (n, 2), px."""
     return np.asarray(_middles(grid).reshape(-1, 2))
 
@@ -216,7 +220,7 @@ def _alternate(
 
 @compiled
 def _continues_beyond(image: NDArray[np.uint8], grid: Grid, first_dark: bool) -> bool:
-    """Implement `continues_beyond`."""
+    """Implement `board_continues_beyond`."""
     rows, columns, _ = grid.shape
     for side in range(4):
         across, last = side < 2, side % 2 == 1  # the line is a row; it is below or on the right

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.tag_families import CORRECTED_BITS, TagFamilyCode
-from vergence.vision.tags.decoding import decode
+from vergence.vision.tags.decoding import decode_tag
 from vergence.vision.tags.library import FoundSquare
 from vergence.vision.tags.report import TagFit
 
@@ -52,7 +52,7 @@ def reads_as_tag(fit: TagFit, code: TagFamilyCode) -> bool:
         True if the print explains the light, the cells read as printed and the border is one
         cell wide.
     """
-    if fit.contrast < _LEAST_CONTRAST_GREY or fit.explained < _LEAST_EXPLAINED:
+    if fit.contrast < _LEAST_CONTRAST_GREY or fit.explained_fraction < _LEAST_EXPLAINED:
         return False
     wrong, frame, unclear = fit.reading
     if wrong > CORRECTED_BITS[code.name] or frame > _MOST_FRAME or unclear > _MOST_UNCLEAR:
@@ -72,23 +72,24 @@ def may_be_bent(fit: TagFit) -> bool:
     """
     wrong, frame, unclear = fit.reading
     near = wrong <= _BENT_WRONG and frame <= _MOST_FRAME and unclear <= _BENT_UNCLEAR
-    return fit.contrast == 0.0 or (near and fit.explained >= _BENT_EXPLAINED)
+    return fit.contrast == 0.0 or (near and fit.explained_fraction >= _BENT_EXPLAINED)
 
 
-def sigma_of_library_corners(
-    image: NDArray[np.uint8], square: FoundSquare, scale: float, code: TagFamilyCode
+def library_corner_sigma_px(
+    image: NDArray[np.uint8], square: FoundSquare, upscaling: float, code: TagFamilyCode
 ) -> float | None:
     """Standard deviation of the library's own corners of a tag that may be bent.
 
     Args:
         image: grey levels, shape (height, width).
         square: the tag as the library found it, in the pixels of `image`.
-        scale: pixels of `image` per pixel of the image that the library searched.
+        upscaling: pixels of `image` per pixel of the image that the library searched.
         code: the family.
 
     Returns:
-        Standard deviation, px; None if this is no tag. A tag has no wrong bit, `decode` reads the
-        same number, and its family corrects bits: in other families clutter often reads as a tag.
+        Standard deviation, px; None if this is no tag. A tag has no wrong bit, `decode_tag` reads
+        the same number, and its family corrects bits: in other families clutter often reads as
+        a tag.
     """
     corners, edge = square.corners, shortest_edge(square.corners)
     height, width = image.shape
@@ -97,10 +98,10 @@ def sigma_of_library_corners(
     inside = (corners > cell).all() and (corners < (width - cell, height - cell)).all()
     if not inside or edge < LEAST_EDGE_PX or not CORRECTED_BITS[code.name]:
         return None
-    read = decode(image, corners, code)
+    read = decode_tag(image, corners, code)
     if square.wrong_bits or read is None or read.id != square.id:
         return None
-    sigma = max(_FOUND_SIGMA[0] * scale, _FOUND_SIGMA[1] * edge)
+    sigma = max(_FOUND_SIGMA[0] * upscaling, _FOUND_SIGMA[1] * edge)
     # an object that covers part of a side would move its corners
     return sigma if read.border_fraction == 1.0 else max(sigma, 0.5 * cell)
 

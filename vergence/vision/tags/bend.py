@@ -7,8 +7,8 @@ import numpy as np
 
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
-from vergence.vision.tags.cholesky import factorise, solve
-from vergence.vision.tags.normal import add_priors, normal_equations
+from vergence.vision.tags.cholesky import cholesky_factorise, cholesky_solve
+from vergence.vision.tags.normal import add_priors, build_normal_equations
 from vergence.vision.tags.workspace import BEND_START, SPREAD, UNKNOWNS, FitBuffers
 
 _WEAK_SIGMA: Final = 0.1
@@ -20,45 +20,61 @@ must exceed (chosen: noise alone exceeds it in one flat tag of 25)."""
 
 
 @subroutine
-def bend_at(c: FloatArray, x: float, y: float) -> tuple[float, float]:
+def bend_displacement(spread_and_bend: FloatArray, x: float, y: float) -> tuple[float, float]:
     """Displacement (dx, dy) of a point of the tag's plane by the bend; 0 at the corners.
 
     With c the coefficients, dx = (c1 + c3 x) (1 - x^2) + (c2 + c4 x) (1 - y^2) and
     dy = (c5 + c7 y) (1 - x^2) + (c6 + c8 y) (1 - y^2).
 
     Args:
-        c: (9,) the spread, then the bend's eight coefficients c1 to c8.
+        spread_and_bend: (9,) the spread, then the bend's eight coefficients c1 to c8.
         x: x of the point, half edges.
         y: y of the point, half edges.
     """
     over_x, over_y = 1.0 - x * x, 1.0 - y * y
-    dx = (c[1] + c[3] * x) * over_x + (c[2] + c[4] * x) * over_y
-    dy = (c[5] + c[7] * y) * over_x + (c[6] + c[8] * y) * over_y
+    dx = (spread_and_bend[1] + spread_and_bend[3] * x) * over_x + (
+        spread_and_bend[2] + spread_and_bend[4] * x
+    ) * over_y
+    dy = (spread_and_bend[5] + spread_and_bend[7] * y) * over_x + (
+        spread_and_bend[6] + spread_and_bend[8] * y
+    ) * over_y
     return dx, dy
 
 
 @subroutine
-def bend_slopes(
-    flat_x: float, flat_y: float, x: float, y: float, by_x: float, by_y: float,
-    pixels: FloatArray, n: int,
+def bend_derivatives(
+    flat_x: float, flat_y: float, x: float, y: float, print_by_x: float, print_by_y: float,
+    pixel_rows: FloatArray, pixel_index: int,
 ) -> None:  # fmt: skip
-    """Derivatives of the print with respect to the bend's coefficients, see `bend_at`.
+    """Derivatives of the print with respect to the bend's coefficients, see `bend_displacement`.
 
     Args:
         flat_x: x of the point before the bend moves it, half edges.
         flat_y: its y.
         x: x of the point after the bend has moved it, half edges.
         y: its y.
-        by_x: derivative of the print with respect to x, there.
-        by_y: derivative with respect to y.
-        pixels: (pixels, `COLUMNS`) result, in the last columns.
-        n: index of the pixel.
+        print_by_x: derivative of the print with respect to x, there.
+        print_by_y: derivative with respect to y.
+        pixel_rows: (pixels, `COLUMNS`) result, in the last columns.
+        pixel_index: index of the pixel.
     """
     over_x, over_y = 1.0 - flat_x * flat_x, 1.0 - flat_y * flat_y
-    pixels[n, 14], pixels[n, 15] = by_x * over_x, by_x * over_y
-    pixels[n, 16], pixels[n, 17] = pixels[n, 14] * x, pixels[n, 15] * x
-    pixels[n, 18], pixels[n, 19] = by_y * over_x, by_y * over_y
-    pixels[n, 20], pixels[n, 21] = pixels[n, 18] * y, pixels[n, 19] * y
+    pixel_rows[pixel_index, 14], pixel_rows[pixel_index, 15] = (
+        print_by_x * over_x,
+        print_by_x * over_y,
+    )
+    pixel_rows[pixel_index, 16], pixel_rows[pixel_index, 17] = (
+        pixel_rows[pixel_index, 14] * x,
+        pixel_rows[pixel_index, 15] * x,
+    )
+    pixel_rows[pixel_index, 18], pixel_rows[pixel_index, 19] = (
+        print_by_y * over_x,
+        print_by_y * over_y,
+    )
+    pixel_rows[pixel_index, 20], pixel_rows[pixel_index, 21] = (
+        pixel_rows[pixel_index, 18] * y,
+        pixel_rows[pixel_index, 19] * y,
+    )
 
 
 @subroutine
@@ -72,13 +88,17 @@ def rms_of_bend(spread_and_bend: FloatArray) -> float:
 
 @subroutine
 def estimate_bend_sigma(
-    buffers: FitBuffers, count: int, block_count: int, spread_and_bend: FloatArray, variance: float
+    buffers: FitBuffers,
+    pixel_count: int,
+    block_count: int,
+    spread_and_bend: FloatArray,
+    variance: float,
 ) -> float:
     """Estimate the prior standard deviation of a bend's coefficients by empirical Bayes.
 
     Args:
         buffers: working arrays after a step that kept the sheet flat.
-        count: number of pixels.
+        pixel_count: number of pixels.
         block_count: number of blocks.
         spread_and_bend: (9,) the spread, and a bend of 0.
         variance: variance of a pixel.
@@ -88,7 +108,9 @@ def estimate_bend_sigma(
         determine each; 0 if they are no larger than noise makes them.
     """
     matrix, solution = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
-    normal_equations(buffers.pixels, count, buffers.blocks, block_count, UNKNOWNS, matrix, solution)
+    build_normal_equations(
+        buffers.pixel_rows, pixel_count, buffers.blocks, block_count, UNKNOWNS, matrix, solution
+    )
     for j in range(UNKNOWNS):
         for i in range(BEND_START):
             solution[j] -= matrix[j, i] * buffers.step[i]
@@ -102,9 +124,9 @@ def estimate_bend_sigma(
         weak_weight,
         UNKNOWNS,
     )
-    if not factorise(matrix, UNKNOWNS):
+    if not cholesky_factorise(matrix, UNKNOWNS):
         return 0.0
-    solve(matrix, solution, UNKNOWNS)
+    cholesky_solve(matrix, solution, UNKNOWNS)
     # the factor's last rows are the factor of the bend's normal matrix, other unknowns eliminated
     squares = information = 0.0
     for j in range(BEND_START, UNKNOWNS):

@@ -7,7 +7,7 @@ from vergence.models.parts import FloatArray
 
 
 @subroutine
-def factorise(matrix: FloatArray, size: int) -> bool:
+def cholesky_factorise(matrix: FloatArray, size: int) -> bool:
     """Replace a matrix by its lower Cholesky factor; False if it is not positive definite."""
     for j in range(size):
         for i in range(j, size):
@@ -24,19 +24,19 @@ def factorise(matrix: FloatArray, size: int) -> bool:
 
 
 @subroutine
-def forward(factor: FloatArray, right: FloatArray, size: int) -> None:
+def forward_substitute(factor: FloatArray, right_side: FloatArray, size: int) -> None:
     """Solve a lower triangular system, in place."""
     for i in range(size):
         for k in range(i):
-            right[i] -= factor[i, k] * right[k]
-        right[i] /= factor[i, i]
+            right_side[i] -= factor[i, k] * right_side[k]
+        right_side[i] /= factor[i, i]
 
 
 @subroutine
-def solve(factor: FloatArray, right: FloatArray, size: int) -> None:
+def cholesky_solve(factor: FloatArray, right_side: FloatArray, size: int) -> None:
     """Solve a system given the lower Cholesky factor of its matrix, in place."""
-    forward(factor, right, size)
+    forward_substitute(factor, right_side, size)
     for i in range(size - 1, -1, -1):
         for k in range(i + 1, size):
-            right[i] -= factor[k, i] * right[k]
-        right[i] /= factor[i, i]
+            right_side[i] -= factor[k, i] * right_side[k]
+        right_side[i] /= factor[i, i]

@@ -19,7 +19,7 @@ _LEAST_BORDER_FRACTION: Final = 0.8
 clutter)."""
 
 
-def decode(
+def decode_tag(
     image: NDArray[np.uint8], corners: NDArray[np.float64], code: TagFamilyCode
 ) -> FoundSquare | None:
     """Decode a square that may be a tag of a family.

@@ -11,16 +11,16 @@ from vergence.models.boards import AprilTag, TagFamily
 from vergence.models.response import Response
 from vergence.models.tag_families import UNPRINTED, TagFamilyCode, tag_family
 from vergence.vision.detection import Detection, Detector
-from vergence.vision.image import smoothed
+from vergence.vision.image import smooth_for_square_search
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tags.acceptance import (
     LEAST_EDGE_PX,
+    library_corner_sigma_px,
     may_be_bent,
     reads_as_tag,
     shortest_edge,
-    sigma_of_library_corners,
 )
-from vergence.vision.tags.decoding import decode
+from vergence.vision.tags.decoding import decode_tag
 from vergence.vision.tags.fit import fit_tag
 from vergence.vision.tags.library import FoundSquare, find_squares
 from vergence.vision.tags.report import TagFit
@@ -91,7 +91,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
 
     def _search_half(self, image: NDArray[np.uint8]) -> list[Detection]:
         """Tags that the library finds in the image at half its size."""
-        calm = smoothed(image)
+        calm = smooth_for_square_search(image)
         if calm is None:
             return []
         small = cv2.resize(calm, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
@@ -102,7 +102,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         self, image: NDArray[np.uint8], rows: tuple[int, int] | None = None
     ) -> list[Detection]:
         """Tags that the library finds in the image at full size, or in the given rows of it."""
-        if smoothed(image) is None:
+        if smooth_for_square_search(image) is None:
             return []
         first, end = rows or (0, len(image))
         squares = find_squares(image[first:end], self.target.family)
@@ -121,7 +121,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             placed = square._replace(corners=scale * square.corners + shift)
             each, bent = self._fit_several_ways(image, placed.corners, placed.id, _STEPS, _PIXELS)
             if each is None and bent:
-                sigma = sigma_of_library_corners(image, placed, scale, self._code)
+                sigma = library_corner_sigma_px(image, placed, scale, self._code)
                 if sigma is not None:
                     each = self._with_library_corners(placed, sigma)
             if each is not None:
@@ -169,7 +169,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
 
     def _search_opencv(self, image: NDArray[np.uint8], known: list[Detection]) -> list[Detection]:
         """Tags in squares that OpenCV finds, except those that are known."""
-        if self.target.family not in _OPENCV or smoothed(image) is None:
+        if self.target.family not in _OPENCV or smooth_for_square_search(image) is None:
             return []
         if self._aruco is None:
             parameters = cv2.aruco.DetectorParameters()
@@ -188,7 +188,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             middle = corners.mean(axis=0)
             if any(_covers(each, middle) for each in (*known, *out)):
                 continue
-            read = decode(image, corners, self._code)
+            read = decode_tag(image, corners, self._code)
             squares = [] if read is None else [read]
             if i < len(named):  # which corner is the upper left one depends on OpenCV's version
                 squares += [FoundSquare(named[i], 0, np.roll(corners, k, axis=0)) for k in (0, 2)]
@@ -287,7 +287,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         return found, fit
 
 
-def compile_fit() -> None:
+def compile_tag_fit() -> None:
     """Compile the kernels of a tag's detection, on an image without a tag."""
     corners = np.array([[10.0, 10.0], [40.0, 10.0], [40.0, 40.0], [10.0, 40.0]])
     TagDetector(AprilTag())._fit_once(np.zeros((50, 50), np.uint8), corners, 0, (0, 1, 1), _PIXELS)

@@ -1,9 +1,9 @@
 r"""A tag's corners, by fitting all edges of its cells to the light of the pixels at once.
 
 A homography with eight unknowns maps the image to the tag's plane; each edge is a step blurred by a
-Gaussian. Only pixels near the edges take part (`stages`). T is the blurred print (`printed_at`) at
-the point of the tag's plane that a pixel shows, p the pixel, I its light by the camera's response.
-The fit solves
+Gaussian. Only pixels near the edges take part (`stages`). T is the blurred print (`sample_print`)
+at the point of the tag's plane that a pixel shows, p the pixel, I its light by the camera's
+response. The fit solves
 
     I = a_k + b_k (T(G p + d(p)) + e |dT|),    minimise  sum w_k (I - a_k - b_k ...)^2
 
@@ -18,7 +18,7 @@ at the corners, with a common prior variance of their coefficients (empirical Ba
 clipped white are left out.
 
 The covariance of the corners is the inverse of the normal matrix, scaled by a variance that
-includes correlation of the residuals within each block (`variance_of_blocks`).
+includes correlation of the residuals within each block (`block_squares_and_freedom`).
 
 Corners come from the edges because blur moves the corner of a print inwards, but not the lines that
 meet there.
@@ -34,12 +34,22 @@ from vergence._jit import compiled, subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.packed import camera_at
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import View, look_along, ray_at, undistorted_point
+from vergence.vision.plane import (
+    UndistortedView,
+    interpolate_ray,
+    set_view_along,
+    undistorted_point,
+)
 from vergence.vision.tags.bend import estimate_bend_sigma, rms_of_bend
-from vergence.vision.tags.normal import variance_of_blocks
-from vergence.vision.tags.report import NO_FIT, TagFit, report
-from vergence.vision.tags.stages import ALL, BEND, NARROW, WIDE, FitStage, begin_stage, scale_of
-from vergence.vision.tags.steps import PrintResiduals, begin_steps, compare, gauss_newton_step
+from vergence.vision.tags.normal import block_squares_and_freedom
+from vergence.vision.tags.report import NO_FIT, TagFit, report_fit
+from vergence.vision.tags.stages import ALL, BEND, NARROW, WIDE, FitStage, begin_stage, tag_scale
+from vergence.vision.tags.steps import (
+    PrintResiduals,
+    compare_print,
+    gauss_newton_step,
+    reset_line_search,
+)
 from vergence.vision.tags.workspace import (
     BEND_START,
     SPREAD,
@@ -48,7 +58,7 @@ from vergence.vision.tags.workspace import (
     SearchRegion,
     TagPrint,
     allocate_buffers,
-    sides_of,
+    side_lengths,
 )
 
 _SMALL_STEP_PX: Final = 0.02
@@ -100,13 +110,13 @@ def fit_tag(
     image: NDArray[np.uint8],
     light: FloatArray,
     rays: NDArray[np.float32],
-    row: FloatArray,
+    packed_camera: FloatArray,
     cells: FloatArray,
-    border: int,
-    quiet: float,
-    steps: tuple[int, int, int],
-    most: tuple[int, int],
-    start: FloatArray,
+    side_cells: int,
+    quiet_zone_cells: float,
+    max_steps: tuple[int, int, int],
+    max_pixels: tuple[int, int],
+    start_corners: FloatArray,
     points: FloatArray,
     sigmas: FloatArray,
 ) -> TagFit:
@@ -116,14 +126,14 @@ def fit_tag(
         image: grey levels, shape (height, width).
         light: (256,) light of each grey level, see `light_of_levels`.
         rays: (height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole.
-        row: the camera, see `pack_camera`.
+        packed_camera: the camera, see `pack_camera`.
         cells: (n, n) the print, 0 black to 1 white, nan unknown.
-        border: side of the square whose corners are sought, cells; centred in the print.
-        quiet: assumed width of the quiet zone around the print's border, cells.
-        steps: most steps in each of the three stages: with a wide band along the outer edges, with
-            a narrow band, and with the edges of the cells as well.
-        most: most pixels in the first stage, and in each of the others.
-        start: (4, 2) approximate corners, px, from the upper left clockwise.
+        side_cells: side of the square whose corners are sought, cells; centred in the print.
+        quiet_zone_cells: assumed width of the quiet zone around the print's border, cells.
+        max_steps: most steps in each of the three stages: with a wide band along the outer edges,
+            with a narrow band, and with the edges of the cells as well.
+        max_pixels: most pixels in the first stage, and in each of the others.
+        start_corners: (4, 2) approximate corners, px, from the upper left clockwise.
         points: (5, 2) result: the corners and the centre, px.
         sigmas: (5, 2) result: their standard deviations, px.
 
@@ -131,20 +141,22 @@ def fit_tag(
         Quality of the fit; `NO_FIT`, with a contrast of 0, if the square is too small or not all
         in the image, or if the fit fails.
     """
-    shortest, longest, _ = sides_of(start)
+    shortest, longest, _ = side_lengths(start_corners)
     if not (shortest >= _LEAST_EDGE_PX and longest < inf):
         return NO_FIT
-    camera, tag = camera_at(row, 0), TagPrint(cells, border, quiet)
-    region = _look(image, light, rays, camera, border, start)
+    camera, tag = camera_at(packed_camera, 0), TagPrint(cells, side_cells, quiet_zone_cells)
+    region = _look(image, light, rays, camera, side_cells, start_corners)
     state = FitState(
         np.empty((4, 2)), np.empty((3, 3)), np.empty((3, 3)), np.empty(2),
         np.zeros(UNKNOWNS - SPREAD),
     )  # fmt: skip
     for k in range(4):
-        u, v = undistorted_point(rays, region.plane, start[k, 0], start[k, 1])
+        u, v = undistorted_point(rays, region.plane, start_corners[k, 0], start_corners[k, 1])
         state.corners[k, 0], state.corners[k, 1] = u, v
-    scale = scale_of(state.corners, border, most[1])
-    buffers = allocate_buffers(max(most[0], most[1]), scale.blocks_per_edge * scale.blocks_per_edge)
+    scale = tag_scale(state.corners, side_cells, max_pixels[1])
+    buffers = allocate_buffers(
+        max(max_pixels[0], max_pixels[1]), scale.blocks_per_edge * scale.blocks_per_edge
+    )
     stage, residuals = FitStage(0, 0, False), PrintResiduals(0.0, 0.0, 0.0)
     corner_step_px = variance = bend_sigma = 0.0
     used = BEND_START
@@ -153,24 +165,24 @@ def fit_tag(
             if bend_sigma == 0.0:
                 break
             used = UNKNOWNS
-        elif steps[which] == 0:
+        elif max_steps[which] == 0:
             continue
         else:
-            blurred = which == ALL and steps[NARROW] > 0
-            few = most[0] if which == WIDE else most[1]
+            blurred = which == ALL and max_steps[NARROW] > 0
+            few = max_pixels[0] if which == WIDE else max_pixels[1]
             stage = begin_stage(which, blurred, region, tag, scale, state, buffers, few)
-            if stage.pixels < 4 * UNKNOWNS:
+            if stage.pixel_count < 4 * UNKNOWNS:
                 return NO_FIT
         fine, block_count = which != WIDE, stage.blocks_per_edge * stage.blocks_per_edge
-        begin_steps(buffers)
-        for _ in range(steps[min(which, ALL)]):
+        reset_line_search(buffers)
+        for _ in range(max_steps[min(which, ALL)]):
             before = residuals.variance
-            residuals = compare(state, tag, buffers, stage.pixels, stage.blocks_per_edge)
+            residuals = compare_print(state, tag, buffers, stage.pixel_count, stage.blocks_per_edge)
             if residuals.contrast <= 0.0:
                 return NO_FIT
             worse = (
                 which == ALL
-                and not stage.clipped
+                and not stage.dropped_clipped
                 and residuals.variance > _FAR_WORSE * before > 0.0
             )
             if worse and used == BEND_START:
@@ -178,13 +190,13 @@ def fit_tag(
                 bend_sigma, used = _LARGE_BEND_SIGMA, UNKNOWNS
             # a weak prior holds blurs near their last values
             hold = _LATER_BLUR_WEIGHT if fine else 1.0
-            blur_weight = hold * residuals.contrast * residuals.contrast * stage.pixels
+            blur_weight = hold * residuals.contrast * residuals.contrast * stage.pixel_count
             spread_sigma_px = _SPREAD_PX if which >= ALL else _NO_SPREAD_PX
             spread_weight = residuals.variance / spread_sigma_px**2
             bend_weight = residuals.variance / max(bend_sigma, 1e-9) ** 2
             corner_step_px, blur_step = gauss_newton_step(
-                state, buffers, stage.pixels, block_count, used, blur_weight, spread_weight,
-                bend_weight, scale.most_blur_px,
+                state, buffers, stage.pixel_count, block_count, used, blur_weight, spread_weight,
+                bend_weight, scale.max_blur_px,
             )  # fmt: skip
             if not corner_step_px < _LONG_STEP_PX + 0.5 * scale.cell_px:
                 return NO_FIT
@@ -192,7 +204,7 @@ def fit_tag(
             if settled and corner_step_px < (_SMALL_STEP_PX if fine else _FIRST_STEP_PX):
                 break
         if which >= ALL:
-            squares, independent = variance_of_blocks(
+            squares, independent = block_squares_and_freedom(
                 buffers.matrix, buffers.step, buffers.blocks, block_count, used
             )
             variance = (squares + _PRIOR_SQUARES * residuals.variance) / (
@@ -202,16 +214,16 @@ def fit_tag(
             bend_sigma = rms_of_bend(state.spread_and_bend)
         elif which == ALL and corner_step_px < _CONVERGED_PX:
             bend_sigma = estimate_bend_sigma(
-                buffers, stage.pixels, block_count, state.spread_and_bend, variance
+                buffers, stage.pixel_count, block_count, state.spread_and_bend, variance
             )
     shrunk = min(abs(state.spread_and_bend[3]), abs(state.spread_and_bend[8]))
     if not corner_step_px < _CONVERGED_PX or shrunk > _MOST_SHRUNK:
         return NO_FIT
     unmodelled_variance = (_BEYOND_BEND * bend_sigma * 0.5 * scale.shortest_px) ** 2
-    return report(
+    return report_fit(
         region, camera, tag, scale, state, buffers, residuals,
-        stage.blocks_per_edge * stage.blocks_per_edge, used, variance, unmodelled_variance, start,
-        points, sigmas,
+        stage.blocks_per_edge * stage.blocks_per_edge, used, variance, unmodelled_variance,
+        start_corners, points, sigmas,
     )  # fmt: skip
 
 
@@ -225,13 +237,13 @@ def _look(
     start: FloatArray,
 ) -> SearchRegion:
     """Image region around the corners, and an undistorted plane across the rays to them."""
-    view = View(len(rays) > 0, np.empty((3, 3)), np.empty((3, 3)))
+    view = UndistortedView(len(rays) > 0, np.empty((3, 3)), np.empty((3, 3)))
     if view.lens:
         u = v = 0.0
         for k in range(4):
             u, v = u + start[k, 0], v + start[k, 1]
-        x, y = ray_at(rays, u / 4.0, v / 4.0)
-        look_along(camera, x, y, view)
+        x, y = interpolate_ray(rays, u / 4.0, v / 4.0)
+        set_view_along(camera, x, y, view)
     left, top = right, bottom = start[0, 0], start[0, 1]
     for k in range(4):
         left, right = min(left, start[k, 0]), max(right, start[k, 0])

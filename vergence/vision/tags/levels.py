@@ -17,7 +17,7 @@ robustness against efficiency)."""
 
 
 @subroutine
-def block_levels(blocks: Blocks, block_count: int) -> float:
+def estimate_block_levels(blocks: Blocks, block_count: int) -> float:
     """Estimate the dark level and contrast of each block; return the mean contrast.
 
     A block of one colour, or with a contrast of the wrong sign, gets contrast 0: it is not used.
@@ -41,15 +41,17 @@ def block_levels(blocks: Blocks, block_count: int) -> float:
 
 
 @subroutine
-def block_weights(pixels: FloatArray, count: int, blocks: Blocks, block_count: int) -> float:
+def update_block_weights(
+    pixel_rows: FloatArray, pixel_count: int, blocks: Blocks, block_count: int
+) -> float:
     """Set the weights of blocks, lower for large residuals; return the weighted sum of squares."""
     sums, levels, weights = blocks.sums, blocks.levels, blocks.weights
     for k in range(block_count):
         weights[k] = 0.0
-    for n in range(count):
-        k = int(pixels[n, 1])
+    for n in range(pixel_count):
+        k = int(pixel_rows[n, 1])
         if k >= 0 and levels[k, 1] > 0.0:
-            r = pixels[n, 0] - levels[k, 0] - levels[k, 1] * pixels[n, 2]
+            r = pixel_rows[n, 0] - levels[k, 0] - levels[k, 1] * pixel_rows[n, 2]
             weights[k] += r * r
     log_total, total = 0.0, 0.0
     for k in range(block_count):

@@ -6,7 +6,7 @@ from typing import Final
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import transform_point
-from vergence.vision.tags.workspace import FitState, SearchRegion, TagPrint, sides_of
+from vergence.vision.tags.workspace import FitState, SearchRegion, TagPrint, side_lengths
 
 _LEAST_SCALE: Final = 0.4
 """Lower bound of the image scale at the far end of an edge, as a fraction of the mean scale of the
@@ -25,18 +25,18 @@ against objects behind the zone)."""
 
 
 @subroutine
-def gather_pixels(
+def gather_edge_pixels(
     region: SearchRegion,
     tag: TagPrint,
     state: FitState,
     reach_px: float,
     excluded_px: float,
-    whole: bool,
-    within: bool,
-    most: int,
-    places: FloatArray,
+    whole_square: bool,
+    cell_edges: bool,
+    max_pixels: int,
+    samples: FloatArray,
 ) -> int:
-    """Gather the pixels near the edges, evenly subsampled to at most `most`.
+    """Gather the pixels near the edges, evenly subsampled to at most `max_pixels`.
 
     Args:
         region: the image.
@@ -44,33 +44,33 @@ def gather_pixels(
         state: the tag's approximate pose.
         reach_px: half width of the band along the edges, px.
         excluded_px: width of the outer part of the quiet zone that is left out, px.
-        whole: True to take all pixels within the square.
-        within: True to take pixels near the edges of the cells within the square.
-        most: most pixels.
-        places: (most, 3) result: undistorted position and light.
+        whole_square: True to take all pixels within the square.
+        cell_edges: True to take pixels near the edges of the cells within the square.
+        max_pixels: most pixels.
+        samples: (most, 3) result: undistorted position and light.
 
     Returns:
         Number of pixels.
     """
     image, light, rays, view = region.image, region.light, region.rays, region.plane
-    G, cells, border, quiet = state.G, tag.cells, tag.border, tag.quiet
+    G, cells, border, quiet = state.G, tag.cells, tag.side_cells, tag.quiet_zone_cells
     height, width = image.shape
     left, right = max(region.left, 0), min(region.right, width - 1)
     top, bottom = max(region.top, 0), min(region.bottom, height - 1)
     half = 0.5 * border
-    shortest, _, perimeter = sides_of(state.corners)
+    shortest, _, perimeter = side_lengths(state.corners)
     expected = 2.0 * reach_px * perimeter
     area = 1.5 * (0.25 * perimeter + 2.0) ** 2
-    if within:
+    if cell_edges:
         expected *= _edges_of(cells) / (4.0 * border)
         expected = min(expected, area)
-    if whole:
+    if whole_square:
         expected = max(expected, area)
-    stride = int(expected / most) + 1
+    stride = int(expected / max_pixels) + 1
     phase = int(0.618 * stride + 0.5)
     # a cheap bound, loose enough for any perspective, rejects most pixels: they are far from edges
     away = reach_px / (_LEAST_SCALE * 0.5 * shortest)
-    nearest, farthest = 0.0 if whole or within else 1.0 - away, 1.0 + away
+    nearest, farthest = 0.0 if whole_square or cell_edges else 1.0 - away, 1.0 + away
     start = 0.5 * (len(cells) - border)
     count = 0
     for row in range(top, bottom + 1):
@@ -96,37 +96,41 @@ def gather_pixels(
                 continue
             if out_y > max(quiet_y - excluded_px, _LEAST_QUIET * quiet_y):
                 continue
-            if out > reach_px or count == most:
+            if out > reach_px or count == max_pixels:
                 continue
-            if not whole and out < -reach_px:
-                if not within:
+            if not whole_square and out < -reach_px:
+                if not cell_edges:
                     continue
                 at_x, at_y = (x + 1.0) * half + start, (y + 1.0) * half + start
                 if not _near_edge(
                     cells, at_x, at_y, reach_px * half / px_x, reach_px * half / px_y
                 ):
                     continue
-            places[count, 0], places[count, 1], places[count, 2] = u, v, light[image[row, column]]
+            samples[count, 0], samples[count, 1], samples[count, 2] = (
+                u,
+                v,
+                light[image[row, column]],
+            )
             count += 1
     return count
 
 
 @subroutine
-def without_clipped(places: FloatArray, count: int, light: FloatArray) -> int:
+def drop_clipped_pixels(samples: FloatArray, count: int, light: FloatArray) -> int:
     """Remove pixels that may be clipped, in place; return the number left.
 
     If white is clipped, demosaicking and compression have changed the neighbouring pixels as well.
     """
     clipped = 0
     for n in range(count):
-        if places[n, 2] >= light[_CLIPPED_GREY]:
+        if samples[n, 2] >= light[_CLIPPED_GREY]:
             clipped += 1
     limit = light[_CLIPPED_GREY if clipped <= _MUCH_CLIPPED * count else _BESIDE_CLIPPED_GREY]
     left = 0
     for n in range(count):
-        if places[n, 2] < limit:
+        if samples[n, 2] < limit:
             for k in range(3):
-                places[left, k] = places[n, k]
+                samples[left, k] = samples[n, k]
             left += 1
     return left
 

@@ -31,7 +31,7 @@ _HEIGHT: Final = np.exp(-0.5 * _Z**2) / sqrt(2.0 * pi)
 """Standard normal density at `_Z` (numerical)."""
 
 
-class Printed(NamedTuple):
+class PrintSample(NamedTuple):
     """The print's value at a point, and its derivatives."""
 
     value: float
@@ -40,10 +40,10 @@ class Printed(NamedTuple):
     by_blur_x: float
     """Derivative with respect to the logarithm of the blur along x."""
     by_blur_y: float
-    ridge_x: float
+    by_spread_x: float
     """Derivative with respect to the spread of white, by which all edges across x move towards
     black, in standard deviations of the blur."""
-    ridge_y: float
+    by_spread_y: float
     known: bool
     """False if a cell that contributes has an unknown print."""
 
@@ -85,29 +85,29 @@ def _weigh(x: float, s: float, weights: FloatArray) -> tuple[int, int]:
 
 
 @subroutine
-def printed_at(
+def sample_print(
     cells: FloatArray,
     x: float,
     y: float,
-    s_x: float,
-    s_y: float,
+    blur_x_cells: float,
+    blur_y_cells: float,
     along_x: FloatArray,
     along_y: FloatArray,
-) -> Printed:
+) -> PrintSample:
     """Blurred print at a point.
 
     Args:
         cells: (rows, columns) 0 black to 1 white, nan unknown; the outermost extend beyond.
         x: the point, cells to the right of the upper left corner of all cells.
         y: the point, cells below that corner.
-        s_x: standard deviation of the blur along x, cells.
-        s_y: along y.
+        blur_x_cells: standard deviation of the blur along x, cells.
+        blur_y_cells: along y.
         along_x: (4, MOST_REACHED) scratch array.
         along_y: (4, MOST_REACHED) scratch array.
     """
     rows, columns = cells.shape
-    left, across = _weigh(x, s_x, along_x)
-    top, down = _weigh(y, s_y, along_y)
+    left, across = _weigh(x, blur_x_cells, along_x)
+    top, down = _weigh(y, blur_y_cells, along_y)
     value = by_x = by_y = blur_x = blur_y = ridge_x = ridge_y = 0.0
     known = True
     for j in range(down):
@@ -132,4 +132,4 @@ def printed_at(
         by_y += along_y[1, j] * sum_
         blur_y += along_y[2, j] * sum_
         ridge_y += along_y[3, j] * sum_below
-    return Printed(value, by_x, by_y, blur_x, blur_y, ridge_x, ridge_y, known)
+    return PrintSample(value, by_x, by_y, blur_x, blur_y, ridge_x, ridge_y, known)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from vergence._jit import subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import View, distorted_pixel, grey_at, transform_point
-from vergence.vision.tags.bend import bend_at
+from vergence.vision.plane import UndistortedView, distorted_pixel, grey_at, transform_point
+from vergence.vision.tags.bend import bend_displacement
 
 _LEAST_CONTRAST_GREY: Final = 5.0
 """Smallest contrast between light and dark around a cell that is read, grey levels (chosen: dim
@@ -35,80 +35,84 @@ above)."""
 class CellReading(NamedTuple):
     """Counts of a print's cells that are read wrong or not clearly."""
 
-    wrong: int
+    wrong_cells: int
     """Cells that do not have the colour that is printed there."""
-    frame: int
+    wrong_rim_cells: int
     """Wrong cells on the rectangle's rim, which is common to all tags of a family."""
-    unclear: float
+    unclear_fraction: float
     """Fraction of the cells in the worst quarter that are wrong or near the middle between light
     and dark. It is large if a square was found beside its true edges, because something covers one
     of its sides."""
 
 
 @subroutine
-def read_cells(
+def compare_cells(
     image: NDArray[np.uint8],
     H: FloatArray,
     spread_and_bend: FloatArray,
     camera: CameraRow,
-    view: View,
+    view: UndistortedView,
     cells: FloatArray,
-    blur: float,
-    left: float,
-    top: float,
-    across: float,
-    down: float,
-    ring: int,
-    ring_counts: bool,
+    blur_cells: float,
+    left_cells: float,
+    top_cells: float,
+    width_cells: float,
+    height_cells: float,
+    ignored_ring_cells: int,
+    ring_gives_levels: bool,
     greys: FloatArray,
 ) -> CellReading:
     """Compare the cells in the image with the print.
 
     Args:
         image: grey levels.
-        H: (3, 3) homography to the image, see `inverse_homography`, from the rectangle that `left`,
-            `top`, `across` and `down` define.
-        spread_and_bend: (9,) the sheet's spread and bend, see `bend_at`.
+        H: (3, 3) homography to the image, see `square_to_image_homography`, from the
+            rectangle that `left_cells`, `top_cells`, `width_cells` and `height_cells` define.
+        spread_and_bend: (9,) the sheet's spread and bend, see `bend_displacement`.
         camera: the eye's camera.
         view: the undistorted plane.
         cells: (rows, columns) 0 black to 1 white, nan not compared.
-        blur: standard deviation of the blur, cells.
-        left: cells from the print's left edge to the rectangle.
-        top: cells from the print's upper edge to the rectangle.
-        across: the rectangle's width, cells.
-        down: the rectangle's height, cells.
-        ring: width of the print's outer ring that is not compared, cells: a quiet zone may be cut.
-        ring_counts: True if that ring still gives levels that other cells are compared with.
+        blur_cells: standard deviation of the blur, cells.
+        left_cells: cells from the print's left edge to the rectangle.
+        top_cells: cells from the print's upper edge to the rectangle.
+        width_cells: the rectangle's width, cells.
+        height_cells: the rectangle's height, cells.
+        ignored_ring_cells: width of the print's outer ring that is not compared, cells: a quiet
+            zone may be cut.
+        ring_gives_levels: True if that ring still gives levels that other cells are compared with.
         greys: (rows, columns) scratch array.
 
     Returns:
         Counts over the cells that are compared and lie in the image.
     """
     rows, columns = cells.shape
-    far = min(max(0.5 - _EDGE_BLURS * blur, _PROBE_CELLS[0]), _PROBE_CELLS[1])
+    far = min(max(0.5 - _EDGE_BLURS * blur_cells, _PROBE_CELLS[0]), _PROBE_CELLS[1])
     for j in range(rows):
         for i in range(columns):
             greys[j, i] = 0.0
             if cells[j, i] != cells[j, i]:
                 continue
-            if not ring_counts and min(i, j, columns - 1 - i, rows - 1 - j) < ring:
+            if (
+                not ring_gives_levels
+                and min(i, j, columns - 1 - i, rows - 1 - j) < ignored_ring_cells
+            ):
                 greys[j, i] = nan
                 continue
             for probe in range(5):
                 dx = 0.0 if probe == 0 else (far if probe < 3 else -far)
                 dy = 0.0 if probe == 0 else (far if probe % 2 else -far)
-                x = 2.0 * (i + 0.5 + dx - left) / across - 1.0
-                y = 2.0 * (j + 0.5 + dy - top) / down - 1.0
-                dx, dy = bend_at(spread_and_bend, x, y)
+                x = 2.0 * (i + 0.5 + dx - left_cells) / width_cells - 1.0
+                y = 2.0 * (j + 0.5 + dy - top_cells) / height_cells - 1.0
+                dx, dy = bend_displacement(spread_and_bend, x, y)
                 u, v = transform_point(H, x - dx, y - dy)
                 u, v = distorted_pixel(camera, view, u, v)
                 greys[j, i] += 0.2 * grey_at(image, u, v)
     wrong = frame = 0
     unclear, compared = np.zeros(4), np.zeros(4)
-    sharp = 0.5 - _EDGE_BLURS * blur >= _PROBE_CELLS[0]
+    sharp = 0.5 - _EDGE_BLURS * blur_cells >= _PROBE_CELLS[0]
     for j in range(rows):
         for i in range(columns):
-            if min(i, j, columns - 1 - i, rows - 1 - j) < ring:
+            if min(i, j, columns - 1 - i, rows - 1 - j) < ignored_ring_cells:
                 continue
             if not (cells[j, i] == cells[j, i] and greys[j, i] == greys[j, i]):
                 continue
@@ -140,9 +144,11 @@ def read_cells(
             if contrast < _LEAST_CONTRAST_GREY or beyond <= _LEAST_CELL_CONTRAST * contrast:
                 wrong += 1
                 unclear[quarter] += 1.0
-                x, y = i - left, j - top
-                on_side = (x == 0.0 or x == across - 1.0) and 0.0 <= y <= down - 1.0
-                if on_side or ((y == 0.0 or y == down - 1.0) and 0.0 <= x <= across - 1.0):
+                x, y = i - left_cells, j - top_cells
+                on_side = (x == 0.0 or x == width_cells - 1.0) and 0.0 <= y <= height_cells - 1.0
+                if on_side or (
+                    (y == 0.0 or y == height_cells - 1.0) and 0.0 <= x <= width_cells - 1.0
+                ):
                     frame += 1
             elif sharp and beyond <= _CLEAR_CELL_CONTRAST * contrast:
                 unclear[quarter] += 1.0

@@ -8,11 +8,11 @@ import numpy as np
 from vergence._jit import subroutine
 from vergence.models.lens import CameraRow
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import View, distorted_pixel, grey_at, transform_point
-from vergence.vision.tags.bend import bend_at
-from vergence.vision.tags.cholesky import solve
-from vergence.vision.tags.reading import CellReading, read_cells
-from vergence.vision.tags.stages import Scale
+from vergence.vision.plane import UndistortedView, distorted_pixel, grey_at, transform_point
+from vergence.vision.tags.bend import bend_displacement
+from vergence.vision.tags.cholesky import cholesky_solve
+from vergence.vision.tags.reading import CellReading, compare_cells
+from vergence.vision.tags.stages import TagScale
 from vergence.vision.tags.steps import PrintResiduals
 from vergence.vision.tags.workspace import (
     UNKNOWNS,
@@ -21,7 +21,7 @@ from vergence.vision.tags.workspace import (
     FitState,
     SearchRegion,
     TagPrint,
-    place_of,
+    corner_in_plane,
 )
 
 
@@ -30,7 +30,7 @@ class TagFit(NamedTuple):
 
     contrast: float
     """Mean contrast of all blocks, grey levels of light; 0 if nothing was fitted."""
-    explained: float
+    explained_fraction: float
     """Fraction of the variance near the edges that the print explains."""
     reading: CellReading
     moved_px: float
@@ -52,19 +52,19 @@ cell is still white there (chosen: such zones against blur)."""
 
 
 @subroutine
-def report(
+def report_fit(
     region: SearchRegion,
     camera: CameraRow,
     tag: TagPrint,
-    scale: Scale,
+    scale: TagScale,
     state: FitState,
     buffers: FitBuffers,
     residuals: PrintResiduals,
     block_count: int,
-    used: int,
+    unknown_count: int,
     variance: float,
     unmodelled_variance: float,
-    start: FloatArray,
+    start_corners: FloatArray,
     points: FloatArray,
     sigmas: FloatArray,
 ) -> TagFit:
@@ -79,10 +79,10 @@ def report(
         buffers: working arrays after the last step.
         residuals: residuals before that step.
         block_count: number of blocks.
-        used: number of unknowns that were sought.
+        unknown_count: number of unknowns that were sought.
         variance: variance of a pixel.
         unmodelled_variance: variance of a corner that no unknown models, px^2.
-        start: (4, 2) expected corners, px.
+        start_corners: (4, 2) expected corners, px.
         points: (5, 2) result: the corners and the centre, px.
         sigmas: (5, 2) result: their standard deviations, px.
 
@@ -92,9 +92,9 @@ def report(
     height, width = region.image.shape
     moved = largest = 0.0
     for k in range(5):
-        x, y = place_of(k)
+        x, y = corner_in_plane(k)
         u, v = transform_point(state.H, x, y)
-        a, b, c = _covariance_of(buffers.matrix, used, state.G, u, v, x, y)
+        a, b, c = _covariance_of(buffers.matrix, unknown_count, state.G, u, v, x, y)
         more = (
             unmodelled_variance if k < 4 else 0.25 * unmodelled_variance
         )  # the centre lies between four corners
@@ -107,7 +107,7 @@ def report(
             return NO_FIT
         largest = max(largest, max(sigma_u, sigma_v))
         if k < 4:
-            moved = max(moved, max(abs(u - start[k, 0]), abs(v - start[k, 1])))
+            moved = max(moved, max(abs(u - start_corners[k, 0]), abs(v - start_corners[k, 1])))
     explained = _explained(buffers.blocks, block_count)
     reading = _read(region, camera, tag, scale, state)
     share = explained / (explained + residuals.unexplained)
@@ -120,10 +120,10 @@ def _step_across_sides(
     region: SearchRegion, camera: CameraRow, tag: TagPrint, state: FitState
 ) -> float:
     """Mean step of the light across the square's sides, positive if its sign is as printed."""
-    first, cell = (len(tag.cells) - tag.border) // 2, 2.0 / tag.border
+    first, cell = (len(tag.cells) - tag.side_cells) // 2, 2.0 / tag.side_cells
     before, beyond = 1.0 - _BEFORE_CELLS * cell, 1.0 + _BEYOND_CELLS * cell
     total = 0.0
-    for k in range(tag.border):
+    for k in range(tag.side_cells):
         along = (k + 0.5) * cell - 1.0
         for side in (-1.0, 1.0):
             total += _light_at(region, camera, state, side * beyond, along)
@@ -131,7 +131,7 @@ def _step_across_sides(
             total += _light_at(region, camera, state, along, side * beyond)
             total -= _light_at(region, camera, state, along, side * before)
     printed = tag.cells[first - 1, first - 1] - tag.cells[first, first]
-    return float(printed * total / (4.0 * tag.border))
+    return float(printed * total / (4.0 * tag.side_cells))
 
 
 @subroutine
@@ -139,7 +139,7 @@ def _light_at(
     region: SearchRegion, camera: CameraRow, state: FitState, x: float, y: float
 ) -> float:
     """Light at a point of the tag's plane, half edges; 0 outside of the image."""
-    dx, dy = bend_at(state.spread_and_bend, x, y)
+    dx, dy = bend_displacement(state.spread_and_bend, x, y)
     u, v = transform_point(state.H, x - dx, y - dy)
     u, v = distorted_pixel(camera, region.plane, u, v)
     grey = grey_at(region.image, u, v)
@@ -160,29 +160,29 @@ def _explained(blocks: Blocks, block_count: int) -> float:
 
 @subroutine
 def _read(
-    region: SearchRegion, camera: CameraRow, tag: TagPrint, scale: Scale, state: FitState
+    region: SearchRegion, camera: CameraRow, tag: TagPrint, scale: TagScale, state: FitState
 ) -> CellReading:
     """Read a tag's cells; without the quiet zone's levels if fewer cells are wrong without."""
-    cells, border = tag.cells, float(tag.border)
-    offset = 0.5 * (len(cells) - tag.border)
-    ring, greys = 1 if len(cells) == tag.border + 2 else 0, np.empty(cells.shape)
+    cells, border = tag.cells, float(tag.side_cells)
+    offset = 0.5 * (len(cells) - tag.side_cells)
+    ring, greys = 1 if len(cells) == tag.side_cells + 2 else 0, np.empty(cells.shape)
     blur = max(state.blurs[0], state.blurs[1]) / scale.cell_px
     reading = CellReading(0, 0, 0.0)
     for way in range(2):
-        other = read_cells(
+        other = compare_cells(
             region.image, state.H, state.spread_and_bend, camera, region.plane, cells, blur, offset,
             offset, border, border, ring, way == 0, greys,
         )  # fmt: skip
-        if way == 0 or other.wrong < reading.wrong:
+        if way == 0 or other.wrong_cells < reading.wrong_cells:
             reading = other
-        if reading.wrong == 0 or ring == 0:
+        if reading.wrong_cells == 0 or ring == 0:
             break
     return reading
 
 
 @subroutine
 def _to_image(
-    camera: CameraRow, view: View, u: float, v: float, a: float, b: float, c: float
+    camera: CameraRow, view: UndistortedView, u: float, v: float, a: float, b: float, c: float
 ) -> tuple[float, float, float, float]:
     """Map a point and its standard deviations from the undistorted plane to the image.
 
@@ -250,7 +250,7 @@ def _covariance_of(
     for r in range(2):
         for j in range(UNKNOWNS):
             column[j] = J[r, j]
-        solve(factor, column, used)
+        cholesky_solve(factor, column, used)
         for j in range(UNKNOWNS):
             if r == 0:
                 first += J[0, j] * column[j]

@@ -3,40 +3,40 @@
 from math import sqrt
 
 from vergence._jit import subroutine
-from vergence.vision.tags.bend import bend_at, bend_slopes
-from vergence.vision.tags.printed import printed_at
+from vergence.vision.tags.bend import bend_derivatives, bend_displacement
+from vergence.vision.tags.printed import sample_print
 from vergence.vision.tags.workspace import UNKNOWNS, FitBuffers, FitState, TagPrint
 
 
 @subroutine
 def evaluate_print(
-    state: FitState, tag: TagPrint, buffers: FitBuffers, count: int, blocks_per_edge: int
+    state: FitState, tag: TagPrint, buffers: FitBuffers, pixel_count: int, blocks_per_edge: int
 ) -> None:
     """Evaluate the print and its derivatives at all pixels, and their sums by block.
 
     Args:
         state: the tag's current pose, blurs and bend.
         tag: the print.
-        buffers: its `places` are read; its `pixels` and its blocks' `sums` and `slopes` are the
-            result. A pixel to which an unknown cell contributes gets block -1.
-        count: number of pixels.
+        buffers: its `samples` are read; its `pixel_rows` and its blocks' `sums` and `slopes` are
+            the result. A pixel to which an unknown cell contributes gets block -1.
+        pixel_count: number of pixels.
         blocks_per_edge: blocks along an edge.
     """
     G, blurs, spread_and_bend, cells = state.G, state.blurs, state.spread_and_bend, tag.cells
     places, pixels, along_x, along_y = (
-        buffers.places,
-        buffers.pixels,
+        buffers.samples,
+        buffers.pixel_rows,
         buffers.along_x,
         buffers.along_y,
     )
     sums, slopes = buffers.blocks.sums, buffers.blocks.slopes
-    half, start = 0.5 * tag.border, 0.5 * (len(cells) - tag.border)
+    half, start = 0.5 * tag.side_cells, 0.5 * (len(cells) - tag.side_cells)
     for k in range(blocks_per_edge * blocks_per_edge):
         for j in range(5):
             sums[k, j] = 0.0
         for j in range(UNKNOWNS):
             slopes[k, 0, j] = slopes[k, 1, j] = 0.0
-    for n in range(count):
+    for n in range(pixel_count):
         u, v, grey = places[n, 0], places[n, 1], places[n, 2]
         w = G[2, 0] * u + G[2, 1] * v + G[2, 2]
         x = (G[0, 0] * u + G[0, 1] * v + G[0, 2]) / w
@@ -46,9 +46,9 @@ def evaluate_print(
         s_x = blurs[0] * half * sqrt(a * a + b * b) / abs(w)
         s_y = blurs[1] * half * sqrt(c * c + d * d) / abs(w)
         flat_x, flat_y = x, y
-        dx, dy = bend_at(spread_and_bend, flat_x, flat_y)
+        dx, dy = bend_displacement(spread_and_bend, flat_x, flat_y)
         x, y = x + dx, y + dy
-        at = printed_at(
+        at = sample_print(
             cells, (x + 1.0) * half + start, (y + 1.0) * half + start, s_x, s_y, along_x, along_y
         )
         if not at.known:
@@ -57,14 +57,14 @@ def evaluate_print(
         by_x, by_y = half * at.by_x, half * at.by_y
         turn = -(by_x * x + by_y * y)
         pixels[n, 0] = grey
-        ridge = at.ridge_x / blurs[0] + at.ridge_y / blurs[1]
+        ridge = at.by_spread_x / blurs[0] + at.by_spread_y / blurs[1]
         value = at.value + spread_and_bend[0] * ridge
         pixels[n, 2] = value
         pixels[n, 3], pixels[n, 4], pixels[n, 5] = by_x * x, by_x * y, by_x
         pixels[n, 6], pixels[n, 7], pixels[n, 8] = by_y * x, by_y * y, by_y
         pixels[n, 9], pixels[n, 10] = turn * x, turn * y
         pixels[n, 11], pixels[n, 12], pixels[n, 13] = at.by_blur_x, at.by_blur_y, ridge
-        bend_slopes(flat_x, flat_y, x, y, by_x, by_y, pixels, n)
+        bend_derivatives(flat_x, flat_y, x, y, by_x, by_y, pixels, n)
         share = 0.5 * blocks_per_edge / (half + 1.0)
         column = min(max(int((x * half + half + 1.0) * share), 0), blocks_per_edge - 1)
         row = min(max(int((y * half + half + 1.0) * share), 0), blocks_per_edge - 1)

@@ -4,9 +4,15 @@ from typing import Final, NamedTuple
 
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import plane_of
-from vergence.vision.tags.pixels import gather_pixels, without_clipped
-from vergence.vision.tags.workspace import FitBuffers, FitState, SearchRegion, TagPrint, sides_of
+from vergence.vision.plane import image_to_square_homography
+from vergence.vision.tags.pixels import drop_clipped_pixels, gather_edge_pixels
+from vergence.vision.tags.workspace import (
+    FitBuffers,
+    FitState,
+    SearchRegion,
+    TagPrint,
+    side_lengths,
+)
 
 WIDE, NARROW, ALL, BEND = range(4)
 """Stages: a wide band along the outer edges, a narrow one, the edges of all cells, and a bend."""
@@ -46,7 +52,7 @@ _MOST_BLUR_CELLS: Final = 0.7
 """Largest blur of a fit, cells (chosen: as above)."""
 
 
-class Scale(NamedTuple):
+class TagScale(NamedTuple):
     """Size of a tag in the image, and bounds that follow from it."""
 
     shortest_px: float
@@ -54,24 +60,26 @@ class Scale(NamedTuple):
     cell_px: float
     blocks_per_edge: int
     """Most blocks along an edge."""
-    most_blur_px: float
+    max_blur_px: float
 
 
 @subroutine
-def scale_of(corners: FloatArray, border: int, most: int) -> Scale:
+def tag_scale(corners: FloatArray, side_cells: int, max_pixels: int) -> TagScale:
     """Scale of a tag.
 
     Args:
         corners: (4, 2) approximate corners, undistorted, px.
-        border: cells along the square between them.
-        most: most pixels that take part.
+        side_cells: cells along the square between them.
+        max_pixels: most pixels that take part.
     """
-    shortest, longest, _ = sides_of(corners)
-    cell_px = shortest / border
+    shortest, longest, _ = side_lengths(corners)
+    cell_px = shortest / side_cells
     # at most one block per cell of the border: a block of one colour has no contrast
-    blocks_per_edge = min(max(int(0.5 * (shortest + longest) / _BLOCK_PX), 1), _MOST_BLOCKS, border)
-    blocks_per_edge = min(blocks_per_edge, 1 + most // (4 * _PIXELS_PER_BLOCK))
-    return Scale(
+    blocks_per_edge = min(
+        max(int(0.5 * (shortest + longest) / _BLOCK_PX), 1), _MOST_BLOCKS, side_cells
+    )
+    blocks_per_edge = min(blocks_per_edge, 1 + max_pixels // (4 * _PIXELS_PER_BLOCK))
+    return TagScale(
         shortest, cell_px, blocks_per_edge, min(max(_MOST_BLUR_CELLS * cell_px, 0.5), _MOST_BLUR_PX)
     )
 
@@ -79,49 +87,49 @@ def scale_of(corners: FloatArray, border: int, most: int) -> Scale:
 class FitStage(NamedTuple):
     """Numbers of pixels and blocks that take part in a stage."""
 
-    pixels: int
+    pixel_count: int
     blocks_per_edge: int
     """Blocks along an edge."""
-    clipped: bool
+    dropped_clipped: bool
     """True if pixels of clipped white were left out."""
 
 
 @subroutine
 def begin_stage(
-    which: int,
-    blurred: bool,
+    stage: int,
+    blurs_known: bool,
     region: SearchRegion,
     tag: TagPrint,
-    scale: Scale,
+    scale: TagScale,
     state: FitState,
     buffers: FitBuffers,
-    most: int,
+    max_pixels: int,
 ) -> FitStage:
     """Begin a stage other than `BEND`, with the homography through the corners.
 
     Args:
-        which: the stage, see `WIDE`.
-        blurred: True if an earlier stage has found the blurs.
+        stage: the stage, see `WIDE`.
+        blurs_known: True if an earlier stage has found the blurs.
         region: the image.
         tag: the print.
         scale: size of the tag in the image.
-        state: its corners are read; `G` is a result, and so are the blurs unless `blurred`.
-        buffers: its `places` are a result.
-        most: most pixels that take part.
+        state: its corners are read; `G` is a result, and so are the blurs unless `blurs_known`.
+        buffers: its `samples` are a result.
+        max_pixels: most pixels that take part.
     """
-    plane_of(state.corners, state.G)
+    image_to_square_homography(state.corners, state.G)
     blocks_per_edge, blur_px = scale.blocks_per_edge, _FIRST_BLUR_PX
     reach_px = _REACH_PX + _REACH_BLURS * _FIRST_BLUR_PX
-    if which == WIDE:
+    if stage == WIDE:
         blocks_per_edge = min(blocks_per_edge, _FIRST_BLOCKS)
         reach_px = min(_WIDE_PX, max(scale.cell_px, 2.0))
         blur_px = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * scale.cell_px, _FIRST_BLUR_PX))
-    if not blurred:
+    if not blurs_known:
         state.blurs[0] = state.blurs[1] = blur_px
-    count = gathered = gather_pixels(
+    count = gathered = gather_edge_pixels(
         region, tag, state, reach_px, _QUIET_BLURS * _FIRST_BLUR_PX,
-        scale.cell_px < reach_px + 2.0 * blur_px, which == ALL, most, buffers.places,
+        scale.cell_px < reach_px + 2.0 * blur_px, stage == ALL, max_pixels, buffers.samples,
     )  # fmt: skip
-    if which == ALL:
-        count = without_clipped(buffers.places, count, region.light)
+    if stage == ALL:
+        count = drop_clipped_pixels(buffers.samples, count, region.light)
     return FitStage(count, blocks_per_edge, count < gathered)

@@ -5,10 +5,10 @@ from typing import Final, NamedTuple
 
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import inverse_homography, transform_point
-from vergence.vision.tags.cholesky import factorise, solve
-from vergence.vision.tags.levels import block_levels, block_weights
-from vergence.vision.tags.normal import add_priors, normal_equations
+from vergence.vision.plane import square_to_image_homography, transform_point
+from vergence.vision.tags.cholesky import cholesky_factorise, cholesky_solve
+from vergence.vision.tags.levels import estimate_block_levels, update_block_weights
+from vergence.vision.tags.normal import add_priors, build_normal_equations
 from vergence.vision.tags.slopes import evaluate_print
 from vergence.vision.tags.workspace import (
     SPREAD,
@@ -16,7 +16,7 @@ from vergence.vision.tags.workspace import (
     FitBuffers,
     FitState,
     TagPrint,
-    place_of,
+    corner_in_plane,
 )
 
 _LEAST_BLUR_PX: Final = 0.3
@@ -41,25 +41,25 @@ class PrintResiduals(NamedTuple):
 
 
 @subroutine
-def compare(
-    state: FitState, tag: TagPrint, buffers: FitBuffers, count: int, blocks_per_edge: int
+def compare_print(
+    state: FitState, tag: TagPrint, buffers: FitBuffers, pixel_count: int, blocks_per_edge: int
 ) -> PrintResiduals:
     """Compare the print with the pixels, by blocks.
 
     Args:
         state: the tag's current pose, blurs and bend.
         tag: the print.
-        buffers: its `places` are read; its `pixels` and its blocks, except for their normal
+        buffers: its `samples` are read; its `pixel_rows` and its blocks, except for their normal
             equations, are the result.
-        count: number of pixels.
+        pixel_count: number of pixels.
         blocks_per_edge: blocks along an edge.
     """
     blocks, block_count = buffers.blocks, blocks_per_edge * blocks_per_edge
-    evaluate_print(state, tag, buffers, count, blocks_per_edge)
-    contrast = block_levels(blocks, block_count)
+    evaluate_print(state, tag, buffers, pixel_count, blocks_per_edge)
+    contrast = estimate_block_levels(blocks, block_count)
     if contrast <= 0.0:
         return PrintResiduals(0.0, 0.0, 0.0)
-    unexplained = block_weights(buffers.pixels, count, blocks, block_count)
+    unexplained = update_block_weights(buffers.pixel_rows, pixel_count, blocks, block_count)
     free = -float(UNKNOWNS)
     for k in range(block_count):
         if blocks.levels[k, 1] > 0.0:
@@ -68,9 +68,9 @@ def compare(
 
 
 @subroutine
-def begin_steps(buffers: FitBuffers) -> None:
+def reset_line_search(buffers: FitBuffers) -> None:
     """Make `gauss_newton_step` take the next step in full, regardless of earlier steps."""
-    buffers.step_control[0], buffers.step_control[1], last = 1.0, 0.0, buffers.last
+    buffers.line_search[0], buffers.line_search[1], last = 1.0, 0.0, buffers.previous_step
     for k in range(UNKNOWNS):
         last[k] = 0.0
 
@@ -79,13 +79,13 @@ def begin_steps(buffers: FitBuffers) -> None:
 def gauss_newton_step(
     state: FitState,
     buffers: FitBuffers,
-    count: int,
+    pixel_count: int,
     block_count: int,
-    used: int,
+    unknown_count: int,
     blur_weight: float,
     spread_weight: float,
     bend_weight: float,
-    most_blur: float,
+    max_blur_px: float,
 ) -> tuple[float, float]:
     """Take a Gauss-Newton step, shortened if the previous one overshot.
 
@@ -94,53 +94,57 @@ def gauss_newton_step(
 
     Args:
         state: the tag's pose, blurs and bend; also the result.
-        buffers: working arrays after `compare` and the previous step; the step and the Cholesky
-            factor of its normal matrix are the result.
-        count: number of pixels.
+        buffers: working arrays after `compare_print` and the previous step; the step and the
+            Cholesky factor of its normal matrix are the result.
+        pixel_count: number of pixels.
         block_count: number of blocks.
-        used: number of unknowns that are sought, the first ones.
+        unknown_count: number of unknowns that are sought, the first ones.
         blur_weight: weight that holds the blurs at their last values, see `add_priors`.
         spread_weight: weight that holds the spread at 0.
         bend_weight: weight that holds the bend at 0.
-        most_blur: largest blur, px.
+        max_blur_px: largest blur, px.
 
     Returns:
         Largest move of a corner, px, infinite if the normal matrix is not positive definite; and
         the largest change of a blur's logarithm.
     """
     matrix, step = buffers.matrix, buffers.step
-    normal_equations(buffers.pixels, count, buffers.blocks, block_count, used, matrix, step)
-    add_priors(matrix, step, state.spread_and_bend, blur_weight, spread_weight, bend_weight, used)
+    build_normal_equations(
+        buffers.pixel_rows, pixel_count, buffers.blocks, block_count, unknown_count, matrix, step
+    )
+    add_priors(
+        matrix, step, state.spread_and_bend, blur_weight, spread_weight, bend_weight, unknown_count
+    )
     slope, fraction, start_slope, last = (
         0.0,
-        buffers.step_control[0],
-        buffers.step_control[1],
-        buffers.last,
+        buffers.line_search[0],
+        buffers.line_search[1],
+        buffers.previous_step,
     )
-    for k in range(used):
+    for k in range(unknown_count):
         slope += step[k] * last[k]
         last[k] = step[k]
     if slope < 0.0:
         fraction = max(fraction * start_slope / (start_slope - slope), _LEAST_STEP_FRACTION)
     else:
         fraction = min(_FRACTION_GROWTH * fraction, 1.0)
-    if not factorise(matrix, used):
+    if not cholesky_factorise(matrix, unknown_count):
         return inf, inf
-    solve(matrix, step, used)
+    cholesky_solve(matrix, step, unknown_count)
     slope = 0.0
-    for k in range(used):
+    for k in range(unknown_count):
         step[k] *= fraction
         slope += step[k] * last[k]
         last[k] = step[k]
-    buffers.step_control[0], buffers.step_control[1] = fraction, slope
+    buffers.line_search[0], buffers.line_search[1] = fraction, slope
     _move_plane(state.G, step)
     sharper = 0.0
     for axis in range(2):
         change = min(max(step[8 + axis], -_LONGEST_BLUR_STEP), _LONGEST_BLUR_STEP)
         sharper = max(sharper, abs(change))
         blur_px = state.blurs[axis] * exp(change)
-        state.blurs[axis] = min(max(blur_px, _LEAST_BLUR_PX), most_blur)
-    for k in range(used - SPREAD):
+        state.blurs[axis] = min(max(blur_px, _LEAST_BLUR_PX), max_blur_px)
+    for k in range(unknown_count - SPREAD):
         state.spread_and_bend[k] += step[SPREAD + k]
     return _move_corners(state), sharper
 
@@ -159,10 +163,10 @@ def _move_plane(G: FloatArray, step: FloatArray) -> None:
 def _move_corners(state: FitState) -> float:
     """Update H and the corners from G; return the largest move of a corner, px."""
     corners, H = state.corners, state.H
-    inverse_homography(state.G, H)
+    square_to_image_homography(state.G, H)
     far = 0.0
     for k in range(4):
-        u, v = transform_point(H, *place_of(k))
+        u, v = transform_point(H, *corner_in_plane(k))
         far = max(far, hypot(u - corners[k, 0], v - corners[k, 1]))
         corners[k, 0], corners[k, 1] = u, v
     return far

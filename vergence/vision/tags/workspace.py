@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
-from vergence.vision.plane import View
+from vergence.vision.plane import UndistortedView
 from vergence.vision.tags.printed import MOST_REACHED
 
 UNKNOWNS: Final = 19
@@ -17,7 +17,7 @@ black, eight of a bend (numerical)."""
 SPREAD: Final = 10
 """Index of the spread, px, among the unknowns (numerical)."""
 BEND_START: Final = 11
-"""Index of the bend's first coefficient, half edges, see `bend_at` (numerical)."""
+"""Index of the bend's first coefficient, half edges, see `bend_displacement` (numerical)."""
 COLUMNS: Final = 3 + UNKNOWNS
 """Columns of a pixel: its light, its block, the print, and the derivatives (numerical)."""
 
@@ -31,7 +31,7 @@ class SearchRegion(NamedTuple):
     """(256,) light of each grey level."""
     rays: NDArray[np.float32]
     """(height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole."""
-    plane: View
+    plane: UndistortedView
     """The undistorted plane."""
     left: int
     """First pixel of the region along u; it may lie outside of the image, as the next three may."""
@@ -45,9 +45,9 @@ class TagPrint(NamedTuple):
 
     cells: FloatArray
     """(n, n) 0 black to 1 white, nan unknown."""
-    border: int
+    side_cells: int
     """Side of the square whose corners are sought, cells; centred in the print."""
-    quiet: float
+    quiet_zone_cells: float
     """Assumed width of the quiet zone around the square, cells."""
 
 
@@ -57,13 +57,14 @@ class FitState(NamedTuple):
     corners: FloatArray
     """(4, 2) undistorted, px."""
     G: FloatArray
-    """(3, 3) homography from the undistorted image to the tag's plane, see `plane_of`."""
+    """(3, 3) homography from the undistorted image to the tag's plane, see
+    `image_to_square_homography`."""
     H: FloatArray
-    """(3, 3) its inverse, see `inverse_homography`."""
+    """(3, 3) its inverse, see `square_to_image_homography`."""
     blurs: FloatArray
     """(2,) across the edges along x and along y, px."""
     spread_and_bend: FloatArray
-    """(9,) the spread, px, and the bend's coefficients, see `bend_at`."""
+    """(9,) the spread, px, and the bend's coefficients, see `bend_displacement`."""
 
 
 class Blocks(NamedTuple):
@@ -86,40 +87,40 @@ class Blocks(NamedTuple):
 class FitBuffers(NamedTuple):
     """Working arrays of the steps."""
 
-    places: FloatArray
+    samples: FloatArray
     """(pixels, 3) undistorted position and light of the pixels that take part."""
-    pixels: FloatArray
+    pixel_rows: FloatArray
     """(pixels, `COLUMNS`) see `evaluate_print`."""
     along_x: FloatArray
-    """(4, `MOST_REACHED`) see `printed_at`."""
+    """(4, `MOST_REACHED`) see `sample_print`."""
     along_y: FloatArray
-    """(4, `MOST_REACHED`) see `printed_at`."""
+    """(4, `MOST_REACHED`) see `sample_print`."""
     blocks: Blocks
     matrix: FloatArray
     """(unknowns, unknowns) normal matrix; its lower Cholesky factor after a step."""
     step: FloatArray
     """(unknowns,) right side of the normal equations; the step after it is solved."""
-    last: FloatArray
+    previous_step: FloatArray
     """(unknowns,) previous step; 0 before the first one of a stage."""
-    step_control: FloatArray
+    line_search: FloatArray
     """(2,) fraction of the previous step that was taken, and the slope along it at its start."""
 
 
 @subroutine
-def allocate_buffers(pixels: int, blocks: int) -> FitBuffers:
+def allocate_buffers(max_pixels: int, max_blocks: int) -> FitBuffers:
     """Allocate working arrays."""
     return FitBuffers(
-        np.empty((pixels, 3)),
-        np.empty((pixels, COLUMNS)),
+        np.empty((max_pixels, 3)),
+        np.empty((max_pixels, COLUMNS)),
         np.empty((4, MOST_REACHED)),
         np.empty((4, MOST_REACHED)),
         Blocks(
-            np.empty((blocks, 5)),
-            np.empty((blocks, 2, UNKNOWNS)),
-            np.empty((blocks, UNKNOWNS, UNKNOWNS)),
-            np.empty((blocks, UNKNOWNS)),
-            np.empty((blocks, 2)),
-            np.empty(blocks),
+            np.empty((max_blocks, 5)),
+            np.empty((max_blocks, 2, UNKNOWNS)),
+            np.empty((max_blocks, UNKNOWNS, UNKNOWNS)),
+            np.empty((max_blocks, UNKNOWNS)),
+            np.empty((max_blocks, 2)),
+            np.empty(max_blocks),
         ),
         np.empty((UNKNOWNS, UNKNOWNS)),
         np.empty(UNKNOWNS),
@@ -129,14 +130,17 @@ def allocate_buffers(pixels: int, blocks: int) -> FitBuffers:
 
 
 @subroutine
-def place_of(k: int) -> tuple[float, float]:
+def corner_in_plane(corner_index: int) -> tuple[float, float]:
     """Position of corner k in the tag's plane, half edges; of the centre for k = 4."""
-    if k == 4:
+    if corner_index == 4:
         return 0.0, 0.0
-    return -1.0 if k == 0 or k == 3 else 1.0, -1.0 if k < 2 else 1.0
+    return (
+        -1.0 if corner_index == 0 or corner_index == 3 else 1.0,
+        -1.0 if corner_index < 2 else 1.0,
+    )
 
 
-class Sides(NamedTuple):
+class SideLengths(NamedTuple):
     """Lengths of the sides of a square in an image."""
 
     shortest: float
@@ -146,7 +150,7 @@ class Sides(NamedTuple):
 
 
 @subroutine
-def sides_of(corners: FloatArray) -> Sides:
+def side_lengths(corners: FloatArray) -> SideLengths:
     """Lengths of the sides between (4, 2) corners."""
     shortest, longest, perimeter = inf, 0.0, 0.0
     for k in range(4):
@@ -154,4 +158,4 @@ def sides_of(corners: FloatArray) -> Sides:
         side = hypot(corners[other, 0] - corners[k, 0], corners[other, 1] - corners[k, 1])
         shortest, perimeter = min(shortest, side), perimeter + side
         longest = max(longest, side) if side < inf else inf
-    return Sides(shortest, longest, perimeter)
+    return SideLengths(shortest, longest, perimeter)
