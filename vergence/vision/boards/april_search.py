@@ -112,7 +112,7 @@ class CornerSearch:
 
     def grow(self) -> None:
         """Search for tags next to those found, repeatedly outwards."""
-        places = self._board.places
+        places = self._board.tag_cells
         tried = np.asarray(known_of(self.found).any(axis=1), np.bool_)
         while True:
             there = known_of(self.found)

@@ -93,7 +93,7 @@ def sigma_of_library_corners(
     corners, edge = square.corners, shortest_edge(square.corners)
     height, width = image.shape
     # if the image's side cuts a tag, the library moves its corner into the image
-    cell = edge / code.border
+    cell = edge / code.border_cells
     inside = (corners > cell).all() and (corners < (width - cell, height - cell)).all()
     if not inside or edge < LEAST_EDGE_PX or not CORRECTED_BITS[code.name]:
         return None
