@@ -139,7 +139,7 @@ def exceeded(rng, style, steps=60, how=""):
     worst = np.zeros(4)
     for step in range(steps):
         if step <= end:
-            command = motion.allowed(
+            command = motion.limit_velocities(
                 joints.angles, joints.speeds, requested[step], motion.max_speed
             )
             motion.advance(command)
@@ -153,7 +153,7 @@ def exceeded(rng, style, steps=60, how=""):
         beyond = np.maximum(joints.angles - upper, lower - joints.angles)[there].max()
         over_s = periods * head.timing.period_s
         change = np.abs(joints.speeds - before) / over_s / motion.acceleration - 1.0
-        entered = any(one.holds(joints.angles) for one in config.forbidden)
+        entered = any(one.contains(joints.angles) for one in config.forbidden)
         now = beyond, (np.abs(joints.speeds) - motion.max_speed).max(), change[there].max(), entered
         worst = np.maximum(worst, now)
     return worst

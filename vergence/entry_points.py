@@ -34,8 +34,8 @@ def is_entry_point(text: object) -> bool:
 class EntryPoint:
     """Location of a class, `module:class` or `path/to/file.py:class`; picklable."""
 
-    word: str
-    what: str
+    spec: str
+    kind: str
     """Name for messages, such as `controller`."""
     module: str
     """A dotted name, or the path of a file that ends in `.py`."""
@@ -44,23 +44,23 @@ class EntryPoint:
     """Current folder at creation, in which modules and files are searched, in workers as well."""
 
     @classmethod
-    def of(cls, word: str, what: str) -> "EntryPoint":
+    def of(cls, spec: str, kind: str) -> "EntryPoint":
         """Parse an entry point.
 
         Args:
-            word: text such as `my_robot:Robot` or `folder/mine.py:Mine`.
-            what: name for messages, such as `plant`.
+            spec: text such as `my_robot:Robot` or `folder/mine.py:Mine`.
+            kind: name for messages, such as `plant`.
 
         Raises:
             ConfigurationError: the text is not an entry point.
         """
-        module, colon, attribute = word.rpartition(":")
+        module, colon, attribute = spec.rpartition(":")
         named = module.endswith(".py") or all(part.isidentifier() for part in module.split("."))
         if not (colon and named and attribute.isidentifier()):
             raise ConfigurationError(
-                f"{what}: expected module:class or path/to/file.py:class, got {word!r}"
+                f"{kind}: expected module:class or path/to/file.py:class, got {spec!r}"
             )
-        return cls(word=word, what=what, module=module, attribute=attribute, folder=Path.cwd())
+        return cls(spec=spec, kind=kind, module=module, attribute=attribute, folder=Path.cwd())
 
     def load(self) -> Any:
         """Import the class or function.
@@ -74,13 +74,13 @@ class EntryPoint:
         if not hasattr(module, self.attribute):
             known = [name for name, one in vars(module).items() if _defined_in(module, one)]
             raise ConfigurationError(
-                f"{self.what} {self.word}: expected {self.attribute} in {file}, got "
+                f"{self.kind} {self.spec}: expected {self.attribute} in {file}, got "
                 f"{', '.join(known) or 'no class'}"
             )
         found = getattr(module, self.attribute)
         if not callable(found):
             raise ConfigurationError(
-                f"{self.what} {self.word}: expected a class in {file}, got {found!r:.60}"
+                f"{self.kind} {self.spec}: expected a class in {file}, got {found!r:.60}"
             )
         return found
 
@@ -100,7 +100,7 @@ class EntryPoint:
     def _import(self) -> ModuleType:
         _append(self.folder)
         importlib.invalidate_caches()
-        expected = f"{self.what}: expected module:class that exists, got {self.word!r}"
+        expected = f"{self.kind}: expected module:class that exists, got {self.spec!r}"
         try:
             if self.module.endswith(".py"):
                 return _load_file(self.folder / self.module)
@@ -120,7 +120,7 @@ class EntryPoint:
 
     def _cannot_import(self, error: BaseException) -> ConfigurationError:
         return ConfigurationError(
-            f"{self.what} {self.word}: cannot be imported: {describe_user_error(error)}"
+            f"{self.kind} {self.spec}: cannot be imported: {describe_user_error(error)}"
         )
 
 

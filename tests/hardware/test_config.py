@@ -52,8 +52,8 @@ def test_a_complete_file_says_it_all(tmp_path):
     tags = [f"tag:36h11:{ident}:90" for ident in (1, 2)]
     values["places"] = [{"target": tag, "point_mm": [10.0, -20.0, 900.0]} for tag in tags]
     config = load(tmp_path, values)
-    assert [str(place.target) for place in config.places] == tags
-    assert config.places[1].point.tolist() == [0.01, -0.02, 0.9]
+    assert [str(place.target) for place in config.measured_targets] == tags
+    assert config.measured_targets[1].point.tolist() == [0.01, -0.02, 0.9]
     assert config.head.digest == load_head("turrets").digest
     assert config.target == AprilTag(family="36h11", id=5, edge_m=0.12, size_known=True)
     assert (config.bus.port, config.bus.baud_rate, config.bus.watchdog_s) == (

@@ -34,7 +34,7 @@ def test_health_is_read_in_units(bus):
     servos[0].set(table.PRESENT_LOAD, -250)
     servos[0].set(table.PRESENT_INPUT_VOLTAGE, 111)
     servos[0].set(table.PRESENT_TEMPERATURE, 40)
-    servos[1].fail(0b100100)
+    servos[1].set_hardware_errors(0b100100)
     limits = {ident: read_limits(line, ident) for ident in (1, 2)}
     assert limits[1] == LIMITS
     health = read_health(line, limits)

@@ -137,7 +137,7 @@ def test_a_watchdog_that_has_tripped_before_hinders_nothing(desk):
 
 
 def test_a_flip_takes_the_other_direction(desk):
-    desk.jog.flip("left_pan")
+    desk.jog.flip_sign("left_pan")
     desk.jog.step("left_pan", 0.1)
     assert desk.servos[0].q < -0.08
 
@@ -145,7 +145,7 @@ def test_a_flip_takes_the_other_direction(desk):
 def test_a_zero_is_the_present_posture_within_a_turn(desk):
     desk.servos[0].q = 3.5
     desk.servos[0].upper = 4.0
-    desk.jog.zero("left_pan")
+    desk.jog.set_zero("left_pan")
     assert 0 <= desk.jog.servos["left_pan"].zero_ticks < table.TICKS_PER_TURN
     assert desk.jog.angle("left_pan") == pytest.approx(0.0, abs=1e-9)
 
@@ -153,7 +153,7 @@ def test_a_zero_is_the_present_posture_within_a_turn(desk):
 def test_off_lets_go_of_one_joint(desk):
     for name in ("left_pan", "right_pan"):
         desk.jog.step(name, 0.05)
-    desk.jog.off("left_pan")
+    desk.jog.torque_off("left_pan")
     assert desk.registers(table.TORQUE_ENABLE) == [0, 0, 1, 0]
 
 

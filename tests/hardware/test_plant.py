@@ -265,7 +265,7 @@ def test_a_missed_period_is_skipped_on_the_grid(robot):
 def test_a_servo_that_has_let_go_ends_the_trial(robot):
     faults = {
         "let go": lambda servo: servo.reboot(),
-        "overload": lambda servo: servo.fail(0b100000),
+        "overload": lambda servo: servo.set_hardware_errors(0b100000),
     }
     for told, lets_go in faults.items():
         plant, served = robot()

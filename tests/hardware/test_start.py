@@ -32,7 +32,7 @@ def test_a_start_behind_a_forbidden_posture_names_what_is_in_the_way(robot):
 
 def test_a_joint_at_its_middle_is_proved_before_it_is_driven_fast(robot):
     robot.begin()
-    assert robot.plant._supervisor.proved[3:].all()
+    assert robot.plant._supervisor.proved_joints[3:].all()
 
 
 def test_an_overload_before_the_start_names_the_joint_and_what_to_do(robot):

@@ -122,13 +122,13 @@ class JogSession:
             case ["step", value]:
                 self._step_rad = _step(value)
             case ["flip"]:
-                self._jog.flip(self.name)
+                self._jog.flip_sign(self.name)
                 self._show(self.name)
             case ["zero"]:
-                self._jog.zero(self.name)
+                self._jog.set_zero(self.name)
                 self._show(self.name)
             case ["off"]:
-                self._jog.off(self.name)
+                self._jog.torque_off(self.name)
                 self._say(f"{self.name}: torque is off: what hangs on it may sink")
             case ["list"]:
                 self._list()

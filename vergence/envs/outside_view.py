@@ -30,7 +30,7 @@ class OutsideView:
         self._data = mujoco.MjData(self._model)
         self._board = self._model.geom_bodyid == self._model.body("tag").id
         self._head = head
-        self._places = find_model_indices(self._model, head).places
+        self._places = find_model_indices(self._model, head).joint_of_qpos
         posture = rest_poses(head)
         self._upright, self._width_m = posture.upright, posture.baseline_m
         self._renderer: mujoco.Renderer | None = None

@@ -108,7 +108,7 @@ class HardwareConfig:
     """Safety bounds in addition to the limits of the head file."""
     loop: LoopConfig | None = None
     """Measured latencies and responses of the loop; None for the values of the head file."""
-    places: tuple[MeasuredTarget, ...] = ()
+    measured_targets: tuple[MeasuredTarget, ...] = ()
     """Further targets at measured points, between which trials switch."""
     text: str = ""
     """Content of the file."""
@@ -190,10 +190,10 @@ def _parse(table: Table, path: str) -> HardwareConfig:
     with mistakes:
         if table.has("loop"):
             loop = read_loop(table.table("loop"))
-    places: tuple[MeasuredTarget, ...] = ()
+    measured_targets: tuple[MeasuredTarget, ...] = ()
     with mistakes:
         if table.has("places"):
-            places = read_measured_targets(table.tables("places"), mistakes)
+            measured_targets = read_measured_targets(table.tables("places"), mistakes)
     with mistakes:
         table.close()
     if mistakes.found or head is None:
@@ -211,7 +211,7 @@ def _parse(table: Table, path: str) -> HardwareConfig:
         places_targets=places_targets,
         safety=safety,
         loop=loop,
-        places=places,
+        measured_targets=measured_targets,
     )
 
 

@@ -92,7 +92,7 @@ def read_bus(table: Table, head: HeadModel | None) -> BusConfig:
         raise HeadFileError(table.key("port"), port, _PORT)
     baud_rate, watchdog_s = BusConfig.baud_rate, BusConfig.watchdog_s
     if table.has("baud_rate"):
-        baud_rate = table.whole("baud_rate", _BAUD)
+        baud_rate = table.integer("baud_rate", _BAUD)
     if table.has("watchdog_s"):
         watchdog_s = table.number("watchdog_s", _WATCHDOG)
         least_s = 0.0 if head is None else _WATCHDOG_PERIODS * head.timing.period_s
@@ -124,7 +124,7 @@ def read_servos(
             if name in names:
                 raise HeadFileError(table.key("name"), name, "each joint once")
             names.append(name)
-            ident = table.whole("id", _ID)
+            ident = table.integer("id", _ID)
             if ident in ids:
                 raise HeadFileError(table.key("id"), ident, f"another id than that of {ids[ident]}")
             ids[ident] = name
@@ -142,8 +142,8 @@ def read_servos(
 
 
 def _servo(table: Table, name: str, ident: int, slot: int, head: HeadModel | None) -> ServoConfig:
-    zero_ticks = table.whole("zero_ticks", _ZERO)
-    sign = table.whole("sign", _SIGN)
+    zero_ticks = table.integer("zero_ticks", _ZERO)
+    sign = table.integer("sign", _SIGN)
     gear_ratio = table.number("gear_ratio", _GEAR) if table.has("gear_ratio") else 1.0
     lower, upper = (-np.pi, np.pi) if head is None else _range_of(head, slot)
     limits = {"lower_rad": lower, "upper_rad": upper}
@@ -301,6 +301,6 @@ def read_emulator(table: Table) -> tuple[str, bool]:
     host_port = re.fullmatch(r"[^:\s]+:([0-9]{1,5})", address)
     if host_port is None or not 1 <= int(host_port[1]) <= 65535:
         raise HeadFileError(table.key("address"), address, _ADDRESS)
-    places_targets = not table.has("places_targets") or table.flag("places_targets")
+    places_targets = not table.has("places_targets") or table.boolean("places_targets")
     table.close()
     return address, places_targets

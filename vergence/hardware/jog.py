@@ -100,16 +100,16 @@ class Jogger:
         finally:
             self._rest(servo)
 
-    def flip(self, name: str) -> None:
+    def flip_sign(self, name: str) -> None:
         """Change the sign of a joint."""
         self.servos[name] = replace(self.servos[name], sign=-self.servos[name].sign)
 
-    def zero(self, name: str) -> None:
+    def set_zero(self, name: str) -> None:
         """Set a joint's zero to the present position, modulo a turn."""
         zero_ticks = self.ticks(name) % table.TICKS_PER_TURN
         self.servos[name] = replace(self.servos[name], zero_ticks=zero_ticks)
 
-    def off(self, name: str) -> None:
+    def torque_off(self, name: str) -> None:
         """Switch a servo's torque off."""
         self._bus.write(self.servos[name].id, table.TORQUE_ENABLE, 0)
 

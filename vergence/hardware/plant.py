@@ -420,7 +420,7 @@ class HardwarePlant(Plant):
     def _check_watchdog(self) -> None:
         """Raise an error if the servos' watchdog has stopped them."""
         with self._drive.exclusive() as servos:
-            paused_s = servos.paused_s()
+            paused_s = servos.longest_pause_s()
         if paused_s:
             self.trips += 1
             raise HardwareError(
@@ -432,7 +432,7 @@ class HardwarePlant(Plant):
     def _begin(self) -> None:
         """Start the trial's time at its first command, as nothing has moved until then."""
         with self._drive.exclusive() as servos:
-            if servos.paused_s():
+            if servos.longest_pause_s():
                 servos.switch_on()
         now = self._clock()
         self._supervisor.begin(now)

@@ -252,7 +252,7 @@ class HeadServos:
         self._pause_s = max(self._pause_s, now - self._fed_s)
         self._fed_s = now
 
-    def paused_s(self) -> float:
+    def longest_pause_s(self) -> float:
         """Longest time without a packet since the last call; 0 if no watchdog has tripped."""
         pause_s = max(self._pause_s, self._clock() - self._fed_s)
         self._pause_s = 0.0

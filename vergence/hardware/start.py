@@ -66,7 +66,7 @@ def come_to_start(
         raise HardwareError(
             f"safety: start: {entered.refusal(goal, config.slots)}; cure: another start"
         )
-    unproved = angles.has_servo & ~supervisor.proved
+    unproved = angles.has_servo & ~supervisor.proved_joints
     slowest = float(supervisor.max_speed[angles.has_servo].min())
     if unproved.any():
         prove_joints_follow(unproved, config.servos, angles, move)

@@ -24,7 +24,7 @@ class ReadOnlyServos(HeadServos):
         """Send nothing; return (7,) zeros."""
         return np.zeros(7)
 
-    def paused_s(self) -> float:
+    def longest_pause_s(self) -> float:
         """Return 0, as no watchdog is armed."""
         return 0.0
 

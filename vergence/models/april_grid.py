@@ -108,7 +108,7 @@ class AprilGrid:
 
     def tag_bits(self, identity: int) -> NDArray[np.uint8]:
         """One tag without the squares at its corners, 0 black, 255 white, shape (10, 10)."""
-        start = (self.code.total - _BITS) // 2
+        start = (self.code.total_cells - _BITS) // 2
         bits = self.code.cells(identity)[start : start + _BITS, start : start + _BITS]
         return np.pad(bits, GRID_BORDER)
 
@@ -119,7 +119,7 @@ class AprilGrid:
         size = fine * (_BITS + 2 * GRID_BORDER)
         pitch = size + gap
         out = np.full((self.rows * pitch + 3 * gap, self.columns * pitch + 3 * gap), 255, np.uint8)
-        for identity, (row, column) in enumerate(self.places.tolist()):
+        for identity, (row, column) in enumerate(self.tag_cells.tolist()):
             y, x = row * pitch + 2 * gap, column * pitch + 2 * gap
             tag = self.tag_bits(identity).repeat(fine, axis=0).repeat(fine, axis=1)
             out[y : y + size, x : x + size] = tag
@@ -130,7 +130,7 @@ class AprilGrid:
         return out
 
     @cached_property
-    def places(self) -> NDArray[np.intp]:
+    def tag_cells(self) -> NDArray[np.intp]:
         """Row (from the top) and column of each tag by its id, shape (rows * columns, 2)."""
         row, column = np.divmod(np.arange(self.rows * self.columns), self.columns)
         return np.stack([self.rows - 1 - row, column], axis=-1)
@@ -142,6 +142,6 @@ class AprilGrid:
         Each tag's corners start at the upper left and go clockwise on the upright board.
         """
         middle = 0.5 * np.array([self.columns - 1, self.rows - 1])
-        tags = (1.0 + self.spacing) * (self.places[:, ::-1] - middle)
+        tags = (1.0 + self.spacing) * (self.tag_cells[:, ::-1] - middle)
         square = 0.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         return np.asarray(self.tag_m * (tags[:, None] + square).reshape(-1, 2))

@@ -68,12 +68,12 @@ class AprilTag:
     @property
     def cell_m(self) -> float:
         """Edge of one cell in metres."""
-        return self.edge_m / self.code.border
+        return self.edge_m / self.code.border_cells
 
     @property
     def origin_cells(self) -> tuple[float, float]:
         """The origin of T, in cells from the board's upper left corner, (x, y)."""
-        return (0.5 * self.code.total, 0.5 * self.code.total)
+        return (0.5 * self.code.total_cells, 0.5 * self.code.total_cells)
 
     @cached_property
     def cells(self) -> NDArray[np.uint8]:

@@ -5,7 +5,7 @@ A joint follows its velocity command u with a lag l, whose acceleration may take
     m l^2 dw/dt + l w + v = u,   dv/dt = w,   dq/dt = v,   |w| <= a
 
 For a build-up m of zero this is `vergence.models.joint_response.follow_joint`. Otherwise it is the
-second-order lag of `follow_second_order_joint` there, with the time constant `sqrt(m) l` and the
+second-order lag of `follow_second_order_joint` there, with the part_s constant `sqrt(m) l` and the
 damping ratio `1 / (2 sqrt(m))`: it overshoots for m above 1/4.
 """
 
@@ -33,13 +33,13 @@ class HeldResponse(NamedTuple):
     `(gap_gap gap + gap_w w, w_gap gap + w_w w)`.
     """
 
-    lag: float
+    lag_s: float
     """Lag l, s."""
-    square: float
+    build_up_s2: float
     """m l^2, s^2; 0 for a first-order lag."""
-    a: float
+    max_acceleration: float
     """Greatest acceleration, rad/s^2, inf for none."""
-    time: float
+    part_s: float
     """Duration of one part, s."""
     parts: int
     """Number of parts of the hold time."""
@@ -69,7 +69,7 @@ def _transition(lag: float, square: float, t: float) -> tuple[float, float, floa
 
 
 @inlined
-def held_response(lag: float, build_up: float, a: float, time: float) -> HeldResponse:
+def prepare_held_response(lag: float, build_up: float, a: float, time: float) -> HeldResponse:
     """Prepare the coefficients.
 
     Args:
@@ -92,11 +92,11 @@ def _unlimited(
     q: float, v: float, w: float, u: float, response: HeldResponse, t: float
 ) -> tuple[float, float, float]:
     """State after the time t, without a limit on the acceleration."""
-    gap_gap, gap_w, w_w, w_gap = _transition(response.lag, response.square, t)
+    gap_gap, gap_w, w_w, w_gap = _transition(response.lag_s, response.build_up_s2, t)
     gap = v - u
     after, then = gap * gap_gap + w * gap_w, w * w_w + gap * w_gap
     # integral of the equation of motion
-    q += u * t - response.square * (then - w) - response.lag * (after - gap)
+    q += u * t - response.build_up_s2 * (then - w) - response.lag_s * (after - gap)
     return q, u + after, then
 
 
@@ -114,22 +114,22 @@ def follow_held(
         v: velocity, rad/s.
         w: acceleration, rad/s^2; ignored by a first-order lag.
         u: velocity command, rad/s.
-        response: coefficients from `held_response`.
+        response: coefficients from `prepare_held_response`.
 
     Returns:
         Angle, velocity and acceleration; rad, rad/s and rad/s^2.
     """
-    a = response.a
-    if response.square == 0.0:
-        q, v = follow_joint(q, v, u, response.lag, a, response.time, response.gap_gap)
-        return q, v, min(max((u - v) / response.lag, -a), a)
+    a = response.max_acceleration
+    if response.build_up_s2 == 0.0:
+        q, v = follow_joint(q, v, u, response.lag_s, a, response.part_s, response.gap_gap)
+        return q, v, min(max((u - v) / response.lag_s, -a), a)
     for _ in range(response.parts):
-        t = response.time
+        t = response.part_s
         w = min(max(w, -a), a)
         # at the limit until the equation demands a smaller |w|
         held = 0.0
         if abs(w) == a:
-            held = min(max((u - v - response.lag * w) / w, 0.0), t)
+            held = min(max((u - v - response.lag_s * w) / w, 0.0), t)
             q, v, t = q + (v + 0.5 * w * held) * held, v + w * held, t - held
             if t <= 0.0:
                 continue
@@ -141,12 +141,12 @@ def follow_held(
         if held > 0.0:
             q, v, w = _unlimited(q, v, w, u, response, t)
         elif abs(then) <= a:
-            q += u * t - response.square * (then - w) - response.lag * (after - gap)
+            q += u * t - response.build_up_s2 * (then - w) - response.lag_s * (after - gap)
             v, w = u + after, then
         else:
             # time until the limit: linear extrapolation, then one secant step
             limit = a if then > 0.0 else -a
-            slope = -(gap + response.lag * w) / response.square
+            slope = -(gap + response.lag_s * w) / response.build_up_s2
             meets = min(max((limit - w) / slope, 0.0), t) if slope != 0.0 else 0.0
             came = _unlimited(q, v, w, u, response, meets)[2]
             if came != w:

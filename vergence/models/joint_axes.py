@@ -36,7 +36,7 @@ class JointAxes(FrozenArrays):
     metres."""
 
     @property
-    def places(self) -> tuple[tuple[int, ...], ...]:
+    def joint_indices(self) -> tuple[tuple[int, ...], ...]:
         """(J,) indices of each joint in an array of all seven; two for a joint of both eyes."""
         used = {"neck": 0, "left": 3, "right": 5}
         out = []
@@ -51,7 +51,7 @@ class JointAxes(FrozenArrays):
     def joints(self) -> tuple[str, ...]:
         """See `Links.joints`."""
         names = [""] * len(JOINTS)
-        for name, places in zip(self.names, self.places, strict=True):
+        for name, places in zip(self.names, self.joint_indices, strict=True):
             for place in places:
                 names[place] = name
         return tuple(names)
@@ -110,7 +110,7 @@ class JointAxes(FrozenArrays):
         into_n = inverse_pose(self.frame)
         poses[3] = self.frame
         poses[4] = poses[7] = into_n
-        for joint, places in enumerate(self.places):
+        for joint, places in enumerate(self.joint_indices):
             pose = self.pose[..., joint, :, :]
             for place in places:
                 if place < NECK.stop:
@@ -125,7 +125,7 @@ class JointAxes(FrozenArrays):
         rotations = self.fields(reference)["axis_rotation"].reshape(-1, 3)
         out = np.zeros((len(self.parameters), 6, 6))
         row = 0
-        for joint, places in enumerate(self.places):
+        for joint, places in enumerate(self.joint_indices):
             if self.parts[joint] == "neck":
                 continue
             twists = pose_twists(reference.pose[joint], rotations[joint])
@@ -141,7 +141,7 @@ class JointAxes(FrozenArrays):
         out = []
         for joint, (name, part) in enumerate(zip(self.names, self.parts, strict=True)):
             parent = last["left" if part == "both" else part]
-            out.append(Body(name, self.places[joint], parent, self.pose[joint]))
+            out.append(Body(name, self.joint_indices[joint], parent, self.pose[joint]))
             carried = {"neck": last, "both": EYE_NAMES}.get(part, (part,))
             last |= dict.fromkeys(carried, joint)
         return tuple(out)

@@ -44,11 +44,11 @@ class TagFamilyCode:
         name: name without the library's prefix `tag`, such as 36h11.
         code_words: code words, shape (n,); the most significant of `bits` bits belongs to the first
             place.
-        places: (x, y) of each bit, in cells from the upper left corner of the square that the
+        bit_cells: (x, y) of each bit, in cells from the upper left corner of the square that the
             library detects, shape (bits, 2).
-        border: cells along a side of that square.
-        total: cells along a side of the printed pattern, including a quiet zone of one cell if
-            the family has one.
+        border_cells: cells along a side of that square.
+        total_cells: cells along a side of the printed pattern, including a quiet zone of one
+            cell if the family has one.
         dark_inside: True if the square is dark on a white surround, as in the families with a
             plain black border; the families named Standard, Custom and Circle have a white square
             in a black ring, with bits outside the ring.
@@ -56,20 +56,22 @@ class TagFamilyCode:
 
     name: str
     code_words: NDArray[np.uint64]
-    places: NDArray[np.int_]
-    border: int
-    total: int
+    bit_cells: NDArray[np.int_]
+    border_cells: int
+    total_cells: int
     dark_inside: bool
 
     @cached_property
     def _blank(self) -> NDArray[np.uint8]:
         """The tag without bits: both rings of the border; all other cells are `UNPRINTED`."""
-        cells = np.full((self.total, self.total), UNPRINTED, np.uint8)
-        start = (self.total - self.border) // 2
+        cells = np.full((self.total_cells, self.total_cells), UNPRINTED, np.uint8)
+        start = (self.total_cells - self.border_cells) // 2
         inner, outer = (0, 255) if self.dark_inside else (255, 0)
-        cells[start - 1 : start + self.border + 1, start - 1 : start + self.border + 1] = outer
-        cells[start : start + self.border, start : start + self.border] = inner
-        core = slice(start + 1, start + self.border - 1)
+        cells[
+            start - 1 : start + self.border_cells + 1, start - 1 : start + self.border_cells + 1
+        ] = outer
+        cells[start : start + self.border_cells, start : start + self.border_cells] = inner
+        core = slice(start + 1, start + self.border_cells - 1)
         cells[core, core] = UNPRINTED
         return cells
 
@@ -91,10 +93,10 @@ class TagFamilyCode:
                 f"got {identity}"
             )
         cells = self._blank.copy()
-        start = (self.total - self.border) // 2
-        bits = len(self.places)
+        start = (self.total_cells - self.border_cells) // 2
+        bits = len(self.bit_cells)
         word = int(self.code_words[identity])
-        for i, (x, y) in enumerate(self.places.tolist()):
+        for i, (x, y) in enumerate(self.bit_cells.tolist()):
             cells[y + start, x + start] = 255 if word >> (bits - i - 1) & 1 else 0
         return cells
 
@@ -124,9 +126,9 @@ def tag_family(name: str) -> TagFamilyCode:
     made = TagFamilyCode(
         name=proper,
         code_words=words,
-        places=np.stack([x, y], axis=-1),
-        border=int(code.width_at_border),
-        total=int(code.total_width),
+        bit_cells=np.stack([x, y], axis=-1),
+        border_cells=int(code.width_at_border),
+        total_cells=int(code.total_width),
         dark_inside=not code.reversed_border,
     )
     getattr(library, f"tag{proper}_destroy")(family)

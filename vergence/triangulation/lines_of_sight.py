@@ -15,12 +15,12 @@ DEPTH_RANGE_M: Final = (0.1, 10.0)
 part of the image Jacobian)."""
 
 
-class Depths(NamedTuple):
-    """Depths of a target along both rays, metres; `found` is True if they are triangulated."""
+class RayDepths(NamedTuple):
+    """Depths of a target along both rays, metres; `valid` is True if they are triangulated."""
 
     left: float
     right: float
-    found: bool
+    valid: bool
 
 
 @inlined
@@ -63,12 +63,12 @@ def rays_of_image(p: PackedHead, left: Pose, right: Pose, error: FloatArray) -> 
 
 
 @inlined
-def depths_on_rays(left: Ray, right: Ray) -> Depths:
+def depths_on_rays(left: Ray, right: Ray) -> RayDepths:
     """Triangulate the depths along both rays, clipped to `DEPTH_RANGE_M`; else the default."""
     s, t, found = distances_to_perpendicular(left, right)
     if not found:
-        return Depths(DEFAULT_DEPTH_M, DEFAULT_DEPTH_M, False)
-    return Depths(
+        return RayDepths(DEFAULT_DEPTH_M, DEFAULT_DEPTH_M, False)
+    return RayDepths(
         min(max(s, DEPTH_RANGE_M[0]), DEPTH_RANGE_M[1]),
         min(max(t, DEPTH_RANGE_M[0]), DEPTH_RANGE_M[1]),
         True,

@@ -60,7 +60,7 @@ def test_an_acceleration_that_was_not_reached_is_not_told(greatest_rad_s2, seed)
     found = fit_joint(*samples(strong, seed), GUESS, STEP_RAD)
     assert found.acceleration_rad_s2 is None
     assert found.motor.lag_s == pytest.approx(0.05, rel=0.02)
-    assert 50.0 < found.greatest_rad_s2 < 105.0
+    assert 50.0 < found.peak_acceleration_rad_s2 < 105.0
 
 
 def test_a_servo_that_overshoots_is_beside_a_lag():
@@ -105,7 +105,7 @@ def test_images_tell_latency_jitter_and_play(latency_s, jitter_s, backlash_rad, 
         HEAD, EYE, SLOT, np.zeros(7), path, (told[2][0], told[2][-1]), received_s, pixels,
         1.15 * POINT, 1.2,
     )  # fmt: skip
-    assert found.least_s == pytest.approx(latency_s, abs=0.001)
+    assert found.least_latency_s == pytest.approx(latency_s, abs=0.001)
     assert found.jitter_s == pytest.approx(jitter_s, abs=0.0015)
     assert found.backlash_rad == pytest.approx(backlash_rad, abs=2e-4)
     assert found.scale == pytest.approx(focal, abs=0.01)

@@ -12,7 +12,7 @@ from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
 FIT = JointFit(
     motor=FittedMotor(latency_s=0.01, lag_s=0.03, gain=0.9, inverse_acceleration=1.0 / 20.0),
     sigma=FittedMotor(latency_s=1e-3, lag_s=1e-3, gain=1e-3, inverse_acceleration=1e-4),
-    greatest_rad_s2=20.0, residual_rad=1e-3, limited=True, correlation=-0.5,
+    peak_acceleration_rad_s2=20.0, residual_rad=1e-3, limited=True, correlation=-0.5,
 )  # fmt: skip
 IMAGE = ImageFit(
     latency_s=0.07, latency_sigma_s=1e-4, jitter_s=0.0, jitter_sigma_s=1e-4, backlash_rad=0.0,

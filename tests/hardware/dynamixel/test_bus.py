@@ -135,7 +135,7 @@ def test_a_refusal_is_told_in_words(serve, connect):
 
 def test_an_alert_is_kept_and_is_no_error(serve, connect):
     servo = make_servo(1)
-    servo.fail(32)
+    servo.set_hardware_errors(32)
     bus = connect(serve([servo, make_servo(2)]))
     bus.write(1, table.TORQUE_ENABLE, 0)
     bus.write(2, table.TORQUE_ENABLE, 0)
@@ -144,7 +144,7 @@ def test_an_alert_is_kept_and_is_no_error(serve, connect):
 
 def test_an_alert_ends_with_the_first_answer_without_it(serve, connect):
     servo = make_servo(1)
-    servo.fail(32)
+    servo.set_hardware_errors(32)
     bus = connect(serve([servo]))
     bus.ping(1)
     servo.set(table.HARDWARE_ERROR_STATUS, 0)

@@ -64,7 +64,7 @@ def test_a_joint_without_torque_comes_to_rest_with_its_lag():
     line = turning(goal=100, lower=-9.0, upper=9.0, acceleration=1e9)
     line.advance_to(1.0)
     speed, place = line.velocities()[0], line.positions()[0]
-    line.servos[0].fail(1 << 5)
+    line.servos[0].set_hardware_errors(1 << 5)
     line.advance_to(2.0)
     assert line.positions()[0] - place == pytest.approx(speed * line.servos[0].lag_s)
 
@@ -102,7 +102,7 @@ def test_the_mask_of_shutdown_is_the_users():
 
 def test_torque_comes_back_by_a_reboot_alone():
     line = turning()
-    line.servos[0].fail(1 << 5)
+    line.servos[0].set_hardware_errors(1 << 5)
     assert write(line, 0.0, 1, table.TORQUE_ENABLE, 1)[0].error == ErrorNumber.RESULT_FAIL
     ask(line, 0.0, REBOOT)
     assert not ask(line, 0.0, PING)[0].alert

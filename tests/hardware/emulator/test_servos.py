@@ -172,7 +172,7 @@ def test_a_reboot_keeps_the_eeprom_alone():
 
 def test_a_hardware_error_is_an_alert_and_takes_the_torque():
     line = turning()
-    line.servos[0].fail(32)
+    line.servos[0].set_hardware_errors(32)
     (status,) = ask(line, 0.0, instruction_packet(1, Instruction.PING))
     assert (status.alert, status.error) == (True, 0)
     assert read(line, 0.0, 1, table.TORQUE_ENABLE) == 0

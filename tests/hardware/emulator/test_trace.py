@@ -55,6 +55,6 @@ def test_a_trace_of_steady_motion_stays_short():
     line = turning(lower=-1e9, upper=1e9)
     for i in range(1000):
         line.advance_to(60.0 + 0.01 * i)
-    moments = line.servos[0].trace.since(69.0)
+    moments = line.servos[0].trace.samples_since(69.0)
     assert len(moments) < 10
     assert [moment.time_s for moment in (moments[0], moments[-1])] == pytest.approx([69.0, 69.99])

@@ -41,7 +41,7 @@ def drive(requested, start=None, config=None, steps=240):
     motion = JointMotionLimiter(TURRETS, LOWER, UPPER, config or SafetyConfig())
     joints = Joints(TURRETS, np.zeros(7) if start is None else start)
     for _ in range(steps):
-        command = motion.allowed(joints.angles, joints.speeds, requested, motion.max_speed)
+        command = motion.limit_velocities(joints.angles, joints.speeds, requested, motion.max_speed)
         motion.advance(command)
         joints.step(command)
     return joints.angles
@@ -56,8 +56,8 @@ def test_a_joint_beyond_its_limit_may_only_come_back():
     beyond = np.zeros(7)
     beyond[3:] = UPPER[3:] + 0.05
     motion = JointMotionLimiter(TURRETS, LOWER, UPPER, SafetyConfig())
-    out = motion.allowed(beyond, np.zeros(7), np.full(7, 1.0), motion.max_speed)
-    back = motion.allowed(beyond, np.zeros(7), np.full(7, -1.0), motion.max_speed)
+    out = motion.limit_velocities(beyond, np.zeros(7), np.full(7, 1.0), motion.max_speed)
+    back = motion.limit_velocities(beyond, np.zeros(7), np.full(7, -1.0), motion.max_speed)
     assert (out == 0.0).all()
     assert (back[3:] == -1.0).all()
 
@@ -68,7 +68,7 @@ def test_a_measured_speed_that_the_model_does_not_know_counts():
     near[3:] = UPPER[3:] - 0.1
     pushed = np.zeros(7)
     pushed[3:] = 4.0
-    command = motion.allowed(near, pushed, np.full(7, 1.0), motion.max_speed)
+    command = motion.limit_velocities(near, pushed, np.full(7, 1.0), motion.max_speed)
     assert (command[3:] == 0.0).all()
 
 
@@ -76,7 +76,7 @@ def test_a_request_within_all_bounds_is_the_command():
     motion = JointMotionLimiter(TURRETS, LOWER, UPPER, SafetyConfig())
     requested = np.array([0.0, 0.0, 0.0, 1.0, -0.5, 0.3, 0.0])
     assert (
-        motion.allowed(np.zeros(7), np.zeros(7), requested, motion.max_speed) == requested
+        motion.limit_velocities(np.zeros(7), np.zeros(7), requested, motion.max_speed) == requested
     ).all()
 
 

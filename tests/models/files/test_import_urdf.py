@@ -174,7 +174,7 @@ def test_a_mimic_between_eye_joints_becomes_one_motor(head_of):
     assert dict(tilt.joints) == {"left_tilt": 1.0, "right_tilt": -1.5}
     # the right joint's -0.5 to 0.7 allow the left one -0.4 to 0.4, at 2 rad/s
     np.testing.assert_allclose(
-        [tilt.range.lower, tilt.range.upper, tilt.range.velocity], [-0.4, 0.4, 2.0]
+        [tilt.limits.lower, tilt.limits.upper, tilt.limits.velocity], [-0.4, 0.4, 2.0]
     )
     kinematics = UrdfKinematics(text)
     head = imported.head
@@ -472,12 +472,12 @@ def test_version_and_vergence_stay_within_the_pans(head_of):
     )
     version, vergence, *_ = imported.motors
     for v, g in itertools.product(
-        (version.range.lower, version.range.upper), (vergence.range.lower, vergence.range.upper)
+        (version.limits.lower, version.limits.upper), (vergence.limits.lower, vergence.limits.upper)
     ):
         for name, low, high in (("left_pan", -0.5, 0.9), ("right_pan", -0.4, 0.5)):
             angle = version.joints[name] * v + vergence.joints[name] * g
             assert low - 1e-12 <= angle <= high + 1e-12
-    assert version.range.velocity + 0.5 * vergence.range.velocity <= 5.0
+    assert version.limits.velocity + 0.5 * vergence.limits.velocity <= 5.0
 
 
 def test_what_is_assumed_of_motors_is_marked_by_their_names(head_of):
@@ -866,7 +866,7 @@ def test_the_icub_can_be_given_the_motors_it_has():
     assert [motor.name for motor in imported.motors] == ["eyes_tilt", "version", "vergence"]
     # those of the robot itself: +-30 and 0 to 50 degrees
     np.testing.assert_allclose(
-        np.rad2deg([version.range.lower, version.range.upper, vergence.range.upper]),
+        np.rad2deg([version.limits.lower, version.limits.upper, vergence.limits.upper]),
         [-30.0, 30.0, 50.0],
         atol=1e-6,
     )

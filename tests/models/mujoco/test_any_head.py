@@ -54,7 +54,7 @@ def postures(head, rng, count=20):
 
 def placed(model, head, q):
     data = mujoco.MjData(model)
-    places = find_model_indices(model, head).places
+    places = find_model_indices(model, head).joint_of_qpos
     data.qpos[: len(places)] = q[places]
     mujoco.mj_forward(model, data)
     return data
@@ -86,7 +86,7 @@ class TestTree:
                 assert [name for name in names if not name.endswith("_rotor")] == joints
                 expected = [name for name in head.joints[:3] if name] + list(own.names)
                 assert [model.actuator(i).name for i in range(model.nu)] == expected
-                slots = find_model_indices(model, head).slots
+                slots = find_model_indices(model, head).slot_of_ctrl
                 np.testing.assert_array_equal(model.actuator_ctrlrange[:, 1], own.velocity[slots])
 
     def test_a_welded_neck_leaves_the_eyes_actuators(self):
@@ -132,18 +132,18 @@ class TestTies:
             with named(name):
                 head = any_head(name)
                 own, model = head.actuation, compile_model(head, **BARE)
-                addresses = find_model_indices(model, head)
+                indices = find_model_indices(model, head)
                 middle = 0.5 * (own.lower + own.upper)
                 data = placed(model, head, own.joints_of(middle))
-                data.qpos[len(addresses.places) :] = middle[addresses.rotors]
+                data.qpos[len(indices.joint_of_qpos) :] = middle[indices.slot_of_rotor]
                 worst = 0.0
                 for step in range(400):
                     if step % 20 == 0:
                         data.ctrl[:] = (
-                            rng.choice([-1.0, 1.0], model.nu) * own.velocity[addresses.slots]
+                            rng.choice([-1.0, 1.0], model.nu) * own.velocity[indices.slot_of_ctrl]
                         )
                     mujoco.mj_step(model, data)
-                    q = np.where(addresses.joints >= 0, data.qpos[addresses.joints], 0.0)
+                    q = np.where(indices.qpos_of_joint >= 0, data.qpos[indices.qpos_of_joint], 0.0)
                     worst = max(worst, np.abs(own.joints_of(own.actuators_of(q)) - q).max())
                 assert np.abs(data.qpos).max() > 0.1
                 # within what an encoder of 0.01 degrees tells

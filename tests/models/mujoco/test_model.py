@@ -79,7 +79,7 @@ class TestActuators:
     @pytest.mark.parametrize("neck", ["servo", "welded"])
     def test_bang_bang_of_all_eye_joints(self, simulated, neck, bang_bang, exact_actuator):
         model = compile_model(simulated, neck=neck, **BARE)
-        joints = slice(*find_model_indices(model, simulated).places[[0, -1]] + [0, 1])
+        joints = slice(*find_model_indices(model, simulated).joint_of_qpos[[0, -1]] + [0, 1])
         acceleration, lag_s = simulated.limits.acceleration[joints], simulated.timing.lag_s
         for _ in range(10):
             commands = bang_bang(simulated, joints)
@@ -158,8 +158,8 @@ class TestTree:
         model = compile_model(head)
         assert [model.joint(i).name for i in range(model.njnt)] == list(JOINTS)
         assert [model.actuator(i).name for i in range(model.nu)] == list(JOINTS)
-        addresses = find_model_indices(model, head)
-        for places in (addresses.joints, addresses.places, addresses.slots):
+        indices = find_model_indices(model, head)
+        for places in (indices.qpos_of_joint, indices.joint_of_qpos, indices.slot_of_ctrl):
             np.testing.assert_array_equal(places, range(7))
         np.testing.assert_array_equal(model.jnt_range.T, [head.limits.lower, head.limits.upper])
         np.testing.assert_array_equal(model.actuator_ctrlrange[:, 1], head.limits.velocity)
@@ -167,9 +167,9 @@ class TestTree:
     def test_a_welded_neck_leaves_the_eyes_where_it_holds_them(self, head):
         neck = [0.3, -0.2, 0.4]
         model = compile_model(head, neck="welded", neck_position=neck)
-        addresses = find_model_indices(model, head)
-        np.testing.assert_array_equal(addresses.joints, [-1, -1, -1, 0, 1, 2, 3])
-        np.testing.assert_array_equal(addresses.places, range(7)[EYES])
+        indices = find_model_indices(model, head)
+        np.testing.assert_array_equal(indices.qpos_of_joint, [-1, -1, -1, 0, 1, 2, 3])
+        np.testing.assert_array_equal(indices.joint_of_qpos, range(7)[EYES])
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         expected = head.base_pose([*neck, 0.0, 0.0, 0.0, 0.0])

@@ -41,7 +41,7 @@ class CalibrationOptions:
     json: bool = False
     """Print the result as JSON, and nothing else, on standard output."""
 
-    ending: ClassVar[tuple[str, ...]] = ()
+    endings: ClassVar[tuple[str, ...]] = ()
 
     def check(self, out: Path) -> None:
         """Refuse an output file that cannot be written, before any work is done.
@@ -52,9 +52,9 @@ class CalibrationOptions:
         Raises:
             ConfigurationError: its ending is wrong, its folder cannot be written, or it exists.
         """
-        if out.suffix.lower() not in self.ending:
+        if out.suffix.lower() not in self.endings:
             raise ConfigurationError(
-                f"out: expected a name that ends in {' or '.join(self.ending)}, got {out}"
+                f"out: expected a name that ends in {' or '.join(self.endings)}, got {out}"
             )
         check_writable(out)
         if out.exists() and not self.force:
@@ -72,7 +72,7 @@ class CalibrationOptions:
 
         return None if self.response is None else parse_response(self.response)
 
-    def calibrated(
+    def calibrate_and_save(
         self,
         photographs: Sequence[Sequence[Path]],
         out: Path,

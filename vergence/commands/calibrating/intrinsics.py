@@ -29,7 +29,7 @@ class CalibrateIntrinsics(CalibrationOptions):
     out: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("camera.yaml")
     """Calibration file to write."""
 
-    ending = (".yaml", ".yml")
+    endings = (".yaml", ".yml")
 
     def run(self) -> int:
         """Run the command."""
@@ -45,4 +45,4 @@ class CalibrateIntrinsics(CalibrationOptions):
 
             return str(yaml.safe_dump(ros_camera_document(found), sort_keys=False))
 
-        return self.calibrated([list_photographs(self.images)], self.out, text)
+        return self.calibrate_and_save([list_photographs(self.images)], self.out, text)

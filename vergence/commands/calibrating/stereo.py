@@ -27,7 +27,7 @@ class CalibrateStereo(CalibrationOptions):
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """Name of the head; by default the name of its file."""
 
-    ending = (".toml",)
+    endings = (".toml",)
 
     def run(self) -> int:
         """Run the command."""
@@ -52,7 +52,7 @@ class CalibrateStereo(CalibrationOptions):
         def text(found: "Calibration") -> str:
             return head_file_text(found, name, self.parsed_response())
 
-        return self.calibrated(
+        return self.calibrate_and_save(
             [[pair.left for pair in pairs.pairs], [pair.right for pair in pairs.pairs]],
             self.out,
             text,

@@ -66,7 +66,7 @@ class HeadOutput:
 
             draw_head(head, self._drawing)
 
-    def say(self) -> None:
+    def print_paths(self) -> None:
         """Print the paths of the written files."""
         print(self.out)
         if self.figure:

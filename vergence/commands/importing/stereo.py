@@ -56,5 +56,5 @@ class ImportStereo(HeadOutput):
         self.check()
         self.write(text, head)
         show_eyes(head)
-        self.say()
+        self.print_paths()
         return 0

@@ -79,5 +79,5 @@ class ImportUrdf(HeadOutput):
         self.check()
         self.write(imported.text, imported.head)
         show_import(imported, self.out)
-        self.say()
+        self.print_paths()
         return 0

@@ -36,7 +36,7 @@ from vergence.controllers.prediction.response import (
     simulate_period,
     speed_at,
 )
-from vergence.models.held_response import follow_held, held_response
+from vergence.models.held_response import follow_held, prepare_held_response
 from vergence.models.parts import FloatArray
 
 _WINDOW_S: Final = 0.117
@@ -159,8 +159,8 @@ def _posterior_cost(
         v, w = speed_at(response, first, j), model.accelerations[j]
         lag, a = rig.lag_ratio[j] * exp(log_lag), rig.acceleration_limit[j] * exp(ratio)
         before, after = (
-            held_response(lag, build_up, a, rest),
-            held_response(lag, build_up, a, period - rest),
+            prepare_held_response(lag, build_up, a, rest),
+            prepare_held_response(lag, build_up, a, period - rest),
         )
         mean_sd = _mean_step(rig, j)
         for i in range(first, tick):
@@ -237,7 +237,7 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
         own_right[j] = own[j] * (model.gain_prior[j] - model.gain[j])
         if not (rig.speed_limit[j] > 0.0 and _is_excited(response, rig, first, tick, j)):
             continue
-        responses = [held_response(1.0, 0.0, 1.0, 0.0)] * 12
+        responses = [prepare_held_response(1.0, 0.0, 1.0, 0.0)] * 12
         for m in range(size + 2):  # nominal (0), gain (1) or a parameter perturbed
             latency = model.parameters[0] + (_DIFFERENCES[0] if m == 2 else 0.0)
             ratio = model.parameters[1] + (_DIFFERENCES[1] if m == 3 else 0.0)
@@ -247,8 +247,8 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
             holds[m] = int(latency / period + 1e-9)
             rest, lag = latency - holds[m] * period, rig.lag_ratio[j] * exp(log_lag)
             a = rig.acceleration_limit[j] * exp(ratio)
-            responses[2 * m] = held_response(lag, build_up, a, rest)
-            responses[2 * m + 1] = held_response(lag, build_up, a, period - rest)
+            responses[2 * m] = prepare_held_response(lag, build_up, a, rest)
+            responses[2 * m + 1] = prepare_held_response(lag, build_up, a, period - rest)
             v[m], w[m] = speed_at(response, first, j), model.accelerations[j]
         for i in range(first, tick):
             for m in range(size + 2):

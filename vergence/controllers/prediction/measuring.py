@@ -112,7 +112,7 @@ def measure_goals(
     depths = depths_on_rays(left, right)
     # one eye alone, or two eyes on different targets, keep the depth last triangulated
     gap = nan
-    if depths.found:
+    if depths.valid:
         (ax, ay, az), (bx, by, bz) = left
         (cx, cy, cz), (dx, dy, dz) = right
         x = ax + depths.left * bx - cx - depths.right * dx

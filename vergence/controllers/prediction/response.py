@@ -20,7 +20,7 @@ import numpy as np
 
 from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorModel
-from vergence.models.held_response import follow_held, held_response
+from vergence.models.held_response import follow_held, prepare_held_response
 from vergence.models.parts import FloatArray
 
 COMMANDS: Final = 128
@@ -193,9 +193,9 @@ def simulate_period(
     rest = latency - whole * rig.period_s
     if rest > 1e-9:
         u = gain * command_at(response, tick - whole - 1, j)
-        q, v, w = follow_held(q, v, w, u, held_response(lag, model.parameters[3], a, rest))
+        q, v, w = follow_held(q, v, w, u, prepare_held_response(lag, model.parameters[3], a, rest))
     u, time = gain * command_at(response, tick - whole, j), rig.period_s - rest
-    return follow_held(q, v, w, u, held_response(lag, model.parameters[3], a, time))
+    return follow_held(q, v, w, u, prepare_held_response(lag, model.parameters[3], a, time))
 
 
 @inlined
@@ -223,8 +223,8 @@ def state_when_next_acts(
     rest = latency - whole * rig.period_s
     if rest > 1e-9:
         u = gain * command_at(response, tick - whole - 1, j)
-        q, v, w = follow_held(q, v, w, u, held_response(lag, build_up, a, rest))
-    held = held_response(lag, build_up, a, rig.period_s)
+        q, v, w = follow_held(q, v, w, u, prepare_held_response(lag, build_up, a, rest))
+    held = prepare_held_response(lag, build_up, a, rig.period_s)
     for i in range(whole):
         u = gain * command_at(response, tick - whole + i, j)
         q, v, w = follow_held(q, v, w, u, held)

@@ -69,10 +69,12 @@ class MujocoPlant(SimulatedPlant):
         self._model = compile_model(moved, neck=neck, target=None, visuals=False)
         # the plant limits commands itself; an actuator's speed gain may exceed the limit
         self._model.actuator_ctrllimited[:] = 0
-        addresses = find_model_indices(self._model, head)
-        self._joints, self._rotors = addresses.joints, addresses.rotors
-        self._qpos_from = np.append(addresses.places, 7 + np.arange(len(addresses.rotors)))
-        self._slots = np.asarray(addresses.slots)
+        indices = find_model_indices(self._model, head)
+        self._joints, self._rotors = indices.qpos_of_joint, indices.slot_of_rotor
+        self._qpos_from = np.append(
+            indices.joint_of_qpos, 7 + np.arange(len(indices.slot_of_rotor))
+        )
+        self._slots = np.asarray(indices.slot_of_ctrl)
         self._lag_ratios, self._which_lag = np.unique(
             true.actuation.lag_ratio[self._slots], return_inverse=True
         )

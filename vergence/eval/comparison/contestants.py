@@ -57,7 +57,7 @@ class Contestant:
     @property
     def names(self) -> tuple[str, ...]:
         """Names under which options and errors may refer to it."""
-        word = self.source.word if isinstance(self.source, EntryPoint) else self.source
+        word = self.source.spec if isinstance(self.source, EntryPoint) else self.source
         return (word, self.label) if isinstance(word, str) else (self.label,)
 
     def resolve_options(self, head: HeadModel, scenario: str) -> ResolvedOptions:

@@ -37,16 +37,16 @@ def make_user_controller(
             inspect.signature(make).bind(head=head, layout=layout, **options)
         except TypeError as error:
             raise ConfigurationError(
-                f"controller {entry.word}: expected to be made with head= and layout=, "
+                f"controller {entry.spec}: expected to be made with head= and layout=, "
                 f"got {entry.attribute}{inspect.signature(make)}: {error}"
             ) from error
     try:
         controller = make(head=head, layout=layout, **options)
     except (Exception, SystemExit) as error:
         raise ControllerError(
-            f"controller {entry.word}: cannot be made: {describe_user_error(error)}"
+            f"controller {entry.spec}: cannot be made: {describe_user_error(error)}"
         ) from error
-    return GuardedController(controller, entry.word)
+    return GuardedController(controller, entry.spec)
 
 
 def option_names(make: Any) -> set[str] | None:

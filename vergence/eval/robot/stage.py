@@ -176,7 +176,7 @@ def make_stage(name: str | None, hardware: HardwareConfig, seed: int = 0) -> Tar
     """
     fits = {
         "emulator": (hardware.places_targets, "an emulated head without --board"),
-        "places": (bool(hardware.places), f"tables [[places]] in {hardware.path}"),
+        "places": (bool(hardware.measured_targets), f"tables [[places]] in {hardware.path}"),
         "hand": (_watched() or name == "hand", "a terminal"),
         "still": (True, ""),
     }
@@ -197,7 +197,7 @@ def make_stage(name: str | None, hardware: HardwareConfig, seed: int = 0) -> Tar
         return EmulatorStage()
     if name == "places":
         _refuse_out_of_reach(hardware)
-        return PlacesStage(hardware.places, seed)
+        return PlacesStage(hardware.measured_targets, seed)
     return HandStage(_ask) if name == "hand" else StillStage()
 
 
@@ -208,7 +208,7 @@ def _watched() -> bool:
 def _refuse_out_of_reach(hardware: HardwareConfig) -> None:
     """Refuse places that the eyes cannot look at, such as ones in metres or behind the head."""
     head = hardware.head
-    for k, place in enumerate(hardware.places):
+    for k, place in enumerate(hardware.measured_targets):
         what = f"places[{k}].point_mm in {hardware.path}"
         motors = head.actuation.actuators_of(fixation_angles(head, what, place.point[np.newaxis]))[
             0

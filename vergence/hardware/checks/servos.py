@@ -125,7 +125,7 @@ def _missing(config: HardwareConfig, bus: Bus, missing: list[ServoConfig]) -> It
 
 def _forbidden(config: HardwareConfig, angles: FloatArray) -> Iterator[Finding]:
     for one in config.safety.forbidden:
-        if one.holds(angles):
+        if one.contains(angles):
             yield Finding(
                 part="safety",
                 problem=one.refusal(angles, config.slots),

@@ -54,12 +54,12 @@ class ImageFit:
     """Number of images."""
 
     @property
-    def least_s(self) -> float:
+    def least_latency_s(self) -> float:
         """Least latency, s; images arrive up to the jitter later."""
         return max(self.latency_s - 0.5 * (self.jitter_s or 0.0), 0.0)
 
     @property
-    def least_sigma_s(self) -> float:
+    def least_latency_sigma_s(self) -> float:
         """Its standard deviation, s."""
         if self.jitter_s is None:
             return self.latency_sigma_s

@@ -58,7 +58,7 @@ class JointFit:
     motor: FittedMotor
     sigma: FittedMotor
     """Standard deviations of the parameters."""
-    greatest_rad_s2: float
+    peak_acceleration_rad_s2: float
     """Greatest acceleration of the modelled motion, rad/s^2."""
     residual_rad: float
     """Rms difference of the encoder's angles from the model's, rad."""
@@ -176,7 +176,7 @@ def fit_joint(
         motor=motor,
         sigma=FittedMotor(*deviations.tolist()),
         correlation=float(covariance[0, 1] / (deviations[0] * deviations[1])),
-        greatest_rad_s2=float(np.abs(np.diff(speeds)).max() / 0.002),
+        peak_acceleration_rad_s2=float(np.abs(np.diff(speeds)).max() / 0.002),
         residual_rad=float(np.sqrt(np.mean((sigma * weighted_residual(found.x)) ** 2))),
         limited=worse,
     )

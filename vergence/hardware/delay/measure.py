@@ -114,7 +114,7 @@ def _turn(
     collector.clear()
     steps = round(_LOOK_S / period_s)
     run_trial(task, look, steps, lambda step: read_s.append(time.monotonic()))
-    reply_s = float(np.median(collector.replies_s(read_s)))
+    reply_s = float(np.median(collector.reply_times_s(read_s)))
     reading = task.reading
     if not reading.visible[0, eye]:
         raise HardwareError(

@@ -53,7 +53,7 @@ class LoopMeasurement:
     @property
     def latencies_s(self) -> dict[str, float]:
         """Least latency of each measured camera by eye, s; images arrive up to the jitter later."""
-        return {one.eye: one.image.least_s for one in self.eyes if one.image is not None}
+        return {one.eye: one.image.least_latency_s for one in self.eyes if one.image is not None}
 
     def loop(self) -> LoopConfig:
         """Combine the values of both eyes into one loop for the configuration."""
@@ -91,7 +91,7 @@ class LoopMeasurement:
         ]
         if len(accelerations) == len(joints):
             put("acceleration_ratio", accelerations)
-        latencies = [(one.least_s, one.least_sigma_s) for one in images]
+        latencies = [(one.least_latency_s, one.least_latency_sigma_s) for one in images]
         if latencies:
             sigma["latency_s"] = _mean(latencies, shared=True)[1]
         return LoopConfig(
@@ -138,7 +138,7 @@ class LoopMeasurement:
             if joint.acceleration_rad_s2 is None:
                 lines.append(
                     f"{one.actuator}: its greatest acceleration was not reached: at least "
-                    f"{joint.greatest_rad_s2:.0f} rad/s^2"
+                    f"{joint.peak_acceleration_rad_s2:.0f} rad/s^2"
                 )
             if abs(joint.correlation) > _MOST_CORRELATION:
                 lines.append(
@@ -197,7 +197,12 @@ def _rows(one: EyeLoop) -> Iterator[dict[str, Any]]:
     if image is not None:
         jitter_ms = None if image.jitter_s is None else 1e3 * image.jitter_s
         rows += [
-            ("image - feedback latency", 1e3 * image.least_s, 1e3 * image.least_sigma_s, "ms"),
+            (
+                "image - feedback latency",
+                1e3 * image.least_latency_s,
+                1e3 * image.least_latency_sigma_s,
+                "ms",
+            ),
             ("image jitter", jitter_ms, 1e3 * image.jitter_sigma_s, "ms"),
             ("play", 1e3 * image.backlash_rad, 1e3 * image.backlash_sigma_rad, "mrad"),
             ("image scale", image.scale, image.scale_sigma, ""),

@@ -66,7 +66,7 @@ class SampleCollector(RobotListener):
         """(7,) the newest joint angles, rad."""
         return self._newest
 
-    def replies_s(self, read_s: Sequence[float]) -> FloatArray:
+    def reply_times_s(self, read_s: Sequence[float]) -> FloatArray:
         """Times from a policy's readings to its commands, s.
 
         Args:

@@ -47,7 +47,7 @@ class ActiveFaults:
             return ends
         return min(ends, self._script_s + self._script[0].at_s)
 
-    def on(self, place: Place) -> list[Fault]:
+    def active_on(self, place: Place) -> list[Fault]:
         """Active faults of one kind of part, in the order in which they began."""
         return [fault for _, fault in self._on if fault.place == place]
 
@@ -69,7 +69,9 @@ class ActiveFaults:
         if fault.what in ("overload", "reboot"):
             for servo in self._servos:
                 if servo.id in fault.ids:
-                    servo.fail(LOAD_ERROR) if fault.what == "overload" else servo.reboot()
+                    servo.set_hardware_errors(
+                        LOAD_ERROR
+                    ) if fault.what == "overload" else servo.reboot()
             return
         self._on.append((now_s + fault.for_s, fault))
         self._apply()
@@ -95,7 +97,7 @@ class ActiveFaults:
 
     def _apply(self) -> None:
         for servo, healthy in zip(self._servos, self._healthy, strict=True):
-            own = {fault.what: fault for fault in self.on("servo") if servo.id in fault.ids}
+            own = {fault.what: fault for fault in self.active_on("servo") if servo.id in fault.ids}
             servo.silent = "silent" in own
             servo.stuck = "stuck" in own
             servo.wrong_way = "wrong-way" in own

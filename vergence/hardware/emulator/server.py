@@ -137,7 +137,7 @@ class WorldServer:
             return world.state(now_s)
         if "expose" in request:
             self._exposed_s.append(now_s)
-            cameras = [fault.to_plain() for fault in world.faults.on("camera")]
+            cameras = [fault.to_plain() for fault in world.faults.active_on("camera")]
             return {**world.state(now_s), "faults": cameras}
         if "exposures" in request:
             return {"times": list(self._exposed_s)}

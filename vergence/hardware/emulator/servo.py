@@ -145,7 +145,7 @@ class EmulatedServo:
         """Set a register, without checks of locks and ranges."""
         self.memory.set(register, value)
 
-    def fail(self, errors: int) -> None:
+    def set_hardware_errors(self, errors: int) -> None:
         """Set hardware errors, bits of HARDWARE_ERROR_STATUS, until a reboot.
 
         Errors whose bits SHUTDOWN has too switch the torque off.
@@ -225,7 +225,7 @@ class EmulatedServo:
         """Write the measurements into the control table."""
         angle_rad, velocity = self.q, self._reported
         if self.feedback_latency_s > 0.0 and self._at_s is not None:
-            past = self._sensed.since(self._at_s - self.feedback_latency_s)[0]
+            past = self._sensed.samples_since(self._at_s - self.feedback_latency_s)[0]
             angle_rad, velocity = past.position_rad, past.velocity_rad_s
         if self.frozen:
             velocity = 0.0
@@ -243,9 +243,9 @@ class EmulatedServo:
         """Fail if voltage or temperature are beyond their limits."""
         voltage = self.get(table.PRESENT_INPUT_VOLTAGE)
         if not self.get(table.MIN_VOLTAGE_LIMIT) <= voltage <= self.get(table.MAX_VOLTAGE_LIMIT):
-            self.fail(VOLTAGE_ERROR)
+            self.set_hardware_errors(VOLTAGE_ERROR)
         if self.get(table.PRESENT_TEMPERATURE) > self.get(table.TEMPERATURE_LIMIT):
-            self.fail(HEAT_ERROR)
+            self.set_hardware_errors(HEAT_ERROR)
 
     def _is_shut_down(self) -> bool:
         return bool(self.get(table.HARDWARE_ERROR_STATUS) & self.get(table.SHUTDOWN))

@@ -43,7 +43,7 @@ class MotionTrace:
         positions.append(position_rad)
         velocities.append(velocity_rad_s)
 
-    def since(self, time_s: float) -> list[MotionSample]:
+    def samples_since(self, time_s: float) -> list[MotionSample]:
         """Samples from a time on, the first one interpolated at that time."""
         first = bisect_right(self._times, time_s)
         columns = (self._times[first:], self._positions[first:], self._velocities[first:])
@@ -66,7 +66,7 @@ def find_rest_start(traces: Iterable[MotionTrace], time_s: float) -> tuple[float
     rested_s: float | None = time_s
     fastest = 0.0
     for trace in traces:
-        moments = trace.since(time_s)
+        moments = trace.samples_since(time_s)
         fastest = max([fastest, *(abs(moment.velocity_rad_s) for moment in moments)])
         own_s = _rested_s(moments, time_s)
         rested_s = None if rested_s is None or own_s is None else max(rested_s, own_s)

@@ -170,7 +170,7 @@ class World:
         if any(servo.get(table.TORQUE_ENABLE) for servo in self.line.servos):
             self.faults.start_script(now_s)
         delay_s = sum(answer.delay_s for answer in answers)
-        sent = apply_line_faults(answers, self.faults.on("line"), self._rng)
+        sent = apply_line_faults(answers, self.faults.active_on("line"), self._rng)
         return [(delay_s + late_s, data) for late_s, data in sent]
 
     def begin_fault(self, fault: Fault, now_s: float) -> None:
@@ -198,7 +198,7 @@ class World:
             velocity changes.
         """
         self.advance_to(now_s)
-        moments = {name: one.trace.since(self._told_s) for name, one in self.servos.items()}
+        moments = {name: one.trace.samples_since(self._told_s) for name, one in self.servos.items()}
         self._told_s = now_s
         return {
             name: dict(

@@ -55,7 +55,7 @@ class ForbiddenPosture:
     upper: FloatArray
     """(n,) upper ends, rad."""
 
-    def holds(self, angles: FloatArray) -> bool:
+    def contains(self, angles: FloatArray) -> bool:
         """True if a posture, (7,) rad, is forbidden; the ends of the ranges count as inside."""
         own = angles[list(self.slots)]
         return bool(((own >= self.lower) & (own <= self.upper)).all())
@@ -114,7 +114,7 @@ def parse_safety(table: Table, slots: Mapping[str, int]) -> SafetyConfig:
         )
         if table.has(name)
     }
-    search = table.flag("search")
+    search = table.boolean("search")
     forbidden: tuple[ForbiddenPosture, ...] = ()
     if table.has("forbidden"):
         forbidden = tuple(_forbidden(one, slots) for one in table.tables("forbidden"))

@@ -57,7 +57,7 @@ class FollowingMonitor:
         max_speed: (7,) greatest speeds, rad/s.
 
     Attributes:
-        proved: (7,) True for joints that have been seen to follow their commands.
+        proved_joints: (7,) True for joints that have been seen to follow their commands.
     """
 
     def __init__(self, head: HeadModel, max_speed: FloatArray) -> None:
@@ -68,7 +68,7 @@ class FollowingMonitor:
         self._comparisons = [_Comparison(window, delay_s) for window in _WINDOWS]
         self._sum = np.zeros(7)
         self._last_s = np.nan
-        self.proved = np.zeros(7, dtype=np.bool_)
+        self.proved_joints = np.zeros(7, dtype=np.bool_)
 
     def update(self, now_s: float, angles: FloatArray, command: FloatArray) -> FloatArray:
         """Compare the joints' motion with their commands.
@@ -90,7 +90,7 @@ class FollowingMonitor:
             off = np.maximum(off, comparison.update(now_s, self._sum, angles))
             wanted, moved = comparison.last
             went = np.maximum(went, np.minimum(np.abs(wanted), np.sign(wanted) * moved))
-        self.proved |= (went > _PROVED_RAD) & (off <= 0.0)
+        self.proved_joints |= (went > _PROVED_RAD) & (off <= 0.0)
         return off
 
 

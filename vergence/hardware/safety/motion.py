@@ -151,7 +151,7 @@ class JointMotionLimiter:
             ]
         )
 
-    def allowed(
+    def limit_velocities(
         self,
         angles: FloatArray,
         measured_speeds: FloatArray,
@@ -269,4 +269,4 @@ def find_containing_posture(
     postures: Sequence[ForbiddenPosture], angles: FloatArray
 ) -> ForbiddenPosture | None:
     """First forbidden posture that contains the angles, (7,) rad; None if there is none."""
-    return next((one for one in postures if one.holds(angles)), None)
+    return next((one for one in postures if one.contains(angles)), None)

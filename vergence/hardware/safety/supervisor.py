@@ -143,8 +143,8 @@ class Supervisor:
         else:
             requested = self._while_lost(state, requested)
         first = np.minimum(np.maximum(_FIRST * self.max_speed, _FIRST_RAD_S), self.max_speed)
-        max_speed = np.where(self._following.proved, self.max_speed, first)
-        return self._motion.allowed(state.angles, state.speeds, requested, max_speed)
+        max_speed = np.where(self._following.proved_joints, self.max_speed, first)
+        return self._motion.limit_velocities(state.angles, state.speeds, requested, max_speed)
 
     def on_sent(self, sent: FloatArray) -> None:
         """Report the command, (7,) rad/s, that was sent for a period."""
@@ -152,9 +152,9 @@ class Supervisor:
         self._last_sent = sent.copy()
 
     @property
-    def proved(self) -> BoolArray:
+    def proved_joints(self) -> BoolArray:
         """(7,) True for joints that have been seen to follow their commands."""
-        return self._following.proved
+        return self._following.proved_joints
 
     @property
     def max_speed(self) -> FloatArray:

@@ -101,7 +101,7 @@ def joint_limits(
     """
     seven = np.zeros((4, len(JOINTS)))
     seven[3] = np.inf
-    for name, places, own in zip(links.names, links.places, limits_in_file, strict=True):
+    for name, places, own in zip(links.names, links.joint_indices, limits_in_file, strict=True):
         if own is not None:
             seven[:, places] = own[:, None]
             continue

@@ -25,7 +25,7 @@ def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
     response: list[Response | None] = []
     head_eye = np.zeros((2, 4, 4))
     for eye, table in enumerate(root.tables("eyes", 2)):
-        table.same("name", EYE_NAMES[eye], "the left eye comes first, then the right one")
+        table.require_equal("name", EYE_NAMES[eye], "the left eye comes first, then the right one")
         width, height = _parse_eye_size(table, image)
         size.append((width, height))
         focal.append(table.numbers("focal_px", (2,), FOCAL))
@@ -55,7 +55,7 @@ def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
 
 
 def _parse_size(table: Table, *, closing: bool = False) -> tuple[int, int]:
-    size = table.whole("width_px", SIZE), table.whole("height_px", SIZE)
+    size = table.integer("width_px", SIZE), table.integer("height_px", SIZE)
     if closing:
         table.close()
     return size

@@ -142,7 +142,7 @@ def _parse_calibration(root: Table) -> CalibrationRecord | None:
         raise HeadFileError(table.key("corners_sha256"), digest, hexadecimal)
     record = CalibrationRecord(
         target=table.text("target", "the board, such as 'checkerboard:9x6:24'"),
-        views=table.whole("views", COUNT),
+        views=table.integer("views", COUNT),
         rms_px=table.number("rms_px", NOT_NEGATIVE),
         rms_heldout_px=table.number("rms_heldout_px", NOT_NEGATIVE),
         corners_sha256=digest,
@@ -167,9 +167,9 @@ def check_head_name(name: object) -> None:
 def _parse_links(root: Table) -> DenavitHartenberg:
     columns: dict[str, list[float]] = {field: [] for field in LINK_FIELDS}
     for table, (frame, parent, joint) in zip(root.tables("links", 9), LINKS, strict=True):
-        table.same("frame", frame)
-        table.same("parent", parent)
-        table.same("joint", joint)
+        table.require_equal("frame", frame)
+        table.require_equal("parent", parent)
+        table.require_equal("joint", joint)
         for field, rule in LINK_FIELDS.items():
             columns[field].append(table.number(field, rule))
         table.close()
@@ -199,11 +199,11 @@ def _parse_timing(table: Table) -> LoopTiming:
             raise HeadFileError(
                 "timing", "both", "one of latency_s and latency_frames, an older form of it"
             )
-        latency_s = table.whole("latency_frames", COUNT) / rate
+        latency_s = table.integer("latency_frames", COUNT) / rate
     else:
         latency_s = table.number("latency_s", LATENCY)
     options = _parse_options(table, TIMING_OPTIONS)
-    stamps = table.flag("exposure_stamps")
+    stamps = table.boolean("exposure_stamps")
     timing: LoopTiming = _parse_flat(
         table,
         TIMING,
@@ -233,7 +233,7 @@ def _parse_options(table: Table, rules: Mapping[str, Rule]) -> dict[str, float]:
 
 
 def _parse_rendering(table: Table) -> Rendering:
-    supersampling = table.whole("supersampling", SUPERSAMPLING)
+    supersampling = table.integer("supersampling", SUPERSAMPLING)
     rendering: Rendering = _parse_flat(table, RENDERING, Rendering, supersampling=supersampling)
     return rendering
 

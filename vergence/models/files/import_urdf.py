@@ -112,9 +112,9 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         ConfigurationError: the selection is wrong, or a head file cannot express it.
     """
     mechanism = read_mechanism(source.file)
-    base = mechanism.find(source.base, "base", ("body", "site", "camera"))
+    base = mechanism.find_frame(source.base, "base", ("body", "site", "camera"))
     cameras = tuple(
-        mechanism.find(name, f"{eye}-camera", ("camera", "site", "body"))
+        mechanism.find_frame(name, f"{eye}-camera", ("camera", "site", "body"))
         for eye, name in zip(EYE_NAMES, source.cameras, strict=True)
     )
     _check_two(source.cameras)
@@ -232,7 +232,7 @@ def _motors(
     for name, part in chains.parts.items():
         if part != "neck":
             axis = chains.axis(name) @ between[:3, :3]
-            joints.append(EyeJoint(name=name, part=part, axis=axis, range=ranges[name]))
+            joints.append(EyeJoint(name=name, part=part, axis=axis, limits=ranges[name]))
     baseline = float(np.linalg.norm(eyes[1].pose[:3, 3] - eyes[0].pose[:3, 3]))
     return find_eye_motors(joints, chains.mimic_joints, couplings, baseline)
 
@@ -248,8 +248,11 @@ def _of_motors(assumed: Mapping[str, str], moved: Sequence[EyeMotor]) -> dict[st
         if not movers:
             found[key] = why
     for motor in moved:
-        if motor.reason:
-            found |= {f"actuators.{motor.name}.{end}": motor.reason for end in motor.assumed}
+        if motor.assumption_reason:
+            found |= {
+                f"actuators.{motor.name}.{end}": motor.assumption_reason
+                for end in motor.assumed_keys
+            }
     return found
 
 

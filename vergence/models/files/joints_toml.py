@@ -254,7 +254,7 @@ def joints_to_toml(links: JointAxes, limits: JointLimits) -> dict[str, Any]:
                 },
             }
             for name, part, places, pose in zip(
-                links.names, links.parts, links.places, links.pose, strict=True
+                links.names, links.parts, links.joint_indices, links.pose, strict=True
             )
         ]
     return tables

@@ -71,7 +71,7 @@ class Table:
         """Consume a number that a rule accepts."""
         return _number(self.take(name, rule[1]), self.key(name), rule)
 
-    def whole(self, name: str, rule: Rule) -> int:
+    def integer(self, name: str, rule: Rule) -> int:
         """Consume an integer that a rule accepts."""
         value = self.take(name, rule[1])
         if not isinstance(value, int) or isinstance(value, bool) or not rule[0](value):
@@ -111,7 +111,7 @@ class Table:
             raise HeadFileError(self.key(name), value, expected)
         return value
 
-    def flag(self, name: str) -> bool:
+    def boolean(self, name: str) -> bool:
         """Consume a boolean; false if it is left out."""
         if not self.has(name):
             return False
@@ -124,7 +124,7 @@ class Table:
         """Keys that have not been consumed yet."""
         return list(self._values)
 
-    def same(self, name: str, expected: object, why: str = "") -> None:
+    def require_equal(self, name: str, expected: object, why: str = "") -> None:
         """Consume a value and refuse it unless it equals the expected one; `why` explains it."""
         said = f"{expected!r} ({why})" if why else repr(expected)
         value = self.take(name, said)

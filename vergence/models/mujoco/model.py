@@ -140,16 +140,17 @@ def compile_model(head: HeadModel, **options: Any) -> mujoco.MjModel:
 class ModelIndices(NamedTuple):
     """Indices of a head's joints and actuators in the arrays of its MuJoCo model."""
 
-    joints: NDArray[np.intp]
+    qpos_of_joint: NDArray[np.intp]
     """(7,) index of each joint in `qpos` and `qvel`; -1 for a joint that does not move. A joint
     that both eyes share has its index twice."""
-    places: NDArray[np.intp]
+    joint_of_qpos: NDArray[np.intp]
     """(J,) first index, in an array of all seven joints, of each joint in `qpos`, so that
-    `qpos[: len(places)] = q[places]`. This is all of `qpos`, unless the head has rotors."""
-    rotors: NDArray[np.intp]
-    """Index of each rotor in the same array as for `slots`; rotors are the rest of `qpos`, see
-    `needs_rotor_bodies`."""
-    slots: NDArray[np.intp]
+    `qpos[: len(joint_of_qpos)] = q[joint_of_qpos]`. This is all of `qpos`, unless the head has
+    rotors."""
+    slot_of_rotor: NDArray[np.intp]
+    """Index of each rotor in the same array as for `slot_of_ctrl`; rotors are the rest of `qpos`,
+    see `needs_rotor_bodies`."""
+    slot_of_ctrl: NDArray[np.intp]
     """(nu,) index of each number in `ctrl` in an array of the neck's joints and the four actuators
     of the eyes."""
 
@@ -180,10 +181,12 @@ def find_model_indices(model: mujoco.MjModel, head: HeadModel) -> ModelIndices:
         if joints == expected and actuators == tuple(driven) and model.nq == len(expected):
             index = {name: i for i, name in enumerate(moving)}
             return ModelIndices(
-                joints=np.array([index.get(name, -1) for name in head.joints], dtype=np.intp),
-                places=np.array([*moving.values()], dtype=np.intp),
-                rotors=np.array([*rotors.values()], dtype=np.intp),
-                slots=np.array([*driven.values()], dtype=np.intp),
+                qpos_of_joint=np.array(
+                    [index.get(name, -1) for name in head.joints], dtype=np.intp
+                ),
+                joint_of_qpos=np.array([*moving.values()], dtype=np.intp),
+                slot_of_rotor=np.array([*rotors.values()], dtype=np.intp),
+                slot_of_ctrl=np.array([*driven.values()], dtype=np.intp),
             )
     raise ConfigurationError(
         f"MuJoCo model: expected the joints {tuple(places)} and the actuators "

@@ -62,7 +62,7 @@ class Surroundings(NamedTuple):
     """(4, 4) pose of the upright frame in frame 0."""
     floor_m: float = -0.26
     """Height of the floor in the upright frame, m."""
-    foot: tuple[float, float] = (0.0, 0.0)
+    stand_foot_m: tuple[float, float] = (0.0, 0.0)
     """Position of the stand on the floor, x and y in the upright frame, m."""
     extent_m: float = 0.6
     """Extent of the scene for the viewer (MuJoCo's `stat.extent`), m."""
@@ -72,17 +72,19 @@ class Surroundings(NamedTuple):
         """(3,) acceleration of gravity in frame 0, m/s^2."""
         return 0.0 - 9.81 * self.frame[:3, 2]
 
-    def at(self, point: ArrayLike) -> FloatArray:
+    def to_frame_0(self, point: ArrayLike) -> FloatArray:
         """Transform a point (3,) from the upright frame to frame 0."""
         return np.asarray(self.frame[:3, :3] @ np.asarray(point) + self.frame[:3, 3])
 
-    def placed(self, point: ArrayLike, quat: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> dict[str, Any]:
+    def pos_and_quat(
+        self, point: ArrayLike, quat: ArrayLike = (1.0, 0.0, 0.0, 0.0)
+    ) -> dict[str, Any]:
         """Convert a position and a quaternion in the upright frame to MuJoCo's attributes."""
         if np.array_equal(self.frame, np.eye(4)):
             return {"pos": point, "quat": quat}
         pose = np.eye(4)
         rotation = Rotation.from_quat(np.asarray(quat), scalar_first=True).as_matrix()
-        pose[:3, :3], pose[:3, 3] = self.frame[:3, :3] @ rotation, self.at(point)
+        pose[:3, :3], pose[:3, 3] = self.frame[:3, :3] @ rotation, self.to_frame_0(point)
         return pos_and_quat(pose)
 
 
@@ -94,7 +96,7 @@ def surroundings_of(head: HeadModel) -> Surroundings:
     x, y, _z = (posture.stand_top - posture.upright[:3, 3]) @ posture.upright[:3, :3]
     return Surroundings(
         posture.upright,
-        foot=(float(x), float(y)),
+        stand_foot_m=(float(x), float(y)),
         floor_m=posture.lowest_m - 0.26,
         extent_m=0.6 * max(1.0, posture.baseline_m / 0.3),
     )
@@ -124,7 +126,7 @@ def add_target(
     spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file, vflip=True)
     material = spec.add_material(name=name, specular=0.0, shininess=0.0, emission=0.4)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
-    place = surroundings.placed([-0.011, -1.064, 0.1], _TOWARDS_HEAD)
+    place = surroundings.pos_and_quat([-0.011, -1.064, 0.1], _TOWARDS_HEAD)
     body = spec.worldbody.add_body(name=name, mocap=True, **place)
     body.add_geom(
         name=name,
@@ -144,7 +146,7 @@ def add_observer_cameras(
     spec: mujoco.MjSpec, surroundings: Surroundings, cameras: ObserverCameras = OBSERVER_CAMERAS
 ) -> None:
     """Add the body `fixed_pair`: x right, y down, z forward, origin midway between its cameras."""
-    place = surroundings.placed(cameras.position_m, _TOWARDS_HEAD)
+    place = surroundings.pos_and_quat(cameras.position_m, _TOWARDS_HEAD)
     body = spec.worldbody.add_body(name="fixed_pair", **place)
     size = np.array([cameras.width, cameras.height])
     buffer = spec.visual.global_
@@ -153,10 +155,10 @@ def add_observer_cameras(
     box = {"size": [0.062, 0.0133, 0.012], "pos": [0.0, 0.0, -0.013]}
     add_shape(body, _GEOM.mjGEOM_BOX, COLOURS[DARK], **box)
     x, y, z = cameras.position_m
-    elbow = surroundings.at([x, MAST_Y_M, z])
+    elbow = surroundings.to_frame_0([x, MAST_Y_M, z])
     for end in ([x, MAST_Y_M, surroundings.floor_m + 0.01], [x, y + 0.02, z]):
         metal, capsule = COLOURS[METAL], _GEOM.mjGEOM_CAPSULE
-        add_segment(spec.worldbody, metal, elbow, surroundings.at(end), 0.006, capsule)
+        add_segment(spec.worldbody, metal, elbow, surroundings.to_frame_0(end), 0.006, capsule)
     for side, name in ((-1, "fixed_left"), (1, "fixed_right")):
         centre = [side * cameras.baseline_m / 2.0, 0.0, 0.0]
         # MuJoCo's cameras look along -z with y up, and count the principal point from the
@@ -190,11 +192,11 @@ def add_scenery(spec: mujoco.MjSpec, surroundings: Surroundings) -> None:
         type=_GEOM.mjGEOM_PLANE,
         size=[0.0, 0.0, 0.5],
         material="floor",
-        **surroundings.placed([0.0, 0.0, surroundings.floor_m]),
+        **surroundings.pos_and_quat([0.0, 0.0, surroundings.floor_m]),
         **UNTOUCHABLE,
     )
-    bottom = surroundings.at([*surroundings.foot, surroundings.floor_m])
-    top = surroundings.at([*surroundings.foot, surroundings.floor_m + 0.012])
+    bottom = surroundings.to_frame_0([*surroundings.stand_foot_m, surroundings.floor_m])
+    top = surroundings.to_frame_0([*surroundings.stand_foot_m, surroundings.floor_m + 0.012])
     add_segment(spec.worldbody, COLOURS[DARK], bottom, top, 0.09)
     # offscreen multisampling and shadow maps take most of a frame's time on a CPU
     spec.visual.quality.offsamples = 0
@@ -205,10 +207,10 @@ def add_scenery(spec: mujoco.MjSpec, surroundings: Surroundings) -> None:
     spec.visual.headlight.specular = [0.0, 0.0, 0.0]
     spec.worldbody.add_light(
         name="key",
-        pos=surroundings.at([0.6, -0.8, 1.2]),
+        pos=surroundings.to_frame_0([0.6, -0.8, 1.2]),
         dir=surroundings.frame[:3, :3] @ [-0.4, 0.5, -0.8],
         diffuse=[0.6, 0.6, 0.6],
     )
     spec.visual.map.znear = 0.005
-    spec.stat.center = surroundings.at([0.0, -0.05, 0.0])
+    spec.stat.center = surroundings.to_frame_0([0.0, -0.05, 0.0])
     spec.stat.extent = surroundings.extent_m

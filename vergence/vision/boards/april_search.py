@@ -123,7 +123,7 @@ class CornerSearch:
 
     def find_neighbouring_tags(self) -> None:
         """Search for tags next to those found, repeatedly outwards."""
-        places = self._board.places
+        places = self._board.tag_cells
         tried = np.asarray(known_corner_mask(self.found).any(axis=1), np.bool_)
         while True:
             there = known_corner_mask(self.found)

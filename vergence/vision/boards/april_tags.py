@@ -164,7 +164,7 @@ def estimate_spacing_and_edge_px(
         The median ratio and the mean edge, px; both nan if no two neighbours are known.
     """
     grid = np.full((target.rows, target.columns, 4, 2), np.nan)
-    grid[tuple(target.places.T)] = corners
+    grid[tuple(target.tag_cells.T)] = corners
     gaps, edges = [], []
     for side, (a, b, c, d) in ((grid, (0, 1, 3, 2)), (grid.swapaxes(0, 1), (0, 3, 1, 2))):
         for start, end in ((a, b), (c, d)):

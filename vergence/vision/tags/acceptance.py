@@ -94,7 +94,7 @@ def library_corner_sigma_px(
     corners, edge = square.corners, shortest_edge(square.corners)
     height, width = image.shape
     # if the image's side cuts a tag, the library moves its corner into the image
-    cell = edge / code.border
+    cell = edge / code.border_cells
     inside = (corners > cell).all() and (corners < (width - cell, height - cell)).all()
     if not inside or edge < LEAST_EDGE_PX or not CORRECTED_BITS[code.name]:
         return None

@@ -278,7 +278,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         code = self._code
         points, sigmas = np.empty((5, 2)), np.empty((5, 2))
         fit = fit_tag(
-            image, self._light, self._rays, self._row, _cells_of(code, identity), code.border,
+            image, self._light, self._rays, self._row, _cells_of(code, identity), code.border_cells,
             quiet, steps, most, corners, points, sigmas,
         )  # fmt: skip
         if not reads_as_tag(fit, code):

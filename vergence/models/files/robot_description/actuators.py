@@ -51,17 +51,17 @@ class EyeMotor:
         name: name of the motor.
         joints: factor by joint name.
         offsets: offset by joint name, where it is not 0, rad.
-        range: limits of the motor.
-        reason: reason why some limits are assumed; empty if all are from the file.
-        assumed: keys of the head file that the reason applies to.
+        limits: limits of the motor.
+        assumption_reason: reason why some limits are assumed; empty if all are from the file.
+        assumed_keys: keys of the head file that the reason applies to.
     """
 
     name: str
     joints: Mapping[str, float]
     offsets: Mapping[str, float]
-    range: MotionLimits
-    reason: str = ""
-    assumed: Sequence[str] = ("lower_rad", "upper_rad")
+    limits: MotionLimits
+    assumption_reason: str = ""
+    assumed_keys: Sequence[str] = ("lower_rad", "upper_rad")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,13 +72,13 @@ class EyeJoint:
         name: name of the joint.
         part: both, left or right.
         axis: (3,) its axis at zero, in the axes of the mean camera: x right, y down, z forward.
-        range: limits of the joint.
+        limits: limits of the joint.
     """
 
     name: str
     part: str
     axis: FloatArray
-    range: MotionLimits
+    limits: MotionLimits
 
     @property
     def pans(self) -> bool:
@@ -127,9 +127,9 @@ def _free(
 ) -> EyeMotor:
     """Motor of an independent joint and of the joints coupled to it."""
     mine = [mimic for mimic in mimic_joints if mimic.master == joint.name]
-    allowed = joint.range
+    allowed = joint.limits
     for mimic in mine:
-        allowed = allowed.intersection(by_name[mimic.joint].range.limits_of_master(mimic))
+        allowed = allowed.intersection(by_name[mimic.joint].limits.limits_of_master(mimic))
     if not allowed.lower < allowed.upper:
         raise ConfigurationError(
             f"joint {joint.name}: expected a range that it and what follows it "
@@ -139,7 +139,7 @@ def _free(
         name=joint.name,
         joints={joint.name: 1.0} | {mimic.joint: mimic.multiplier for mimic in mine},
         offsets={mimic.joint: mimic.offset for mimic in mine if mimic.offset},
-        range=allowed,
+        limits=allowed,
     )
 
 
@@ -177,7 +177,7 @@ def _common_tilt(left: EyeMotor, right: EyeMotor, by_name: Mapping[str, EyeJoint
     axes = by_name[left.name].axis, by_name[right.name].axis
     factor = 1.0 if axes[0] @ axes[1] > 0.0 else -1.0
     mimic = MimicJoint(right.name, left.name, factor, 0.0)
-    allowed = left.range.intersection(right.range.limits_of_master(mimic))
+    allowed = left.limits.intersection(right.limits.limits_of_master(mimic))
     if not allowed.lower < allowed.upper:
         raise ConfigurationError(
             f"actuators: expected for common-tilt a range that {left.name} and {right.name} have "
@@ -187,8 +187,8 @@ def _common_tilt(left: EyeMotor, right: EyeMotor, by_name: Mapping[str, EyeJoint
         name=_free_name("tilt", by_name),
         joints={left.name: 1.0, right.name: factor},
         offsets={},
-        range=allowed,
-        reason="what both tilts may do; --actuators common-tilt ties them",
+        limits=allowed,
+        assumption_reason="what both tilts may do; --actuators common-tilt ties them",
     )
 
 
@@ -202,7 +202,7 @@ def _version_vergence(
     """
     signs = [float(np.sign(by_name[motor.name].axis[1])) for motor in (left, right)]
     turned = [
-        m.range.limits_of_master(MimicJoint("", "", s, 0.0))
+        m.limits.limits_of_master(MimicJoint("", "", s, 0.0))
         for m, s in zip((left, right), signs, strict=True)
     ]
     l, r = turned  # noqa: E741 ranges of the left and right eye's rotation to the right
@@ -227,15 +227,15 @@ def _version_vergence(
         name=_free_name("version", by_name),
         joints={left.name: signs[0], right.name: signs[1]},
         offsets={},
-        range=replace(
+        limits=replace(
             both,
             lower=low,
             upper=high,
             velocity=both.velocity / 2.0,
             acceleration=both.acceleration / 2.0,
         ),
-        reason=reason,
-        assumed=("lower_rad", "upper_rad", "velocity_rad_s"),
+        assumption_reason=reason,
+        assumed_keys=("lower_rad", "upper_rad", "velocity_rad_s"),
     )
     return [
         version,
@@ -243,9 +243,9 @@ def _version_vergence(
             name=_free_name("vergence", by_name),
             joints=half,
             offsets={},
-            range=replace(both, lower=0.0, upper=float(vergence)),
-            reason=reason,
-            assumed=("lower_rad", "upper_rad", "velocity_rad_s"),
+            limits=replace(both, lower=0.0, upper=float(vergence)),
+            assumption_reason=reason,
+            assumed_keys=("lower_rad", "upper_rad", "velocity_rad_s"),
         ),
     ]
 

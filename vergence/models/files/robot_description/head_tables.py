@@ -66,7 +66,7 @@ def actuator_fields(motors: Sequence[EyeMotor]) -> dict[str, Any]:
     offsets = {joint: offset for motor in motors for joint, offset in motor.offsets.items()}
     tables: dict[str, Any] = {
         "actuators": [
-            {"name": motor.name, "joints": dict(motor.joints), **limit_fields(motor.range)}
+            {"name": motor.name, "joints": dict(motor.joints), **limit_fields(motor.limits)}
             for motor in motors
         ]
     }

@@ -133,7 +133,7 @@ class Mechanism:
         """All joints by name."""
         return {joint.name: joint for frame in self.frames for joint in frame.joints}
 
-    def find(self, name: str, option: str, prefer: tuple[FrameKind, ...]) -> int:
+    def find_frame(self, name: str, option: str, prefer: tuple[FrameKind, ...]) -> int:
         """Find the index of a frame by name.
 
         Args:
