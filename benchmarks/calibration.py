@@ -43,12 +43,12 @@ from numpy.typing import NDArray
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.adjustment import CameraRig, Poses, cross_matrices, rms
-from vergence.calibration.cameras import CameraFit, first_fit, fit_camera
+from vergence.calibration.adjustment import CameraRig, BoardPoses, cross_matrices, rms_length
+from vergence.calibration.cameras import CameraFit, fit_consistent_views, fit_camera
 from vergence.calibration.observations import Observations
-from vergence.calibration.projection import project
-from vergence.calibration.stereo import fit_pair
-from vergence.calibration.uncertainty import covariance_of, direction_sigma_px
+from vergence.calibration.projection import project_with_jacobians
+from vergence.calibration.stereo import fit_camera_pair
+from vergence.calibration.uncertainty import rig_covariance, direction_sigma_px
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
 from vergence.models.parts import FloatArray, Rendering
@@ -89,7 +89,7 @@ class Truth(NamedTuple):
     """True cameras, and true pose of the board in each view."""
 
     rig: CameraRig
-    poses: Poses
+    poses: BoardPoses
 
     def pixels(self, target: PlanarTarget) -> FloatArray:
         """(c, v, n, 2) pixels of the board in the cameras; nan for boards that leave an image."""
@@ -98,7 +98,7 @@ class Truth(NamedTuple):
         points = [left, left @ self.rig.rotation.T + self.rig.translation]
         pixels = np.stack(
             [
-                project(lens, values, each).pixels
+                project_with_jacobians(lens, values, each).pixels
                 for lens, values, each in zip(self.rig.lenses, self.rig.values, points, strict=True)
             ]
         )
@@ -156,13 +156,13 @@ def drawn_truth(lens: str, target: PlanarTarget, rng: np.random.Generator) -> Tr
         rotation, middle = drawn_pose(rig, camera, rng)
         shift = middle - rotation @ centre
         with np.errstate(invalid="ignore"):
-            seen = Truth(rig, Poses(rotation[None], shift[None])).pixels(target)
+            seen = Truth(rig, BoardPoses(rotation[None], shift[None])).pixels(target)
         whole: NDArray[np.bool_] = np.asarray(np.isfinite(seen).all(axis=(1, 2, 3)))
         # a third of the views may be of one camera alone
         if whole.all() or (whole[camera] and len(rotations) % 6 < 2):
             rotations.append(rotation)
             translations.append(shift)
-    return Truth(rig, Poses(np.array(rotations), np.array(translations)))
+    return Truth(rig, BoardPoses(np.array(rotations), np.array(translations)))
 
 
 def eye_camera(rig: CameraRig, camera: int) -> EyeCamera:
@@ -221,8 +221,8 @@ def noisy_corners(target: PlanarTarget, truth: Truth, rng: np.random.Generator) 
 
 def calibrated(seen: Observations, lens: str) -> CameraFit:
     """Calibrate the pair as `vergence.calibration.calibrate` does with a given lens model."""
-    alone = [fit_camera(seen.camera(i), lens, first_fit(seen.camera(i))) for i in range(2)]
-    return fit_pair(seen, *alone)[1]
+    alone = [fit_camera(seen.camera(i), lens, fit_consistent_views(seen.camera(i))) for i in range(2)]
+    return fit_camera_pair(seen, *alone)[1]
 
 
 def nees(error: FloatArray, covariance: FloatArray) -> float:
@@ -247,23 +247,23 @@ def direction_ratio(fit: CameraFit, truth: CameraRig, covariance: FloatArray) ->
     u, v = np.meshgrid(*(np.linspace(0.1, 0.9, 9) * length for length in SIZE))
     rays = eye_camera(truth, 0).rays(np.column_stack([u.ravel(), v.ravel()]))
     points = np.insert(rays, 2, 1.0, axis=1)
-    seen = project(lens, found.values[0], points)
-    error = seen.pixels - project(lens, truth.values[0], points).pixels
+    seen = project_with_jacobians(lens, found.values[0], points)
+    error = seen.pixels - project_with_jacobians(lens, truth.values[0], points).pixels
     # a rotation of the frame is fitted to the observed corners, as in `direction_sigma_px`
     corners = fit.solution.problem.points(found, fit.solution.poses)
     corners = corners[fit.solution.problem.seen[0]]
-    at = project(lens, found.values[0], corners)
-    by_turn = -at.by_point @ cross_matrices(corners)
-    missed = at.pixels - project(lens, truth.values[0], corners).pixels
+    at = project_with_jacobians(lens, found.values[0], corners)
+    by_turn = -at.point_jacobian @ cross_matrices(corners)
+    missed = at.pixels - project_with_jacobians(lens, truth.values[0], corners).pixels
     turn = np.linalg.lstsq(by_turn.reshape(-1, 3), -missed.ravel(), rcond=None)[0]
-    error = error - seen.by_point @ cross_matrices(points) @ turn
+    error = error - seen.point_jacobian @ cross_matrices(points) @ turn
     sigma = direction_sigma_px(fit.solution, covariance, 0, rays)
     return float(np.sqrt(np.mean((error / sigma[:, None]) ** 2)))
 
 
 def measured(fit: CameraFit, truth: Truth) -> dict[str, float]:
     """Errors and ratios of one calibrated data set."""
-    rig, covariance = fit.solution.rig, covariance_of(fit.solution)
+    rig, covariance = fit.solution.rig, rig_covariance(fit.solution)
     error = rig.packed() - truth.rig.packed()
     bend, between = rig.blocks[-1], rig.blocks[-2]
     shift = rig.translation
@@ -278,7 +278,7 @@ def measured(fit: CameraFit, truth: Truth) -> dict[str, float]:
         "baseline_error_mm": 1e3 * (length - float(np.linalg.norm(truth.rig.translation))),
         "baseline_sigma_mm": 1e3 * float(np.sqrt(variance)),
         "noise": fit.solution.reduced_chi,
-        "rms_px": rms(fit.solution.residuals_px),
+        "rms_px": rms_length(fit.solution.residuals_px),
         "dropped": float((~fit.kept).sum()),
     }
 

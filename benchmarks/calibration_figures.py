@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from vergence.calibration.calibrate import Calibration, calibrate
-from vergence.calibration.depth import depth_sigma_at, depths_shown
+from vergence.calibration.depth import depth_sigma_at, depths_to_plot_m
 from vergence.calibration.figures import (
     depth_sigma,
     direction_sigma,
@@ -38,7 +38,7 @@ def panels(found: Calibration) -> list[Figure]:
         residual_field(found, 0),
         image_coverage(found, 0),
         direction_sigma(found, 0),
-        depth_sigma(depth_sigma_at(found, depths_shown(found)), relative=False),
+        depth_sigma(depth_sigma_at(found, depths_to_plot_m(found)), relative=False),
     ]
 
 

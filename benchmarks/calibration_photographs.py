@@ -40,10 +40,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Adjustment, CameraRig, Solution
-from vergence.calibration.cameras import estimate_board_poses, first_fit, fit_camera
-from vergence.calibration.observations import Observations, observe, parse_board
-from vergence.calibration.stereo import fit_pair
+from vergence.calibration.adjustment import BundleAdjustment, CameraRig, BundleSolution
+from vergence.calibration.cameras import estimate_board_poses, fit_consistent_views, fit_camera
+from vergence.calibration.observations import Observations, detect_board_corners, parse_board
+from vergence.calibration.stereo import fit_camera_pair
 from vergence.errors import ConfigurationError
 from vergence.models.boards import Checkerboard
 from vergence.models.parts import FloatArray
@@ -183,9 +183,9 @@ def _opencv_camera(
 def our_calibrated(seen: Observations, lens: str) -> CameraRig:
     """Calibrate a camera or a pair by the package; the fitted curvature of the board is dropped."""
     alone = [
-        fit_camera(seen.camera(i), lens, first_fit(seen.camera(i))) for i in range(len(seen.sizes))
+        fit_camera(seen.camera(i), lens, fit_consistent_views(seen.camera(i))) for i in range(len(seen.sizes))
     ]
-    fit = alone[0] if len(alone) == 1 else fit_pair(seen, *alone)[1]
+    fit = alone[0] if len(alone) == 1 else fit_camera_pair(seen, *alone)[1]
     return fit.solution.rig._replace(bend=np.zeros(3))
 
 
@@ -198,14 +198,14 @@ def judged(board: FloatArray, rig: CameraRig, corners: Corners, *, bent: bool) -
         corners: corners of the evaluated views.
         bent: True to fit the board's curvature as well, one for all views.
     """
-    problem = Adjustment(board, corners.pixels, np.ones_like(corners.pixels))
+    problem = BundleAdjustment(board, corners.pixels, np.ones_like(corners.pixels))
     start = estimate_board_poses(
         problem.of_camera(0), CameraRig.single(rig.lenses[0], rig.values[0]), corners.sizes[0]
     )
     rig = rig._replace(bend=np.zeros(3))
     poses, linear = problem.fit_poses(rig, start)
     for _ in range(_BENDINGS if bent else 0):
-        solution = Solution(problem, rig, poses, problem.linearised(rig, poses))
+        solution = BundleSolution(problem, rig, poses, problem.linearised(rig, poses))
         by_bend = solution.by_rig[..., rig.blocks[-1]]
         step = np.linalg.lstsq(by_bend.reshape(-1, 3), -linear.residuals.ravel(), rcond=None)[0]
         rig = rig._replace(bend=rig.bend + step)
@@ -229,7 +229,7 @@ def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str
     """Row of the table: results of one data set."""
     board, files = parse_board(target), files_of(folder)
     points = np.insert(board.corners_m, 2, 0.0, axis=1)
-    seen, _ = observe(board, files)
+    seen, _ = detect_board_corners(board, files)
     ours = Corners(np.where(seen.usable[..., None, None], seen.pixels, np.nan), seen.sizes)
     corners = {"ours": ours}
     if isinstance(board, Checkerboard):

@@ -37,7 +37,7 @@ import numpy as np
 import pandas as pd
 
 from vergence.calibration.head.calibrate_head import HeadCalibration, calibrate_head
-from vergence.calibration.head.simulated import quantised, record
+from vergence.calibration.head.simulated import quantised, simulate_recording
 from vergence.errors import ConfigurationError
 from vergence.eval.article.reported import static_points
 from vergence.eval.jobs import open_mapper
@@ -103,7 +103,7 @@ def judge(name: str, seed: int, number: int) -> Judged | str:
     nominal = load_head(name)
     rng = np.random.default_rng([seed, number])
     true = nominal.perturbed(rng, TWIN_SPREADS)
-    frames = record(
+    frames = simulate_recording(
         nominal, true, rng, target=TARGET, distances_m=DISTANCES_M, noise_px=NOISE_PX
     ).frames
     started = time.process_time()

@@ -44,8 +44,8 @@ from rich.progress import track
 
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.hand_eye import HeadEye, both_eyes, by_reprojection, single_eye
-from vergence.calibration.head.simulated import record
+from vergence.calibration.head.hand_eye import HeadEyeFit, solve_both_eyes, refine_by_reprojection, solve_each_eye
+from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError
 from vergence.eval.article.reported import static_points
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
@@ -80,7 +80,7 @@ def _whole_head(head: HeadModel, frames: HeadFrames) -> Calibrated:
 
 
 def _head_eye(
-    find: Callable[[HeadModel, HeadFrames], HeadEye],
+    find: Callable[[HeadModel, HeadFrames], HeadEyeFit],
 ) -> Callable[[HeadModel, HeadFrames], Calibrated]:
     def calibrated(head: HeadModel, frames: HeadFrames) -> Calibrated:
         found = find(head, frames)
@@ -91,10 +91,10 @@ def _head_eye(
 
 METHODS: Final[dict[str, Callable[[HeadModel, HeadFrames], Calibrated]]] = {
     "nominal": _nominal,
-    "single_eye": _head_eye(single_eye),
-    "both_eyes": _head_eye(both_eyes),
-    "reprojection": _head_eye(lambda head, frames: by_reprojection(head, frames,
-                                                                   both_eyes(head, frames))),
+    "single_eye": _head_eye(solve_each_eye),
+    "both_eyes": _head_eye(solve_both_eyes),
+    "reprojection": _head_eye(lambda head, frames: refine_by_reprojection(head, frames,
+                                                                   solve_both_eyes(head, frames))),
     "whole_head": _whole_head,
 }  # fmt: skip
 
@@ -159,7 +159,7 @@ def table_of(count: int, seed: int, off_axis: float) -> pd.DataFrame:
     for number in track(range(count), "heads"):
         rng = np.random.default_rng([seed, number])
         true = nominal.perturbed(rng, ERRORS)
-        frames = record(nominal, true, rng, off_axis=off_axis).frames
+        frames = simulate_recording(nominal, true, rng, off_axis=off_axis).frames
         for method, calibrate in METHODS.items():
             started = time.perf_counter()
             try:

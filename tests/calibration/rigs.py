@@ -3,11 +3,11 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.adjustment import Adjustment, CameraRig, Poses, Solution
+from vergence.calibration.adjustment import BundleAdjustment, CameraRig, BoardPoses, BundleSolution
 from vergence.calibration.calibrate import Calibration
-from vergence.calibration.cameras import CameraFit, judge_views
+from vergence.calibration.cameras import CameraFit, compute_view_residuals
 from vergence.calibration.observations import Observations
-from vergence.calibration.uncertainty import covariance_of
+from vergence.calibration.uncertainty import rig_covariance
 from vergence.vision import parse_target
 
 SIZE = (640, 480)
@@ -35,14 +35,14 @@ def make_poses(rng, views, board=BOARD, wide=1.0):
     rotation = Rotation.from_rotvec(tilts).as_matrix()
     z = rng.uniform(0.35, 0.7, views)
     x, y = wide * rng.uniform(-0.35, 0.35, views) * z + 0.05, rng.uniform(-0.25, 0.25, views) * z
-    return Poses(rotation, np.column_stack([x, y, z]) - rotation @ middle)
+    return BoardPoses(rotation, np.column_stack([x, y, z]) - rotation @ middle)
 
 
 def look(rig, poses, rng, noise_px=0.1, size=SIZE, board=BOARD):
     """Observations of the board with noise; corners outside of an image are not found."""
     corners = np.column_stack([board.corners_m, np.zeros(len(board.corners_m))])
     shape = (len(rig.values), len(poses.translation), len(corners), 2)
-    problem = Adjustment(corners, np.zeros(shape), np.ones(shape))
+    problem = BundleAdjustment(corners, np.zeros(shape), np.ones(shape))
     linear = problem.linearised(rig, poses)
     views, cameras = shape[1], shape[0]
     pixels = linear.residuals.reshape(views, cameras, -1, 2).transpose(1, 0, 2, 3)
@@ -69,7 +69,7 @@ def as_calibrated(rig, poses, seen, dropped=()):
         mine = poses
         if camera:
             turned = rig.rotation @ poses.rotation
-            mine = Poses(turned, poses.translation @ rig.rotation.T + rig.translation)
+            mine = BoardPoses(turned, poses.translation @ rig.rotation.T + rig.translation)
         alone.append(_fit(seen.problem.of_camera(camera), single, mine, seen.usable[camera] & ~out))
     fit = alone[0]
     if cameras > 1:
@@ -78,7 +78,7 @@ def as_calibrated(rig, poses, seen, dropped=()):
         seen=seen,
         single_fits=tuple(alone),
         fit=fit,
-        covariance=covariance_of(fit.solution),
+        covariance=rig_covariance(fit.solution),
         held_out_px=fit.solution.residuals_px,
         lens=rig.lenses[0],
         lens_errors={},
@@ -87,8 +87,8 @@ def as_calibrated(rig, poses, seen, dropped=()):
 
 
 def _fit(problem, rig, poses, kept):
-    views = judge_views(problem, problem.linearised(rig, poses))
+    views = compute_view_residuals(problem, problem.linearised(rig, poses))
     one = problem.of(kept)
     return CameraFit(
-        Solution(one, rig, poses.of(kept), one.linearised(rig, poses.of(kept))), kept, views
+        BundleSolution(one, rig, poses.of(kept), one.linearised(rig, poses.of(kept))), kept, views
     )

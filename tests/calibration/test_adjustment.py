@@ -5,8 +5,8 @@ import pytest
 
 from tests.calibration.rigs import look as look_at
 from tests.calibration.rigs import make_poses, make_rig
-from vergence.calibration.adjustment import Adjustment, Poses
-from vergence.calibration.uncertainty import covariance_of
+from vergence.calibration.adjustment import BundleAdjustment, BoardPoses
+from vergence.calibration.uncertainty import rig_covariance
 
 
 @pytest.fixture
@@ -35,9 +35,9 @@ def test_exact_corners_give_the_true_numbers_back(rng):
     rig, poses = make_rig(), make_poses(rng, 8)
     rig = rig._replace(bend=np.array([0.0, 0.1, 0.0]))
     problem = look_at(rig, poses, rng, noise_px=0.0).problem
-    problem = Adjustment(problem.board, problem.pixels, np.ones_like(problem.pixels))
+    problem = BundleAdjustment(problem.board_corners, problem.pixels, np.ones_like(problem.pixels))
     start = rig.unpacked(rig.packed() * (1.0 + 1e-3 * rng.standard_normal(len(rig.packed()))))
-    moved = Poses(poses.rotation, poses.translation + 0.003)
+    moved = BoardPoses(poses.rotation, poses.translation + 0.003)
     found = problem.solve(start, moved)
     np.testing.assert_allclose(found.rig.packed(), rig.packed(), rtol=1e-5, atol=1e-6)
 
@@ -50,7 +50,7 @@ def test_errors_are_of_the_size_of_their_covariance(rng):
         views = seen.usable.any(axis=0)
         found = seen.problem.of(views).solve(rig, poses.of(views))
         error = found.rig.packed() - rig.packed()
-        squares.append(error @ np.linalg.solve(covariance_of(found), error) / len(error))
+        squares.append(error @ np.linalg.solve(rig_covariance(found), error) / len(error))
     # 12 draws of 27 numbers: the mean scatters by 0.08
     assert 0.7 < np.mean(squares) < 1.3
 
@@ -58,18 +58,18 @@ def test_errors_are_of_the_size_of_their_covariance(rng):
 def test_a_board_that_moved_between_exposures_makes_the_baseline_less_sure(rng):
     rig, poses = make_rig(), make_poses(rng, 20)
     still = look_at(rig, poses, rng)
-    moved = Poses(poses.rotation, poses.translation + 0.0005 * rng.standard_normal((20, 3)))
+    moved = BoardPoses(poses.rotation, poses.translation + 0.0005 * rng.standard_normal((20, 3)))
     views = still.usable.all(axis=0)
     pixels = still.pixels.copy()
     pixels[1] = look_at(rig, moved, rng).pixels[1]
     views &= np.isfinite(pixels).all(axis=(0, 2, 3))
     sure, unsure = (
-        Adjustment(still.problem.board, each[:, views], np.full_like(each[:, views], 0.1)).solve(
+        BundleAdjustment(still.problem.board, each[:, views], np.full_like(each[:, views], 0.1)).solve(
             rig, poses.of(views)
         )
         for each in (still.pixels, pixels)
     )
     between = rig.blocks[-2]
-    told = [np.sqrt(covariance_of(one)[between, between][3, 3]) for one in (sure, unsure)]
+    told = [np.sqrt(rig_covariance(one)[between, between][3, 3]) for one in (sure, unsure)]
     naive = np.linalg.inv(unsure.information.sum(axis=0))[between, between][3, 3] ** 0.5
     assert told[1] > 1.5 * naive * unsure.reduced_chi > told[0]

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.calibration.rigs import BOARD, look, make_poses, make_rig
 from vergence.calibration import cameras
-from vergence.calibration.adjustment import Poses
+from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.calibrate import calibrate_views
-from vergence.calibration.files import camera_document, head_text, place_covariance
+from vergence.calibration.files import ros_camera_document, head_file_text, right_camera_pose_covariance
 from vergence.errors import ConfigurationError
 from vergence.models import parse_head
 from vergence.vision import parse_target
@@ -63,13 +63,13 @@ def test_the_cameras_are_found_and_the_lens_is_told(lens):
 def test_the_head_file_has_the_cameras_and_their_deviations(pair):
     seen, _ = pair
     found = calibrate_views(seen, LENS)
-    head = parse_head(head_text(found, "desk"))
+    head = parse_head(head_file_text(found, "desk"))
     left, right = head.camera_poses(head.rest())
     between = np.column_stack([found.rig.rotation, found.rig.translation])
     np.testing.assert_allclose((np.linalg.inv(right) @ left)[:3], between, atol=1e-9)
     record = head.calibration
     assert record.views == found.fit.kept.sum()
-    assert record.corners_sha256 == found.seen.digest
+    assert record.corners_sha256 == found.observations.digest
     assert record.sigma["left.camera.f_u"] == pytest.approx(found.sigma[0])
     # the position along the baseline is as sure as the baseline, but for their small angle
     assert record.sigma["right.head_eye.x"] == pytest.approx(1e-3 * found.baseline_mm[1], rel=0.05)
@@ -77,7 +77,7 @@ def test_the_head_file_has_the_cameras_and_their_deviations(pair):
 
 def test_the_head_file_has_the_response_that_was_stated(pair):
     found = calibrate_views(pair[0], LENS)
-    assert parse_head(head_text(found, "desk", "srgb")).cameras.response == ("srgb", "srgb")
+    assert parse_head(head_file_text(found, "desk", "srgb")).cameras.response == ("srgb", "srgb")
 
 
 def test_the_covariance_of_the_place_follows_small_changes(pair):
@@ -95,13 +95,13 @@ def test_the_covariance_of_the_place_follows_small_changes(pair):
         spin = Rotation.from_matrix(rig.rotation @ one.rotation.T).as_rotvec()
         place = -one.rotation.T @ one.translation + rig.rotation.T @ rig.translation
         moved.append([*spin, *place])
-    told = np.sqrt(np.diagonal(place_covariance(rig, root @ root.T)))
+    told = np.sqrt(np.diagonal(right_camera_pose_covariance(rig, root @ root.T)))
     np.testing.assert_allclose(np.std(moved, axis=0), told, rtol=0.06)
 
 
 def test_one_camera_gives_a_file_of_its_own(pair):
     found = calibrate_views(pair[0].camera(0), LENS)
-    document = camera_document(found)
+    document = ros_camera_document(found)
     assert document["image_width"], document["image_height"] == (640, 480)
     assert document["distortion_model"] == "plumb_bob"
     assert document["calibration"]["sigma"]["f_u"] == pytest.approx(found.sigma[0])
@@ -177,6 +177,6 @@ def test_boards_that_all_face_the_camera_are_refused():
     rng = np.random.default_rng(6)
     poses = make_poses(rng, 14)
     facing = np.broadcast_to(np.eye(3), poses.rotation.shape)
-    flat = Poses(facing, np.column_stack([poses.translation[:, :2], np.full(14, 0.5)]) - 0.05)
+    flat = BoardPoses(facing, np.column_stack([poses.translation[:, :2], np.full(14, 0.5)]) - 0.05)
     with pytest.raises(ConfigurationError, match="tilt the board by some 30 degrees"):
         calibrate_views(look(make_rig(), flat, rng), LENS)

@@ -7,20 +7,20 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.calibration.rigs import BOARD, as_calibrated, look, make_poses, make_rig
-from vergence.calibration.adjustment import Poses
+from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.coverage import (
     MOST_SENTENCES,
-    advice,
-    attitudes,
-    bent_board,
+    advise_next_photographs,
+    board_tilts,
+    advise_on_bent_board,
     board_sag,
-    corner_directions,
-    distances,
-    empty_cells,
-    few_views,
-    focal_lengths,
-    moved_together,
-    tilts,
+    advise_on_image_corners,
+    advise_on_distances,
+    advise_on_empty_cells,
+    advise_on_view_count,
+    advise_on_focal_lengths,
+    advise_on_pair_motion,
+    advise_on_tilts,
     views_per_cell,
 )
 from vergence.calibration.depth import depth_sigma_at
@@ -32,7 +32,7 @@ VIEWS = 60
 def held(rotvecs_deg, middles_m):
     """Poses of boards that are turned, and whose middles are there."""
     rotation = Rotation.from_rotvec(rotvecs_deg, degrees=True).as_matrix()
-    return Poses(rotation, np.broadcast_to(middles_m, (len(rotation), 3)) - rotation @ MIDDLE)
+    return BoardPoses(rotation, np.broadcast_to(middles_m, (len(rotation), 3)) - rotation @ MIDDLE)
 
 
 def calibrated(poses, rng, rig=None, cameras=2):
@@ -52,7 +52,7 @@ def good():
     z = np.repeat(rng.uniform(0.4, 1.2, VIEWS), 3)
     beside = np.column_stack([rng.uniform(-0.6, 0.6, len(z)) * z + 0.05,
                               rng.uniform(-0.45, 0.45, len(z)) * z, z])  # fmt: skip
-    return calibrated(Poses(poses.rotation, beside - poses.rotation @ MIDDLE), rng)
+    return calibrated(BoardPoses(poses.rotation, beside - poses.rotation @ MIDDLE), rng)
 
 
 def facing(rng, tilt_deg=8.0, z_m=0.5):
@@ -63,7 +63,7 @@ def facing(rng, tilt_deg=8.0, z_m=0.5):
 
 
 def test_good_views_lack_nothing(good):
-    assert advice(good) == []
+    assert advise_next_photographs(good) == []
 
 
 def test_a_board_whose_lower_edge_is_nearer_has_a_positive_tilt_in_y():
@@ -71,7 +71,7 @@ def test_a_board_whose_lower_edge_is_nearer_has_a_positive_tilt_in_y():
     lower = BOARD.corners_m[:, 1].argmax()
     depth = (poses.rotation[0] @ np.append(BOARD.corners_m[lower], 0.0) + poses.translation[0])[2]
     assert depth < 0.5
-    before = attitudes(calibrated(poses, np.random.default_rng(0)), 0)
+    before = board_tilts(calibrated(poses, np.random.default_rng(0)), 0)
     np.testing.assert_allclose(before.tilt_deg, [[0.0, 30.0]] * 5, atol=1e-9)
     np.testing.assert_allclose(before.distance_m, np.hypot(0.05, 0.5))
 
@@ -88,15 +88,15 @@ def test_an_empty_part_of_an_image_is_named():
     poses = make_poses(rng, VIEWS)
     left = poses.translation + poses.rotation @ MIDDLE
     left[:, 0] = -0.35 * left[:, 2] + 0.08
-    found = calibrated(Poses(poses.rotation, left - poses.rotation @ MIDDLE), rng)
-    assert "the right third of the left camera" in empty_cells(found)
-    assert empty_cells(found) in advice(found)
+    found = calibrated(BoardPoses(poses.rotation, left - poses.rotation @ MIDDLE), rng)
+    assert "the right third of the left camera" in advise_on_empty_cells(found)
+    assert advise_on_empty_cells(found) in advise_next_photographs(found)
 
 
 def test_boards_that_all_face_the_camera_are_to_be_tilted():
     found = calibrated(facing(np.random.default_rng(0)), np.random.default_rng(1))
-    assert tilts(found).startswith("None of")
-    assert tilts(found) in advice(found)
+    assert advise_on_tilts(found).startswith("None of")
+    assert advise_on_tilts(found) in advise_next_photographs(found)
 
 
 def test_boards_tilted_to_one_side_only_are_to_be_tilted_to_the_other():
@@ -104,13 +104,13 @@ def test_boards_tilted_to_one_side_only_are_to_be_tilted_to_the_other():
     rotvecs = np.column_stack([rng.uniform(-40, 40, 30), rng.uniform(5, 40, 30), np.zeros(30)])
     found = calibrated(held(rotvecs, [0.05, 0.0, 0.5]), rng)
     # a turn about y, which points down, brings the right side nearer
-    assert "with its left side nearer" in tilts(found)
-    assert "edge" not in tilts(found)
+    assert "with its left side nearer" in advise_on_tilts(found)
+    assert "edge" not in advise_on_tilts(found)
 
 
 def test_boards_at_one_distance_are_to_be_moved():
     found = calibrated(facing(np.random.default_rng(0)), np.random.default_rng(1))
-    assert distances(found)
+    assert advise_on_distances(found)
 
 
 def test_few_views_and_lost_views_are_said(good):
@@ -118,10 +118,10 @@ def test_few_views_and_lost_views_are_said(good):
     rig, poses = make_rig(), make_poses(rng, 30)
     seen = look(rig, poses, rng)
     some = as_calibrated(rig, poses.of(np.arange(30) < 9), seen.of(np.arange(30) < 9))
-    assert few_views(some) == f"The calibration has {some.fit.kept.sum()} views: take 20 or more."
+    assert advise_on_view_count(some) == f"The calibration has {some.fit.kept.sum()} views: take 20 or more."
     lost = as_calibrated(rig, poses, seen, dropped=range(12))
-    assert few_views(lost).startswith(f"{(~lost.fit.kept).sum()} of 30 views were left out")
-    assert few_views(good) == ""
+    assert advise_on_view_count(lost).startswith(f"{(~lost.fit.kept).sum()} of 30 views were left out")
+    assert advise_on_view_count(good) == ""
 
 
 def test_pairs_that_moved_between_the_exposures_are_said():
@@ -129,24 +129,24 @@ def test_pairs_that_moved_between_the_exposures_are_said():
     rig, poses = make_rig(), make_poses(rng, VIEWS)
     seen = look(rig, poses, rng)
     found = as_calibrated(rig, poses, seen)
-    assert moved_together(found) == ""
+    assert advise_on_pair_motion(found) == ""
     moved = seen.pixels.copy()
     moved[1] += rng.normal(0.0, 2.0, (VIEWS, 1, 2))
     shaken = as_calibrated(rig, poses, replace(seen, pixels=moved))
     # each image by itself is as good as before: the board was merely elsewhere
-    assert "at the same moment" in moved_together(replace(shaken, single_fits=found.single_fits))
+    assert "at the same moment" in advise_on_pair_motion(replace(shaken, single_fits=found.single_fits))
 
 
 def test_a_focal_length_that_is_not_known_well_is_said(good):
     unsure = replace(good, covariance=1e4 * good.covariance)
-    assert focal_lengths(good) == ""
-    assert "focal length is known to" in focal_lengths(unsure)
+    assert advise_on_focal_lengths(good) == ""
+    assert "focal length is known to" in advise_on_focal_lengths(unsure)
 
 
 def test_corners_of_an_image_that_no_board_reached_are_said():
     rng = np.random.default_rng(0)
     rotvecs = rng.uniform(-40.0, 40.0, (30, 3))
-    assert "let the board reach" in corner_directions(
+    assert "let the board reach" in advise_on_image_corners(
         calibrated(held(rotvecs, [0.05, 0, 0.7]), rng)
     )
 
@@ -157,13 +157,13 @@ def test_the_sag_of_a_bent_board_is_that_of_its_farthest_corners():
     found = calibrated(make_poses(rng, 30), rng, rig)
     half = 0.5 * np.ptp(BOARD.corners_m[:, 0])
     np.testing.assert_allclose(board_sag(found).mm, 1e3 * 0.25 * half**2, rtol=1e-9)
-    assert "bent by 2.3 mm" in bent_board(found)
+    assert "bent by 2.3 mm" in advise_on_bent_board(found)
 
 
 def test_advice_has_no_more_than_a_person_keeps_in_mind():
     rng = np.random.default_rng(0)
     found = calibrated(facing(rng).of(np.arange(8)), rng, cameras=1)
-    assert len(advice(found)) == MOST_SENTENCES
+    assert len(advise_next_photographs(found)) == MOST_SENTENCES
 
 
 def test_depth_noise_grows_with_the_square_of_the_distance_and_ends_where_an_image_does(good):

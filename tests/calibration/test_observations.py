@@ -8,7 +8,7 @@ import pytest
 
 from tests.vision.poses import pose
 from tests.vision.scenes import rig, scene
-from vergence.calibration.observations import observe
+from vergence.calibration.observations import detect_board_corners
 from vergence.vision import AprilTag
 
 TAG = AprilTag(id=5, edge_m=0.12)
@@ -26,13 +26,13 @@ def photographs(tmp_path: Path) -> list[list[Path]]:
 
 
 def test_photographs_with_colours_are_measured_by_srgb_and_grey_ones_as_they_are(photographs):
-    seen, _ = observe(TAG, photographs)
-    stated, _ = observe(TAG, photographs, responses=("srgb", "linear"))
+    seen, _ = detect_board_corners(TAG, photographs)
+    stated, _ = detect_board_corners(TAG, photographs, responses=("srgb", "linear"))
     np.testing.assert_array_equal(seen.pixels, stated.pixels)
     assert not np.array_equal(seen.pixels[0], seen.pixels[1])
 
 
 def test_each_camera_is_measured_by_its_own_response(photographs):
-    seen, _ = observe(TAG, photographs, responses=("linear", "srgb"))
-    swapped, _ = observe(TAG, photographs[::-1], responses=("srgb", "linear"))
+    seen, _ = detect_board_corners(TAG, photographs, responses=("linear", "srgb"))
+    swapped, _ = detect_board_corners(TAG, photographs[::-1], responses=("srgb", "linear"))
     np.testing.assert_array_equal(seen.pixels, swapped.pixels[::-1])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.calibration.projection import project
+from vergence.calibration.projection import project_with_jacobians
 from vergence.models.camera import rays_to_pixels
 from vergence.models.packed import pack_camera
 
@@ -26,24 +26,24 @@ def test_pixels_are_those_of_the_kernels(lens, points):
     values = np.array([500.0, 510.0, 320.0, 240.0, *LENSES[lens]])
     row = pack_camera((640, 480), values[:2], values[2:4], lens, values[4:])
     expected = rays_to_pixels(points[:, :2] / points[:, 2:], row)
-    np.testing.assert_allclose(project(lens, values, points).pixels, expected, atol=1e-10)
+    np.testing.assert_allclose(project_with_jacobians(lens, values, points).pixels, expected, atol=1e-10)
 
 
 @pytest.mark.parametrize("lens", LENSES)
 def test_derivatives_are_those_of_small_steps(lens, points):
     values = np.array([500.0, 510.0, 320.0, 240.0, *LENSES[lens]])
-    found = project(lens, values, points)
+    found = project_with_jacobians(lens, values, points)
     by_point, by_camera = (
         np.stack([(at(step) - at(-step)) / (2.0 * STEP) for step in STEP * np.eye(count)], axis=-1)
         for count, at in (
-            (3, lambda step: project(lens, values, points + step).pixels),
-            (len(values), lambda step: project(lens, values + step, points).pixels),
+            (3, lambda step: project_with_jacobians(lens, values, points + step).pixels),
+            (len(values), lambda step: project_with_jacobians(lens, values + step, points).pixels),
         )
     )
-    np.testing.assert_allclose(found.by_point, by_point, atol=1e-5)
-    np.testing.assert_allclose(found.by_camera, by_camera, atol=1e-5)
+    np.testing.assert_allclose(found.point_jacobian, by_point, atol=1e-5)
+    np.testing.assert_allclose(found.camera_jacobian, by_camera, atol=1e-5)
 
 
 def test_points_behind_the_camera_have_no_pixel():
     values = np.array([500.0, 500.0, 320.0, 240.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert np.isnan(project("brown-conrady", values, np.array([0.0, 0.0, -1.0])).pixels).all()
+    assert np.isnan(project_with_jacobians("brown-conrady", values, np.array([0.0, 0.0, -1.0])).pixels).all()

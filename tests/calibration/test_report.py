@@ -8,7 +8,7 @@ import pytest
 
 from tests.calibration.rigs import as_calibrated, look, make_poses, make_rig
 from vergence.calibration import report
-from vergence.calibration.coverage import advice
+from vergence.calibration.coverage import advise_next_photographs
 from vergence.calibration.report import write_run
 from vergence.eval.reporting.runs import command_of
 
@@ -69,7 +69,7 @@ def test_it_says_the_baseline_what_was_left_out_and_what_to_do(pair, tmp_path, u
     assert f"the baseline is {1.01 * baseline:.2f} mm" in text
     assert all(one.view in text and one.why in text for one in pair.dropped)
     assert "the board was not found; the right image went in" in text
-    assert all(line in text for line in advice(pair))
+    assert all(line in text for line in advise_next_photographs(pair))
 
 
 def test_one_camera_has_a_report_without_a_baseline(tmp_path, undrawn):

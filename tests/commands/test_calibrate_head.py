@@ -8,7 +8,7 @@ import pytest
 import vergence
 from tests.calibration.head.recordings import log_frames
 from tests.test_cli import call
-from vergence.calibration.head.simulated import record
+from vergence.calibration.head.simulated import simulate_recording
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 
 pytest.importorskip("mcap")
@@ -22,7 +22,7 @@ def recordings(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recordings")
     head, rng = vergence.load_head("physical"), np.random.default_rng(4)
     true = head.perturbed(rng, TWIN_SPREADS)
-    frames = record(head, true, rng, **OPTIONS).frames
+    frames = simulate_recording(head, true, rng, **OPTIONS).frames
     for place, name in enumerate(("first", "second")):
         shown = np.flatnonzero(frames.placement == place)
         log_frames(

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.projection import camera_parameter_names, project
+from vergence.calibration.projection import camera_parameter_names, project_with_jacobians
 from vergence.models.parts import FloatArray
 
 _POSE_STEPS: Final = 50
@@ -60,7 +60,7 @@ _TOLERANCE: Final = 1e-8
 parameter by one standard deviation changes the sum by 1e-4 (numerical)."""
 
 
-class Poses(NamedTuple):
+class BoardPoses(NamedTuple):
     """Poses of a board in the frame of the left camera, one per view."""
 
     rotation: FloatArray
@@ -70,7 +70,7 @@ class Poses(NamedTuple):
 
     def of(self, views: NDArray[Any]) -> "Poses":
         """Select the poses of some views."""
-        return Poses(self.rotation[views], self.translation[views])
+        return BoardPoses(self.rotation[views], self.translation[views])
 
     def moved(self, steps: FloatArray) -> "Poses":
         """Apply a small step to each pose.
@@ -79,7 +79,7 @@ class Poses(NamedTuple):
             steps: (v, 6) rotation vector in the left camera's frame, rad, and translation, m.
         """
         turns = Rotation.from_rotvec(steps[:, :3]).as_matrix()
-        return Poses(turns @ self.rotation, self.translation + steps[:, 3:])
+        return BoardPoses(turns @ self.rotation, self.translation + steps[:, 3:])
 
 
 class CameraRig(NamedTuple):
@@ -157,12 +157,12 @@ class CameraRig(NamedTuple):
         return [*names, "bend_xx", "bend_yy", "bend_xy"]
 
 
-class Linearised(NamedTuple):
+class LinearisedResiduals(NamedTuple):
     """Residuals divided by sigma, and their Jacobians, view by view."""
 
     residuals: FloatArray
     """(v, m): m = 2 n c, camera by camera; 0 for corners that were not found."""
-    by_pose: FloatArray
+    pose_jacobian: FloatArray
     """(v, m, 6) Jacobian by a small rotation of the board in the left camera's frame, and a
     translation."""
     by_rig: FloatArray
@@ -170,10 +170,10 @@ class Linearised(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Adjustment:
+class BundleAdjustment:
     """Measurements of a bundle adjustment: corners of a board and their standard deviations."""
 
-    board: FloatArray
+    board_corners: FloatArray
     """(n, 3) corners of the board in its frame, metres."""
     pixels: FloatArray
     """(c, v, n, 2) measured corners, px; nan for corners that were not found."""
@@ -187,28 +187,28 @@ class Adjustment:
 
     def of(self, views: NDArray[Any]) -> "Adjustment":
         """Restrict the problem to some views."""
-        return Adjustment(self.board, self.pixels[:, views], self.sigma[:, views])
+        return BundleAdjustment(self.board_corners, self.pixels[:, views], self.sigma[:, views])
 
     def of_camera(self, camera: int) -> "Adjustment":
         """Restrict the problem to one camera."""
         only = slice(camera, camera + 1)
-        return Adjustment(self.board, self.pixels[only], self.sigma[only])
+        return BundleAdjustment(self.board_corners, self.pixels[only], self.sigma[only])
 
     @cached_property
     def _bending(self) -> FloatArray:
         """(n, 3) derivative of each corner's height above the flat board by curvature, m^2."""
-        x, y = (self.board[:, :2] - self.board[:, :2].mean(axis=0)).T
+        x, y = (self.board_corners[:, :2] - self.board_corners[:, :2].mean(axis=0)).T
         return np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
 
-    def points(self, rig: CameraRig, poses: Poses) -> FloatArray:
+    def points(self, rig: CameraRig, poses: BoardPoses) -> FloatArray:
         """(v, n, 3) the board's corners in the left camera's frame, metres."""
         return self._turned(rig, poses) + poses.translation[:, None]
 
-    def _turned(self, rig: CameraRig, poses: Poses) -> FloatArray:
-        bent = self.board + (self._bending @ rig.bend)[:, None] * np.array([0.0, 0.0, 1.0])
+    def _turned(self, rig: CameraRig, poses: BoardPoses) -> FloatArray:
+        bent = self.board_corners + (self._bending @ rig.bend)[:, None] * np.array([0.0, 0.0, 1.0])
         return np.asarray(bent @ poses.rotation.transpose(0, 2, 1))
 
-    def linearised(self, rig: CameraRig, poses: Poses, *, by_rig: bool = True) -> Linearised:
+    def linearised(self, rig: CameraRig, poses: BoardPoses, *, by_rig: bool = True) -> LinearisedResiduals:
         """Compute residuals and Jacobians at given cameras and poses.
 
         Args:
@@ -225,20 +225,20 @@ class Adjustment:
         for camera, (lens, values) in enumerate(zip(rig.lenses, rig.values, strict=True)):
             jacobian = np.zeros((views, corners, 2, bend.stop if by_rig else 0))
             if camera == 0:
-                seen = project(lens, values, points)
-                by_left = seen.by_point
+                seen = project_with_jacobians(lens, values, points)
+                by_left = seen.point_jacobian
             else:
-                seen = project(lens, values, points @ rig.rotation.T + rig.translation)
-                by_left = seen.by_point @ rig.rotation
+                seen = project_with_jacobians(lens, values, points @ rig.rotation.T + rig.translation)
+                by_left = seen.point_jacobian @ rig.rotation
             if by_rig:
-                jacobian[..., cameras[camera]] = seen.by_camera
+                jacobian[..., cameras[camera]] = seen.camera_jacobian
                 jacobian[..., bend] = by_left @ by_bend
                 if camera > 0:
                     vector = Rotation.from_matrix(rig.rotation).as_rotvec()
                     by_vector = np.asarray(cv2.Rodrigues(vector)[1]).reshape(3, 3, 3)
                     turning = np.einsum("kij,vnj->vnik", by_vector, points)
                     jacobian[..., between] = np.concatenate(
-                        [seen.by_point @ turning, seen.by_point], axis=-1
+                        [seen.point_jacobian @ turning, seen.point_jacobian], axis=-1
                     )
             found = self.seen[camera][..., None]
             weight = np.where(found, 1.0 / np.where(found, self.sigma[camera], 1.0), 0.0)
@@ -248,9 +248,9 @@ class Adjustment:
             by_pose = np.concatenate([np.cross(turned[..., None, :], by_left), by_left], axis=-1)
             parts[1].append((weight[..., None] * by_pose).reshape(views, -1, 6))
             parts[2].append((weight[..., None] * jacobian).reshape(views, weight[0].size, -1))
-        return Linearised(*(np.concatenate(part, axis=1) for part in parts))
+        return LinearisedResiduals(*(np.concatenate(part, axis=1) for part in parts))
 
-    def fit_poses(self, rig: CameraRig, start: Poses) -> tuple[Poses, Linearised]:
+    def fit_poses(self, rig: CameraRig, start: BoardPoses) -> tuple[BoardPoses, LinearisedResiduals]:
         """Fit the board's pose in each view to given cameras, by Levenberg and Marquardt.
 
         Args:
@@ -260,13 +260,13 @@ class Adjustment:
         Returns:
             The poses, and the residuals and Jacobians by pose there.
         """
-        size = np.ptp(self.board, axis=0).max()
+        size = np.ptp(self.board_corners, axis=0).max()
         damping = np.full(len(start.translation), _FIRST_DAMPING)
         poses, now = start, self.linearised(rig, start, by_rig=False)
         cost = (now.residuals**2).sum(axis=1)
         for _ in range(_POSE_STEPS):
-            normal = now.by_pose.transpose(0, 2, 1) @ now.by_pose
-            slope = now.by_pose.transpose(0, 2, 1) @ now.residuals[..., None]
+            normal = now.pose_jacobian.transpose(0, 2, 1) @ now.pose_jacobian
+            slope = now.pose_jacobian.transpose(0, 2, 1) @ now.residuals[..., None]
             steps = -np.linalg.solve(_damped(normal, damping), slope)[..., 0]
             moved = poses.moved(np.asarray(steps))
             then = self.linearised(rig, moved, by_rig=False)
@@ -274,7 +274,7 @@ class Adjustment:
             better = costs <= cost
             pick = [np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b)
                     for a, b in zip((*moved, *then), (*poses, *now), strict=True)]  # fmt: skip
-            poses, now = Poses(*pick[:2]), Linearised(*pick[2:])
+            poses, now = BoardPoses(*pick[:2]), LinearisedResiduals(*pick[2:])
             small = np.abs(steps / np.array([1, 1, 1, size, size, size])).max(axis=1)
             done = (
                 (small < _POSE_TOLERANCE)
@@ -287,7 +287,7 @@ class Adjustment:
                 break
         return poses, now
 
-    def solve(self, start: CameraRig, poses: Poses, tolerance: float = _TOLERANCE) -> "Solution":
+    def solve(self, start: CameraRig, poses: BoardPoses, tolerance: float = _TOLERANCE) -> "Solution":
         """Find the cameras and poses with the least sum of squares.
 
         Args:
@@ -299,9 +299,9 @@ class Adjustment:
             LinAlgError: the start is behind a camera, or the views do not determine the parameters.
         """
         near = _Near(start.packed(), poses, None)
-        last: dict[bytes, tuple[Poses, Linearised]] = {}
+        last: dict[bytes, tuple[BoardPoses, LinearisedResiduals]] = {}
 
-        def poses_for(row: FloatArray) -> tuple[Poses, Linearised]:
+        def poses_for(row: FloatArray) -> tuple[BoardPoses, LinearisedResiduals]:
             key = row.tobytes()
             if key not in last:
                 last.clear()
@@ -319,7 +319,7 @@ class Adjustment:
             linear = self.linearised(start.unpacked(row), fitted_poses)
             pose_sensitivity = _pose_sensitivity(linear)
             near = _Near(row.copy(), fitted_poses, pose_sensitivity)
-            eliminated = np.asarray(linear.by_rig - linear.by_pose @ pose_sensitivity)
+            eliminated = np.asarray(linear.by_rig - linear.pose_jacobian @ pose_sensitivity)
             return np.vstack([eliminated.reshape(-1, len(row)), np.diag(prior_weights)])
 
         if not np.isfinite(residuals(start.packed())).all():
@@ -329,7 +329,7 @@ class Adjustment:
             xtol=tolerance, gtol=tolerance, max_nfev=_MOST_EVALUATIONS,
         )  # fmt: skip
         found, fitted_poses = start.unpacked(result.x), poses_for(result.x)[0]
-        return Solution(self, found, fitted_poses, self.linearised(found, fitted_poses))
+        return BundleSolution(self, found, fitted_poses, self.linearised(found, fitted_poses))
 
 
 class _Near(NamedTuple):
@@ -337,23 +337,23 @@ class _Near(NamedTuple):
 
     row: FloatArray
     """(p) see `CameraRig.packed`."""
-    poses: Poses
+    poses: BoardPoses
     pose_sensitivity: FloatArray | None
     """(v, 6, p) see `_pose_sensitivity`; None before the first linearisation."""
 
-    def poses_at(self, row: FloatArray) -> Poses:
+    def poses_at(self, row: FloatArray) -> BoardPoses:
         """Predict the poses at other cameras, to first order."""
         if self.pose_sensitivity is None:
             return self.poses
         return self.poses.moved(-self.pose_sensitivity @ (row - self.row))
 
 
-def _eliminated(linear: Linearised) -> FloatArray:
+def _eliminated(linear: LinearisedResiduals) -> FloatArray:
     """(v, m, p) Jacobian J' by the rig's parameters with the poses eliminated."""
     return np.asarray(linear.by_rig - linear.by_pose @ _pose_sensitivity(linear))
 
 
-def _pose_sensitivity(linear: Linearised) -> FloatArray:
+def _pose_sensitivity(linear: LinearisedResiduals) -> FloatArray:
     """(v, 6, p) negative derivative of the best poses by the rig's parameters."""
     transposed = linear.by_pose.transpose(0, 2, 1)
     normal = _damped(transposed @ linear.by_pose, np.full(len(transposed), _RIDGE))
@@ -375,24 +375,24 @@ def cross_matrices(vectors: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class BundleSolution:
     """The cameras that fit best, and the residuals and Jacobians there."""
 
-    problem: Adjustment
+    problem: BundleAdjustment
     rig: CameraRig
-    poses: Poses
-    linear: Linearised
+    poses: BoardPoses
+    linearisation: LinearisedResiduals
     """Residuals divided by sigma and Jacobians, at the solution."""
 
     @property
     def residuals_px(self) -> FloatArray:
         """(c, v, n, 2) projected minus measured pixels; nan for corners that were not found."""
-        return residuals_of(self.problem, self.linear)
+        return pixel_residuals(self.problem, self.linearisation)
 
     @cached_property
     def by_rig(self) -> FloatArray:
         """(v, m, p) Jacobian of the residuals by the rig's parameters, poses eliminated."""
-        return _eliminated(self.linear)
+        return _eliminated(self.linearisation)
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -403,7 +403,7 @@ class Solution:
     @property
     def reduced_chi(self) -> float:
         """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
-        return float(np.sqrt((self.linear.residuals**2).sum() / max(self.degrees_of_freedom, 1)))
+        return float(np.sqrt((self.linearisation.residuals**2).sum() / max(self.degrees_of_freedom, 1)))
 
     @cached_property
     def information(self) -> FloatArray:
@@ -411,13 +411,13 @@ class Solution:
         return np.asarray(self.by_rig.transpose(0, 2, 1) @ self.by_rig)
 
 
-def residuals_of(problem: Adjustment, linear: Linearised) -> FloatArray:
+def pixel_residuals(problem: BundleAdjustment, linear: LinearisedResiduals) -> FloatArray:
     """(c, v, n, 2) projected minus measured pixels; nan for corners that were not found."""
     cameras, views, corners, _ = problem.pixels.shape
     residuals = linear.residuals.reshape(views, cameras, corners, 2).transpose(1, 0, 2, 3)
     return np.where(problem.seen[..., None], residuals * problem.sigma, np.nan)
 
 
-def rms(residuals_px: FloatArray) -> float:
+def rms_length(residuals_px: FloatArray) -> float:
     """Root mean square length of residuals (..., 2), as OpenCV defines it; nan are left out."""
     return float(np.sqrt(np.nanmean((residuals_px**2).sum(axis=-1))))

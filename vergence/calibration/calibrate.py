@@ -9,20 +9,20 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import CameraRig, Solution, rms
+from vergence.calibration.adjustment import CameraRig, BundleSolution, rms_length
 from vergence.calibration.cameras import (
     FOLDS,
     CameraFit,
-    ViewFit,
+    ViewResiduals,
     choose_lens,
     cross_validation_errors,
     cross_validation_residuals,
-    first_fit,
+    fit_consistent_views,
     fit_camera,
 )
-from vergence.calibration.observations import Observations, observe
-from vergence.calibration.stereo import fit_pair
-from vergence.calibration.uncertainty import covariance_of
+from vergence.calibration.observations import Observations, detect_board_corners
+from vergence.calibration.stereo import fit_camera_pair
+from vergence.calibration.uncertainty import rig_covariance
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
 from vergence.models.cameras import LENSES
@@ -43,7 +43,7 @@ _MOST_FOCAL_CHANGE: Final = 0.01
 (chosen)."""
 
 
-class Dropped(NamedTuple):
+class DroppedView(NamedTuple):
     """A view that was left out, or one image of a pair whose other image was kept."""
 
     view: str
@@ -55,7 +55,7 @@ class Dropped(NamedTuple):
 class Calibration:
     """Calibration of one camera or of a pair."""
 
-    seen: Observations
+    observations: Observations
     single_fits: tuple[CameraFit, ...]
     """(c) fit of each camera alone."""
     fit: CameraFit
@@ -95,10 +95,10 @@ class Calibration:
     @property
     def rms_alone_px(self) -> list[float]:
         """(c) root mean square residual of each camera alone."""
-        return [rms(fit.solution.residuals_px) for fit in self.single_fits]
+        return [rms_length(fit.solution.residuals_px) for fit in self.single_fits]
 
     @property
-    def dropped(self) -> list[Dropped]:
+    def dropped(self) -> list[DroppedView]:
         """Views and images that were left out, and why."""
         found = []
         for view, kept in enumerate(self.fit.kept.tolist()):
@@ -111,22 +111,22 @@ class Calibration:
                 elif not why:
                     misfit = _misfit(self.fit.views, self.fit.kept, view)
                     why = f"both images together: {misfit}: did the board or a camera move?"
-                found.append(Dropped(Path(self.seen.names[0][view]).name, why))
+                found.append(DroppedView(Path(self.observations.names[0][view]).name, why))
                 continue
             for camera, reason in enumerate(reasons):
                 if reason:
                     other = EYE_NAMES[1 - camera]
-                    name = Path(self.seen.names[camera][view]).name
-                    found.append(Dropped(name, f"{reason}; the {other} image went in"))
+                    name = Path(self.observations.names[camera][view]).name
+                    found.append(DroppedView(name, f"{reason}; the {other} image went in"))
         return found
 
     def _reason(self, camera: int, view: int) -> str:
         """Explain why a photograph does not fit its own camera; empty if it does."""
         fit = self.single_fits[camera]
-        why = self.seen.excluded.get(self.seen.names[camera][view])
+        why = self.observations.excluded.get(self.observations.names[camera][view])
         if why is not None:
             return why
-        if not self.seen.usable[camera, view]:
+        if not self.observations.usable[camera, view]:
             return "the board was not found"
         if fit.kept[view]:
             return ""
@@ -136,7 +136,7 @@ class Calibration:
         """The result as plain values."""
         dropped = [one._asdict() for one in self.dropped]
         common = {
-            "rms_heldout_px": rms(self.held_out_px),
+            "rms_heldout_px": rms_length(self.held_out_px),
             "lens": self.lens,
             "views": int(self.fit.kept.sum()),
             "dropped": dropped,
@@ -148,7 +148,7 @@ class Calibration:
         return {
             "rms_left_px": left,
             "rms_right_px": right,
-            "rms_stereo_px": rms(self.fit.solution.residuals_px),
+            "rms_stereo_px": rms_length(self.fit.solution.residuals_px),
             "rms_heldout_px": common.pop("rms_heldout_px"),
             "baseline_mm": baseline,
             "baseline_sigma_mm": sigma,
@@ -156,7 +156,7 @@ class Calibration:
         }
 
 
-def _misfit(views: ViewFit, kept: NDArray[np.bool_], view: int) -> str:
+def _misfit(views: ViewResiduals, kept: NDArray[np.bool_], view: int) -> str:
     usual = float(np.median(views.rms_px[kept]))
     return f"{views.rms_px[view]:.2f} px, where others leave {usual:.2f}"
 
@@ -182,7 +182,7 @@ def calibrate(
         ConfigurationError: the photographs give no calibration; the message says why.
     """
     report = progress or _ignore
-    seen, failures = observe(
+    seen, failures = detect_board_corners(
         target,
         photographs,
         lambda done: report(_DETECTED * done),
@@ -231,13 +231,13 @@ def calibrate_views(
     try:
         fit = single_fits[0]
         if cameras > 1:
-            seen, fit = fit_pair(seen, *single_fits)
+            seen, fit = fit_camera_pair(seen, *single_fits)
             _refuse_moved_cameras(fit, single_fits)
         found = Calibration(
             seen=seen,
             single_fits=single_fits,
             fit=fit,
-            covariance=covariance_of(fit.solution),
+            covariance=rig_covariance(fit.solution),
             held_out_px=cross_validation_residuals(fit.solution, tick),
             lens=chosen,
             lens_errors={
@@ -298,7 +298,7 @@ def _errors(trials: Mapping[str, Sequence[_Trial]]) -> dict[str, FloatArray]:
 def _first(seen: Observations, camera: int, cameras: int) -> CameraFit:
     """Make the first fit of a camera; report parameters that no view determines."""
     try:
-        return first_fit(seen)
+        return fit_consistent_views(seen)
     except np.linalg.LinAlgError:
         raise _unsure(camera, cameras, "none at all") from None
 
@@ -315,10 +315,10 @@ def _ignore(fraction: float) -> None:
     """Ignore the progress."""
 
 
-def _refuse_unsure(solution: Solution, camera: int, cameras: int) -> None:
+def _refuse_unsure(solution: BundleSolution, camera: int, cameras: int) -> None:
     """Refuse a camera whose focal length the views do not determine."""
     values = solution.rig.values[0]
-    sigma = np.sqrt(np.diagonal(covariance_of(solution)))[:2]
+    sigma = np.sqrt(np.diagonal(rig_covariance(solution)))[:2]
     if not float((sigma / values[:2]).max()) < _UNSURE:
         known = "none at all"
         if sigma.max() < values[:2].max():

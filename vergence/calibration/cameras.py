@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import (
-    Adjustment,
+    BundleAdjustment,
     CameraRig,
-    Linearised,
-    Poses,
-    Solution,
-    residuals_of,
+    LinearisedResiduals,
+    BoardPoses,
+    BundleSolution,
+    pixel_residuals,
 )
 from vergence.calibration.observations import Observations
 from vergence.errors import ConfigurationError
@@ -64,7 +64,7 @@ _BEFORE_IT: Final = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
-class ViewFit:
+class ViewResiduals:
     """Residuals of each view with given cameras."""
 
     reduced_chi: FloatArray
@@ -72,7 +72,7 @@ class ViewFit:
     rms_px: FloatArray
     """(v) root mean square length of the residuals, px."""
 
-    def outlying(self, trusted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def outliers(self, trusted: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(v) True for outliers with respect to the trusted views."""
         reduced_chi, rms_px = np.median(self.reduced_chi[trusted]), np.median(self.rms_px[trusted])
         worse = (self.reduced_chi > _OUTLYING * reduced_chi) & (self.rms_px > _OUTLYING_PX * rms_px)
@@ -83,11 +83,11 @@ class ViewFit:
 class CameraFit:
     """Cameras found from the views that agree."""
 
-    solution: Solution
+    solution: BundleSolution
     """Solution of the kept views."""
     kept: NDArray[np.bool_]
     """(v) True for kept views, the inliers."""
-    views: ViewFit
+    views: ViewResiduals
     """Residuals of all views."""
 
     @property
@@ -96,7 +96,7 @@ class CameraFit:
         return float(np.median(self.views.reduced_chi[self.kept]))
 
 
-def judge_views(problem: Adjustment, linear: Linearised) -> ViewFit:
+def compute_view_residuals(problem: BundleAdjustment, linear: LinearisedResiduals) -> ViewResiduals:
     """Compute the size of each view's residuals.
 
     Args:
@@ -106,17 +106,17 @@ def judge_views(problem: Adjustment, linear: Linearised) -> ViewFit:
     count = problem.seen.sum(axis=(0, 2))
     squares = (linear.residuals**2).sum(axis=1)
     reduced_chi = np.sqrt(squares / np.where(count > 3, 2 * count - 6, np.nan))
-    residuals_px = residuals_of(problem, linear)
+    residuals_px = pixel_residuals(problem, linear)
     squares_px = np.nansum(residuals_px**2, axis=(0, 2, 3))
-    return ViewFit(reduced_chi, np.sqrt(squares_px / np.maximum(count, 1)))
+    return ViewResiduals(reduced_chi, np.sqrt(squares_px / np.maximum(count, 1)))
 
 
-def pack_values(lens: str, values: FloatArray, size: tuple[int, int]) -> FloatArray:
+def pack_camera_values(lens: str, values: FloatArray, size: tuple[int, int]) -> FloatArray:
     """Pack a camera's parameters into the array form of the kernels."""
     return np.asarray(pack_camera(size, values[:2], values[2:4], lens, values[4:]))
 
 
-def estimate_board_poses(problem: Adjustment, rig: CameraRig, size: tuple[int, int]) -> Poses:
+def estimate_board_poses(problem: BundleAdjustment, rig: CameraRig, size: tuple[int, int]) -> BoardPoses:
     """Find the board's pose in each view of one camera, without a start (`cv2.solvePnP`).
 
     Args:
@@ -125,7 +125,7 @@ def estimate_board_poses(problem: Adjustment, rig: CameraRig, size: tuple[int, i
         size: width and height of its images, px.
     """
     rays = np.asarray(
-        pixels_to_rays(problem.pixels[0], pack_values(rig.lenses[0], rig.values[0], size))
+        pixels_to_rays(problem.pixels[0], pack_camera_values(rig.lenses[0], rig.values[0], size))
     )
     rotations, translations = [], []
     for view in rays:
@@ -139,10 +139,10 @@ def estimate_board_poses(problem: Adjustment, rig: CameraRig, size: tuple[int, i
         turn, shift = found[1:] if found[0] else (np.zeros(3), _BEFORE_IT)
         rotations.append(cv2.Rodrigues(turn)[0])
         translations.append(np.ravel(shift))
-    return Poses(np.array(rotations), np.array(translations))
+    return BoardPoses(np.array(rotations), np.array(translations))
 
 
-def starts_of(problem: Adjustment, lens: str, size: tuple[int, int]) -> list[FloatArray]:
+def initial_camera_values(problem: BundleAdjustment, lens: str, size: tuple[int, int]) -> list[FloatArray]:
     """Find initial parameters of a camera with OpenCV's own calibration.
 
     Args:
@@ -165,7 +165,7 @@ def starts_of(problem: Adjustment, lens: str, size: tuple[int, int]) -> list[Flo
     return [each for each in found if np.isfinite(each).all() and (each[:2] > 1.0).all()]
 
 
-def _as_opencv(problem: Adjustment) -> tuple[list[Any], list[Any]]:
+def _as_opencv(problem: BundleAdjustment) -> tuple[list[Any], list[Any]]:
     """List the corners of the board and of the images, view by view."""
     boards, corners = [], []
     for view in problem.pixels[0]:
@@ -189,7 +189,7 @@ def _by_angle(values: FloatArray) -> FloatArray:
     return np.array([*values[:4], 1.0 / 3.0 + values[4], 0.0, 0.0, 0.0])
 
 
-def _fisheye_starts(problem: Adjustment, size: tuple[int, int]) -> list[FloatArray]:
+def _fisheye_starts(problem: BundleAdjustment, size: tuple[int, int]) -> list[FloatArray]:
     """Find initial parameters with `cv2.fisheye.calibrate`.
 
     Its own start fails on wide views, so that a second try begins with a guess.
@@ -210,7 +210,7 @@ def _fisheye_starts(problem: Adjustment, size: tuple[int, int]) -> list[FloatArr
     return []
 
 
-def first_fit(seen: Observations) -> CameraFit:
+def fit_consistent_views(seen: Observations) -> CameraFit:
     """Find the photographs of a camera that agree with each other, and fit a camera to them.
 
     Starts come from all views and from random samples of a few; the start that most views fit is
@@ -235,7 +235,7 @@ def first_fit(seen: Observations) -> CameraFit:
     samples = [views, *(rng.choice(views, _SAMPLE, replace=False) for _ in range(count))]
     starts: list[tuple[str, FloatArray]] = []
     for sample in samples:
-        for values in starts_of(problem.of(sample), BROWN_CONRADY, size):
+        for values in initial_camera_values(problem.of(sample), BROWN_CONRADY, size):
             starts += [(BROWN_CONRADY, values), ("fisheye", _by_angle(values))]
     best = _best_start(problem, views, starts, size)
     if best is None or best.reduced_chi > _POOR_START:
@@ -248,7 +248,7 @@ def first_fit(seen: Observations) -> CameraFit:
         )
     rig, poses = best.rig, best.poses
     trusted = max(int(np.ceil(_TRUSTED * len(views))), LEAST_VIEWS)
-    reduced_chi = judge_views(problem, problem.linearised(rig, poses)).reduced_chi
+    reduced_chi = compute_view_residuals(problem, problem.linearised(rig, poses)).reduced_chi
     kept = np.zeros(len(reduced_chi), bool)
     for _ in range(_MOST_FITS):
         chosen = np.zeros_like(kept)
@@ -258,8 +258,8 @@ def first_fit(seen: Observations) -> CameraFit:
         kept = chosen
         solution = problem.of(kept).solve(rig, poses.of(kept))
         rig, poses = solution.rig, estimate_board_poses(problem, solution.rig, size)
-        reduced_chi = judge_views(problem, problem.fit_poses(rig, poses)[1]).reduced_chi
-    return settle(problem, solution, kept, poses)
+        reduced_chi = compute_view_residuals(problem, problem.fit_poses(rig, poses)[1]).reduced_chi
+    return drop_outlier_views(problem, solution, kept, poses)
 
 
 class _Start(NamedTuple):
@@ -268,11 +268,11 @@ class _Start(NamedTuple):
     reduced_chi: float
     """Noise at the `_TRUSTED` quantile of the views."""
     rig: CameraRig
-    poses: Poses
+    poses: BoardPoses
 
 
 def _best_start(
-    problem: Adjustment,
+    problem: BundleAdjustment,
     views: NDArray[np.intp],
     starts: Sequence[tuple[str, FloatArray]],
     size: tuple[int, int],
@@ -283,7 +283,7 @@ def _best_start(
         rig = CameraRig.single(lens, values)
         poses = estimate_board_poses(problem, rig, size)
         linear = problem.linearised(rig, poses, by_rig=False)
-        reduced_chi = np.nan_to_num(judge_views(problem, linear).reduced_chi[views], nan=np.inf)
+        reduced_chi = np.nan_to_num(compute_view_residuals(problem, linear).reduced_chi[views], nan=np.inf)
         typical = float(np.quantile(reduced_chi, _TRUSTED))
         if best is None or typical < best.reduced_chi:
             best = _Start(typical, rig, poses)
@@ -309,12 +309,12 @@ def fit_camera(seen: Observations, lens: str, first: CameraFit) -> CameraFit:
         solutions = _solutions(problem, kept, lens, _turned_into(lens, mine), size)
         enough = _AS_GOOD * first.solution.reduced_chi
         if all(solution.reduced_chi > enough for solution in solutions):
-            starts = starts_of(problem.of(kept), lens, size)
+            starts = initial_camera_values(problem.of(kept), lens, size)
             solutions += _solutions(problem, kept, lens, starts, size)
         if solutions:
             best = min(solutions, key=lambda each: each.reduced_chi)
             poses = estimate_board_poses(problem, best.rig, size)
-            found.append(settle(problem, best, kept, poses))
+            found.append(drop_outlier_views(problem, best, kept, poses))
         if first.kept.sum() == seen.usable[0].sum():
             break
     if not found:
@@ -337,12 +337,12 @@ def _turned_into(lens: str, rig: CameraRig) -> list[FloatArray]:
 
 
 def _solutions(
-    problem: Adjustment,
+    problem: BundleAdjustment,
     kept: NDArray[np.bool_],
     lens: str,
     starts: Sequence[FloatArray],
     size: tuple[int, int],
-) -> list[Solution]:
+) -> list[BundleSolution]:
     """Solve from each start; leave out starts that fail."""
     found = []
     for values in starts:
@@ -353,8 +353,8 @@ def _solutions(
     return found
 
 
-def settle(
-    problem: Adjustment, solution: Solution, kept: NDArray[np.bool_], poses: Poses
+def drop_outlier_views(
+    problem: BundleAdjustment, solution: BundleSolution, kept: NDArray[np.bool_], poses: BoardPoses
 ) -> CameraFit:
     """Leave out outlier views, and weight the others by their residuals.
 
@@ -370,8 +370,8 @@ def settle(
     weighted = problem
     for _ in range(_MOST_FITS):
         poses, linear = problem.fit_poses(solution.rig, poses)
-        views = judge_views(problem, linear)
-        chosen = ~views.outlying(kept)
+        views = compute_view_residuals(problem, linear)
+        chosen = ~views.outliers(kept)
         if chosen.sum() < LEAST_VIEWS:
             chosen = kept
         reduced_chi = views.reduced_chi / np.median(views.reduced_chi[chosen])
@@ -386,13 +386,13 @@ def settle(
     return CameraFit(solution, kept, views)
 
 
-def folds_of(views: int) -> list[NDArray[np.bool_]]:
+def cross_validation_folds(views: int) -> list[NDArray[np.bool_]]:
     """List the views that each fold holds out, (v) masks of neighbours, which may be alike."""
     return [np.arange(views) * FOLDS // views == fold for fold in range(FOLDS)]
 
 
 def cross_validation_residuals(
-    solution: Solution, progress: Callable[[], None] | None = None
+    solution: BundleSolution, progress: Callable[[], None] | None = None
 ) -> FloatArray:
     """Compute cross-validation residuals: each view by cameras that were found without it.
 
@@ -406,17 +406,17 @@ def cross_validation_residuals(
     """
     problem = solution.problem
     residuals = np.full(problem.pixels.shape, np.nan)
-    for out in folds_of(problem.pixels.shape[1]):
+    for out in cross_validation_folds(problem.pixels.shape[1]):
         trained = problem.of(~out).solve(solution.rig, solution.poses.of(~out), _FOLD_TOLERANCE)
         tested = problem.of(out)
         _, linear = tested.fit_poses(trained.rig, solution.poses.of(out))
-        residuals[:, out] = residuals_of(tested, linear)
+        residuals[:, out] = pixel_residuals(tested, linear)
         if progress is not None:
             progress()
     return residuals
 
 
-def cross_validation_errors(fit: CameraFit, problem: Adjustment) -> FloatArray:
+def cross_validation_errors(fit: CameraFit, problem: BundleAdjustment) -> FloatArray:
     """(v) mean square cross-validation error of each view, in units of sigma^2.
 
     Kept views have the residuals of `cross_validation_residuals`; others have the residuals of the

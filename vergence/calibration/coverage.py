@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.calibrate import Calibration
-from vergence.calibration.cameras import pack_values
-from vergence.calibration.uncertainty import direction_sigma_px, points_of
+from vergence.calibration.cameras import pack_camera_values
+from vergence.calibration.uncertainty import direction_sigma_px, board_points_in_camera
 from vergence.models.camera import pixels_to_rays
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
@@ -55,14 +55,14 @@ _BENT: Final = 0.005
 200 mm of a board on A4 paper)."""
 
 
-class Sag(NamedTuple):
+class BoardSag(NamedTuple):
     """Height of a bent board's highest corner above its lowest, mm."""
 
     mm: float
     sigma_mm: float
 
 
-class Attitudes(NamedTuple):
+class BoardTilts(NamedTuple):
     """Tilts and distances of the board in the kept views of one camera."""
 
     tilt_deg: FloatArray
@@ -83,7 +83,7 @@ def camera_names(found: Calibration) -> tuple[str, ...]:
     return tuple(EYE_NAMES) if len(found.single_fits) > 1 else ("camera",)
 
 
-def attitudes(found: Calibration, camera: int) -> Attitudes:
+def board_tilts(found: Calibration, camera: int) -> BoardTilts:
     """Compute the tilts and distances of the board in front of a camera.
 
     Args:
@@ -98,8 +98,8 @@ def attitudes(found: Calibration, camera: int) -> Attitudes:
     across = np.linalg.norm(normal[:, :2], axis=-1)
     angle = np.degrees(np.arctan2(across, normal[:, 2]))
     tilt = normal[:, :2] * (angle / np.maximum(across, 1e-12))[:, None]
-    middle = points_of(solution, camera)[seen].mean(axis=1)
-    return Attitudes(tilt, np.asarray(np.linalg.norm(middle, axis=-1)))
+    middle = board_points_in_camera(solution, camera)[seen].mean(axis=1)
+    return BoardTilts(tilt, np.asarray(np.linalg.norm(middle, axis=-1)))
 
 
 def views_per_cell(found: Calibration, camera: int) -> NDArray[np.intp]:
@@ -139,7 +139,7 @@ def direction_sigma_at(found: Calibration, camera: int, pixels: FloatArray) -> F
         (n) standard deviation, px; nan where the lens has no inverse.
     """
     rig = found.rig
-    row = pack_values(rig.lenses[camera], rig.values[camera], found.seen.sizes[camera])
+    row = pack_camera_values(rig.lenses[camera], rig.values[camera], found.seen.sizes[camera])
     rays = np.asarray(pixels_to_rays(pixels, row))
     sigma = np.full(len(pixels), np.nan)
     there = np.isfinite(rays).all(axis=-1)
@@ -147,7 +147,7 @@ def direction_sigma_at(found: Calibration, camera: int, pixels: FloatArray) -> F
     return sigma
 
 
-def board_sag(found: Calibration) -> Sag:
+def board_sag(found: Calibration) -> BoardSag:
     """Compute the sag of the board, the spread of its corners' heights, and its uncertainty."""
     corners = found.seen.target.corners_m
     x, y = (corners - corners.mean(axis=0)).T
@@ -156,10 +156,10 @@ def board_sag(found: Calibration) -> Sag:
     between = heights[height.argmax()] - heights[height.argmin()]
     block = found.rig.blocks[-1]
     spread = between @ found.covariance[block, block] @ between
-    return Sag(MM * float(between @ found.rig.bend), MM * float(np.sqrt(spread)))
+    return BoardSag(MM * float(between @ found.rig.bend), MM * float(np.sqrt(spread)))
 
 
-def advice(found: Calibration) -> list[str]:
+def advise_next_photographs(found: Calibration) -> list[str]:
     """Advise on the next photographs.
 
     Args:
@@ -170,10 +170,10 @@ def advice(found: Calibration) -> list[str]:
         if nothing is lacking.
     """
     sentences = [text for rule in _RULES if (text := rule(found))]
-    return [*sentences[:MOST_SENTENCES], *found.seen.remarks]
+    return [*sentences[:MOST_SENTENCES], *found.observations.remarks]
 
 
-def moved_together(found: Calibration) -> str:
+def advise_on_pair_motion(found: Calibration) -> str:
     """Advise on pairs whose images fit alone but not together."""
     if len(found.single_fits) < 2:
         return ""
@@ -195,7 +195,7 @@ def moved_together(found: Calibration) -> str:
     )
 
 
-def few_views(found: Calibration) -> str:
+def advise_on_view_count(found: Calibration) -> str:
     """Advise on too few views, or too many that were left out."""
     kept = found.fit.kept
     count, every = int(kept.sum()), len(kept)
@@ -212,7 +212,7 @@ def few_views(found: Calibration) -> str:
     return ""
 
 
-def empty_cells(found: Calibration) -> str:
+def advise_on_empty_cells(found: Calibration) -> str:
     """Advise on parts of the images without a corner in any view."""
     parts = []
     for camera, name in enumerate(camera_names(found)):
@@ -238,17 +238,17 @@ def _cells(empty: NDArray[np.bool_]) -> str:
     for row, column in np.argwhere(left).tolist():
         both = f"{rows[row]} {columns[column]}"
         names.append("middle" if both == "middle middle" else both)
-    return joined(names)
+    return join_with_and(names)
 
 
-def joined(words: Sequence[str]) -> str:
+def join_with_and(words: Sequence[str]) -> str:
     """Join words with commas and "and"."""
     return " and ".join(part for part in (", ".join(words[:-1]), words[-1]) if part)
 
 
-def tilts(found: Calibration) -> str:
+def advise_on_tilts(found: Calibration) -> str:
     """Advise on boards that all face the camera, or are tilted to some sides only."""
-    tilt = attitudes(found, 0).tilt_deg
+    tilt = board_tilts(found, 0).tilt_deg
     angle = np.linalg.norm(tilt, axis=-1)
     tilted = int((angle > _FACING_DEG).sum())
     before = " before the left camera" if len(found.single_fits) > 1 else ""
@@ -269,16 +269,16 @@ def tilts(found: Calibration) -> str:
     return ""
 
 
-def distances(found: Calibration) -> str:
+def advise_on_distances(found: Calibration) -> str:
     """Advise on boards that are all at about the same distance."""
-    near, far = np.quantile(attitudes(found, 0).distance_m, [0.1, 0.9])
+    near, far = np.quantile(board_tilts(found, 0).distance_m, [0.1, 0.9])
     if far > _DEPTHS * near:
         return ""
     away = f"{near:.2f} to {far:.2f} m away" if found.seen.target.size_known else "equally far away"
     return f"Most boards are {away}: take some nearer and some farther away."
 
 
-def image_sigma(found: Calibration, camera: int) -> tuple[float, float]:
+def median_and_corner_sigma_px(found: Calibration, camera: int) -> tuple[float, float]:
     """Standard deviation of a camera's directions, px: the image's median, and the worst corner's.
 
     It is infinite where the lens model has no inverse.
@@ -287,15 +287,15 @@ def image_sigma(found: Calibration, camera: int) -> tuple[float, float]:
         found: the calibration.
         camera: index of the camera.
     """
-    grid = image_grid(found.seen.sizes[camera], _GRID).reshape(-1, 2)
+    grid = pixel_grid(found.seen.sizes[camera], _GRID).reshape(-1, 2)
     sigma = direction_sigma_at(found, camera, grid).reshape(_GRID, _GRID)
     sigma = np.where(np.isfinite(sigma), sigma, np.inf)
     return float(np.median(sigma)), float(sigma[[0, 0, -1, -1], [0, -1, 0, -1]].max())
 
 
-def corner_directions(found: Calibration) -> str:
+def advise_on_image_corners(found: Calibration) -> str:
     """Advise on image corners with uncertain directions."""
-    sigma = [image_sigma(found, camera) for camera in range(len(found.single_fits))]
+    sigma = [median_and_corner_sigma_px(found, camera) for camera in range(len(found.single_fits))]
     camera = int(np.argmax([corner for _, corner in sigma]))
     usual, corner = sigma[camera]
     beyond = np.isinf(corner) and found.lens == "fisheye"  # at 90 degrees, beyond any board
@@ -309,14 +309,14 @@ def corner_directions(found: Calibration) -> str:
     )
 
 
-def image_grid(size: tuple[int, int], count: int) -> FloatArray:
+def pixel_grid(size: tuple[int, int], count: int) -> FloatArray:
     """(count, count, 2) regular grid of pixels over an image, from border to border."""
     width, height = size
     u, v = np.linspace(-0.5, width - 0.5, count), np.linspace(-0.5, height - 0.5, count)
     return np.stack(np.meshgrid(u, v), axis=-1)
 
 
-def focal_lengths(found: Calibration) -> str:
+def advise_on_focal_lengths(found: Calibration) -> str:
     """Advise on focal lengths that the views determine badly."""
     unsure = [
         float((found.sigma[block][:2] / values[:2]).max())
@@ -332,9 +332,9 @@ def focal_lengths(found: Calibration) -> str:
     )
 
 
-def stated_size(found: Calibration) -> str:
+def advise_on_stated_size(found: Calibration) -> str:
     """Advise on boards that come out so near that their size was probably not given in mm."""
-    far = float(np.median(attitudes(found, 0).distance_m))
+    far = float(np.median(board_tilts(found, 0).distance_m))
     if far > _NEAREST_M or not found.seen.target.size_known:
         return ""
     return (
@@ -343,7 +343,7 @@ def stated_size(found: Calibration) -> str:
     )
 
 
-def bent_board(found: Calibration) -> str:
+def advise_on_bent_board(found: Calibration) -> str:
     """Advise on a board that is far from flat."""
     sag, size = board_sag(found), MM * float(np.linalg.norm(np.ptp(found.seen.target.corners_m, 0)))
     if sag.mm - 2.0 * sag.sigma_mm < _BENT * size:
@@ -352,14 +352,14 @@ def bent_board(found: Calibration) -> str:
 
 
 _RULES: Final[tuple[Callable[[Calibration], str], ...]] = (
-    stated_size,
-    moved_together,
-    few_views,
-    empty_cells,
-    tilts,
-    distances,
-    corner_directions,
-    focal_lengths,
-    bent_board,
+    advise_on_stated_size,
+    advise_on_pair_motion,
+    advise_on_view_count,
+    advise_on_empty_cells,
+    advise_on_tilts,
+    advise_on_distances,
+    advise_on_image_corners,
+    advise_on_focal_lengths,
+    advise_on_bent_board,
 )
 """Rules of advice, the most important first; each gives a sentence, empty if nothing is lacking."""

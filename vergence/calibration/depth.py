@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 
 from vergence.calibration.calibrate import Calibration
-from vergence.calibration.projection import project
-from vergence.calibration.uncertainty import point_covariances
+from vergence.calibration.projection import project_with_jacobians
+from vergence.calibration.uncertainty import triangulation_covariances
 from vergence.models.parts import FloatArray
 
 BASELINES: Final = (3.0, 100.0)
@@ -41,7 +41,7 @@ def pixel_noise_px(found: Calibration) -> float:
     return float(np.sqrt(0.5 * np.mean(np.square(found.rms_alone_px))))
 
 
-def depths_shown(found: Calibration) -> FloatArray:
+def depths_to_plot_m(found: Calibration) -> FloatArray:
     """(n) distances for a figure, m, evenly spaced on a logarithmic scale."""
     baseline = float(np.linalg.norm(found.rig.translation))
     near, far = min(NEAR_M, BASELINES[0] * baseline), max(FAR_M, BASELINES[1] * baseline)
@@ -63,7 +63,7 @@ def depth_sigma_at(found: Calibration, distance_m: FloatArray) -> DepthSigma:
     axis /= np.linalg.norm(axis)
     middle = -0.5 * rig.rotation.T @ rig.translation
     points = middle + distance_m[:, None] * axis
-    covariances = point_covariances(
+    covariances = triangulation_covariances(
         found.fit.solution, found.covariance, points, pixel_noise_px(found)
     )
     inside = _in_both(found, points)
@@ -80,6 +80,6 @@ def _in_both(found: Calibration, points: FloatArray) -> FloatArray:
     inside = np.ones(len(points), bool)
     for camera, size in enumerate(found.seen.sizes):
         mine = points @ rig.rotation.T + rig.translation if camera else points
-        pixels = project(rig.lenses[camera], rig.values[camera], mine).pixels
+        pixels = project_with_jacobians(rig.lenses[camera], rig.values[camera], mine).pixels
         inside &= ((pixels > -0.5) & (pixels < np.array(size) - 0.5)).all(axis=-1)
     return inside

@@ -12,20 +12,20 @@ from scipy.spatial import ConvexHull, QhullError
 
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.coverage import (
-    attitudes,
+    board_tilts,
     camera_names,
     direction_sigma_at,
-    image_grid,
+    pixel_grid,
 )
 from vergence.calibration.depth import DepthSigma
 from vergence.calibration.image_figures import (
     EYE_STYLES,
     LEAST_IN_CELL,
     WIDTH,
-    corners_seen,
-    every_nth,
-    frame_image,
-    residual_arrows,
+    draw_corner_coverage,
+    thinning_slice,
+    set_image_axes,
+    draw_residual_arrows,
 )
 from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
 from vergence.models.parts import FloatArray
@@ -46,7 +46,7 @@ _NAMED: Final = 40
 
 def residual_field(found: Calibration, camera: int) -> Figure:
     """Draw residuals over a camera's image as magnified arrows: per corner, and cell means."""
-    return residual_arrows(
+    return draw_residual_arrows(
         *_residuals(found, camera), found.seen.sizes[camera], camera_names(found)[camera]
     )
 
@@ -64,7 +64,7 @@ def residuals_by_radius(found: Calibration, camera: int) -> Figure:
     with styled():
         figure = new_figure(WIDTH, 3.6)
         panel = figure.add_subplot()
-        every = every_nth(len(radius))
+        every = thinning_slice(len(radius))
         panel.plot(
             radius[every], along[every], ".", ms=4, color=GREY, alpha=0.4, mew=0, rasterized=True
         )
@@ -92,7 +92,7 @@ def image_coverage(found: Calibration, camera: int) -> Figure:
     """Draw the corners used by the calibration over the image, and the views in each part of it."""
     views = found.fit.solution.problem.pixels[camera]
     size, name = found.seen.sizes[camera], camera_names(found)[camera]
-    return corners_seen(views, size, name, EYE_STYLES[camera]["color"])
+    return draw_corner_coverage(views, size, name, EYE_STYLES[camera]["color"])
 
 
 def tilt_directions(found: Calibration) -> Figure:
@@ -102,7 +102,7 @@ def tilt_directions(found: Calibration) -> Figure:
         panel = figure.add_subplot()
         most = 40.0
         for camera, name in enumerate(camera_names(found)):
-            held = attitudes(found, camera)
+            held = board_tilts(found, camera)
             panel.plot(*held.tilt_deg.T, label=name, **_dots(camera))
             most = max(most, 1.1 * float(held.angle_deg.max()))
         for ring in range(15, int(most), 15):
@@ -128,7 +128,7 @@ def tilts_by_distance(found: Calibration) -> Figure:
         figure = new_figure(WIDTH, 5.2)
         panel = figure.add_subplot()
         for camera, name in enumerate(camera_names(found)):
-            held = attitudes(found, camera)
+            held = board_tilts(found, camera)
             panel.plot(held.distance_m, held.angle_deg, label=name, **_dots(camera))
         panel.set(
             xlabel="distance of the board's middle (m)", ylabel="tilt (°)",
@@ -190,7 +190,7 @@ def view_residuals(found: Calibration) -> Figure:
 def direction_sigma(found: Calibration, camera: int) -> Figure:
     """Draw the standard deviation of directions over a camera's image, and the hull of corners."""
     width, height = found.seen.sizes[camera]
-    grid = image_grid((width, height), _GRID)
+    grid = pixel_grid((width, height), _GRID)
     sigma = direction_sigma_at(found, camera, grid.reshape(-1, 2)).reshape(_GRID, _GRID)
     low, high = _LEVELS_PX[0], _LEVELS_PX[-1]
     shown = np.ma.masked_invalid(np.clip(sigma, 1.001 * low, 0.999 * high))
@@ -208,7 +208,7 @@ def direction_sigma(found: Calibration, camera: int) -> Figure:
         panel.set_facecolor("#bbbbbb")
         hull = _hull(pixels)
         panel.plot(*hull.T, "--", color=ORANGE, lw=2.0)
-        frame_image(panel, (width, height))
+        set_image_axes(panel, (width, height))
         panel.set_title(f"{camera_names(found)[camera]}, sigma of directions (px)")
     return figure
 

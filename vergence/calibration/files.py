@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.adjustment import CameraRig, rms
+from vergence.calibration.adjustment import CameraRig, rms_length
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.depth import pixel_noise_px
 from vergence.calibration.projection import camera_parameter_names
@@ -38,7 +38,7 @@ def intrinsics_of(found: Calibration, camera: int) -> Intrinsics:
     )  # fmt: skip
 
 
-def head_text(found: Calibration, name: str, response: Response | None = None) -> str:
+def head_file_text(found: Calibration, name: str, response: Response | None = None) -> str:
     """Write the head file of a calibrated pair as TOML text.
 
     Args:
@@ -59,12 +59,12 @@ def head_text(found: Calibration, name: str, response: Response | None = None) -
         pair,
         name,
         noise_px=pixel_noise_px(found),
-        calibration=record_of(found),
+        calibration=calibration_record(found),
         response=response,
     )
 
 
-def record_of(found: Calibration) -> CalibrationRecord:
+def calibration_record(found: Calibration) -> CalibrationRecord:
     """Record the origin and uncertainty of a calibrated pair."""
     sigma = {
         f"{eye}.camera.{value}": deviation
@@ -74,22 +74,22 @@ def record_of(found: Calibration) -> CalibrationRecord:
         )
     }
     between = found.rig.blocks[-2]
-    placed = place_covariance(found.rig, found.covariance[between, between])
+    placed = right_camera_pose_covariance(found.rig, found.covariance[between, between])
     names = ("rx", "ry", "rz", "x", "y", "z")
     deviations = np.sqrt(np.diagonal(placed)).tolist()
     sigma |= {f"right.head_eye.{n}": d for n, d in zip(names, deviations, strict=True)}
     return CalibrationRecord(
         target=str(found.seen.target),
         views=int(found.fit.kept.sum()),
-        rms_px=rms(found.fit.solution.residuals_px),
-        rms_heldout_px=rms(found.held_out_px),
+        rms_px=rms_length(found.fit.solution.residuals_px),
+        rms_heldout_px=rms_length(found.held_out_px),
         corners_sha256=found.seen.digest,
         versions=", ".join(f"{name} {each}" for name, each in versions(_VERSIONED).items()),
         sigma=sigma,
     )
 
 
-def place_covariance(rig: CameraRig, covariance: FloatArray) -> FloatArray:
+def right_camera_pose_covariance(rig: CameraRig, covariance: FloatArray) -> FloatArray:
     """Compute the covariance of the right camera's pose in the left camera's frame.
 
     Args:
@@ -113,7 +113,7 @@ def place_covariance(rig: CameraRig, covariance: FloatArray) -> FloatArray:
     return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
-def camera_document(found: Calibration) -> dict[str, Any]:
+def ros_camera_document(found: Calibration) -> dict[str, Any]:
     """Convert a camera's calibration to plain values with the keys of ROS's camera_info files.
 
     Args:
@@ -141,7 +141,7 @@ def camera_document(found: Calibration) -> dict[str, Any]:
             "target": str(found.seen.target),
             "views": int(found.fit.kept.sum()),
             "rms_px": found.rms_alone_px[0],
-            "rms_heldout_px": rms(found.held_out_px),
+            "rms_heldout_px": rms_length(found.held_out_px),
             "corners_sha256": found.seen.digest,
             "versions": versions(_VERSIONED),
             "sigma": dict(zip(names, found.sigma[found.rig.blocks[0]].tolist(), strict=True)),

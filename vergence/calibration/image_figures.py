@@ -29,7 +29,7 @@ _MOST_DOTS: Final = 4000
 """Most dots of a scatter plot (chosen: more only fill the page with ink)."""
 
 
-def residual_arrows(
+def draw_residual_arrows(
     pixels: FloatArray, residuals: FloatArray, size: tuple[int, int], name: str
 ) -> Figure:
     """Draw residuals over an image as magnified arrows, per corner and averaged in cells.
@@ -56,7 +56,7 @@ def residual_arrows(
     with styled():
         figure = new_figure(WIDTH, WIDTH * height / width + 0.7)
         panel = figure.add_subplot()
-        every = every_nth(len(pixels))
+        every = thinning_slice(len(pixels))
         arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0 / factor}
         usual = float(np.median(np.linalg.norm(residuals, axis=-1))) if len(residuals) else 0.0
         if factor * usual > cell:
@@ -68,12 +68,12 @@ def residual_arrows(
                 rasterized=True, **arrows,
             )  # fmt: skip
         panel.quiver(*places.T, *mean.T, color=BLACK, width=0.0045, headwidth=4, **arrows)
-        frame_image(panel, size)
+        set_image_axes(panel, size)
         panel.set_title(f"{name}, arrows {factor:g} times as long")
     return figure
 
 
-def corners_seen(views: FloatArray, size: tuple[int, int], name: str, colour: str) -> Figure:
+def draw_corner_coverage(views: FloatArray, size: tuple[int, int], name: str, colour: str) -> Figure:
     """Draw corners over an image, and the number of views with a corner in each part of it.
 
     Args:
@@ -88,7 +88,7 @@ def corners_seen(views: FloatArray, size: tuple[int, int], name: str, colour: st
         figure = new_figure(WIDTH, WIDTH * height / width + 0.7)
         panel = figure.add_subplot()
         panel.plot(
-            *pixels[every_nth(len(pixels))].T, ".", ms=3.5, mew=0, alpha=0.6, color=colour,
+            *pixels[thinning_slice(len(pixels))].T, ".", ms=3.5, mew=0, alpha=0.6, color=colour,
             rasterized=True,
         )  # fmt: skip
         cells = views_in_cells(views, size)
@@ -107,17 +107,17 @@ def corners_seen(views: FloatArray, size: tuple[int, int], name: str, colour: st
                 va="center", fontsize=13, fontweight="bold", color=BLACK,
                 bbox={"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.8},
             )  # fmt: skip
-        frame_image(panel, size)
+        set_image_axes(panel, size)
         panel.set_title(f"{name}, views in each part")
     return figure
 
 
-def every_nth(count: int) -> slice:
+def thinning_slice(count: int) -> slice:
     """Thin out dots to at most `_MOST_DOTS`."""
     return slice(None, None, -(-count // _MOST_DOTS) or 1)
 
 
-def frame_image(panel: Axes, size: tuple[int, int]) -> None:
+def set_image_axes(panel: Axes, size: tuple[int, int]) -> None:
     """Set a panel's axes to an image's frame, v downwards."""
     width, height = size
     panel.set(

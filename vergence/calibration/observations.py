@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Adjustment
+from vergence.calibration.adjustment import BundleAdjustment
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models.boards import AprilTag, PlanarTarget, TagFamily
 from vergence.models.parts import FloatArray
@@ -82,11 +82,11 @@ class Observations:
         return np.asarray(count >= min(LEAST_CORNERS, self.pixels.shape[2]))
 
     @cached_property
-    def problem(self) -> Adjustment:
+    def problem(self) -> BundleAdjustment:
         """The bundle adjustment of all views; unusable photographs count as without corners."""
         corners = self.target.corners_m
         blank = ~self.usable[..., None, None]
-        return Adjustment(
+        return BundleAdjustment(
             np.column_stack([corners, np.zeros(len(corners))]),
             np.where(blank, np.nan, self.pixels),
             np.where(blank, np.nan, self.sigma),
@@ -134,7 +134,7 @@ class _Seen(NamedTuple):
     sigma_px: FloatArray | None
 
 
-def observe(
+def detect_board_corners(
     target: PlanarTarget,
     photographs: Sequence[Sequence[Path]],
     progress: Callable[[float], None] | None = None,

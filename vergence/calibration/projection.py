@@ -26,14 +26,14 @@ def camera_parameter_names(lens: str) -> tuple[str, ...]:
     return (*PINHOLE_VALUES, *LENSES[lens])
 
 
-class Projected(NamedTuple):
+class ProjectedPoints(NamedTuple):
     """Pixels and their Jacobians."""
 
     pixels: FloatArray
     """(..., 2) px."""
-    by_point: FloatArray
+    point_jacobian: FloatArray
     """(..., 2, 3) Jacobian by the point, px/m."""
-    by_camera: FloatArray
+    camera_jacobian: FloatArray
     """(..., 2, k) Jacobian by the camera's parameters."""
 
 
@@ -48,7 +48,7 @@ class _Bent(NamedTuple):
     """(..., 2, n) Jacobian by the lens's coefficients."""
 
 
-def project(lens: str, values: FloatArray, points: FloatArray) -> Projected:
+def project_with_jacobians(lens: str, values: FloatArray, points: FloatArray) -> ProjectedPoints:
     """Project points in the camera's frame.
 
     Args:
@@ -73,7 +73,7 @@ def project(lens: str, values: FloatArray, points: FloatArray) -> Projected:
     by_camera[..., 0, 0], by_camera[..., 1, 1] = bent.xy[..., 0], bent.xy[..., 1]
     by_camera[..., 0, 2] = by_camera[..., 1, 3] = 1.0
     by_camera[..., 4:] = focal[:, None] * bent.by_coefficients
-    return Projected(pixels, by_point, by_camera)
+    return ProjectedPoints(pixels, by_point, by_camera)
 
 
 def _bend_by_radius(coefficients: FloatArray, ideal: FloatArray) -> _Bent:

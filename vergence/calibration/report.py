@@ -8,16 +8,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from vergence.calibration import figures
-from vergence.calibration.adjustment import rms
+from vergence.calibration.adjustment import rms_length
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.coverage import (
-    advice,
-    attitudes,
+    advise_next_photographs,
+    board_tilts,
     board_sag,
     camera_names,
-    image_sigma,
+    median_and_corner_sigma_px,
 )
-from vergence.calibration.depth import depth_sigma_at, depths_shown, pixel_noise_px
+from vergence.calibration.depth import depth_sigma_at, depths_to_plot_m, pixel_noise_px
 from vergence.calibration.projection import camera_parameter_names
 from vergence.eval.reporting.report import inline_svg
 from vergence.eval.reporting.runs import versions, write_json
@@ -45,7 +45,7 @@ def write_run(folder: Path, found: Calibration, content: str, name: str) -> None
         folder / "result.json",
         {
             **found.document(),
-            "advice": advice(found),
+            "advice": advise_next_photographs(found),
             "lens_errors": dict(found.lens_errors),
             "numbers": dict(zip(names, found.rig.packed().tolist(), strict=True)),
             "sigma": dict(zip(names, found.sigma.tolist(), strict=True)),
@@ -102,7 +102,7 @@ def _figures(found: Calibration) -> dict[str, Figure]:
     drawn["distances"] = figures.tilts_by_distance(found)
     drawn["views"] = figures.view_residuals(found)
     if len(found.single_fits) > 1:
-        depth = depth_sigma_at(found, depths_shown(found))
+        depth = depth_sigma_at(found, depths_to_plot_m(found))
         drawn["depth"] = figures.depth_sigma(depth, relative=False)
         drawn["depth-relative"] = figures.depth_sigma(depth, relative=True)
     return drawn
@@ -112,7 +112,7 @@ def _values(found: Calibration) -> dict[str, Any]:
     """Collect the values for the template."""
     names = camera_names(found)
     several = len(names) > 1
-    held = attitudes(found, 0)
+    held = board_tilts(found, 0)
     return {
         "several": several,
         "names": names,
@@ -123,8 +123,8 @@ def _values(found: Calibration) -> dict[str, Any]:
         "every": len(found.fit.kept),
         "dropped": found.dropped,
         "alone_px": found.rms_alone_px,
-        "together_px": rms(found.fit.solution.residuals_px),
-        "held_out_px": rms(found.held_out_px),
+        "together_px": rms_length(found.fit.solution.residuals_px),
+        "held_out_px": rms_length(found.held_out_px),
         "baseline": found.baseline_mm if several else None,
         "focal": [
             (float(values[0]), float(found.sigma[block][0]))
@@ -132,11 +132,11 @@ def _values(found: Calibration) -> dict[str, Any]:
         ],
         "lenses": dict(found.lens_errors),
         "sag": board_sag(found),
-        "advice": advice(found),
+        "advice": advise_next_photographs(found),
         "remarks": found.failures,
         "tilt_deg": np.quantile(held.angle_deg, [0.0, 0.5, 1.0]).tolist(),
         "distance_m": [float(held.distance_m.min()), float(held.distance_m.max())],
-        "directions": [image_sigma(found, camera) for camera in range(len(names))],
+        "directions": [median_and_corner_sigma_px(found, camera) for camera in range(len(names))],
         "depths": _depth_rows(found) if several else [],
         "noise_px": pixel_noise_px(found),
         "numbers": _number_rows(found),

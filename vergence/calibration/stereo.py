@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Adjustment, CameraRig, Poses
-from vergence.calibration.cameras import LEAST_VIEWS, CameraFit, estimate_board_poses, settle
+from vergence.calibration.adjustment import BundleAdjustment, CameraRig, BoardPoses
+from vergence.calibration.cameras import LEAST_VIEWS, CameraFit, estimate_board_poses, drop_outlier_views
 from vergence.calibration.observations import Observations
 from vergence.errors import ConfigurationError
 from vergence.models.files.stereo import GREATEST_BASELINE_M, LEAST_BASELINE_M
@@ -23,7 +23,7 @@ _TRUSTED: Final = 3.0
 """Ratio of a pair's reprojection error to the median up to which the first fit uses it (chosen)."""
 
 
-def fit_pair(
+def fit_camera_pair(
     seen: Observations, left: CameraFit, right: CameraFit
 ) -> tuple[Observations, CameraFit]:
     """Find both cameras and their relative pose from the views that agree.
@@ -86,7 +86,7 @@ def fit_pair(
     )
     by_right = estimate_board_poses(problem.of_camera(1), alone[1], seen.sizes[1])
     back = rig.rotation.T
-    poses = Poses(
+    poses = BoardPoses(
         np.where(left.kept[:, None, None], by_left.rotation, back @ by_right.rotation),
         np.where(
             left.kept[:, None],
@@ -95,7 +95,7 @@ def fit_pair(
         ),
     )
     solution = problem.of(trusted).solve(rig, poses.of(trusted))
-    fit = settle(problem, solution, trusted, poses)
+    fit = drop_outlier_views(problem, solution, trusted, poses)
     _check_place(fit.solution.rig)
     return seen, fit
 
@@ -124,10 +124,10 @@ def _turned(seen: Observations, order: NDArray[np.intp], views: NDArray[np.bool_
     return replace(seen, pixels=pixels, sigma=sigma)
 
 
-def _missed_px(problem: Adjustment, rig: CameraRig, poses: Poses) -> FloatArray:
+def _missed_px(problem: BundleAdjustment, rig: CameraRig, poses: BoardPoses) -> FloatArray:
     """(v) rms reprojection error in the right camera, px; nan without corners."""
     right = CameraRig.single(rig.lenses[1], rig.values[1])._replace(bend=rig.bend)
-    moved = Poses(
+    moved = BoardPoses(
         rig.rotation @ poses.rotation, poses.translation @ rig.rotation.T + rig.translation
     )
     one = problem.of_camera(1)

@@ -18,8 +18,8 @@ from typing import Final
 
 import numpy as np
 
-from vergence.calibration.adjustment import Adjustment, Poses, Solution, cross_matrices
-from vergence.calibration.projection import project
+from vergence.calibration.adjustment import BundleAdjustment, BoardPoses, BundleSolution, cross_matrices
+from vergence.calibration.projection import project_with_jacobians
 from vergence.models.parts import FloatArray
 
 _LEAST_EIGENVALUE: Final = 1e-15
@@ -33,7 +33,7 @@ _SURELY: Final = 2.0
 is used (chosen)."""
 
 
-def covariance_of(solution: Solution) -> FloatArray:
+def rig_covariance(solution: BundleSolution) -> FloatArray:
     """(p, p) covariance of the rig's parameters, see `CameraRig.packed`.
 
     Args:
@@ -79,7 +79,7 @@ def clustered_covariance(
 
 
 def direction_sigma_px(
-    solution: Solution, covariance: FloatArray, camera: int, rays: FloatArray
+    solution: BundleSolution, covariance: FloatArray, camera: int, rays: FloatArray
 ) -> FloatArray:
     """Compute the uncertainty of a camera's directions, in pixels of its image.
 
@@ -97,7 +97,7 @@ def direction_sigma_px(
     """
     lens, values = solution.rig.lenses[camera], solution.rig.values[camera]
     block = solution.rig.blocks[camera]
-    points = points_of(solution, camera)[solution.problem.seen[camera]]
+    points = board_points_in_camera(solution, camera)[solution.problem.seen[camera]]
     seen_turn, seen_values = _by_turn_and_values(lens, values, points / points[:, 2:])
     turn = np.linalg.lstsq(
         seen_turn.reshape(-1, 3), -seen_values.reshape(-1, len(values)), rcond=None
@@ -111,19 +111,19 @@ def direction_sigma_px(
 def _by_turn_and_values(
     lens: str, values: FloatArray, points: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    seen = project(lens, values, points)
-    return -seen.by_point @ cross_matrices(points), seen.by_camera
+    seen = project_with_jacobians(lens, values, points)
+    return -seen.point_jacobian @ cross_matrices(points), seen.camera_jacobian
 
 
-def points_of(solution: Solution, camera: int) -> FloatArray:
+def board_points_in_camera(solution: BundleSolution, camera: int) -> FloatArray:
     """(v, n, 3) the board's corners in a camera's frame, metres."""
     rig = solution.rig
     points = solution.problem.points(rig, solution.poses)
     return points @ rig.rotation.T + rig.translation if camera else points
 
 
-def point_covariances(
-    solution: Solution, covariance: FloatArray, points: FloatArray, noise_px: float
+def triangulation_covariances(
+    solution: BundleSolution, covariance: FloatArray, points: FloatArray, noise_px: float
 ) -> tuple[FloatArray, FloatArray]:
     """Compute the covariances of points triangulated by two cameras.
 
@@ -137,8 +137,8 @@ def point_covariances(
         Two covariances (n, 3, 3), m^2: from errors of the calibration, which are the same in every
         image, and from the noise of one pair of images.
     """
-    one = Adjustment(points[:1], np.zeros((2, 1, 1, 2)), np.ones((2, 1, 1, 2)))
-    still = Poses(np.eye(3)[None], np.zeros((1, 3)))
+    one = BundleAdjustment(points[:1], np.zeros((2, 1, 1, 2)), np.ones((2, 1, 1, 2)))
+    still = BoardPoses(np.eye(3)[None], np.zeros((1, 3)))
     of_calibration, of_noise = [], []
     for point in points:
         linear = replace(one, board=point[None]).linearised(solution.rig, still)

@@ -16,8 +16,8 @@ from vergence.commands.extras import require
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from vergence.calibration.head.collect import Collected
-    from vergence.calibration.head.preview import Preview
+    from vergence.calibration.head.collect import CollectedRecording
+    from vergence.calibration.head.preview import CalibrationPreview
     from vergence.models.boards import PlanarTarget
     from vergence.models.head import HeadModel
     from vergence.recording.looking import Looker
@@ -154,7 +154,7 @@ class Collect:
 
     def _conclude(self, found: "Collected", head: "HeadModel") -> None:
         """Print a summary of the recording, advice, and the next command."""
-        from vergence.calibration.head.advice import advice
+        from vergence.calibration.head.advice import advise_recording
 
         frames = found.frames()
         places = int(frames.placement.max()) + 1
@@ -166,7 +166,7 @@ class Collect:
             print(f"depth will be known to {_depth(found.preview)}")
         if found.unseen:
             note(f"{found.unseen} looks without the board, left out")
-        for line in advice(head, found, frames):
+        for line in advise_recording(head, found, frames):
             note(line)
         named = _head_of(self.config) if self.config is not None else self.head or _HEAD
         words = ["calibrate", "head", str(self.folder), "--head", named, "--out", "calibrated.toml"]

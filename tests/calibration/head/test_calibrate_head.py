@@ -9,7 +9,7 @@ import vergence
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.chain import ParametricHead, board_points
 from vergence.calibration.head.observability import unobservable_directions
-from vergence.calibration.head.simulated import record
+from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.vision import parse_target
@@ -22,7 +22,7 @@ def drawn(name="physical", seed=0, **options):
     """A nominal head, a true one, and the frames that it saw."""
     head, rng = vergence.load_head(name), np.random.default_rng(seed)
     true = head.perturbed(rng, TWIN_SPREADS)
-    return head, true, record(head, true, rng, **SMALL | options).frames
+    return head, true, simulate_recording(head, true, rng, **SMALL | options).frames
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_true_angles_are_told_better_than_they_were_read(usual):
     head, true, _, _ = usual
     rng = np.random.default_rng(0)
     true = head.perturbed(rng, TWIN_SPREADS)
-    seen = record(head, true, rng, **SMALL)
+    seen = simulate_recording(head, true, rng, **SMALL)
     solution = calibrate_head(head, seen.frames).solution
     read, told = seen.frames.positions - seen.true_q, solution.problem.angles(solution.state)
     # what both pans have in common with the neck is told least
@@ -141,14 +141,14 @@ def test_a_board_that_was_moved_meanwhile_is_another_place(usual):
 def test_a_board_that_was_moved_by_two_millimetres_is_another_place():
     head, rng = vergence.load_head("physical"), np.random.default_rng(0)
     true = head.perturbed(rng, TWIN_SPREADS)
-    seen = record(head, true, rng, **SMALL | {"distances_m": (0.7,)})
+    seen = simulate_recording(head, true, rng, **SMALL | {"distances_m": (0.7,)})
     frames, q = seen.frames, seen.true_q
     later = np.arange(len(q)) >= len(q) // 2
     boards = seen.boards.moved(np.array([[0.0, 0.0, 0.0, 0.001, -0.001, 0.0014]]))
     points, turned = board_points(frames.corners, boards, np.zeros(later.sum(), dtype=int))
     pixels, chain = frames.pixels.copy(), ParametricHead(true, true.parameters().values)
     for eye in range(2):
-        there = chain.seen(eye, q[later], points, turned).pixels
+        there = chain.project_board(eye, q[later], points, turned).pixels
         pixels[eye, later] = there + 0.05 * rng.standard_normal(there.shape)
     found = calibrate_head(head, replace(frames, pixels=pixels))
     np.testing.assert_array_equal(found.frames.placement, later.astype(int))

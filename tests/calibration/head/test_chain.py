@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import vergence
-from vergence.calibration.adjustment import Poses
+from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.chain import ParametricHead, board_points
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 
@@ -25,7 +25,7 @@ def case(request):
     T = about.base_pose(about.rest())
     turn = T[:3, :3] @ Rotation.from_rotvec([0.1, 0.2, 0.1]).as_matrix()
     corners = np.column_stack([rng.uniform(-0.1, 0.1, (5, 2)), np.zeros(5)])
-    boards = Poses(turn[None], (T[:3, :3] @ [0.0, 0.0, 1.0] + T[:3, 3])[None])
+    boards = BoardPoses(turn[None], (T[:3, :3] @ [0.0, 0.0, 1.0] + T[:3, 3])[None])
     return about, values, q, corners, boards
 
 
@@ -53,12 +53,12 @@ def test_pixels_and_derivatives_are_those_of_the_head(case, eye):
     about, values, q, corners, boards = case
     chain = ParametricHead(about, values)
     points, turned = board_points(corners, boards, np.zeros(len(q), dtype=int))
-    seen = chain.seen(eye, q, points, turned)
+    seen = chain.project_board(eye, q, points, turned)
     np.testing.assert_allclose(
         seen.pixels, pixels(about, values, q, corners, boards)[:, :, eye], atol=1e-9
     )
     by_head = np.zeros((*seen.pixels.shape, len(values)))
-    by_head[..., chain.columns[eye]] = seen.by_head
+    by_head[..., chain.columns[eye]] = seen.head_jacobian
     assert_derivative(
         by_head,
         by_differences(
@@ -67,13 +67,13 @@ def test_pixels_and_derivatives_are_those_of_the_head(case, eye):
     )
     there = np.array([bool(name) for name in about.joints])
     assert_derivative(
-        seen.by_joints[..., there],
+        seen.joint_jacobian[..., there],
         by_differences(lambda step: pixels(about, values, q + step, corners, boards)[:, :, eye], 7)[
             ..., there
         ],
     )
     assert_derivative(
-        seen.by_board,
+        seen.board_jacobian,
         by_differences(
             lambda step: pixels(about, values, q, corners, boards.moved(step[None]))[:, :, eye], 6
         ),

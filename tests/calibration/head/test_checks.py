@@ -7,8 +7,8 @@ import pytest
 
 import vergence
 from vergence.calibration.head.calibrate_head import calibrate_head
-from vergence.calibration.head.checks import few_views
-from vergence.calibration.head.simulated import record
+from vergence.calibration.head.checks import remark_on_few_views
+from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 
@@ -18,7 +18,7 @@ HEAD = vergence.load_head("physical")
 @pytest.fixture(scope="module")
 def frames():
     true = HEAD.perturbed(np.random.default_rng(1), TWIN_SPREADS)
-    return record(HEAD, true, np.random.default_rng(2), poses=12, frames=3).frames
+    return simulate_recording(HEAD, true, np.random.default_rng(2), poses=12, frames=3).frames
 
 
 def test_an_eye_whose_images_are_a_frame_late_is_no_board_that_was_moved(frames):
@@ -29,7 +29,7 @@ def test_an_eye_whose_images_are_a_frame_late_is_no_board_that_was_moved(frames)
 
 
 def test_a_board_that_was_moved_is_another_place(frames):
-    twice = record(
+    twice = simulate_recording(
         HEAD, HEAD, np.random.default_rng(3), poses=16, frames=2, distances_m=(0.6, 1.2)
     ).frames
     unsaid = replace(twice, placement=np.zeros_like(twice.placement))
@@ -40,9 +40,9 @@ def test_a_board_that_was_moved_is_another_place(frames):
 
 def test_views_that_are_left_out_are_counted_where_they_are_many(frames):
     kept = frames.seen.copy()
-    assert few_views(frames, kept) == []
+    assert remark_on_few_views(frames, kept) == []
     kept[1, :4] = False
-    assert [line.partition(" do ")[0] for line in few_views(frames, kept)] == [
+    assert [line.partition(" do ")[0] for line in remark_on_few_views(frames, kept)] == [
         "4 of 36 views of the right eye"
     ]
 
@@ -51,6 +51,6 @@ def test_an_eye_that_has_seen_nothing_is_told(frames):
     pixels = frames.pixels.copy()
     pixels[0] = np.nan
     blind = replace(frames, pixels=pixels)
-    assert few_views(blind, blind.seen) == [
+    assert remark_on_few_views(blind, blind.seen) == [
         "the left eye has never seen the board: it stays as its file has it"
     ]

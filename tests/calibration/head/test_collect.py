@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import vergence
-from vergence.calibration.head.advice import advice, coverage_percent
+from vergence.calibration.head.advice import advise_recording, coverage_percent
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.collect import CollectOptions, collect
-from vergence.calibration.head.preview import DEPTHS_M, depth_sigma, preview_calibration
-from vergence.calibration.head.prior import prior_sigma_of
+from vergence.calibration.head.preview import DEPTHS_M, depth_sigma_m, preview_calibration
+from vergence.calibration.head.prior import parameter_prior_sigma
 from vergence.calibration.head.recording import read_recording
-from vergence.calibration.head.simulated import record
+from vergence.calibration.head.simulated import simulate_recording
 from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
@@ -186,11 +186,11 @@ def test_it_ends_as_soon_as_depth_would_be_known_well_enough(tmp_path):
 
 
 def test_the_predicted_deviation_of_depth_is_that_of_heads_drawn_from_the_covariance():
-    frames = record(HEAD, HEAD, np.random.default_rng(3), poses=10, frames=3).frames
+    frames = simulate_recording(HEAD, HEAD, np.random.default_rng(3), poses=10, frames=3).frames
     rng = np.random.default_rng(4)
-    values, spreads = HEAD.parameters().values, prior_sigma_of(HEAD)
+    values, spreads = HEAD.parameters().values, parameter_prior_sigma(HEAD)
     covariance = np.diag((0.05 * spreads) ** 2)
-    predicted = depth_sigma(HEAD, values, covariance)
+    predicted = depth_sigma_m(HEAD, values, covariance)
     drawn = HEAD.with_parameters(values + 0.05 * spreads * rng.standard_normal((2000, len(values))))
     eyes = HEAD.camera_poses(HEAD.rest())[:, :3, 3].mean(axis=0)
     for depth_m, sigma in zip(DEPTHS_M, predicted, strict=True):
@@ -218,14 +218,14 @@ def test_a_detection_of_something_else_does_not_change_the_prediction(collected)
 
 def test_advice_says_what_would_tell_more(collected):
     _, looker, found, _ = collected
-    lines = advice(HEAD, found, found.frames())
+    lines = advise_recording(HEAD, found, found.frames())
     assert [line.split(":")[0] for line in lines] == [
         "the board stood in one place", "the board was never farther than 0.7 m"
     ]  # fmt: skip
     frames = found.frames()
     still = frames.positions.copy()
     still[:, :3] = 0.0
-    assert advice(looker.head, found, replace(frames, positions=still))[0].startswith(
+    assert advise_recording(looker.head, found, replace(frames, positions=still))[0].startswith(
         "the neck has not moved"
     )
 

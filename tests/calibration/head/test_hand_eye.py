@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import vergence
-from vergence.calibration.head.hand_eye import both_eyes, by_reprojection, single_eye
-from vergence.calibration.head.simulated import record
+from vergence.calibration.head.hand_eye import solve_both_eyes, refine_by_reprojection, solve_each_eye
+from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError
 from vergence.models.links import inverse_pose
 
@@ -23,7 +23,7 @@ def seen_by(name, *, distances_m=(0.7,), poses=20, **options):
     turns = Rotation.from_rotvec(np.deg2rad([[12.0, -12.0, 10.0], [-14.0, 8.0, 12.0]]))
     head_eye[:, :3, :3] = turns.as_matrix() @ head_eye[:, :3, :3]
     head_eye[:, :3, 3] += [[0.02, -0.015, 0.015], [-0.02, 0.02, 0.01]]
-    seen = record(
+    seen = simulate_recording(
         true, true, np.random.default_rng(1), poses=poses, frames=2, noise_px=0.0,
         distances_m=distances_m, **options,
     )  # fmt: skip
@@ -40,7 +40,7 @@ def assert_found(found, true, tolerance=EXACT):
 @pytest.mark.parametrize("name", ["simulated", "physical", "turrets", "icub"])
 def test_each_eye_is_found_exactly_however_far_its_camera_is_from_the_model(name):
     true, head, frames = seen_by(name)
-    found = single_eye(head, frames)
+    found = solve_each_eye(head, frames)
     assert_found(found, true)
     assert found.rms_px < EXACT
     assert found.kept.all()
@@ -49,7 +49,7 @@ def test_each_eye_is_found_exactly_however_far_its_camera_is_from_the_model(name
 @pytest.mark.parametrize("name", ["simulated", "physical", "turrets"])
 def test_both_eyes_at_once_are_found_exactly_however_far_the_cameras_are_from_the_model(name):
     true, head, frames = seen_by(name)
-    found = both_eyes(head, frames)
+    found = solve_both_eyes(head, frames)
     assert_found(found, true)
     assert found.rms_px < EXACT
 
@@ -57,10 +57,10 @@ def test_both_eyes_at_once_are_found_exactly_however_far_the_cameras_are_from_th
 def test_eyes_with_one_common_tilt_are_not_found_at_once():
     _true, head, frames = seen_by("icub")
     with pytest.raises(ConfigurationError, match="eyes against each other to turn about two axes"):
-        both_eyes(head, frames)
+        solve_both_eyes(head, frames)
 
 
-@pytest.mark.parametrize("find", [single_eye, both_eyes])
+@pytest.mark.parametrize("find", [solve_each_eye, solve_both_eyes])
 def test_a_board_may_move(find):
     true, head, frames = seen_by("physical", distances_m=(0.5, 0.9))
     assert_found(find(head, frames), true)
@@ -70,11 +70,11 @@ def test_both_eyes_at_once_need_neither_the_neck_nor_the_boards_place():
     true, head, frames = seen_by("physical")
     wrong = frames.positions.copy()
     wrong[:, :3] += np.random.default_rng(0).uniform(-0.3, 0.3, (len(wrong), 3))
-    found = both_eyes(head, dataclasses.replace(frames, positions=wrong))
+    found = solve_both_eyes(head, dataclasses.replace(frames, positions=wrong))
     assert_found(found, true)
 
 
-@pytest.mark.parametrize("find", [single_eye, both_eyes])
+@pytest.mark.parametrize("find", [solve_each_eye, solve_both_eyes])
 def test_views_that_show_something_else_do_not_count(find):
     true, head, frames = seen_by("physical", poses=30)
     rng = np.random.default_rng(2)
@@ -90,7 +90,7 @@ def test_views_that_show_something_else_do_not_count(find):
     assert not found.kept[bad].any()
 
 
-@pytest.mark.parametrize("find", [single_eye, both_eyes])
+@pytest.mark.parametrize("find", [solve_each_eye, solve_both_eyes])
 def test_views_without_the_board_do_not_count(find):
     true, head, frames = seen_by("physical")
     pixels = frames.pixels.copy()
@@ -102,17 +102,17 @@ def test_views_without_the_board_do_not_count(find):
 
 def test_noise_of_corners_and_encoders_leaves_a_tenth_of_a_degree():
     true = vergence.load_head("physical")
-    seen = record(true, true, np.random.default_rng(3), poses=40, frames=4)
-    for find in (single_eye, both_eyes):
+    seen = simulate_recording(true, true, np.random.default_rng(3), poses=40, frames=4)
+    for find in (solve_each_eye, solve_both_eyes):
         off = inverse_pose(find(true, seen.frames).head_eye) @ true.head_eye
         assert np.rad2deg(Rotation.from_matrix(off[:, :3, :3]).magnitude()).max() < 0.5
 
 
 def test_reprojection_finds_both_exactly_and_leaves_the_rest_of_the_head():
     true, head, frames = seen_by("physical")
-    noisy = single_eye(head, frames)
+    noisy = solve_each_eye(head, frames)
     start = noisy._replace(head_eye=noisy.head_eye @ _nudge())
-    found = by_reprojection(head, frames, start)
+    found = refine_by_reprojection(head, frames, start)
     assert_found(found, true, 1e-7)
     assert found.rms_px < 1e-4
 
@@ -124,21 +124,21 @@ def _nudge():
     return pose
 
 
-@pytest.mark.parametrize("find", [single_eye, both_eyes])
+@pytest.mark.parametrize("find", [solve_each_eye, solve_both_eyes])
 def test_motions_about_one_axis_are_refused(find):
     _true, head, frames = seen_by("simulated", neck=False, off_axis=0.0, dither_rad=0.0)
     with pytest.raises(ConfigurationError, match="turn about two axes"):
         find(head, frames)
 
 
-@pytest.mark.parametrize("find", [single_eye, both_eyes])
+@pytest.mark.parametrize("find", [solve_each_eye, solve_both_eyes])
 def test_too_few_views_are_refused(find):
     _true, head, frames = seen_by("physical")
     with pytest.raises(ConfigurationError, match=r"expected at least 3 poses of the .*, got 2"):
         find(head, frames.of(np.array([0, 4])))
 
 
-@pytest.mark.parametrize("find", [single_eye, both_eyes])
+@pytest.mark.parametrize("find", [solve_each_eye, solve_both_eyes])
 def test_joint_angles_of_other_images_are_refused(find):
     _true, head, frames = seen_by("physical")
     positions = np.random.default_rng(4).uniform(-0.8, 0.8, frames.positions.shape)

@@ -11,7 +11,7 @@ import numpy as np
 import vergence
 from vergence.calibration.head.adjust import HeadAdjustment, Weights
 from vergence.calibration.head.chain import ParametricHead
-from vergence.calibration.head.simulated import record
+from vergence.calibration.head.simulated import simulate_recording
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.models.joints import EYE_NAMES
 from vergence.models.perturbation import standard_deviations
@@ -37,7 +37,7 @@ def scaled_columns():
 
 def recorded(seed, **options):
     """(44, 44) what a recording tells of the numbers."""
-    seen = record(HEAD, HEAD, np.random.default_rng(seed), frames=2, **options)
+    seen = simulate_recording(HEAD, HEAD, np.random.default_rng(seed), frames=2, **options)
     problem = HeadAdjustment(HEAD, np.full(len(SPREADS), np.inf), seen.frames)
     normal = problem.linearised(problem.start(seen.boards), Weights.of(seen.frames.seen))
     p = len(SPREADS)
@@ -56,9 +56,9 @@ def gaps(seed):
     there = (points @ T_0_N[:3, :3].T + T_0_N[:3, 3])[:, None]
     by_head, by_point = np.zeros((60, 4, len(SPREADS))), np.zeros((60, 4, 3))
     for eye in range(2):
-        seen = chain.seen(eye, q, there, there)
-        by_head[:, 2 * eye : 2 * eye + 2, chain.columns[eye]] = seen.by_head[:, 0]
-        by_point[:, 2 * eye : 2 * eye + 2] = seen.by_board[:, 0, :, 3:]
+        seen = chain.project_board(eye, q, there, there)
+        by_head[:, 2 * eye : 2 * eye + 2, chain.columns[eye]] = seen.head_jacobian[:, 0]
+        by_point[:, 2 * eye : 2 * eye + 2] = seen.board_jacobian[:, 0, :, 3:]
     # what is left of four pixels once the point may be anywhere
     across = np.linalg.svd(by_point)[0][:, :, 3:]
     rows = (across.transpose(0, 2, 1) @ by_head @ scaled_columns()).reshape(60, 44)

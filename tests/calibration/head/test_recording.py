@@ -11,7 +11,7 @@ import pytest
 import vergence
 from tests.calibration.head.recordings import log_frames, log_view
 from vergence.calibration.head.recording import read_recording
-from vergence.calibration.head.simulated import record
+from vergence.calibration.head.simulated import simulate_recording
 from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.recording.schema import LoggedDetection
@@ -26,7 +26,7 @@ BOARD = parse_target("checkerboard:9x6:24")
 @pytest.fixture(scope="module")
 def frames():
     """Eight poses of three frames."""
-    return record(HEAD, HEAD, np.random.default_rng(1), poses=8, frames=3).frames
+    return simulate_recording(HEAD, HEAD, np.random.default_rng(1), poses=8, frames=3).frames
 
 
 def assert_same(read, frames):

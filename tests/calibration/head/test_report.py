@@ -11,10 +11,10 @@ import vergence
 from tests.calibration.test_report import Page
 from vergence.calibration.head import report
 from vergence.calibration.head.calibrate_head import calibrate_head
-from vergence.calibration.head.depth import ahead, aside, depth_errors
+from vergence.calibration.head.depth import points_ahead, points_at_angles, predict_depth_errors
 from vergence.calibration.head.observability import UnobservableDirection
-from vergence.calibration.head.report import document, left_out, write_run
-from vergence.calibration.head.simulated import record
+from vergence.calibration.head.report import result_document, left_out_views, write_run
+from vergence.calibration.head.simulated import simulate_recording
 from vergence.eval.head_reach import centre_of
 from vergence.eval.reporting.runs import command_of
 from vergence.eval.reporting.text import format_number
@@ -37,7 +37,7 @@ def true():
 @pytest.fixture(scope="module")
 def found(true):
     rng = np.random.default_rng(5)
-    seen = record(HEAD, true, rng, poses=12, frames=2).frames
+    seen = simulate_recording(HEAD, true, rng, poses=12, frames=2).frames
     pixels = seen.pixels.copy()
     pixels[WRONG] += rng.normal(0.0, 30.0, pixels[WRONG].shape)
     return calibrate_head(HEAD, replace(seen, pixels=pixels))
@@ -55,7 +55,7 @@ def written(folder, found, unseen=UNSEEN):
 
 
 def test_depth_sigma_is_the_scatter_of_heads_drawn_from_the_covariance(found):
-    from_eyes = np.concatenate([ahead(DISTANCES_M), aside(1.0, np.array([-0.4]), np.array([0.3]))])
+    from_eyes = np.concatenate([points_ahead(DISTANCES_M), points_at_angles(1.0, np.array([-0.4]), np.array([0.3]))])
     points = centre_of(found.head) + from_eyes
     q = found.head.fixate(points)
     free = found.sigma > 1e-8
@@ -69,37 +69,37 @@ def test_depth_sigma_is_the_scatter_of_heads_drawn_from_the_covariance(found):
     along = from_eyes / np.linalg.norm(from_eyes, axis=-1)[:, None]
     scatter = 10.0 * ((drawn - points) * along).sum(axis=-1).std(axis=0)
     # 1.1 % is the deviation of a deviation of 4000
-    np.testing.assert_allclose(depth_errors(found, from_eyes).sigma_m, scatter, rtol=0.05)
+    np.testing.assert_allclose(predict_depth_errors(found, from_eyes).sigma_m, scatter, rtol=0.05)
 
 
 def test_the_error_before_is_the_one_that_the_true_head_tells(found, true):
-    depth = depth_errors(found, ahead(DISTANCES_M))
-    points = centre_of(true) + ahead(DISTANCES_M)
+    depth = predict_depth_errors(found, points_ahead(DISTANCES_M))
+    points = centre_of(true) + points_ahead(DISTANCES_M)
     q = true.fixate(points)
     off = triangulate_views(HEAD, q, true.cameras.principal).point - points
     assert (np.abs(off[:, 2]) > 4.0 * depth.sigma_m).all()
-    assert (np.abs(depth.before_m - off[:, 2]) < 3.0 * depth.sigma_m).all()
-    np.testing.assert_allclose(depth.before_vector_m, np.linalg.norm(off, axis=-1), rtol=0.2)
+    assert (np.abs(depth.nominal_error_m - off[:, 2]) < 3.0 * depth.sigma_m).all()
+    np.testing.assert_allclose(depth.nominal_error_norm_m, np.linalg.norm(off, axis=-1), rtol=0.2)
 
 
 def test_the_floor_is_that_of_a_settled_fixation(found):
-    q = found.head.fixate(centre_of(found.head) + ahead(DISTANCES_M))
+    q = found.head.fixate(centre_of(found.head) + points_ahead(DISTANCES_M))
     floor = triangulate_gaze(found.head, q).sigma[:, 2]
-    np.testing.assert_allclose(depth_errors(found, ahead(DISTANCES_M)).floor_m, floor, rtol=1e-6)
+    np.testing.assert_allclose(predict_depth_errors(found, points_ahead(DISTANCES_M)).noise_floor_m, floor, rtol=1e-6)
 
 
 def test_directions_beyond_the_limits_have_no_error(found):
-    depth = depth_errors(found, aside(1.0, np.array([0.0, 1.4]), np.zeros(2)))
+    depth = predict_depth_errors(found, points_at_angles(1.0, np.array([0.0, 1.4]), np.zeros(2)))
     assert np.isfinite(depth.sigma_m).tolist() == [True, False]
-    assert np.isfinite(depth.before_m).tolist() == [True, False]
+    assert np.isfinite(depth.nominal_error_m).tolist() == [True, False]
 
 
 def test_the_document_is_plain_and_counts_every_view(found):
-    told = json.loads(json.dumps(document(found, UNSEEN), allow_nan=False))
+    told = json.loads(json.dumps(result_document(found, UNSEEN), allow_nan=False))
     assert (told["views"], told["left_out"], told["frames"], told["poses"]) == (47, 1, 24, 12)
     row = next(row for row in told["depth"] if row["distance_m"] == 1.0)
-    depth = depth_errors(found, ahead(np.ones(1)))
-    assert row["before_mm"] == pytest.approx(1e3 * depth.before_m[0])
+    depth = predict_depth_errors(found, points_ahead(np.ones(1)))
+    assert row["before_mm"] == pytest.approx(1e3 * depth.nominal_error_m[0])
     assert row["after_percent"] == pytest.approx(0.1 * row["after_sigma_mm"])
     assert told["unseen"] == [{"what": "tilt of both eyes", "cure": "move the neck",
                                "cost": "17 mm at 1 m"}]  # fmt: skip
@@ -135,7 +135,7 @@ def test_the_run_folder_has_the_head_all_numbers_and_every_view(found, tmp_path,
 
 
 def test_the_view_that_was_wrong_is_named(found, tmp_path, undrawn):
-    (one,) = left_out(found)
+    (one,) = left_out_views(found)
     assert (one.eye, one.time_s) == ("left", found.frames.time_s[WRONG[1]])
     assert "times sigma, where others leave" in one.why
     assert one.why in written(tmp_path, found).text
@@ -143,10 +143,10 @@ def test_the_view_that_was_wrong_is_named(found, tmp_path, undrawn):
 
 def test_the_page_says_before_and_after_and_what_was_not_seen(found, tmp_path, undrawn):
     text = written(tmp_path, found).text
-    depth = depth_errors(found, ahead(DISTANCES_M))
+    depth = predict_depth_errors(found, points_ahead(DISTANCES_M))
     before, after = (
         "{}, {} and {}".format(*map(format_number, np.abs(1e3 * values)))
-        for values in (depth.before_m, depth.sigma_m)
+        for values in (depth.nominal_error_m, depth.sigma_m)
     )
     assert f"{before} mm off in depth at 0.5, 1 and 2.5 m" in text
     assert f"one standard deviation is {after} mm" in text

@@ -9,10 +9,10 @@ import vergence
 from vergence.calibration.head.adjust import HeadAdjustment, Weights
 from vergence.calibration.head.backlash import with_backlash
 from vergence.calibration.head.calibrate_head import calibrate_head
-from vergence.calibration.head.files import head_text
-from vergence.calibration.head.prior import prior_sigma_of
+from vergence.calibration.head.files import head_file_text
+from vergence.calibration.head.prior import parameter_prior_sigma
 from vergence.calibration.head.reading_terms import ReadingTerms
-from vergence.calibration.head.simulated import JointReadingErrors, record
+from vergence.calibration.head.simulated import JointReadingErrors, simulate_recording
 from vergence.calibration.head.terms import AUTO, parse_terms
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
@@ -34,7 +34,7 @@ POINTS = np.array([[x, y, 1.0] for x in (-0.2, 0.2) for y in (-0.2, 0.2)])
 def recorded(true=TRUE, faults=None):
     """Sixteen poses of four frames."""
     rng = np.random.default_rng(8)
-    return record(
+    return simulate_recording(
         HEAD, true, rng, target="checkerboard:5x4:40", poses=16, frames=4, faults=faults
     ).frames
 
@@ -79,10 +79,10 @@ def test_derivatives_by_the_rules_numbers_are_those_of_differences(name):
     head = vergence.load_head(name).replace(sensor={"encoder_resolution_rad": 0.0})
     if head.actuators is not None:
         head = head.replace(actuators={"encoder_resolution_rad": np.zeros(head.actuation.count)})
-    seen = record(head, head, np.random.default_rng(1), poses=6, frames=2)
+    seen = simulate_recording(head, head, np.random.default_rng(1), poses=6, frames=2)
     terms = ReadingTerms.of_frames(head, seen.frames, ("play", "harmonics"))
-    problem = HeadAdjustment(head, prior_sigma_of(head), seen.frames, terms=terms)
-    assert not problem.joints.is_single.any()  # so that no errors follow
+    problem = HeadAdjustment(head, parameter_prior_sigma(head), seen.frames, terms=terms)
+    assert not problem.joint_errors.is_single.any()  # so that no errors follow
     values = np.random.default_rng(2).uniform(0.001, 0.01, len(terms.names))
     start, weights = problem.start(seen.boards), Weights.of(seen.frames.seen)
 
@@ -162,7 +162,7 @@ def test_terms_that_are_asked_for_are_there_whether_they_help_or_not():
 
 def test_play_goes_into_the_file_and_the_rest_is_said(with_and_without):
     found = with_and_without["play"][0]
-    head = parse_head(head_text(found, "0" * 64, "mine"))
+    head = parse_head(head_file_text(found, "0" * 64, "mine"))
     eyes = found.solution.state.terms[3:]
     assert head.sensor.backlash_rad == pytest.approx(eyes.max())
     assert head.sensor.encoder_side == "motor"

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Poses
+from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.chain import ParametricHead, board_points
 from vergence.calibration.head.frames import HeadFrames, JointErrors
 from vergence.calibration.head.reading_terms import NO_TERMS, ReadingTerms
@@ -45,11 +45,11 @@ class HeadUnknowns(NamedTuple):
     """(p,) parameters of the head, see `HeadModel.parameters`."""
     bend: FloatArray
     """(3,) curvatures of the board, 1/m."""
-    boards: Poses
+    boards: BoardPoses
     """(b) poses of the board in frame 0, one per placement."""
-    shared: FloatArray
+    shared_errors: FloatArray
     """(r,) reading errors that frames share while joints rest, rad."""
-    errors: FloatArray
+    frame_errors: FloatArray
     """(f, 7) reading errors of single frames, rad."""
     terms: FloatArray
     """(t,) parameters of the reading-error terms, rad."""
@@ -72,7 +72,7 @@ class Weights(NamedTuple):
         return cls(kept.astype(np.float64), np.ones((kept.shape[1], 7)))
 
 
-class Normal(NamedTuple):
+class NormalEquations(NamedTuple):
     """Normal equations at a state, with the errors of single frames eliminated."""
 
     cost: float
@@ -82,12 +82,12 @@ class Normal(NamedTuple):
     boards, shared errors."""
     gradient: FloatArray
     """(s,) gradient, half of the cost's."""
-    own_by_shared: FloatArray
+    frame_by_shared: FloatArray
     """(f, 7, s_f) negative derivative of the frames' own errors by the shared unknowns in
     `columns`."""
-    own_step: FloatArray
+    frame_step: FloatArray
     """(f, 7) negative step of the frames' own errors while the shared unknowns stay."""
-    inner: FloatArray
+    frame_matrices: FloatArray
     """(f, 7, 7) normal matrix of each frame's own errors."""
     residuals: FloatArray
     """(2, f, n, 2) residuals divided by sigma; 0 for corners that were not found."""
@@ -115,7 +115,7 @@ class HeadAdjustment:
     """Reading-error terms."""
 
     @cached_property
-    def joints(self) -> JointErrors:
+    def joint_errors(self) -> JointErrors:
         """Unknown reading errors of the joints."""
         found = JointErrors.of(self.nominal_head, self.frames)
         if self.scatter_ratio is None:
@@ -128,7 +128,7 @@ class HeadAdjustment:
         return self.nominal_head.parameters().values
 
     @cached_property
-    def to_joints(self) -> FloatArray:
+    def joints_from_actuators(self) -> FloatArray:
         """(7, 7) matrix from actuator angles to joint angles."""
         out = np.eye(7)
         if not self.nominal_head.actuation.direct:
@@ -143,7 +143,7 @@ class HeadAdjustment:
     @property
     def shared_count(self) -> int:
         """Number s of shared unknowns."""
-        return self.common_count + 6 * self.placement_count + len(self.joints.shared_actuator)
+        return self.common_count + 6 * self.placement_count + len(self.joint_errors.shared_actuator)
 
     @property
     def common_count(self) -> int:
@@ -167,8 +167,8 @@ class HeadAdjustment:
         known[: len(sigma)] = 1.0 / sigma**2
         known[len(sigma) : len(sigma) + BEND] = 1.0 / bend**2
         known[len(sigma) + BEND : self.common_count] = 1.0 / np.maximum(self.terms.sigma, 1e-9) ** 2
-        if len(self.joints.shared_actuator):
-            shared_sigma = self.joints.sigma[self.joints.shared_actuator]
+        if len(self.joint_errors.shared_actuator):
+            shared_sigma = self.joint_errors.sigma[self.joint_errors.shared_actuator]
             known[-len(shared_sigma) :] = 1.0 / shared_sigma**2
         return known
 
@@ -178,18 +178,18 @@ class HeadAdjustment:
         common, f = self.common_count, len(self.frames.time_s)
         head = np.broadcast_to(np.arange(common), (f, common))
         board = common + 6 * self.frames.placement[:, None] + np.arange(6)
-        run = self.joints.shared_index
+        run = self.joint_errors.shared_index
         run = np.where(run >= 0, common + 6 * self.placement_count + run, -1)
         return np.concatenate([head, board, run], axis=1)
 
     def angles(self, state: HeadUnknowns) -> FloatArray:
         """(f, 7) true joint angles, rad."""
-        own = self.joints
+        own = self.joint_errors
         errors = np.where(own.is_single, state.errors, 0.0)
         if len(own.shared_actuator):
             errors = errors + np.where(own.shared_index >= 0, state.shared[own.shared_index], 0.0)
         return self.nominal_head.actuation.joints_of(
-            own.angles + errors + self.terms.at(state.terms)[0]
+            own.angles + errors + self.terms.evaluate(state.terms)[0]
         )
 
     def corners(self, state: HeadUnknowns) -> FloatArray:
@@ -200,7 +200,7 @@ class HeadAdjustment:
 
     def linearised(
         self, state: HeadUnknowns, weights: Weights, *, by_frame: bool = False
-    ) -> Normal:
+    ) -> NormalEquations:
         """Assemble the normal equations at a state.
 
         Args:
@@ -210,13 +210,13 @@ class HeadAdjustment:
         """
         chain, q = ParametricHead(self.nominal_head, state.values), self.angles(state)
         points, turned = board_points(self.corners(state), state.boards, self.frames.placement)
-        f, own = len(q), self.joints
+        f, own = len(q), self.joint_errors
         residuals = np.zeros(self.frames.pixels.shape)
         normals = state.boards.rotation[self.frames.placement][:, :, 2]
         sigma = np.where(own.sigma > 0.0, own.sigma, 1.0)
         kept = np.where(own.is_single, state.errors / sigma, 0.0)
         p, width, head = len(self.prior_mean), self.columns.shape[1], self.common_count
-        by_term = self.terms.at(state.terms)[1][:, None, None]
+        by_term = self.terms.evaluate(state.terms)[1][:, None, None]
         far, cut = _ROBUST**2 * np.array([1.0, 2.0 * weights.cauchy_scale])
         far = far if np.isfinite(cut) else np.inf
         trust = weights.angles / (1.0 + kept**2 / far)
@@ -227,7 +227,7 @@ class HeadAdjustment:
         matrix, gradient = np.zeros((self.shared_count + 1,) * 2), np.zeros(self.shared_count + 1)
         whole = np.zeros((f, width, width) if by_frame else 0)
         for eye in range(2):
-            seen = chain.seen(eye, q, points, turned)
+            seen = chain.project_board(eye, q, points, turned)
             found = self.frames.seen[eye][..., None]
             scale = np.where(found, 1.0 / np.where(found, self.frames.sigma[eye], 1.0), 0.0)
             raw = seen.pixels - np.where(found, self.frames.pixels[eye], 0.0)
@@ -236,14 +236,14 @@ class HeadAdjustment:
             cost += float((weights.corners[eye] * _loss(square, cut)).sum())
             root = np.sqrt(weights.corners[eye] / (1.0 + square / cut))[..., None]
             r = (root * residuals[eye]).reshape(f, -1, 1)
-            lift = np.einsum("fncj,fj->fnc", seen.by_board[..., 3:], normals)
+            lift = np.einsum("fncj,fj->fnc", seen.board_jacobian[..., 3:], normals)
             by_bend = lift[..., None] * self._heights[None, :, None]
-            by_angle = seen.by_joints @ self.to_joints
+            by_angle = seen.joint_jacobian @ self.joints_from_actuators
             by_run = np.where((own.shared_index >= 0)[:, None, None], by_angle, 0.0)
             mine = np.where(own.is_single[:, None, None], by_angle, 0.0)
-            by_terms = by_angle[..., self.terms.joint] * by_term
+            by_terms = by_angle[..., self.terms.actuator] * by_term
             rows = np.concatenate(
-                [seen.by_head, by_bend, by_terms, seen.by_board, by_run, mine], axis=-1
+                [seen.head_jacobian, by_bend, by_terms, seen.board_jacobian, by_run, mine], axis=-1
             )
             rows *= (root * scale)[..., None]
             if np.isnan(seen.pixels).any():  # corners behind the camera that were not measured
@@ -282,7 +282,7 @@ class HeadAdjustment:
         matrix[np.diag_indices(self.shared_count)] += self.prior_information
         gradient = gradient + self.prior_information * deviation
         cost += float((self.prior_information * deviation**2).sum())
-        return Normal(cost, matrix, gradient, own_by_shared, own_step, inner, residuals, parts)
+        return NormalEquations(cost, matrix, gradient, own_by_shared, own_step, inner, residuals, parts)
 
     def _prior_deviation(self, state: HeadUnknowns) -> FloatArray:
         """(s,) deviation of the shared unknowns from the prior's mean."""
@@ -290,24 +290,24 @@ class HeadAdjustment:
         p = len(self.prior_mean)
         deviation[:p], deviation[p : p + BEND] = state.values - self.prior_mean, state.bend
         deviation[p + BEND : self.common_count] = state.terms - self.terms.prior_mean
-        if len(self.joints.shared_actuator):
-            deviation[-len(self.joints.shared_actuator) :] = state.shared
+        if len(self.joint_errors.shared_actuator):
+            deviation[-len(self.joint_errors.shared_actuator) :] = state.shared
         return deviation
 
-    def moved(self, state: HeadUnknowns, now: Normal, step: FloatArray) -> HeadUnknowns:
+    def moved(self, state: HeadUnknowns, now: NormalEquations, step: FloatArray) -> HeadUnknowns:
         """Apply a step of the shared unknowns; the frames' own errors follow."""
         p, c, b = len(self.prior_mean), self.common_count, 6 * self.placement_count
         padded = np.append(step, 0.0)
         follow = now.own_step + np.einsum("fjs,fs->fj", now.own_by_shared, padded[self.columns])
         terms = state.terms + step[p + BEND : c]
         # the true angles take the linearised step although backlash is not linear
-        follow += self.terms.at(terms)[0] - self.terms.tangent(state.terms, terms)
+        follow += self.terms.evaluate(terms)[0] - self.terms.linearised_sum(state.terms, terms)
         return HeadUnknowns(
             state.values + step[:p],
             state.bend + step[p : p + BEND],
             state.boards.moved(step[c : c + b].reshape(-1, 6)),
             state.shared + step[c + b :],
-            np.where(self.joints.is_single, state.errors - follow, 0.0),
+            np.where(self.joint_errors.is_single, state.errors - follow, 0.0),
             terms,
         )
 
@@ -315,7 +315,7 @@ class HeadAdjustment:
         """Restrict the problem to some of the frames."""
         return replace(self, frames=self.frames.of(frames), terms=self.terms.of(frames))
 
-    def start(self, boards: Poses) -> HeadUnknowns:
+    def start(self, boards: BoardPoses) -> HeadUnknowns:
         """Make the initial state: the nominal head in front of given boards.
 
         Args:
@@ -325,8 +325,8 @@ class HeadAdjustment:
             self.prior_mean.copy(),
             np.zeros(BEND),
             boards.of(np.arange(self.placement_count)),
-            np.zeros(len(self.joints.shared_actuator)),
-            np.zeros(self.joints.angles.shape),
+            np.zeros(len(self.joint_errors.shared_actuator)),
+            np.zeros(self.joint_errors.angles.shape),
             self.terms.prior_mean.copy(),
         )
 

@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence.calibration.head.collect import Collected
+from vergence.calibration.head.collect import CollectedRecording
 from vergence.calibration.head.frames import HeadFrames
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, NECK
@@ -35,7 +35,7 @@ def coverage_percent(head: HeadModel, frames: HeadFrames) -> FloatArray:
     return np.array(found)
 
 
-def advice(head: HeadModel, found: Collected, frames: HeadFrames) -> list[str]:
+def advise_recording(head: HeadModel, found: CollectedRecording, frames: HeadFrames) -> list[str]:
     """Advise how to make the recording more informative, a line each.
 
     Args:

@@ -8,32 +8,32 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import rms
+from vergence.calibration.adjustment import rms_length
 from vergence.calibration.head.adjust import HeadAdjustment
 from vergence.calibration.head.backlash import with_backlash
 from vergence.calibration.head.checks import (
-    few_views,
-    refuse_exchanged,
-    refuse_few,
+    remark_on_few_views,
+    refuse_swapped_eyes,
+    refuse_few_poses,
     refuse_implausible,
-    refuse_still,
-    say_size,
+    refuse_fixed_eyes,
+    remark_on_head_size,
 )
 from vergence.calibration.head.fit import fit_robustly
 from vergence.calibration.head.found_terms import (
-    Term,
-    found_terms,
+    FittedTerm,
+    fitted_terms,
     harmonics_remark,
     significant_backlash,
     term_remarks,
 )
 from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.held_out import held_out
+from vergence.calibration.head.held_out import cross_validate
 from vergence.calibration.head.moved import find_new_placement, find_small_motion
-from vergence.calibration.head.prior import prior_sigma_of
+from vergence.calibration.head.prior import parameter_prior_sigma
 from vergence.calibration.head.reading_terms import ReadingTerms
 from vergence.calibration.head.solution import HeadSolution
-from vergence.calibration.head.start import LEAST_CORNERS, estimate_start
+from vergence.calibration.head.start import LEAST_CORNERS, estimate_initial_board_poses
 from vergence.calibration.head.terms import AUTO, choose_terms, convert_for_terms
 from vergence.calibration.head.uncertainty import head_covariance
 from vergence.errors import ConfigurationError
@@ -69,7 +69,7 @@ class HeadCalibration:
     def remarks(self) -> tuple[str, ...]:
         """Remarks on the recording and the calibration, a line each."""
         solution = self.solution
-        said = (*term_remarks(solution, self.terms), *_noisy(solution), *say_size(solution))
+        said = (*term_remarks(solution, self.terms), *_noisy(solution), *remark_on_head_size(solution))
         return (*self.notes, *said)
 
     @property
@@ -85,9 +85,9 @@ class HeadCalibration:
         return with_backlash(self.solution.head, significant_backlash(self.solution, self.terms))
 
     @cached_property
-    def terms(self) -> tuple[Term, ...]:
+    def terms(self) -> tuple[FittedTerm, ...]:
         """Parameters of the reading-error terms."""
-        return found_terms(self.solution, self._covariance)
+        return fitted_terms(self.solution, self._covariance)
 
     @property
     def frames(self) -> HeadFrames:
@@ -103,7 +103,7 @@ class HeadCalibration:
     def rms_px(self) -> float:
         """Root mean square length of the kept corners' residuals, px."""
         left = self.solution.normal.residuals * self.frames.sigma
-        return rms(left[self.kept])
+        return rms_length(left[self.kept])
 
     @cached_property
     def rms_heldout_px(self) -> float:
@@ -149,16 +149,16 @@ def calibrate_head(
         ConfigurationError: the frames give no calibration; the message says why.
     """
     report = progress or _ignore
-    refuse_still(head)
-    frames = tidy(frames)
-    refuse_few(frames)
+    refuse_fixed_eyes(head)
+    frames = sort_and_drop_frames(frames)
+    refuse_few_poses(frames)
     file, head = head, convert_for_terms(head, terms)
     remarks: list[str] = []
     try:
-        start = estimate_start(head, frames)
-        refuse_exchanged(head, frames, start)
+        start = estimate_initial_board_poses(head, frames)
+        refuse_swapped_eyes(head, frames, start)
         report(0.1)
-        problem = HeadAdjustment(head, prior_sigma_of(head, cameras), start.frames)
+        problem = HeadAdjustment(head, parameter_prior_sigma(head, cameras), start.frames)
         reading_terms = ReadingTerms.of_frames(head, start.frames, terms)
         problem = replace(problem, terms=reading_terms)
         fit = fit_robustly(problem, start.boards, start.inlier_views)
@@ -182,7 +182,7 @@ def calibrate_head(
         if type(fit.solution.head.links) is not type(file.links):
             remarks.append(_BY_AXES)
         report(0.8)
-        views = held_out(fit.solution, fit.kept).views
+        views = cross_validate(fit.solution, fit.kept).views
     except np.linalg.LinAlgError:
         raise ConfigurationError(
             "expected frames that agree on where the board is, got some that do not: is the target "
@@ -193,12 +193,12 @@ def calibrate_head(
     return HeadCalibration(
         solution=fit.solution,
         kept=fit.kept,
-        held_out=views,
-        notes=(*remarks, *few_views(start.frames, fit.kept)),
+        cross_validate=views,
+        notes=(*remarks, *remark_on_few_views(start.frames, fit.kept)),
     )
 
 
-def tidy(frames: HeadFrames) -> HeadFrames:
+def sort_and_drop_frames(frames: HeadFrames) -> HeadFrames:
     """Sort frames by time; leave out frames that do not show the board, and duplicates."""
     order = np.argsort(frames.time_s, kind="stable")
     frames = frames.of(order)

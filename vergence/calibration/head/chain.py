@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Poses, cross_matrices
-from vergence.calibration.projection import camera_parameter_names, project
+from vergence.calibration.adjustment import BoardPoses, cross_matrices
+from vergence.calibration.projection import camera_parameter_names, project_with_jacobians
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.links import inverse_pose, pose_twists
@@ -29,16 +29,16 @@ from vergence.models.parts import FloatArray
 IntArray = NDArray[np.intp]
 
 
-class Seen(NamedTuple):
+class ProjectedBoard(NamedTuple):
     """Pixels of one eye in all frames, and their Jacobians."""
 
     pixels: FloatArray
     """(f, n, 2) px; nan behind the camera."""
-    by_head: FloatArray
+    head_jacobian: FloatArray
     """(f, n, 2, p_eye) Jacobian by the head parameters that the eye depends on, see `columns`."""
-    by_joints: FloatArray
+    joint_jacobian: FloatArray
     """(f, n, 2, 7) Jacobian by the joint angles, px/rad."""
-    by_board: FloatArray
+    board_jacobian: FloatArray
     """(f, n, 2, 6) Jacobian by a small rotation of the board in frame 0 and a translation, px/rad
     and px/m."""
 
@@ -99,7 +99,7 @@ class ParametricHead:
     def _camera(self, eye: int) -> tuple[str, ...]:
         return camera_parameter_names(self.nominal_head.cameras.lens[eye])
 
-    def seen(self, eye: int, q: FloatArray, points: FloatArray, turned: FloatArray) -> Seen:
+    def project_board(self, eye: int, q: FloatArray, points: FloatArray, turned: FloatArray) -> ProjectedBoard:
         """Project points in frame 0, with Jacobians.
 
         Args:
@@ -118,7 +118,7 @@ class ParametricHead:
             inside = (inside - constant[:3, 3]) @ constant[:3, :3]
             rotation = rotation @ constant[:3, :3]
             if angle is not None:
-                turn = rot_z(angle)
+                turn = rotations_about_z(angle)
                 inside = inside @ turn
                 rotation = rotation @ turn
             places.append(inside)
@@ -129,8 +129,8 @@ class ParametricHead:
         values = np.concatenate(
             [cameras.focal[eye], cameras.principal[eye], cameras.distortion[eye][: len(own) - 4]]
         )
-        image = project(lens, values, inside)
-        in_base = image.by_point @ rotation.transpose(0, 2, 1)[:, None]
+        image = project_with_jacobians(lens, values, inside)
+        in_base = image.point_jacobian @ rotation.transpose(0, 2, 1)[:, None]
 
         def wrench(place: int) -> FloatArray:
             gradient = in_base @ rotations[place][:, None]
@@ -143,9 +143,9 @@ class ParametricHead:
             used = np.flatnonzero(twists[:, k].any(axis=1))
             rows = wrench(place)
             if k < 2:  # the constant comes before its joint's rotation
-                rows = _turned(rows, rot_z(-q[:, 3 + 2 * eye + k]))
+                rows = _turned(rows, rotations_about_z(-q[:, 3 + 2 * eye + k]))
             by_head[..., used] -= rows @ twists[used, k].T
-        by_head[..., -len(own) :] = image.by_camera
+        by_head[..., -len(own) :] = image.camera_jacobian
         by_joints = np.zeros((*image.pixels.shape, 7))
         for joint, place in ((0, 1), (1, 2), (2, 3), (3 + 2 * eye, 5), (4 + 2 * eye, 6)):
             gradient = in_base @ rotations[place][:, None]
@@ -154,10 +154,10 @@ class ParametricHead:
                 x[..., None] * gradient[..., 1] - y[..., None] * gradient[..., 0]
             )
         by_board = np.concatenate([_cross(turned, in_base), in_base], axis=-1)
-        return Seen(image.pixels, by_head, by_joints, by_board)
+        return ProjectedBoard(image.pixels, by_head, by_joints, by_board)
 
 
-def rot_z(angle: FloatArray) -> FloatArray:
+def rotations_about_z(angle: FloatArray) -> FloatArray:
     """(f, 3, 3) rotations about z."""
     c, s = np.cos(angle), np.sin(angle)
     zero, one = np.zeros_like(c), np.ones_like(c)
@@ -172,7 +172,7 @@ def adjoint(pose: FloatArray) -> FloatArray:
     return out
 
 
-def board_points(corners: FloatArray, boards: Poses, board: IntArray) -> tuple[FloatArray, ...]:
+def board_points(corners: FloatArray, boards: BoardPoses, board: IntArray) -> tuple[FloatArray, ...]:
     """Compute the corners of boards in frame 0, and their offsets from each board's origin there.
 
     Args:

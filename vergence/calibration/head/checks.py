@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.solution import HeadSolution
-from vergence.calibration.head.start import LEAST_CORNERS, Start, estimate_start
+from vergence.calibration.head.start import LEAST_CORNERS, InitialBoardPoses, estimate_initial_board_poses
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
@@ -32,7 +32,7 @@ _SURPRISING: Final = 4.0
 """Prior standard deviations by which a parameter may differ from the head's file (chosen)."""
 
 
-def refuse_still(head: HeadModel) -> None:
+def refuse_fixed_eyes(head: HeadModel) -> None:
     """Refuse a head whose eyes do not move."""
     if not head.actuation.count:
         raise ConfigurationError(
@@ -41,7 +41,7 @@ def refuse_still(head: HeadModel) -> None:
         )
 
 
-def refuse_few(frames: HeadFrames) -> None:
+def refuse_few_poses(frames: HeadFrames) -> None:
     """Refuse a recording of a few poses."""
     poses = len(np.unique(frames.pose)) if len(frames.time_s) else 0
     if poses < _LEAST_POSES:
@@ -51,7 +51,7 @@ def refuse_few(frames: HeadFrames) -> None:
         )
 
 
-def refuse_exchanged(head: HeadModel, frames: HeadFrames, start: Start) -> None:
+def refuse_swapped_eyes(head: HeadModel, frames: HeadFrames, start: InitialBoardPoses) -> None:
     """Refuse a recording with the images of the left and right eye exchanged."""
     both = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).all(axis=0)
     if not both.any():
@@ -61,7 +61,7 @@ def refuse_exchanged(head: HeadModel, frames: HeadFrames, start: Start) -> None:
         target=some.target, time_s=some.time_s, positions=some.positions,
         pixels=some.pixels[::-1], sigma=some.sigma[::-1], placement=some.placement,
     )  # fmt: skip
-    if estimate_start(head, exchanged).spread_m < _CLEARLY * start.spread_m:
+    if estimate_initial_board_poses(head, exchanged).spread_m < _CLEARLY * start.spread_m:
         raise ConfigurationError(
             "expected the left eye's images as the left ones, got images that go with each other "
             "if left and right are exchanged"
@@ -78,7 +78,7 @@ def refuse_implausible(solution: HeadSolution, kept: NDArray[np.bool_]) -> None:
             f"expected views that go together, got {views} of which {100.0 * share:.0f} % do: do "
             "the joint angles belong to the images, and did the board stand still?"
         )
-    refuse_few(frames.of(np.asarray(kept.any(axis=(0, 2)))))
+    refuse_few_poses(frames.of(np.asarray(kept.any(axis=(0, 2)))))
     was, now = baselines_m(solution)
     if not 1.0 / _ANOTHER_SIZE < now / was < _ANOTHER_SIZE:
         raise ConfigurationError(
@@ -110,7 +110,7 @@ def baselines_m(solution: HeadSolution) -> tuple[float, float]:
     return was, now
 
 
-def say_size(solution: HeadSolution) -> list[str]:
+def remark_on_head_size(solution: HeadSolution) -> list[str]:
     """Remark on a head that is larger or smaller than its file, as a wrong board size makes it."""
     was, now = (1e3 * each for each in baselines_m(solution))
     if abs(now - was) < max(_SAME_SIZE_MM, _SAME_SIZE * was):
@@ -121,7 +121,7 @@ def say_size(solution: HeadSolution) -> list[str]:
     ]
 
 
-def few_views(frames: HeadFrames, kept: NDArray[np.bool_]) -> list[str]:
+def remark_on_few_views(frames: HeadFrames, kept: NDArray[np.bool_]) -> list[str]:
     """Remark on eyes without views, or with many views left out."""
     lines = []
     for eye, name in enumerate(EYE_NAMES):

@@ -8,20 +8,20 @@ from typing import Final
 import numpy as np
 
 from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.gathered import Gathered
+from vergence.calibration.head.gathered import RawRecording
 from vergence.calibration.head.logged import (
     AT_REST,
     LOOKS,
     PLACEMENT,
     SUFFIX,
     TARGET,
-    logs_in,
+    list_logs,
     read_logs,
 )
-from vergence.calibration.head.plan import BoardScene, Plan, scene_of
-from vergence.calibration.head.preview import Preview, preview_calibration
-from vergence.calibration.head.recording import in_order
-from vergence.calibration.head.search import find_board, sees
+from vergence.calibration.head.plan import BoardScene, PosePlanner, estimate_board_scene
+from vergence.calibration.head.preview import CalibrationPreview, preview_calibration
+from vergence.calibration.head.recording import order_frames
+from vergence.calibration.head.search import find_board, count_eyes_seeing_board
 from vergence.errors import ConfigurationError
 from vergence.locks import locked
 from vergence.models.boards import PlanarTarget
@@ -71,7 +71,7 @@ class CollectOptions:
 
 
 @dataclass
-class Collected:
+class CollectedRecording:
     """Content of a recording so far."""
 
     folder: Path
@@ -79,18 +79,18 @@ class Collected:
     placement: int
     """Number of the board's present placement."""
     sights: list[BoardView] = field(default_factory=list)
-    placements: list[int] = field(default_factory=list)
+    sight_placements: list[int] = field(default_factory=list)
     """Number of the board's placement for each sight."""
     poses: int = 0
     """Poses of the present placement, including those of earlier runs."""
-    unseen: int = 0
+    looks_without_board: int = 0
     """Looks of this run in which neither eye saw the board."""
-    preview: Preview | None = None
+    preview: CalibrationPreview | None = None
     """Preliminary calibration from the recording; None while there is none."""
 
     def frames(self) -> HeadFrames:
         """All frames in the order of time."""
-        return in_order(Gathered(self.target, self.sights, self.placements, ()).frames())
+        return order_frames(RawRecording(self.target, self.sights, self.sight_placements, ()).frames())
 
 
 def collect(
@@ -100,8 +100,8 @@ def collect(
     facts: Mapping[str, str],
     *,
     progress: Callable[[float], None] = lambda fraction: None,
-    evaluated: Callable[[Collected], None] = lambda found: None,
-) -> Collected:
+    evaluated: Callable[[CollectedRecording], None] = lambda found: None,
+) -> CollectedRecording:
     """Make a recording, or continue one.
 
     Args:
@@ -132,23 +132,23 @@ def collect(
     return found
 
 
-def _earlier(looker: Looker, folder: Path, moved: bool, looks: str) -> tuple[Collected, int]:
+def _earlier(looker: Looker, folder: Path, moved: bool, looks: str) -> tuple[CollectedRecording, int]:
     """Read the recording that a folder already holds, and number its next log."""
     if folder.exists() and not folder.is_dir():
         raise ConfigurationError(f"{folder}: expected a folder, got a file")
-    logs = logs_in(folder) if any(folder.glob(f"*{SUFFIX}")) else []
+    logs = list_logs(folder) if any(folder.glob(f"*{SUFFIX}")) else []
     number = 1 + max((int(log.stem) for log in logs if log.stem.isdecimal()), default=0)
-    found = Collected(folder, looker.target, 0)
+    found = CollectedRecording(folder, looker.target, 0)
     if logs:
         before = read_logs(logs, looker.head, looker.target)
-        if before.looks != looks:
+        if before.head_identity != looks:
             raise ConfigurationError(
-                f"{folder}: expected the head that it holds frames of ({before.looks.strip()}), "
+                f"{folder}: expected the head that it holds frames of ({before.head_identity.strip()}), "
                 f"got another ({looks.strip()}): other --plant, --errors or --seed"
             )
-        found.sights, found.placements = list(before.sights), list(before.placement)
-        found.placement = max(found.placements, default=0) + (moved and bool(found.placements))
-        frames = in_order(before.frames())
+        found.sights, found.sight_placements = list(before.sights), list(before.placement)
+        found.placement = max(found.sight_placements, default=0) + (moved and bool(found.sight_placements))
+        frames = order_frames(before.frames())
         here = np.unique(before.placement).tolist()
         if found.placement in here:
             own = frames.placement == here.index(found.placement)
@@ -158,7 +158,7 @@ def _earlier(looker: Looker, folder: Path, moved: bool, looks: str) -> tuple[Col
     return found, number
 
 
-def _enough(found: Collected, options: CollectOptions) -> bool:
+def _enough(found: CollectedRecording, options: CollectOptions) -> bool:
     if options.until is None or found.preview is None or found.poses < _EVALUATED_POSES:
         return False
     return bool(found.preview.depth_percent.max() <= options.until)
@@ -168,7 +168,7 @@ class _Run:
     """One run of a collection, with a log of its own."""
 
     def __init__(
-        self, looker: Looker, options: CollectOptions, found: Collected, number: int
+        self, looker: Looker, options: CollectOptions, found: CollectedRecording, number: int
     ) -> None:
         self._looker, self._options, self._found, self._number = looker, options, found, number
         self._rng = np.random.default_rng([options.seed, number])
@@ -177,7 +177,7 @@ class _Run:
             for sight, place in zip(found.sights, found.placements, strict=True)
             if place == found.placement
         ]
-        self._plan = Plan(self._rng, _DITHER_RAD, np.array(used).reshape(-1, 7))
+        self._plan = PosePlanner(self._rng, _DITHER_RAD, np.array(used).reshape(-1, 7))
         # the board is most likely visible again from an earlier posture
         self._first = self._last = find_board(looker, [looker.head.rest(), *used[-1:]])
         self._refuse_moved(self._last)
@@ -189,7 +189,7 @@ class _Run:
         self,
         facts: Mapping[str, str],
         progress: Callable[[float], None],
-        evaluated: Callable[[Collected], None],
+        evaluated: Callable[[CollectedRecording], None],
     ) -> None:
         """Record poses until there are enough, see `collect`."""
         looker, options, found = self._looker, self._options, self._found
@@ -217,14 +217,14 @@ class _Run:
     def _pose(self, log: LogWriter) -> bool:
         """Record the next pose; return True if the board was seen."""
         own = self._looker.head.actuation
-        base = own.actuators_of(self._plan.next(self._scene()))
+        base = own.actuators_of(self._plan.next_pose(self._scene()))
         moves = own.upper > own.lower
         kept: list[BoardView] = []
         for number in range(self._options.frames):
             dither = self._rng.uniform(-_DITHER_RAD, _DITHER_RAD, 7) * moves
             q = own.joints_of(np.clip(base + dither, own.lower, own.upper))
             sight = self._looker.look(q)
-            if sees(self._looker, sight):
+            if count_eyes_seeing_board(self._looker, sight):
                 _keep(log, sight)
                 kept.append(sight)
             else:
@@ -235,13 +235,13 @@ class _Run:
         self._found.placements += [self._found.placement] * len(kept)
         self._last = self._first  # the last detection may have been a wrong one
         if kept:
-            self._last = Gathered(self._looker.target, kept, [0] * len(kept), ()).frames()
+            self._last = RawRecording(self._looker.target, kept, [0] * len(kept), ()).frames()
         return bool(kept)
 
     def _scene(self) -> BoardScene:
         """Estimate the board's position by the fit to all frames, or else from the last frames."""
         fitted_board = self._fitted_board()
-        return scene_of(self._looker.head, self._last) if fitted_board is None else fitted_board
+        return estimate_board_scene(self._looker.head, self._last) if fitted_board is None else fitted_board
 
     def _fitted_board(self) -> BoardScene | None:
         """Get the board's position by the fit to all frames; None if this placement has none."""

@@ -24,20 +24,20 @@ class DepthErrors:
 
     distance_m: FloatArray
     """(n,) distance from midway between the eyes."""
-    before_m: FloatArray
+    nominal_error_m: FloatArray
     """(n,) depth error of the nominal head if the calibrated head is true; positive if too far."""
-    before_vector_m: FloatArray
+    nominal_error_norm_m: FloatArray
     """(n,) length of the same error in space."""
     sigma_m: FloatArray
     """(n,) standard deviation of depth from the uncertainty of the calibration."""
-    floor_m: FloatArray
+    noise_floor_m: FloatArray
     """(n,) standard deviation of depth of a single settled fixation from the noise of pixels and
     encoders."""
 
     @property
-    def before_percent(self) -> FloatArray:
+    def nominal_error_percent(self) -> FloatArray:
         """(n,) depth error of the nominal head, percent of the distance."""
-        return np.asarray(1e2 * self.before_m / self.distance_m)
+        return np.asarray(1e2 * self.nominal_error_m / self.distance_m)
 
     @property
     def sigma_percent(self) -> FloatArray:
@@ -45,12 +45,12 @@ class DepthErrors:
         return np.asarray(1e2 * self.sigma_m / self.distance_m)
 
 
-def ahead(distance_m: FloatArray) -> FloatArray:
+def points_ahead(distance_m: FloatArray) -> FloatArray:
     """(n, 3) points straight ahead, m."""
     return np.asarray(distance_m[:, None] * np.array([0.0, 0.0, 1.0]))
 
 
-def aside(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:
+def points_at_angles(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:
     """(n, 3) points at angles (n,) to the right and then down, m."""
     return np.asarray(
         distance_m
@@ -64,7 +64,7 @@ def aside(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> Flo
     )
 
 
-def depth_errors(found: HeadCalibration, from_eyes: FloatArray) -> DepthErrors:
+def predict_depth_errors(found: HeadCalibration, from_eyes: FloatArray) -> DepthErrors:
     """Predict the errors of depth before and after a calibration.
 
     The calibrated head fixates each point; the nominal and the calibrated head triangulate it from

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from vergence.calibration.head.calibrate_head import HeadCalibration
-from vergence.calibration.head.depth import ahead, aside, depth_errors
+from vergence.calibration.head.depth import points_ahead, points_at_angles, predict_depth_errors
 from vergence.calibration.image_figures import WIDTH
 from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, new_figure, styled
 from vergence.eval.reporting.text import format_fixed
@@ -25,11 +25,11 @@ _ANGLES_DEG: Final = np.arange(-30.0, 31.0, 10.0)
 
 def depth_by_distance(found: HeadCalibration) -> Figure:
     """Plot depth errors straight ahead: before, after, and the noise of a single fixation."""
-    depth = depth_errors(found, ahead(np.geomspace(*_DISTANCES_M, 60)))
+    depth = predict_depth_errors(found, points_ahead(np.geomspace(*_DISTANCES_M, 60)))
     lines: tuple[tuple[FloatArray, str, dict[str, Any]], ...] = (
-        (np.abs(depth.before_m), "before: by the file", {"color": ORANGE, "linestyle": "--"}),
+        (np.abs(depth.nominal_error_m), "before: by the file", {"color": ORANGE, "linestyle": "--"}),
         (depth.sigma_m, "after: one sigma", {"color": BLUE, "linestyle": "-"}),
-        (depth.floor_m, "one fixation's own noise", {"color": GREY, "linestyle": ":"}),
+        (depth.noise_floor_m, "one fixation's own noise", {"color": GREY, "linestyle": ":"}),
     )
     with styled():
         figure = new_figure(WIDTH, 4.4)
@@ -54,7 +54,7 @@ def map_points(distance_m: float) -> FloatArray:
         distance_m: distance of all points.
     """
     right, down = np.meshgrid(np.radians(_ANGLES_DEG), np.radians(_ANGLES_DEG))
-    return aside(distance_m, right.ravel(), down.ravel())
+    return points_at_angles(distance_m, right.ravel(), down.ravel())
 
 
 def depth_map(found: HeadCalibration, distance_m: float) -> Figure:
@@ -64,11 +64,11 @@ def depth_map(found: HeadCalibration, distance_m: float) -> Figure:
         found: the calibration.
         distance_m: distance from midway between the eyes.
     """
-    depth = depth_errors(found, map_points(distance_m))
+    depth = predict_depth_errors(found, map_points(distance_m))
     with styled():
         figure = new_figure(_WIDE, 5.0)
         before, after = figure.subplots(1, 2)
-        _table(before, depth.before_percent, f"before, at {distance_m:g} m: error (%)", signed=True)
+        _table(before, depth.nominal_error_percent, f"before, at {distance_m:g} m: error (%)", signed=True)
         _table(after, depth.sigma_percent, f"after, at {distance_m:g} m: one sigma (%)")
     return figure
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from vergence.calibration.head.calibrate_head import HeadCalibration
 from vergence.calibration.image_figures import (
     EYE_STYLES,
-    corners_seen,
-    every_nth,
-    residual_arrows,
+    draw_corner_coverage,
+    thinning_slice,
+    draw_residual_arrows,
 )
 from vergence.eval.reporting.style import (
     BLACK,
@@ -55,7 +55,7 @@ def residuals_over_time(found: HeadCalibration) -> Figure:
         figure = new_figure(_WIDE, 4.6)
         for eye, panel in enumerate(figure.subplots(2, 1, sharex=True)):
             kept = np.flatnonzero(found.views[eye])
-            kept = kept[every_nth(len(kept))]
+            kept = kept[thinning_slice(len(kept))]
             out = ~np.isnan(rms[eye]) & ~found.views[eye]
             styles: tuple[tuple[NDArray[np.intp], FloatArray, str, dict[str, Any]], ...] = (
                 (kept, held_out, "by heads that did not know it",
@@ -82,7 +82,7 @@ def view_rms(found: HeadCalibration) -> FloatArray:
     Returns:
         nan for a view without corners, inf for a view with corners predicted behind the camera.
     """
-    counted = judged(found)
+    counted = kept_or_found_corners(found)
     squares = np.nan_to_num(found.solution.squares, nan=np.inf)
     total = np.where(counted, squares, 0.0).sum(axis=-1)
     count = counted.sum(axis=-1)
@@ -90,7 +90,7 @@ def view_rms(found: HeadCalibration) -> FloatArray:
     return np.asarray(np.sqrt(mean))
 
 
-def judged(found: HeadCalibration) -> NDArray[np.bool_]:
+def kept_or_found_corners(found: HeadCalibration) -> NDArray[np.bool_]:
     """(2, f, n) True for the kept corners of each view, or for all found ones if none was kept.
 
     Args:
@@ -109,7 +109,7 @@ def residuals_px(found: HeadCalibration) -> FloatArray:
     return np.where(found.kept[..., None], left, np.nan)
 
 
-def coverage(found: HeadCalibration, eye: int) -> Figure:
+def corner_coverage(found: HeadCalibration, eye: int) -> Figure:
     """Draw the kept corners over an eye's image.
 
     Args:
@@ -117,7 +117,7 @@ def coverage(found: HeadCalibration, eye: int) -> Figure:
         eye: 0 for left, 1 for right.
     """
     views = np.where(found.kept[eye][..., None], found.frames.pixels[eye], np.nan)
-    return corners_seen(views, _size(found, eye), EYE_NAMES[eye], EYE_STYLES[eye]["color"])
+    return draw_corner_coverage(views, _size(found, eye), EYE_NAMES[eye], EYE_STYLES[eye]["color"])
 
 
 def residual_field(found: HeadCalibration, eye: int) -> Figure:
@@ -128,7 +128,7 @@ def residual_field(found: HeadCalibration, eye: int) -> Figure:
         eye: 0 for left, 1 for right.
     """
     kept = found.kept[eye]
-    return residual_arrows(
+    return draw_residual_arrows(
         found.frames.pixels[eye][kept], residuals_px(found)[eye][kept], _size(found, eye),
         EYE_NAMES[eye],
     )  # fmt: skip
@@ -146,7 +146,7 @@ def actuator_names(found: HeadCalibration) -> list[str]:
     return names + [""] * (7 - len(names))
 
 
-def joint_angles(found: HeadCalibration) -> Figure:
+def joint_angle_coverage(found: HeadCalibration) -> Figure:
     """Plot the angles of all actuators between their limits, and both eyes' joint angles."""
     nominal_head, own = found.nominal_head, found.nominal_head.actuation
     used = np.flatnonzero(found.views.any(axis=0))
@@ -201,7 +201,7 @@ def _common(left: str, right: str) -> str:
     return left if left == right else f"{left}, {right}"
 
 
-def strong_correlations(found: HeadCalibration) -> NDArray[np.intp]:
+def correlated_parameters(found: HeadCalibration) -> NDArray[np.intp]:
     """Find the estimated parameters with strong correlations, the strongest if there are many.
 
     Args:
@@ -220,13 +220,13 @@ def _correlation(found: HeadCalibration) -> FloatArray:
     return np.asarray(found.covariance / np.outer(sigma, sigma))
 
 
-def correlations(found: HeadCalibration) -> Figure:
+def parameter_correlations(found: HeadCalibration) -> Figure:
     """Draw the correlations between parameters that the recording hardly separates.
 
     Args:
         found: a calibration with such parameters, see `strong_correlations`.
     """
-    chosen = strong_correlations(found)
+    chosen = correlated_parameters(found)
     names = [found.nominal_head.parameters().names[k] for k in chosen]
     values = _correlation(found)[np.ix_(chosen, chosen)]
     count = len(chosen)
@@ -248,7 +248,7 @@ def correlations(found: HeadCalibration) -> Figure:
     return figure
 
 
-def read_errors(found: HeadCalibration) -> dict[str, FloatArray]:
+def single_reading_errors(found: HeadCalibration) -> dict[str, FloatArray]:
     """(n,) by actuator, errors of single readings that the images determine, rad.
 
     Args:
@@ -264,13 +264,13 @@ def read_errors(found: HeadCalibration) -> dict[str, FloatArray]:
     return errors
 
 
-def misreadings(found: HeadCalibration) -> Figure:
+def reading_error_histograms(found: HeadCalibration) -> Figure:
     """Draw histograms of reading errors by actuator, with the uniform density of quantisation.
 
     Args:
         found: a calibration with errors of single readings, see `read_errors`.
     """
-    errors, names = read_errors(found), actuator_names(found)
+    errors, names = single_reading_errors(found), actuator_names(found)
     columns = min(len(errors), 4)
     rows = -(-len(errors) // columns)
     with styled():

@@ -51,6 +51,6 @@ def calibrated_head(found: HeadCalibration, sha256: str, name: str) -> HeadModel
     return replace(found.head, name=name, assumptions=assumptions, calibration=record)
 
 
-def head_text(found: HeadCalibration, sha256: str, name: str) -> str:
+def head_file_text(found: HeadCalibration, sha256: str, name: str) -> str:
     """Write the head file of `calibrated_head` as TOML text."""
     return head_to_toml(calibrated_head(found, sha256, name))

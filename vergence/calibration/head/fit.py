@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Poses
+from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, Weights
 from vergence.calibration.head.solution import FIRST_CAUCHY_SCALE, HeadSolution, solve
 from vergence.calibration.head.start import LEAST_CORNERS
@@ -37,7 +37,7 @@ class HeadFit:
 
 def fit_robustly(
     problem: HeadAdjustment,
-    boards: Poses,
+    boards: BoardPoses,
     inlier_views: NDArray[np.bool_],
     near: HeadUnknowns | None = None,
 ) -> HeadFit:
@@ -78,7 +78,7 @@ def refine_inliers(solution: HeadSolution) -> HeadFit:
     kept, scatter_ratio = np.zeros_like(enough), np.ones(7)
     for _ in range(_FITS):
         before = kept, scatter_ratio
-        scatter_ratio = scatter_of(solution)
+        scatter_ratio = reading_scatter_ratio(solution)
         kept = _inliers(solution, enough, scatter_ratio)
         if np.array_equal(kept, before[0]) and np.allclose(
             scatter_ratio, before[1], rtol=_SAME_SCATTER
@@ -120,7 +120,7 @@ def _typical_square(solution: HeadSolution, enough: NDArray[np.bool_]) -> float:
     return min(max(float(np.median(solution.squares[counted])), 1.0), solution.weights.cauchy_scale)
 
 
-def scatter_of(solution: HeadSolution) -> FloatArray:
+def reading_scatter_ratio(solution: HeadSolution) -> FloatArray:
     """(7,) ratio of each actuator's reading scatter to its expectation, at least 1.
 
     The expectation comes from quantisation and backlash.

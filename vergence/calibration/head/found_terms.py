@@ -13,7 +13,7 @@ _SURELY: Final = 2.0
 """Standard deviations above which a parameter is significant (chosen)."""
 
 
-class Term(NamedTuple):
+class FittedTerm(NamedTuple):
     """A parameter of a reading-error term."""
 
     name: str
@@ -28,7 +28,7 @@ class Term(NamedTuple):
         return abs(self.value) > _SURELY * self.sigma
 
 
-def found_terms(solution: HeadSolution, covariance: FloatArray) -> tuple[Term, ...]:
+def fitted_terms(solution: HeadSolution, covariance: FloatArray) -> tuple[FittedTerm, ...]:
     """List the parameters of a solution's reading-error terms.
 
     Args:
@@ -38,21 +38,21 @@ def found_terms(solution: HeadSolution, covariance: FloatArray) -> tuple[Term, .
     p = len(solution.problem.prior_mean)
     sigma = np.sqrt(np.diagonal(covariance)[p:]).tolist()
     numbers = zip(solution.problem.terms.names, solution.state.terms.tolist(), sigma, strict=True)
-    return tuple(Term(name, value, deviation, "rad") for name, value, deviation in numbers)
+    return tuple(FittedTerm(name, value, deviation, "rad") for name, value, deviation in numbers)
 
 
-def significant_backlash(solution: HeadSolution, terms: Sequence[Term]) -> FloatArray:
+def significant_backlash(solution: HeadSolution, terms: Sequence[FittedTerm]) -> FloatArray:
     """(7,) backlash by actuator, rad; 0 if not significant."""
     out = np.zeros(7)
     for term, joint, is_backlash in zip(
-        terms, solution.problem.terms.joint, solution.problem.terms.is_backlash, strict=True
+        terms, solution.problem.terms.actuator, solution.problem.terms.is_backlash, strict=True
     ):
         if is_backlash and term.significant:
             out[joint] = max(term.value, 0.0)
     return out
 
 
-def term_remarks(solution: HeadSolution, terms: Sequence[Term]) -> list[str]:
+def term_remarks(solution: HeadSolution, terms: Sequence[FittedTerm]) -> list[str]:
     """Remark on the terms found, and on those that the head's file cannot hold."""
     reading_terms, nominal_head = solution.problem.terms, solution.problem.nominal_head
     names = [*nominal_head.joints[:3], *nominal_head.actuation.names]
@@ -76,7 +76,7 @@ def term_remarks(solution: HeadSolution, terms: Sequence[Term]) -> list[str]:
 def harmonics_remark(solution: HeadSolution) -> str:
     """Remark on the size of the encoder harmonics."""
     reading_terms, nominal_head = solution.problem.terms, solution.problem.nominal_head
-    waves = reading_terms.at(np.where(reading_terms.is_backlash, 0.0, solution.state.terms))[0]
+    waves = reading_terms.evaluate(np.where(reading_terms.is_backlash, 0.0, solution.state.terms))[0]
     names = [*nominal_head.joints[:3], *nominal_head.actuation.names]
     return (
         "the encoders' readings are off by harmonics of the angle, in degrees up to: "

@@ -13,7 +13,7 @@ MOST_PLACES: Final = 1000
 """Bound on the numbers of the board's placements (chosen: larger ones are times or names)."""
 
 
-class Gathered(NamedTuple):
+class RawRecording(NamedTuple):
     """Content of a recording as read."""
 
     target: PlanarTarget
@@ -26,7 +26,7 @@ class Gathered(NamedTuple):
     """Names of the files that were read."""
     remarks: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()
-    looks: str = ""
+    head_identity: str = ""
     """Identity of the head that looked, if the logs distinguish heads with the same file."""
 
     def frames(self) -> HeadFrames:

@@ -33,7 +33,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence.calibration.adjustment import rms
+from vergence.calibration.adjustment import rms_length
 from vergence.calibration.head.adjust import HeadAdjustment
 from vergence.calibration.head.fit import fit_robustly
 from vergence.calibration.head.frames import HeadFrames
@@ -41,10 +41,10 @@ from vergence.calibration.head.pose_equations import BoolArray, solve_poses
 from vergence.calibration.head.start import (
     LEAST_CORNERS,
     board_in_cameras,
-    camera_rig,
-    estimate_start,
+    single_camera_rig,
+    estimate_initial_board_poses,
 )
-from vergence.calibration.projection import project
+from vergence.calibration.projection import project_with_jacobians
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.links import inverse_pose
@@ -57,7 +57,7 @@ _SHIFT_M: Final = 0.5
 """Prior standard deviation of a head-eye translation, m (chosen: too large to matter)."""
 
 
-class HeadEye(NamedTuple):
+class HeadEyeFit(NamedTuple):
     """Head-eye transforms, and their residuals."""
 
     head_eye: FloatArray
@@ -84,7 +84,7 @@ class _Views(NamedTuple):
     @classmethod
     def of(cls, head: HeadModel, frames: HeadFrames) -> "_Views":
         if len(equivalent_corner_orders(frames.target)) > 1:
-            frames = estimate_start(head, frames).frames
+            frames = estimate_initial_board_poses(head, frames).frames
         boards = np.tile(np.eye(4), (2, len(frames.time_s), 1, 1))
         for eye, poses in enumerate(board_in_cameras(head, frames)):
             boards[eye, :, :3, :3], boards[eye, :, :3, 3] = poses
@@ -99,13 +99,13 @@ class _Views(NamedTuple):
         points = points + predicted[..., None, :3, 3]
         residuals = np.full(self.frames.pixels.shape, np.nan)
         for eye in range(2):
-            rig = camera_rig(head, eye)
-            seen = project(rig.lenses[0], rig.values[0], points[eye]).pixels
+            rig = single_camera_rig(head, eye)
+            seen = project_with_jacobians(rig.lenses[0], rig.values[0], points[eye]).pixels
             residuals[eye] = seen - self.frames.pixels[eye]
-        return rms(residuals[kept])
+        return rms_length(residuals[kept])
 
 
-def single_eye(head: HeadModel, frames: HeadFrames) -> HeadEye:
+def solve_each_eye(head: HeadModel, frames: HeadFrames) -> HeadEyeFit:
     """Find each eye's transform separately, in closed form, robust to bad views.
 
     Args:
@@ -126,10 +126,10 @@ def single_eye(head: HeadModel, frames: HeadFrames) -> HeadEye:
         found.append(solved.X)
         kept[eye, mine] = solved.kept
         predicted[eye, mine] = inverse_pose(A @ solved.X) @ solved.Y[group]
-    return HeadEye(np.stack(found), views.rms_px(head, predicted, kept), kept)
+    return HeadEyeFit(np.stack(found), views.rms_px(head, predicted, kept), kept)
 
 
-def both_eyes(head: HeadModel, frames: HeadFrames) -> HeadEye:
+def solve_both_eyes(head: HeadModel, frames: HeadFrames) -> HeadEyeFit:
     """Find both transforms at once, in closed form, robust to bad views: ITPC-style, reconstructed.
 
     Args:
@@ -151,10 +151,10 @@ def both_eyes(head: HeadModel, frames: HeadFrames) -> HeadEye:
     predicted, kept = np.array(views.boards), np.zeros_like(views.seen)
     predicted[0, both], predicted[1, both] = between @ right, inverse_pose(between) @ left
     kept[:, both] = solved.kept
-    return HeadEye(head_eye, views.rms_px(head, predicted, kept), kept)
+    return HeadEyeFit(head_eye, views.rms_px(head, predicted, kept), kept)
 
 
-def by_reprojection(head: HeadModel, frames: HeadFrames, start: HeadEye) -> HeadEye:
+def refine_by_reprojection(head: HeadModel, frames: HeadFrames, start: HeadEyeFit) -> HeadEyeFit:
     """Refine both transforms, and no other parameter of the head, on the corners of all views.
 
     The board's pose in frame 0 and the encoders' reading errors are estimated too.
@@ -173,12 +173,12 @@ def by_reprojection(head: HeadModel, frames: HeadFrames, start: HeadEye) -> Head
     for place, (name, unit) in enumerate(zip(parameters.names, parameters.units, strict=True)):
         if ".head_eye." in name:
             prior_sigma[place] = _TURN_RAD if unit == "rad" else _SHIFT_M
-    start_of_board = estimate_start(start_head, frames)
+    start_of_board = estimate_initial_board_poses(start_head, frames)
     problem = HeadAdjustment(start_head, prior_sigma, start_of_board.frames)
     fit = fit_robustly(problem, start_of_board.boards, start_of_board.inlier_views)
     residuals = fit.solution.normal.residuals * problem.frames.sigma
-    return HeadEye(
+    return HeadEyeFit(
         np.asarray(fit.solution.head.head_eye),
-        rms(residuals[fit.kept]),
+        rms_length(residuals[fit.kept]),
         np.asarray(fit.kept.any(axis=-1)),
     )

@@ -16,7 +16,7 @@ _FOLD_TOLERANCE: Final = 1.0
 """Change of the cost below which a fold's fit ends (numerical)."""
 
 
-class HeldOut(NamedTuple):
+class CrossValidationErrors(NamedTuple):
     """Cross-validation errors."""
 
     views: FloatArray
@@ -27,9 +27,9 @@ class HeldOut(NamedTuple):
     error is estimated from them."""
 
 
-def held_out(
+def cross_validate(
     solution: HeadSolution, kept: NDArray[np.bool_], scatter_ratio: FloatArray | None = None
-) -> HeldOut:
+) -> CrossValidationErrors:
     """Judge views and their joint readings by heads that were calibrated without their poses.
 
     Args:
@@ -72,4 +72,4 @@ def held_out(
             squares = (best.normalised_reading_errors[here] ** 2)[own[here]]
             read = squares.sum() / max(own[here].sum(), 1)
             poses[number] = corners + read if count[:, here].any() else np.nan
-    return HeldOut(views, poses)
+    return CrossValidationErrors(views, poses)

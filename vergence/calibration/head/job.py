@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from vergence.calibration.head.calibrate_head import calibrate_head
-from vergence.calibration.head.files import head_text
+from vergence.calibration.head.files import head_file_text
 from vergence.calibration.head.observability import UnobservableDirection, unobservable_directions
 from vergence.calibration.head.recording import HeadRecording
-from vergence.calibration.head.report import document, write_run
+from vergence.calibration.head.report import result_document, write_run
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 
@@ -19,15 +19,15 @@ from vergence.models.head import HeadModel
 class HeadOutcome:
     """Result of a calibration job."""
 
-    text: str
+    head_file: str
     """The head file; empty if the recording was refused."""
     document: Mapping[str, Any]
     """The result as plain values."""
-    unseen: tuple[UnobservableDirection, ...]
+    unobservable: tuple[UnobservableDirection, ...]
     """Unobservable directions of the recording."""
     files: Mapping[str, bytes]
     """The run folder's files by name."""
-    refused: str
+    refusal: str
     """Reason of a refusal; empty if there is a head."""
 
 
@@ -69,8 +69,8 @@ class HeadJob:
                 progress=progress,
             )
         except ConfigurationError as error:
-            return HeadOutcome(text="", document={}, unseen=(), files={}, refused=str(error))
-        text = head_text(found, recorded.sha256, self.name)
+            return HeadOutcome(text="", result_document={}, unseen=(), files={}, refused=str(error))
+        text = head_file_text(found, recorded.sha256, self.name)
         dark = unobservable_directions(found.solution)
         provenance = {
             "recording": self.path,
@@ -82,9 +82,9 @@ class HeadJob:
             write_run(Path(folder), found, dark, text, self.file, provenance)
             files = {each.name: each.read_bytes() for each in Path(folder).iterdir()}
         told = {
-            **document(found, dark),
+            **result_document(found, dark),
             "recording": self.path,
             "remarks": [*recorded.remarks, *found.remarks],
             "not_read": list(recorded.failures),
         }
-        return HeadOutcome(text=text, document=told, unseen=dark, files=files, refused="")
+        return HeadOutcome(text=text, result_document=told, unseen=dark, files=files, refused="")

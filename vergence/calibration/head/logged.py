@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence.calibration.head.gathered import MOST_PLACES, Gathered
+from vergence.calibration.head.gathered import MOST_PLACES, RawRecording
 from vergence.calibration.observations import parse_board
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.models.boards import PlanarTarget
@@ -39,7 +39,7 @@ _STILL_RAD_S: Final = 0.02
 its angles it causes 0.1 mrad, a fifteenth of a 12-bit encoder's step)."""
 
 
-def logs_in(path: Path) -> list[Path]:
+def list_logs(path: Path) -> list[Path]:
     """List a log, or the logs directly in a folder, in the order of their names.
 
     Args:
@@ -64,7 +64,7 @@ def read_logs(
     head: HeadModel,
     target: PlanarTarget | None,
     progress: Callable[[float], None] | None = None,
-) -> Gathered:
+) -> RawRecording:
     """Read the sights of logs, one log after the other.
 
     Args:
@@ -119,7 +119,7 @@ def read_logs(
         )
     if cut:
         remarks.append(f"{cut} of {len(files)} logs are cut off: read up to there")
-    return Gathered(
+    return RawRecording(
         target, sights, placement, tuple(files), tuple(remarks), tuple(failures), *looked
     )
 

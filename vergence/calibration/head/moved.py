@@ -11,10 +11,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Poses
+from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.solution import HeadSolution
-from vergence.calibration.head.start import LEAST_CORNERS, estimate_start
+from vergence.calibration.head.start import LEAST_CORNERS, estimate_initial_board_poses
 
 _LEAST_POSES: Final = 3
 """Fewest poses with the board at another placement (chosen: fewer are wrong detections)."""
@@ -36,7 +36,7 @@ class NewPlacement(NamedTuple):
     """The frames with one more placement of the board."""
 
     frames: HeadFrames
-    boards: Poses
+    boards: BoardPoses
     """(b + 1) poses of the board in frame 0."""
     inlier_views: NDArray[np.bool_]
     """(2, f) True for views that agree with their placement."""
@@ -57,7 +57,7 @@ def find_new_placement(solution: HeadSolution, kept: NDArray[np.bool_]) -> NewPl
     if len(np.unique(frames.pose[lost])) < _LEAST_POSES:
         return None
     some = frames.of(lost)
-    start = estimate_start(
+    start = estimate_initial_board_poses(
         solution.head, replace(some, placement=np.zeros(lost.sum(), dtype=np.intp))
     )
     size = float(np.ptp(frames.corners, axis=0).max())
@@ -77,7 +77,7 @@ def find_new_placement(solution: HeadSolution, kept: NDArray[np.bool_]) -> NewPl
     first, last = frames.time_s[agreeing[0]], frames.time_s[agreeing[-1]]
     return NewPlacement(
         replace(frames, placement=placement, pixels=pixels, sigma=sigma),
-        Poses(
+        BoardPoses(
             np.concatenate([boards.rotation, start.boards.rotation]),
             np.concatenate([boards.translation, start.boards.translation]),
         ),
@@ -126,7 +126,7 @@ def find_small_motion(solution: HeadSolution) -> NewPlacement | None:
     later = (placement == placement[when]) & (np.arange(len(placement)) >= when)
     placement[later] = placement.max() + 1
     split = replace(frames, placement=placement)
-    start = estimate_start(problem.nominal_head, split)
+    start = estimate_initial_board_poses(problem.nominal_head, split)
     return NewPlacement(
         start.frames,
         start.boards,

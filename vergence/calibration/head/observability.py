@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence.calibration.adjustment import Poses
+from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.chain import ParametricHead, board_points
 from vergence.calibration.head.solution import HeadSolution
 from vergence.models.joints import NECK
@@ -125,19 +125,19 @@ def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
     own = head.actuation
     q = own.joints_of(own.actuators_of(np.nan_to_num(q)) + beside * (own.upper > own.lower))
     T = head.base_pose(q[0])
-    boards = Poses(np.broadcast_to(T[:3, :3], (len(q), 3, 3)), points @ T[:3, :3].T + T[:3, 3])
+    boards = BoardPoses(np.broadcast_to(T[:3, :3], (len(q), 3, 3)), points @ T[:3, :3].T + T[:3, 3])
     there, _ = board_points(np.zeros((1, 3)), boards, np.arange(len(q)))
     turned = there - T[:3, 3]
     moved, rigid = [], []
     into_n = np.kron(np.eye(2), T[:3, :3])
     for eye in range(2):
-        seen = chain.seen(eye, q, there, turned)
+        seen = chain.project_board(eye, q, there, turned)
         rows = np.zeros((len(q), 2, len(solution.state.values)))
-        rows[:, :, chain.columns[eye]] = seen.by_head[:, 0]
+        rows[:, :, chain.columns[eye]] = seen.head_jacobian[:, 0]
         visible = np.isfinite(seen.pixels[:, 0]).all(axis=-1)
         moved.append(rows[visible].reshape(-1, rows.shape[-1]))
         # a motion of the eyes is the opposite motion of the world
-        rigid.append(-(seen.by_board[visible, 0] @ into_n).reshape(-1, 6))
+        rigid.append(-(seen.board_jacobian[visible, 0] @ into_n).reshape(-1, 6))
     return np.concatenate(moved), np.concatenate(rigid)
 
 

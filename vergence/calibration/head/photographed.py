@@ -4,8 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from vergence.calibration.head.gathered import MOST_PLACES, Gathered
-from vergence.calibration.observations import Observations, observe
+from vergence.calibration.head.gathered import MOST_PLACES, RawRecording
+from vergence.calibration.observations import Observations, detect_board_corners
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
@@ -23,7 +23,7 @@ _TIME: Final = "time_s"
 _PLACEMENT: Final = "placement"
 
 
-def is_photographed(path: Path) -> bool:
+def holds_photographs(path: Path) -> bool:
     """Return True if a folder holds photographs, not logs."""
     return path.is_dir() and any((path / eye).is_dir() for eye in EYE_NAMES)
 
@@ -33,7 +33,7 @@ def read_photographs(
     head: HeadModel,
     target: PlanarTarget | None,
     progress: Callable[[float], None] | None = None,
-) -> Gathered:
+) -> RawRecording:
     """Read the sights of a folder's photographs.
 
     Args:
@@ -67,7 +67,7 @@ def read_photographs(
             f"{tables[0]}: expected {_TIME} of all pairs or of none, got none of "
             f"{join_first_names(untimed)}"
         )
-    seen, failures = observe(
+    seen, failures = detect_board_corners(
         target,
         [list(each) for each in zip(*found.pairs, strict=True)],
         progress,
@@ -88,7 +88,7 @@ def read_photographs(
         names_alone = join_first_names(one.name for one in found.unpaired)
         remarks = (f"{len(found.unpaired)} images without a partner left out: {names_alone}",)
     files = [str(one.relative_to(path)) for pair in found.pairs for one in pair]
-    return Gathered(
+    return RawRecording(
         target,
         sights,
         [one.placement for one in taken],

@@ -36,7 +36,7 @@ class BoardScene(NamedTuple):
     """The estimated head."""
     corners: FloatArray
     """(2, n, 3) the board's corners in frame 0, m, as seen by each eye of that head."""
-    known: bool
+    is_fitted: bool
     """True if head and corners come from a fit to many views."""
 
     def pixels(self, q: FloatArray) -> FloatArray:
@@ -49,7 +49,7 @@ class BoardScene(NamedTuple):
         return np.stack(found, axis=-3)
 
 
-def scene_of(head: HeadModel, frames: HeadFrames) -> BoardScene:
+def estimate_board_scene(head: HeadModel, frames: HeadFrames) -> BoardScene:
     """Estimate the board's position by the last view of each eye, through the nominal head.
 
     An eye's error recurs in its next view. Therefore each eye keeps the position by its own view;
@@ -74,7 +74,7 @@ def scene_of(head: HeadModel, frames: HeadFrames) -> BoardScene:
     return BoardScene(head, np.array(there, dtype=np.float64), False)
 
 
-class Plan:
+class PosePlanner:
     """Chooser of postures, one after the other.
 
     Args:
@@ -87,7 +87,7 @@ class Plan:
         self._rng, self._keep = rng, dither_rad + _LIMIT_RAD
         self._used = list(used)
 
-    def next(self, scene: BoardScene) -> FloatArray:
+    def next_pose(self, scene: BoardScene) -> FloatArray:
         """Choose the posture most different from earlier ones with the board inside both images.
 
         Args:

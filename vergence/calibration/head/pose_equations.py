@@ -43,7 +43,7 @@ _MOST_ROUNDS: Final = 20
 """Largest number of rounds of fitting and selecting poses (numerical)."""
 
 
-class Solved(NamedTuple):
+class PoseSolution(NamedTuple):
     """The transforms, and the poses that were used."""
 
     X: FloatArray
@@ -54,7 +54,7 @@ class Solved(NamedTuple):
     """(n,) True for kept poses, the inliers."""
 
 
-def solve_poses(A: FloatArray, B: FloatArray, group: IntArray, what: str) -> Solved:
+def solve_poses(A: FloatArray, B: FloatArray, group: IntArray, what: str) -> PoseSolution:
     """Find X and Y with A_i X = Y B_i for most i, robust to outliers.
 
     Args:
@@ -92,7 +92,7 @@ def solve_poses(A: FloatArray, B: FloatArray, group: IntArray, what: str) -> Sol
         if np.array_equal(chosen, kept):
             break
         kept = chosen
-    return Solved(X, Y, kept)
+    return PoseSolution(X, Y, kept)
 
 
 def _mismatch(a: Rotation, b: Rotation, group: IntArray) -> FloatArray:

@@ -4,12 +4,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence.calibration.adjustment import Poses
+from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.adjust import HeadAdjustment
 from vergence.calibration.head.fit import fit_robustly
 from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.prior import prior_sigma_of
-from vergence.calibration.head.start import estimate_start
+from vergence.calibration.head.prior import parameter_prior_sigma
+from vergence.calibration.head.start import estimate_initial_board_poses
 from vergence.calibration.head.uncertainty import head_covariance
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
@@ -22,14 +22,14 @@ _STEP: Final = 1e-3
 """Step of finite differences, in standard deviations of each parameter (numerical)."""
 
 
-class Preview(NamedTuple):
+class CalibrationPreview(NamedTuple):
     """Preliminary calibration from the recording so far."""
 
     head: HeadModel
     """The fitted head."""
     values: FloatArray
     """(p,) its parameters, see `HeadModel.parameters`."""
-    boards: Poses
+    boards: BoardPoses
     """(b) poses of the board in frame 0."""
     depth_percent: FloatArray
     """(2,) standard deviation of depth at `DEPTHS_M` ahead that comes from the head's parameters,
@@ -37,8 +37,8 @@ class Preview(NamedTuple):
 
 
 def preview_calibration(
-    head: HeadModel, frames: HeadFrames, before: Preview | None = None
-) -> Preview | None:
+    head: HeadModel, frames: HeadFrames, before: CalibrationPreview | None = None
+) -> CalibrationPreview | None:
     """Fit a head to the frames so far, as a preview of the calibration.
 
     Args:
@@ -50,8 +50,8 @@ def preview_calibration(
         The preliminary calibration; None if the frames do not determine a head yet.
     """
     try:
-        begin = estimate_start(head, frames)
-        problem = HeadAdjustment(head, prior_sigma_of(head), begin.frames)
+        begin = estimate_initial_board_poses(head, frames)
+        problem = HeadAdjustment(head, parameter_prior_sigma(head), begin.frames)
         near = problem.start(begin.boards)
         if before is not None:
             near = near._replace(values=before.values)
@@ -59,14 +59,14 @@ def preview_calibration(
         covariance = head_covariance(found)
     except np.linalg.LinAlgError:
         return None
-    sigma = depth_sigma(head, found.state.values, covariance)
+    sigma = depth_sigma_m(head, found.state.values, covariance)
     values = found.state.values
     if not np.isfinite(sigma).all():
         return None
-    return Preview(found.head, values, found.state.boards, 100.0 * sigma / np.array(DEPTHS_M))
+    return CalibrationPreview(found.head, values, found.state.boards, 100.0 * sigma / np.array(DEPTHS_M))
 
 
-def depth_sigma(nominal_head: HeadModel, values: FloatArray, covariance: FloatArray) -> FloatArray:
+def depth_sigma_m(nominal_head: HeadModel, values: FloatArray, covariance: FloatArray) -> FloatArray:
     """Compute the depth uncertainty of fixated points from the head's parameters alone.
 
     Pixels and joint angles are taken as exact; the neck is at rest.

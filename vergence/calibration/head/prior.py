@@ -29,7 +29,7 @@ _OTHER_COEFFICIENTS: Final = 0.1
 """Prior standard deviation of other lens coefficients (chosen)."""
 
 
-def prior_sigma_of(head: HeadModel, cameras: bool = True) -> FloatArray:
+def parameter_prior_sigma(head: HeadModel, cameras: bool = True) -> FloatArray:
     """(p,) prior standard deviations of a head's parameters, see `HeadModel.parameters`.
 
     Camera parameters take them from the head's calibration record, if it has them.

@@ -37,7 +37,7 @@ class ReadingTerms:
 
     names: tuple[str, ...] = ()
     """(t,) names such as `left_pan.play` and `left_pan.cos1`."""
-    joint: IntArray
+    actuator: IntArray
     """(t,) actuator of each term, of the neck's three joints and the eyes' four actuators."""
     prior_mean: FloatArray
     """(t,) prior means of the parameters, rad."""
@@ -47,7 +47,7 @@ class ReadingTerms:
     """(F, 7) the actuators' angles, rad, in all frames in the order of time."""
     frames: IntArray
     """(f,) indices of the selected frames."""
-    centre: FloatArray
+    harmonic_mean: FloatArray
     """(t,) mean of each harmonic of the eyes over all frames; 0 for other terms."""
 
     @classmethod
@@ -100,11 +100,11 @@ class ReadingTerms:
         """Select some of the frames."""
         return self if self is NO_TERMS else replace(self, frames=self.frames[frames])
 
-    def held(self, values: FloatArray) -> "ReadingTerms":
+    def fixed_at(self, values: FloatArray) -> "ReadingTerms":
         """Fix the parameters at values (t,)."""
         return replace(self, prior_mean=values, sigma=np.zeros(len(values)))
 
-    def at(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def evaluate(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Evaluate the terms, which add to the readings.
 
         Args:
@@ -114,20 +114,20 @@ class ReadingTerms:
             (f, 7) sum of the terms by actuator, rad, and (f, t) derivative of each term's actuator
             angle by its parameter.
         """
-        angles = self.readings[:, self.joint]
+        angles = self.readings[:, self.actuator]
         by = np.zeros_like(angles)
         for column, name in enumerate(self.names):
-            by[:, column] = _harmonic(name, angles[:, column]) - self.centre[column]
+            by[:, column] = _harmonic(name, angles[:, column]) - self.harmonic_mean[column]
         added, is_backlash = by * values, self.is_backlash
         added[:, is_backlash], by[:, is_backlash] = _backlash_offset(
             angles[:, is_backlash], values[is_backlash]
         )
-        return added[self.frames] @ np.eye(7)[self.joint], by[self.frames]
+        return added[self.frames] @ np.eye(7)[self.actuator], by[self.frames]
 
-    def tangent(self, values: FloatArray, others: FloatArray) -> FloatArray:
+    def linearised_sum(self, values: FloatArray, others: FloatArray) -> FloatArray:
         """(f, 7) sum of the terms with other parameters, linearised at given ones."""
-        added, by = self.at(values)
-        return added + (by * (others - values)) @ np.eye(7)[self.joint]
+        added, by = self.evaluate(values)
+        return added + (by * (others - values)) @ np.eye(7)[self.actuator]
 
 
 NO_TERMS: Final = ReadingTerms(

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from vergence.calibration.head.calibrate_head import tidy
+from vergence.calibration.head.calibrate_head import sort_and_drop_frames
 from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.logged import logs_in, read_logs
-from vergence.calibration.head.photographed import is_photographed, read_photographs
+from vergence.calibration.head.logged import list_logs, read_logs
+from vergence.calibration.head.photographed import holds_photographs, read_photographs
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
@@ -63,16 +63,16 @@ def read_recording(
     """
     if not path.exists():
         raise ConfigurationError(f"{path}: no such file or folder; expected a recording")
-    if is_photographed(path):
+    if holds_photographs(path):
         found = read_photographs(path, head, target, progress)
     else:
-        found = read_logs(logs_in(path), head, target, progress)
+        found = read_logs(list_logs(path), head, target, progress)
     if not found.target.size_known:
         raise ConfigurationError(
             f"target: expected a size in mm, which all lengths come from, got {found.target}"
         )
     every = found.frames()
-    frames = in_order(every)
+    frames = order_frames(every)
     if not len(frames.time_s):
         raise ConfigurationError(
             f"{path}: expected frames that show {found.target}, got none in {len(every.time_s)}"
@@ -91,8 +91,8 @@ def read_recording(
     )
 
 
-def in_order(frames: HeadFrames) -> HeadFrames:
+def order_frames(frames: HeadFrames) -> HeadFrames:
     """Tidy frames, see `tidy`, and number the board's placements without gaps."""
-    frames = tidy(frames)
+    frames = sort_and_drop_frames(frames)
     places = np.unique(frames.placement, return_inverse=True)[1]
     return replace(frames, placement=places.astype(np.intp))

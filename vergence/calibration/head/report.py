@@ -8,10 +8,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from vergence.calibration.adjustment import rms
+from vergence.calibration.adjustment import rms_length
 from vergence.calibration.head import depth_figures, figures
 from vergence.calibration.head.calibrate_head import HeadCalibration
-from vergence.calibration.head.depth import DepthErrors, ahead, depth_errors
+from vergence.calibration.head.depth import DepthErrors, points_ahead, predict_depth_errors
 from vergence.calibration.head.observability import UnobservableDirection
 from vergence.calibration.head.start import LEAST_CORNERS
 from vergence.eval.reporting.report import inline_svg
@@ -41,7 +41,7 @@ _MOST_ROWS: Final = 40
 """Most rows of the table of views left out (chosen: a page's worth; the rest is in views.csv)."""
 
 
-class LeftOut(NamedTuple):
+class LeftOutView(NamedTuple):
     """A view that was left out."""
 
     time_s: float
@@ -74,8 +74,8 @@ def write_run(
     write_json(
         folder / "result.json",
         {
-            **document(found, unseen),
-            "left_out_views": [one._asdict() for one in left_out(found)],
+            **result_document(found, unseen),
+            "left_out_views": [one._asdict() for one in left_out_views(found)],
             "recording": dict(recording),
             "noisier": {
                 each: float(times)
@@ -96,29 +96,29 @@ def write_run(
     write_report(folder, found, unseen, name, recording)
 
 
-def document(found: HeadCalibration, unseen: Sequence[UnobservableDirection]) -> dict[str, Any]:
+def result_document(found: HeadCalibration, unseen: Sequence[UnobservableDirection]) -> dict[str, Any]:
     """Convert the result to plain values for JSON.
 
     Args:
         found: the calibration.
         unseen: unobservable directions of the recording.
     """
-    depth = depth_errors(found, ahead(np.array(DEPTHS_M)))
+    depth = predict_depth_errors(found, points_ahead(np.array(DEPTHS_M)))
     table = {
         "distance_m": depth.distance_m,
-        "before_mm": 1e3 * depth.before_m,
-        "before_vector_mm": 1e3 * depth.before_vector_m,
-        "before_percent": depth.before_percent,
+        "before_mm": 1e3 * depth.nominal_error_m,
+        "before_vector_mm": 1e3 * depth.nominal_error_norm_m,
+        "before_percent": depth.nominal_error_percent,
         "after_sigma_mm": 1e3 * depth.sigma_m,
         "after_percent": depth.sigma_percent,
-        "floor_mm": 1e3 * depth.floor_m,
+        "floor_mm": 1e3 * depth.noise_floor_m,
     }
     rows = zip(*(json_values(values) for values in table.values()), strict=True)
     views = found.frames.seen.any(axis=-1)
     return {
         "depth": [dict(zip(table, row, strict=True)) for row in rows],
         "noise": found.solution.reduced_chi,
-        "rms_px": rms(figures.residuals_px(found)),
+        "rms_px": rms_length(figures.residuals_px(found)),
         "rms_heldout_sigma": json_value(_heldout(found)),
         "views": int(found.views.sum()),
         "left_out": int((views & ~found.views).sum()),
@@ -138,7 +138,7 @@ def _heldout(found: HeadCalibration) -> float:
     return float(np.sqrt(np.mean(found.held_out[known]))) if known.any() else float("nan")
 
 
-def left_out(found: HeadCalibration) -> list[LeftOut]:
+def left_out_views(found: HeadCalibration) -> list[LeftOutView]:
     """List the views that show corners and were left out, in the order of time.
 
     Args:
@@ -160,7 +160,7 @@ def left_out(found: HeadCalibration) -> list[LeftOut]:
 
     lost = np.argwhere((count > 0).T & ~found.views.T)
     return [
-        LeftOut(float(frames.time_s[frame]), EYE_NAMES[eye], why(eye, frame))
+        LeftOutView(float(frames.time_s[frame]), EYE_NAMES[eye], why(eye, frame))
         for frame, eye in lost.tolist()
     ]
 
@@ -169,7 +169,7 @@ def _write_views(path: Path, found: HeadCalibration) -> None:
     """Write a row for each frame and eye; missing numbers are empty."""
     frames = found.frames
     residuals = found.solution.normal.residuals * frames.sigma
-    counted = figures.judged(found)
+    counted = figures.kept_or_found_corners(found)
     held_out = np.sqrt(found.held_out)
     with path.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file)
@@ -211,11 +211,11 @@ def write_report(
         recording: facts on the origin of the frames, by name.
     """
     drawn = _figures(found).items()
-    depth = depth_errors(found, ahead(np.array(_HEADLINE_M)))
+    depth = predict_depth_errors(found, points_ahead(np.array(_HEADLINE_M)))
     page = environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = page.from_string(read_template("vergence.calibration.head", "head.html.jinja"))
     text = template.render(
-        **document(found, unseen),
+        **result_document(found, unseen),
         head=found.nominal_head.name,
         name=name,
         recording=recording,
@@ -223,7 +223,7 @@ def write_report(
         eyes=EYE_NAMES,
         maps=[f"{each:g}" for each in _MAPS_M],
         dropped=[
-            [f"{one.time_s:.2f} s, {one.eye}", one.why] for one in left_out(found)[:_MOST_ROWS]
+            [f"{one.time_s:.2f} s, {one.eye}", one.why] for one in left_out_views(found)[:_MOST_ROWS]
         ],
         numbers=_number_rows(found),
         markup={stem: inline_svg(svg_of(figure), stem, stem) for stem, figure in drawn},
@@ -238,7 +238,7 @@ def _headline(depth: DepthErrors) -> list[tuple[str, str, str]]:
     return [
         (f"{distance:g}", format_number(abs(before)), format_number(after))
         for distance, before, after in zip(
-            depth.distance_m.tolist(), (1e3 * depth.before_m).tolist(),
+            depth.distance_m.tolist(), (1e3 * depth.nominal_error_m).tolist(),
             (1e3 * depth.sigma_m).tolist(), strict=True,
         )
         if np.isfinite(before) and np.isfinite(after)
@@ -253,12 +253,12 @@ def _figures(found: HeadCalibration) -> dict[str, Figure]:
     drawn["views"] = figures.residuals_over_time(found)
     for eye, name in enumerate(EYE_NAMES):
         drawn[f"residuals-{name}"] = figures.residual_field(found, eye)
-        drawn[f"coverage-{name}"] = figures.coverage(found, eye)
-    drawn["joints"] = figures.joint_angles(found)
-    if figures.read_errors(found):
-        drawn["readings"] = figures.misreadings(found)
-    if len(figures.strong_correlations(found)):
-        drawn["correlations"] = figures.correlations(found)
+        drawn[f"coverage-{name}"] = figures.corner_coverage(found, eye)
+    drawn["joints"] = figures.joint_angle_coverage(found)
+    if figures.single_reading_errors(found):
+        drawn["readings"] = figures.reading_error_histograms(found)
+    if len(figures.correlated_parameters(found)):
+        drawn["correlations"] = figures.parameter_correlations(found)
     return drawn
 
 

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.gathered import Gathered
-from vergence.calibration.head.plan import scene_of
+from vergence.calibration.head.gathered import RawRecording
+from vergence.calibration.head.plan import estimate_board_scene
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -26,14 +26,14 @@ _AHEAD_M: Final = 1.0
 """Forward distance of the fixated points, m (chosen)."""
 
 
-def one_frame(looker: Looker, sight: BoardView) -> HeadFrames:
+def single_frame(looker: Looker, sight: BoardView) -> HeadFrames:
     """Convert a sight to a recording of one frame."""
-    return Gathered(looker.target, [sight], [0], ()).frames()
+    return RawRecording(looker.target, [sight], [0], ()).frames()
 
 
-def sees(looker: Looker, sight: BoardView) -> int:
+def count_eyes_seeing_board(looker: Looker, sight: BoardView) -> int:
     """Count the eyes that see at least four corners of the board."""
-    return int((one_frame(looker, sight).seen.sum(axis=-1) >= 4).sum())
+    return int((single_frame(looker, sight).seen.sum(axis=-1) >= 4).sum())
 
 
 def find_board(looker: Looker, first: Sequence[FloatArray] = ()) -> HeadFrames:
@@ -53,13 +53,13 @@ def find_board(looker: Looker, first: Sequence[FloatArray] = ()) -> HeadFrames:
     for q in (*first, *_directions(looker.head)):
         looks += 1
         sight = looker.look(q)
-        eyes = sees(looker, sight)
+        eyes = count_eyes_seeing_board(looker, sight)
         if eyes == 2:
-            return one_frame(looker, sight)
+            return single_frame(looker, sight)
         if eyes == 1:
-            frame = one_frame(looker, sight)
+            frame = single_frame(looker, sight)
             again = looker.look(_towards(looker.head, frame))
-            return one_frame(looker, again) if sees(looker, again) else frame
+            return single_frame(looker, again) if count_eyes_seeing_board(looker, again) else frame
     raise ConfigurationError(
         f"expected {looker.target} where the eyes can look, found it in no direction of {looks}: "
         "is it that target, whole, flat, upright, well lit, and neither too near nor too far?"
@@ -69,7 +69,7 @@ def find_board(looker: Looker, first: Sequence[FloatArray] = ()) -> HeadFrames:
 def _towards(head: HeadModel, frame: HeadFrames) -> FloatArray:
     """(7,) joint angles that turn both eyes to a board that one of them has seen."""
     T_0_N = head.base_pose(frame.positions[0])
-    middle = scene_of(head, frame).corners.mean(axis=(0, 1))
+    middle = estimate_board_scene(head, frame).corners.mean(axis=(0, 1))
     inside = T_0_N[:3, :3].T @ (middle - T_0_N[:3, 3])
     return _within(head, head.fixate(inside, frame.positions[0, :3], warn=False))
 

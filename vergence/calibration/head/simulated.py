@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.adjustment import Poses
+from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.chain import ParametricHead, board_points
 from vergence.calibration.head.frames import HeadFrames
 from vergence.errors import ConfigurationError
@@ -29,7 +29,7 @@ class SimulatedRecording:
     frames: HeadFrames
     true_q: FloatArray
     """(f, 7) true joint angles, rad."""
-    boards: Poses
+    boards: BoardPoses
     """(b) true poses of the board in frame 0."""
 
 
@@ -44,7 +44,7 @@ class JointReadingErrors:
     """(7, 4) harmonics of true minus read angle q: factors of cos(q), sin(q), cos(2q) and
     sin(2q)."""
 
-    def true(self, motors: FloatArray, before: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def output_angles(self, motors: FloatArray, before: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Compute the actuators' output angles, one frame after the other.
 
         Args:
@@ -64,7 +64,7 @@ class JointReadingErrors:
         return np.array(behind) + np.einsum("hfj,jh->fj", waves, self.harmonics_rad), before
 
 
-def record(
+def simulate_recording(
     head: HeadModel,
     true: HeadModel,
     rng: np.random.Generator,
@@ -111,7 +111,7 @@ def record(
         np.array([rng.uniform(-0.1, 0.1), rng.uniform(-0.1, 0.05), rng.uniform(0.9, 1.1) * each])
         for each in distances_m
     ]
-    boards = Poses(
+    boards = BoardPoses(
         np.array(
             [T_0_N[:3, :3] @ Rotation.from_rotvec(v).as_matrix()
              for v in rng.uniform(-0.5, 0.5, (len(ahead), 3))]
@@ -145,7 +145,7 @@ def record(
         outputs, then = faults.true(motors, behind)
         turned = own.joints_of(outputs)
         points, directions = board_points(corners, boards, np.full(frames, place))
-        seen = np.stack([chain.seen(eye, turned, points, directions).pixels for eye in range(2)])
+        seen = np.stack([chain.project_board(eye, turned, points, directions).pixels for eye in range(2)])
         inside = (seen > BORDER_PX) & (seen < size - 1.0 - BORDER_PX)
         if inside.all():
             behind = then

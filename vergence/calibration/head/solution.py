@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, Normal, Weights
+from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, NormalEquations, Weights
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -37,7 +37,7 @@ class HeadSolution:
 
     problem: HeadAdjustment
     state: HeadUnknowns
-    normal: Normal
+    normal: NormalEquations
     weights: Weights
 
     @cached_property
@@ -54,15 +54,15 @@ class HeadSolution:
     @cached_property
     def normalised_reading_errors(self) -> FloatArray:
         """(f, 7) reading errors of single frames over their prior sigma; 0 for shared ones."""
-        own = self.problem.joints
+        own = self.problem.joint_errors
         sigma = np.where(own.sigma > 0.0, own.sigma, 1.0)
-        return np.where(own.is_single, self.state.errors / sigma, 0.0)
+        return np.where(own.is_single, self.state.frame_errors / sigma, 0.0)
 
     @cached_property
     def reduced_chi(self) -> float:
         """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
         counted: NDArray[np.bool_] = self.problem.frames.seen & (self.weights.corners > 0.0)
-        own = self.problem.joints.is_single & np.asarray(counted.any(axis=(0, 2)))[:, None]
+        own = self.problem.joint_errors.is_single & np.asarray(counted.any(axis=(0, 2)))[:, None]
         # effective number of parameters: a reading error counts by its reduction of variance
         taken = float((own * (1.0 - self.reading_variance_ratio)).sum()) + self.problem.shared_count
         measured = 2.0 * float(counted.sum())
@@ -71,8 +71,8 @@ class HeadSolution:
     @cached_property
     def reading_variance_ratio(self) -> FloatArray:
         """(f, 7) ratio of posterior to prior variance of the reading errors, shared ones fixed."""
-        sigma = self.problem.joints.sigma
-        inner = np.diagonal(np.linalg.inv(self.normal.inner), axis1=1, axis2=2)
+        sigma = self.problem.joint_errors.sigma
+        inner = np.diagonal(np.linalg.inv(self.normal.frame_matrices), axis1=1, axis2=2)
         return np.asarray(inner / np.where(sigma > 0.0, sigma, 1.0) ** 2)
 
 
@@ -131,7 +131,7 @@ def solve(
     return HeadSolution(problem, state, now, weights)
 
 
-def _typical_square(problem: HeadAdjustment, now: Normal, weights: Weights) -> float:
+def _typical_square(problem: HeadAdjustment, now: NormalEquations, weights: Weights) -> float:
     """Typical (median) mean square of a corner's residuals, in units of sigma^2; at least 1."""
     counted = problem.frames.seen & (weights.corners > 0.0)
     return max(0.5 * float(np.median((now.residuals[counted] ** 2).sum(axis=-1))), 1.0)

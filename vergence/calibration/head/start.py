@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import Adjustment, CameraRig, Poses
+from vergence.calibration.adjustment import BundleAdjustment, CameraRig, BoardPoses
 from vergence.calibration.cameras import estimate_board_poses
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.projection import camera_parameter_names
@@ -21,7 +21,7 @@ _MOST_CANDIDATES: Final = 300
 """Most views of one placement that are compared pairwise (numerical)."""
 
 
-def camera_rig(head: HeadModel, eye: int) -> CameraRig:
+def single_camera_rig(head: HeadModel, eye: int) -> CameraRig:
     """Make a rig of one eye's camera."""
     cameras = head.cameras
     lens = cameras.lens[eye]
@@ -30,23 +30,23 @@ def camera_rig(head: HeadModel, eye: int) -> CameraRig:
     return CameraRig.single(lens, np.concatenate(values))
 
 
-def board_in_cameras(head: HeadModel, frames: HeadFrames) -> list[Poses]:
+def board_in_cameras(head: HeadModel, frames: HeadFrames) -> list[BoardPoses]:
     """Find the board's pose in each camera, frame by frame; a placeholder without the board."""
     found = []
     for eye in range(2):
         only = slice(eye, eye + 1)
-        problem = Adjustment(frames.corners, frames.pixels[only], frames.sigma[only])
+        problem = BundleAdjustment(frames.corners, frames.pixels[only], frames.sigma[only])
         width, height = head.cameras.size[eye].tolist()
-        found.append(estimate_board_poses(problem, camera_rig(head, eye), (width, height)))
+        found.append(estimate_board_poses(problem, single_camera_rig(head, eye), (width, height)))
     return found
 
 
-class Start(NamedTuple):
+class InitialBoardPoses(NamedTuple):
     """Initial poses of the board, on which most views agree."""
 
     frames: HeadFrames
     """Frames with the corners of rotationally symmetric boards in one order."""
-    boards: Poses
+    boards: BoardPoses
     """(b) poses of the board in frame 0."""
     inlier_views: NDArray[np.bool_]
     """(2, f) True for views that agree with these poses."""
@@ -55,7 +55,7 @@ class Start(NamedTuple):
     placements."""
 
 
-def estimate_start(head: HeadModel, frames: HeadFrames) -> Start:
+def estimate_initial_board_poses(head: HeadModel, frames: HeadFrames) -> InitialBoardPoses:
     """Find the poses of the board on which most views agree, through a given head.
 
     Args:
@@ -85,9 +85,9 @@ def estimate_start(head: HeadModel, frames: HeadFrames) -> Start:
             inlier_views[eye, frame] = close
             pixels[eye, frame] = frames.pixels[eye, frame][orders[its]]
             sigma[eye, frame] = frames.sigma[eye, frame][orders[its]]
-    return Start(
+    return InitialBoardPoses(
         replace(frames, pixels=pixels, sigma=sigma),
-        Poses(np.array(rotations), np.array(translations)),
+        BoardPoses(np.array(rotations), np.array(translations)),
         inlier_views,
         float(np.median(spreads)),
     )

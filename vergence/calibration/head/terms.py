@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, Normal, Weights
+from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, NormalEquations, Weights
 from vergence.calibration.head.backlash import without_backlash
 from vergence.calibration.head.fit import HeadFit, refine_inliers
-from vergence.calibration.head.held_out import held_out
-from vergence.calibration.head.prior import prior_sigma_of
+from vergence.calibration.head.held_out import cross_validate
+from vergence.calibration.head.prior import parameter_prior_sigma
 from vergence.calibration.head.reading_terms import TERM_KINDS
 from vergence.calibration.head.solution import HeadSolution, solve
 from vergence.errors import ConfigurationError
@@ -68,7 +68,7 @@ def convert_for_terms(head: HeadModel, terms: Collection[str]) -> HeadModel:
     return without_backlash(head) if "play" in terms else head
 
 
-class Chosen(NamedTuple):
+class ChosenTerms(NamedTuple):
     """The head with the terms that its recording calls for."""
 
     fit: HeadFit
@@ -78,7 +78,7 @@ class Chosen(NamedTuple):
     """Solution with harmonics, of some of the frames, if these are called for too; else None."""
 
 
-def choose_terms(fit: HeadFit, cameras: bool) -> Chosen:
+def choose_terms(fit: HeadFit, cameras: bool) -> ChosenTerms:
     """Add the terms that a recording calls for, most significant first.
 
     Args:
@@ -100,7 +100,7 @@ def choose_terms(fit: HeadFit, cameras: bool) -> Chosen:
             if _predicts_better(richer, some, least):
                 some, chosen = richer, (*chosen, best)
     lasting = tuple(term for term in chosen if term != "harmonics")
-    return Chosen(
+    return ChosenTerms(
         _richer(fit, lasting, cameras) if lasting else fit,
         some.solution if lasting != chosen else None,
     )
@@ -137,7 +137,7 @@ def _extended(
     reading_terms = own.terms.with_terms(nominal_head, terms)
     problem = HeadAdjustment(
         nominal_head,
-        prior_sigma_of(nominal_head, cameras),
+        parameter_prior_sigma(nominal_head, cameras),
         own.frames,
         scatter_ratio=own.scatter_ratio,
         terms=reading_terms,
@@ -193,7 +193,7 @@ def _gains(
     }
 
 
-def _gain(normal: Normal, mine: NDArray[np.bool_], others: NDArray[np.bool_]) -> float:
+def _gain(normal: NormalEquations, mine: NDArray[np.bool_], others: NDArray[np.bool_]) -> float:
     """Predict the reduction of the sum of squares if some unknowns move and others follow."""
     M, slope = normal.matrix, normal.gradient
     across = np.linalg.solve(M[np.ix_(others, others)], M[np.ix_(others, mine)])
@@ -218,8 +218,8 @@ def _predicts_better(richer: HeadFit, simpler: HeadFit, least: float) -> bool:
     scatter_ratio = np.ones(7) if simple.scatter_ratio is None else simple.scatter_ratio
     known = simple.joints.sigma > 0.0
     ratio = np.divide(rich.joints.sigma, simple.joints.sigma, out=np.ones(7), where=known)
-    less = np.log(held_out(simpler.solution, kept, ratio * scatter_ratio).poses) - np.log(
-        held_out(richer.solution, kept).poses
+    less = np.log(cross_validate(simpler.solution, kept, ratio * scatter_ratio).poses) - np.log(
+        cross_validate(richer.solution, kept).poses
     )
     less = less[np.isfinite(less)]
     surely = _SURELY * np.std(less) / np.sqrt(max(len(less), 1))

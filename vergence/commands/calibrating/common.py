@@ -86,7 +86,7 @@ class CalibrationOptions:
             text: returns the content of that file.
         """
         from vergence.calibration.calibrate import calibrate
-        from vergence.calibration.coverage import advice
+        from vergence.calibration.coverage import advise_next_photographs
         from vergence.calibration.observations import parse_board
         from vergence.calibration.report import write_run
         from vergence.commands.calibrating.printed import print_calibration
@@ -101,7 +101,7 @@ class CalibrationOptions:
             self.check(out)  # another process may have written it meanwhile
             out.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(out, content)
-        advised = advice(found)
+        advised = advise_next_photographs(found)
         if self.json:
             document = {**found.document(), "advice": advised}
             print(json.dumps(document, indent=2, allow_nan=False))

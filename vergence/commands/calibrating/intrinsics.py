@@ -38,11 +38,11 @@ class CalibrateIntrinsics(CalibrationOptions):
 
         if not self.images:
             raise ConfigurationError("expected images or folders of images, got none")
-        from vergence.calibration.files import camera_document
+        from vergence.calibration.files import ros_camera_document
 
         def text(found: "Calibration") -> str:
             import yaml
 
-            return str(yaml.safe_dump(camera_document(found), sort_keys=False))
+            return str(yaml.safe_dump(ros_camera_document(found), sort_keys=False))
 
         return self.calibrated([list_photographs(self.images)], self.out, text)

@@ -17,7 +17,7 @@ def print_calibration(found: "Calibration", out: Path) -> None:
         found: the calibration.
         out: the file that it is written to.
     """
-    from vergence.calibration.adjustment import rms
+    from vergence.calibration.adjustment import rms_length
     from vergence.calibration.projection import camera_parameter_names
     from vergence.models.joints import EYE_NAMES
 
@@ -43,8 +43,8 @@ def print_calibration(found: "Calibration", out: Path) -> None:
         for name, each in zip(names, found.rms_alone_px, strict=True)
     ]
     if several:
-        rows.append(["both together", f"{rms(found.fit.solution.residuals_px):.3f}"])
-    rows.append(["views held out", f"{rms(found.held_out_px):.3f}"])
+        rows.append(["both together", f"{rms_length(found.fit.solution.residuals_px):.3f}"])
+    rows.append(["views held out", f"{rms_length(found.held_out_px):.3f}"])
     kept, every = int(found.fit.kept.sum()), len(found.fit.kept)
     print_table(["residual", "rms (px)"], rows, title=f"{kept} of {every} views", text=(0,))
     if found.dropped:

@@ -47,10 +47,10 @@ class CalibrateStereo(CalibrationOptions):
                 f"{len(pairs.unpaired)} of the images without a partner: "
                 f"{join_first_names(path.name for path in pairs.unpaired)}"
             )
-        from vergence.calibration.files import head_text
+        from vergence.calibration.files import head_file_text
 
         def text(found: "Calibration") -> str:
-            return head_text(found, name, self.parsed_response())
+            return head_file_text(found, name, self.parsed_response())
 
         return self.calibrated(
             [[pair.left for pair in pairs.pairs], [pair.right for pair in pairs.pairs]],

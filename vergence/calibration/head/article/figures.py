@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from vergence.calibration.head.article.findings import ARTICLE_PERCENT, percent
+from vergence.calibration.head.article.findings import ARTICLE_PERCENT, depth_errors_percent
 from vergence.calibration.head.article.trials import HeadEyeConfig
 from vergence.eval.reporting.style import (
     ARTICLE_STYLE,
@@ -39,7 +39,7 @@ def draw(table: pd.DataFrame, config: HeadEyeConfig) -> dict[str, Figure]:
             figure.subplots(1, 2, sharey=True), _PANELS.items(), strict=True
         ):
             for stage, style in _STYLES.items():
-                errors = percent(table, stage, reading).max(axis=0)
+                errors = depth_errors_percent(table, stage, reading).max(axis=0)
                 panel.plot(depth, errors, **({"label": stage} | style), markersize=4)
             panel.axhline(ARTICLE_PERCENT, **ARTICLE_STYLE, label="article's largest, ITPC")
             panel.set(xlabel="depth [m]", title=title)

@@ -15,17 +15,17 @@ ARTICLE_PERCENT: Final = 6.98
 """Largest depth error by ITPC at 2.5 m, percent of depth (measured: reported by the article)."""
 
 
-def percent(table: pd.DataFrame, stage: str, reading: str = "exact") -> FloatArray:
+def depth_errors_percent(table: pd.DataFrame, stage: str, reading: str = "exact") -> FloatArray:
     """(heads, points) absolute depth errors, percent of depth; infinite where there is no fix."""
     rows = table[(table["stage"] == stage) & (table["reading"] == reading)]
     share = 100.0 * rows["error_z_mm"].abs() / rows["truth_z_mm"]
-    wide = rows.assign(percent=share).pivot(index="head", columns="point", values="percent")
+    wide = rows.assign(depth_errors_percent=share).pivot(index="head", columns="point", values="percent")
     return np.asarray(wide.fillna(np.inf).to_numpy(), dtype=np.float64)
 
 
-def most(table: pd.DataFrame, stage: str, reading: str = "exact") -> float:
+def worst_depth_error_percent(table: pd.DataFrame, stage: str, reading: str = "exact") -> float:
     """The largest depth error of all heads, percent of depth."""
-    return float(percent(table, stage, reading).max())
+    return float(depth_errors_percent(table, stage, reading).max())
 
 
 def summarise(table: pd.DataFrame, config: HeadEyeConfig) -> list[SummaryRow]:
@@ -33,7 +33,7 @@ def summarise(table: pd.DataFrame, config: HeadEyeConfig) -> list[SummaryRow]:
     del config
     return [
         SummaryRow.of(NAME, f"largest depth error, {stage}, joints read {how}", "itpc", "z",
-                      None, most(table, stage, reading), unit="%")
+                      None, worst_depth_error_percent(table, stage, reading), unit="%")
         for stage in STAGES
         for reading, how in (("exact", "exactly"), ("encoders", "by the encoders"))
     ]  # fmt: skip
@@ -44,7 +44,7 @@ def numbers(table: pd.DataFrame, config: HeadEyeConfig) -> Numbers:
     values = {"heads": float(config.heads), "article_percent": ARTICLE_PERCENT}
     for stage in STAGES:
         name = stage.replace(" ", "_")
-        values[f"{name}_percent"] = most(table, stage)
-        values[f"{name}_encoders_percent"] = most(table, stage, "encoders")
-        values[f"{name}_median_percent"] = float(np.median(percent(table, stage).max(axis=1)))
+        values[f"{name}_percent"] = worst_depth_error_percent(table, stage)
+        values[f"{name}_encoders_percent"] = worst_depth_error_percent(table, stage, "encoders")
+        values[f"{name}_median_percent"] = float(np.median(depth_errors_percent(table, stage).max(axis=1)))
     return values

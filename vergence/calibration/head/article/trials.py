@@ -8,8 +8,8 @@ import pandas as pd
 
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.hand_eye import both_eyes, by_reprojection
-from vergence.calibration.head.simulated import quantised, record
+from vergence.calibration.head.hand_eye import solve_both_eyes, refine_by_reprojection
+from vergence.calibration.head.simulated import quantised, simulate_recording
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.reported import static_points
 from vergence.eval.article.twin.heads import draw_heads
@@ -71,7 +71,7 @@ def run(config: HeadEyeConfig, seed: int, mapper: Mapper) -> pd.DataFrame:
 def _calibrated(
     nominal: HeadModel, true: HeadModel, config: HeadEyeConfig, seed: int, number: int
 ) -> pd.DataFrame:
-    frames = record(
+    frames = simulate_recording(
         nominal, true, job_rng(seed, "head-eye", number), poses=config.poses, frames=config.frames,
         noise_px=config.noise_px, distances_m=config.boards_m,
     ).frames  # fmt: skip
@@ -81,8 +81,8 @@ def _calibrated(
 
 def _stages(nominal: HeadModel, frames: HeadFrames) -> tuple[HeadModel, ...]:
     """Calibrate the head in each of `STAGES`."""
-    closed = both_eyes(nominal, frames)
-    refined = by_reprojection(nominal, frames, closed)
+    closed = solve_both_eyes(nominal, frames)
+    refined = refine_by_reprojection(nominal, frames, closed)
     return (
         nominal,
         nominal.replace(head_eye=closed.head_eye),
