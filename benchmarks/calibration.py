@@ -43,12 +43,12 @@ from numpy.typing import NDArray
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.adjustment import CameraRig, BoardPoses, cross_matrices, rms_length
-from vergence.calibration.cameras import CameraFit, fit_consistent_views, fit_camera
+from vergence.calibration.adjustment import BoardPoses, CameraRig, cross_matrices, rms_length
+from vergence.calibration.cameras import CameraFit, fit_camera, fit_consistent_views
 from vergence.calibration.observations import Observations
 from vergence.calibration.projection import project_with_jacobians
 from vergence.calibration.stereo import fit_camera_pair
-from vergence.calibration.uncertainty import rig_covariance, direction_sigma_px
+from vergence.calibration.uncertainty import direction_sigma_px, rig_covariance
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
 from vergence.models.parts import FloatArray, Rendering
@@ -221,7 +221,9 @@ def noisy_corners(target: PlanarTarget, truth: Truth, rng: np.random.Generator) 
 
 def calibrated(seen: Observations, lens: str) -> CameraFit:
     """Calibrate the pair as `vergence.calibration.calibrate` does with a given lens model."""
-    alone = [fit_camera(seen.camera(i), lens, fit_consistent_views(seen.camera(i))) for i in range(2)]
+    alone = [
+        fit_camera(seen.camera(i), lens, fit_consistent_views(seen.camera(i))) for i in range(2)
+    ]
     return fit_camera_pair(seen, *alone)[1]
 
 

@@ -38,7 +38,7 @@ def panels(found: Calibration) -> list[Figure]:
         residual_field(found, 0),
         image_coverage(found, 0),
         direction_sigma(found, 0),
-        depth_sigma(depth_sigma_at(found, depths_to_plot_m(found)), relative=False),
+        depth_sigma(depth_sigma_at(found, depths_to_plot_m(found)), in_percent=False),
     ]
 
 

@@ -40,8 +40,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import BundleAdjustment, CameraRig, BundleSolution
-from vergence.calibration.cameras import estimate_board_poses, fit_consistent_views, fit_camera
+from vergence.calibration.adjustment import BundleAdjustment, BundleSolution, CameraRig
+from vergence.calibration.cameras import estimate_board_poses, fit_camera, fit_consistent_views
 from vergence.calibration.observations import Observations, detect_board_corners, parse_board
 from vergence.calibration.stereo import fit_camera_pair
 from vergence.errors import ConfigurationError
@@ -183,7 +183,8 @@ def _opencv_camera(
 def our_calibrated(seen: Observations, lens: str) -> CameraRig:
     """Calibrate a camera or a pair by the package; the fitted curvature of the board is dropped."""
     alone = [
-        fit_camera(seen.camera(i), lens, fit_consistent_views(seen.camera(i))) for i in range(len(seen.sizes))
+        fit_camera(seen.camera(i), lens, fit_consistent_views(seen.camera(i)))
+        for i in range(len(seen.sizes))
     ]
     fit = alone[0] if len(alone) == 1 else fit_camera_pair(seen, *alone)[1]
     return fit.solution.rig._replace(bend=np.zeros(3))

@@ -44,7 +44,12 @@ from rich.progress import track
 
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.hand_eye import HeadEyeFit, solve_both_eyes, refine_by_reprojection, solve_each_eye
+from vergence.calibration.head.hand_eye import (
+    HeadEyeFit,
+    refine_by_reprojection,
+    solve_both_eyes,
+    solve_each_eye,
+)
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError
 from vergence.eval.article.reported import static_points

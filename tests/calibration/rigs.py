@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vergence.calibration.adjustment import BundleAdjustment, CameraRig, BoardPoses, BundleSolution
+from vergence.calibration.adjustment import BoardPoses, BundleAdjustment, BundleSolution, CameraRig
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.cameras import CameraFit, compute_view_residuals
 from vergence.calibration.observations import Observations
@@ -75,7 +75,7 @@ def as_calibrated(rig, poses, seen, dropped=()):
     if cameras > 1:
         fit = _fit(seen.problem, rig, poses, seen.usable.any(axis=0) & ~out)
     return Calibration(
-        seen=seen,
+        observations=seen,
         single_fits=tuple(alone),
         fit=fit,
         covariance=rig_covariance(fit.solution),

@@ -5,7 +5,7 @@ import pytest
 
 from tests.calibration.rigs import look as look_at
 from tests.calibration.rigs import make_poses, make_rig
-from vergence.calibration.adjustment import BundleAdjustment, BoardPoses
+from vergence.calibration.adjustment import BoardPoses, BundleAdjustment
 from vergence.calibration.uncertainty import rig_covariance
 
 
@@ -64,9 +64,9 @@ def test_a_board_that_moved_between_exposures_makes_the_baseline_less_sure(rng):
     pixels[1] = look_at(rig, moved, rng).pixels[1]
     views &= np.isfinite(pixels).all(axis=(0, 2, 3))
     sure, unsure = (
-        BundleAdjustment(still.problem.board, each[:, views], np.full_like(each[:, views], 0.1)).solve(
-            rig, poses.of(views)
-        )
+        BundleAdjustment(
+            still.problem.board_corners, each[:, views], np.full_like(each[:, views], 0.1)
+        ).solve(rig, poses.of(views))
         for each in (still.pixels, pixels)
     )
     between = rig.blocks[-2]

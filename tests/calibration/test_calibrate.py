@@ -10,7 +10,11 @@ from tests.calibration.rigs import BOARD, look, make_poses, make_rig
 from vergence.calibration import cameras
 from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.calibrate import calibrate_views
-from vergence.calibration.files import ros_camera_document, head_file_text, right_camera_pose_covariance
+from vergence.calibration.files import (
+    head_file_text,
+    right_camera_pose_covariance,
+    ros_camera_document,
+)
 from vergence.errors import ConfigurationError
 from vergence.models import parse_head
 from vergence.vision import parse_target

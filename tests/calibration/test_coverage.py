@@ -11,16 +11,16 @@ from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.coverage import (
     MOST_SENTENCES,
     advise_next_photographs,
-    board_tilts,
     advise_on_bent_board,
-    board_sag,
-    advise_on_image_corners,
     advise_on_distances,
     advise_on_empty_cells,
-    advise_on_view_count,
     advise_on_focal_lengths,
+    advise_on_image_corners,
     advise_on_pair_motion,
     advise_on_tilts,
+    advise_on_view_count,
+    board_sag,
+    board_tilts,
     views_per_cell,
 )
 from vergence.calibration.depth import depth_sigma_at
@@ -118,9 +118,14 @@ def test_few_views_and_lost_views_are_said(good):
     rig, poses = make_rig(), make_poses(rng, 30)
     seen = look(rig, poses, rng)
     some = as_calibrated(rig, poses.of(np.arange(30) < 9), seen.of(np.arange(30) < 9))
-    assert advise_on_view_count(some) == f"The calibration has {some.fit.kept.sum()} views: take 20 or more."
+    assert (
+        advise_on_view_count(some)
+        == f"The calibration has {some.fit.kept.sum()} views: take 20 or more."
+    )
     lost = as_calibrated(rig, poses, seen, dropped=range(12))
-    assert advise_on_view_count(lost).startswith(f"{(~lost.fit.kept).sum()} of 30 views were left out")
+    assert advise_on_view_count(lost).startswith(
+        f"{(~lost.fit.kept).sum()} of 30 views were left out"
+    )
     assert advise_on_view_count(good) == ""
 
 
@@ -134,7 +139,9 @@ def test_pairs_that_moved_between_the_exposures_are_said():
     moved[1] += rng.normal(0.0, 2.0, (VIEWS, 1, 2))
     shaken = as_calibrated(rig, poses, replace(seen, pixels=moved))
     # each image by itself is as good as before: the board was merely elsewhere
-    assert "at the same moment" in advise_on_pair_motion(replace(shaken, single_fits=found.single_fits))
+    assert "at the same moment" in advise_on_pair_motion(
+        replace(shaken, single_fits=found.single_fits)
+    )
 
 
 def test_a_focal_length_that_is_not_known_well_is_said(good):

@@ -26,7 +26,9 @@ def test_pixels_are_those_of_the_kernels(lens, points):
     values = np.array([500.0, 510.0, 320.0, 240.0, *LENSES[lens]])
     row = pack_camera((640, 480), values[:2], values[2:4], lens, values[4:])
     expected = rays_to_pixels(points[:, :2] / points[:, 2:], row)
-    np.testing.assert_allclose(project_with_jacobians(lens, values, points).pixels, expected, atol=1e-10)
+    np.testing.assert_allclose(
+        project_with_jacobians(lens, values, points).pixels, expected, atol=1e-10
+    )
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -46,4 +48,6 @@ def test_derivatives_are_those_of_small_steps(lens, points):
 
 def test_points_behind_the_camera_have_no_pixel():
     values = np.array([500.0, 500.0, 320.0, 240.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert np.isnan(project_with_jacobians("brown-conrady", values, np.array([0.0, 0.0, -1.0])).pixels).all()
+    assert np.isnan(
+        project_with_jacobians("brown-conrady", values, np.array([0.0, 0.0, -1.0])).pixels
+    ).all()

@@ -68,11 +68,11 @@ class BoardPoses(NamedTuple):
     translation: FloatArray
     """(v, 3) metres."""
 
-    def of(self, views: NDArray[Any]) -> "Poses":
+    def of(self, views: NDArray[Any]) -> "BoardPoses":
         """Select the poses of some views."""
         return BoardPoses(self.rotation[views], self.translation[views])
 
-    def moved(self, steps: FloatArray) -> "Poses":
+    def moved(self, steps: FloatArray) -> "BoardPoses":
         """Apply a small step to each pose.
 
         Args:
@@ -185,11 +185,11 @@ class BundleAdjustment:
         """(c, v, n) True for corners that were found."""
         return np.asarray(np.isfinite(self.pixels).all(axis=-1))
 
-    def of(self, views: NDArray[Any]) -> "Adjustment":
+    def of(self, views: NDArray[Any]) -> "BundleAdjustment":
         """Restrict the problem to some views."""
         return BundleAdjustment(self.board_corners, self.pixels[:, views], self.sigma[:, views])
 
-    def of_camera(self, camera: int) -> "Adjustment":
+    def of_camera(self, camera: int) -> "BundleAdjustment":
         """Restrict the problem to one camera."""
         only = slice(camera, camera + 1)
         return BundleAdjustment(self.board_corners, self.pixels[only], self.sigma[only])
@@ -208,7 +208,9 @@ class BundleAdjustment:
         bent = self.board_corners + (self._bending @ rig.bend)[:, None] * np.array([0.0, 0.0, 1.0])
         return np.asarray(bent @ poses.rotation.transpose(0, 2, 1))
 
-    def linearised(self, rig: CameraRig, poses: BoardPoses, *, by_rig: bool = True) -> LinearisedResiduals:
+    def linearised(
+        self, rig: CameraRig, poses: BoardPoses, *, by_rig: bool = True
+    ) -> LinearisedResiduals:
         """Compute residuals and Jacobians at given cameras and poses.
 
         Args:
@@ -228,7 +230,9 @@ class BundleAdjustment:
                 seen = project_with_jacobians(lens, values, points)
                 by_left = seen.point_jacobian
             else:
-                seen = project_with_jacobians(lens, values, points @ rig.rotation.T + rig.translation)
+                seen = project_with_jacobians(
+                    lens, values, points @ rig.rotation.T + rig.translation
+                )
                 by_left = seen.point_jacobian @ rig.rotation
             if by_rig:
                 jacobian[..., cameras[camera]] = seen.camera_jacobian
@@ -250,7 +254,9 @@ class BundleAdjustment:
             parts[2].append((weight[..., None] * jacobian).reshape(views, weight[0].size, -1))
         return LinearisedResiduals(*(np.concatenate(part, axis=1) for part in parts))
 
-    def fit_poses(self, rig: CameraRig, start: BoardPoses) -> tuple[BoardPoses, LinearisedResiduals]:
+    def fit_poses(
+        self, rig: CameraRig, start: BoardPoses
+    ) -> tuple[BoardPoses, LinearisedResiduals]:
         """Fit the board's pose in each view to given cameras, by Levenberg and Marquardt.
 
         Args:
@@ -287,7 +293,9 @@ class BundleAdjustment:
                 break
         return poses, now
 
-    def solve(self, start: CameraRig, poses: BoardPoses, tolerance: float = _TOLERANCE) -> "Solution":
+    def solve(
+        self, start: CameraRig, poses: BoardPoses, tolerance: float = _TOLERANCE
+    ) -> "BundleSolution":
         """Find the cameras and poses with the least sum of squares.
 
         Args:
@@ -350,13 +358,13 @@ class _Near(NamedTuple):
 
 def _eliminated(linear: LinearisedResiduals) -> FloatArray:
     """(v, m, p) Jacobian J' by the rig's parameters with the poses eliminated."""
-    return np.asarray(linear.by_rig - linear.by_pose @ _pose_sensitivity(linear))
+    return np.asarray(linear.by_rig - linear.pose_jacobian @ _pose_sensitivity(linear))
 
 
 def _pose_sensitivity(linear: LinearisedResiduals) -> FloatArray:
     """(v, 6, p) negative derivative of the best poses by the rig's parameters."""
-    transposed = linear.by_pose.transpose(0, 2, 1)
-    normal = _damped(transposed @ linear.by_pose, np.full(len(transposed), _RIDGE))
+    transposed = linear.pose_jacobian.transpose(0, 2, 1)
+    normal = _damped(transposed @ linear.pose_jacobian, np.full(len(transposed), _RIDGE))
     return np.asarray(np.linalg.solve(normal, transposed @ linear.by_rig))
 
 
@@ -403,7 +411,9 @@ class BundleSolution:
     @property
     def reduced_chi(self) -> float:
         """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
-        return float(np.sqrt((self.linearisation.residuals**2).sum() / max(self.degrees_of_freedom, 1)))
+        return float(
+            np.sqrt((self.linearisation.residuals**2).sum() / max(self.degrees_of_freedom, 1))
+        )
 
     @cached_property
     def information(self) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import CameraRig, BundleSolution, rms_length
+from vergence.calibration.adjustment import BundleSolution, CameraRig, rms_length
 from vergence.calibration.cameras import (
     FOLDS,
     CameraFit,
@@ -17,8 +17,8 @@ from vergence.calibration.cameras import (
     choose_lens,
     cross_validation_errors,
     cross_validation_residuals,
-    fit_consistent_views,
     fit_camera,
+    fit_consistent_views,
 )
 from vergence.calibration.observations import Observations, detect_board_corners
 from vergence.calibration.stereo import fit_camera_pair
@@ -193,14 +193,14 @@ def calibrate(
 
 
 def calibrate_views(
-    seen: Observations,
+    observations: Observations,
     lens: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
     """Calibrate from detected corners.
 
     Args:
-        seen: corners of a board in the photographs of one camera or two.
+        observations: corners of a board in the photographs of one camera or two.
         lens: see `calibrate`.
         progress: called with the fraction done.
 
@@ -208,7 +208,7 @@ def calibrate_views(
         ConfigurationError: see `calibrate`.
     """
     report = progress or _ignore
-    cameras = len(seen.names)
+    cameras = len(observations.names)
     lenses = tuple(LENSES) if lens is None else (lens,)
     ticks = 1 + 2 * cameras * len(lenses) + FOLDS
     done = 0
@@ -218,11 +218,12 @@ def calibrate_views(
         done += 1
         report(min(done / ticks, 1.0))
 
-    if not seen.target.size_known and cameras > 1:
+    if not observations.target.size_known and cameras > 1:
         raise ConfigurationError(
-            f"target: expected the size of a square, which the baseline needs, got {seen.target}"
+            "target: expected the size of a square, which the baseline needs, "
+            f"got {observations.target}"
         )
-    trials = _trials(seen, lenses, tick)
+    trials = _trials(observations, lenses, tick)
     errors = _errors(trials)
     chosen = choose_lens(errors)
     single_fits = tuple(trial.fit for trial in trials[chosen])
@@ -231,10 +232,10 @@ def calibrate_views(
     try:
         fit = single_fits[0]
         if cameras > 1:
-            seen, fit = fit_camera_pair(seen, *single_fits)
+            observations, fit = fit_camera_pair(observations, *single_fits)
             _refuse_moved_cameras(fit, single_fits)
         found = Calibration(
-            seen=seen,
+            observations=observations,
             single_fits=single_fits,
             fit=fit,
             covariance=rig_covariance(fit.solution),
@@ -262,11 +263,11 @@ class _Trial(NamedTuple):
 
 
 def _trials(
-    seen: Observations, lenses: Sequence[str], tick: Callable[[], None]
+    observations: Observations, lenses: Sequence[str], tick: Callable[[], None]
 ) -> dict[str, list[_Trial]]:
     """Fit each camera alone with each lens model; leave out models that do not fit at all."""
-    cameras = len(seen.names)
-    every = [seen.camera(camera) for camera in range(cameras)]
+    cameras = len(observations.names)
+    every = [observations.camera(camera) for camera in range(cameras)]
     firsts = [_first(every[camera], camera, cameras) for camera in range(cameras)]
     tick()
     trials: dict[str, list[_Trial]] = {}
@@ -295,18 +296,20 @@ def _errors(trials: Mapping[str, Sequence[_Trial]]) -> dict[str, FloatArray]:
     }
 
 
-def _first(seen: Observations, camera: int, cameras: int) -> CameraFit:
+def _first(observations: Observations, camera: int, cameras: int) -> CameraFit:
     """Make the first fit of a camera; report parameters that no view determines."""
     try:
-        return fit_consistent_views(seen)
+        return fit_consistent_views(observations)
     except np.linalg.LinAlgError:
         raise _unsure(camera, cameras, "none at all") from None
 
 
-def _try_lens(lens: str, seen: Observations, first: CameraFit, tick: Callable[[], None]) -> _Trial:
-    fit = fit_camera(seen, lens, first)
+def _try_lens(
+    lens: str, observations: Observations, first: CameraFit, tick: Callable[[], None]
+) -> _Trial:
+    fit = fit_camera(observations, lens, first)
     tick()
-    errors = cross_validation_errors(fit, seen.problem)
+    errors = cross_validation_errors(fit, observations.problem)
     tick()
     return _Trial(fit, errors)
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import (
+    BoardPoses,
     BundleAdjustment,
+    BundleSolution,
     CameraRig,
     LinearisedResiduals,
-    BoardPoses,
-    BundleSolution,
     pixel_residuals,
 )
 from vergence.calibration.observations import Observations
@@ -72,9 +72,12 @@ class ViewResiduals:
     rms_px: FloatArray
     """(v) root mean square length of the residuals, px."""
 
-    def outliers(self, trusted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def outliers(self, trusted_views: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(v) True for outliers with respect to the trusted views."""
-        reduced_chi, rms_px = np.median(self.reduced_chi[trusted]), np.median(self.rms_px[trusted])
+        reduced_chi, rms_px = (
+            np.median(self.reduced_chi[trusted_views]),
+            np.median(self.rms_px[trusted_views]),
+        )
         worse = (self.reduced_chi > _OUTLYING * reduced_chi) & (self.rms_px > _OUTLYING_PX * rms_px)
         return np.asarray(worse | ~np.isfinite(self.reduced_chi))
 
@@ -116,7 +119,9 @@ def pack_camera_values(lens: str, values: FloatArray, size: tuple[int, int]) -> 
     return np.asarray(pack_camera(size, values[:2], values[2:4], lens, values[4:]))
 
 
-def estimate_board_poses(problem: BundleAdjustment, rig: CameraRig, size: tuple[int, int]) -> BoardPoses:
+def estimate_board_poses(
+    problem: BundleAdjustment, rig: CameraRig, size: tuple[int, int]
+) -> BoardPoses:
     """Find the board's pose in each view of one camera, without a start (`cv2.solvePnP`).
 
     Args:
@@ -134,7 +139,11 @@ def estimate_board_poses(problem: BundleAdjustment, rig: CameraRig, size: tuple[
         if seen.sum() >= _LEAST_POSED:
             with suppress(cv2.error):  # collinear corners
                 found = cv2.solvePnP(
-                    problem.board[seen], view[seen], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+                    problem.board_corners[seen],
+                    view[seen],
+                    np.eye(3),
+                    None,
+                    flags=cv2.SOLVEPNP_IPPE,
                 )
         turn, shift = found[1:] if found[0] else (np.zeros(3), _BEFORE_IT)
         rotations.append(cv2.Rodrigues(turn)[0])
@@ -142,7 +151,9 @@ def estimate_board_poses(problem: BundleAdjustment, rig: CameraRig, size: tuple[
     return BoardPoses(np.array(rotations), np.array(translations))
 
 
-def initial_camera_values(problem: BundleAdjustment, lens: str, size: tuple[int, int]) -> list[FloatArray]:
+def initial_camera_values(
+    problem: BundleAdjustment, lens: str, size: tuple[int, int]
+) -> list[FloatArray]:
     """Find initial parameters of a camera with OpenCV's own calibration.
 
     Args:
@@ -171,7 +182,7 @@ def _as_opencv(problem: BundleAdjustment) -> tuple[list[Any], list[Any]]:
     for view in problem.pixels[0]:
         seen = np.isfinite(view).all(axis=-1)
         if seen.any():
-            boards.append(problem.board[seen].astype(np.float32))
+            boards.append(problem.board_corners[seen].astype(np.float32))
             corners.append(view[seen].astype(np.float32))
     return boards, corners
 
@@ -210,7 +221,7 @@ def _fisheye_starts(problem: BundleAdjustment, size: tuple[int, int]) -> list[Fl
     return []
 
 
-def fit_consistent_views(seen: Observations) -> CameraFit:
+def fit_consistent_views(observations: Observations) -> CameraFit:
     """Find the photographs of a camera that agree with each other, and fit a camera to them.
 
     Starts come from all views and from random samples of a few; the start that most views fit is
@@ -218,17 +229,17 @@ def fit_consistent_views(seen: Observations) -> CameraFit:
     photographs do not bias it.
 
     Args:
-        seen: corners in the photographs of one camera.
+        observations: corners in the photographs of one camera.
 
     Raises:
         ConfigurationError: too few views have the board, or they give no camera.
     """
-    problem, size = seen.problem, seen.sizes[0]
-    views = np.flatnonzero(seen.usable[0])
+    problem, size = observations.problem, observations.sizes[0]
+    views = np.flatnonzero(observations.usable[0])
     if len(views) < LEAST_VIEWS:
         raise ConfigurationError(
             f"expected the board in at least {LEAST_VIEWS} photographs of a camera, better 20, "
-            f"found it in {len(views)} of {len(seen.usable[0])}"
+            f"found it in {len(views)} of {len(observations.usable[0])}"
         )
     rng = np.random.default_rng(0)
     count = _STARTS if len(views) > _SAMPLE else 0
@@ -252,7 +263,7 @@ def fit_consistent_views(seen: Observations) -> CameraFit:
     kept = np.zeros(len(reduced_chi), bool)
     for _ in range(_MOST_FITS):
         chosen = np.zeros_like(kept)
-        chosen[np.argsort(np.where(seen.usable[0], reduced_chi, np.inf))[:trusted]] = True
+        chosen[np.argsort(np.where(observations.usable[0], reduced_chi, np.inf))[:trusted]] = True
         if np.array_equal(chosen, kept):
             break
         kept = chosen
@@ -283,31 +294,33 @@ def _best_start(
         rig = CameraRig.single(lens, values)
         poses = estimate_board_poses(problem, rig, size)
         linear = problem.linearised(rig, poses, by_rig=False)
-        reduced_chi = np.nan_to_num(compute_view_residuals(problem, linear).reduced_chi[views], nan=np.inf)
+        reduced_chi = np.nan_to_num(
+            compute_view_residuals(problem, linear).reduced_chi[views], nan=np.inf
+        )
         typical = float(np.quantile(reduced_chi, _TRUSTED))
         if best is None or typical < best.reduced_chi:
             best = _Start(typical, rig, poses)
     return best
 
 
-def fit_camera(seen: Observations, lens: str, first: CameraFit) -> CameraFit:
+def fit_camera(observations: Observations, lens: str, consistent_fit: CameraFit) -> CameraFit:
     """Find a camera with a given lens from the views that agree.
 
     Args:
-        seen: corners in the photographs of one camera.
+        observations: corners in the photographs of one camera.
         lens: the lens model.
-        first: see `first_fit`.
+        consistent_fit: see `fit_consistent_views`.
 
     Raises:
         ConfigurationError: the model does not fit at all.
     """
-    problem, size = seen.problem, seen.sizes[0]
-    mine = first.solution.rig
+    problem, size = observations.problem, observations.sizes[0]
+    mine = consistent_fit.solution.rig
     found = []
     # views that only the first fit's lens excluded are tried again
-    for kept in (first.kept, seen.usable[0]):
+    for kept in (consistent_fit.kept, observations.usable[0]):
         solutions = _solutions(problem, kept, lens, _turned_into(lens, mine), size)
-        enough = _AS_GOOD * first.solution.reduced_chi
+        enough = _AS_GOOD * consistent_fit.solution.reduced_chi
         if all(solution.reduced_chi > enough for solution in solutions):
             starts = initial_camera_values(problem.of(kept), lens, size)
             solutions += _solutions(problem, kept, lens, starts, size)
@@ -315,7 +328,7 @@ def fit_camera(seen: Observations, lens: str, first: CameraFit) -> CameraFit:
             best = min(solutions, key=lambda each: each.reduced_chi)
             poses = estimate_board_poses(problem, best.rig, size)
             found.append(drop_outlier_views(problem, best, kept, poses))
-        if first.kept.sum() == seen.usable[0].sum():
+        if consistent_fit.kept.sum() == observations.usable[0].sum():
             break
     if not found:
         raise ConfigurationError(f"lens: expected one that fits these images, got {lens}")

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.cameras import pack_camera_values
-from vergence.calibration.uncertainty import direction_sigma_px, board_points_in_camera
+from vergence.calibration.uncertainty import board_points_in_camera, direction_sigma_px
 from vergence.models.camera import pixels_to_rays
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
@@ -78,19 +78,19 @@ class BoardTilts(NamedTuple):
         return np.asarray(np.linalg.norm(self.tilt_deg, axis=-1))
 
 
-def camera_names(found: Calibration) -> tuple[str, ...]:
+def camera_names(calibration: Calibration) -> tuple[str, ...]:
     """Name the cameras: left and right for a pair, camera for a single one."""
-    return tuple(EYE_NAMES) if len(found.single_fits) > 1 else ("camera",)
+    return tuple(EYE_NAMES) if len(calibration.single_fits) > 1 else ("camera",)
 
 
-def board_tilts(found: Calibration, camera: int) -> BoardTilts:
+def board_tilts(calibration: Calibration, camera: int) -> BoardTilts:
     """Compute the tilts and distances of the board in front of a camera.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
         camera: index of the camera.
     """
-    solution = found.fit.solution
+    solution = calibration.fit.solution
     seen = solution.problem.seen[camera].any(axis=-1)
     normal = solution.poses.rotation[seen, :, 2]
     if camera:
@@ -102,9 +102,11 @@ def board_tilts(found: Calibration, camera: int) -> BoardTilts:
     return BoardTilts(tilt, np.asarray(np.linalg.norm(middle, axis=-1)))
 
 
-def views_per_cell(found: Calibration, camera: int) -> NDArray[np.intp]:
+def views_per_cell(calibration: Calibration, camera: int) -> NDArray[np.intp]:
     """(CELLS, CELLS) number of kept views with a corner in each cell of the image, row by row."""
-    return views_in_cells(found.fit.solution.problem.pixels[camera], found.seen.sizes[camera])
+    return views_in_cells(
+        calibration.fit.solution.problem.pixels[camera], calibration.observations.sizes[camera]
+    )
 
 
 def views_in_cells(views: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]:
@@ -127,63 +129,67 @@ def views_in_cells(views: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]
     return cells
 
 
-def direction_sigma_at(found: Calibration, camera: int, pixels: FloatArray) -> FloatArray:
+def direction_sigma_at(calibration: Calibration, camera: int, pixels: FloatArray) -> FloatArray:
     """Compute the uncertainty of a camera's directions at some pixels.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
         camera: index of the camera.
         pixels: (n, 2) px.
 
     Returns:
         (n) standard deviation, px; nan where the lens has no inverse.
     """
-    rig = found.rig
-    row = pack_camera_values(rig.lenses[camera], rig.values[camera], found.seen.sizes[camera])
+    rig = calibration.rig
+    row = pack_camera_values(
+        rig.lenses[camera], rig.values[camera], calibration.observations.sizes[camera]
+    )
     rays = np.asarray(pixels_to_rays(pixels, row))
     sigma = np.full(len(pixels), np.nan)
     there = np.isfinite(rays).all(axis=-1)
-    sigma[there] = direction_sigma_px(found.fit.solution, found.covariance, camera, rays[there])
+    sigma[there] = direction_sigma_px(
+        calibration.fit.solution, calibration.covariance, camera, rays[there]
+    )
     return sigma
 
 
-def board_sag(found: Calibration) -> BoardSag:
+def board_sag(calibration: Calibration) -> BoardSag:
     """Compute the sag of the board, the spread of its corners' heights, and its uncertainty."""
-    corners = found.seen.target.corners_m
+    corners = calibration.observations.target.corners_m
     x, y = (corners - corners.mean(axis=0)).T
     heights = np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
-    height = heights @ found.rig.bend
+    height = heights @ calibration.rig.bend
     between = heights[height.argmax()] - heights[height.argmin()]
-    block = found.rig.blocks[-1]
-    spread = between @ found.covariance[block, block] @ between
-    return BoardSag(MM * float(between @ found.rig.bend), MM * float(np.sqrt(spread)))
+    block = calibration.rig.blocks[-1]
+    spread = between @ calibration.covariance[block, block] @ between
+    return BoardSag(MM * float(between @ calibration.rig.bend), MM * float(np.sqrt(spread)))
 
 
-def advise_next_photographs(found: Calibration) -> list[str]:
+def advise_next_photographs(calibration: Calibration) -> list[str]:
     """Advise on the next photographs.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
 
     Returns:
         Up to `MOST_SENTENCES` sentences, the most important first, then remarks on the light; empty
         if nothing is lacking.
     """
-    sentences = [text for rule in _RULES if (text := rule(found))]
-    return [*sentences[:MOST_SENTENCES], *found.observations.remarks]
+    sentences = [text for rule in _RULES if (text := rule(calibration))]
+    return [*sentences[:MOST_SENTENCES], *calibration.observations.remarks]
 
 
-def advise_on_pair_motion(found: Calibration) -> str:
+def advise_on_pair_motion(calibration: Calibration) -> str:
     """Advise on pairs whose images fit alone but not together."""
-    if len(found.single_fits) < 2:
+    if len(calibration.single_fits) < 2:
         return ""
-    alone = np.stack([fit.views.rms_px for fit in found.single_fits])
-    judged = np.isfinite([fit.views.reduced_chi for fit in found.single_fits]).all(axis=0)
-    usable = judged & np.all([fit.kept for fit in found.single_fits], axis=0)
+    alone = np.stack([fit.views.rms_px for fit in calibration.single_fits])
+    judged = np.isfinite([fit.views.reduced_chi for fit in calibration.single_fits]).all(axis=0)
+    usable = judged & np.all([fit.kept for fit in calibration.single_fits], axis=0)
     if not usable.any():
         return ""
     by_itself = np.sqrt((alone[:, usable] ** 2).mean(axis=0))
-    together = found.fit.views.rms_px[usable]
+    together = calibration.fit.views.rms_px[usable]
     moved = together > _MOVED * by_itself
     if moved.sum() < max(_MANY * len(moved), 1):
         return ""
@@ -195,13 +201,13 @@ def advise_on_pair_motion(found: Calibration) -> str:
     )
 
 
-def advise_on_view_count(found: Calibration) -> str:
+def advise_on_view_count(calibration: Calibration) -> str:
     """Advise on too few views, or too many that were left out."""
-    kept = found.fit.kept
+    kept = calibration.fit.kept
     count, every = int(kept.sum()), len(kept)
     lost = every - count
     if lost > _MANY * every:
-        without = int((~found.seen.usable.any(axis=0)).sum())
+        without = int((~calibration.observations.usable.any(axis=0)).sum())
         why = f"; in {without} the board was not found" if without else ""
         return (
             f"{lost} of {every} views were left out{why}: keep the whole board in the image, hold "
@@ -212,13 +218,13 @@ def advise_on_view_count(found: Calibration) -> str:
     return ""
 
 
-def advise_on_empty_cells(found: Calibration) -> str:
+def advise_on_empty_cells(calibration: Calibration) -> str:
     """Advise on parts of the images without a corner in any view."""
     parts = []
-    for camera, name in enumerate(camera_names(found)):
-        empty = views_per_cell(found, camera) == 0
+    for camera, name in enumerate(camera_names(calibration)):
+        empty = views_per_cell(calibration, camera) == 0
         if empty.any():
-            of = f"the {name} camera" if len(found.single_fits) > 1 else "the image"
+            of = f"the {name} camera" if len(calibration.single_fits) > 1 else "the image"
             parts.append(f"in the {_cells(empty)} of {of}")
     return f"No view has the board {' and none '.join(parts)}: hold it there too." if parts else ""
 
@@ -246,12 +252,12 @@ def join_with_and(words: Sequence[str]) -> str:
     return " and ".join(part for part in (", ".join(words[:-1]), words[-1]) if part)
 
 
-def advise_on_tilts(found: Calibration) -> str:
+def advise_on_tilts(calibration: Calibration) -> str:
     """Advise on boards that all face the camera, or are tilted to some sides only."""
-    tilt = board_tilts(found, 0).tilt_deg
+    tilt = board_tilts(calibration, 0).tilt_deg
     angle = np.linalg.norm(tilt, axis=-1)
     tilted = int((angle > _FACING_DEG).sum())
-    before = " before the left camera" if len(found.single_fits) > 1 else ""
+    before = " before the left camera" if len(calibration.single_fits) > 1 else ""
     if tilted < _TILTED * len(angle):
         count = {0: "None", 1: "Only one"}.get(tilted, f"Only {tilted}")
         verb = "is" if tilted < 2 else "are"
@@ -269,36 +275,43 @@ def advise_on_tilts(found: Calibration) -> str:
     return ""
 
 
-def advise_on_distances(found: Calibration) -> str:
+def advise_on_distances(calibration: Calibration) -> str:
     """Advise on boards that are all at about the same distance."""
-    near, far = np.quantile(board_tilts(found, 0).distance_m, [0.1, 0.9])
+    near, far = np.quantile(board_tilts(calibration, 0).distance_m, [0.1, 0.9])
     if far > _DEPTHS * near:
         return ""
-    away = f"{near:.2f} to {far:.2f} m away" if found.seen.target.size_known else "equally far away"
+    away = (
+        f"{near:.2f} to {far:.2f} m away"
+        if calibration.observations.target.size_known
+        else "equally far away"
+    )
     return f"Most boards are {away}: take some nearer and some farther away."
 
 
-def median_and_corner_sigma_px(found: Calibration, camera: int) -> tuple[float, float]:
+def median_and_corner_sigma_px(calibration: Calibration, camera: int) -> tuple[float, float]:
     """Standard deviation of a camera's directions, px: the image's median, and the worst corner's.
 
     It is infinite where the lens model has no inverse.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
         camera: index of the camera.
     """
-    grid = pixel_grid(found.seen.sizes[camera], _GRID).reshape(-1, 2)
-    sigma = direction_sigma_at(found, camera, grid).reshape(_GRID, _GRID)
+    grid = pixel_grid(calibration.observations.sizes[camera], _GRID).reshape(-1, 2)
+    sigma = direction_sigma_at(calibration, camera, grid).reshape(_GRID, _GRID)
     sigma = np.where(np.isfinite(sigma), sigma, np.inf)
     return float(np.median(sigma)), float(sigma[[0, 0, -1, -1], [0, -1, 0, -1]].max())
 
 
-def advise_on_image_corners(found: Calibration) -> str:
+def advise_on_image_corners(calibration: Calibration) -> str:
     """Advise on image corners with uncertain directions."""
-    sigma = [median_and_corner_sigma_px(found, camera) for camera in range(len(found.single_fits))]
+    sigma = [
+        median_and_corner_sigma_px(calibration, camera)
+        for camera in range(len(calibration.single_fits))
+    ]
     camera = int(np.argmax([corner for _, corner in sigma]))
     usual, corner = sigma[camera]
-    beyond = np.isinf(corner) and found.lens == "fisheye"  # at 90 degrees, beyond any board
+    beyond = np.isinf(corner) and calibration.lens == "fisheye"  # at 90 degrees, beyond any board
     if corner <= max(_UNSURE_CORNER * usual, _UNSURE_CORNER_PX) or beyond:
         return ""
     of = f"the {EYE_NAMES[camera]} camera's image" if len(sigma) > 1 else "the image"
@@ -316,36 +329,39 @@ def pixel_grid(size: tuple[int, int], count: int) -> FloatArray:
     return np.stack(np.meshgrid(u, v), axis=-1)
 
 
-def advise_on_focal_lengths(found: Calibration) -> str:
+def advise_on_focal_lengths(calibration: Calibration) -> str:
     """Advise on focal lengths that the views determine badly."""
     unsure = [
-        float((found.sigma[block][:2] / values[:2]).max())
-        for values, block in zip(found.rig.values, found.rig.blocks, strict=False)
+        float((calibration.sigma[block][:2] / values[:2]).max())
+        for values, block in zip(calibration.rig.values, calibration.rig.blocks, strict=False)
     ]
     camera = int(np.argmax(unsure))
     if unsure[camera] < _UNSURE_FOCAL:
         return ""
-    name = f"{camera_names(found)[camera]} camera's" if len(unsure) > 1 else "camera's"
+    name = f"{camera_names(calibration)[camera]} camera's" if len(unsure) > 1 else "camera's"
     return (
         f"The {name} focal length is known to {100.0 * unsure[camera]:.1f} %, and depth no better: "
         "take more views of tilted boards that fill the image."
     )
 
 
-def advise_on_stated_size(found: Calibration) -> str:
+def advise_on_stated_size(calibration: Calibration) -> str:
     """Advise on boards that come out so near that their size was probably not given in mm."""
-    far = float(np.median(board_tilts(found, 0).distance_m))
-    if far > _NEAREST_M or not found.seen.target.size_known:
+    far = float(np.median(board_tilts(calibration, 0).distance_m))
+    if far > _NEAREST_M or not calibration.observations.target.size_known:
         return ""
     return (
-        f"By the stated size, {found.seen.target}, the board was {MM * far:.0f} mm away: was the "
-        "size given in mm?"
+        f"By the stated size, {calibration.observations.target}, the board was {MM * far:.0f} mm "
+        "away: was the size given in mm?"
     )
 
 
-def advise_on_bent_board(found: Calibration) -> str:
+def advise_on_bent_board(calibration: Calibration) -> str:
     """Advise on a board that is far from flat."""
-    sag, size = board_sag(found), MM * float(np.linalg.norm(np.ptp(found.seen.target.corners_m, 0)))
+    sag, size = (
+        board_sag(calibration),
+        MM * float(np.linalg.norm(np.ptp(calibration.observations.target.corners_m, 0))),
+    )
     if sag.mm - 2.0 * sag.sigma_mm < _BENT * size:
         return ""
     return f"The board is bent by {sag.mm:.1f} mm: mount it on something flat and stiff."

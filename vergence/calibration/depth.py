@@ -36,49 +36,49 @@ class DepthSigma:
         return np.asarray(np.hypot(self.calibration_m, self.noise_m))
 
 
-def pixel_noise_px(found: Calibration) -> float:
+def pixel_noise_px(calibration: Calibration) -> float:
     """Estimate a detected corner's standard deviation per coordinate from each camera alone."""
-    return float(np.sqrt(0.5 * np.mean(np.square(found.rms_alone_px))))
+    return float(np.sqrt(0.5 * np.mean(np.square(calibration.rms_alone_px))))
 
 
-def depths_to_plot_m(found: Calibration) -> FloatArray:
+def depths_to_plot_m(calibration: Calibration) -> FloatArray:
     """(n) distances for a figure, m, evenly spaced on a logarithmic scale."""
-    baseline = float(np.linalg.norm(found.rig.translation))
+    baseline = float(np.linalg.norm(calibration.rig.translation))
     near, far = min(NEAR_M, BASELINES[0] * baseline), max(FAR_M, BASELINES[1] * baseline)
     return np.geomspace(near, far, 80)
 
 
-def depth_sigma_at(found: Calibration, distance_m: FloatArray) -> DepthSigma:
+def depth_sigma_at(calibration: Calibration, distance_m: FloatArray) -> DepthSigma:
     """Predict the uncertainty of depth along the bisector of the optical axes.
 
     Args:
-        found: a pair's calibration.
+        calibration: a pair's calibration.
         distance_m: (n) distances from the middle of the baseline.
 
     Returns:
         Standard deviations; nan if a point is outside either image.
     """
-    rig = found.rig
+    rig = calibration.rig
     axis = np.array([0.0, 0.0, 1.0]) + rig.rotation[2]
     axis /= np.linalg.norm(axis)
     middle = -0.5 * rig.rotation.T @ rig.translation
     points = middle + distance_m[:, None] * axis
     covariances = triangulation_covariances(
-        found.fit.solution, found.covariance, points, pixel_noise_px(found)
+        calibration.fit.solution, calibration.covariance, points, pixel_noise_px(calibration)
     )
-    inside = _in_both(found, points)
-    calibration, noise = (
+    inside = _in_both(calibration, points)
+    calibration_sigma, noise_sigma = (
         np.where(inside, np.sqrt(np.einsum("i,nij,j->n", axis, each, axis)), np.nan)
         for each in covariances
     )
-    return DepthSigma(distance_m, calibration, noise)
+    return DepthSigma(distance_m, calibration_sigma, noise_sigma)
 
 
-def _in_both(found: Calibration, points: FloatArray) -> FloatArray:
+def _in_both(calibration: Calibration, points: FloatArray) -> FloatArray:
     """(n) True for points (n, 3) in the left camera's frame that are inside both images."""
-    rig = found.rig
+    rig = calibration.rig
     inside = np.ones(len(points), bool)
-    for camera, size in enumerate(found.seen.sizes):
+    for camera, size in enumerate(calibration.observations.sizes):
         mine = points @ rig.rotation.T + rig.translation if camera else points
         pixels = project_with_jacobians(rig.lenses[camera], rig.values[camera], mine).pixels
         inside &= ((pixels > -0.5) & (pixels < np.array(size) - 0.5)).all(axis=-1)

@@ -23,9 +23,9 @@ from vergence.calibration.image_figures import (
     LEAST_IN_CELL,
     WIDTH,
     draw_corner_coverage,
-    thinning_slice,
-    set_image_axes,
     draw_residual_arrows,
+    set_image_axes,
+    thinning_slice,
 )
 from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, styled
 from vergence.models.parts import FloatArray
@@ -44,17 +44,19 @@ _NAMED: Final = 40
 """Largest number of views that all have their names below the bars (chosen)."""
 
 
-def residual_field(found: Calibration, camera: int) -> Figure:
+def residual_field(calibration: Calibration, camera: int) -> Figure:
     """Draw residuals over a camera's image as magnified arrows: per corner, and cell means."""
     return draw_residual_arrows(
-        *_residuals(found, camera), found.seen.sizes[camera], camera_names(found)[camera]
+        *_residuals(calibration, camera),
+        calibration.observations.sizes[camera],
+        camera_names(calibration)[camera],
     )
 
 
-def residuals_by_radius(found: Calibration, camera: int) -> Figure:
+def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
     """Plot radial and tangential residuals against the radius from the principal point."""
-    pixels, residuals = _residuals(found, camera)
-    out = pixels - found.rig.values[camera][2:4]
+    pixels, residuals = _residuals(calibration, camera)
+    out = pixels - calibration.rig.values[camera][2:4]
     radius = np.linalg.norm(out, axis=-1)
     unit = out / np.maximum(radius, 1e-9)[:, None]
     along = (residuals * unit).sum(axis=-1)
@@ -82,27 +84,27 @@ def residuals_by_radius(found: Calibration, camera: int) -> Figure:
         limit = 1.05 * float(np.quantile(np.abs(along), 0.99))
         panel.set(
             xlabel="radius from the principal point (px)", ylabel="residual (px)",
-            ylim=(-limit, limit), title=camera_names(found)[camera],
+            ylim=(-limit, limit), title=camera_names(calibration)[camera],
         )  # fmt: skip
         panel.legend(loc="upper left", ncols=2, fontsize=10)
     return figure
 
 
-def image_coverage(found: Calibration, camera: int) -> Figure:
+def image_coverage(calibration: Calibration, camera: int) -> Figure:
     """Draw the corners used by the calibration over the image, and the views in each part of it."""
-    views = found.fit.solution.problem.pixels[camera]
-    size, name = found.seen.sizes[camera], camera_names(found)[camera]
+    views = calibration.fit.solution.problem.pixels[camera]
+    size, name = calibration.observations.sizes[camera], camera_names(calibration)[camera]
     return draw_corner_coverage(views, size, name, EYE_STYLES[camera]["color"])
 
 
-def tilt_directions(found: Calibration) -> Figure:
+def tilt_directions(calibration: Calibration) -> Figure:
     """Plot direction and size of the board's tilts."""
     with styled():
         figure = new_figure(WIDTH, 5.2)
         panel = figure.add_subplot()
         most = 40.0
-        for camera, name in enumerate(camera_names(found)):
-            held = board_tilts(found, camera)
+        for camera, name in enumerate(camera_names(calibration)):
+            held = board_tilts(calibration, camera)
             panel.plot(*held.tilt_deg.T, label=name, **_dots(camera))
             most = max(most, 1.1 * float(held.angle_deg.max()))
         for ring in range(15, int(most), 15):
@@ -122,20 +124,20 @@ def tilt_directions(found: Calibration) -> Figure:
     return figure
 
 
-def tilts_by_distance(found: Calibration) -> Figure:
+def tilts_by_distance(calibration: Calibration) -> Figure:
     """Plot the tilt of the board in each view against its distance."""
     with styled():
         figure = new_figure(WIDTH, 5.2)
         panel = figure.add_subplot()
-        for camera, name in enumerate(camera_names(found)):
-            held = board_tilts(found, camera)
+        for camera, name in enumerate(camera_names(calibration)):
+            held = board_tilts(calibration, camera)
             panel.plot(held.distance_m, held.angle_deg, label=name, **_dots(camera))
         panel.set(
             xlabel="distance of the board's middle (m)", ylabel="tilt (°)",
             title="tilt and distance of each view's board",
         )  # fmt: skip
         panel.set_ylim(bottom=0.0)
-        if len(found.single_fits) > 1:
+        if len(calibration.single_fits) > 1:
             figure.legend(loc="outside lower center", ncols=2)
     return figure
 
@@ -144,12 +146,12 @@ def _dots(camera: int) -> dict[str, Any]:
     return {**EYE_STYLES[camera], "linestyle": "none", "ms": 6, "alpha": 0.75, "mew": 0}
 
 
-def view_residuals(found: Calibration) -> Figure:
+def view_residuals(calibration: Calibration) -> Figure:
     """Plot the root mean square of each view's residuals; views left out are hatched."""
-    fits = dict(zip(camera_names(found), found.single_fits, strict=True))
+    fits = dict(zip(camera_names(calibration), calibration.single_fits, strict=True))
     colours = [EYE_STYLES[camera]["color"] for camera in range(len(fits))]
     if len(fits) > 1:
-        fits["both together"] = found.fit
+        fits["both together"] = calibration.fit
         colours.append(GREEN)
     bars = {
         name: np.where(np.isfinite(fit.views.reduced_chi), fit.views.rms_px, 0.0)
@@ -157,7 +159,7 @@ def view_residuals(found: Calibration) -> Figure:
     }
     good = np.concatenate([bars[name][fit.kept] for name, fit in fits.items()])
     limit = max(1.15 * float(good.max()), _CLIPPED * float(np.median(good)))
-    kept = found.fit.kept
+    kept = calibration.fit.kept
     places, wide = np.arange(len(kept)), 0.8 / len(fits)
     with styled():
         figure = new_figure(_WIDE, 4.0)
@@ -177,7 +179,7 @@ def view_residuals(found: Calibration) -> Figure:
         panel.grid(axis="x", visible=False)
         panel.set_axisbelow(True)
         panel.set(xlim=(-0.7, len(kept) - 0.3), ylim=(0.0, 1.08 * limit), ylabel="rms (px)")
-        labels = short_names(found.seen.names[0])
+        labels = short_names(calibration.observations.names[0])
         step = -(-len(kept) // _NAMED)
         panel.set_xticks(places[::step], labels[::step], rotation=90, fontsize=9)
         panel.tick_params(axis="x", length=0, pad=10)
@@ -187,14 +189,14 @@ def view_residuals(found: Calibration) -> Figure:
     return figure
 
 
-def direction_sigma(found: Calibration, camera: int) -> Figure:
+def direction_sigma(calibration: Calibration, camera: int) -> Figure:
     """Draw the standard deviation of directions over a camera's image, and the hull of corners."""
-    width, height = found.seen.sizes[camera]
+    width, height = calibration.observations.sizes[camera]
     grid = pixel_grid((width, height), _GRID)
-    sigma = direction_sigma_at(found, camera, grid.reshape(-1, 2)).reshape(_GRID, _GRID)
+    sigma = direction_sigma_at(calibration, camera, grid.reshape(-1, 2)).reshape(_GRID, _GRID)
     low, high = _LEVELS_PX[0], _LEVELS_PX[-1]
     shown = np.ma.masked_invalid(np.clip(sigma, 1.001 * low, 0.999 * high))
-    pixels, _ = _residuals(found, camera)
+    pixels, _ = _residuals(calibration, camera)
     with styled():
         figure = new_figure(WIDTH, WIDTH * height / width + 0.7)
         panel = figure.add_subplot()
@@ -209,18 +211,18 @@ def direction_sigma(found: Calibration, camera: int) -> Figure:
         hull = _hull(pixels)
         panel.plot(*hull.T, "--", color=ORANGE, lw=2.0)
         set_image_axes(panel, (width, height))
-        panel.set_title(f"{camera_names(found)[camera]}, sigma of directions (px)")
+        panel.set_title(f"{camera_names(calibration)[camera]}, sigma of directions (px)")
     return figure
 
 
-def depth_sigma(depth: DepthSigma, relative: bool) -> Figure:
+def depth_sigma(depth: DepthSigma, in_percent: bool) -> Figure:
     """Plot the standard deviation of depth: from calibration, from one pair's noise, from both.
 
     Args:
         depth: standard deviations along the middle axis.
-        relative: True for percent of the distance, False for millimetres.
+        in_percent: True for percent of the distance, False for millimetres.
     """
-    scale = 1e2 / depth.distance_m if relative else np.full(len(depth.distance_m), 1e3)
+    scale = 1e2 / depth.distance_m if in_percent else np.full(len(depth.distance_m), 1e3)
     with styled():
         figure = new_figure(WIDTH, 4.4)
         panel = figure.add_subplot()
@@ -230,7 +232,7 @@ def depth_sigma(depth: DepthSigma, relative: bool) -> Figure:
             (depth.total_m, "both", {"color": BLACK, "linestyle": ":"}),
         ):
             panel.loglog(depth.distance_m, scale * values, label=label, **style)
-        unit = "%" if relative else "mm"
+        unit = "%" if in_percent else "mm"
         panel.set(xlabel="distance (m)", ylabel=f"sigma of depth ({unit})")
         for axis in (panel.xaxis, panel.yaxis):
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -245,9 +247,9 @@ def short_names(names: Sequence[str]) -> list[str]:
     return [name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0][-16:] for name in names]
 
 
-def _residuals(found: Calibration, camera: int) -> tuple[FloatArray, FloatArray]:
+def _residuals(calibration: Calibration, camera: int) -> tuple[FloatArray, FloatArray]:
     """(n, 2) measured corners of the kept views, and residuals projected minus measured, px."""
-    solution = found.fit.solution
+    solution = calibration.fit.solution
     seen = solution.problem.seen[camera]
     return solution.problem.pixels[camera][seen], solution.residuals_px[camera][seen]
 

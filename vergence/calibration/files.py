@@ -27,22 +27,22 @@ _ROS_LENSES: Final[dict[str, str]] = {
 }
 
 
-def intrinsics_of(found: Calibration, camera: int) -> Intrinsics:
+def intrinsics_of(calibration: Calibration, camera: int) -> Intrinsics:
     """Extract the intrinsics of one camera."""
-    values, lens = found.rig.values[camera], found.rig.lenses[camera]
+    values, lens = calibration.rig.values[camera], calibration.rig.lenses[camera]
     known: dict[str, Lens] = {name: name for name in ("brown-conrady", "rational", "fisheye")}
-    width, height = found.seen.sizes[camera]
+    width, height = calibration.observations.sizes[camera]
     return Intrinsics(
         width=width, height=height, focal=values[:2], principal=values[2:4], lens=known[lens],
         distortion=values[4:],
     )  # fmt: skip
 
 
-def head_file_text(found: Calibration, name: str, response: Response | None = None) -> str:
+def head_file_text(calibration: Calibration, name: str, response: Response | None = None) -> str:
     """Write the head file of a calibrated pair as TOML text.
 
     Args:
-        found: a pair's calibration.
+        calibration: a pair's calibration.
         name: name of the head.
         response: light by grey level of both cameras, if it was stated.
 
@@ -50,40 +50,42 @@ def head_file_text(found: Calibration, name: str, response: Response | None = No
         HeadFileError: the name is not valid.
     """
     pair = StereoPair(
-        left=intrinsics_of(found, 0),
-        right=intrinsics_of(found, 1),
-        rotation=found.rig.rotation,
-        translation_m=found.rig.translation,
+        left=intrinsics_of(calibration, 0),
+        right=intrinsics_of(calibration, 1),
+        rotation=calibration.rig.rotation,
+        translation_m=calibration.rig.translation,
     )
     return head_of_pair(
         pair,
         name,
-        noise_px=pixel_noise_px(found),
-        calibration=calibration_record(found),
+        noise_px=pixel_noise_px(calibration),
+        calibration=calibration_record(calibration),
         response=response,
     )
 
 
-def calibration_record(found: Calibration) -> CalibrationRecord:
+def calibration_record(calibration: Calibration) -> CalibrationRecord:
     """Record the origin and uncertainty of a calibrated pair."""
     sigma = {
         f"{eye}.camera.{value}": deviation
-        for eye, lens, block in zip(EYE_NAMES, found.rig.lenses, found.rig.blocks[:-2], strict=True)
+        for eye, lens, block in zip(
+            EYE_NAMES, calibration.rig.lenses, calibration.rig.blocks[:-2], strict=True
+        )
         for value, deviation in zip(
-            camera_parameter_names(lens), found.sigma[block].tolist(), strict=True
+            camera_parameter_names(lens), calibration.sigma[block].tolist(), strict=True
         )
     }
-    between = found.rig.blocks[-2]
-    placed = right_camera_pose_covariance(found.rig, found.covariance[between, between])
+    between = calibration.rig.blocks[-2]
+    placed = right_camera_pose_covariance(calibration.rig, calibration.covariance[between, between])
     names = ("rx", "ry", "rz", "x", "y", "z")
     deviations = np.sqrt(np.diagonal(placed)).tolist()
     sigma |= {f"right.head_eye.{n}": d for n, d in zip(names, deviations, strict=True)}
     return CalibrationRecord(
-        target=str(found.seen.target),
-        views=int(found.fit.kept.sum()),
-        rms_px=rms_length(found.fit.solution.residuals_px),
-        rms_heldout_px=rms_length(found.held_out_px),
-        corners_sha256=found.seen.digest,
+        target=str(calibration.observations.target),
+        views=int(calibration.fit.kept.sum()),
+        rms_px=rms_length(calibration.fit.solution.residuals_px),
+        rms_heldout_px=rms_length(calibration.held_out_px),
+        corners_sha256=calibration.observations.digest,
         versions=", ".join(f"{name} {each}" for name, each in versions(_VERSIONED).items()),
         sigma=sigma,
     )
@@ -113,13 +115,13 @@ def right_camera_pose_covariance(rig: CameraRig, covariance: FloatArray) -> Floa
     return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
-def ros_camera_document(found: Calibration) -> dict[str, Any]:
+def ros_camera_document(calibration: Calibration) -> dict[str, Any]:
     """Convert a camera's calibration to plain values with the keys of ROS's camera_info files.
 
     Args:
-        found: one camera's calibration.
+        calibration: one camera's calibration.
     """
-    camera = intrinsics_of(found, 0)
+    camera = intrinsics_of(calibration, 0)
     (f_u, f_v), (u_0, v_0) = camera.focal.tolist(), camera.principal.tolist()
     names = camera_parameter_names(camera.lens)
     return {
@@ -138,12 +140,14 @@ def ros_camera_document(found: Calibration) -> dict[str, Any]:
             "data": camera.distortion.tolist(),
         },
         "calibration": {
-            "target": str(found.seen.target),
-            "views": int(found.fit.kept.sum()),
-            "rms_px": found.rms_alone_px[0],
-            "rms_heldout_px": rms_length(found.held_out_px),
-            "corners_sha256": found.seen.digest,
+            "target": str(calibration.observations.target),
+            "views": int(calibration.fit.kept.sum()),
+            "rms_px": calibration.rms_alone_px[0],
+            "rms_heldout_px": rms_length(calibration.held_out_px),
+            "corners_sha256": calibration.observations.digest,
             "versions": versions(_VERSIONED),
-            "sigma": dict(zip(names, found.sigma[found.rig.blocks[0]].tolist(), strict=True)),
+            "sigma": dict(
+                zip(names, calibration.sigma[calibration.rig.blocks[0]].tolist(), strict=True)
+            ),
         },
     }

@@ -73,7 +73,9 @@ def draw_residual_arrows(
     return figure
 
 
-def draw_corner_coverage(views: FloatArray, size: tuple[int, int], name: str, colour: str) -> Figure:
+def draw_corner_coverage(
+    views: FloatArray, size: tuple[int, int], name: str, colour: str
+) -> Figure:
     """Draw corners over an image, and the number of views with a corner in each part of it.
 
     Args:

@@ -12,8 +12,8 @@ from vergence.calibration.adjustment import rms_length
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.coverage import (
     advise_next_photographs,
-    board_tilts,
     board_sag,
+    board_tilts,
     camera_names,
     median_and_corner_sigma_px,
 )
@@ -30,59 +30,59 @@ _DEPTHS_M: Final = (0.5, 1.0, 2.0, 2.5)
 """Distances of the table of depth, m (chosen: the range of use)."""
 
 
-def write_run(folder: Path, found: Calibration, content: str, name: str) -> None:
+def write_run(folder: Path, calibration: Calibration, file_text: str, file_name: str) -> None:
     """Write a calibration's file, its tables and its report.
 
     Args:
         folder: the run folder.
-        found: the calibration.
-        content: content of the calibration's file.
-        name: name of that file.
+        calibration: the calibration.
+        file_text: content of the calibration's file.
+        file_name: name of that file.
     """
-    (folder / name).write_text(content, encoding="utf-8")
-    names = found.rig.names(EYE_NAMES[: len(found.single_fits)])
+    (folder / file_name).write_text(file_text, encoding="utf-8")
+    names = calibration.rig.names(EYE_NAMES[: len(calibration.single_fits)])
     write_json(
         folder / "result.json",
         {
-            **found.document(),
-            "advice": advise_next_photographs(found),
-            "lens_errors": dict(found.lens_errors),
-            "numbers": dict(zip(names, found.rig.packed().tolist(), strict=True)),
-            "sigma": dict(zip(names, found.sigma.tolist(), strict=True)),
-            "covariance": found.covariance.tolist(),
+            **calibration.document(),
+            "advice": advise_next_photographs(calibration),
+            "lens_errors": dict(calibration.lens_errors),
+            "numbers": dict(zip(names, calibration.rig.packed().tolist(), strict=True)),
+            "sigma": dict(zip(names, calibration.sigma.tolist(), strict=True)),
+            "covariance": calibration.covariance.tolist(),
         },
     )
     with (folder / "views.csv").open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file)
         table.writerow(["view", "kept", "rms_px", "noise"])
-        for view, path in enumerate(found.seen.names[0]):
-            views = found.fit.views
+        for view, path in enumerate(calibration.observations.names[0]):
+            views = calibration.fit.views
             table.writerow(
                 [
                     Path(path).name,
-                    bool(found.fit.kept[view]),
+                    bool(calibration.fit.kept[view]),
                     views.rms_px[view],
                     views.reduced_chi[view],
                 ]
             )
-    write_report(folder, found, name)
+    write_report(folder, calibration, file_name)
 
 
-def write_report(folder: Path, found: Calibration, name: str) -> None:
+def write_report(folder: Path, calibration: Calibration, file_name: str) -> None:
     """Write calibration.html, which is self-contained.
 
     Args:
         folder: the run folder.
-        found: the calibration.
-        name: name of the calibration's file.
+        calibration: the calibration.
+        file_name: name of the calibration's file.
     """
-    drawn = _figures(found).items()
+    drawn = _figures(calibration).items()
     markup = {stem: inline_svg(svg_of(figure), stem, stem) for stem, figure in drawn}
     page = environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = page.from_string(read_template("vergence.calibration", "calibration.html.jinja"))
     text = template.render(
-        **_values(found),
-        name=name,
+        **_values(calibration),
+        name=file_name,
         markup=markup,
         style=read_template("vergence.eval.reporting", "page.css"),
         versions=versions(),
@@ -90,62 +90,64 @@ def write_report(folder: Path, found: Calibration, name: str) -> None:
     write_atomic(folder / "calibration.html", text)
 
 
-def _figures(found: Calibration) -> dict[str, Figure]:
+def _figures(calibration: Calibration) -> dict[str, Figure]:
     """Draw all figures, by name."""
     drawn = {}
-    for camera, name in enumerate(camera_names(found)):
-        drawn[f"residuals-{name}"] = figures.residual_field(found, camera)
-        drawn[f"radius-{name}"] = figures.residuals_by_radius(found, camera)
-        drawn[f"coverage-{name}"] = figures.image_coverage(found, camera)
-        drawn[f"directions-{name}"] = figures.direction_sigma(found, camera)
-    drawn["tilts"] = figures.tilt_directions(found)
-    drawn["distances"] = figures.tilts_by_distance(found)
-    drawn["views"] = figures.view_residuals(found)
-    if len(found.single_fits) > 1:
-        depth = depth_sigma_at(found, depths_to_plot_m(found))
-        drawn["depth"] = figures.depth_sigma(depth, relative=False)
-        drawn["depth-relative"] = figures.depth_sigma(depth, relative=True)
+    for camera, name in enumerate(camera_names(calibration)):
+        drawn[f"residuals-{name}"] = figures.residual_field(calibration, camera)
+        drawn[f"radius-{name}"] = figures.residuals_by_radius(calibration, camera)
+        drawn[f"coverage-{name}"] = figures.image_coverage(calibration, camera)
+        drawn[f"directions-{name}"] = figures.direction_sigma(calibration, camera)
+    drawn["tilts"] = figures.tilt_directions(calibration)
+    drawn["distances"] = figures.tilts_by_distance(calibration)
+    drawn["views"] = figures.view_residuals(calibration)
+    if len(calibration.single_fits) > 1:
+        depth = depth_sigma_at(calibration, depths_to_plot_m(calibration))
+        drawn["depth"] = figures.depth_sigma(depth, in_percent=False)
+        drawn["depth-relative"] = figures.depth_sigma(depth, in_percent=True)
     return drawn
 
 
-def _values(found: Calibration) -> dict[str, Any]:
+def _values(calibration: Calibration) -> dict[str, Any]:
     """Collect the values for the template."""
-    names = camera_names(found)
+    names = camera_names(calibration)
     several = len(names) > 1
-    held = board_tilts(found, 0)
+    held = board_tilts(calibration, 0)
     return {
         "several": several,
         "names": names,
-        "target": str(found.seen.target),
-        "lens": found.lens,
-        "sizes": found.seen.sizes,
-        "kept": int(found.fit.kept.sum()),
-        "every": len(found.fit.kept),
-        "dropped": found.dropped,
-        "alone_px": found.rms_alone_px,
-        "together_px": rms_length(found.fit.solution.residuals_px),
-        "held_out_px": rms_length(found.held_out_px),
-        "baseline": found.baseline_mm if several else None,
+        "target": str(calibration.observations.target),
+        "lens": calibration.lens,
+        "sizes": calibration.observations.sizes,
+        "kept": int(calibration.fit.kept.sum()),
+        "every": len(calibration.fit.kept),
+        "dropped": calibration.dropped,
+        "alone_px": calibration.rms_alone_px,
+        "together_px": rms_length(calibration.fit.solution.residuals_px),
+        "held_out_px": rms_length(calibration.held_out_px),
+        "baseline": calibration.baseline_mm if several else None,
         "focal": [
-            (float(values[0]), float(found.sigma[block][0]))
-            for values, block in zip(found.rig.values, found.rig.blocks, strict=False)
+            (float(values[0]), float(calibration.sigma[block][0]))
+            for values, block in zip(calibration.rig.values, calibration.rig.blocks, strict=False)
         ],
-        "lenses": dict(found.lens_errors),
-        "sag": board_sag(found),
-        "advice": advise_next_photographs(found),
-        "remarks": found.failures,
+        "lenses": dict(calibration.lens_errors),
+        "sag": board_sag(calibration),
+        "advice": advise_next_photographs(calibration),
+        "remarks": calibration.failures,
         "tilt_deg": np.quantile(held.angle_deg, [0.0, 0.5, 1.0]).tolist(),
         "distance_m": [float(held.distance_m.min()), float(held.distance_m.max())],
-        "directions": [median_and_corner_sigma_px(found, camera) for camera in range(len(names))],
-        "depths": _depth_rows(found) if several else [],
-        "noise_px": pixel_noise_px(found),
-        "numbers": _number_rows(found),
+        "directions": [
+            median_and_corner_sigma_px(calibration, camera) for camera in range(len(names))
+        ],
+        "depths": _depth_rows(calibration) if several else [],
+        "noise_px": pixel_noise_px(calibration),
+        "numbers": _number_rows(calibration),
     }
 
 
-def _depth_rows(found: Calibration) -> list[list[str]]:
+def _depth_rows(calibration: Calibration) -> list[list[str]]:
     """Format the rows of the depth table."""
-    depth = depth_sigma_at(found, np.array(_DEPTHS_M))
+    depth = depth_sigma_at(calibration, np.array(_DEPTHS_M))
     columns = (
         1e3 * depth.calibration_m,
         1e3 * depth.noise_m,
@@ -158,14 +160,21 @@ def _depth_rows(found: Calibration) -> list[list[str]]:
     ]
 
 
-def _number_rows(found: Calibration) -> list[list[str]]:
+def _number_rows(calibration: Calibration) -> list[list[str]]:
     """Format the rows of the table of camera parameters."""
     rows = []
     for name, lens, values, block in zip(
-        camera_names(found), found.rig.lenses, found.rig.values, found.rig.blocks, strict=False
+        camera_names(calibration),
+        calibration.rig.lenses,
+        calibration.rig.values,
+        calibration.rig.blocks,
+        strict=False,
     ):
         for label, value, sigma in zip(
-            camera_parameter_names(lens), values.tolist(), found.sigma[block].tolist(), strict=True
+            camera_parameter_names(lens),
+            values.tolist(),
+            calibration.sigma[block].tolist(),
+            strict=True,
         ):
             digits = 2 if label[1] == "_" else 5
             rows.append(

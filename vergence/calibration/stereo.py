@@ -6,8 +6,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import BundleAdjustment, CameraRig, BoardPoses
-from vergence.calibration.cameras import LEAST_VIEWS, CameraFit, estimate_board_poses, drop_outlier_views
+from vergence.calibration.adjustment import BoardPoses, BundleAdjustment, CameraRig
+from vergence.calibration.cameras import (
+    LEAST_VIEWS,
+    CameraFit,
+    drop_outlier_views,
+    estimate_board_poses,
+)
 from vergence.calibration.observations import Observations
 from vergence.errors import ConfigurationError
 from vergence.models.files.stereo import GREATEST_BASELINE_M, LEAST_BASELINE_M
@@ -24,14 +29,14 @@ _TRUSTED: Final = 3.0
 
 
 def fit_camera_pair(
-    seen: Observations, left: CameraFit, right: CameraFit
+    observations: Observations, left: CameraFit, right: CameraFit
 ) -> tuple[Observations, CameraFit]:
     """Find both cameras and their relative pose from the views that agree.
 
     The relative pose starts from the single pair with which most others agree.
 
     Args:
-        seen: corners in the photographs of both cameras.
+        observations: corners in the photographs of both cameras.
         left: fit of the left camera alone.
         right: fit of the right camera alone.
 
@@ -49,12 +54,14 @@ def fit_camera_pair(
             f"{both.sum()} of {len(both)}"
         )
     alone = [fit.solution.rig for fit in (left, right)]
-    by_left = estimate_board_poses(seen.problem.of_camera(0), alone[0], seen.sizes[0])
-    orders = equivalent_corner_orders(seen.target)
-    turned = [_turned(seen, order, both) for order in orders]
+    by_left = estimate_board_poses(
+        observations.problem.of_camera(0), alone[0], observations.sizes[0]
+    )
+    orders = equivalent_corner_orders(observations.target)
+    turned = [_turned(observations, order, both) for order in orders]
     best: tuple[float, CameraRig, FloatArray] | None = None
     for one in turned:
-        by_right = estimate_board_poses(one.problem.of_camera(1), alone[1], seen.sizes[1])
+        by_right = estimate_board_poses(one.problem.of_camera(1), alone[1], observations.sizes[1])
         turns = by_right.rotation @ by_left.rotation.transpose(0, 2, 1)
         shifts = by_right.translation - np.einsum("vij,vj->vi", turns, by_left.translation)
         for view in np.flatnonzero(both):
@@ -71,20 +78,21 @@ def fit_camera_pair(
                 best = score, rig, missed
     assert best is not None
     score, rig, missed = best
-    if not score < _TOGETHER * seen.sizes[1][0]:
+    if not score < _TOGETHER * observations.sizes[1][0]:
         raise ConfigurationError(
             "expected pairs of photographs taken at the same moment by two cameras that are fixed "
             f"to each other, got {both.sum()} pairs of which fewer than half agree on where the "
             "second camera is: does each left image go with its right one?"
         )
     for which, order in enumerate(orders):
-        seen = _turned(seen, order, both & (missed.argmin(axis=0) == which))
+        observations = _turned(observations, order, both & (missed.argmin(axis=0) == which))
     trusted = both & (missed.min(axis=0) <= _TRUSTED * score)
     kept = np.stack([left.kept, right.kept])
     problem = replace(
-        seen.problem, pixels=np.where(kept[..., None, None], seen.problem.pixels, np.nan)
+        observations.problem,
+        pixels=np.where(kept[..., None, None], observations.problem.pixels, np.nan),
     )
-    by_right = estimate_board_poses(problem.of_camera(1), alone[1], seen.sizes[1])
+    by_right = estimate_board_poses(problem.of_camera(1), alone[1], observations.sizes[1])
     back = rig.rotation.T
     poses = BoardPoses(
         np.where(left.kept[:, None, None], by_left.rotation, back @ by_right.rotation),
@@ -97,7 +105,7 @@ def fit_camera_pair(
     solution = problem.of(trusted).solve(rig, poses.of(trusted))
     fit = drop_outlier_views(problem, solution, trusted, poses)
     _check_place(fit.solution.rig)
-    return seen, fit
+    return observations, fit
 
 
 def _check_place(rig: CameraRig) -> None:
@@ -116,12 +124,14 @@ def _check_place(rig: CameraRig) -> None:
         )
 
 
-def _turned(seen: Observations, order: NDArray[np.intp], views: NDArray[np.bool_]) -> Observations:
+def _turned(
+    observations: Observations, order: NDArray[np.intp], views: NDArray[np.bool_]
+) -> Observations:
     """Reorder the right images' corners in some views."""
-    pixels, sigma = seen.pixels.copy(), seen.sigma.copy()
+    pixels, sigma = observations.pixels.copy(), observations.sigma.copy()
     for values in (pixels, sigma):
         values[1, views] = values[1, views][:, order]
-    return replace(seen, pixels=pixels, sigma=sigma)
+    return replace(observations, pixels=pixels, sigma=sigma)
 
 
 def _missed_px(problem: BundleAdjustment, rig: CameraRig, poses: BoardPoses) -> FloatArray:

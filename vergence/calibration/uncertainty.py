@@ -18,7 +18,12 @@ from typing import Final
 
 import numpy as np
 
-from vergence.calibration.adjustment import BundleAdjustment, BoardPoses, BundleSolution, cross_matrices
+from vergence.calibration.adjustment import (
+    BoardPoses,
+    BundleAdjustment,
+    BundleSolution,
+    cross_matrices,
+)
 from vergence.calibration.projection import project_with_jacobians
 from vergence.models.parts import FloatArray
 
@@ -39,7 +44,7 @@ def rig_covariance(solution: BundleSolution) -> FloatArray:
     Args:
         solution: the solution of the bundle adjustment.
     """
-    gradients = np.einsum("vmp,vm->vp", solution.by_rig, solution.linear.residuals)
+    gradients = np.einsum("vmp,vm->vp", solution.by_rig, solution.linearisation.residuals)
     return clustered_covariance(
         solution.information,
         gradients,
@@ -88,7 +93,7 @@ def direction_sigma_px(
 
     Args:
         solution: the solution of the bundle adjustment.
-        covariance: (p, p) see `covariance_of`.
+        covariance: (p, p) see `rig_covariance`.
         camera: index of the camera.
         rays: (n, 2) X / Z, Y / Z in that camera.
 
@@ -129,7 +134,7 @@ def triangulation_covariances(
 
     Args:
         solution: the solution of a pair's bundle adjustment.
-        covariance: (p, p) see `covariance_of`.
+        covariance: (p, p) see `rig_covariance`.
         points: (n, 3) in the left camera's frame, metres.
         noise_px: standard deviation of a detected pixel, each coordinate.
 
@@ -141,8 +146,8 @@ def triangulation_covariances(
     still = BoardPoses(np.eye(3)[None], np.zeros((1, 3)))
     of_calibration, of_noise = [], []
     for point in points:
-        linear = replace(one, board=point[None]).linearised(solution.rig, still)
-        by_point, by_rig = linear.by_pose[0, :, 3:], linear.by_rig[0]
+        linear = replace(one, board_corners=point[None]).linearised(solution.rig, still)
+        by_point, by_rig = linear.pose_jacobian[0, :, 3:], linear.by_rig[0]
         spread = np.linalg.inv(by_point.T @ by_point)
         moved = spread @ by_point.T @ by_rig
         of_calibration.append(moved @ covariance @ moved.T)

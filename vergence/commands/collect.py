@@ -88,7 +88,7 @@ class Collect:
             with closing(looker), progress("collect") as report:
                 found = collect(
                     looker, self.folder, options, facts, progress=report,
-                    evaluated=lambda found: note(_evaluated(found, looker.head)),
+                    on_evaluation=lambda found: note(_evaluated(found, looker.head)),
                 )  # fmt: skip
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
@@ -152,7 +152,7 @@ class Collect:
         errors = self.errors or 0.0
         return f"{self.plant} {head.digest[:16]} {f'{errors:g} {self.seed}' if errors else ''}"
 
-    def _conclude(self, found: "Collected", head: "HeadModel") -> None:
+    def _conclude(self, found: "CollectedRecording", head: "HeadModel") -> None:
         """Print a summary of the recording, advice, and the next command."""
         from vergence.calibration.head.advice import advise_recording
 
@@ -164,8 +164,8 @@ class Collect:
         )
         if found.preview is not None:
             print(f"depth will be known to {_depth(found.preview)}")
-        if found.unseen:
-            note(f"{found.unseen} looks without the board, left out")
+        if found.looks_without_board:
+            note(f"{found.looks_without_board} looks without the board, left out")
         for line in advise_recording(head, found, frames):
             note(line)
         named = _head_of(self.config) if self.config is not None else self.head or _HEAD
@@ -173,7 +173,7 @@ class Collect:
         print(f"next: vergence {shlex.join(words)}")
 
 
-def _evaluated(found: "Collected", head: "HeadModel") -> str:
+def _evaluated(found: "CollectedRecording", head: "HeadModel") -> str:
     """Line on the accuracy of depth and the coverage of the images so far."""
     from vergence.calibration.head.advice import coverage_percent
 
@@ -184,7 +184,7 @@ def _evaluated(found: "Collected", head: "HeadModel") -> str:
     return f"{found.poses} poses: {known}; {left:.0f} and {right:.0f} % of both images covered"
 
 
-def _depth(preview: "Preview") -> str:
+def _depth(preview: "CalibrationPreview") -> str:
     from vergence.calibration.head.preview import DEPTHS_M
 
     return " and ".join(

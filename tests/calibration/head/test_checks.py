@@ -18,7 +18,9 @@ HEAD = vergence.load_head("physical")
 @pytest.fixture(scope="module")
 def frames():
     true = HEAD.perturbed(np.random.default_rng(1), TWIN_SPREADS)
-    return simulate_recording(HEAD, true, np.random.default_rng(2), poses=12, frames=3).frames
+    return simulate_recording(
+        HEAD, true, np.random.default_rng(2), poses=12, frames_per_pose=3
+    ).frames
 
 
 def test_an_eye_whose_images_are_a_frame_late_is_no_board_that_was_moved(frames):
@@ -30,7 +32,7 @@ def test_an_eye_whose_images_are_a_frame_late_is_no_board_that_was_moved(frames)
 
 def test_a_board_that_was_moved_is_another_place(frames):
     twice = simulate_recording(
-        HEAD, HEAD, np.random.default_rng(3), poses=16, frames=2, distances_m=(0.6, 1.2)
+        HEAD, HEAD, np.random.default_rng(3), poses=16, frames_per_pose=2, distances_m=(0.6, 1.2)
     ).frames
     unsaid = replace(twice, placement=np.zeros_like(twice.placement))
     found = calibrate_head(HEAD, unsaid)

@@ -54,7 +54,11 @@ def collected(tmp_path_factory):
     evaluated = []
     options = CollectOptions(poses=12, frames=3)
     found = collect(
-        looker, folder, options, {"plant": "none"}, evaluated=lambda f: evaluated.append(f.poses)
+        looker,
+        folder,
+        options,
+        {"plant": "none"},
+        on_evaluation=lambda f: evaluated.append(f.poses),
     )
     return folder, looker, found, evaluated
 
@@ -186,7 +190,9 @@ def test_it_ends_as_soon_as_depth_would_be_known_well_enough(tmp_path):
 
 
 def test_the_predicted_deviation_of_depth_is_that_of_heads_drawn_from_the_covariance():
-    frames = simulate_recording(HEAD, HEAD, np.random.default_rng(3), poses=10, frames=3).frames
+    frames = simulate_recording(
+        HEAD, HEAD, np.random.default_rng(3), poses=10, frames_per_pose=3
+    ).frames
     rng = np.random.default_rng(4)
     values, spreads = HEAD.parameters().values, parameter_prior_sigma(HEAD)
     covariance = np.diag((0.05 * spreads) ** 2)

@@ -7,7 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import vergence
-from vergence.calibration.head.hand_eye import solve_both_eyes, refine_by_reprojection, solve_each_eye
+from vergence.calibration.head.hand_eye import (
+    refine_by_reprojection,
+    solve_both_eyes,
+    solve_each_eye,
+)
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError
 from vergence.models.links import inverse_pose
@@ -24,7 +28,7 @@ def seen_by(name, *, distances_m=(0.7,), poses=20, **options):
     head_eye[:, :3, :3] = turns.as_matrix() @ head_eye[:, :3, :3]
     head_eye[:, :3, 3] += [[0.02, -0.015, 0.015], [-0.02, 0.02, 0.01]]
     seen = simulate_recording(
-        true, true, np.random.default_rng(1), poses=poses, frames=2, noise_px=0.0,
+        true, true, np.random.default_rng(1), poses=poses, frames_per_pose=2, noise_px=0.0,
         distances_m=distances_m, **options,
     )  # fmt: skip
     frames = dataclasses.replace(
@@ -102,7 +106,7 @@ def test_views_without_the_board_do_not_count(find):
 
 def test_noise_of_corners_and_encoders_leaves_a_tenth_of_a_degree():
     true = vergence.load_head("physical")
-    seen = simulate_recording(true, true, np.random.default_rng(3), poses=40, frames=4)
+    seen = simulate_recording(true, true, np.random.default_rng(3), poses=40, frames_per_pose=4)
     for find in (solve_each_eye, solve_both_eyes):
         off = inverse_pose(find(true, seen.frames).head_eye) @ true.head_eye
         assert np.rad2deg(Rotation.from_matrix(off[:, :3, :3]).magnitude()).max() < 0.5

@@ -37,7 +37,7 @@ def scaled_columns():
 
 def recorded(seed, **options):
     """(44, 44) what a recording tells of the numbers."""
-    seen = simulate_recording(HEAD, HEAD, np.random.default_rng(seed), frames=2, **options)
+    seen = simulate_recording(HEAD, HEAD, np.random.default_rng(seed), frames_per_pose=2, **options)
     problem = HeadAdjustment(HEAD, np.full(len(SPREADS), np.inf), seen.frames)
     normal = problem.linearised(problem.start(seen.boards), Weights.of(seen.frames.seen))
     p = len(SPREADS)

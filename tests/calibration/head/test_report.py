@@ -13,7 +13,7 @@ from vergence.calibration.head import report
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.depth import points_ahead, points_at_angles, predict_depth_errors
 from vergence.calibration.head.observability import UnobservableDirection
-from vergence.calibration.head.report import result_document, left_out_views, write_run
+from vergence.calibration.head.report import left_out_views, result_document, write_run
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.eval.head_reach import centre_of
 from vergence.eval.reporting.runs import command_of
@@ -37,7 +37,7 @@ def true():
 @pytest.fixture(scope="module")
 def found(true):
     rng = np.random.default_rng(5)
-    seen = simulate_recording(HEAD, true, rng, poses=12, frames=2).frames
+    seen = simulate_recording(HEAD, true, rng, poses=12, frames_per_pose=2).frames
     pixels = seen.pixels.copy()
     pixels[WRONG] += rng.normal(0.0, 30.0, pixels[WRONG].shape)
     return calibrate_head(HEAD, replace(seen, pixels=pixels))
@@ -55,7 +55,9 @@ def written(folder, found, unseen=UNSEEN):
 
 
 def test_depth_sigma_is_the_scatter_of_heads_drawn_from_the_covariance(found):
-    from_eyes = np.concatenate([points_ahead(DISTANCES_M), points_at_angles(1.0, np.array([-0.4]), np.array([0.3]))])
+    from_eyes = np.concatenate(
+        [points_ahead(DISTANCES_M), points_at_angles(1.0, np.array([-0.4]), np.array([0.3]))]
+    )
     points = centre_of(found.head) + from_eyes
     q = found.head.fixate(points)
     free = found.sigma > 1e-8
@@ -85,7 +87,9 @@ def test_the_error_before_is_the_one_that_the_true_head_tells(found, true):
 def test_the_floor_is_that_of_a_settled_fixation(found):
     q = found.head.fixate(centre_of(found.head) + points_ahead(DISTANCES_M))
     floor = triangulate_gaze(found.head, q).sigma[:, 2]
-    np.testing.assert_allclose(predict_depth_errors(found, points_ahead(DISTANCES_M)).noise_floor_m, floor, rtol=1e-6)
+    np.testing.assert_allclose(
+        predict_depth_errors(found, points_ahead(DISTANCES_M)).noise_floor_m, floor, rtol=1e-6
+    )
 
 
 def test_directions_beyond_the_limits_have_no_error(found):

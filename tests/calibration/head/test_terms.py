@@ -35,7 +35,13 @@ def recorded(true=TRUE, faults=None):
     """Sixteen poses of four frames."""
     rng = np.random.default_rng(8)
     return simulate_recording(
-        HEAD, true, rng, target="checkerboard:5x4:40", poses=16, frames=4, faults=faults
+        HEAD,
+        true,
+        rng,
+        target="checkerboard:5x4:40",
+        poses=16,
+        frames_per_pose=4,
+        reading_errors=faults,
     ).frames
 
 
@@ -79,7 +85,7 @@ def test_derivatives_by_the_rules_numbers_are_those_of_differences(name):
     head = vergence.load_head(name).replace(sensor={"encoder_resolution_rad": 0.0})
     if head.actuators is not None:
         head = head.replace(actuators={"encoder_resolution_rad": np.zeros(head.actuation.count)})
-    seen = simulate_recording(head, head, np.random.default_rng(1), poses=6, frames=2)
+    seen = simulate_recording(head, head, np.random.default_rng(1), poses=6, frames_per_pose=2)
     terms = ReadingTerms.of_frames(head, seen.frames, ("play", "harmonics"))
     problem = HeadAdjustment(head, parameter_prior_sigma(head), seen.frames, terms=terms)
     assert not problem.joint_errors.is_single.any()  # so that no errors follow

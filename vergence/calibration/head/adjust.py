@@ -152,7 +152,7 @@ class HeadAdjustment:
 
     @cached_property
     def _heights(self) -> FloatArray:
-        """(n, 3) derivative of each corner's height by curvature, m^2, see `Adjustment`."""
+        """(n, 3) derivative of each corner's height by curvature, m^2, see `BundleAdjustment`."""
         x, y = self.frames.corners[:, :2].T
         return np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
 
@@ -185,9 +185,11 @@ class HeadAdjustment:
     def angles(self, state: HeadUnknowns) -> FloatArray:
         """(f, 7) true joint angles, rad."""
         own = self.joint_errors
-        errors = np.where(own.is_single, state.errors, 0.0)
+        errors = np.where(own.is_single, state.frame_errors, 0.0)
         if len(own.shared_actuator):
-            errors = errors + np.where(own.shared_index >= 0, state.shared[own.shared_index], 0.0)
+            errors = errors + np.where(
+                own.shared_index >= 0, state.shared_errors[own.shared_index], 0.0
+            )
         return self.nominal_head.actuation.joints_of(
             own.angles + errors + self.terms.evaluate(state.terms)[0]
         )
@@ -199,14 +201,14 @@ class HeadAdjustment:
         return out
 
     def linearised(
-        self, state: HeadUnknowns, weights: Weights, *, by_frame: bool = False
+        self, state: HeadUnknowns, weights: Weights, *, keep_frame_parts: bool = False
     ) -> NormalEquations:
         """Assemble the normal equations at a state.
 
         Args:
             state: values of the unknowns.
             weights: weights of corners and angles.
-            by_frame: True to return each frame's contributions as well.
+            keep_frame_parts: True to return each frame's contributions as well.
         """
         chain, q = ParametricHead(self.nominal_head, state.values), self.angles(state)
         points, turned = board_points(self.corners(state), state.boards, self.frames.placement)
@@ -214,7 +216,7 @@ class HeadAdjustment:
         residuals = np.zeros(self.frames.pixels.shape)
         normals = state.boards.rotation[self.frames.placement][:, :, 2]
         sigma = np.where(own.sigma > 0.0, own.sigma, 1.0)
-        kept = np.where(own.is_single, state.errors / sigma, 0.0)
+        kept = np.where(own.is_single, state.frame_errors / sigma, 0.0)
         p, width, head = len(self.prior_mean), self.columns.shape[1], self.common_count
         by_term = self.terms.evaluate(state.terms)[1][:, None, None]
         far, cut = _ROBUST**2 * np.array([1.0, 2.0 * weights.cauchy_scale])
@@ -225,7 +227,7 @@ class HeadAdjustment:
         pull, across = trust * kept / sigma, np.zeros((f, 7, width))
         blocks, frame_gradients = np.zeros((f, width, width - head)), np.zeros((f, width))
         matrix, gradient = np.zeros((self.shared_count + 1,) * 2), np.zeros(self.shared_count + 1)
-        whole = np.zeros((f, width, width) if by_frame else 0)
+        whole = np.zeros((f, width, width) if keep_frame_parts else 0)
         for eye in range(2):
             seen = chain.project_board(eye, q, points, turned)
             found = self.frames.seen[eye][..., None]
@@ -258,7 +260,7 @@ class HeadAdjustment:
                 :, :numbers, :numbers
             ].sum(axis=0)
             blocks[:, columns] += product[:, :-7, numbers:-7]
-            if by_frame:
+            if keep_frame_parts:
                 whole[:, columns[:, None], columns] += product[:, :-7, :-7]
             frame_gradients[:, columns] += pulls[:, :-7]
             inner += product[:, -7:, -7:]
@@ -269,7 +271,7 @@ class HeadAdjustment:
         gone = across.transpose(0, 2, 1)
         matrix[:head, :head] -= (gone[:, :head] @ own_by_shared[..., :head]).sum(axis=0)
         others = blocks - gone @ own_by_shared[..., head:]
-        parts = (whole - gone @ own_by_shared, frame_gradients) if by_frame else None
+        parts = (whole - gone @ own_by_shared, frame_gradients) if keep_frame_parts else None
         frame_gradients -= (gone @ own_step[..., None])[..., 0]
         rest = self.columns[:, head:]
         rows_of_head = np.arange(head)[None, :, None]
@@ -282,7 +284,9 @@ class HeadAdjustment:
         matrix[np.diag_indices(self.shared_count)] += self.prior_information
         gradient = gradient + self.prior_information * deviation
         cost += float((self.prior_information * deviation**2).sum())
-        return NormalEquations(cost, matrix, gradient, own_by_shared, own_step, inner, residuals, parts)
+        return NormalEquations(
+            cost, matrix, gradient, own_by_shared, own_step, inner, residuals, parts
+        )
 
     def _prior_deviation(self, state: HeadUnknowns) -> FloatArray:
         """(s,) deviation of the shared unknowns from the prior's mean."""
@@ -291,14 +295,16 @@ class HeadAdjustment:
         deviation[:p], deviation[p : p + BEND] = state.values - self.prior_mean, state.bend
         deviation[p + BEND : self.common_count] = state.terms - self.terms.prior_mean
         if len(self.joint_errors.shared_actuator):
-            deviation[-len(self.joint_errors.shared_actuator) :] = state.shared
+            deviation[-len(self.joint_errors.shared_actuator) :] = state.shared_errors
         return deviation
 
-    def moved(self, state: HeadUnknowns, now: NormalEquations, step: FloatArray) -> HeadUnknowns:
+    def moved(self, state: HeadUnknowns, normal: NormalEquations, step: FloatArray) -> HeadUnknowns:
         """Apply a step of the shared unknowns; the frames' own errors follow."""
         p, c, b = len(self.prior_mean), self.common_count, 6 * self.placement_count
         padded = np.append(step, 0.0)
-        follow = now.own_step + np.einsum("fjs,fs->fj", now.own_by_shared, padded[self.columns])
+        follow = normal.frame_step + np.einsum(
+            "fjs,fs->fj", normal.frame_by_shared, padded[self.columns]
+        )
         terms = state.terms + step[p + BEND : c]
         # the true angles take the linearised step although backlash is not linear
         follow += self.terms.evaluate(terms)[0] - self.terms.linearised_sum(state.terms, terms)
@@ -306,8 +312,8 @@ class HeadAdjustment:
             state.values + step[:p],
             state.bend + step[p : p + BEND],
             state.boards.moved(step[c : c + b].reshape(-1, 6)),
-            state.shared + step[c + b :],
-            np.where(self.joint_errors.is_single, state.errors - follow, 0.0),
+            state.shared_errors + step[c + b :],
+            np.where(self.joint_errors.is_single, state.frame_errors - follow, 0.0),
             terms,
         )
 

@@ -35,12 +35,14 @@ def coverage_percent(head: HeadModel, frames: HeadFrames) -> FloatArray:
     return np.array(found)
 
 
-def advise_recording(head: HeadModel, found: CollectedRecording, frames: HeadFrames) -> list[str]:
+def advise_recording(
+    head: HeadModel, recording: CollectedRecording, frames: HeadFrames
+) -> list[str]:
     """Advise how to make the recording more informative, a line each.
 
     Args:
         head: the nominal head, from its file.
-        found: the recording.
+        recording: the recording.
         frames: all of its frames.
     """
     lines = []
@@ -55,9 +57,9 @@ def advise_recording(head: HeadModel, found: CollectedRecording, frames: HeadFra
             "the board stood in one place: put it at another distance, and run this again with "
             "--moved"
         )
-    if found.preview is not None:
+    if recording.preview is not None:
         eyes = (head.base_pose(head.rest()) @ head.camera_poses(head.rest()))[:, :3, 3].mean(axis=0)
-        away = np.linalg.norm(found.preview.boards.translation - eyes, axis=-1)
+        away = np.linalg.norm(recording.preview.boards.translation - eyes, axis=-1)
         if away.max() < _FAR_M:
             lines.append(
                 f"the board was never farther than {away.max():.2g} m: one beyond {_FAR_M:g} m "

@@ -12,11 +12,11 @@ from vergence.calibration.adjustment import rms_length
 from vergence.calibration.head.adjust import HeadAdjustment
 from vergence.calibration.head.backlash import with_backlash
 from vergence.calibration.head.checks import (
-    remark_on_few_views,
-    refuse_swapped_eyes,
     refuse_few_poses,
-    refuse_implausible,
     refuse_fixed_eyes,
+    refuse_implausible,
+    refuse_swapped_eyes,
+    remark_on_few_views,
     remark_on_head_size,
 )
 from vergence.calibration.head.fit import fit_robustly
@@ -69,7 +69,11 @@ class HeadCalibration:
     def remarks(self) -> tuple[str, ...]:
         """Remarks on the recording and the calibration, a line each."""
         solution = self.solution
-        said = (*term_remarks(solution, self.terms), *_noisy(solution), *remark_on_head_size(solution))
+        said = (
+            *term_remarks(solution, self.terms),
+            *_noisy(solution),
+            *remark_on_head_size(solution),
+        )
         return (*self.notes, *said)
 
     @property
@@ -193,7 +197,7 @@ def calibrate_head(
     return HeadCalibration(
         solution=fit.solution,
         kept=fit.kept,
-        cross_validate=views,
+        held_out=views,
         notes=(*remarks, *remark_on_few_views(start.frames, fit.kept)),
     )
 
@@ -214,7 +218,7 @@ def sort_and_drop_frames(frames: HeadFrames) -> HeadFrames:
 
 def _noisy(solution: HeadSolution) -> list[str]:
     """Report joints whose readings scatter more than quantisation and backlash explain."""
-    scatter_ratio, sigma = solution.problem.scatter_ratio, solution.problem.joints.sigma
+    scatter_ratio, sigma = solution.problem.scatter_ratio, solution.problem.joint_errors.sigma
     if scatter_ratio is None:
         return []
     names = [

@@ -99,14 +99,16 @@ class ParametricHead:
     def _camera(self, eye: int) -> tuple[str, ...]:
         return camera_parameter_names(self.nominal_head.cameras.lens[eye])
 
-    def project_board(self, eye: int, q: FloatArray, points: FloatArray, turned: FloatArray) -> ProjectedBoard:
+    def project_board(
+        self, eye: int, q: FloatArray, points: FloatArray, offsets: FloatArray
+    ) -> ProjectedBoard:
         """Project points in frame 0, with Jacobians.
 
         Args:
             eye: 0 for left, 1 for right.
             q: (f, 7) true joint angles, rad.
             points: (f, n, 3) metres, in frame 0.
-            turned: (f, n, 3) offsets of these points from the board's origin, in frame 0.
+            offsets: (f, n, 3) offsets of these points from the board's origin, in frame 0.
         """
         B, M = self.constants[:4], self.constants[4 + 3 * eye : 7 + 3 * eye]
         after = [(B[0], q[:, 0]), (B[1], q[:, 1]), (B[2], q[:, 2]), (B[3], None)]
@@ -153,7 +155,7 @@ class ParametricHead:
             by_joints[..., joint] = -(
                 x[..., None] * gradient[..., 1] - y[..., None] * gradient[..., 0]
             )
-        by_board = np.concatenate([_cross(turned, in_base), in_base], axis=-1)
+        by_board = np.concatenate([_cross(offsets, in_base), in_base], axis=-1)
         return ProjectedBoard(image.pixels, by_head, by_joints, by_board)
 
 
@@ -172,7 +174,9 @@ def adjoint(pose: FloatArray) -> FloatArray:
     return out
 
 
-def board_points(corners: FloatArray, boards: BoardPoses, board: IntArray) -> tuple[FloatArray, ...]:
+def board_points(
+    corners: FloatArray, boards: BoardPoses, board: IntArray
+) -> tuple[FloatArray, ...]:
     """Compute the corners of boards in frame 0, and their offsets from each board's origin there.
 
     Args:

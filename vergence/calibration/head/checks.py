@@ -7,7 +7,11 @@ from numpy.typing import NDArray
 
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.solution import HeadSolution
-from vergence.calibration.head.start import LEAST_CORNERS, InitialBoardPoses, estimate_initial_board_poses
+from vergence.calibration.head.start import (
+    LEAST_CORNERS,
+    InitialBoardPoses,
+    estimate_initial_board_poses,
+)
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES

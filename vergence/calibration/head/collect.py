@@ -21,7 +21,7 @@ from vergence.calibration.head.logged import (
 from vergence.calibration.head.plan import BoardScene, PosePlanner, estimate_board_scene
 from vergence.calibration.head.preview import CalibrationPreview, preview_calibration
 from vergence.calibration.head.recording import order_frames
-from vergence.calibration.head.search import find_board, count_eyes_seeing_board
+from vergence.calibration.head.search import count_eyes_seeing_board, find_board
 from vergence.errors import ConfigurationError
 from vergence.locks import locked
 from vergence.models.boards import PlanarTarget
@@ -90,17 +90,19 @@ class CollectedRecording:
 
     def frames(self) -> HeadFrames:
         """All frames in the order of time."""
-        return order_frames(RawRecording(self.target, self.sights, self.sight_placements, ()).frames())
+        return order_frames(
+            RawRecording(self.target, self.sights, self.sight_placements, ()).frames()
+        )
 
 
 def collect(
     looker: Looker,
     folder: Path,
     options: CollectOptions,
-    facts: Mapping[str, str],
+    log_facts: Mapping[str, str],
     *,
     progress: Callable[[float], None] = lambda fraction: None,
-    evaluated: Callable[[CollectedRecording], None] = lambda found: None,
+    on_evaluation: Callable[[CollectedRecording], None] = lambda found: None,
 ) -> CollectedRecording:
     """Make a recording, or continue one.
 
@@ -108,9 +110,9 @@ def collect(
         looker: the head in front of the board.
         folder: folder of the recording; a new log joins the logs in it.
         options: options of the collection.
-        facts: further facts to store in the log.
+        log_facts: further facts to store in the log.
         progress: called with the fraction of the poses done.
-        evaluated: called after each evaluation of the recording.
+        on_evaluation: called after each evaluation of the recording.
 
     Raises:
         VergenceError: there is no board, it has been moved, or the head fails; earlier frames are
@@ -126,13 +128,15 @@ def collect(
             f"target: expected a size in mm, which all lengths come from, got {looker.target}"
         )
     with locked(folder):
-        found, number = _earlier(looker, folder, options.moved, facts.get(LOOKS, ""))
+        found, number = _earlier(looker, folder, options.moved, log_facts.get(LOOKS, ""))
         if found.poses < options.poses and not _enough(found, options):
-            _Run(looker, options, found, number).go(facts, progress, evaluated)
+            _Run(looker, options, found, number).go(log_facts, progress, on_evaluation)
     return found
 
 
-def _earlier(looker: Looker, folder: Path, moved: bool, looks: str) -> tuple[CollectedRecording, int]:
+def _earlier(
+    looker: Looker, folder: Path, moved: bool, looks: str
+) -> tuple[CollectedRecording, int]:
     """Read the recording that a folder already holds, and number its next log."""
     if folder.exists() and not folder.is_dir():
         raise ConfigurationError(f"{folder}: expected a folder, got a file")
@@ -143,11 +147,13 @@ def _earlier(looker: Looker, folder: Path, moved: bool, looks: str) -> tuple[Col
         before = read_logs(logs, looker.head, looker.target)
         if before.head_identity != looks:
             raise ConfigurationError(
-                f"{folder}: expected the head that it holds frames of ({before.head_identity.strip()}), "
-                f"got another ({looks.strip()}): other --plant, --errors or --seed"
+                f"{folder}: expected the head that it holds frames of "
+                f"({before.head_identity.strip()}), got another ({looks.strip()}): other --plant, --errors or --seed"
             )
         found.sights, found.sight_placements = list(before.sights), list(before.placement)
-        found.placement = max(found.sight_placements, default=0) + (moved and bool(found.sight_placements))
+        found.placement = max(found.sight_placements, default=0) + (
+            moved and bool(found.sight_placements)
+        )
         frames = order_frames(before.frames())
         here = np.unique(before.placement).tolist()
         if found.placement in here:
@@ -174,7 +180,7 @@ class _Run:
         self._rng = np.random.default_rng([options.seed, number])
         used = [
             sight.positions
-            for sight, place in zip(found.sights, found.placements, strict=True)
+            for sight, place in zip(found.sights, found.sight_placements, strict=True)
             if place == found.placement
         ]
         self._plan = PosePlanner(self._rng, _DITHER_RAD, np.array(used).reshape(-1, 7))
@@ -228,11 +234,11 @@ class _Run:
                 _keep(log, sight)
                 kept.append(sight)
             else:
-                self._found.unseen += 1
+                self._found.looks_without_board += 1
             if number + 1 == _GIVEN_UP and not kept:
                 break
         self._found.sights += [one._replace(time_s=one.time_s + self._later_s) for one in kept]
-        self._found.placements += [self._found.placement] * len(kept)
+        self._found.sight_placements += [self._found.placement] * len(kept)
         self._last = self._first  # the last detection may have been a wrong one
         if kept:
             self._last = RawRecording(self._looker.target, kept, [0] * len(kept), ()).frames()
@@ -241,12 +247,16 @@ class _Run:
     def _scene(self) -> BoardScene:
         """Estimate the board's position by the fit to all frames, or else from the last frames."""
         fitted_board = self._fitted_board()
-        return estimate_board_scene(self._looker.head, self._last) if fitted_board is None else fitted_board
+        return (
+            estimate_board_scene(self._looker.head, self._last)
+            if fitted_board is None
+            else fitted_board
+        )
 
     def _fitted_board(self) -> BoardScene | None:
         """Get the board's position by the fit to all frames; None if this placement has none."""
         found = self._found
-        here = np.unique(found.placements).tolist()
+        here = np.unique(found.sight_placements).tolist()
         if found.preview is None or found.placement not in here:
             return None
         place = here.index(found.placement)

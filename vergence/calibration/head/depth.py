@@ -64,7 +64,9 @@ def points_at_angles(distance_m: float, right_rad: FloatArray, down_rad: FloatAr
     )
 
 
-def predict_depth_errors(found: HeadCalibration, from_eyes: FloatArray) -> DepthErrors:
+def predict_depth_errors(
+    calibration: HeadCalibration, points_from_eyes_m: FloatArray
+) -> DepthErrors:
     """Predict the errors of depth before and after a calibration.
 
     The calibrated head fixates each point; the nominal and the calibrated head triangulate it from
@@ -72,26 +74,29 @@ def predict_depth_errors(found: HeadCalibration, from_eyes: FloatArray) -> Depth
     with derivatives by central differences.
 
     Args:
-        found: the calibration.
-        from_eyes: (n, 3) points relative to midway between the eyes, in N with the neck at rest, m.
+        calibration: the calibration.
+        points_from_eyes_m: (n, 3) points relative to midway between the eyes, in N with the neck at
+            rest, m.
     """
-    head = found.head
-    points = centre_of(head) + from_eyes
-    distance = np.linalg.norm(from_eyes, axis=-1)
-    along = from_eyes / distance[:, None]
+    head = calibration.head
+    points = centre_of(head) + points_from_eyes_m
+    distance = np.linalg.norm(points_from_eyes_m, axis=-1)
+    along = points_from_eyes_m / distance[:, None]
     q, sees = look_at(head, points)
     pixels = head.project(q, points)
     fix = triangulate_views(head, q, pixels)
-    off = triangulate_views(found.nominal_head, q, pixels).point - points
-    free = found.solution.problem.prior_sigma > 0.0
-    steps = _STEP * np.diag(found.solution.problem.prior_sigma)[free]
-    values = found.solution.state.values + np.stack([steps, -steps])
+    off = triangulate_views(calibration.nominal_head, q, pixels).point - points
+    free = calibration.solution.problem.prior_sigma > 0.0
+    steps = _STEP * np.diag(calibration.solution.problem.prior_sigma)[free]
+    values = calibration.solution.state.values + np.stack([steps, -steps])
     moved = triangulate_views(
-        found.nominal_head.with_parameters(values[:, :, None]), q, pixels
+        calibration.nominal_head.with_parameters(values[:, :, None]), q, pixels
     ).point
     depth = np.einsum("snpi,pi->snp", moved, along)
     by_number = (depth[0] - depth[1]) / (2.0 * steps.sum(axis=1))[:, None]
-    spread = np.einsum("np,nm,mp->p", by_number, found.covariance[np.ix_(free, free)], by_number)
+    spread = np.einsum(
+        "np,nm,mp->p", by_number, calibration.covariance[np.ix_(free, free)], by_number
+    )
     floor = np.einsum("pi,pij,pj->p", along, fix.covariance, along)
     return DepthErrors(
         distance,

@@ -23,11 +23,15 @@ _ANGLES_DEG: Final = np.arange(-30.0, 31.0, 10.0)
 """Angles of a map to either side, and up and down, degrees (chosen)."""
 
 
-def depth_by_distance(found: HeadCalibration) -> Figure:
+def depth_by_distance(calibration: HeadCalibration) -> Figure:
     """Plot depth errors straight ahead: before, after, and the noise of a single fixation."""
-    depth = predict_depth_errors(found, points_ahead(np.geomspace(*_DISTANCES_M, 60)))
+    depth = predict_depth_errors(calibration, points_ahead(np.geomspace(*_DISTANCES_M, 60)))
     lines: tuple[tuple[FloatArray, str, dict[str, Any]], ...] = (
-        (np.abs(depth.nominal_error_m), "before: by the file", {"color": ORANGE, "linestyle": "--"}),
+        (
+            np.abs(depth.nominal_error_m),
+            "before: by the file",
+            {"color": ORANGE, "linestyle": "--"},
+        ),
         (depth.sigma_m, "after: one sigma", {"color": BLUE, "linestyle": "-"}),
         (depth.noise_floor_m, "one fixation's own noise", {"color": GREY, "linestyle": ":"}),
     )
@@ -57,18 +61,23 @@ def map_points(distance_m: float) -> FloatArray:
     return points_at_angles(distance_m, right.ravel(), down.ravel())
 
 
-def depth_map(found: HeadCalibration, distance_m: float) -> Figure:
+def depth_map(calibration: HeadCalibration, distance_m: float) -> Figure:
     """Draw maps of depth errors by direction, before and after, in percent of the distance.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
         distance_m: distance from midway between the eyes.
     """
-    depth = predict_depth_errors(found, map_points(distance_m))
+    depth = predict_depth_errors(calibration, map_points(distance_m))
     with styled():
         figure = new_figure(_WIDE, 5.0)
         before, after = figure.subplots(1, 2)
-        _table(before, depth.nominal_error_percent, f"before, at {distance_m:g} m: error (%)", signed=True)
+        _table(
+            before,
+            depth.nominal_error_percent,
+            f"before, at {distance_m:g} m: error (%)",
+            signed=True,
+        )
         _table(after, depth.sigma_percent, f"after, at {distance_m:g} m: one sigma (%)")
     return figure
 

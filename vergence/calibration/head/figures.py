@@ -13,8 +13,8 @@ from vergence.calibration.head.calibrate_head import HeadCalibration
 from vergence.calibration.image_figures import (
     EYE_STYLES,
     draw_corner_coverage,
-    thinning_slice,
     draw_residual_arrows,
+    thinning_slice,
 )
 from vergence.eval.reporting.style import (
     BLACK,
@@ -44,19 +44,19 @@ _BINS: Final = (6, 30)
 """Fewest and most bins of a histogram, which grow with the readings (chosen)."""
 
 
-def residuals_over_time(found: HeadCalibration) -> Figure:
+def residuals_over_time(calibration: HeadCalibration) -> Figure:
     """Plot each view's residuals over time, also those by heads calibrated without it."""
-    rms = view_rms(found)
-    held_out = np.sqrt(found.held_out)
-    usual = rms[found.views]
+    rms = view_rms(calibration)
+    held_out = np.sqrt(calibration.held_out)
+    usual = rms[calibration.views]
     limit = max(1.15 * float(usual.max()), _CLIPPED * float(np.median(usual)))
-    time = found.frames.time_s
+    time = calibration.frames.time_s
     with styled():
         figure = new_figure(_WIDE, 4.6)
         for eye, panel in enumerate(figure.subplots(2, 1, sharex=True)):
-            kept = np.flatnonzero(found.views[eye])
+            kept = np.flatnonzero(calibration.views[eye])
             kept = kept[thinning_slice(len(kept))]
-            out = ~np.isnan(rms[eye]) & ~found.views[eye]
+            out = ~np.isnan(rms[eye]) & ~calibration.views[eye]
             styles: tuple[tuple[NDArray[np.intp], FloatArray, str, dict[str, Any]], ...] = (
                 (kept, held_out, "by heads that did not know it",
                  {"marker": "o", "ms": 6.5, "mfc": "none", "mec": GREY, "mew": 0.8}),
@@ -73,88 +73,92 @@ def residuals_over_time(found: HeadCalibration) -> Figure:
     return figure
 
 
-def view_rms(found: HeadCalibration) -> FloatArray:
+def view_rms(calibration: HeadCalibration) -> FloatArray:
     """(2, f) rms residual of each view in units of sigma: of its kept corners, or of all if none.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
 
     Returns:
         nan for a view without corners, inf for a view with corners predicted behind the camera.
     """
-    counted = kept_or_found_corners(found)
-    squares = np.nan_to_num(found.solution.squares, nan=np.inf)
+    counted = kept_or_found_corners(calibration)
+    squares = np.nan_to_num(calibration.solution.squares, nan=np.inf)
     total = np.where(counted, squares, 0.0).sum(axis=-1)
     count = counted.sum(axis=-1)
     mean = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
     return np.asarray(np.sqrt(mean))
 
 
-def kept_or_found_corners(found: HeadCalibration) -> NDArray[np.bool_]:
+def kept_or_found_corners(calibration: HeadCalibration) -> NDArray[np.bool_]:
     """(2, f, n) True for the kept corners of each view, or for all found ones if none was kept.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
     """
-    return np.where(found.views[..., None], found.kept, found.frames.seen)
+    return np.where(calibration.views[..., None], calibration.kept, calibration.frames.seen)
 
 
-def residuals_px(found: HeadCalibration) -> FloatArray:
+def residuals_px(calibration: HeadCalibration) -> FloatArray:
     """(2, f, n, 2) residuals projected minus measured, px; nan for corners that were not kept.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
     """
-    left = found.solution.normal.residuals * found.frames.sigma
-    return np.where(found.kept[..., None], left, np.nan)
+    left = calibration.solution.normal.residuals * calibration.frames.sigma
+    return np.where(calibration.kept[..., None], left, np.nan)
 
 
-def corner_coverage(found: HeadCalibration, eye: int) -> Figure:
+def corner_coverage(calibration: HeadCalibration, eye: int) -> Figure:
     """Draw the kept corners over an eye's image.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
         eye: 0 for left, 1 for right.
     """
-    views = np.where(found.kept[eye][..., None], found.frames.pixels[eye], np.nan)
-    return draw_corner_coverage(views, _size(found, eye), EYE_NAMES[eye], EYE_STYLES[eye]["color"])
+    views = np.where(calibration.kept[eye][..., None], calibration.frames.pixels[eye], np.nan)
+    return draw_corner_coverage(
+        views, _size(calibration, eye), EYE_NAMES[eye], EYE_STYLES[eye]["color"]
+    )
 
 
-def residual_field(found: HeadCalibration, eye: int) -> Figure:
+def residual_field(calibration: HeadCalibration, eye: int) -> Figure:
     """Draw residuals over an eye's image as magnified arrows.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
         eye: 0 for left, 1 for right.
     """
-    kept = found.kept[eye]
+    kept = calibration.kept[eye]
     return draw_residual_arrows(
-        found.frames.pixels[eye][kept], residuals_px(found)[eye][kept], _size(found, eye),
-        EYE_NAMES[eye],
+        calibration.frames.pixels[eye][kept], residuals_px(calibration)[eye][kept],
+        _size(calibration, eye), EYE_NAMES[eye],
     )  # fmt: skip
 
 
-def _size(found: HeadCalibration, eye: int) -> tuple[int, int]:
-    width, height = found.nominal_head.cameras.size[eye].tolist()
+def _size(calibration: HeadCalibration, eye: int) -> tuple[int, int]:
+    width, height = calibration.nominal_head.cameras.size[eye].tolist()
     return int(width), int(height)
 
 
-def actuator_names(found: HeadCalibration) -> list[str]:
+def actuator_names(calibration: HeadCalibration) -> list[str]:
     """List the names of the neck's joints and the eyes' actuators; empty for missing ones."""
-    nominal_head = found.nominal_head
+    nominal_head = calibration.nominal_head
     names = [*nominal_head.joints[NECK], *nominal_head.actuation.names]
     return names + [""] * (7 - len(names))
 
 
-def joint_angle_coverage(found: HeadCalibration) -> Figure:
+def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
     """Plot the angles of all actuators between their limits, and both eyes' joint angles."""
-    nominal_head, own = found.nominal_head, found.nominal_head.actuation
-    used = np.flatnonzero(found.views.any(axis=0))
-    _, first = np.unique(found.frames.pose[used], return_index=True)
-    q = found.frames.positions[used[first]]
+    nominal_head, own = calibration.nominal_head, calibration.nominal_head.actuation
+    used = np.flatnonzero(calibration.views.any(axis=0))
+    _, first = np.unique(calibration.frames.pose[used], return_index=True)
+    q = calibration.frames.positions[used[first]]
     angles, limits = np.degrees(own.actuators_of(q)), np.degrees([own.lower, own.upper])
     moves = [
-        k for k, name in enumerate(actuator_names(found)) if name and own.upper[k] > own.lower[k]
+        k
+        for k, name in enumerate(actuator_names(calibration))
+        if name and own.upper[k] > own.lower[k]
     ]
     with styled():
         figure = new_figure(_WIDE, 4.6)
@@ -166,7 +170,7 @@ def joint_angle_coverage(found: HeadCalibration) -> Figure:
             strips.add_patch(Rectangle((low, row - 0.38), high - low, 0.76, fc="#e8e8ec", lw=0.0))
             colour = GREEN if k < NECK.stop else BLUE
             strips.plot(angles[:, k], row + height, ".", ms=5, mew=0, color=colour)
-        strips.set_yticks(range(len(moves)), [actuator_names(found)[k] for k in moves])
+        strips.set_yticks(range(len(moves)), [actuator_names(calibration)[k] for k in moves])
         strips.set(
             ylim=(len(moves) - 0.5, -0.5), xlabel="angle (°)",
             title="each pose between the limits (grey)",
@@ -201,34 +205,34 @@ def _common(left: str, right: str) -> str:
     return left if left == right else f"{left}, {right}"
 
 
-def correlated_parameters(found: HeadCalibration) -> NDArray[np.intp]:
+def correlated_parameters(calibration: HeadCalibration) -> NDArray[np.intp]:
     """Find the estimated parameters with strong correlations, the strongest if there are many.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
     """
-    free = np.flatnonzero(found.solution.problem.prior_sigma > 0.0)
-    size = np.abs(_correlation(found)[np.ix_(free, free)])
+    free = np.flatnonzero(calibration.solution.problem.prior_sigma > 0.0)
+    size = np.abs(_correlation(calibration)[np.ix_(free, free)])
     np.fill_diagonal(size, 0.0)
     best = size.max(axis=1, initial=0.0)
     chosen = np.argsort(-best, kind="stable")[:_MOST_NAMES]
     return np.sort(free[chosen[best[chosen] >= _STRONG]])
 
 
-def _correlation(found: HeadCalibration) -> FloatArray:
-    sigma = np.where(found.sigma > 0.0, found.sigma, 1.0)
-    return np.asarray(found.covariance / np.outer(sigma, sigma))
+def _correlation(calibration: HeadCalibration) -> FloatArray:
+    sigma = np.where(calibration.sigma > 0.0, calibration.sigma, 1.0)
+    return np.asarray(calibration.covariance / np.outer(sigma, sigma))
 
 
-def parameter_correlations(found: HeadCalibration) -> Figure:
+def parameter_correlations(calibration: HeadCalibration) -> Figure:
     """Draw the correlations between parameters that the recording hardly separates.
 
     Args:
-        found: a calibration with such parameters, see `strong_correlations`.
+        calibration: a calibration with such parameters, see `correlated_parameters`.
     """
-    chosen = correlated_parameters(found)
-    names = [found.nominal_head.parameters().names[k] for k in chosen]
-    values = _correlation(found)[np.ix_(chosen, chosen)]
+    chosen = correlated_parameters(calibration)
+    names = [calibration.nominal_head.parameters().names[k] for k in chosen]
+    values = _correlation(calibration)[np.ix_(chosen, chosen)]
     count = len(chosen)
     with styled():
         figure = new_figure(_WIDE, 2.2 + 0.3 * count)
@@ -248,29 +252,29 @@ def parameter_correlations(found: HeadCalibration) -> Figure:
     return figure
 
 
-def single_reading_errors(found: HeadCalibration) -> dict[str, FloatArray]:
+def single_reading_errors(calibration: HeadCalibration) -> dict[str, FloatArray]:
     """(n,) by actuator, errors of single readings that the images determine, rad.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
     """
-    own = found.solution.problem.joints.is_single
-    determined = found.solution.reading_variance_ratio < _MOST_VARIANCE_RATIO
+    own = calibration.solution.problem.joint_errors.is_single
+    determined = calibration.solution.reading_variance_ratio < _MOST_VARIANCE_RATIO
     errors = {}
-    for k, name in enumerate(actuator_names(found)):
-        single = own[:, k] & determined[:, k] & found.views.any(axis=0)
+    for k, name in enumerate(actuator_names(calibration)):
+        single = own[:, k] & determined[:, k] & calibration.views.any(axis=0)
         if single.any():
-            errors[name] = found.solution.state.errors[single, k]
+            errors[name] = calibration.solution.state.frame_errors[single, k]
     return errors
 
 
-def reading_error_histograms(found: HeadCalibration) -> Figure:
+def reading_error_histograms(calibration: HeadCalibration) -> Figure:
     """Draw histograms of reading errors by actuator, with the uniform density of quantisation.
 
     Args:
-        found: a calibration with errors of single readings, see `read_errors`.
+        calibration: a calibration with errors of single readings, see `single_reading_errors`.
     """
-    errors, names = single_reading_errors(found), actuator_names(found)
+    errors, names = single_reading_errors(calibration), actuator_names(calibration)
     columns = min(len(errors), 4)
     rows = -(-len(errors) // columns)
     with styled():
@@ -279,7 +283,7 @@ def reading_error_histograms(found: HeadCalibration) -> Figure:
         for panel in panels[len(errors) :]:
             panel.set_axis_off()
         for panel, (name, values) in zip(panels, errors.items(), strict=False):
-            step = np.degrees(found.nominal_head.actuation.angle_step[names.index(name)])
+            step = np.degrees(calibration.nominal_head.actuation.angle_step[names.index(name)])
             values = np.degrees(values)
             reach = 1.05 * max(float(np.abs(values).max()), 0.75 * step)
             bins = int(np.clip(1.5 * np.sqrt(len(values)), *_BINS))

@@ -14,11 +14,11 @@ _MEASURED: Final = ("links", "eyes", "joints.origin_m", "joints.rpy_rad", "joint
 """Prefixes of the keys of assumptions that a calibration replaces by estimates."""
 
 
-def calibrated_head(found: HeadCalibration, sha256: str, name: str) -> HeadModel:
+def calibrated_head(calibration: HeadCalibration, sha256: str, name: str) -> HeadModel:
     """Make a calibrated head with the origin and the uncertainty of its parameters.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
         sha256: digest of the measurements.
         name: name of the head.
 
@@ -26,31 +26,34 @@ def calibrated_head(found: HeadCalibration, sha256: str, name: str) -> HeadModel
         HeadFileError: the name is not valid.
     """
     check_name(name)
-    names, prior_sigma = found.nominal_head.parameters().names, found.solution.problem.prior_sigma
+    names, prior_sigma = (
+        calibration.nominal_head.parameters().names,
+        calibration.solution.problem.prior_sigma,
+    )
     sigma = {
         each: deviation
         for each, deviation, spread in zip(
-            names, found.sigma.tolist(), prior_sigma.tolist(), strict=True
+            names, calibration.sigma.tolist(), prior_sigma.tolist(), strict=True
         )
         if spread > 0.0
     }
     assumptions = {
         key: why
-        for key, why in found.nominal_head.assumptions.items()
+        for key, why in calibration.nominal_head.assumptions.items()
         if not key.startswith(_MEASURED)
     }
     record = CalibrationRecord(
-        target=str(found.frames.target),
-        views=int(found.views.sum()),
-        rms_px=found.rms_px,
-        rms_heldout_px=found.rms_heldout_px,
+        target=str(calibration.frames.target),
+        views=int(calibration.views.sum()),
+        rms_px=calibration.rms_px,
+        rms_heldout_px=calibration.rms_heldout_px,
         corners_sha256=sha256,
         versions=", ".join(f"{name} {each}" for name, each in versions(_VERSIONED).items()),
         sigma=sigma,
     )
-    return replace(found.head, name=name, assumptions=assumptions, calibration=record)
+    return replace(calibration.head, name=name, assumptions=assumptions, calibration=record)
 
 
-def head_file_text(found: HeadCalibration, sha256: str, name: str) -> str:
+def head_file_text(calibration: HeadCalibration, sha256: str, name: str) -> str:
     """Write the head file of `calibrated_head` as TOML text."""
-    return head_to_toml(calibrated_head(found, sha256, name))
+    return head_to_toml(calibrated_head(calibration, sha256, name))

@@ -37,25 +37,25 @@ class HeadFit:
 
 def fit_robustly(
     problem: HeadAdjustment,
-    boards: BoardPoses,
+    initial_boards: BoardPoses,
     inlier_views: NDArray[np.bool_],
-    near: HeadUnknowns | None = None,
+    start: HeadUnknowns | None = None,
 ) -> HeadFit:
     """Fit a head robustly, first to the views that agree on the board's pose.
 
     Args:
         problem: the adjustment problem.
-        boards: (b) initial poses of the board in frame 0.
+        initial_boards: (b) initial poses of the board in frame 0.
         inlier_views: (2, f) True for views that agree on these.
-        near: initial parameters and bend; None for the nominal head.
+        start: initial parameters and bend; None for the nominal head.
 
     Raises:
         LinAlgError: no views agree, or the start is behind a camera.
     """
     enough = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
-    begin = problem.start(boards)
-    if near is not None:
-        begin = begin._replace(values=near.values, bend=near.bend)
+    begin = problem.start(initial_boards)
+    if start is not None:
+        begin = begin._replace(values=start.values, bend=start.bend)
     first = Weights.of(enough & inlier_views[..., None])
     solution = solve(problem, begin, first, cauchy_scale=FIRST_CAUCHY_SCALE)
     if not inlier_views[enough.any(axis=-1)].all():  # views that disagreed by the nominal head
@@ -101,7 +101,7 @@ def _inliers(
     known = np.ones(7) if already is None else already
     errors = np.abs(solution.normalised_reading_errors) * known / scatter_ratio
     wrong = errors > _OUTLYING * np.sqrt(typical_square)
-    moved = np.abs(solution.problem.to_joints) > 0.0
+    moved = np.abs(solution.problem.joints_from_actuators) > 0.0
     for eye in range(2):
         joints = moved[[3 + 2 * eye, 4 + 2 * eye]].any(axis=0)
         fit[eye] &= ~np.asarray((wrong & joints).any(axis=1))[:, None]
@@ -125,7 +125,7 @@ def reading_scatter_ratio(solution: HeadSolution) -> FloatArray:
 
     The expectation comes from quantisation and backlash.
     """
-    own, already = solution.problem.joints, solution.problem.scatter_ratio
+    own, already = solution.problem.joint_errors, solution.problem.scatter_ratio
     known = np.ones(7) if already is None else already
     found = np.ones(7)
     counted = np.asarray((solution.weights.corners > 0.0).any(axis=(0, 2)))

@@ -76,7 +76,9 @@ def term_remarks(solution: HeadSolution, terms: Sequence[FittedTerm]) -> list[st
 def harmonics_remark(solution: HeadSolution) -> str:
     """Remark on the size of the encoder harmonics."""
     reading_terms, nominal_head = solution.problem.terms, solution.problem.nominal_head
-    waves = reading_terms.evaluate(np.where(reading_terms.is_backlash, 0.0, solution.state.terms))[0]
+    waves = reading_terms.evaluate(np.where(reading_terms.is_backlash, 0.0, solution.state.terms))[
+        0
+    ]
     names = [*nominal_head.joints[:3], *nominal_head.actuation.names]
     return (
         "the encoders' readings are off by harmonics of the angle, in degrees up to: "

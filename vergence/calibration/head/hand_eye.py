@@ -4,12 +4,12 @@ The kinematics (lengths, joint offsets) and the cameras' lenses are taken as kno
 head-eye transforms compensate for their errors as far as they can. In each frame, the joint angles
 give T_N_6, T_N_9 and the neck's T_0_N, and the images give the board's pose T_C_B in each camera.
 
-A single eye (`single_eye`), with the board at rest anywhere, is a hand-eye calibration,
+A single eye (`solve_each_eye`), with the board at rest anywhere, is a hand-eye calibration,
 
     (T_0_N T_N_6)_i X_l = T_0_B inv(T_Cl_B)_i.
 
-Both eyes at once (`both_eyes`) are ITPC-style, reconstructed, see `vergence.triangulation`: with
-B_i = inv(T_N_6) T_N_9 and C_i = T_Cl_B inv(T_Cr_B) of frame i,
+Both eyes at once (`solve_both_eyes`) are ITPC-style, reconstructed, see `vergence.triangulation`:
+with B_i = inv(T_N_6) T_N_9 and C_i = T_Cl_B inv(T_Cr_B) of frame i,
 
     B_i X_r = X_l C_i.
 
@@ -41,8 +41,8 @@ from vergence.calibration.head.pose_equations import BoolArray, solve_poses
 from vergence.calibration.head.start import (
     LEAST_CORNERS,
     board_in_cameras,
-    single_camera_rig,
     estimate_initial_board_poses,
+    single_camera_rig,
 )
 from vergence.calibration.projection import project_with_jacobians
 from vergence.models.head import HeadModel

@@ -56,7 +56,7 @@ def cross_validate(
             problem.of(out),
             nominal_head=found.head,
             prior_sigma=np.zeros(len(problem.prior_sigma)),
-            terms=problem.terms.of(out).held(found.state.terms),
+            terms=problem.terms.of(out).fixed_at(found.state.terms),
             scatter_ratio=problem.scatter_ratio if scatter_ratio is None else scatter_ratio,
         )
         known = judged.start(solution.state.boards)._replace(bend=solution.state.bend)
@@ -65,7 +65,7 @@ def cross_validate(
         total = np.where(counted, best.squares, 0.0).sum(axis=-1)
         count = counted.sum(axis=-1)
         views[:, out] = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
-        own = judged.joints.is_single & np.asarray(count.any(axis=0))[:, None]
+        own = judged.joint_errors.is_single & np.asarray(count.any(axis=0))[:, None]
         for number in np.unique(pose[out]):
             here = pose[out] == number
             corners = total[:, here].sum() / max(count[:, here].sum(), 1)

@@ -37,21 +37,21 @@ class HeadJob:
 
     Attributes:
         head: the nominal head, from its file.
-        recorded: its recording.
+        recording: its recording.
         cameras: True to estimate the cameras too.
         terms: see `calibrate_head`.
         name: name of the calibrated head.
-        file: name of the head file to write.
-        path: path of the recording.
+        head_file_name: name of the head file to write.
+        recording_path: path of the recording.
     """
 
     head: HeadModel
-    recorded: HeadRecording
+    recording: HeadRecording
     cameras: bool
     terms: tuple[str, ...]
     name: str
-    file: str
-    path: str
+    head_file_name: str
+    recording_path: str
 
     def __call__(self, progress: Callable[[float], None] | None = None) -> HeadOutcome:
         """Calibrate the head and make its files.
@@ -59,7 +59,7 @@ class HeadJob:
         Args:
             progress: called with the fraction done.
         """
-        recorded = self.recorded
+        recorded = self.recording
         try:
             found = calibrate_head(
                 self.head,
@@ -69,22 +69,26 @@ class HeadJob:
                 progress=progress,
             )
         except ConfigurationError as error:
-            return HeadOutcome(text="", result_document={}, unseen=(), files={}, refused=str(error))
+            return HeadOutcome(
+                head_file="", document={}, unobservable=(), files={}, refusal=str(error)
+            )
         text = head_file_text(found, recorded.sha256, self.name)
         dark = unobservable_directions(found.solution)
         provenance = {
-            "recording": self.path,
+            "recording": self.recording_path,
             "files": ", ".join(recorded.files),
             "target": str(recorded.frames.target),
             "sha256": recorded.sha256,
         }
         with tempfile.TemporaryDirectory(prefix="vergence-") as folder:
-            write_run(Path(folder), found, dark, text, self.file, provenance)
+            write_run(Path(folder), found, dark, text, self.head_file_name, provenance)
             files = {each.name: each.read_bytes() for each in Path(folder).iterdir()}
         told = {
             **result_document(found, dark),
-            "recording": self.path,
+            "recording": self.recording_path,
             "remarks": [*recorded.remarks, *found.remarks],
             "not_read": list(recorded.failures),
         }
-        return HeadOutcome(text=text, result_document=told, unseen=dark, files=files, refused="")
+        return HeadOutcome(
+            head_file=text, document=told, unobservable=dark, files=files, refusal=""
+        )

@@ -99,7 +99,7 @@ def find_small_motion(solution: HeadSolution) -> NewPlacement | None:
     """
     problem = solution.problem
     frames = problem.frames
-    normal = problem.linearised(solution.state, solution.weights, by_frame=True)
+    normal = problem.linearised(solution.state, solution.weights, keep_frame_parts=True)
     assert normal.by_frame is not None
     blocks, slopes = normal.by_frame
     size, six = problem.shared_count, np.arange(6)

@@ -120,8 +120,8 @@ def _read(head: HeadModel, row: Row, where: str) -> _Taken:
     return _Taken(parse_joint_angles(head, angles, where), int(placement), time_s)
 
 
-def _refuse_other_sizes(path: Path, head: HeadModel, seen: Observations) -> None:
-    for eye, size in zip(EYE_NAMES, seen.sizes, strict=True):
+def _refuse_other_sizes(path: Path, head: HeadModel, observations: Observations) -> None:
+    for eye, size in zip(EYE_NAMES, observations.sizes, strict=True):
         own = tuple(head.cameras.size[EYE_NAMES.index(eye)].tolist())
         if own != size:
             raise ConfigurationError(

@@ -102,7 +102,7 @@ class PosePlanner:
         size = scene.head.cameras.size
         q = self._candidates(scene)
         pixels = scene.pixels(q)
-        for margin in _KNOWN_MARGINS if scene.known else _MARGINS:
+        for margin in _KNOWN_MARGINS if scene.is_fitted else _MARGINS:
             room = margin * size[:, None, :1]
             high = size[:, None] - 1.0 - room
             inside = ((pixels > room) & (pixels < high)).all(axis=(1, 2, 3))

@@ -54,14 +54,14 @@ class PoseSolution(NamedTuple):
     """(n,) True for kept poses, the inliers."""
 
 
-def solve_poses(A: FloatArray, B: FloatArray, group: IntArray, what: str) -> PoseSolution:
+def solve_poses(A: FloatArray, B: FloatArray, group: IntArray, part_name: str) -> PoseSolution:
     """Find X and Y with A_i X = Y B_i for most i, robust to outliers.
 
     Args:
         A: (n, 4, 4) poses from joint angles, metres.
         B: (n, 4, 4) poses from images, metres.
         group: (n,) group of each pose, the index of its Y.
-        what: name of the rotating part, for messages.
+        part_name: name of the rotating part, for messages.
 
     Raises:
         ConfigurationError: there are too few poses, they do not turn about two axes, or A and B do
@@ -69,19 +69,19 @@ def solve_poses(A: FloatArray, B: FloatArray, group: IntArray, what: str) -> Pos
     """
     if len(A) < _LEAST_POSES:
         raise ConfigurationError(
-            f"expected at least {_LEAST_POSES} poses of {what}, better 60, got {len(A)}"
+            f"expected at least {_LEAST_POSES} poses of {part_name}, better 60, got {len(A)}"
         )
     a, b = (Rotation.from_matrix(each[:, :3, :3]) for each in (A, B))
     mismatch = _mismatch(a, b, group)
     usual = float(np.median(mismatch))
     if usual > _UNRELATED_RAD:
         raise ConfigurationError(
-            f"expected joint angles that belong to the images, got rotations of {what} that differ "
-            f"by {np.rad2deg(usual):.0f} degrees from those of the board"
+            f"expected joint angles that belong to the images, got rotations of {part_name} that "
+            f"differ by {np.rad2deg(usual):.0f} degrees from those of the board"
         )
     kept = mismatch <= _OUTLYING * usual + _NUMERICAL
     for _ in range(_MOST_ROUNDS):
-        _refuse_still(a, group, kept, what)
+        _refuse_still(a, group, kept, part_name)
         X, Y = _fitted(A, B, (a, b), group, kept)
         off = inverse_pose(A @ X) @ Y[group] @ B
         turn = np.linalg.norm(Rotation.from_matrix(off[:, :3, :3]).as_rotvec(), axis=1)
@@ -108,7 +108,7 @@ def _mismatch(a: Rotation, b: Rotation, group: IntArray) -> FloatArray:
     return np.asarray(np.nanmedian(apart, axis=1))
 
 
-def _refuse_still(a: Rotation, group: IntArray, kept: BoolArray, what: str) -> None:
+def _refuse_still(a: Rotation, group: IntArray, kept: BoolArray, part_name: str) -> None:
     turns = np.zeros((len(kept), 3))
     for each in np.unique(group[kept]):
         mine = kept & (group == each)
@@ -117,8 +117,8 @@ def _refuse_still(a: Rotation, group: IntArray, kept: BoolArray, what: str) -> N
     if len(spread) < 2 or spread[1] < LEAST_TURN_RAD:
         degrees = np.rad2deg(spread[:2])
         raise ConfigurationError(
-            f"expected {what} to turn about two axes, by {np.rad2deg(LEAST_TURN_RAD):g} degrees or "
-            f"more about each, got {' and '.join(f'{each:.2g}' for each in degrees)}"
+            f"expected {part_name} to turn about two axes, by {np.rad2deg(LEAST_TURN_RAD):g} degrees "
+            f"or more about each, got {' and '.join(f'{each:.2g}' for each in degrees)}"
         )
 
 

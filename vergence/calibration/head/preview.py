@@ -37,14 +37,14 @@ class CalibrationPreview(NamedTuple):
 
 
 def preview_calibration(
-    head: HeadModel, frames: HeadFrames, before: CalibrationPreview | None = None
+    head: HeadModel, frames: HeadFrames, previous: CalibrationPreview | None = None
 ) -> CalibrationPreview | None:
     """Fit a head to the frames so far, as a preview of the calibration.
 
     Args:
         head: the nominal head, from its file.
         frames: frames so far, in the order of time, placements numbered without gaps.
-        before: result of fewer of these frames, as a start.
+        previous: result of fewer of these frames, as a start.
 
     Returns:
         The preliminary calibration; None if the frames do not determine a head yet.
@@ -53,8 +53,8 @@ def preview_calibration(
         begin = estimate_initial_board_poses(head, frames)
         problem = HeadAdjustment(head, parameter_prior_sigma(head), begin.frames)
         near = problem.start(begin.boards)
-        if before is not None:
-            near = near._replace(values=before.values)
+        if previous is not None:
+            near = near._replace(values=previous.values)
         found = fit_robustly(problem, begin.boards, begin.inlier_views, near).solution
         covariance = head_covariance(found)
     except np.linalg.LinAlgError:
@@ -63,10 +63,14 @@ def preview_calibration(
     values = found.state.values
     if not np.isfinite(sigma).all():
         return None
-    return CalibrationPreview(found.head, values, found.state.boards, 100.0 * sigma / np.array(DEPTHS_M))
+    return CalibrationPreview(
+        found.head, values, found.state.boards, 100.0 * sigma / np.array(DEPTHS_M)
+    )
 
 
-def depth_sigma_m(nominal_head: HeadModel, values: FloatArray, covariance: FloatArray) -> FloatArray:
+def depth_sigma_m(
+    nominal_head: HeadModel, values: FloatArray, covariance: FloatArray
+) -> FloatArray:
     """Compute the depth uncertainty of fixated points from the head's parameters alone.
 
     Pixels and joint angles are taken as exact; the neck is at rest.

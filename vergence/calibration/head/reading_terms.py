@@ -80,10 +80,11 @@ class ReadingTerms:
         return replace(
             self,
             names=tuple(names),
-            joint=np.array(joint, dtype=np.intp),
+            actuator=np.array(joint, dtype=np.intp),
             prior_mean=np.zeros(len(names)),
             sigma=np.array(sigma, dtype=np.float64),
-            centre=np.array([wave.mean() for wave in waves]) * (np.array(joint) >= NECK.stop),
+            harmonic_mean=np.array([wave.mean() for wave in waves])
+            * (np.array(joint) >= NECK.stop),
         )
 
     @property
@@ -124,15 +125,15 @@ class ReadingTerms:
         )
         return added[self.frames] @ np.eye(7)[self.actuator], by[self.frames]
 
-    def linearised_sum(self, values: FloatArray, others: FloatArray) -> FloatArray:
+    def linearised_sum(self, values: FloatArray, other_values: FloatArray) -> FloatArray:
         """(f, 7) sum of the terms with other parameters, linearised at given ones."""
         added, by = self.evaluate(values)
-        return added + (by * (others - values)) @ np.eye(7)[self.actuator]
+        return added + (by * (other_values - values)) @ np.eye(7)[self.actuator]
 
 
 NO_TERMS: Final = ReadingTerms(
-    joint=np.zeros(0, dtype=np.intp), prior_mean=np.zeros(0), sigma=np.zeros(0),
-    readings=np.zeros((1, 7)), frames=np.zeros(1, dtype=np.intp), centre=np.zeros(0),
+    actuator=np.zeros(0, dtype=np.intp), prior_mean=np.zeros(0), sigma=np.zeros(0),
+    readings=np.zeros((1, 7)), frames=np.zeros(1, dtype=np.intp), harmonic_mean=np.zeros(0),
 )  # fmt: skip
 
 

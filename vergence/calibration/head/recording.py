@@ -92,7 +92,7 @@ def read_recording(
 
 
 def order_frames(frames: HeadFrames) -> HeadFrames:
-    """Tidy frames, see `tidy`, and number the board's placements without gaps."""
+    """Tidy frames, see `sort_and_drop_frames`, and number the board's placements without gaps."""
     frames = sort_and_drop_frames(frames)
     places = np.unique(frames.placement, return_inverse=True)[1]
     return replace(frames, placement=places.astype(np.intp))

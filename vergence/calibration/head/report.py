@@ -51,59 +51,63 @@ class LeftOutView(NamedTuple):
 
 def write_run(
     folder: Path,
-    found: HeadCalibration,
-    unseen: Sequence[UnobservableDirection],
-    content: str,
-    name: str,
+    calibration: HeadCalibration,
+    unobservable: Sequence[UnobservableDirection],
+    head_file_text: str,
+    head_file_name: str,
     recording: Mapping[str, str],
 ) -> None:
     """Write a calibration's head file, its tables and its report.
 
     Args:
         folder: the run folder.
-        found: the calibration.
-        unseen: unobservable directions of the recording.
-        content: content of the head file.
-        name: name of that file.
+        calibration: the calibration.
+        unobservable: unobservable directions of the recording.
+        head_file_text: content of the head file.
+        head_file_name: name of that file.
         recording: facts on the origin of the frames, by name.
     """
-    (folder / name).write_text(content, encoding="utf-8")
-    names, units, before = found.nominal_head.parameters()
-    own = found.solution.problem
+    (folder / head_file_name).write_text(head_file_text, encoding="utf-8")
+    names, units, before = calibration.nominal_head.parameters()
+    own = calibration.solution.problem
     scatter_ratio = np.ones(7) if own.scatter_ratio is None else own.scatter_ratio
     write_json(
         folder / "result.json",
         {
-            **result_document(found, unseen),
-            "left_out_views": [one._asdict() for one in left_out_views(found)],
+            **result_document(calibration, unobservable),
+            "left_out_views": [one._asdict() for one in left_out_views(calibration)],
             "recording": dict(recording),
             "noisier": {
                 each: float(times)
-                for each, times in zip(figures.actuator_names(found), scatter_ratio, strict=True)
+                for each, times in zip(
+                    figures.actuator_names(calibration), scatter_ratio, strict=True
+                )
                 if each
             },
             "names": list(names),
             "units": list(units),
             "before": before.tolist(),
-            "after": found.solution.state.values.tolist(),
-            "sigma": found.sigma.tolist(),
+            "after": calibration.solution.state.values.tolist(),
+            "sigma": calibration.sigma.tolist(),
             "believed_sigma": own.prior_sigma.tolist(),
-            "covariance": found.covariance.tolist(),
+            "covariance": calibration.covariance.tolist(),
             "versions": versions(),
         },
     )
-    _write_views(folder / "views.csv", found)
-    write_report(folder, found, unseen, name, recording)
+    _write_views(folder / "views.csv", calibration)
+    write_report(folder, calibration, unobservable, head_file_name, recording)
 
 
-def result_document(found: HeadCalibration, unseen: Sequence[UnobservableDirection]) -> dict[str, Any]:
+def result_document(
+    calibration: HeadCalibration, unobservable: Sequence[UnobservableDirection]
+) -> dict[str, Any]:
     """Convert the result to plain values for JSON.
 
     Args:
-        found: the calibration.
-        unseen: unobservable directions of the recording.
+        calibration: the calibration.
+        unobservable: unobservable directions of the recording.
     """
-    depth = predict_depth_errors(found, points_ahead(np.array(DEPTHS_M)))
+    depth = predict_depth_errors(calibration, points_ahead(np.array(DEPTHS_M)))
     table = {
         "distance_m": depth.distance_m,
         "before_mm": 1e3 * depth.nominal_error_m,
@@ -114,38 +118,40 @@ def result_document(found: HeadCalibration, unseen: Sequence[UnobservableDirecti
         "floor_mm": 1e3 * depth.noise_floor_m,
     }
     rows = zip(*(json_values(values) for values in table.values()), strict=True)
-    views = found.frames.seen.any(axis=-1)
+    views = calibration.frames.seen.any(axis=-1)
     return {
         "depth": [dict(zip(table, row, strict=True)) for row in rows],
-        "noise": found.solution.reduced_chi,
-        "rms_px": rms_length(figures.residuals_px(found)),
-        "rms_heldout_sigma": json_value(_heldout(found)),
-        "views": int(found.views.sum()),
-        "left_out": int((views & ~found.views).sum()),
-        "frames": len(found.frames.time_s),
-        "poses": int(found.frames.pose.max()) + 1,
-        "placements": int(found.frames.placement.max()) + 1,
-        "target": str(found.frames.target),
-        "terms": [each._asdict() for each in found.terms],
-        "unseen": [{"what": each.what, "cure": each.remedy, "cost": each.cost} for each in unseen],
-        "remarks": list(found.remarks),
+        "noise": calibration.solution.reduced_chi,
+        "rms_px": rms_length(figures.residuals_px(calibration)),
+        "rms_heldout_sigma": json_value(_heldout(calibration)),
+        "views": int(calibration.views.sum()),
+        "left_out": int((views & ~calibration.views).sum()),
+        "frames": len(calibration.frames.time_s),
+        "poses": int(calibration.frames.pose.max()) + 1,
+        "placements": int(calibration.frames.placement.max()) + 1,
+        "target": str(calibration.frames.target),
+        "terms": [each._asdict() for each in calibration.terms],
+        "unseen": [
+            {"what": each.what, "cure": each.remedy, "cost": each.cost} for each in unobservable
+        ],
+        "remarks": list(calibration.remarks),
     }
 
 
-def _heldout(found: HeadCalibration) -> float:
+def _heldout(calibration: HeadCalibration) -> float:
     """Root mean square cross-validation error in units of sigma; nan without any view."""
-    known = np.isfinite(found.held_out)
-    return float(np.sqrt(np.mean(found.held_out[known]))) if known.any() else float("nan")
+    known = np.isfinite(calibration.held_out)
+    return float(np.sqrt(np.mean(calibration.held_out[known]))) if known.any() else float("nan")
 
 
-def left_out_views(found: HeadCalibration) -> list[LeftOutView]:
+def left_out_views(calibration: HeadCalibration) -> list[LeftOutView]:
     """List the views that show corners and were left out, in the order of time.
 
     Args:
-        found: the calibration.
+        calibration: the calibration.
     """
-    frames, residuals = found.frames, figures.view_rms(found)
-    usual = float(np.median(residuals[found.views]))
+    frames, residuals = calibration.frames, figures.view_rms(calibration)
+    usual = float(np.median(residuals[calibration.views]))
     count = frames.seen.sum(axis=-1)
 
     def why(eye: int, frame: int) -> str:
@@ -158,19 +164,19 @@ def left_out_views(found: HeadCalibration) -> list[LeftOutView]:
             return f"{left:.3g} times sigma, where others leave {usual:.2g}"
         return "an angle that was read wrong"
 
-    lost = np.argwhere((count > 0).T & ~found.views.T)
+    lost = np.argwhere((count > 0).T & ~calibration.views.T)
     return [
         LeftOutView(float(frames.time_s[frame]), EYE_NAMES[eye], why(eye, frame))
         for frame, eye in lost.tolist()
     ]
 
 
-def _write_views(path: Path, found: HeadCalibration) -> None:
+def _write_views(path: Path, calibration: HeadCalibration) -> None:
     """Write a row for each frame and eye; missing numbers are empty."""
-    frames = found.frames
-    residuals = found.solution.normal.residuals * frames.sigma
-    counted = figures.kept_or_found_corners(found)
-    held_out = np.sqrt(found.held_out)
+    frames = calibration.frames
+    residuals = calibration.solution.normal.residuals * frames.sigma
+    counted = figures.kept_or_found_corners(calibration)
+    held_out = np.sqrt(calibration.held_out)
     with path.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file)
         table.writerow(
@@ -187,7 +193,7 @@ def _write_views(path: Path, found: HeadCalibration) -> None:
                     int(frames.pose[frame]),
                     int(frames.placement[frame]),
                     EYE_NAMES[eye],
-                    bool(found.views[eye, frame]),
+                    bool(calibration.views[eye, frame]),
                     int(mine.sum()),
                     *(repr(each) if np.isfinite(each) else "" for each in numbers),
                 ]
@@ -196,36 +202,37 @@ def _write_views(path: Path, found: HeadCalibration) -> None:
 
 def write_report(
     folder: Path,
-    found: HeadCalibration,
-    unseen: Sequence[UnobservableDirection],
-    name: str,
+    calibration: HeadCalibration,
+    unobservable: Sequence[UnobservableDirection],
+    head_file_name: str,
     recording: Mapping[str, str],
 ) -> None:
     """Write calibration.html, which is self-contained.
 
     Args:
         folder: the run folder.
-        found: the calibration.
-        unseen: unobservable directions of the recording.
-        name: name of the calibration's head file.
+        calibration: the calibration.
+        unobservable: unobservable directions of the recording.
+        head_file_name: name of the calibration's head file.
         recording: facts on the origin of the frames, by name.
     """
-    drawn = _figures(found).items()
-    depth = predict_depth_errors(found, points_ahead(np.array(_HEADLINE_M)))
+    drawn = _figures(calibration).items()
+    depth = predict_depth_errors(calibration, points_ahead(np.array(_HEADLINE_M)))
     page = environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = page.from_string(read_template("vergence.calibration.head", "head.html.jinja"))
     text = template.render(
-        **result_document(found, unseen),
-        head=found.nominal_head.name,
-        name=name,
+        **result_document(calibration, unobservable),
+        head=calibration.nominal_head.name,
+        name=head_file_name,
         recording=recording,
         headline=_headline(depth),
         eyes=EYE_NAMES,
         maps=[f"{each:g}" for each in _MAPS_M],
         dropped=[
-            [f"{one.time_s:.2f} s, {one.eye}", one.why] for one in left_out_views(found)[:_MOST_ROWS]
+            [f"{one.time_s:.2f} s, {one.eye}", one.why]
+            for one in left_out_views(calibration)[:_MOST_ROWS]
         ],
-        numbers=_number_rows(found),
+        numbers=_number_rows(calibration),
         markup={stem: inline_svg(svg_of(figure), stem, stem) for stem, figure in drawn},
         style=read_template("vergence.eval.reporting", "page.css"),
         versions=versions(),
@@ -245,30 +252,30 @@ def _headline(depth: DepthErrors) -> list[tuple[str, str, str]]:
     ]  # fmt: skip
 
 
-def _figures(found: HeadCalibration) -> dict[str, Figure]:
+def _figures(calibration: HeadCalibration) -> dict[str, Figure]:
     """Draw all figures, by name."""
-    drawn = {"depth": depth_figures.depth_by_distance(found)}
+    drawn = {"depth": depth_figures.depth_by_distance(calibration)}
     for distance in _MAPS_M:
-        drawn[f"map-{distance:g}"] = depth_figures.depth_map(found, distance)
-    drawn["views"] = figures.residuals_over_time(found)
+        drawn[f"map-{distance:g}"] = depth_figures.depth_map(calibration, distance)
+    drawn["views"] = figures.residuals_over_time(calibration)
     for eye, name in enumerate(EYE_NAMES):
-        drawn[f"residuals-{name}"] = figures.residual_field(found, eye)
-        drawn[f"coverage-{name}"] = figures.corner_coverage(found, eye)
-    drawn["joints"] = figures.joint_angle_coverage(found)
-    if figures.single_reading_errors(found):
-        drawn["readings"] = figures.reading_error_histograms(found)
-    if len(figures.correlated_parameters(found)):
-        drawn["correlations"] = figures.parameter_correlations(found)
+        drawn[f"residuals-{name}"] = figures.residual_field(calibration, eye)
+        drawn[f"coverage-{name}"] = figures.corner_coverage(calibration, eye)
+    drawn["joints"] = figures.joint_angle_coverage(calibration)
+    if figures.single_reading_errors(calibration):
+        drawn["readings"] = figures.reading_error_histograms(calibration)
+    if len(figures.correlated_parameters(calibration)):
+        drawn["correlations"] = figures.parameter_correlations(calibration)
     return drawn
 
 
-def _number_rows(found: HeadCalibration) -> list[list[str]]:
+def _number_rows(calibration: HeadCalibration) -> list[list[str]]:
     """Format the rows of the table of head parameters."""
-    own, rows = found.solution.problem, []
+    own, rows = calibration.solution.problem, []
     for name, unit, before, after, sigma, spread in zip(
-        *found.nominal_head.parameters()[:2], own.prior_mean.tolist(),
-        found.solution.state.values.tolist(), found.sigma.tolist(), own.prior_sigma.tolist(),
-        strict=True,
+        *calibration.nominal_head.parameters()[:2], own.prior_mean.tolist(),
+        calibration.solution.state.values.tolist(), calibration.sigma.tolist(),
+        own.prior_sigma.tolist(), strict=True,
     ):  # fmt: skip
         scale, said, digits = _SHOWN[unit]
         free = spread > 0.0

@@ -36,12 +36,12 @@ def count_eyes_seeing_board(looker: Looker, sight: BoardView) -> int:
     return int((single_frame(looker, sight).seen.sum(axis=-1) >= 4).sum())
 
 
-def find_board(looker: Looker, first: Sequence[FloatArray] = ()) -> HeadFrames:
+def find_board(looker: Looker, first_guesses: Sequence[FloatArray] = ()) -> HeadFrames:
     """Look around until an eye sees the board, then turn both eyes to it.
 
     Args:
         looker: the head.
-        first: (7,) joint angles to try first.
+        first_guesses: (7,) joint angles to try first.
 
     Returns:
         One frame, of both eyes if they can both look there.
@@ -50,7 +50,7 @@ def find_board(looker: Looker, first: Sequence[FloatArray] = ()) -> HeadFrames:
         ConfigurationError: the board was found nowhere.
     """
     looks = 0
-    for q in (*first, *_directions(looker.head)):
+    for q in (*first_guesses, *_directions(looker.head)):
         looks += 1
         sight = looker.look(q)
         eyes = count_eyes_seeing_board(looker, sight)

@@ -44,56 +44,58 @@ class JointReadingErrors:
     """(7, 4) harmonics of true minus read angle q: factors of cos(q), sin(q), cos(2q) and
     sin(2q)."""
 
-    def output_angles(self, motors: FloatArray, before: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def output_angles(
+        self, motors: FloatArray, previous: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Compute the actuators' output angles, one frame after the other.
 
         Args:
             motors: (f, 7) motor angles, rad.
-            before: (7,) previous output angles behind the backlash, rad.
+            previous: (7,) previous output angles behind the backlash, rad.
 
         Returns:
             (f, 7) output angles, and (7,) the last ones behind the backlash without harmonics, rad.
         """
         behind = []
         for motor in motors:
-            before = np.clip(
-                before, motor - 0.5 * self.backlash_rad, motor + 0.5 * self.backlash_rad
+            previous = np.clip(
+                previous, motor - 0.5 * self.backlash_rad, motor + 0.5 * self.backlash_rad
             )
-            behind.append(before)
+            behind.append(previous)
         waves = [np.cos(motors), np.sin(motors), np.cos(2.0 * motors), np.sin(2.0 * motors)]
-        return np.array(behind) + np.einsum("hfj,jh->fj", waves, self.harmonics_rad), before
+        return np.array(behind) + np.einsum("hfj,jh->fj", waves, self.harmonics_rad), previous
 
 
 def simulate_recording(
     head: HeadModel,
-    true: HeadModel,
+    true_head: HeadModel,
     rng: np.random.Generator,
     *,
     target: str = "checkerboard:9x6:24",
     poses: int = 60,
-    frames: int = 8,
+    frames_per_pose: int = 8,
     noise_px: float = 0.05,
     distances_m: tuple[float, ...] = (0.7,),
-    neck: bool = True,
+    move_neck: bool = True,
     off_axis: float = 1.0,
     dither_rad: float = np.deg2rad(0.3).item(),
-    faults: JointReadingErrors | None = None,
+    reading_errors: JointReadingErrors | None = None,
 ) -> SimulatedRecording:
     """Simulate a recording of boards by a true head.
 
     Args:
         head: the nominal head, which reads the joints.
-        true: the true head, which looks.
+        true_head: the true head, which looks.
         rng: the source of randomness.
         target: the board.
         poses: number of poses.
-        frames: frames per pose, each with all joints dithered.
+        frames_per_pose: frames per pose, each with all joints dithered.
         noise_px: standard deviation of each coordinate of a corner.
         distances_m: distances of the board, one placement after the other.
-        neck: True to move the neck as well.
+        move_neck: True to move the neck as well.
         off_axis: scale of the random gaze offsets from the board; 0 to fixate it.
         dither_rad: amplitude of the dither about a pose.
-        faults: systematic errors of the readings, besides quantisation.
+        reading_errors: systematic errors of the readings, besides quantisation.
 
     Raises:
         ConfigurationError: the target has no corners of its own, or is hardly ever whole in both
@@ -118,9 +120,9 @@ def simulate_recording(
         ),
         np.array([T_0_N[:3, :3] @ point + T_0_N[:3, 3] for point in ahead]),
     )  # fmt: skip
-    chain = ParametricHead(true, true.parameters().values)
-    size = true.cameras.size[0]
-    faults = JointReadingErrors() if faults is None else faults
+    chain = ParametricHead(true_head, true_head.parameters().values)
+    size = true_head.cameras.size[0]
+    reading_errors = JointReadingErrors() if reading_errors is None else reading_errors
     behind = own.actuators_of(head.rest())
     angles: list[FloatArray] = []
     read: list[FloatArray] = []
@@ -132,27 +134,29 @@ def simulate_recording(
         place = len(angles) * len(ahead) // poses
         rest = head.rest()[:3]
         q = np.zeros(7)
-        if neck:
+        if move_neck:
             q[:3] = np.clip(rest + rng.uniform(-0.35, 0.35, 3), own.lower[:3], own.upper[:3])
         T_0_N = head.base_pose(q)
         there = T_0_N[:3, :3].T @ (boards.translation[place] - T_0_N[:3, 3])
         aside = off_axis * np.array([*rng.uniform(-0.15, 0.15, 2), 0.0])
         q = own.actuators_of(head.fixate(there + aside, q[:3], warn=False))
         q[3:] += off_axis * moves[3:] * rng.uniform(-0.06, 0.06, 4)
-        dither = rng.uniform(-dither_rad, dither_rad, (frames, 7)) * moves
-        dither[:, :3] *= neck
+        dither = rng.uniform(-dither_rad, dither_rad, (frames_per_pose, 7)) * moves
+        dither[:, :3] *= move_neck
         motors = np.clip(q, own.lower, own.upper) + dither
-        outputs, then = faults.true(motors, behind)
+        outputs, then = reading_errors.output_angles(motors, behind)
         turned = own.joints_of(outputs)
-        points, directions = board_points(corners, boards, np.full(frames, place))
-        seen = np.stack([chain.project_board(eye, turned, points, directions).pixels for eye in range(2)])
+        points, directions = board_points(corners, boards, np.full(frames_per_pose, place))
+        seen = np.stack(
+            [chain.project_board(eye, turned, points, directions).pixels for eye in range(2)]
+        )
         inside = (seen > BORDER_PX) & (seen < size - 1.0 - BORDER_PX)
         if inside.all():
             behind = then
             angles.append(turned)
             read.append(own.joints_of(motors))
             pixels.append(seen + noise_px * rng.standard_normal(seen.shape))
-            placement += [place] * frames
+            placement += [place] * frames_per_pose
     else:
         raise ConfigurationError(
             f"expected a board that both eyes see whole, got {target} at {distances_m} m"

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.adjustment import BundleAdjustment, CameraRig, BoardPoses
+from vergence.calibration.adjustment import BoardPoses, BundleAdjustment, CameraRig
 from vergence.calibration.cameras import estimate_board_poses
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.projection import camera_parameter_names

@@ -33,8 +33,8 @@ TERMS: Final = (*TERM_KINDS, "axes")
 _CHANCE: Final = 1e-3
 """Probability that an absent term is tried, if all errors are independent (chosen)."""
 _LEAST_GAIN: Final = 0.02
-"""Least gain of a term in the mean logarithm of the poses' cross-validation errors, see `HeldOut`
-(chosen: less is not worth a term)."""
+"""Least gain of a term in the mean logarithm of the poses' cross-validation errors, see
+`CrossValidationErrors` (chosen: less is not worth a term)."""
 _LEAST_GAIN_OF_PLAY: Final = 0.15
 """Least gain of backlash if readings scatter even with it. A reading error also changes the
 difference to the previous reading, whose sign then predicts some of the error, just as with
@@ -83,7 +83,7 @@ def choose_terms(fit: HeadFit, cameras: bool) -> ChosenTerms:
 
     Args:
         fit: fit of the head without terms.
-        cameras: True if the cameras are estimated, see `prior_sigma_of`.
+        cameras: True if the cameras are estimated, see `parameter_prior_sigma`.
     """
     chosen: tuple[str, ...] = ()
     left, some = set(TERMS), _thinned(fit)
@@ -115,7 +115,7 @@ def _thinned(fit: HeadFit) -> HeadFit:
         return fit
     problem, kept = own.of(some), fit.kept[:, some]
     start = problem.start(state.boards)._replace(
-        values=state.values, bend=state.bend, errors=state.errors[some]
+        values=state.values, bend=state.bend, frame_errors=state.frame_errors[some]
     )
     return HeadFit(solve(problem, start, Weights.of(kept)), kept)
 
@@ -146,11 +146,11 @@ def _extended(
     start = problem.start(state.boards)._replace(
         values=convert_for_terms(solution.head, terms).parameters(nominal_head).values,
         bend=state.bend,
-        errors=state.errors,
+        frame_errors=state.frame_errors,
         terms=np.array([known.get(name, 0.0) for name in reading_terms.names]),
     )
-    if len(start.shared) == len(state.shared):
-        start = start._replace(shared=state.shared)
+    if len(start.shared_errors) == len(state.shared_errors):
+        start = start._replace(shared_errors=state.shared_errors)
     return problem, start
 
 
@@ -183,7 +183,7 @@ def _gains(
         gains["axes"] = _gain(normal, every, ~every) / chance["axes"]
     noise = max(solution.reduced_chi, 1.0) ** 2
     # while a term is missing, its error enlarges the readings' sigma and so reduces the gain
-    own, scatter_ratio = solution.problem.joints.is_single, solution.problem.scatter_ratio
+    own, scatter_ratio = solution.problem.joint_errors.is_single, solution.problem.scatter_ratio
     belief = 1.0 if scatter_ratio is None else float(scatter_ratio.max()) ** 2
     worth = _WORTH * 2.0 * own.sum() / belief
     return {
@@ -216,8 +216,10 @@ def _predicts_better(richer: HeadFit, simpler: HeadFit, least: float) -> bool:
     # judge the readings of both heads by the richer head's sigma
     rich, simple = richer.solution.problem, simpler.solution.problem
     scatter_ratio = np.ones(7) if simple.scatter_ratio is None else simple.scatter_ratio
-    known = simple.joints.sigma > 0.0
-    ratio = np.divide(rich.joints.sigma, simple.joints.sigma, out=np.ones(7), where=known)
+    known = simple.joint_errors.sigma > 0.0
+    ratio = np.divide(
+        rich.joint_errors.sigma, simple.joint_errors.sigma, out=np.ones(7), where=known
+    )
     less = np.log(cross_validate(simpler.solution, kept, ratio * scatter_ratio).poses) - np.log(
         cross_validate(richer.solution, kept).poses
     )

@@ -20,7 +20,7 @@ def head_covariance(solution: HeadSolution) -> FloatArray:
         solution: solution of the head.
     """
     problem = solution.problem
-    normal = problem.linearised(solution.state, solution.weights, by_frame=True)
+    normal = problem.linearised(solution.state, solution.weights, keep_frame_parts=True)
     assert normal.by_frame is not None
     blocks, slopes = normal.by_frame
     p = len(problem.prior_mean)

@@ -70,16 +70,16 @@ class CalibrateHead:
         with output(self.report or dated_folder("calibrate-head")) as run:
             jobs = self._jobs(outs)
             outcomes = self._run(jobs)
-            if len(jobs) == 1 and outcomes[0].refused:
-                raise ConfigurationError(f"{self.recordings[0]}: {outcomes[0].refused}")
+            if len(jobs) == 1 and outcomes[0].refusal:
+                raise ConfigurationError(f"{self.recordings[0]}: {outcomes[0].refusal}")
             run.save(lambda folder: _save(folder, outs, outcomes))
             self._check(outs)  # another process may have written them meanwhile
             for out, outcome in zip(outs, outcomes, strict=True):
-                if outcome.text:
+                if outcome.head_file:
                     out.parent.mkdir(parents=True, exist_ok=True)
-                    write_atomic(out, outcome.text)
+                    write_atomic(out, outcome.head_file)
             self._show(outs, outcomes, run)
-        refused = [one for one in outcomes if one.refused or one.document["not_read"]]
+        refused = [one for one in outcomes if one.refusal or one.document["not_read"]]
         return 0 if run.saved and not refused else 2
 
     def _outs(self) -> list[Path]:
@@ -135,12 +135,12 @@ class CalibrateHead:
                 jobs.append(
                     HeadJob(
                         head=head,
-                        recorded=recorded,
+                        recording=recorded,
                         cameras=not self.hold_cameras,
                         terms=terms,
                         name=name,
-                        file=out.name,
-                        path=str(path),
+                        head_file_name=out.name,
+                        recording_path=str(path),
                     )
                 )
                 report((number + 1) / len(outs))
@@ -158,7 +158,7 @@ class CalibrateHead:
 
         if self.json:
             documents = [
-                {"refused": one.refused} if one.refused else dict(one.document) for one in outcomes
+                {"refused": one.refusal} if one.refusal else dict(one.document) for one in outcomes
             ]
             print(json.dumps(documents[0] if len(outs) == 1 else documents, indent=2))
         elif len(outs) == 1:
@@ -169,8 +169,8 @@ class CalibrateHead:
             print(f"written to {run.folder}")
         for out, outcome in zip(outs, outcomes, strict=True):
             before = f"{out.stem}: " if len(outs) > 1 else ""
-            if outcome.refused:
-                note(f"{before}{outcome.refused}")
+            if outcome.refusal:
+                note(f"{before}{outcome.refusal}")
                 continue
             for remark in outcome.document["remarks"]:
                 note(f"{before}{remark}")
@@ -189,5 +189,5 @@ def _save(folder: Path, outs: list[Path], outcomes: "list[HeadOutcome]") -> None
         own.mkdir(exist_ok=True)
         for name, content in outcome.files.items():
             (own / name).write_bytes(content)
-        if outcome.refused:
-            (own / "refused.txt").write_text(outcome.refused + "\n", encoding="utf-8")
+        if outcome.refusal:
+            (own / "refused.txt").write_text(outcome.refusal + "\n", encoding="utf-8")

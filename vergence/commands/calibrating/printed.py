@@ -53,5 +53,5 @@ def print_calibration(found: "Calibration", out: Path) -> None:
         )
     if several:
         larger = f"if it is 1 % larger, the baseline is {1.01 * found.baseline_mm[0]:.2f} mm"
-        print(f"lengths are as right as the board ({found.seen.target}): {larger}\n")
+        print(f"lengths are as right as the board ({found.observations.target}): {larger}\n")
     print(out)

@@ -34,10 +34,10 @@ def print_head(outcome: "HeadOutcome", out: Path) -> None:
         f"{told['rms_px']:.3f} px (length, rms) are left, {told['noise']:.2f} times what the "
         "detector says\n"
     )
-    if outcome.unseen:
+    if outcome.unobservable:
         print_table(
             ["not told by this recording", "cure", "cost"],
-            [[one.what, one.remedy or "none needed", one.cost] for one in outcome.unseen],
+            [[one.what, one.remedy or "none needed", one.cost] for one in outcome.unobservable],
             text=(0, 1, 2), names=(0, 1, 2),
         )  # fmt: skip
     print(out)
@@ -52,7 +52,7 @@ def print_heads(outcomes: "list[HeadOutcome]", outs: list[Path]) -> None:
     """
     rows = []
     for outcome, out in zip(outcomes, outs, strict=True):
-        if outcome.refused:
+        if outcome.refusal:
             rows.append([str(out), "refused", "", "", ""])
             continue
         told = outcome.document

@@ -5,7 +5,10 @@ import pandas as pd
 import pytest
 
 from tests.eval.article.checks import backwards, empty_panels, stale_names, uncaptioned
-from vergence.calibration.head.article.findings import worst_depth_error_percent, depth_errors_percent
+from vergence.calibration.head.article.findings import (
+    depth_errors_percent,
+    worst_depth_error_percent,
+)
 from vergence.calibration.head.article.trials import HeadEyeConfig
 from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import load_experiment
@@ -27,11 +30,15 @@ def test_who_runs_the_jobs_and_when_does_not_change_a_bit(table):
 
 
 def test_the_whole_head_is_better_than_its_model(table):
-    assert worst_depth_error_percent(table, "whole head") < 0.5 * worst_depth_error_percent(table, "before")
+    assert worst_depth_error_percent(table, "whole head") < 0.5 * worst_depth_error_percent(
+        table, "before"
+    )
 
 
 def test_the_encoders_cost_a_well_known_head_most_of_its_error(table):
-    errors = depth_errors_percent(table, "whole head", "encoders") - depth_errors_percent(table, "whole head")
+    errors = depth_errors_percent(table, "whole head", "encoders") - depth_errors_percent(
+        table, "whole head"
+    )
     assert np.median(errors) > 0.2
 
 

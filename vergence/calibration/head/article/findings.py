@@ -19,7 +19,7 @@ def depth_errors_percent(table: pd.DataFrame, stage: str, reading: str = "exact"
     """(heads, points) absolute depth errors, percent of depth; infinite where there is no fix."""
     rows = table[(table["stage"] == stage) & (table["reading"] == reading)]
     share = 100.0 * rows["error_z_mm"].abs() / rows["truth_z_mm"]
-    wide = rows.assign(depth_errors_percent=share).pivot(index="head", columns="point", values="percent")
+    wide = rows.assign(percent=share).pivot(index="head", columns="point", values="percent")
     return np.asarray(wide.fillna(np.inf).to_numpy(), dtype=np.float64)
 
 
@@ -46,5 +46,7 @@ def numbers(table: pd.DataFrame, config: HeadEyeConfig) -> Numbers:
         name = stage.replace(" ", "_")
         values[f"{name}_percent"] = worst_depth_error_percent(table, stage)
         values[f"{name}_encoders_percent"] = worst_depth_error_percent(table, stage, "encoders")
-        values[f"{name}_median_percent"] = float(np.median(depth_errors_percent(table, stage).max(axis=1)))
+        values[f"{name}_median_percent"] = float(
+            np.median(depth_errors_percent(table, stage).max(axis=1))
+        )
     return values

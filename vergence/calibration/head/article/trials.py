@@ -8,7 +8,7 @@ import pandas as pd
 
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.hand_eye import solve_both_eyes, refine_by_reprojection
+from vergence.calibration.head.hand_eye import refine_by_reprojection, solve_both_eyes
 from vergence.calibration.head.simulated import quantised, simulate_recording
 from vergence.eval.article.experiment import job_rng
 from vergence.eval.article.reported import static_points
@@ -72,8 +72,8 @@ def _calibrated(
     nominal: HeadModel, true: HeadModel, config: HeadEyeConfig, seed: int, number: int
 ) -> pd.DataFrame:
     frames = simulate_recording(
-        nominal, true, job_rng(seed, "head-eye", number), poses=config.poses, frames=config.frames,
-        noise_px=config.noise_px, distances_m=config.boards_m,
+        nominal, true, job_rng(seed, "head-eye", number), poses=config.poses,
+        frames_per_pose=config.frames, noise_px=config.noise_px, distances_m=config.boards_m,
     ).frames  # fmt: skip
     stages = zip(STAGES, _stages(nominal, frames), strict=True)
     return pd.concat([_at_points(found, true, number, stage) for stage, found in stages])
