@@ -148,7 +148,8 @@ def _earlier(
         if before.head_identity != looks:
             raise ConfigurationError(
                 f"{folder}: expected the head that it holds frames of "
-                f"({before.head_identity.strip()}), got another ({looks.strip()}): other --plant, --errors or --seed"
+                f"({before.head_identity.strip()}), got another ({looks.strip()}): "
+                "other --plant, --errors or --seed"
             )
         found.sights, found.sight_placements = list(before.sights), list(before.placement)
         found.placement = max(found.sight_placements, default=0) + (

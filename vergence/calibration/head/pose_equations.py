@@ -117,8 +117,8 @@ def _refuse_still(a: Rotation, group: IntArray, kept: BoolArray, part_name: str)
     if len(spread) < 2 or spread[1] < LEAST_TURN_RAD:
         degrees = np.rad2deg(spread[:2])
         raise ConfigurationError(
-            f"expected {part_name} to turn about two axes, by {np.rad2deg(LEAST_TURN_RAD):g} degrees "
-            f"or more about each, got {' and '.join(f'{each:.2g}' for each in degrees)}"
+            f"expected {part_name} to turn about two axes, by {np.rad2deg(LEAST_TURN_RAD):g} "
+            f"degrees or more about each, got {' and '.join(f'{each:.2g}' for each in degrees)}"
         )
 
 
