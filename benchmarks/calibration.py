@@ -239,7 +239,7 @@ def likelihood_ratio(fit: CameraFit, truth: Truth) -> float:
     """Excess of the sum of squares at the truth over the least one, relative to its expectation."""
     solution = fit.solution
     _, linear = solution.problem.fit_poses(truth.rig, truth.poses.of(fit.kept))
-    more = float((linear.residuals**2).sum() - (solution.linear.residuals**2).sum())
+    more = float((linear.residuals**2).sum() - (solution.linearisation.residuals**2).sum())
     return more / solution.reduced_chi**2 / len(truth.rig.packed())
 
 

@@ -86,7 +86,7 @@ def calibration_record(calibration: Calibration) -> CalibrationRecord:
         rms_px=rms_length(calibration.fit.solution.residuals_px),
         rms_heldout_px=rms_length(calibration.held_out_px),
         corners_sha256=calibration.observations.digest,
-        versions=", ".join(f"{name} {each}" for name, each in package_versions(_VERSIONED).items()),
+        package_versions=", ".join(f"{name} {each}" for name, each in package_versions(_VERSIONED).items()),
         sigma=sigma,
     )
 

@@ -69,7 +69,7 @@ def test_a_recording_holds_so_many_poses_and_frames_all_of_which_both_eyes_see(c
     assert len(frames.time_s) == 36
     assert frames.pose.max() == 11
     assert frames.seen.all()
-    assert found.unseen == 0
+    assert found.looks_without_board == 0
     assert evaluated == [10, 12]
     assert read_log(folder / "0001.mcap").facts["plant"] == "none"
 
@@ -177,7 +177,7 @@ def test_an_eye_that_misses_the_board_now_and_then_costs_its_views_alone(tmp_pat
     looker.look = look
     found = collect(looker, tmp_path, CollectOptions(poses=3, frames=6), {})
     frames = read_recording(tmp_path, HEAD).frames
-    assert (len(frames.time_s), found.unseen) == (18, 0)
+    assert (len(frames.time_s), found.looks_without_board) == (18, 0)
     assert frames.seen[1].all()
     assert frames.seen[0].all(axis=-1).sum() == 12
 
