@@ -49,8 +49,8 @@ class CalibrateStereo(CalibrationOptions):
             )
         from vergence.calibration.files import head_text
 
-        def text(found: "Calibration") -> str:
-            return head_text(found, name, self.parsed_response())
+        def text(calibration: "Calibration") -> str:
+            return head_text(calibration, name, self.parsed_response())
 
         return self.calibrate_and_save(
             [[pair.left for pair in pairs.pairs], [pair.right for pair in pairs.pairs]],
