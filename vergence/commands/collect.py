@@ -86,15 +86,15 @@ class Collect:
         facts[LOOKS] = self.plant if self.plant == "hardware" else self._looks(looker.head)
         try:
             with closing(looker), progress_bar("collect") as report:
-                found = collect(
+                recording = collect(
                     looker, self.folder, options, facts, progress=report,
-                    on_evaluation=lambda found: print_note(_evaluated(found, looker.head)),
+                    on_evaluation=lambda recording: print_note(_evaluated(recording, looker.head)),
                 )  # fmt: skip
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"{self.folder} keeps the frames that it has; the same command goes on"
             ) from None
-        self._conclude(found, looker.head)
+        self._conclude(recording, looker.head)
         return 0
 
     def _robot(self, target: "PlanarTarget") -> "Looker":
@@ -152,36 +152,36 @@ class Collect:
         errors = self.errors or 0.0
         return f"{self.plant} {head.digest[:16]} {f'{errors:g} {self.seed}' if errors else ''}"
 
-    def _conclude(self, found: "CollectedRecording", head: "HeadModel") -> None:
+    def _conclude(self, recording: "CollectedRecording", head: "HeadModel") -> None:
         """Print a summary of the recording, advice, and the next command."""
         from vergence.calibration.head.advice import advise_recording
 
-        frames = found.frames()
+        frames = recording.frames()
         places = int(frames.placement.max()) + 1
         print(
             f"{len(frames.time_s)} frames of {int(frames.pose.max()) + 1} poses, {places} "
             f"{'place' if places == 1 else 'places'} of the board"
         )
-        if found.preview is not None:
-            print(f"depth will be known to {_depth(found.preview)}")
-        if found.looks_without_board:
-            print_note(f"{found.looks_without_board} looks without the board, left out")
-        for line in advise_recording(head, found, frames):
+        if recording.preview is not None:
+            print(f"depth will be known to {_depth(recording.preview)}")
+        if recording.looks_without_board:
+            print_note(f"{recording.looks_without_board} looks without the board, left out")
+        for line in advise_recording(head, recording, frames):
             print_note(line)
         named = _head_of(self.config) if self.config is not None else self.head or _HEAD
         words = ["calibrate", "head", str(self.folder), "--head", named, "--out", "calibrated.toml"]
         print(f"next: vergence {shlex.join(words)}")
 
 
-def _evaluated(found: "CollectedRecording", head: "HeadModel") -> str:
+def _evaluated(recording: "CollectedRecording", head: "HeadModel") -> str:
     """Line on the accuracy of depth and the coverage of the images so far."""
     from vergence.calibration.head.advice import coverage_percent
 
     known = "not enough for a head yet"
-    if found.preview is not None:
-        known = f"depth known to {_depth(found.preview)}"
-    left, right = coverage_percent(head, found.frames())
-    return f"{found.poses} poses: {known}; {left:.0f} and {right:.0f} % of both images covered"
+    if recording.preview is not None:
+        known = f"depth known to {_depth(recording.preview)}"
+    left, right = coverage_percent(head, recording.frames())
+    return f"{recording.poses} poses: {known}; {left:.0f} and {right:.0f} % of both images covered"
 
 
 def _depth(preview: "CalibrationPreview") -> str:

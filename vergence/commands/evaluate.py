@@ -187,12 +187,12 @@ class _Result(NamedTuple):
     write: Callable[[Path], None]
 
 
-def _as_result(found: "Evaluation") -> _Result:
+def _as_result(evaluation: "Evaluation") -> _Result:
     from vergence.eval.comparison.folder import write_evaluation
 
     return _Result(
-        found.notes, found.failures, found.rows, lambda: _print(found),
-        lambda folder: write_evaluation(folder, found),
+        evaluation.notes, evaluation.failures, evaluation.rows, lambda: _print(evaluation),
+        lambda folder: write_evaluation(folder, evaluation),
     )  # fmt: skip
 
 
@@ -259,14 +259,14 @@ def _print(evaluation: "Evaluation") -> None:
     console.print(describe_evaluation(evaluation).found, markup=False)
 
 
-def _table(found: "ReportTable", padding: int) -> Table:
+def _table(report_table: "ReportTable", padding: int) -> Table:
     """Table whose columns are as wide as the longest word of a heading or line of a cell."""
     table = Table(
-        title=found.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False,
+        title=report_table.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False,
         padding=(0, padding, 0, 0),
     )  # fmt: skip
-    rows = [[_wrapped(row[0]), *row[1:]] for row in found.rows]
-    for place, column in enumerate(found.columns):
+    rows = [[_wrapped(row[0]), *row[1:]] for row in report_table.rows]
+    for place, column in enumerate(report_table.columns):
         words = [*column.split(), *(line for row in rows for line in row[place].splitlines())]
         table.add_column(column, justify="right" if place else "left", width=max(map(len, words)))
     for row in rows:
@@ -279,13 +279,13 @@ def _width(table: Table) -> int:
     return 1 + sum((column.width or 0) + 1 + table.padding[1] for column in table.columns)
 
 
-def _without_intervals(found: "ReportTable") -> "ReportTable":
+def _without_intervals(report_table: "ReportTable") -> "ReportTable":
     """Table without the intervals in the second lines of its cells."""
     rows = [
         [row[0], *(cell.split("\n")[0] if "–" in cell else cell for cell in row[1:])]
-        for row in found.rows
+        for row in report_table.rows
     ]
-    return replace(found, rows=rows)
+    return replace(report_table, rows=rows)
 
 
 def _wrapped(name: str) -> str:

@@ -52,15 +52,14 @@ def _together(result: LocateResult, every: list[LocatedTarget]) -> str:
     return text
 
 
-def _row(one: LocatedTarget) -> list[str]:
-    number = tag_number(one.target)
-    what = f"{int(one.valid.sum())}/{len(one.valid)}"
+def _row(located: LocatedTarget) -> list[str]:
+    number = tag_number(located.target)
+    what = f"{int(located.valid.sum())}/{len(located.valid)}"
     return [
-        one.pair,
+        located.pair,
         what if number is None else str(number),
-        *(format_fixed(MM * value, 2) for value in one.centre.point),
-        " ".join(format_fixed(MM * value, 2) for value in one.centre.sigma),
-        format_fixed(MM * one.gap_m, 2),
-        format_fixed(MM * one.spacing.mean_m, 2)
-        + ("!" if one.mean_edge.differs_from_stated else ""),
+        *(format_fixed(MM * value, 2) for value in located.centre.point),
+        " ".join(format_fixed(MM * value, 2) for value in located.centre.sigma),
+        format_fixed(MM * located.gap_m, 2),
+        f"{format_fixed(MM * located.spacing.mean_m, 2)}{'!' if located.mean_edge.differs_from_stated else ''}",
     ]

@@ -56,18 +56,18 @@ class MeasureDelay:
         interrupts.raise_on_termination()
         try:
             with progress_bar("measure") as report:
-                found = measure_loop(hardware, eyes, report, self.actuator)
+                measurement = measure_loop(hardware, eyes, report, self.actuator)
         except HardwareError:
             print_note(f"{self.hardware} stays as it was")
             raise
         if self.json:
-            print(json.dumps(_as_json(found), indent=2, allow_nan=False))
+            print(json.dumps(_as_json(measurement), indent=2, allow_nan=False))
         else:
-            _print(found)
+            _print(measurement)
         if self.write:
             with self._writing():
-                write_loop(self.hardware, found.loop(), found.latencies_s)
-            cameras = "".join(f"cameras.{name}.latency_s, " for name in found.latencies_s)
+                write_loop(self.hardware, measurement.loop(), measurement.latencies_s)
+            cameras = "".join(f"cameras.{name}.latency_s, " for name in measurement.latencies_s)
             print_note(f"written to {self.hardware}: {cameras}[loop]")
         return 0
 
@@ -82,11 +82,15 @@ class MeasureDelay:
             ) from error
 
 
-def _as_json(found: "LoopMeasurement") -> dict[str, object]:
-    return {"rows": found.rows(), "untold": found.undetermined(), "doubts": found.misfits()}
+def _as_json(measurement: "LoopMeasurement") -> dict[str, object]:
+    return {
+        "rows": measurement.rows(),
+        "untold": measurement.undetermined(),
+        "doubts": measurement.misfits(),
+    }
 
 
-def _print(found: "LoopMeasurement") -> None:
+def _print(measurement: "LoopMeasurement") -> None:
     rows = [
         [
             row["eye"],
@@ -96,12 +100,12 @@ def _print(found: "LoopMeasurement") -> None:
             "" if row["sigma"] is None else f"+- {_number(row['sigma'])}",
             row["unit"],
         ]
-        for row in found.rows()
+        for row in measurement.rows()
     ]
     print_table(["eye", "actuator", "", "value", "", "unit"], rows)
-    for line in found.undetermined():
+    for line in measurement.undetermined():
         print(f"not told: {line}")
-    for line in found.misfits():
+    for line in measurement.misfits():
         print(f"doubtful: {line}")
 
 

@@ -25,7 +25,7 @@ DESK = desk_config("/dev/null")
 
 def test_the_first_stage_that_is_there_is_chosen(monkeypatch):
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
-    placed = dataclasses.replace(DESK, places=PLACES)
+    placed = dataclasses.replace(DESK, measured_targets=PLACES)
     emulated = dataclasses.replace(placed, emulator="127.0.0.1:1", places_targets=True)
     names = [type(make_stage(None, one)).__name__ for one in (emulated, placed, DESK)]
     assert names == ["EmulatorStage", "PlacesStage", "HandStage"]
@@ -43,7 +43,7 @@ def test_places_take_turns_and_the_eyes_look_for_each(monkeypatch):
     looked = []
     monkeypatch.setattr(HardwarePlant, "look_for", lambda self, target: looked.append(target))
     plant = HardwarePlant.__new__(HardwarePlant)
-    stage = make_stage("places", dataclasses.replace(DESK, places=PLACES), seed=2)
+    stage = make_stage("places", dataclasses.replace(DESK, measured_targets=PLACES), seed=2)
     points = [stage.place(plant, trial) for trial in range(4)]
     assert {one.id for one in looked[:3]} == {0, 1, 2}
     assert looked[3] is looked[0]
@@ -58,7 +58,7 @@ def test_a_place_that_the_eyes_cannot_look_at_is_refused():
     with pytest.raises(
         ConfigurationError, match=r"places\[3\]\.point_mm .* got \[0.0, 0.0, -1000.0\]"
     ):
-        make_stage("places", dataclasses.replace(DESK, places=behind))
+        make_stage("places", dataclasses.replace(DESK, measured_targets=behind))
 
 
 @pytest.mark.parametrize("name", ["fast", "double-step", "circle"])

@@ -40,9 +40,9 @@ class CalibrateIntrinsics(CalibrationOptions):
             raise ConfigurationError("expected images or folders of images, got none")
         from vergence.calibration.files import ros_camera_document
 
-        def text(found: "Calibration") -> str:
+        def text(calibration: "Calibration") -> str:
             import yaml
 
-            return str(yaml.safe_dump(ros_camera_document(found), sort_keys=False))
+            return str(yaml.safe_dump(ros_camera_document(calibration), sort_keys=False))
 
         return self.calibrate_and_save([list_photographs(self.images)], self.out, text)

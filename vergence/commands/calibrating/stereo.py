@@ -49,8 +49,8 @@ class CalibrateStereo(CalibrationOptions):
             )
         from vergence.calibration.files import head_file_text
 
-        def text(found: "Calibration") -> str:
-            return head_file_text(found, name, self.parsed_response())
+        def text(calibration: "Calibration") -> str:
+            return head_file_text(calibration, name, self.parsed_response())
 
         return self.calibrate_and_save(
             [[pair.left for pair in pairs.pairs], [pair.right for pair in pairs.pairs]],

@@ -67,12 +67,12 @@ class _Asked:
     def finding(self, problem: str, cure: str, *, warning: bool = False) -> Finding:
         return servo_finding(self.servo, problem, cure, warning=warning)
 
-    def expect(self, register: table.Register, value: int, why: str = "") -> Iterator[Finding]:
+    def expect(self, register: table.Register, value: int, reason: str = "") -> Iterator[Finding]:
         """Yield a finding if a register has another value."""
         got = self.get(register)
         if got != value:
             yield self.finding(
-                f"expected {value} in {register.name}, got {got}{why}",
+                f"expected {value} in {register.name}, got {got}{reason}",
                 f"set it to {value} {WIZARD}",
             )
 

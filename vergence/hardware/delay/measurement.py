@@ -181,16 +181,16 @@ def _mean(pairs: Sequence[tuple[float, float]], shared: bool) -> tuple[float, fl
     return float(values.mean()), max(own, 0.5 * float(np.ptp(values)))
 
 
-def _rows(one: EyeLoop) -> Iterator[dict[str, Any]]:
-    motor, sigma, image = one.joint.motor, one.joint.sigma, one.image
+def _rows(eye_loop: EyeLoop) -> Iterator[dict[str, Any]]:
+    motor, sigma, image = eye_loop.joint.motor, eye_loop.joint.sigma, eye_loop.image
     rows: list[tuple[str, float | None, float, str]] = [
         ("command + feedback latency", 1e3 * motor.latency_s, 1e3 * sigma.latency_s, "ms"),
         ("joint lag", 1e3 * motor.lag_s, 1e3 * sigma.lag_s, "ms"),
         ("speed gain", motor.gain, sigma.gain, ""),
         (
             "greatest acceleration",
-            one.joint.acceleration_rad_s2,
-            one.joint.acceleration_sigma,
+            eye_loop.joint.acceleration_rad_s2,
+            eye_loop.joint.acceleration_sigma,
             "rad/s^2",
         ),
     ]
@@ -207,11 +207,11 @@ def _rows(one: EyeLoop) -> Iterator[dict[str, Any]]:
             ("play", 1e3 * image.backlash_rad, 1e3 * image.backlash_sigma_rad, "mrad"),
             ("image scale", image.scale, image.scale_sigma, ""),
         ]
-    rows.append(("computing, in total", 1e3 * one.computing_s, np.nan, "ms"))
+    rows.append(("computing, in total", 1e3 * eye_loop.computing_s, np.nan, "ms"))
     for what, value, deviation, unit in rows:
         yield {
-            "eye": one.eye,
-            "actuator": one.actuator,
+            "eye": eye_loop.eye,
+            "actuator": eye_loop.actuator,
             "what": what,
             "value": value,
             "sigma": deviation if value is not None and np.isfinite(deviation) else None,

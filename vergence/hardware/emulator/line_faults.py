@@ -45,9 +45,9 @@ def apply_line_faults(
     return sorted(sent.items())
 
 
-def _damaged(what: str, data: bytes) -> bytes:
-    if what == "bad-crc":
+def _damaged(fault_name: str, data: bytes) -> bytes:
+    if fault_name == "bad-crc":
         return data[:-1] + bytes(byte ^ _CRC_FLIPPED for byte in data[-1:])
-    if what == "short":
+    if fault_name == "short":
         return data[:_KEPT]
-    return data + data if what == "doubled" else b""
+    return data + data if fault_name == "doubled" else b""

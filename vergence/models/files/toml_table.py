@@ -124,9 +124,9 @@ class Table:
         """Keys that have not been consumed yet."""
         return list(self._values)
 
-    def require_equal(self, name: str, expected: object, why: str = "") -> None:
-        """Consume a value and refuse it unless it equals the expected one; `why` explains it."""
-        said = f"{expected!r} ({why})" if why else repr(expected)
+    def require_equal(self, name: str, expected: object, reason: str = "") -> None:
+        """Consume a value and refuse it unless it equals the expected one; `reason` explains it."""
+        said = f"{expected!r} ({reason})" if reason else repr(expected)
         value = self.take(name, said)
         if value != expected or isinstance(value, bool):
             raise HeadFileError(self.key(name), value, said)

@@ -223,16 +223,16 @@ _SHOWN: Final = 12
 """Most names that a message lists (chosen: short messages)."""
 
 
-def known_names_hint(what: str, name: str, names: Iterable[str]) -> str:
+def known_names_hint(kind: str, name: str, names: Iterable[str]) -> str:
     """Description of an expected name for messages: the names like it, or else the first few."""
     known = sorted({known for known in names if known})
     if not known:
-        return f"a {what} (there is none)"
+        return f"a {kind} (there is none)"
     lowered = {each.lower(): each for each in known}
     near = [lowered[hit] for hit in get_close_matches(name.lower(), lowered, n=5, cutoff=0.5)]
     contained = [each for each in known if name and name.lower() in each.lower()]
     nearest = list(dict.fromkeys([*near, *contained]))[:_SHOWN]
     if nearest:
-        return f"a {what} of the file (near: {', '.join(nearest)})"
+        return f"a {kind} of the file (near: {', '.join(nearest)})"
     more = "" if len(known) <= _SHOWN else f" and {len(known) - _SHOWN} more"
-    return f"a {what} of the file ({', '.join(known[:_SHOWN])}{more})"
+    return f"a {kind} of the file ({', '.join(known[:_SHOWN])}{more})"
