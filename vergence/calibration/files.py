@@ -86,7 +86,7 @@ def calibration_record(calibration: Calibration) -> CalibrationRecord:
         rms_px=rms_length(calibration.fit.solution.residuals_px),
         rms_heldout_px=rms_length(calibration.held_out_px),
         corners_sha256=calibration.observations.digest,
-        package_versions=", ".join(f"{name} {each}" for name, each in package_versions(_VERSIONED).items()),
+        versions=", ".join(f"{name} {each}" for name, each in package_versions(_VERSIONED).items()),
         sigma=sigma,
     )
 
@@ -145,7 +145,7 @@ def ros_camera_document(calibration: Calibration) -> dict[str, Any]:
             "rms_px": calibration.rms_alone_px[0],
             "rms_heldout_px": rms_length(calibration.held_out_px),
             "corners_sha256": calibration.observations.digest,
-            "package_versions": package_versions(_VERSIONED),
+            "versions": package_versions(_VERSIONED),
             "sigma": dict(
                 zip(names, calibration.sigma[calibration.rig.blocks[0]].tolist(), strict=True)
             ),

@@ -61,5 +61,6 @@ def _row(located: LocatedTarget) -> list[str]:
         *(format_fixed(MM * value, 2) for value in located.centre.point),
         " ".join(format_fixed(MM * value, 2) for value in located.centre.sigma),
         format_fixed(MM * located.gap_m, 2),
-        f"{format_fixed(MM * located.spacing.mean_m, 2)}{'!' if located.mean_edge.differs_from_stated else ''}",
+        format_fixed(MM * located.spacing.mean_m, 2)
+        + ("!" if located.mean_edge.differs_from_stated else ""),
     ]

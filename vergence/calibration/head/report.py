@@ -96,7 +96,7 @@ def write_run(
             "sigma": calibration.sigma.tolist(),
             "believed_sigma": own.prior_sigma.tolist(),
             "covariance": calibration.covariance.tolist(),
-            "package_versions": package_versions(),
+            "versions": package_versions(),
         },
     )
     _write_views(folder / "views.csv", calibration)

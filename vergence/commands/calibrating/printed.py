@@ -49,7 +49,7 @@ def print_calibration(calibration: "Calibration", out: Path) -> None:
         rows.append(["both together", f"{rms_length(calibration.fit.solution.residuals_px):.3f}"])
     rows.append(["views held out", f"{rms_length(calibration.held_out_px):.3f}"])
     kept, every = int(calibration.fit.kept.sum()), len(calibration.fit.kept)
-    print_table(["residual", "rms_length (px)"], rows, title=f"{kept} of {every} views", wrapped=(0,))
+    print_table(["residual", "rms (px)"], rows, title=f"{kept} of {every} views", wrapped=(0,))
     if calibration.dropped:
         print_table(
             ["left out", "why"],
