@@ -37,6 +37,7 @@ def test_what_is_there_in_place_of_a_grid_is_said():
     there = "aprilgrid:5x4:30:0.3 (tags, and their gap by their edge) is there"
     for asked in ("aprilgrid:4x5:30:0.3", "aprilgrid:5x4:30:0.2", "aprilgrid:5x3:30:0.3"):
         assert describe_similar_targets(grid, parse_targets([asked])) == there
+    assert describe_similar_targets(grid, parse_targets(["aprilgrid:5x4:30:0.295"])) == ""
     assert describe_similar_targets(grid, [TagFamily()]).startswith("aprilgrid:5x4:TAG:0.3")
     assert (
         describe_similar_targets(tag, [GRID])

@@ -182,13 +182,17 @@ class FlatView:
 
     def to_plane(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points of the plane for pixels of the image, shape (n, 2)."""
-        rays = self.camera.rays(pixels)
-        return np.asarray(cv2.perspectiveTransform(rays[None], self.plane_from_ray)[0])
+        return _transformed(self.camera.rays(pixels), self.plane_from_ray)
 
     def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels of the image for points of the plane, the inverse of `to_plane`, shape (n, 2)."""
-        rays = cv2.perspectiveTransform(points[None], self.ray_from_plane)[0]
-        return np.asarray(rays_to_pixels(np.asarray(rays, float), self.camera.row))
+        rays = _transformed(points, self.ray_from_plane)
+        return np.asarray(rays_to_pixels(rays, self.camera.row))
+
+
+def _transformed(points: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Apply a homography to points, shape (n, 2); OpenCV returns None for none of them."""
+    return np.asarray(cv2.perspectiveTransform(points[None], matrix)[0]) if len(points) else points
 
 
 class IdentityView:

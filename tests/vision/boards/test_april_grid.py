@@ -116,6 +116,13 @@ def test_a_board_that_is_hidden_in_part_is_tracked_and_comes_back():
     assert np.isfinite(detector.track(one.image, found).corners_px).all()
 
 
+def test_a_board_that_is_gone_is_lost_through_a_lens_too():
+    detector = make_detector(GRID, FISHEYE)
+    before = detector.detect(drawn(camera=FISHEYE, z=0.3).image)
+    assert before is not None
+    assert detector.track(np.full((480, 640), 120, np.uint8), before) is None
+
+
 def test_other_boards_are_none():
     image = drawn(AprilGrid(columns=5, rows=4, tag_m=0.05)).image
     for other in (

@@ -68,10 +68,11 @@ def plausible_grids(image: NDArray[np.uint8], requested: AprilGrid | None) -> It
         for each, _row, _column in best:
             tags[each.id] = each.corners
         seen, _edge = estimate_spacing_and_edge_px(tags, other)
+        seen = round(round(seen / _STEP) * _STEP, 6) if np.isfinite(seen) else 0.0
         if abs(seen - requested.spacing) < 2.0 * _STEP:
             seen = requested.spacing
-        if np.isfinite(seen):
-            other = replace(other, spacing=round(round(seen / _STEP) * _STEP, 6))
+        if seen > 0.0:
+            other = replace(other, spacing=seen)
         if other != requested or not given:
             yield other
 
