@@ -15,7 +15,7 @@ from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.vision import parse_target
 
 POINTS = np.array([[0.0, 0.0, 0.5], [0.1, -0.1, 1.0], [-0.3, 0.0, 1.5], [0.0, 0.1, 2.5]])
-SMALL = {"poses": 24, "frames": 4, "target": "checkerboard:6x5:40", "distances_m": (0.6, 1.1)}
+SMALL = {"poses": 24, "frames_per_pose": 4, "target": "checkerboard:6x5:40", "distances_m": (0.6, 1.1)}
 
 
 def drawn(name="physical", seed=0, **options):
@@ -71,7 +71,7 @@ def test_a_head_is_found_with_errors_as_large_as_are_said(usual):
 
 @pytest.mark.parametrize("name", ["icub", "turrets"])
 def test_any_head_is_found(name):
-    head, true, frames = drawn(name, neck=name == "icub")
+    head, true, frames = drawn(name, move_neck=name == "icub")
     assert surprise(calibrate_head(head, frames), true) < 1.9
 
 
@@ -209,7 +209,7 @@ def test_all_but_redundant_directions_are_told_if_the_neck_moves(usual):
 
 
 def test_without_the_neck_the_eyes_place_in_it_is_not_told():
-    head, _, frames = drawn(neck=False)
+    head, _, frames = drawn(move_neck=False)
     told = unobservable_directions(calibrate_head(head, frames).solution)
     assert [(one.what, one.remedy) for one in told[1:]] == [
         ("tilt of both eyes in common", "move the neck"),

@@ -130,7 +130,7 @@ def _nudge():
 
 @pytest.mark.parametrize("find", [solve_each_eye, solve_both_eyes])
 def test_motions_about_one_axis_are_refused(find):
-    _true, head, frames = seen_by("simulated", neck=False, off_axis=0.0, dither_rad=0.0)
+    _true, head, frames = seen_by("simulated", move_neck=False, off_axis=0.0, dither_rad=0.0)
     with pytest.raises(ConfigurationError, match="turn about two axes"):
         find(head, frames)
 

@@ -71,7 +71,7 @@ def rank(matrix):
 
 
 def test_boards_tell_all_but_where_the_eyes_are_in_the_neck():
-    assert rank(recorded(0, neck=False)) == 30
+    assert rank(recorded(0, move_neck=False)) == 30
 
 
 def test_boards_and_a_moving_neck_tell_all_but_redundant_directions():
