@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from typing import Final
 
 
 class VergenceError(Exception):
@@ -185,7 +186,7 @@ class ControllerError(VergenceError):
     """
 
 
-_LONGEST = 200
+_LONGEST: Final = 200
 """Most characters of a value that a message shows (chosen: detail against length)."""
 
 

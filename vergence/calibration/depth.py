@@ -12,8 +12,10 @@ from vergence.models.parts import FloatArray
 
 BASELINES: Final = (3.0, 100.0)
 """Nearest and farthest distance of the figure, in baselines (chosen: the range of use)."""
-NEAR_M, FAR_M = 0.2, 5.0
-"""Distances that the figure covers in any case, m (chosen: the range of use)."""
+NEAR_M: Final = 0.2
+"""Distance from which on the figure reaches in any case, m (chosen: the range of use)."""
+FAR_M: Final = 5.0
+"""Distance up to which the figure reaches in any case, m (chosen: the range of use)."""
 
 
 @dataclass(frozen=True, eq=False)

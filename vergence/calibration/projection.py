@@ -4,7 +4,7 @@ The lens models equal those of `vergence.models.lens`, whose kernels project wit
 the coefficients; tests compare both.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from vergence.models.parts import FloatArray
 
 PINHOLE_VALUES = ("f_u", "f_v", "u_0", "v_0")
 """First parameters of a camera, px; the lens's coefficients follow in OpenCV's order."""
-_SMALL_RADIUS = 1e-9
+_SMALL_RADIUS: Final = 1e-9
 """Least normalised radius, which avoids a division by zero on the axis (numerical)."""
 
 

@@ -27,7 +27,10 @@ _ROBOT: Final = "vergence.hardware.looker"
 _HEAD: Final = "simulated"
 _DISTANCE_M: Final = 0.7
 """Default distance of a simulated board, m (chosen: a usual working distance)."""
-_NEAREST_M, _FARTHEST_M = 0.05, 50.0
+_NEAREST_M: Final = 0.05
+"""Smallest distance of a simulated board, m (chosen: refuses another unit, not a real setup)."""
+_FARTHEST_M: Final = 50.0
+"""Largest distance of a simulated board, m (chosen: as above)."""
 _MOST_ERRORS: Final = 20.0
 """Largest scale of a simulated head's errors (chosen: far beyond real heads)."""
 

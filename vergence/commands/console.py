@@ -10,6 +10,7 @@ import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from logging.handlers import QueueHandler, QueueListener
+from typing import Final
 
 from rich.console import Console
 from rich.progress import (
@@ -21,11 +22,13 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-_PROGRESS_AFTER_S = 2.0
-_LONGEST = 1000
-"""Longest note, characters; longer ones, such as quoted input, lose their middle."""
-
-_MOST_FAILURES = 5
+_PROGRESS_AFTER_S: Final = 2.0
+"""Time after which a progress bar appears, s (chosen: short work shows none)."""
+_LONGEST: Final = 1000
+"""Longest note, characters; longer ones, such as quoted input, lose their middle
+(chosen: detail against length)."""
+_MOST_FAILURES: Final = 5
+"""Most unreadable files that are listed one by one (chosen: detail against length)."""
 
 
 def print_note(text: str) -> None:
@@ -143,8 +146,8 @@ def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
             bar.stop()
 
 
-_LINE_AFTER_S = 30.0
-"""Time between two progress lines if there is no terminal, s."""
+_LINE_AFTER_S: Final = 30.0
+"""Time between two progress lines if there is no terminal, s (chosen: news against length)."""
 
 
 class ProgressListener:

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import tyro
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from vergence.perception.detect import DetectResult
     from vergence.vision import EyeCamera
 
-_MOST_PANELS = 12
-"""Most photographs in one figure."""
+_MOST_PANELS: Final = 12
+"""Most photographs in one figure (chosen: overview against size of each)."""
 
 
 @dataclass(frozen=True, kw_only=True)

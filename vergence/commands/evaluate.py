@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from shutil import rmtree
 from textwrap import wrap
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -37,9 +37,11 @@ if TYPE_CHECKING:
     from vergence.eval.margins.margins import Margins
     from vergence.eval.reporting.report import ReportTable
 
-_NAME_WIDTH = 18
-_FILE_WIDTH = 120
-"""Width of tables that go to a file or a pipe, characters."""
+_NAME_WIDTH: Final = 18
+"""Width to which the options below a name are wrapped, characters (chosen: that of long names)."""
+_FILE_WIDTH: Final = 120
+"""Width of tables that go to a file or a pipe, characters (chosen: whole rows against
+narrow pages)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,7 @@
 import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 from rich.console import Console
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from vergence.eval.tuning.tune import TuneResult
     from vergence.models.head import HeadModel
 
-_PRINTED_POINTS = 5
-"""Number of best points that are printed."""
+_PRINTED_POINTS: Final = 5
+"""Number of best points that are printed (chosen: detail against length)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ Commands are quantised to the resolution of the actuators, see `vergence.control
 The law needs no outlier gate, because the predictor has its own.
 """
 
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +20,7 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
 
-DEFAULT_GAIN = 10.0
+DEFAULT_GAIN: Final = 10.0
 """Default gain, 1/s (chosen): only the joints' lag is left in the loop, and it bounds the gain."""
 
 

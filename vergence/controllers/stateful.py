@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from functools import cached_property
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,9 @@ from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-_MANY = 10
-"""Number of arrays from which on a message does not list their shapes (chosen)."""
+_MANY: Final = 10
+"""Number of arrays from which on a message does not list their shapes (chosen: detail
+against length)."""
 
 
 class StatefulController(ABC):

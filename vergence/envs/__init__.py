@@ -1,11 +1,14 @@
 """The task and the simulated heads, as Gymnasium environments."""
 
+from typing import Final
+
 from gymnasium.envs.registration import register, registry
 
 __all__ = ["MAX_EPISODE_STEPS", "register_environments"]
 
-MAX_EPISODE_STEPS = 240
-"""Steps of an episode of the registered environments: 2 s at 120 Hz."""
+MAX_EPISODE_STEPS: Final = 240
+"""Steps of an episode of the registered environments: 2 s at 120 Hz (chosen: time to settle
+against time of a simulation)."""
 
 
 def register_environments() -> None:

@@ -2,7 +2,7 @@
 
 import functools
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -18,12 +18,14 @@ from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-EYE_WIDTH = 480
-"""Width of each eye's picture, px."""
-VIEW_HEIGHT = 320
-"""Height of the view of the head, px."""
-_INK, _PAPER = (40, 40, 40), 245
-_MARK = (0, 150, 60)
+EYE_WIDTH: Final = 480
+"""Width of each eye's picture, px (chosen: detail against size)."""
+VIEW_HEIGHT: Final = 320
+"""Height of the view of the head, px (chosen: detail against size)."""
+# Colour of text, grey of the background, colour of the target's mark; 0 to 255 (chosen: contrast).
+_INK: Final = (40, 40, 40)
+_PAPER: Final = 245
+_MARK: Final = (0, 150, 60)
 
 
 def opengl_works() -> bool:

@@ -1,7 +1,7 @@
 """Figure of one gaze: the eyes' images, the errors over time, and the optical axes."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import matplotlib
 import numpy as np
@@ -16,11 +16,12 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 
 _COLOURS = ("#1f6fb4", "#d1571b")
-_WORTH_MAGNIFYING = 0.15
+_WORTH_MAGNIFYING: Final = 0.15
 """Largest half width of the magnified part, as a fraction of the image's width; wider parts are not
-magnified."""
-_LEAST_PX = 1e-3
-"""Least drawn error, px; smaller errors are drawn as this."""
+magnified (chosen: detail against clutter)."""
+_LEAST_PX: Final = 1e-3
+"""Least drawn error, px; smaller errors are drawn as this (chosen: far below one that
+matters, on a logarithmic axis)."""
 _GREEN, _GREY = "#14803c", "#666666"
 _STYLE: Any = {
     "font.size": 11,

@@ -4,7 +4,7 @@ from array import array
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,9 @@ from vergence.perception.finders import LiveFinder
 from vergence.perception.target_finder import tag_number
 from vergence.vision import Detection
 
-WINDOW_S = 3.0
+WINDOW_S: Final = 3.0
 """Time window of rates and noise, s (chosen: steady values against fast changes)."""
-SHOWN_EVERY_S = 1.0
+SHOWN_EVERY_S: Final = 1.0
 """Interval between reports, s (chosen: up to date against readable)."""
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,8 @@ from vergence.models.april_grid import AprilGrid
 from vergence.models.boards import AprilTag, PlanarTarget
 from vergence.models.parts import FloatArray
 
-MM = 1000.0
+MM: Final = 1000.0
+"""Millimetres per metre (physical)."""
 
 
 class EdgeSpacing(NamedTuple):

@@ -9,7 +9,7 @@ target it returns None, never a wrong point.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,12 +27,13 @@ from vergence.models.response import (
 from vergence.vision.image import has_colours, measurement_channel
 from vergence.vision.optics import EyeCamera, FlatView, IdentityView, ray_table
 
-_REGION_MARGIN_SHARE = 0.5
-_REGION_MARGIN_PX = 24
-"""Margin of the search region around the outermost corners: a fraction of the board's size, for its
-rim, plus pixels for the prediction error (chosen)."""
-_LEAST_REGION_PX = 24
-"""Smallest side of a search region, px (chosen)."""
+_REGION_MARGIN_SHARE: Final = 0.5
+"""Margin of the search region for the board's rim, as a fraction of the distance between the
+outermost corners (chosen: targets kept against time)."""
+_REGION_MARGIN_PX: Final = 24
+"""Further margin, for the prediction error, px (chosen: as above)."""
+_LEAST_REGION_PX: Final = 24
+"""Smallest side of a search region, px (chosen: time against targets at the image's edge)."""
 _NO_RAYS = np.zeros((0, 0, 2), np.float32)
 _NO_RAYS.setflags(write=False)  # read-only like tables of rays, so that kernels compile only once
 _NO_LENS = IdentityView()

@@ -21,7 +21,7 @@ the texel.
 import math
 from bisect import bisect_right
 from functools import lru_cache
-from typing import Any
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -35,35 +35,40 @@ from vergence.vision.blur import gaussian_radius_and_sigma, motion_blur_kernel
 from vergence.vision.noise import NOISE_MEAN, NOISE_UNIT, noise_window
 from vergence.vision.optics import EyeCamera, ray_table
 
-_NEAREST_M = 0.02
-"""Smallest depth of a board's corner at which it is drawn, m (chosen)."""
-_LEAST_INCIDENCE = 0.05
+_NEAREST_M: Final = 0.02
+"""Smallest depth of a board's corner at which it is drawn, m (chosen: near views against
+corners behind the camera)."""
+_LEAST_INCIDENCE: Final = 0.05
 """Least cosine between line of sight and the board's normal, about 87 degrees, at which it is
-drawn (chosen)."""
-_TEXELS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
-"""Texels per cell in each level of the texture pyramid."""
-_LEAST_TEXEL = 0.45
-"""Smallest size of a texel, in samples, along the most foreshortened direction."""
-_TEXTURE_BLUR = 1.35
+drawn (chosen: oblique views against the oversampling they need)."""
+_TEXELS: Final = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
+"""Texels per cell in each level of the texture pyramid (chosen: close levels against memory)."""
+_LEAST_TEXEL: Final = 0.45
+"""Smallest size of a texel, in samples, along the most foreshortened direction (chosen: aliasing
+against blur)."""
+_TEXTURE_BLUR: Final = 1.35
 """Standard deviation of the texture's own blur, in texels. At the texel size above and two samples
-a pixel it suits a lens blur of at least 0.45 pixels."""
-_LEAST_FINE_TEXEL = 0.22
-"""Smallest size of a texel, in samples, for sharper images; the texture then has all the blur."""
-_FINE_BLURS = (1.35, 2.6)
-"""Range of the texture's blur for these images, in texels."""
-_STEEP_RATIO = 1.5
+a pixel it suits a lens blur of at least 0.45 pixels (chosen: aliasing against blur)."""
+_LEAST_FINE_TEXEL: Final = 0.22
+"""Smallest size of a texel, in samples, for sharper images; the texture then has all the blur
+(chosen: aliasing against blur)."""
+_FINE_BLURS: Final = (1.35, 2.6)
+"""Range of the texture's blur for these images, in texels (chosen: aliasing against blur)."""
+_STEEP_RATIO: Final = 1.5
 """Ratio of the scales across and along the foreshortened direction above which a view is steep:
-48 degrees."""
-_OVERSAMPLING_MARGIN = 1.1
-"""Factor on the number of samples of steep views, for safety."""
-_MOST_OVERSAMPLING = 6
-"""Largest factor on the number of samples along each axis."""
-_TEXTURE_RIM = 9
-"""Surround of the board in a texture, texels."""
-_NOISE_MARGIN_PX = 12
-"""Width of the background around the board that has noise too, for detectors that look there."""
-_TABLE_MARGIN_PX = 32
-"""Margin of the ray table around the frame, and so the largest reach of a blur beyond it."""
+48 degrees (chosen: aliasing against time)."""
+_OVERSAMPLING_MARGIN: Final = 1.1
+"""Factor on the number of samples of steep views, for safety (chosen: aliasing against time)."""
+_MOST_OVERSAMPLING: Final = 6
+"""Largest factor on the number of samples along each axis (chosen: aliasing against time)."""
+_TEXTURE_RIM: Final = 9
+"""Surround of the board in a texture, texels (chosen: room for the texture's blur)."""
+_NOISE_MARGIN_PX: Final = 12
+"""Width of the background around the board that has noise too, for detectors that look there,
+px (chosen: realism against time)."""
+_TABLE_MARGIN_PX: Final = 32
+"""Margin of the ray table around the frame, and so the largest reach of a blur beyond it, px
+(chosen: strong blur against memory)."""
 
 Region = tuple[int, int, int, int]
 """Region of the pixels x0 <= u < x1, y0 <= v < y1 as (x0, y0, x1, y1)."""

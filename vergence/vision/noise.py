@@ -1,14 +1,16 @@
 """White grey-level noise for images by table look-up."""
 
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-NOISE_MEAN = 128
-"""Stored level of noise 0."""
-NOISE_UNIT = 24.0
-"""Stored levels per standard deviation; 127 levels cover five of them."""
+NOISE_MEAN: Final = 128
+"""Stored level of noise 0 (numerical: middle of 8 bits)."""
+NOISE_UNIT: Final = 24.0
+"""Stored levels per standard deviation; 127 levels cover five of them (chosen: resolution
+against clipping)."""
 
 
 def noise_window(

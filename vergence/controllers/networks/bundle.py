@@ -30,8 +30,10 @@ MAX_PART_BYTES: Final = {MANIFEST_PART: 2**18, NETWORK_PART: MAX_NETWORK_BYTES}
 """Largest size of each part once unpacked, bytes."""
 
 _PRETRAINED = resources.files("vergence.controllers") / "pretrained"
-_ENCRYPTED = 0x1
-_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest date of a zip: equal content gives equal files
+_ENCRYPTED: Final = 0x1
+"""Flag of an encrypted entry (physical: ZIP format, general purpose bit 0)."""
+_DATE: Final = (1980, 1, 1, 0, 0, 0)
+"""Date of each entry, so that equal content gives equal files (physical: earliest of ZIP)."""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ for this; they never move, as no actuator turns them.
 """
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from vergence.models.links import inverse_pose
 from vergence.models.packed import pack_constants
 from vergence.models.parts import FloatArray
 
-_PARALLEL = 1e-3
+_PARALLEL: Final = 1e-3
 """Squared sine below which the first joint's axis counts as parallel to the optical axis
 (numerical)."""
 

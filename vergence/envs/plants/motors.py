@@ -38,11 +38,11 @@ from vergence.models.packed import (
 )
 from vergence.models.parts import FloatArray
 
-_CONTACT_RAD = 1e-12
+_CONTACT_RAD: Final = 1e-12
 """Rounding tolerance of contact between a motor and its output, rad (numerical)."""
-_PASSES = 4
+_PASSES: Final = 4
 """Passes over the joints that move motors back from the joints' stops (numerical)."""
-_SHORT = 0.125
+_SHORT: Final = 0.125
 """Largest step of a second-order servo as a fraction of its time constant; backlash and stops are
 applied only between steps (numerical)."""
 

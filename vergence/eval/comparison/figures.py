@@ -17,9 +17,10 @@ from vergence.eval.comparison.tables import has_residual
 from vergence.eval.reporting.style import GREY, figure_style, new_figure
 from vergence.eval.trials.settling import Band
 
-_DELAY_BINS = 6
-_GAINS = (-8.0, 25.0)
-"""Limits of the axis of effective gains, 1/s."""
+_DELAY_BINS: Final = 6
+"""Number of bins of the delay in its figure (chosen: resolution against scatter)."""
+_GAINS: Final = (-8.0, 25.0)
+"""Limits of the axis of effective gains, 1/s (chosen: hides outliers of feedforward motion)."""
 _TIME: Final = "time since the onset (s)"
 
 

@@ -24,8 +24,10 @@ _POINTS: Final = 72.0
 """Points per inch, the unit of PDF pages (physical: definition of the point)."""
 _TEXT_PT: Final = 8.0
 """Font size, at which a board's longest text is shorter than the ruler, pt (chosen)."""
-_RULER_TOP_MM, _LINES_MM = 0.6, (4.6, 8.2)
-"""Distances of the ruler and of the lines of text from the board's margin, mm."""
+_RULER_TOP_MM: Final = 0.6
+"""Distance of the ruler from the board's margin, mm (chosen: layout)."""
+_LINES_MM: Final = (4.6, 8.2)
+"""Distances of the lines of text from the board's margin, mm (chosen: layout)."""
 # Number of the ruler's intervals, lengths of its ticks and width of its strokes (chosen).
 _TICKS: Final = 10
 _TICK_MM: Final = 2.0

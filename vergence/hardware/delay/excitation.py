@@ -18,7 +18,11 @@ _SLOW_RAD: Final = 0.06
 """Amplitude of the slow part, rad (chosen)."""
 _CHIRP_HZ: Final = (0.4, 4.0)
 """First and last frequency of the chirp, Hz (chosen)."""
-_SLOW_S, _CHIRP_S, _QUICK_S = 4.8, 9.0, 3.0
+# Durations of the slow part, the chirp and the reversals, s (chosen: precision against time).
+_SLOW_S: Final = 4.8
+_CHIRP_S: Final = 9.0
+_QUICK_S: Final = 3.0
+
 _BACK: Final = 1.0
 """Gain of the correction towards the planned angle, 1/s (chosen)."""
 _LATE: Final = 3

@@ -1,14 +1,16 @@
 """Angles at which the eye joints look straight at a target, from its pixels."""
 
+from typing import Final
+
 import numpy as np
 
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
 
-_AWAY_M = 1.0
+_AWAY_M: Final = 1.0
 """Assumed distance of the target from each camera, m: a turning camera moves near and far targets
-alike in the image."""
+alike in the image (chosen: a usual working distance)."""
 
 
 def joint_goals(head: HeadModel, q: FloatArray, pixels: FloatArray) -> FloatArray:

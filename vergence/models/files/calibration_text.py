@@ -18,7 +18,7 @@ import numpy as np
 from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
 
-_LARGEST_BYTES = 50_000_000
+_LARGEST_BYTES: Final = 50_000_000
 """Largest size of a calibration file; a file with every image point has a few million (chosen)."""
 _DEEPEST: Final = 100
 """Deepest nesting of values; the parsers would overflow the stack somewhere beyond (chosen)."""

@@ -15,7 +15,8 @@ from vergence.vision.tags.workspace import (
 )
 
 WIDE, NARROW, ALL, BEND = range(4)
-"""Stages: a wide band along the outer edges, a narrow one, the edges of all cells, and a bend."""
+"""Stages: a wide band along the outer edges, a narrow one, the edges of all cells, and a bend
+(numerical)."""
 _BLOCK_PX: Final = 8.0
 """Smallest side of a block, which has one dark level and one contrast, px (chosen: shadows and
 gradients against noise)."""

@@ -26,7 +26,8 @@ from vergence.models.parts import FloatArray
 from vergence.recording import Recorder
 from vergence.triangulation import Fix, Noise, triangulate_gaze, triangulate_views
 
-MM = 1000.0
+MM: Final = 1000.0
+"""Millimetres per metre (physical)."""
 _READING: Final = ("time_s", "exposure_s", "pixels", "positions", "positions_at_exposure")
 
 

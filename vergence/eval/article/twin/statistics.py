@@ -12,9 +12,10 @@ from vergence.models.parts import FloatArray
 METHODS: Final = ("gaze", "itpc")
 METHOD_LABELS: Final = {"gaze": "gaze", "itpc": "ITPC"}
 AXES: Final = ("x", "y", "z")
-LOW, HIGH = 10.0, 90.0
-"""Percentiles between which the article's head counts as one of the population (chosen: the middle
-80 %)."""
+# Percentiles between which the article's head counts as one of the population (chosen: the middle
+# 80 %).
+LOW: Final = 10.0
+HIGH: Final = 90.0
 
 
 class RankInPopulation(NamedTuple):

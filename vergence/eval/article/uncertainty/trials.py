@@ -31,6 +31,7 @@ from vergence.triangulation import Noise, triangulate_gaze, triangulate_views
 NAME: Final = "uncertainty"
 AHEAD: Final = "ahead"
 ASIDE: Final = "aside"
+# Keys of the random streams, one per kind of trial (numerical).
 _PROPAGATION, _LOOP, _LOOP_IMAGES, _AVERAGING, _REACH = range(5)
 _REACH_PX: Final = 0.004
 """Half range of the optical axes' jitter in the image, px (chosen: about twice their standard
