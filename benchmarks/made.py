@@ -29,7 +29,7 @@ def imperfections() -> list[str]:
 def searched() -> list[str]:
     """Rows of the imperfections whose margins are searched: name, unit, range."""
     return [
-        f"| `{name}` | {IMPERFECTIONS[name].unit} | {one.least:g} to {one.most:g} |"
+        f"| `{name}` | {IMPERFECTIONS[name].unit} | {one.lowest:g} to {one.highest:g} |"
         for name, one in SEARCHED.items()
     ]
 

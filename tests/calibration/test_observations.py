@@ -1,4 +1,4 @@
-"""Observations that `observe` makes of photographs: the camera response used at edges."""
+"""Observations that `detect_board_corners` makes of photographs: the camera response used at edges."""
 
 from pathlib import Path
 

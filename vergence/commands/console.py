@@ -174,7 +174,7 @@ class ProgressListener:
             self._bars.stop()
 
     def begin(self, name: str) -> Callable[[int, int], None]:
-        """See `Listener.begin`."""
+        """See `ReproduceListener.begin`."""
         task = self._tasks[name] = self._bars.add_task(name, total=None, state="")
         told_s = time.monotonic()
 
@@ -189,14 +189,14 @@ class ProgressListener:
         return report
 
     def warn(self, name: str, why: str) -> None:
-        """See `Listener.warn`."""
+        """See `ReproduceListener.warn`."""
         if self._console.is_terminal:
             self._console.print(f"vergence: {name} {why}", markup=False, highlight=False)
         else:
             print_note(f"{name} {why}")
 
     def end(self, name: str, seconds: float | None) -> None:
-        """See `Listener.end`."""
+        """See `ReproduceListener.end`."""
         state = "kept from an earlier call" if seconds is None else f"{seconds:.1f} s"
         self._bars.update(self._tasks[name], completed=1, total=1, state=state)
         if not self._console.is_terminal:

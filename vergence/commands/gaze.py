@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from vergence.models.head import HeadModel
 
 COMPILED_AHEAD: Final = (
-    "vergence.vision.tags.detector:compile_fit",
+    "vergence.vision.tags.detector:compile_tag_fit",
     "vergence.models.fixation:fixate",
     "vergence.models.kinematics:base_pose",
     "vergence.models.camera:rays_to_pixels",

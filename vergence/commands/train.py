@@ -81,7 +81,7 @@ class _Watch:
         self.stop = False
 
     def begin(self, baselines: "dict[str, ValidationScore]", unit: str) -> None:
-        """See `Listener.begin`."""
+        """See `TrainingListener.begin`."""
         self._unit = unit
         self._baseline = min(baselines, key=lambda name: baselines[name].headline)
         if self._console.is_terminal:
@@ -91,17 +91,17 @@ class _Watch:
             print(f"{self._folder}: to beat on validation trials: {said}", file=sys.stderr)
 
     def resumed(self, done: int) -> None:
-        """See `Listener.resumed`."""
+        """See `TrainingListener.resumed`."""
         print_note(
             f"goes on after {done} steps" if done else "nothing had been saved: begins at 0 steps"
         )
 
     def step(self, done: int, total: int) -> None:
-        """See `Listener.step`."""
+        """See `TrainingListener.step`."""
         self.bar.update(self._task, completed=done, total=total)
 
     def row(self, row: dict[str, Any]) -> None:
-        """See `Listener.row`."""
+        """See `TrainingListener.row`."""
         state = (
             f"{row['headline']:.3f} {self._unit}, {_compared(row['gain'], self._unit)} "
             f"than {self._baseline}, "
@@ -112,7 +112,7 @@ class _Watch:
             print(f"{row['step']} steps: {state}", file=sys.stderr, flush=True)
 
     def stopping(self) -> bool:
-        """See `Listener.stopping`."""
+        """See `TrainingListener.stopping`."""
         return self.stop
 
 

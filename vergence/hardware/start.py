@@ -99,7 +99,7 @@ def drive_to(
         Time at which they came to rest, on the clock of `move`, s.
 
     Raises:
-        NotThereError: they did not get there in time, or stopped on the way.
+        GoalNotReachedError: they did not get there in time, or stopped on the way.
         HardwareError: see `move`.
     """
     goal = np.clip(goal, angles.lower, angles.upper)

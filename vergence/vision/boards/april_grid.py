@@ -11,7 +11,7 @@ from vergence.models.april_grid import AprilGrid
 from vergence.vision.boards.april_search import CornerSearch, Tags, known_corner_mask
 from vergence.vision.boards.april_tags import (
     SEARCH_SCALES,
-    estimate_spacing_and_edge_px,
+    estimate_gap_ratio_and_edge_px,
     find_grid_tags,
     largest_consistent_group,
 )
@@ -142,7 +142,7 @@ class AprilGridDetector(Detector[AprilGrid]):
             return None
         out, sigmas = np.full((2, len(board.corners_m), 2), np.nan)
         out[known] = corners
-        ratio, edge = estimate_spacing_and_edge_px(out.reshape(-1, 4, 2), board)
+        ratio, edge = estimate_gap_ratio_and_edge_px(out.reshape(-1, 4, 2), board)
         if abs(ratio - board.spacing) > max(_MOST_OFF, _MOST_OFF_PX / edge):
             return None
         grid_sigma_px = fit.residual_sigma_px or _DEFAULT_SIGMA_PX

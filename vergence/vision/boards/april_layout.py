@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vergence.errors import ConfigurationError
 from vergence.models.april_grid import AprilGrid
 from vergence.vision.boards.april_tags import (
-    estimate_spacing_and_edge_px,
+    estimate_gap_ratio_and_edge_px,
     find_grid_tags,
     largest_consistent_group,
 )
@@ -67,7 +67,7 @@ def plausible_grids(image: NDArray[np.uint8], requested: AprilGrid | None) -> It
         tags = np.full((rows * columns, 4, 2), np.nan)
         for each, _row, _column in best:
             tags[each.id] = each.corners
-        seen, _edge = estimate_spacing_and_edge_px(tags, other)
+        seen, _edge = estimate_gap_ratio_and_edge_px(tags, other)
         seen = round(round(seen / _STEP) * _STEP, 6) if np.isfinite(seen) else 0.0
         if abs(seen - requested.spacing) < 2.0 * _STEP:
             seen = requested.spacing

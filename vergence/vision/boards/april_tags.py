@@ -151,7 +151,7 @@ def largest_consistent_group(
     return [(tags[i], int(row[i]), int(column[i])) for i in best]
 
 
-def estimate_spacing_and_edge_px(
+def estimate_gap_ratio_and_edge_px(
     corners: NDArray[np.float64], target: AprilGrid
 ) -> tuple[float, float]:
     """Estimate the ratio of gap to tag edge in an image.

@@ -124,7 +124,7 @@ def fit_tag(
 
     Args:
         image: grey levels, shape (height, width).
-        light: (256,) light of each grey level, see `light_of_levels`.
+        light: (256,) light of each grey level, see `light_table`.
         rays: (height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole.
         packed_camera: the camera, see `pack_camera`.
         cells: (n, n) the print, 0 black to 1 white, nan unknown.
