@@ -1,4 +1,4 @@
-"""Observations that `detect_board_corners` makes of photographs: the camera response used at edges."""
+"""Corners that `detect_board_corners` finds in photographs: the camera response at edges."""
 
 from pathlib import Path
 
