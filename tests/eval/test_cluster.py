@@ -194,7 +194,7 @@ def test_a_jobs_own_error_is_raised_as_it_is_and_the_others_are_called_off(mappe
 
 
 def test_a_node_with_other_versions_is_refused(mapper, monkeypatch):
-    monkeypatch.setattr("vergence.eval.jobs.versions", lambda: {"numpy": "0.1"})
+    monkeypatch.setattr("vergence.eval.jobs.package_versions", lambda: {"numpy": "0.1"})
     with pytest.raises(ConfigurationError, match=r"same versions on every node .* numpy"):
         mapper([partial(pow, 2, 2)])
 
