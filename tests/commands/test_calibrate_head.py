@@ -12,7 +12,12 @@ from vergence.calibration.head.simulated import simulate_recording
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 
 pytest.importorskip("mcap")
-OPTIONS = {"poses": 12, "frames": 2, "target": "checkerboard:6x5:40", "distances_m": (0.6, 1.1)}
+OPTIONS = {
+    "poses": 12,
+    "frames_per_pose": 2,
+    "target": "checkerboard:6x5:40",
+    "distances_m": (0.6, 1.1),
+}
 POINT = np.array([0.1, -0.1, 1.5])
 
 

@@ -8,7 +8,7 @@ from vergence.hardware import scan as scanning
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.scan import RATES, scan_for_servos
 
-QUICK = {"wait_per_id_s": 1e-4, "rates": (2_000_000, 1_000_000)}
+QUICK = {"wait_per_id_s": 1e-4, "baud_rates": (2_000_000, 1_000_000)}
 
 
 def test_all_rates_are_asked_once_the_likely_ones_first():

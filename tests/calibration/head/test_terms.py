@@ -58,10 +58,13 @@ def depth_error(found, true=TRUE, faults=None):
     q = true.fixate(POINTS)
     read = q
     for _ in range(20 if faults is not None else 0):  # until the faults make q of it
-        read = q - faults.true(read, read[0])[0] + read
+        read = q - faults.output_angles(read, read[0])[0] + read
     reading_terms = found.solution.problem.terms
     here = replace(reading_terms, readings=read, frames=np.arange(len(read)))
-    mine = read + here.at(np.where(reading_terms.is_backlash, 0.0, found.solution.state.terms))[0]
+    mine = (
+        read
+        + here.evaluate(np.where(reading_terms.is_backlash, 0.0, found.solution.state.terms))[0]
+    )
     points = triangulate_views(found.head, mine, true.project(q, POINTS)).point
     return np.sqrt(np.mean((points - POINTS)[:, 2] ** 2))
 

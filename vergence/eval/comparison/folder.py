@@ -40,7 +40,7 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
     )
     summary.to_csv(folder / "summary.csv", index=False)
     _long(evaluation, "curves").to_csv(folder / "curves.csv", index=False)
-    _long(evaluation, "gains").to_csv(folder / "gains.csv", index=False)
+    _long(evaluation, "effective_gains").to_csv(folder / "gains.csv", index=False)
     figures = draw(evaluation)
     write_run_report(
         folder,
