@@ -33,7 +33,7 @@ def text_of(node: ast.stmt | None) -> str:
 
 
 def texts_of(tree: ast.Module) -> Iterator[str]:
-    """Docstrings of a module's parts, of their attributes and of their arguments."""
+    """Docstrings of a module's parts, their attributes, arguments and results."""
     for node in ast.walk(tree):
         if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             continue
@@ -42,6 +42,9 @@ def texts_of(tree: ast.Module) -> Iterator[str]:
         for line in (ast.get_docstring(node) or "").splitlines():
             if not line.startswith(" "):
                 section = line
+            elif section in ("Returns:", "Yields:"):
+                yield line.strip()
+                section = ""  # its first line alone opens a sentence
             elif section in ("Args:", "Attributes:") and (entry := ENTRY.match(line)):
                 yield entry[1]
 

@@ -302,7 +302,7 @@ def try_moment(
     """Strike once, look, mend, call again, look.
 
     Returns:
-        What happened, and what is wrong with it.
+        Outcome of the moment, and its faults.
     """
     fresh_contents(trial.folder)
     if rng.random() < 0.5:

@@ -99,7 +99,7 @@ def as_observation(observation: ArrayLike, size: int) -> NDArray[np.floating[Any
         size: length of one observation.
 
     Returns:
-        The same numbers as an array.
+        Array of the observation's numbers.
 
     Raises:
         ConfigurationError: the length is wrong, or the numbers are not floating-point or not all

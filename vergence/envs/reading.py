@@ -75,7 +75,7 @@ class Reading(NamedTuple):
             num: expected number of heads.
 
         Returns:
-            The same object if its arrays already have these types, else one with copies.
+            `returned` itself if its arrays already have these types, else a reading with copies.
 
         Raises:
             ConfigurationError: the object is not a reading of this many heads.
