@@ -99,7 +99,9 @@ class Truth(NamedTuple):
         pixels = np.stack(
             [
                 project_with_jacobians(lens, values, each).pixels
-                for lens, values, each in zip(self.rig.lenses, self.rig.values, points, strict=True)
+                for lens, values, each in zip(
+                    self.rig.lenses, self.rig.camera_parameters, points, strict=True
+                )
             ]
         )
         inside: NDArray[np.bool_] = np.asarray(
@@ -167,7 +169,7 @@ def drawn_truth(lens: str, target: PlanarTarget, rng: np.random.Generator) -> Tr
 
 def eye_camera(rig: CameraRig, camera: int) -> EyeCamera:
     """One of the cameras as an `EyeCamera`, for drawing."""
-    f_u, f_v, u_0, v_0, *coefficients = rig.values[camera].tolist()
+    f_u, f_v, u_0, v_0, *coefficients = rig.camera_parameters[camera].tolist()
     return EyeCamera(
         width=SIZE[0], height=SIZE[1], focal_px=(f_u, f_v), principal_px=(u_0, v_0),
         distortion=tuple(coefficients), lens=rig.lenses[camera],
@@ -249,14 +251,14 @@ def direction_ratio(fit: CameraFit, truth: CameraRig, covariance: FloatArray) ->
     u, v = np.meshgrid(*(np.linspace(0.1, 0.9, 9) * length for length in SIZE))
     rays = eye_camera(truth, 0).rays(np.column_stack([u.ravel(), v.ravel()]))
     points = np.insert(rays, 2, 1.0, axis=1)
-    seen = project_with_jacobians(lens, found.values[0], points)
-    error = seen.pixels - project_with_jacobians(lens, truth.values[0], points).pixels
+    seen = project_with_jacobians(lens, found.camera_parameters[0], points)
+    error = seen.pixels - project_with_jacobians(lens, truth.camera_parameters[0], points).pixels
     # a rotation of the frame is fitted to the observed corners, as in `direction_sigma_px`
     corners = fit.solution.problem.points(found, fit.solution.poses)
     corners = corners[fit.solution.problem.seen[0]]
-    at = project_with_jacobians(lens, found.values[0], corners)
+    at = project_with_jacobians(lens, found.camera_parameters[0], corners)
     by_turn = -at.point_jacobian @ cross_matrices(corners)
-    missed = at.pixels - project_with_jacobians(lens, truth.values[0], corners).pixels
+    missed = at.pixels - project_with_jacobians(lens, truth.camera_parameters[0], corners).pixels
     turn = np.linalg.lstsq(by_turn.reshape(-1, 3), -missed.ravel(), rcond=None)[0]
     error = error - seen.point_jacobian @ cross_matrices(points) @ turn
     sigma = direction_sigma_px(fit.solution, covariance, 0, rays)

@@ -187,7 +187,7 @@ def our_calibrated(seen: Observations, lens: str) -> CameraRig:
         for i in range(len(seen.sizes))
     ]
     fit = alone[0] if len(alone) == 1 else fit_camera_pair(seen, *alone)[1]
-    return fit.solution.rig._replace(bend=np.zeros(3))
+    return fit.solution.rig._replace(board_curvatures=np.zeros(3))
 
 
 def judged(board: FloatArray, rig: CameraRig, corners: Corners, *, bent: bool) -> FloatArray:
@@ -201,15 +201,17 @@ def judged(board: FloatArray, rig: CameraRig, corners: Corners, *, bent: bool) -
     """
     problem = BundleAdjustment(board, corners.pixels, np.ones_like(corners.pixels))
     start = estimate_board_poses(
-        problem.of_camera(0), CameraRig.single(rig.lenses[0], rig.values[0]), corners.sizes[0]
+        problem.of_camera(0),
+        CameraRig.single(rig.lenses[0], rig.camera_parameters[0]),
+        corners.sizes[0],
     )
-    rig = rig._replace(bend=np.zeros(3))
+    rig = rig._replace(board_curvatures=np.zeros(3))
     poses, linear = problem.fit_poses(rig, start)
     for _ in range(_BENDINGS if bent else 0):
         solution = BundleSolution(problem, rig, poses, problem.linearised(rig, poses))
-        by_bend = solution.by_rig[..., rig.blocks[-1]]
+        by_bend = solution.reduced_rig_jacobian[..., rig.blocks[-1]]
         step = np.linalg.lstsq(by_bend.reshape(-1, 3), -linear.residuals.ravel(), rcond=None)[0]
-        rig = rig._replace(bend=rig.bend + step)
+        rig = rig._replace(board_curvatures=rig.board_curvatures + step)
         poses, linear = problem.fit_poses(rig, poses)
     squares = (linear.residuals**2).sum(axis=1)
     return np.asarray(np.sqrt(squares / problem.seen.sum(axis=(0, 2))))

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from vergence.controllers.fuzzy import SETS, FuzzyPID
+from vergence.controllers.fuzzy import FUZZY_SETS, FuzzyPID
 from vergence.envs.layout import ObservationLayout
 from vergence.eval.reporting.style import figure_style, new_figure, save_figure
 from vergence.models.files.head_file import load_head
@@ -39,8 +39,8 @@ def draw_surfaces(controller: FuzzyPID, points: int = 121) -> Figure:
             drawn = panel.contourf(x, x, factors[..., i].T, levels, cmap="RdBu_r")
             panel.contour(x, x, factors[..., i].T, [1.0], colors="#222222", linewidths=1.0)
             panel.set_title(name)
-            panel.set_xticks(np.linspace(-1.0, 1.0, 7), SETS)
-            panel.set_yticks(np.linspace(-1.0, 1.0, 7), SETS)
+            panel.set_xticks(np.linspace(-1.0, 1.0, 7), FUZZY_SETS)
+            panel.set_yticks(np.linspace(-1.0, 1.0, 7), FUZZY_SETS)
             panel.set_aspect("equal")
             panel.set_xlabel(f"error, ±{error_px:g} px")
         panels[0].set_ylabel(f"rate, ±{rate_px_s:g} px/s")

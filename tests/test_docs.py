@@ -184,6 +184,30 @@ def test_a_controller_of_ones_own_takes_fifteen_lines() -> None:
     assert len(lines) <= 15
 
 
+def anchors_of(page: str) -> set[str]:
+    """Anchors that GitHub gives a page's headings."""
+    headings = re.findall(r"^#+ (.*)$", page, flags=re.MULTILINE)
+    plain = [re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).lower() for heading in headings]
+    return {re.sub(r"[^\w -]", "", heading).replace(" ", "-") for heading in plain}
+
+
+def test_links_between_pages_lead_to_a_file_and_a_heading() -> None:
+    pages = {
+        path: re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+        for path in (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"))
+    }
+    broken, found = [], 0
+    for path, page in pages.items():
+        for link in re.findall(r"\]\((?!https?:)([^)\s]+)\)", page):
+            file, _, anchor = link.partition("#")
+            target = (path.parent / file).resolve() if file else path
+            found += 1
+            if not target.exists() or (anchor and anchor not in anchors_of(pages[target])):
+                broken.append(f"{path.name}: {link}")
+    assert found > 100
+    assert broken == []
+
+
 def test_the_places_that_contributing_names_exist() -> None:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     places = set(re.findall(r"`((?:vergence|tests|docs|benchmarks)/[^`*]*)`", text))

@@ -12,7 +12,7 @@ from vergence.files import (
     atomic_files,
     atomic_folder,
     remove_partial,
-    save_folder,
+    save_folder_at_free_path,
     write_atomic,
 )
 
@@ -57,7 +57,7 @@ def test_the_last_of_several_files_comes_last(tmp_path, monkeypatch):
     monkeypatch.setattr(
         os, "replace", lambda a, b: (order.append(os.path.basename(b)), replace(a, b))
     )
-    with atomic_files(tmp_path, last="a.json") as folder:
+    with atomic_files(tmp_path, moved_last="a.json") as folder:
         for name in ("a.json", "b.csv", "c.csv"):
             (folder / name).write_text(name)
     assert order == ["b.csv", "c.csv", "a.json"]
@@ -128,7 +128,9 @@ def write_mine(folder) -> None:
 
 
 def test_a_folder_is_saved_under_its_name(tmp_path):
-    assert save_folder(tmp_path / "deep" / "run", write_mine) == tmp_path / "deep" / "run"
+    assert (
+        save_folder_at_free_path(tmp_path / "deep" / "run", write_mine) == tmp_path / "deep" / "run"
+    )
     assert names(tmp_path / "deep") == ["run"]
     assert names(tmp_path / "deep" / "run") == ["mine"]
 
@@ -146,7 +148,7 @@ def test_a_folder_whose_name_is_taken_meanwhile_is_saved_beside_it(tmp_path, tak
             else:
                 (tmp_path / name).symlink_to("nowhere")
 
-    assert save_folder(tmp_path / "run", write) == tmp_path / "run-3"
+    assert save_folder_at_free_path(tmp_path / "run", write) == tmp_path / "run-3"
     assert names(tmp_path) == ["run", "run-2", "run-3"]
     assert names(tmp_path / "run-3") == ["mine"]
 
@@ -160,7 +162,7 @@ def test_a_folder_that_can_be_saved_nowhere_fails_once(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "replace", refuse)
     with pytest.raises(PermissionError, match="run-2"):
-        save_folder(tmp_path / "run", write_mine)
+        save_folder_at_free_path(tmp_path / "run", write_mine)
     assert names(tmp_path) == ["run"]
     assert names(tmp_path / "run") == ["theirs"]
 

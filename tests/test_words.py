@@ -19,7 +19,13 @@ RIDDLE = re.compile(
 )
 
 # A numeric constant says which of these it is, see CONTRIBUTING.md.
-KIND = re.compile(r"\b(physical|numerical|measured|chosen)\b", re.IGNORECASE)
+KIND = re.compile(r"(^ ?|\(|# )(physical|numerical|measured|chosen)\b", re.IGNORECASE)
+
+# A name in backticks, such as `HeadModel` or `settle_1px_s`; not a symbol such as `C_l`.
+NAME = re.compile(r"`((?:\w+\.)*(?:[a-z]\w*_\w*[a-z0-9]{2}|[A-Z][a-z]+[A-Za-z0-9]+))(?:\(\))?`")
+
+# Names in backticks of other packages, and columns whose names code composes.
+OTHERS = {"NextStep", "SameStep", "TensorProto", "DataType", "error_p05_px", "settle_2_5px_s"}
 
 # `argument: description`, in a Google docstring.
 ENTRY = re.compile(r"    \*{0,2}\w[\w, *]*: (.*)")
@@ -76,9 +82,23 @@ def constants_without_kind(source: str) -> list[str]:
         while first > 0 and lines[first - 1].strip():
             first -= 1
         comments = [line.partition("#")[2] for line in lines[first : node.end_lineno]]
-        if not KIND.search(" ".join([text_of(following), *comments])):
+        if not any(map(KIND.search, [text_of(following), *comments])):
             names.append(ast.unparse(node.target))
     return names
+
+
+def words_of(source: str) -> set[str]:
+    """Names, and words of strings, in a module's code; not those of its docstrings."""
+    nodes = list(ast.walk(ast.parse(source)))
+    alone = {node.value for node in nodes if isinstance(node, ast.Expr)}
+    names = ("id", "attr", "arg", "name", "asname")
+    texts = [getattr(node, name, None) or "" for node in nodes for name in names]
+    texts += [
+        node.value
+        for node in nodes
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in alone
+    ]
+    return set(re.findall(r"\w+", " ".join(text for text in texts if isinstance(text, str))))
 
 
 def class_names(sources: dict[str, Path]) -> Counter[str]:
@@ -114,6 +134,24 @@ def test_numeric_constants_say_their_kind():
 def test_no_two_public_classes_share_a_name():
     counts = class_names(sources_of(ROOT / "vergence"))
     assert {name for name, count in counts.items() if count > 1} == set()
+
+
+def test_names_in_backticks_exist():
+    paths = [
+        path
+        for folder in ("vergence", "benchmarks", "tests")
+        for path in sorted((ROOT / folder).rglob("*.py"))
+    ]
+    sources = {path: path.read_text(encoding="utf-8") for path in paths}
+    known = OTHERS.union(*map(words_of, sources.values()), *(path.parts for path in paths))
+    known |= {path.stem for path in paths}
+    stale = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path, source in sources.items()
+        for name in NAME.findall(source)
+        if not known.issuperset(name.split("."))
+    ]
+    assert stale == []
 
 
 def test_a_riddle_is_found_wherever_it_stands():

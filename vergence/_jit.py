@@ -412,8 +412,8 @@ def set_compile_reporter(report: Callable[[str], None] | None) -> None:
     """Set the callback for messages that kernels are being compiled or cannot be cached.
 
     Args:
-        report: called once with each message, before the first kernel is compiled; None for
-            silence.
+        report: called with a message when the first kernel is about to be compiled, and with one
+            if compiled kernels cannot be cached; None for silence.
     """
     _REPORTER.start(report)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, TextIO
 
 from vergence import _jit, interrupts
-from vergence.commands.console import logging_to_stderr, print_note, replace_unprintable
+from vergence.commands.console import logging_to_stderr, print_to_stderr, replace_unprintable
 from vergence.commands.parsing import parse_command, split_verbosity
 from vergence.envs.opengl import disable_broken_opengl
 from vergence.errors import ConfigurationError, HardwareError, VergenceError, VergenceWarning
@@ -73,7 +73,7 @@ def _run(arguments: list[str]) -> int:
     warnings.showwarning = _show_warning
     opengl = disable_broken_opengl()
     if opengl is not None:
-        print_note(f"going on without OpenGL, as it does not work with {opengl}")
+        print_to_stderr(f"going on without OpenGL, as it does not work with {opengl}")
     _tell_of_kernels()
     with logging_to_stderr(verbosity):
         return command.run()
@@ -89,13 +89,13 @@ def _show_warning(
 ) -> None:
     """Show the package's own warnings in one line each, and others as Python does."""
     if issubclass(category, VergenceWarning):
-        print_note(f"warning: {message}")
+        print_to_stderr(f"warning: {message}")
     elif sys.stderr is not None:
         print(warnings.formatwarning(message, category, filename, lineno, line), file=sys.stderr)
 
 
 def _tell_of_kernels() -> None:
-    _jit.set_compile_reporter(print_note)
+    _jit.set_compile_reporter(print_to_stderr)
 
 
 def _is_text(word: str) -> bool:
@@ -108,7 +108,7 @@ def _is_text(word: str) -> bool:
 
 def _fail(*reasons: str, code: int = 2) -> int:
     for reason in reasons:
-        print_note(reason if reason.startswith("warning: ") else f"error: {reason}")
+        print_to_stderr(reason if reason.startswith("warning: ") else f"error: {reason}")
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
@@ -136,7 +136,7 @@ def _fault(error: Exception) -> str:
 
 def _end_interrupted(stop: KeyboardInterrupt | None = None) -> int:
     said = str(stop or "")
-    print_note(f"interrupted: {said}" if said else interrupts.NOTHING_WRITTEN)
+    print_to_stderr(f"interrupted: {said}" if said else interrupts.NOTHING_WRITTEN)
     return 130
 
 

@@ -121,7 +121,7 @@ class ConfigurationError(VergenceError):
     """An argument or option with an invalid value."""
 
 
-class TargetError(ConfigurationError):
+class UnreachableTargetError(ConfigurationError):
     """A target that a head cannot look at, or that is not visible at the start of a trial."""
 
 

@@ -23,14 +23,14 @@ PathName = str | os.PathLike[str]
 
 
 @contextmanager
-def atomic_files(folder: PathName, last: str | None = None) -> Iterator[Path]:
+def atomic_files(folder: PathName, moved_last: str | None = None) -> Iterator[Path]:
     """Write several files of a folder to a temporary one, and move them when all are complete.
 
     They are moved one by one, so a reader or a kill in between finds new and former files.
 
     Args:
         folder: an existing folder; files with these names are replaced, others stay.
-        last: name of the file that is moved last, as a sign that the others are complete.
+        moved_last: name of the file that is moved last, as a sign that the others are complete.
 
     Yields:
         A folder to write the files to.
@@ -41,7 +41,7 @@ def atomic_files(folder: PathName, last: str | None = None) -> Iterator[Path]:
     folder = Path(folder)
     with _hidden(folder) as beside:
         yield beside
-        written = sorted(beside.iterdir(), key=lambda path: (path.name == last, path.name))
+        written = sorted(beside.iterdir(), key=lambda path: (path.name == moved_last, path.name))
         for path in written:
             _fsync(path)
         for path in written:
@@ -113,7 +113,7 @@ def atomic_folder(path: PathName, *, replace: bool = False) -> Iterator[Path]:
     _fsync(path.parent)
 
 
-def save_folder(path: PathName, write: Callable[[Path], None]) -> Path:
+def save_folder_at_free_path(path: PathName, write: Callable[[Path], None]) -> Path:
     """Write a folder atomically, under a different name if its path has been taken meanwhile.
 
     Args:

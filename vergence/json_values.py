@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 
-def json_value(values: ArrayLike | None) -> Any:
+def null_nonfinite_rows(values: ArrayLike | None) -> Any:
     """Convert to a number or nested lists of numbers, with None for rows that are not finite.
 
     Args:
@@ -18,10 +18,12 @@ def json_value(values: ArrayLike | None) -> Any:
     array = np.asarray(values, np.float64)
     if array.ndim < 2:
         return array.tolist() if np.isfinite(array).all() else None
-    return [json_value(row) for row in array]
+    return [null_nonfinite_rows(row) for row in array]
 
 
-def json_values(values: ArrayLike) -> list[float | None]:
-    """Convert a list element by element, with None for numbers that are not finite."""
+def null_nonfinite_elements(values: ArrayLike) -> Any:
+    """Convert element by element, to a number or nested lists, with None for what is not finite."""
     array = np.asarray(values, np.float64)
-    return [value if np.isfinite(value) else None for value in array.tolist()]
+    found = array.astype(object)
+    found[~np.isfinite(array)] = None
+    return found.tolist()

@@ -41,7 +41,7 @@ def make_poses(rng, views, board=BOARD, wide=1.0):
 def look(rig, poses, rng, noise_px=0.1, size=SIZE, board=BOARD):
     """Observations of the board with noise; corners outside of an image are not found."""
     corners = np.column_stack([board.corners_m, np.zeros(len(board.corners_m))])
-    shape = (len(rig.values), len(poses.translation), len(corners), 2)
+    shape = (len(rig.camera_parameters), len(poses.translation), len(corners), 2)
     problem = BundleAdjustment(corners, np.zeros(shape), np.ones(shape))
     linear = problem.linearised(rig, poses)
     views, cameras = shape[1], shape[0]
@@ -65,7 +65,9 @@ def as_calibrated(rig, poses, seen, dropped=()):
     out = np.isin(np.arange(views), dropped)
     alone = []
     for camera in range(cameras):
-        single = CameraRig.single(rig.lenses[camera], rig.values[camera])._replace(bend=rig.bend)
+        single = CameraRig.single(rig.lenses[camera], rig.camera_parameters[camera])._replace(
+            board_curvatures=rig.board_curvatures
+        )
         mine = poses
         if camera:
             turned = rig.rotation @ poses.rotation

@@ -17,7 +17,7 @@ def rng():
 @pytest.mark.parametrize("lens", ["brown-conrady", "rational", "fisheye"])
 def test_jacobians_are_those_of_small_steps(lens, rng):
     rig, poses = make_rig(lens), make_poses(rng, 2)
-    rig = rig._replace(bend=np.array([0.02, -0.1, 0.03]))
+    rig = rig._replace(board_curvatures=np.array([0.02, -0.1, 0.03]))
     problem = look_at(rig, poses, rng).problem
     found = problem.linearised(rig, poses)
     row = rig.packed()
@@ -28,12 +28,14 @@ def test_jacobians_are_those_of_small_steps(lens, rng):
         )
         expected = (ahead - behind) / (2.0 * step[place])
         scale = np.abs(expected).max()
-        np.testing.assert_allclose(found.by_rig[..., place], expected, atol=1e-5 * scale + 1e-5)
+        np.testing.assert_allclose(
+            found.rig_jacobian[..., place], expected, atol=1e-5 * scale + 1e-5
+        )
 
 
 def test_exact_corners_give_the_true_numbers_back(rng):
     rig, poses = make_rig(), make_poses(rng, 8)
-    rig = rig._replace(bend=np.array([0.0, 0.1, 0.0]))
+    rig = rig._replace(board_curvatures=np.array([0.0, 0.1, 0.0]))
     problem = look_at(rig, poses, rng, noise_px=0.0).problem
     problem = BundleAdjustment(problem.board_corners, problem.pixels, np.ones_like(problem.pixels))
     start = rig.unpacked(rig.packed() * (1.0 + 1e-3 * rng.standard_normal(len(rig.packed()))))

@@ -148,7 +148,9 @@ def test_lengths_scale_with_the_stated_square(pair):
     larger = replace(seen, target=replace(BOARD, square_m=1.01 * BOARD.square_m))
     first, second = (calibrate_views(each, LENS) for each in (seen, larger))
     assert second.baseline_mm[0] == pytest.approx(1.01 * first.baseline_mm[0], rel=1e-6)
-    assert second.rig.values[0] == pytest.approx(first.rig.values[0], rel=1e-4)
+    assert second.rig.camera_parameters[0] == pytest.approx(
+        first.rig.camera_parameters[0], rel=1e-4
+    )
 
 
 def test_what_gives_no_pair_is_refused(pair):

@@ -39,7 +39,7 @@ def calibrated(poses, rng, rig=None, cameras=2):
     rig = rig or make_rig()
     seen = look(rig, poses, rng)
     if cameras == 1:
-        rig = rig._replace(lenses=rig.lenses[:1], values=rig.values[:1])
+        rig = rig._replace(lenses=rig.lenses[:1], camera_parameters=rig.camera_parameters[:1])
         seen = seen.camera(0)
     return as_calibrated(rig, poses, seen)
 
@@ -160,7 +160,7 @@ def test_corners_of_an_image_that_no_board_reached_are_said():
 
 def test_the_sag_of_a_bent_board_is_that_of_its_farthest_corners():
     rng = np.random.default_rng(0)
-    rig = make_rig()._replace(bend=np.array([0.5, 0.0, 0.0]))
+    rig = make_rig()._replace(board_curvatures=np.array([0.5, 0.0, 0.0]))
     found = calibrated(make_poses(rng, 30), rng, rig)
     half = 0.5 * np.ptp(BOARD.corners_m[:, 0])
     np.testing.assert_allclose(board_sag(found).mm, 1e3 * 0.25 * half**2, rtol=1e-9)

@@ -38,7 +38,7 @@ def photographs(tmp_path_factory):
             BOARD,
             RENDERING,
         )
-        for values in rig.values
+        for values in rig.camera_parameters
     ]  # fmt: skip
     taken = 0
     for turn, shift in zip(*poses, strict=True):
@@ -99,7 +99,7 @@ def test_a_camera_becomes_a_file_that_detectors_take(photographs, tmp_path, caps
     assert "f_u" in capsys.readouterr().out
     camera, _ = read_intrinsics(["left.yaml"])
     assert (camera.width, camera.height) == SIZE
-    np.testing.assert_allclose(camera.focal, make_rig().values[0][:2], rtol=0.01)
+    np.testing.assert_allclose(camera.focal, make_rig().camera_parameters[0][:2], rtol=0.01)
 
 
 def test_what_is_wrong_with_photographs_is_said(photographs, tmp_path, capsys, monkeypatch):

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from vergence.cli import main
-from vergence.commands.console import print_note, replace_unprintable
+from vergence.commands.console import print_to_stderr, replace_unprintable
 
 
 class Terminal:
@@ -75,7 +75,7 @@ def test_a_word_that_makes_no_command_is_still_one_line():
 
 
 def test_a_note_is_one_printable_line_of_bounded_length(capsys):
-    print_note("a\nb\r\nc\x1b[31m\0" + "x" * 100_000)
+    print_to_stderr("a\nb\r\nc\x1b[31m\0" + "x" * 100_000)
     err = capsys.readouterr().err
     assert err.startswith("vergence: a b c\\x1b[31m\\x00xxx")
     assert len(err.splitlines()) == 1

@@ -10,7 +10,7 @@ from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.outlier_gate import GATE_STATE, OutlierGate
-from vergence.controllers.prediction.memory import MEMORY, SIZE
+from vergence.controllers.prediction.predictor_state import PREDICTOR_STATE, PREDICTOR_STATE_SIZE
 from vergence.envs.layout import AGE_S
 from vergence.envs.task import GazeTask
 
@@ -21,7 +21,9 @@ LATENCY = 8
 
 def predicted_unseen(row: np.ndarray) -> np.ndarray:
     """For how many periods the left eye has not been seen by a predictor, whose row comes first."""
-    return np.ascontiguousarray(row[..., :SIZE]).view(MEMORY)["unseen_periods"][..., 0, 0]
+    return np.ascontiguousarray(row[..., :PREDICTOR_STATE_SIZE]).view(PREDICTOR_STATE)[
+        "unseen_periods"
+    ][..., 0, 0]
 
 
 USED = {

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tests.naming import named
 from vergence import load_head, make_controller
-from vergence.controllers.fuzzy import RULES, SETS, rule_base
+from vergence.controllers.fuzzy import FUZZY_SETS, RULES, rule_base
 from vergence.errors import ConfigurationError
 
 HEAD = load_head("simulated")
@@ -54,10 +54,10 @@ def test_the_documented_rules_are_those_that_fire() -> None:
     for gain, rows in enumerate(RULES.values()):
         for row, text in zip(("ZO", "PS", "PM", "PB"), rows, strict=True):
             assert f"{row}       {'  '.join(text.split())}" in (module.__doc__ or "")
-            error = 90.0 * (SETS.index(row) - 3) / 3.0
+            error = 90.0 * (FUZZY_SETS.index(row) - 3) / 3.0
             for column, word in enumerate(text.split()):
                 factor = FUZZY.factors(error, 900.0 * (column - 3) / 3.0)[gain]
-                assert factor == pytest.approx(1.0 + (SETS.index(word) - 3) / 3.0)
+                assert factor == pytest.approx(1.0 + (FUZZY_SETS.index(word) - 3) / 3.0)
 
 
 def test_coming_in_fast_close_to_the_target_brakes() -> None:

@@ -9,7 +9,7 @@ from tests.grids import some_of
 from tests.joint_motion import respond
 from tests.naming import named
 from vergence import load_head, make_controller
-from vergence.controllers.prediction.joints import pack_predictor_model
+from vergence.controllers.prediction.joints import pack_predictor_parameters
 from vergence.controllers.saccade import saccade_command
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
@@ -30,7 +30,7 @@ def settled(trial, band_px=1.0):
 
 def move(angle_error: float, v: float, periods: int, lag: float = 0.03) -> np.ndarray:
     """(periods + 1, 2) what is left and the velocity of one joint that follows its commands."""
-    rig = pack_predictor_model(load_head("simulated"))
+    params = pack_predictor_parameters(load_head("simulated"))
     q, speed = np.zeros((1, 7)), np.zeros((1, 7))
     speed[0, 3] = v
     states = [(angle_error, v)]
@@ -46,7 +46,7 @@ def move(angle_error: float, v: float, periods: int, lag: float = 0.03) -> np.nd
             [lag],
             np.ones((1, 4)),
             KNOWN_WELL,
-            rig,
+            params,
             TRUSTING,
         )
         assert np.abs(command).max() <= 6.0

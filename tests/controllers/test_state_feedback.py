@@ -8,7 +8,7 @@ from tests.joint_motion import respond
 from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.controllers.pole_placement import pole_placement_command
-from vergence.controllers.prediction.joints import pack_predictor_model
+from vergence.controllers.prediction.joints import pack_predictor_parameters
 from vergence.controllers.state_feedback import feedback_command
 from vergence.controllers.tuned import tuned_options
 from vergence.envs.task import GazeTask
@@ -39,7 +39,7 @@ def asked(
         [lag_s, build_up],
         np.full(4, gain),
         half_swings,
-        pack_predictor_model(HEAD),
+        pack_predictor_parameters(HEAD),
         law,
     )
 

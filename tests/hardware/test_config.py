@@ -240,7 +240,7 @@ def test_a_file_that_is_no_toml_is_refused(tmp_path, content, said):
 def test_a_path_with_no_file_is_refused(tmp_path):
     with pytest.raises(HeadFileError, match=r"none\.toml: No such file"):
         load_hardware(tmp_path / "none.toml")
-    with pytest.raises(HeadFileError, match="a TOML file that describes a robot head"):
+    with pytest.raises(HeadFileError, match="the TOML file of a robot's configuration"):
         load_hardware(tmp_path)
     with pytest.raises(ConfigurationError, match="config: expected the path of a TOML file, got 5"):
         load_hardware(5)

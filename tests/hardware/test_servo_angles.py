@@ -69,7 +69,7 @@ class Rig:
 
     def step(self, velocity):
         """One control period, as the plant makes it; what it says that it has sent."""
-        ticks, sent = self.servos.quantise(velocity)
+        ticks, sent = self.servos.velocities_to_ticks(velocity)
         for servo in self.line.servos:
             goal = table.GOAL_VELOCITY
             assert servo.write(goal.address, goal.encode(ticks[servo.id])) == 0
@@ -120,7 +120,7 @@ def test_what_is_rounded_off_is_carried_over():
     rig = Rig(TURRETS)
     told = np.zeros(7)
     told[3:] = np.array([0.3, -0.3, 1.7, -2.45]) * table.TICK_RAD_S
-    sent = np.array([rig.servos.quantise(told)[1] for _ in range(200)])
+    sent = np.array([rig.servos.velocities_to_ticks(told)[1] for _ in range(200)])
     assert sent.mean(axis=0) == pytest.approx(told, abs=table.TICK_RAD_S / 200)
 
 
@@ -128,9 +128,9 @@ def test_zero_is_zero_at_once():
     rig = Rig(TURRETS)
     told = np.zeros(7)
     told[3:] = 0.4 * table.TICK_RAD_S
-    rig.servos.quantise(told)
+    rig.servos.velocities_to_ticks(told)
     for _ in range(3):
-        ticks, sent = rig.servos.quantise(np.zeros(7))
+        ticks, sent = rig.servos.velocities_to_ticks(np.zeros(7))
         assert set(ticks.values()) == {0}
         assert (sent == 0.0).all()
 
@@ -139,21 +139,21 @@ def test_a_servos_own_limit_bounds_what_is_sent():
     # a sync write beyond VELOCITY_LIMIT is dropped by the servo without a word
     rig = Rig(TURRETS, limit_ticks=100)
     told = np.array([0.0, 0.0, 0.0, 5.0, -5.0, 5.0, -5.0])
-    ticks, sent = rig.servos.quantise(told)
+    ticks, sent = rig.servos.velocities_to_ticks(told)
     assert list(ticks.values()) == [100, -100, 100, -100]
     assert sent[3:] == pytest.approx(np.array([1, -1, 1, -1]) * 100 * table.TICK_RAD_S)
-    rig.servos.quantise(told)
-    ticks, _sent = rig.servos.quantise(np.zeros(7))
+    rig.servos.velocities_to_ticks(told)
+    ticks, _sent = rig.servos.velocities_to_ticks(np.zeros(7))
     assert set(ticks.values()) == {0}
 
 
 def test_tied_actuators_give_the_joints_angles_and_speeds():
     rig = Rig(ICUB)
     told = np.array([0.1, -0.1, 0.2, 0.1, 0.2, 0.3, 0.0])
-    before = rig.servos.joints()[0]
+    before = rig.servos.joint_angles_and_speeds()[0]
     for _ in range(40):
         rig.step(told)
-    q, v = rig.servos.joints()
+    q, v = rig.servos.joint_angles_and_speeds()
     assert q == pytest.approx(ICUB.actuation.joints_of(rig.true), abs=2e-3)
     assert v == pytest.approx(ICUB.actuation.joint_velocities_of(told), abs=2.0 * table.TICK_RAD_S)
     assert before == pytest.approx(ICUB.actuation.joints_of(np.zeros(7)), abs=2e-3)
@@ -193,7 +193,7 @@ def test_what_no_joint_can_do_is_not_believed(wild):
     assert servos.update({i: answer(0.0) for i in range(1, 5)}, 0.0) == {1, 2, 3, 4}
     assert servos.update({**{i: answer(0.01) for i in range(1, 5)}, 2: wild}, 0.02) == {1, 3, 4}
     assert servos.angles[servos.has_servo].max() < 0.02
-    assert servos.ages(0.02).max() == 0.02
+    assert servos.reading_ages_s(0.02).max() == 0.02
 
 
 def test_a_joint_that_nobody_has_asked_for_long_may_be_anywhere():
@@ -204,7 +204,7 @@ def test_a_joint_that_nobody_has_asked_for_long_may_be_anywhere():
 
 def test_a_neck_without_servos_is_at_its_rest():
     servos = ServoAngles(configs(TURRETS), TURRETS)
-    assert servos.joints()[0][:3].tolist() == TURRETS.rest()[:3].tolist()
+    assert servos.joint_angles_and_speeds()[0][:3].tolist() == TURRETS.rest()[:3].tolist()
 
 
 def test_ticks_per_radian_have_the_sign_of_the_servo():

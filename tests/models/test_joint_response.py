@@ -116,17 +116,17 @@ def test_a_motor_whose_torque_falls_with_its_speed_is_the_solution_of_its_equati
     n, period, count = 400, 0.04, 8000
     v, u = rng.uniform(-6, 6, n), rng.uniform(-6, 6, n)
     tau, a = rng.uniform(0.005, 0.08, n), rng.uniform(20.0, 200.0, n)
-    fade = rng.uniform(0.01, 0.8, n) / 6.0
+    torque_falloff = rng.uniform(0.01, 0.8, n) / 6.0
     got = np.array(
         [
             follow_torque_limited_joint(0.0, *row, period)
-            for row in zip(v, u, tau, a, fade, strict=True)
+            for row in zip(v, u, tau, a, torque_falloff, strict=True)
         ]
     )
 
     def slope(rate):
-        up = a * (1.0 - fade * np.maximum(rate, 0.0))
-        down = a * (1.0 - fade * np.maximum(-rate, 0.0))
+        up = a * (1.0 - torque_falloff * np.maximum(rate, 0.0))
+        down = a * (1.0 - torque_falloff * np.maximum(-rate, 0.0))
         return np.clip((u - rate) / tau, -down, up)
 
     q, rate, h = np.zeros(n), v, period / count
@@ -148,8 +148,8 @@ def test_a_motor_whose_torque_falls_with_its_speed_is_the_solution_of_its_equati
 
 @given(v=speeds, u=speeds, split=st.floats(0.01, 0.99), tau=st.sampled_from([0.0, 0.01, 0.03]))
 def test_two_parts_of_a_fading_motors_period_make_the_whole(v, u, split, tau) -> None:
-    period, a, fade = 0.05, 120.0, 0.1
-    whole = follow_torque_limited_joint(0.0, v, u, tau, a, fade, period)
-    part = follow_torque_limited_joint(0.0, v, u, tau, a, fade, split * period)
-    parts = follow_torque_limited_joint(*part, u, tau, a, fade, (1.0 - split) * period)
+    period, a, torque_falloff = 0.05, 120.0, 0.1
+    whole = follow_torque_limited_joint(0.0, v, u, tau, a, torque_falloff, period)
+    part = follow_torque_limited_joint(0.0, v, u, tau, a, torque_falloff, split * period)
+    parts = follow_torque_limited_joint(*part, u, tau, a, torque_falloff, (1.0 - split) * period)
     assert parts == pytest.approx(whole, abs=1e-10)

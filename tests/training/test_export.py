@@ -24,7 +24,7 @@ from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.training.choices import resolve_config
 from vergence.training.export import export_run
-from vergence.training.networks import JointPolicy
+from vergence.training.networks import JointwisePolicy
 from vergence.training.onnx_export import (
     TOLERANCE,
     check_agreement,
@@ -102,7 +102,7 @@ def test_other_activations_and_layers_are_exported():
 def test_the_network_shared_by_the_joints_is_exported():
     by_joint = np.arange(SIZE).reshape(3, 4).T.tolist()
     options = {"net_arch": [8, 8], "by_joint": by_joint, "critic": (8,)}
-    model = PPO(JointPolicy, room(), policy_kwargs=options, device="cpu", seed=0)
+    model = PPO(JointwisePolicy, room(), policy_kwargs=options, device="cpu", seed=0)
     with torch.no_grad():
         model.policy.action_net.out.weight.mul_(100.0)
     network, _difference = learner_network("gain-schedule", model, None)

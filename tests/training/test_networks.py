@@ -7,7 +7,7 @@ from gymnasium.spaces import Box
 
 from vergence.controllers.networks.inputs import Inputs
 from vergence.models import load_head
-from vergence.training.networks import JointPolicy
+from vergence.training.networks import JointwisePolicy
 
 
 @pytest.fixture(params=["predicted", "to_go", "error", "history"])
@@ -15,9 +15,9 @@ def inputs(request) -> Inputs:
     return Inputs.of(request.param, load_head("simulated"))
 
 
-def make(inputs: Inputs) -> JointPolicy:
+def make(inputs: Inputs) -> JointwisePolicy:
     torch.manual_seed(0)
-    policy = JointPolicy(
+    policy = JointwisePolicy(
         Box(inputs.low(), inputs.high()),
         Box(-1.0, 1.0, (4,), np.float32),
         lambda _remaining: 1e-3,
@@ -33,7 +33,7 @@ def some(inputs: Inputs) -> torch.Tensor:
     return torch.from_numpy(np.random.default_rng(0).uniform(-1, 1, (50, inputs.size))).float()
 
 
-def mean(policy: JointPolicy, seen: torch.Tensor) -> torch.Tensor:
+def mean(policy: JointwisePolicy, seen: torch.Tensor) -> torch.Tensor:
     return policy.get_distribution(seen).distribution.mean
 
 
@@ -57,7 +57,7 @@ def test_a_joint_sees_its_own_numbers_alone(inputs) -> None:
 def test_the_plain_actor_is_the_same_function(inputs) -> None:
     policy, seen = make(inputs), some(inputs)
     # float32 sums in another order
-    assert torch.allclose(policy.plain_actor()(seen), mean(policy, seen), atol=1e-6)
+    assert torch.allclose(policy.dense_actor()(seen), mean(policy, seen), atol=1e-6)
 
 
 def test_all_weights_are_trained(inputs) -> None:

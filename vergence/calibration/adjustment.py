@@ -87,13 +87,13 @@ class CameraRig(NamedTuple):
 
     lenses: tuple[str, ...]
     """(c) lens model of each camera."""
-    values: tuple[FloatArray, ...]
+    camera_parameters: tuple[FloatArray, ...]
     """(c) parameters of each camera, see `camera_parameter_names`."""
     rotation: FloatArray
     """(3, 3) R; the identity for one camera."""
     translation: FloatArray
     """(3,) T, metres; zero for one camera."""
-    bend: FloatArray
+    board_curvatures: FloatArray
     """(3,) curvatures b_xx, b_yy, b_xy of the board, 1/m."""
 
     @classmethod
@@ -104,19 +104,28 @@ class CameraRig(NamedTuple):
     @property
     def blocks(self) -> list[slice]:
         """Slices of `packed`: each camera's parameters, R and T, and the board's curvatures."""
-        lengths = [len(values) for values in self.values] + [6 * (len(self.values) - 1), 3]
+        lengths = [len(values) for values in self.camera_parameters] + [
+            6 * (len(self.camera_parameters) - 1),
+            3,
+        ]
         ends = np.cumsum(lengths).tolist()
         return [slice(end - length, end) for end, length in zip(ends, lengths, strict=True)]
 
     def packed(self) -> FloatArray:
         """Pack all parameters: the cameras', R as a rotation vector, T, and the curvatures."""
         between = [Rotation.from_matrix(self.rotation).as_rotvec(), self.translation]
-        return np.concatenate([*self.values, *(between if len(self.values) > 1 else ()), self.bend])
+        return np.concatenate(
+            [
+                *self.camera_parameters,
+                *(between if len(self.camera_parameters) > 1 else ()),
+                self.board_curvatures,
+            ]
+        )
 
     def unpacked(self, row: FloatArray) -> "CameraRig":
         """Make a rig from a packed array."""
         *cameras, between, bend = (row[block] for block in self.blocks)
-        rig = self._replace(values=tuple(cameras), bend=bend)
+        rig = self._replace(camera_parameters=tuple(cameras), board_curvatures=bend)
         if len(cameras) == 1:
             return rig
         turn = Rotation.from_rotvec(between[:3]).as_matrix()
@@ -152,7 +161,7 @@ class CameraRig(NamedTuple):
             for eye, lens in zip(eyes, self.lenses, strict=True)
             for name in camera_parameter_names(lens)
         ]
-        if len(self.values) > 1:
+        if len(self.camera_parameters) > 1:
             names += [f"{what}_{axis}" for what in ("rotation", "translation") for axis in "xyz"]
         return [*names, "bend_xx", "bend_yy", "bend_xy"]
 
@@ -165,7 +174,7 @@ class LinearisedResiduals(NamedTuple):
     pose_jacobian: FloatArray
     """(v, m, 6) Jacobian by a small rotation of the board in the left camera's frame, and a
     translation."""
-    by_rig: FloatArray
+    rig_jacobian: FloatArray
     """(v, m, p) Jacobian by the parameters of `CameraRig.packed`."""
 
 
@@ -205,7 +214,9 @@ class BundleAdjustment:
         return self._turned(rig, poses) + poses.translation[:, None]
 
     def _turned(self, rig: CameraRig, poses: BoardPoses) -> FloatArray:
-        bent = self.board_corners + (self._bending @ rig.bend)[:, None] * np.array([0.0, 0.0, 1.0])
+        bent = self.board_corners + (self._bending @ rig.board_curvatures)[:, None] * np.array(
+            [0.0, 0.0, 1.0]
+        )
         return np.asarray(bent @ poses.rotation.transpose(0, 2, 1))
 
     def linearised(
@@ -224,7 +235,9 @@ class BundleAdjustment:
         by_bend = poses.rotation[:, None, :, 2, None] * self._bending[:, None]
         *cameras, between, bend = rig.blocks
         parts: list[list[FloatArray]] = [[], [], []]
-        for camera, (lens, values) in enumerate(zip(rig.lenses, rig.values, strict=True)):
+        for camera, (lens, values) in enumerate(
+            zip(rig.lenses, rig.camera_parameters, strict=True)
+        ):
             jacobian = np.zeros((views, corners, 2, bend.stop if by_rig else 0))
             if camera == 0:
                 seen = project_with_jacobians(lens, values, points)
@@ -327,7 +340,7 @@ class BundleAdjustment:
             linear = self.linearised(start.unpacked(row), fitted_poses)
             pose_sensitivity = _pose_sensitivity(linear)
             near = _Near(row.copy(), fitted_poses, pose_sensitivity)
-            eliminated = np.asarray(linear.by_rig - linear.pose_jacobian @ pose_sensitivity)
+            eliminated = np.asarray(linear.rig_jacobian - linear.pose_jacobian @ pose_sensitivity)
             return np.vstack([eliminated.reshape(-1, len(row)), np.diag(prior_weights)])
 
         if not np.isfinite(residuals(start.packed())).all():
@@ -358,14 +371,14 @@ class _Near(NamedTuple):
 
 def _eliminated(linear: LinearisedResiduals) -> FloatArray:
     """(v, m, p) Jacobian J' by the rig's parameters with the poses eliminated."""
-    return np.asarray(linear.by_rig - linear.pose_jacobian @ _pose_sensitivity(linear))
+    return np.asarray(linear.rig_jacobian - linear.pose_jacobian @ _pose_sensitivity(linear))
 
 
 def _pose_sensitivity(linear: LinearisedResiduals) -> FloatArray:
     """(v, 6, p) negative derivative of the best poses by the rig's parameters."""
     transposed = linear.pose_jacobian.transpose(0, 2, 1)
     normal = _damped(transposed @ linear.pose_jacobian, np.full(len(transposed), _RIDGE))
-    return np.asarray(np.linalg.solve(normal, transposed @ linear.by_rig))
+    return np.asarray(np.linalg.solve(normal, transposed @ linear.rig_jacobian))
 
 
 def _damped(normal: FloatArray, damping: FloatArray) -> FloatArray:
@@ -398,7 +411,7 @@ class BundleSolution:
         return pixel_residuals(self.problem, self.linearisation)
 
     @cached_property
-    def by_rig(self) -> FloatArray:
+    def reduced_rig_jacobian(self) -> FloatArray:
         """(v, m, p) Jacobian of the residuals by the rig's parameters, poses eliminated."""
         return _eliminated(self.linearisation)
 
@@ -406,7 +419,7 @@ class BundleSolution:
     def degrees_of_freedom(self) -> int:
         """Number of measured values minus number of estimated ones."""
         measured = 2 * int(self.problem.seen.sum())
-        return measured - 6 * len(self.poses.translation) - int(self.by_rig.shape[-1])
+        return measured - 6 * len(self.poses.translation) - int(self.reduced_rig_jacobian.shape[-1])
 
     @property
     def reduced_chi(self) -> float:
@@ -418,7 +431,7 @@ class BundleSolution:
     @cached_property
     def information(self) -> FloatArray:
         """(v, p, p) each view's information on the rig's parameters, if sigma is right."""
-        return np.asarray(self.by_rig.transpose(0, 2, 1) @ self.by_rig)
+        return np.asarray(self.reduced_rig_jacobian.transpose(0, 2, 1) @ self.reduced_rig_jacobian)
 
 
 def pixel_residuals(problem: BundleAdjustment, linear: LinearisedResiduals) -> FloatArray:

@@ -320,7 +320,7 @@ def _ignore(fraction: float) -> None:
 
 def _refuse_unsure(solution: BundleSolution, camera: int, cameras: int) -> None:
     """Refuse a camera whose focal length the views do not determine."""
-    values = solution.rig.values[0]
+    values = solution.rig.camera_parameters[0]
     sigma = np.sqrt(np.diagonal(rig_covariance(solution)))[:2]
     if not float((sigma / values[:2]).max()) < _UNSURE:
         known = "none at all"
@@ -334,8 +334,8 @@ def _refuse_moved_cameras(fit: CameraFit, single_fits: Sequence[CameraFit]) -> N
     together = float(np.median(fit.views.rms_px[fit.kept]))
     apart = float(np.median([np.median(one.views.rms_px[one.kept]) for one in single_fits]))
     changes = [
-        float(np.abs(values[:2] / one.solution.rig.values[0][:2] - 1.0).max())
-        for values, one in zip(fit.solution.rig.values, single_fits, strict=True)
+        float(np.abs(values[:2] / one.solution.rig.camera_parameters[0][:2] - 1.0).max())
+        for values, one in zip(fit.solution.rig.camera_parameters, single_fits, strict=True)
     ]
     if together > _MOST_JOINT_RATIO * apart and max(changes) > _MOST_FOCAL_CHANGE:
         raise ConfigurationError(

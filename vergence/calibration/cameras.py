@@ -130,7 +130,9 @@ def estimate_board_poses(
         size: width and height of its images, px.
     """
     rays = np.asarray(
-        pixels_to_rays(problem.pixels[0], pack_camera_values(rig.lenses[0], rig.values[0], size))
+        pixels_to_rays(
+            problem.pixels[0], pack_camera_values(rig.lenses[0], rig.camera_parameters[0], size)
+        )
     )
     rotations, translations = [], []
     for view in rays:
@@ -341,7 +343,7 @@ def fit_camera(observations: Observations, lens: str, consistent_fit: CameraFit)
 
 def _turned_into(lens: str, rig: CameraRig) -> list[FloatArray]:
     """Convert a camera to another lens as its start; empty if the models are not related."""
-    values, own = rig.values[0], rig.lenses[0]
+    values, own = rig.camera_parameters[0], rig.lenses[0]
     if own == lens:
         return [values]
     if own != BROWN_CONRADY:

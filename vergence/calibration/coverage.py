@@ -142,7 +142,7 @@ def direction_sigma_at(calibration: Calibration, camera: int, pixels: FloatArray
     """
     rig = calibration.rig
     row = pack_camera_values(
-        rig.lenses[camera], rig.values[camera], calibration.observations.sizes[camera]
+        rig.lenses[camera], rig.camera_parameters[camera], calibration.observations.sizes[camera]
     )
     rays = np.asarray(pixels_to_rays(pixels, row))
     sigma = np.full(len(pixels), np.nan)
@@ -158,11 +158,13 @@ def board_sag(calibration: Calibration) -> BoardSag:
     corners = calibration.observations.target.corners_m
     x, y = (corners - corners.mean(axis=0)).T
     heights = np.column_stack([0.5 * x * x, 0.5 * y * y, x * y])
-    height = heights @ calibration.rig.bend
+    height = heights @ calibration.rig.board_curvatures
     between = heights[height.argmax()] - heights[height.argmin()]
     block = calibration.rig.blocks[-1]
     spread = between @ calibration.covariance[block, block] @ between
-    return BoardSag(MM * float(between @ calibration.rig.bend), MM * float(np.sqrt(spread)))
+    return BoardSag(
+        MM * float(between @ calibration.rig.board_curvatures), MM * float(np.sqrt(spread))
+    )
 
 
 def advise_next_photographs(calibration: Calibration) -> list[str]:
@@ -333,7 +335,9 @@ def advise_on_focal_lengths(calibration: Calibration) -> str:
     """Advise on focal lengths that the views determine badly."""
     unsure = [
         float((calibration.sigma[block][:2] / values[:2]).max())
-        for values, block in zip(calibration.rig.values, calibration.rig.blocks, strict=False)
+        for values, block in zip(
+            calibration.rig.camera_parameters, calibration.rig.blocks, strict=False
+        )
     ]
     camera = int(np.argmax(unsure))
     if unsure[camera] < _UNSURE_FOCAL:

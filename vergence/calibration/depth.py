@@ -82,6 +82,8 @@ def _in_both(calibration: Calibration, points: FloatArray) -> FloatArray:
     inside = np.ones(len(points), bool)
     for camera, size in enumerate(calibration.observations.sizes):
         mine = points @ rig.rotation.T + rig.translation if camera else points
-        pixels = project_with_jacobians(rig.lenses[camera], rig.values[camera], mine).pixels
+        pixels = project_with_jacobians(
+            rig.lenses[camera], rig.camera_parameters[camera], mine
+        ).pixels
         inside &= ((pixels > -0.5) & (pixels < np.array(size) - 0.5)).all(axis=-1)
     return inside

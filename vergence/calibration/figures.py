@@ -56,7 +56,7 @@ def residual_field(calibration: Calibration, camera: int) -> Figure:
 def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
     """Plot radial and tangential residuals against the radius from the principal point."""
     pixels, residuals = _residuals(calibration, camera)
-    out = pixels - calibration.rig.values[camera][2:4]
+    out = pixels - calibration.rig.camera_parameters[camera][2:4]
     radius = np.linalg.norm(out, axis=-1)
     unit = out / np.maximum(radius, 1e-9)[:, None]
     along = (residuals * unit).sum(axis=-1)
@@ -179,7 +179,7 @@ def view_residuals(calibration: Calibration) -> Figure:
         panel.grid(axis="x", visible=False)
         panel.set_axisbelow(True)
         panel.set(xlim=(-0.7, len(kept) - 0.3), ylim=(0.0, 1.08 * limit), ylabel="rms (px)")
-        labels = short_names(calibration.observations.names[0])
+        labels = short_file_names(calibration.observations.names[0])
         step = -(-len(kept) // _NAMED)
         panel.set_xticks(places[::step], labels[::step], rotation=90, fontsize=9)
         panel.tick_params(axis="x", length=0, pad=10)
@@ -242,7 +242,7 @@ def depth_sigma(depth: DepthSigma, in_percent: bool) -> Figure:
     return figure
 
 
-def short_names(names: Sequence[str]) -> list[str]:
+def short_file_names(names: Sequence[str]) -> list[str]:
     """Shorten file names: without folder and suffix, the last 16 characters."""
     return [name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0][-16:] for name in names]
 

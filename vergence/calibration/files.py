@@ -29,7 +29,7 @@ _ROS_LENSES: Final[dict[str, str]] = {
 
 def intrinsics_of(calibration: Calibration, camera: int) -> Intrinsics:
     """Extract the intrinsics of one camera."""
-    values, lens = calibration.rig.values[camera], calibration.rig.lenses[camera]
+    values, lens = calibration.rig.camera_parameters[camera], calibration.rig.lenses[camera]
     known: dict[str, Lens] = {name: name for name in ("brown-conrady", "rational", "fisheye")}
     width, height = calibration.observations.sizes[camera]
     return Intrinsics(

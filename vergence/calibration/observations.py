@@ -32,23 +32,24 @@ LEAST_CORNERS: Final = 6
 """Fewest corners of a view (chosen: fewer hardly determine more than the view's pose)."""
 
 
-def parse_board(text: str, *, tags: bool = False) -> PlanarTarget:
+def parse_board(text: str, *, accept_single_tag: bool = False) -> PlanarTarget:
     """Parse the name of a board.
 
     Args:
         text: see `vergence.vision.parse_target`.
-        tags: True to accept a single tag, whose four corners are too few to calibrate a camera.
+        accept_single_tag: True to accept a single tag, whose four corners are too few to calibrate
+            a camera.
 
     Raises:
         ConfigurationError: it is no board, a family of tags, or a tag that is not accepted.
     """
     target = parse_target(text)
-    if tags and isinstance(target, TagFamily):
+    if accept_single_tag and isinstance(target, TagFamily):
         raise ConfigurationError(
             "target: expected one tag, with its number and its edge in mm, such as "
             f"tag:36h11:0:120, got {text}"
         )
-    if isinstance(target, TagFamily) or (isinstance(target, AprilTag) and not tags):
+    if isinstance(target, TagFamily) or (isinstance(target, AprilTag) and not accept_single_tag):
         raise ConfigurationError(
             "target: expected a board with many corners, such as checkerboard:9x6:24 (inner "
             f"corners, square in mm), got {text}"

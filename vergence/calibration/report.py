@@ -133,7 +133,9 @@ def _values(calibration: Calibration) -> dict[str, Any]:
         "baseline": calibration.baseline_mm if several else None,
         "focal": [
             (float(values[0]), float(calibration.sigma[block][0]))
-            for values, block in zip(calibration.rig.values, calibration.rig.blocks, strict=False)
+            for values, block in zip(
+                calibration.rig.camera_parameters, calibration.rig.blocks, strict=False
+            )
         ],
         "lenses": dict(calibration.lens_errors),
         "sag": board_sag(calibration),
@@ -171,7 +173,7 @@ def _number_rows(calibration: Calibration) -> list[list[str]]:
     for name, lens, values, block in zip(
         camera_names(calibration),
         calibration.rig.lenses,
-        calibration.rig.values,
+        calibration.rig.camera_parameters,
         calibration.rig.blocks,
         strict=False,
     ):

@@ -67,10 +67,10 @@ def fit_camera_pair(
         for view in np.flatnonzero(both):
             rig = CameraRig(
                 (alone[0].lenses[0], alone[1].lenses[0]),
-                (alone[0].values[0], alone[1].values[0]),
+                (alone[0].camera_parameters[0], alone[1].camera_parameters[0]),
                 turns[view],
                 shifts[view],
-                0.5 * (alone[0].bend + alone[1].bend),
+                0.5 * (alone[0].board_curvatures + alone[1].board_curvatures),
             )
             missed = np.stack([_missed_px(each.problem, rig, by_left) for each in turned])
             score = float(np.quantile(missed.min(axis=0)[both], _AGREEING))
@@ -136,7 +136,9 @@ def _turned(
 
 def _missed_px(problem: BundleAdjustment, rig: CameraRig, poses: BoardPoses) -> FloatArray:
     """(v) rms reprojection error in the right camera, px; nan without corners."""
-    right = CameraRig.single(rig.lenses[1], rig.values[1])._replace(bend=rig.bend)
+    right = CameraRig.single(rig.lenses[1], rig.camera_parameters[1])._replace(
+        board_curvatures=rig.board_curvatures
+    )
     moved = BoardPoses(
         rig.rotation @ poses.rotation, poses.translation @ rig.rotation.T + rig.translation
     )

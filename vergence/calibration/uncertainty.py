@@ -44,7 +44,9 @@ def rig_covariance(solution: BundleSolution) -> FloatArray:
     Args:
         solution: the solution of the bundle adjustment.
     """
-    gradients = np.einsum("vmp,vm->vp", solution.by_rig, solution.linearisation.residuals)
+    gradients = np.einsum(
+        "vmp,vm->vp", solution.reduced_rig_jacobian, solution.linearisation.residuals
+    )
     return clustered_covariance(
         solution.information,
         gradients,
@@ -100,7 +102,7 @@ def direction_sigma_px(
     Returns:
         (n) standard deviation, px: the root mean square of the deviations along u and v.
     """
-    lens, values = solution.rig.lenses[camera], solution.rig.values[camera]
+    lens, values = solution.rig.lenses[camera], solution.rig.camera_parameters[camera]
     block = solution.rig.blocks[camera]
     points = board_points_in_camera(solution, camera)[solution.problem.seen[camera]]
     seen_turn, seen_values = _by_turn_and_values(lens, values, points / points[:, 2:])
@@ -147,7 +149,7 @@ def triangulation_covariances(
     of_calibration, of_noise = [], []
     for point in points:
         linear = replace(one, board_corners=point[None]).linearised(solution.rig, still)
-        by_point, by_rig = linear.pose_jacobian[0, :, 3:], linear.by_rig[0]
+        by_point, by_rig = linear.pose_jacobian[0, :, 3:], linear.rig_jacobian[0]
         spread = np.linalg.inv(by_point.T @ by_point)
         moved = spread @ by_point.T @ by_rig
         of_calibration.append(moved @ covariance @ moved.T)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
-from vergence.commands.console import print_note
+from vergence.commands.console import print_to_stderr
 from vergence.commands.options import parse_size
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
@@ -46,7 +46,7 @@ class CheckCameras:
         if states:
             print_table(_COLUMNS, [row for state in states for row in _rows(state)], wrapped=(0, 1))
         for finding in sorted(findings, key=lambda finding: finding.warning):
-            print_note(f"{'warning' if finding.warning else 'error'}: {finding}")
+            print_to_stderr(f"{'warning' if finding.warning else 'error'}: {finding}")
         return int(not all(finding.warning for finding in findings))
 
     def _requests(self) -> "list[CameraRequest]":

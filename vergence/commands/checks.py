@@ -3,7 +3,7 @@
 import sys
 from typing import TYPE_CHECKING
 
-from vergence.commands.console import print_note
+from vergence.commands.console import print_to_stderr
 
 if TYPE_CHECKING:
     from vergence.hardware.config import HardwareConfig
@@ -26,4 +26,4 @@ def check_and_print(hardware: "HardwareConfig") -> None:
             mark = "!" if one.ready else "x"
         print(f"{mark:>3} {one.part:<{width}}  {one.what or 'not known'}", file=sys.stderr)
     for finding in raise_errors([finding for one in parts for finding in one.findings]):
-        print_note(f"warning: {finding}")
+        print_to_stderr(f"warning: {finding}")

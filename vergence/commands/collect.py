@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 import tyro
 
 from vergence import interrupts
-from vergence.commands.console import print_note, progress_bar
+from vergence.commands.console import print_to_stderr, progress_bar
 from vergence.commands.extras import require_modules
 from vergence.errors import ConfigurationError
 
@@ -83,7 +83,7 @@ class Collect:
         options = CollectOptions(
             poses=self.poses, frames=self.frames, seed=self.seed, until=self.until, moved=self.moved
         )
-        target = parse_board(self.target, tags=True)
+        target = parse_board(self.target, accept_single_tag=True)
         looker = self._robot(target) if self.plant == "hardware" else self._simulated(target)
         facts = {"command": "collect", "plant": self.plant, "seed": str(self.seed)}
         facts[LOOKS] = self.plant if self.plant == "hardware" else self._looks(looker.head)
@@ -91,7 +91,7 @@ class Collect:
             with closing(looker), progress_bar("collect") as report:
                 recording = collect(
                     looker, self.folder, options, facts, progress=report,
-                    on_evaluation=lambda recording: print_note(_evaluated(recording, looker.head)),
+                    on_evaluation=lambda result: print_to_stderr(_evaluated(result, looker.head)),
                 )  # fmt: skip
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
@@ -168,9 +168,9 @@ class Collect:
         if recording.preview is not None:
             print(f"depth will be known to {_depth(recording.preview)}")
         if recording.looks_without_board:
-            print_note(f"{recording.looks_without_board} looks without the board, left out")
+            print_to_stderr(f"{recording.looks_without_board} looks without the board, left out")
         for line in advise_recording(head, recording, frames):
-            print_note(line)
+            print_to_stderr(line)
         named = _head_of(self.config) if self.config is not None else self.head or _HEAD
         words = ["calibrate", "head", str(self.folder), "--head", named, "--out", "calibrated.toml"]
         print(f"next: vergence {shlex.join(words)}")

@@ -31,7 +31,7 @@ _MOST_FAILURES: Final = 5
 """Most unreadable files that are listed one by one (chosen: detail against length)."""
 
 
-def print_note(text: str) -> None:
+def print_to_stderr(text: str) -> None:
     """Print a line on standard error, prefixed with the program's name."""
     line = "".join(
         c if c.isprintable() else f"\\x{ord(c):02x}" for c in " ".join(text.splitlines())
@@ -74,7 +74,7 @@ class _Notes(logging.Handler):
         name = record.name.removeprefix("vergence.")
         level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
         with suppress(OSError):  # standard error is closed
-            print_note(
+            print_to_stderr(
                 f"{1e-3 * record.relativeCreated:.3f} s {name}: {level}{record.getMessage()}"
             )
 
@@ -82,9 +82,9 @@ class _Notes(logging.Handler):
 def print_failures(failures: Sequence[str]) -> None:
     """Print one line per file that could not be read, at most `_MOST_FAILURES`."""
     for text in failures[:_MOST_FAILURES]:
-        print_note(f"error: {text}")
+        print_to_stderr(f"error: {text}")
     if len(failures) > _MOST_FAILURES:
-        print_note(f"error: and {len(failures) - _MOST_FAILURES} more that could not be read")
+        print_to_stderr(f"error: and {len(failures) - _MOST_FAILURES} more that could not be read")
 
 
 def replace_unprintable() -> None:
@@ -182,7 +182,7 @@ class ProgressListener:
             nonlocal told_s
             if not self._console.is_terminal and time.monotonic() - told_s > _LINE_AFTER_S:
                 told_s = time.monotonic()
-                print_note(f"{name}: {done} of {total}")
+                print_to_stderr(f"{name}: {done} of {total}")
             # an experiment may map several rounds of jobs: the bar shows the present one
             self._bars.update(task, completed=done, total=total, state=f"{done} of {total}")
 
@@ -193,7 +193,7 @@ class ProgressListener:
         if self._console.is_terminal:
             self._console.print(f"vergence: {name} {why}", markup=False, highlight=False)
         else:
-            print_note(f"{name} {why}")
+            print_to_stderr(f"{name} {why}")
 
     def end(self, name: str, seconds: float | None) -> None:
         """See `ReproduceListener.end`."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import tyro
 
-from vergence.commands.console import print_failures, print_note, progress_bar
+from vergence.commands.console import print_failures, print_to_stderr, progress_bar
 from vergence.commands.options import check_figure, parse_size
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
@@ -37,7 +37,7 @@ class Detect:
         tyro.conf.UseAppendAction,
         tyro.conf.arg(metavar="TARGET"),
     ] = ()
-    """Target to detect; repeatable. tag:FAMILY[:ID[:EDGE]] such as tag:36h11,
+    """Target to find; repeatable. tag:FAMILY[:ID[:EDGE]] such as tag:36h11,
     checkerboard:COLUMNSxROWS[:SQUARE] such as checkerboard:9x6 (inner corners),
     charuco:COLUMNSxROWS:SQUARE:MARKER:DICT[:legacy] (squares; legacy: layout of OpenCV
     before 4.6), aprilgrid:COLUMNSxROWS:TAG:SPACING such as aprilgrid:6x6:88:0.3 (kalibr's
@@ -131,20 +131,22 @@ class Detect:
             draw_photographs(shown, self.figure)
             left = len(result.images) - len(shown)
             more = f", without {left} of the images" if left else ""
-            print_note(f"{self.figure} is written{more}")
+            print_to_stderr(f"{self.figure} is written{more}")
         if self.json:
             print(json.dumps(result.rows(), indent=2, allow_nan=False))
         elif result.sightings:
             _print(result)
         for text in result.remarks:
-            print_note(text)
+            print_to_stderr(text)
         print_failures(result.failures)
         if not result.sightings:
             count = len(result.images)
             where = f"any of {count} images" if count > 1 else str(result.images[0])
             there = describe_similar_targets(read_image(result.images[0]), targets, camera)
             hint = f"; in {result.images[0].name} {there}" if there else ""
-            print_note(f"error: expected {', '.join(self.target)} in {where}, found none{hint}")
+            print_to_stderr(
+                f"error: expected {', '.join(self.target)} in {where}, found none{hint}"
+            )
         return 2 if result.failures else 0 if result.sightings else 1
 
 

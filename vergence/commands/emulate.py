@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from vergence.commands.console import print_note
+from vergence.commands.console import print_to_stderr
 from vergence.commands.options import Flat
 from vergence.errors import ConfigurationError
 from vergence.hardware.emulator.config import EmulatorConfig
@@ -38,10 +38,12 @@ class Emulate:
         def ready(text: str) -> None:
             if self.out is None:
                 print(text, end="", flush=True)
-                print_note("emulating this head until Ctrl-C: save the lines above as desk.toml")
+                print_to_stderr(
+                    "emulating this head until Ctrl-C: save the lines above as desk.toml"
+                )
                 return
             write_atomic(self.out, text)
-            print_note(
+            print_to_stderr(
                 f"emulating until Ctrl-C: vergence gaze --plant hardware --config {self.out} "
                 "--controller state-feedback"
             )

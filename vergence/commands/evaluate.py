@@ -18,7 +18,7 @@ from tyro.conf import arg
 
 from vergence import interrupts
 from vergence.commands.checks import check_and_print
-from vergence.commands.console import ProgressListener, print_note
+from vergence.commands.console import ProgressListener, print_to_stderr
 from vergence.commands.extras import require_modules
 from vergence.commands.options import (
     Flat,
@@ -88,15 +88,15 @@ class Evaluate:
             ):
                 if self.config.tune:
                     mapper.progress = bars.begin("tune")
-                    tune_baselines(self.config, mapper, report=print_note)
+                    tune_baselines(self.config, mapper, report=print_to_stderr)
                 mapper.progress = bars.begin("margins" if self.margins else "evaluate")
                 result = self._margins(mapper) if self.margins else self._evaluation(mapper)
             for text in result.notes:
-                print_note(text)
+                print_to_stderr(text)
             run.finish(partial(self._write, result), result.rows, result.show, as_json=self.json)
         # the other results are kept, and the exit code reports that some failed
         for text in result.failures:
-            print_note(f"error: {text}")
+            print_to_stderr(f"error: {text}")
         return 0 if run.saved and not result.failures else 2
 
     def _on_robot(self) -> int:
@@ -126,9 +126,9 @@ class Evaluate:
                     check=check_and_print, keep_going=True,
                 )  # fmt: skip
             for text in found.notes:
-                print_note(text)
+                print_to_stderr(text)
             result = _as_result(found)
-            with atomic_files(run, last="evaluation.json") as folder:
+            with atomic_files(run, moved_last="evaluation.json") as folder:
                 self._write(result, folder)
                 rmtree(run / "figures", ignore_errors=True)  # of an earlier evaluation of this run
         if self.json:
@@ -137,7 +137,7 @@ class Evaluate:
             result.show()
             print(f"written to {run}")
         for text in result.failures:
-            print_note(f"error: {text}")
+            print_to_stderr(f"error: {text}")
         return 2 if result.failures else 0
 
     def _check_robot(self) -> None:
@@ -218,7 +218,7 @@ def _kept(run: Path) -> Iterator[None]:
         raise KeyboardInterrupt(kept()) if kept() else stop from None
     except VergenceError:
         if kept():
-            print_note(kept())
+            print_to_stderr(kept())
         raise
 
 

@@ -9,7 +9,7 @@ import tyro
 from rich.console import Console
 
 from vergence import interrupts
-from vergence.commands.console import print_note, progress_bar
+from vergence.commands.console import print_to_stderr, progress_bar
 from vergence.commands.options import Flat, TableOptions, claimed_run_folder, dated_run_folder
 from vergence.commands.tables import print_table
 from vergence.eval.gaze_config import GazeConfig
@@ -133,19 +133,21 @@ def _verdict(result: "GazeResult") -> int:
 
     unseen = [eye for eye in EYE_NAMES if not result.trajectory[f"visible_{eye}"].any()]
     if unseen:
-        print_note(f"error: the target was never seen by the {' and the '.join(unseen)} eye")
+        print_to_stderr(f"error: the target was never seen by the {' and the '.join(unseen)} eye")
         return 1
     for name, fix in (("gaze", result.gaze), ("ITPC", result.itpc)):
         if not fix.valid[0] and name == "gaze" and result.residual_px > 1.0:
-            print_note("gaze found no point: the eyes of this head cannot both look at the target")
+            print_to_stderr(
+                "gaze found no point: the eyes of this head cannot both look at the target"
+            )
         elif not fix.valid[0]:
-            print_note(
+            print_to_stderr(
                 f"error: {name} found no point: expected two rays that cross in front of both "
                 "eyes, got near-parallel rays, a crossing behind them, or an eye without the target"
             )
             return 1
     if result.has_truth and result.settle_1px_s != result.settle_1px_s:
         where = " of their least error" if result.has_residual else ""
-        print_note(f"error: the eyes did not settle to within 1 px{where} in the trial")
+        print_to_stderr(f"error: the eyes did not settle to within 1 px{where} in the trial")
         return 1
     return 0

@@ -5,7 +5,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from vergence.commands.console import print_note
+from vergence.commands.console import print_to_stderr
 from vergence.commands.head_tables import (
     print_assumptions,
     print_calibration_record,
@@ -53,7 +53,7 @@ def print_head_description(source: str, *, as_json: bool, figure: Path | None) -
     warn_of_zero_outside_range(summary.joints)
     warn_of_lens_folds(summary.eyes)
     if figure is not None:
-        print_note(f"{figure} is written")
+        print_to_stderr(f"{figure} is written")
 
 
 def _print_tables(summary: "HeadSummary") -> None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from math import degrees
 from typing import TYPE_CHECKING, Final
 
-from vergence.commands.console import print_note
+from vergence.commands.console import print_to_stderr
 from vergence.commands.tables import print_table
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def warn_of_lens_folds(eyes: "Sequence[EyeSummary]") -> None:
     """
     for eye in eyes:
         if eye.folds:
-            print_note(
+            print_to_stderr(
                 f"warning: the lens model of the {eye.name} eye has no rays in a part of its image "
                 f"of {eye.width_px} x {eye.height_px} px, where it folds back on itself or looks "
                 f"90 degrees or more aside: none beyond {eye.horizontal_deg:.0f} x "
@@ -124,7 +124,7 @@ def warn_of_zero_outside_range(joints: "Sequence[JointSummary]") -> None:
     """
     for joint in joints:
         if joint.lower_deg > 0.0 or joint.upper_deg < 0.0:
-            print_note(
+            print_to_stderr(
                 f"warning: the range of {joint.name}, {joint.lower_deg:.1f} to "
                 f"{joint.upper_deg:.1f} degrees, is without zero, where the head was measured: "
                 "at rest it is at the nearest angle that it has (is a sign or an offset wrong?)"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final, TextIO
 import tyro
 
 from vergence import interrupts
-from vergence.commands.console import print_note
+from vergence.commands.console import print_to_stderr
 from vergence.commands.extras import require_modules
 from vergence.errors import ConfigurationError, VergenceError, did_you_mean
 
@@ -52,8 +52,8 @@ class Jog:
         interrupts.raise_on_termination()
         bus, session = open_bus(config.bus), None
         try:
-            for finding in raise_errors(check_servos(config, bus, check_limits=False)):
-                print_note(f"warning: {finding}")
+            for finding in raise_errors(check_servos(config, bus, check_joint_in_limits=False)):
+                print_to_stderr(f"warning: {finding}")
             session = JogSession(Joints(config, bus), self.config, step_rad, _say)
             session.begin()
             _execute_all(session, sys.stdin)

@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from vergence.commands.console import print_note
+from vergence.commands.console import print_to_stderr
 from vergence.eval.reporting.text import format_fixed
 
 if TYPE_CHECKING:
@@ -74,13 +74,13 @@ def run_live(
         in_time = True
     state = statistics.run_summary()
     if is_local_camera(source) and not in_time:
-        print_note(f"the images ended after {state.images}: is the camera still there?")
+        print_to_stderr(f"the images ended after {state.images}: is the camera still there?")
     if as_json:
         print(json.dumps({"source": source, **state.document()}, indent=2, allow_nan=False))
     else:
         Console(highlight=False).print(_picture(state, last=True))
     if not any(target.images_with_target for target in state.targets):
-        print_note("error: expected a target in the images, found none")
+        print_to_stderr("error: expected a target in the images, found none")
         return 1
     return 0
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 
-from vergence.commands.console import print_failures, print_note, progress_bar
+from vergence.commands.console import print_failures, print_to_stderr, progress_bar
 from vergence.commands.options import Flat, TableOptions, claimed_run_folder, dated_run_folder
 from vergence.perception.locate_config import LocateConfig
 
@@ -51,10 +51,10 @@ class Locate:
                 _say_rest(result.head)
             run.finish(write, result.rows, lambda: print_located(result), as_json=self.json)
         for text in result.notes():  # below the table: some explain its rows
-            print_note(text)
+            print_to_stderr(text)
         print_failures(result.failures)
         if not result.any_triangulated:
-            print_note(f"error: {_nothing(result)}")
+            print_to_stderr(f"error: {_nothing(result)}")
         if not run.saved or result.failures:
             return 2
         return 0 if result.any_triangulated else 1
@@ -89,4 +89,4 @@ def _say_rest(head: "HeadModel") -> None:
         return
     rest = zip(head.joints[EYES], np.degrees(head.rest()[EYES]), strict=True)
     angles = ", ".join(f"{name} {angle:z.3g}" for name, angle in dict(rest).items() if name)
-    print_note(f"no --joints: the eyes are taken to be at rest, in degrees {angles}")
+    print_to_stderr(f"no --joints: the eyes are taken to be at rest, in degrees {angles}")

@@ -11,7 +11,7 @@ import tyro
 
 from vergence import interrupts
 from vergence.commands.checks import check_and_print
-from vergence.commands.console import print_note, progress_bar
+from vergence.commands.console import print_to_stderr, progress_bar
 from vergence.commands.extras import require_modules
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError, HardwareError
@@ -58,7 +58,7 @@ class MeasureDelay:
             with progress_bar("measure") as report:
                 measurement = measure_loop(hardware, eyes, report, self.actuator)
         except HardwareError:
-            print_note(f"{self.hardware} stays as it was")
+            print_to_stderr(f"{self.hardware} stays as it was")
             raise
         if self.json:
             print(json.dumps(_as_json(measurement), indent=2, allow_nan=False))
@@ -68,7 +68,7 @@ class MeasureDelay:
             with self._writing():
                 write_loop(self.hardware, measurement.loop(), measurement.latencies_s)
             cameras = "".join(f"cameras.{name}.latency_s, " for name in measurement.latencies_s)
-            print_note(f"written to {self.hardware}: {cameras}[loop]")
+            print_to_stderr(f"written to {self.hardware}: {cameras}[loop]")
         return 0
 
     @contextmanager

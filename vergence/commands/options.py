@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import tyro
 
-from vergence.commands.console import print_note
+from vergence.commands.console import print_to_stderr
 from vergence.commands.extras import require_modules
 from vergence.errors import ConfigurationError
 
@@ -103,10 +103,10 @@ class RunFolder:
         try:
             place = save_run(self.folder, write)
         except ConfigurationError as error:
-            print_note(f"error: {error}")
+            print_to_stderr(f"error: {error}")
             return False
         if place != self.folder:
-            print_note(f"{self.folder} has been taken meanwhile: written to {place} instead")
+            print_to_stderr(f"{self.folder} has been taken meanwhile: written to {place} instead")
         self.folder, self.saved = place, True
         return True
 

@@ -11,7 +11,7 @@ import tyro
 
 from vergence import __version__
 from vergence.commands import Command
-from vergence.commands.console import print_note
+from vergence.commands.console import print_to_stderr
 from vergence.errors import UnknownNameError, did_you_mean
 
 
@@ -47,7 +47,7 @@ def parse_command(words: list[str]) -> Runnable:
         if stop.code == 2:
             path, commands = _command_of(words)
             reason = _reason(parser_output.getvalue(), path, commands, words[len(path) :])
-            print_note(f"error: {reason} (see {' '.join(['vergence', *path])} --help)")
+            print_to_stderr(f"error: {reason} (see {' '.join(['vergence', *path])} --help)")
         raise
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from vergence.commands.console import print_note, progress_bar
+from vergence.commands.console import print_to_stderr, progress_bar
 from vergence.commands.extras import require_modules
 from vergence.commands.gaze_rows import print_gazes
 from vergence.commands.options import Flat, TableOptions, claimed_run_folder, dated_run_folder
@@ -33,25 +33,25 @@ class ReplayLog:
         self.tables.check()
         require_modules("robot", "mcap")
         from vergence.eval.robot.replay import replay
-        from vergence.eval.robot.replay_folder import write_replay
+        from vergence.eval.robot.replay_folder import write_replay_folder
 
         with claimed_run_folder(self.out or dated_run_folder("replay")) as run:
             with progress_bar("replay") as report:
                 result = replay(self.config, report)
             for text in result.notes:
-                print_note(text)
+                print_to_stderr(text)
             if not result.log.trials:
-                print_note(f"there is no gaze in {result.log.path}")
+                print_to_stderr(f"there is no gaze in {result.log.path}")
             if result.log.cut_off:
-                print_note(f"{result.log.path} is cut off, as by a crash: read up to there")
+                print_to_stderr(f"{result.log.path} is cut off, as by a crash: read up to there")
 
             def write(folder: Path) -> None:
-                write_replay(folder, result, self.config.gaze)
+                write_replay_folder(folder, result, self.config.gaze)
                 self.tables.convert(*sorted(folder.glob("*.csv")))
 
             run.finish(write, result.summary, lambda: _print(result), as_json=self.json)
         for text in result.log.faults:
-            print_note(f"the log has a fault: {text}")
+            print_to_stderr(f"the log has a fault: {text}")
         return 0 if run.saved else 2
 
 

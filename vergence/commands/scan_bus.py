@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
-from vergence.commands.console import print_note, progress_bar
+from vergence.commands.console import print_to_stderr, progress_bar
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
@@ -46,10 +46,10 @@ class ScanBus:
         with progress_bar("scan-bus") as report:
             found = scan_for_servos(self.port, ids=ids, report=report)
         for rate, why in found.left_out.items():
-            print_note(f"{rate} baud was left out: {why}")
+            print_to_stderr(f"{rate} baud was left out: {why}")
         latency = check_latency_timer(self.port)
         if latency is not None:
-            print_note(f"warning: {latency}")
+            print_to_stderr(f"warning: {latency}")
         if not found.servos:
             _say_nobody(self.port, found)
             return 1
@@ -98,11 +98,11 @@ def _mode(mode: int) -> str:
 
 def _say_nobody(port: str, found: "ScanResult") -> None:
     if found.damaged:
-        print_note(
+        print_to_stderr(
             f"error: {port}: expected servos, got {found.damaged} damaged answers: servos with "
             "one id talk at once (plug in one alone and give it another id), or the cable is bad"
         )
         return
-    print_note(f"error: {port}: expected servos, got no answer at any baud rate")
+    print_to_stderr(f"error: {port}: expected servos, got no answer at any baud rate")
     for reason in _REASONS:
-        print_note(f"error: {reason}")
+        print_to_stderr(f"error: {reason}")

@@ -13,7 +13,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from vergence.commands.console import print_note
+from vergence.commands.console import print_to_stderr
 from vergence.commands.extras import require_modules
 from vergence.commands.options import Flat, dated_run_folder
 from vergence.commands.tables import print_table
@@ -92,7 +92,7 @@ class _Watch:
 
     def resumed(self, done: int) -> None:
         """See `TrainingListener.resumed`."""
-        print_note(
+        print_to_stderr(
             f"goes on after {done} steps" if done else "nothing had been saved: begins at 0 steps"
         )
 
@@ -126,7 +126,7 @@ def _watching(folder: Path) -> Iterator[_Watch]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         said = "interrupted: saving after this update (again to stop at once)"
         try:
-            print_note(said)
+            print_to_stderr(said)
         except RuntimeError:  # raised by a write to the stream that the signal interrupted
             os.write(2, f"vergence: {said}\n".encode())
 
@@ -134,7 +134,7 @@ def _watching(folder: Path) -> Iterator[_Watch]:
     try:
         yield watch
     except KeyboardInterrupt:
-        print_note(
+        print_to_stderr(
             f"interrupted: vergence train --resume {folder} goes on from the last checkpoint"
         )
         raise SystemExit(130) from None
@@ -155,7 +155,7 @@ def _compared(gain: float, unit: str) -> str:
 def _end(result: "TrainingResult") -> int:
     """Print the result of a run; return the exit code."""
     if not result.finished:
-        print_note(
+        print_to_stderr(
             f"stopped after {result.steps} steps: vergence train --resume {result.folder} goes on"
         )
         return 130

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import tyro
 from rich.console import Console
 
-from vergence.commands.console import print_note, progress_bar
+from vergence.commands.console import print_to_stderr, progress_bar
 from vergence.commands.extras import require_modules
 from vergence.commands.options import Flat, JobOptions
 from vergence.commands.tables import print_table
@@ -83,7 +83,7 @@ class Tune:
                     folder, config, search_ranges, objective, head, lambda n, of: report(n / of)
                 )
             except KeyboardInterrupt:
-                print_note(f"interrupted: the study stays in {folder}; call again to go on")
+                print_to_stderr(f"interrupted: the study stays in {folder}; call again to go on")
                 return 130
         _print(result)
         for path in self._tables():

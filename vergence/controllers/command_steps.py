@@ -57,7 +57,16 @@ def quantise_command(
     carried_after: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Compute the rounding errors carried over, and the quantised commands."""
+    """Quantise commands to whole steps, never a single one, and carry the remainders over.
+
+    Args:
+        carried_before: (4,) remainders of the last period, rad/s.
+        command: (4,) commands, rad/s.
+        step: () resolution of the commands, rad/s.
+        limits: (4,) largest commands, rad/s.
+        carried_after: (4,) result: remainders, at most 1.5 steps; 0 where the command is 0.
+        out: (4,) result: quantised commands, rad/s.
+    """
     size = step[0]
     for k in range(4):
         carried_after[k] = out[k] = 0.0

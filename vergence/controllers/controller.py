@@ -41,7 +41,7 @@ class Controller(Protocol):
 
 CONTROLLERS: Final[dict[str, str]] = {
     "ibvs": "vergence.controllers.ibvs:IBVS",
-    "delay-compensated": "vergence.controllers.delay_compensated:DelayCompensated",
+    "delay-compensated": "vergence.controllers.delay_compensated:DelayCompensatedIBVS",
     "state-feedback": "vergence.controllers.state_feedback:StateFeedback",
     "saccade": "vergence.controllers.saccade:Saccade",
     "ibvs-tuned": "vergence.controllers.tuned_ibvs:TunedIBVS",

@@ -24,7 +24,7 @@ DEFAULT_GAIN: Final = 10.0
 """Default gain, 1/s (chosen): only the joints' lag is left in the loop, and it bounds the gain."""
 
 
-class DelayCompensated(StatefulController):
+class DelayCompensatedIBVS(StatefulController):
     """Applies the law of `IBVS` to the predicted present pixel errors.
 
     The state is the predictor's state, followed by the rounding errors of the commands.

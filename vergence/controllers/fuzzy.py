@@ -58,7 +58,7 @@ from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead
 from vergence.models.parts import FloatArray
 
-SETS: Final = ("NB", "NM", "NS", "ZO", "PS", "PM", "PB")
+FUZZY_SETS: Final = ("NB", "NM", "NS", "ZO", "PS", "PM", "PB")
 """The sets of error, rate and change of gain, from -1 to 1 in thirds."""
 
 RULES: Final = {
@@ -86,7 +86,7 @@ RULES: Final = {
 
 def rule_base() -> FloatArray:
     """(3, 7, 7) changes of kp, ki and kd by set of the error and set of its rate, -1 to 1."""
-    value = {name: (i - 3) / 3.0 for i, name in enumerate(SETS)}
+    value = {name: (i - 3) / 3.0 for i, name in enumerate(FUZZY_SETS)}
     half = np.array([[[value[word] for word in row.split()] for row in RULES[k]] for k in RULES])
     return np.concatenate([half[:, :0:-1, ::-1], half], axis=1)
 
@@ -216,9 +216,17 @@ def _infer(error: float, rate: float, law: FuzzyLaw, gain: int) -> float:
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], f"(),(),({row_size(FUZZY_LAW)}),(3)->(3)")
 def fuzzy_gain_factors(
-    error: FloatArray, rate: FloatArray, law_row: FloatArray, shape: FloatArray, out: FloatArray
+    error: FloatArray, rate: FloatArray, law_row: FloatArray, _three: FloatArray, out: FloatArray
 ) -> None:
-    """Compute the factors of kp, ki and kd from the rules."""
+    """Compute the factors of kp, ki and kd from the rules.
+
+    Args:
+        error: () error of one eye and axis, px.
+        rate: () its rate, px/s.
+        law_row: a row of `FuzzyLaw`.
+        _three: (3,) any array; it sets the length of the result.
+        out: (3,) result.
+    """
     law: FuzzyLaw = record_view(law_row, FUZZY_LAW)
     for gain in range(3):
         out[gain] = _infer(error[0], rate[0], law, gain)

@@ -29,7 +29,7 @@ from vergence.models.jacobian import eye_jacobian
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import PACKED, PackedHead, camera_of
 from vergence.models.parts import FloatArray
-from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
+from vergence.triangulation.lines_of_sight import depths_on_rays, rays_from_pixel_errors
 
 
 class IBVS:
@@ -203,7 +203,7 @@ def joint_velocities(
     left, right = eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6])
     depth_l = depth_r = depth_m
     if not isfinite(depth_m):
-        ray_l, ray_r = rays_of_image(p, left.camera, right.camera, error)
+        ray_l, ray_r = rays_from_pixel_errors(p, left.camera, right.camera, error)
         depth_l, depth_r, _found = depths_on_rays(ray_l, ray_r)
     excess_l = excess_r = 1.0
     for eye in range(2):

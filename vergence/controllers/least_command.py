@@ -1,24 +1,26 @@
 """Smallest effective command of a motor with quantised speed, for laws near their goal."""
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.joints import PredictorModel
+from vergence.controllers.prediction.joints import PredictorParameters
 
 
 @inlined
-def least_command(u: float, resting_error: float, rig: PredictorModel, gain: float) -> float:
+def least_command(
+    u: float, resting_error: float, params: PredictorParameters, gain: float
+) -> float:
     """Replace a command too small to move the motor by the smallest effective pulse, or by zero.
 
     Args:
         u: the command, rad/s.
         resting_error: distance from the goal at which the actuator would come to rest under zero
             command, rad.
-        rig: the head's parameters.
+        params: the head's parameters.
         gain: ratio of the actuator's velocity to its command.
     """
-    step = rig.command_step
+    step = params.command_step
     if step == 0.0 or abs(u) >= 1.5 * step:
         return u
     push = 2.0 * step
-    if abs(u) > 0.3 * step and abs(resting_error) > 0.6 * push * gain * rig.period_s:
+    if abs(u) > 0.3 * step and abs(resting_error) > 0.6 * push * gain * params.period_s:
         return push if u > 0.0 else -push
     return 0.0

@@ -26,7 +26,11 @@ from numpy.typing import NDArray
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
 from vergence.controllers.pole_placement import pole_placement_command
-from vergence.controllers.prediction.joints import RIG, RIG_SIZE, PredictorModel
+from vergence.controllers.prediction.joints import (
+    PREDICTOR_PARAMETERS,
+    PREDICTOR_PARAMETERS_SIZE,
+    PredictorParameters,
+)
 from vergence.controllers.prediction.oscillation import MANY_HALF_SWINGS, calmed_rate
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import record_view
@@ -54,7 +58,7 @@ _BLIND_S: Final = 0.12
 """Approximate longest time for which a catch-up saccade exceeds that speed, s (chosen)."""
 _LEAST_LAG_S: Final = 0.004
 """Lower bound of the lag in the soft law's rate, s (numerical)."""
-TRUST_FIELDS: Final = (
+MODEL_QUALITY_FIELDS: Final = (
     "acceleration_ratio", "acceleration_sd", "latency_sd_s", "noise_rad", "misfit",
     "half_swings", "build_up",
 )  # fmt: skip
@@ -113,7 +117,7 @@ class Saccade(PredictiveController):
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
         now = self.predictor.update(seen, state)
-        trust = np.stack([getattr(now, name) for name in TRUST_FIELDS], axis=-1)
+        trust = np.stack([getattr(now, name) for name in MODEL_QUALITY_FIELDS], axis=-1)
         command = saccade_command(
             now.angle_error,
             now.velocities,
@@ -124,7 +128,7 @@ class Saccade(PredictiveController):
             now.lag_s,
             now.speed_gain,
             trust,
-            self.predictor.rig,
+            self.predictor.params,
             self._law,
         )
         return np.asarray(command)
@@ -132,20 +136,20 @@ class Saccade(PredictiveController):
 
 @kernel(
     ["(f8[:],f8[:],f8[:],f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    f"(4),(4),(4),(4),(4),(2),(),(4),({len(TRUST_FIELDS)}),({RIG_SIZE}),(4)->(4)",
+    f"(4),(4),(4),(4),(4),(2),(),(4),({len(MODEL_QUALITY_FIELDS)}),({PREDICTOR_PARAMETERS_SIZE}),(4)->(4)",
 )
 def saccade_command(
     angle_error: FloatArray,
     velocity: FloatArray,
     acceleration: FloatArray,
-    rate: FloatArray,
-    later_rate: FloatArray,
-    known: NDArray[np.bool_],
+    goal_velocity: FloatArray,
+    goal_velocity_at_effect: FloatArray,
+    has_goal: NDArray[np.bool_],
     lag_s: FloatArray,
-    gain: FloatArray,
-    trust: FloatArray,
-    rig_row: FloatArray,
-    law: FloatArray,
+    speed_gain: FloatArray,
+    model_quality: FloatArray,
+    params_row: FloatArray,
+    law_row: FloatArray,
     out: FloatArray,
 ) -> None:
     """Compute the actuators' commands of one period, rad/s.
@@ -154,55 +158,59 @@ def saccade_command(
         angle_error: (4,) angles to the goals, rad.
         velocity: (4,) velocities of the actuators, rad/s.
         acceleration: (4,) accelerations of the actuators, rad/s^2.
-        rate: (4,) velocities of the goals, rad/s.
-        later_rate: (4,) velocities of the goals when the command shows, rad/s.
-        known: (2,) True if an eye has a goal; an actuator that moves no such eye is held still.
+        goal_velocity: (4,) velocities of the goals, rad/s.
+        goal_velocity_at_effect: (4,) velocities of the goals when the command shows, rad/s.
+        has_goal: (2,) True if an eye has a goal; an actuator that moves no such eye is held still.
         lag_s: () lag in the head's timing, s.
-        gain: (4,) ratios of velocity to command.
-        trust: (7,) ratio of the accelerations to the model's; standard deviations of its logarithm,
-            of the latency, s, and of a detection, rad; misfit of the response; count of half
-            swings; build-up of the lag. See `TRUST_FIELDS`.
-        rig_row: a row of `vergence.controllers.prediction.joints.PredictorModel`.
-        law: options `braking` and `caution`, the angle of a joint below which the soft law acts,
-            rad, and its rate, 1/s.
+        speed_gain: (4,) ratios of velocity to command.
+        model_quality: (7,) ratio of the accelerations to the model's; standard deviations of its
+            logarithm, of the latency, s, and of a detection, rad; misfit of the response; count of
+            half swings; build-up of the lag. See `MODEL_QUALITY_FIELDS`.
+        params_row: a row of `vergence.controllers.prediction.joints.PredictorParameters`.
+        law_row: options `braking` and `caution`, the angle of a joint below which the soft law
+            acts, rad, and its rate, 1/s.
         out: (4,) result: the commands, rad/s.
     """
-    rig: PredictorModel = record_view(rig_row, RIG)
-    period = rig.period_s
-    unsure = min(trust[1] + trust[2] / period, 1.0)
-    oscillates = trust[5] > MANY_HALF_SWINGS
-    unexplained, builds_up = trust[4] > _UNEXPLAINED, trust[6] > 0.0
+    params: PredictorParameters = record_view(params_row, PREDICTOR_PARAMETERS)
+    period = params.period_s
+    unsure = min(model_quality[1] + model_quality[2] / period, 1.0)
+    oscillates = model_quality[5] > MANY_HALF_SWINGS
+    unexplained, builds_up = model_quality[4] > _UNEXPLAINED, model_quality[6] > 0.0
     for j in range(4):
         out[j] = 0.0
         if not (
-            (known[0] and rig.moves_eye[j, 0] > 0.5) or (known[1] and rig.moves_eye[j, 1] > 0.5)
+            (has_goal[0] and params.moves_eye[j, 0] > 0.5)
+            or (has_goal[1] and params.moves_eye[j, 1] > 0.5)
         ):
             continue
         # from here on velocities are relative to the goal
-        v, lag = velocity[j] - rate[j], rig.lag_ratio[j] * lag_s[0]
-        speed = max(gain[j] * rig.speed_limit[j] - abs(rate[j]), 0.1 * gain[j] * rig.speed_limit[j])
-        if rate[j] != 0.0:  # lose sight only briefly of a target that may reverse
+        v, lag = velocity[j] - goal_velocity[j], params.lag_ratio[j] * lag_s[0]
+        speed = max(
+            speed_gain[j] * params.speed_limit[j] - abs(goal_velocity[j]),
+            0.1 * speed_gain[j] * params.speed_limit[j],
+        )
+        if goal_velocity[j] != 0.0:  # lose sight only briefly of a target that may reverse
             visible_speed = max(
-                _SEES * rig.max_slip_rad_s / rig.leverage[j], abs(angle_error[j]) / _BLIND_S
+                _SEES * params.max_slip_rad_s / params.leverage[j], abs(angle_error[j]) / _BLIND_S
             )
             speed = min(speed, visible_speed)
-        a = trust[0] * rig.acceleration_limit[j]
+        a = model_quality[0] * params.acceleration_limit[j]
         # uncertain part of the angle turned in a period at full acceleration
-        wide = law[2] if rate[j] == 0.0 else _MOVING * law[2]
-        soft = max(wide, _NOISY * trust[3]) / rig.leverage[j]
+        wide = law_row[2] if goal_velocity[j] == 0.0 else _MOVING * law_row[2]
+        soft = max(wide, _NOISY * model_quality[3]) / params.leverage[j]
         near = max(soft, _NEAR * min(a, _MOST_ACCELERATION) * period**2 * unsure)
-        calm = oscillates or (unexplained and rate[j] == 0.0)
+        calm = oscillates or (unexplained and goal_velocity[j] == 0.0)
         if calm or builds_up:
-            linear_rate = calmed_rate(_CALM_RATE, trust[5]) if calm else _LINEAR_RATE
+            linear_rate = calmed_rate(_CALM_RATE, model_quality[5]) if calm else _LINEAR_RATE
             u = pole_placement_command(
-                angle_error[j], v, acceleration[j], linear_rate, lag, trust[6]
+                angle_error[j], v, acceleration[j], linear_rate, lag, model_quality[6]
             )
         elif abs(angle_error[j]) < near and abs(v) * lag < 3.0 * near:
-            u = min(law[3], _RATE / max(lag, _LEAST_LAG_S)) * (angle_error[j] - lag * v)
+            u = min(law_row[3], _RATE / max(lag, _LEAST_LAG_S)) * (angle_error[j] - lag * v)
         else:
-            braking = law[0] * exp(-min(law[1] * trust[1], 1.0)) * a
+            braking = law_row[0] * exp(-min(law_row[1] * model_quality[1], 1.0)) * a
             trusted = joint_timing(lag, speed, braking, period)
             u = fastest_command(angle_error[j], v, a, trusted)
-        u = (min(max(u, -speed), speed) + later_rate[j]) / gain[j]
-        resting_error = angle_error[j] - lag * (v + trust[6] * lag * acceleration[j])
-        out[j] = least_command(u, resting_error, rig, gain[j])
+        u = (min(max(u, -speed), speed) + goal_velocity_at_effect[j]) / speed_gain[j]
+        resting_error = angle_error[j] - lag * (v + model_quality[6] * lag * acceleration[j])
+        out[j] = least_command(u, resting_error, params, speed_gain[j])

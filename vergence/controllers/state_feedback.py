@@ -21,7 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 from vergence._jit import kernel
 from vergence.controllers.least_command import least_command
 from vergence.controllers.pole_placement import pole_placement_command
-from vergence.controllers.prediction.joints import RIG, RIG_SIZE, PredictorModel
+from vergence.controllers.prediction.joints import (
+    PREDICTOR_PARAMETERS,
+    PREDICTOR_PARAMETERS_SIZE,
+    PredictorParameters,
+)
 from vergence.controllers.prediction.oscillation import calmed_rate
 from vergence.controllers.prediction.predictor import Prediction
 from vergence.controllers.predictive import PredictiveController
@@ -66,15 +70,15 @@ class StateFeedback(PredictiveController):
         self._law = np.array([gain, damping])
 
     def _command(self, seen: Observation, state: FloatArray) -> FloatArray:
-        return linear_command(self.predictor.update(seen, state), self.predictor.rig, self._law)
+        return linear_command(self.predictor.update(seen, state), self.predictor.params, self._law)
 
 
-def linear_command(prediction: Prediction, rig_row: FloatArray, law: ArrayLike) -> FloatArray:
+def linear_command(prediction: Prediction, params_row: FloatArray, law: ArrayLike) -> FloatArray:
     """Compute the law's commands.
 
     Args:
         prediction: the prediction.
-        rig_row: the head's packed `vergence.controllers.prediction.joints.PredictorModel`.
+        params_row: the head's packed `vergence.controllers.prediction.joints.PredictorParameters`.
         law: (2,) the options `gain` and `damping`.
 
     Returns:
@@ -83,14 +87,14 @@ def linear_command(prediction: Prediction, rig_row: FloatArray, law: ArrayLike) 
     lag_values = np.stack([prediction.lag_s, prediction.build_up], axis=-1)
     command = feedback_command(
         prediction.angle_error, prediction.velocities, prediction.accelerations, prediction.known,
-        lag_values, prediction.speed_gain, prediction.half_swings, rig_row, law,
+        lag_values, prediction.speed_gain, prediction.half_swings, params_row, law,
     )  # fmt: skip
     return np.asarray(command)
 
 
 @kernel(
     ["(f8[:],f8[:],f8[:],b1[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:])"],
-    f"(4),(4),(4),(2),(2),(4),(),({RIG_SIZE}),(2)->(4)",
+    f"(4),(4),(4),(2),(2),(4),(),({PREDICTOR_PARAMETERS_SIZE}),(2)->(4)",
 )
 def feedback_command(
     angle_error: FloatArray,
@@ -100,7 +104,7 @@ def feedback_command(
     lag_values: FloatArray,
     gain: FloatArray,
     half_swings: FloatArray,
-    rig_row: FloatArray,
+    params_row: FloatArray,
     law: FloatArray,
     out: FloatArray,
 ) -> None:
@@ -114,22 +118,23 @@ def feedback_command(
         lag_values: (2,) lag in the head's timing, s, and its build-up.
         gain: (4,) ratios of velocity to command.
         half_swings: () decayed count of half swings of oscillation.
-        rig_row: a row of `vergence.controllers.prediction.joints.PredictorModel`.
+        params_row: a row of `vergence.controllers.prediction.joints.PredictorParameters`.
         law: the options `gain` and `damping`.
         out: (4,) result: the commands, rad/s.
     """
-    rig: PredictorModel = record_view(rig_row, RIG)
+    params: PredictorParameters = record_view(params_row, PREDICTOR_PARAMETERS)
     k = calmed_rate(law[0], half_swings[0])
     for j in range(4):
         out[j] = 0.0
         if not (
-            (known[0] and rig.moves_eye[j, 0] > 0.5) or (known[1] and rig.moves_eye[j, 1] > 0.5)
+            (known[0] and params.moves_eye[j, 0] > 0.5)
+            or (known[1] and params.moves_eye[j, 1] > 0.5)
         ):
             continue
-        v, w, lag = velocity[j], acceleration[j], rig.lag_ratio[j] * lag_values[0]
-        limit = gain[j] * rig.speed_limit[j]
+        v, w, lag = velocity[j], acceleration[j], params.lag_ratio[j] * lag_values[0]
+        limit = gain[j] * params.speed_limit[j]
         damping = law[1] if lag_values[1] == 0.0 else 1.0
         u = pole_placement_command(angle_error[j], v, w, k, damping * lag, lag_values[1])
         u = min(max(u, -limit), limit)
         resting_error = angle_error[j] - lag * (v + lag_values[1] * lag * w)
-        out[j] = least_command(u / gain[j], resting_error, rig, gain[j])
+        out[j] = least_command(u / gain[j], resting_error, params, gain[j])

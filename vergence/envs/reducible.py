@@ -17,7 +17,7 @@ from vergence.models.jacobian import eye_jacobian
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import PackedHead, camera_of
 from vergence.models.parts import FloatArray
-from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
+from vergence.triangulation.lines_of_sight import depths_on_rays, rays_from_pixel_errors
 
 
 @subroutine
@@ -45,7 +45,7 @@ def image_jacobians(
     eyes = (eye_frames(p, 0, q[3], q[4]), eye_frames(p, 1, q[5], q[6]))
     depth_l = depth_r = depth_m
     if not isfinite(depth_m):
-        ray_l, ray_r = rays_of_image(p, eyes[0].camera, eyes[1].camera, error)
+        ray_l, ray_r = rays_from_pixel_errors(p, eyes[0].camera, eyes[1].camera, error)
         depth_l, depth_r, _found = depths_on_rays(ray_l, ray_r)
     for eye in range(2):
         if right if eye else left:
@@ -86,7 +86,12 @@ def reducible_part(
 
 @inlined
 def reducible_error(
-    p: PackedHead, q: FloatArray, error: FloatArray, left: bool, right: bool, out: FloatArray
+    p: PackedHead,
+    q: FloatArray,
+    error: FloatArray,
+    left_visible: bool,
+    right_visible: bool,
+    out: FloatArray,
 ) -> None:
     """Compute the reducible part of pixel errors at the triangulated depth.
 
@@ -94,10 +99,10 @@ def reducible_error(
         p: a packed head.
         q: (7,) joint angles at the exposure, rad.
         error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
-        left: True if the left eye sees the target; else its errors are ignored.
-        right: True if the right eye sees the target; else its errors are ignored.
+        left_visible: True if the left eye sees the target; else its errors are ignored.
+        right_visible: True if the right eye sees the target; else its errors are ignored.
         out: (2, 2) result, px; nan for an eye that does not see the target.
     """
     jacobian = np.zeros((2, 2, 2))
-    image_jacobians(p, q, error, nan, left, right, jacobian)
-    reducible_part(p, jacobian, error, left, right, out)
+    image_jacobians(p, q, error, nan, left_visible, right_visible, jacobian)
+    reducible_part(p, jacobian, error, left_visible, right_visible, out)

@@ -24,6 +24,7 @@ from vergence.eval.head_summary import LEAST_RESIDUAL_PX
 from vergence.eval.trials.goal import least_measured_error
 from vergence.eval.trials.metrics import settle_time
 from vergence.hardware.config import load_hardware
+from vergence.json_values import null_nonfinite_elements
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, NECK
@@ -92,13 +93,13 @@ class GazeResult:
     def summary(self) -> dict[str, Any]:
         """The result as plain values; None for missing ones."""
         return {
-            "settle_1px_s": _json_value(self.settle_1px_s),
-            "settle_05px_s": _json_value(self.settle_05px_s),
-            "residual_px": _json_value(self.residual_px),
-            "truth_mm": _json_value(MM * self.truth_m),
+            "settle_1px_s": null_nonfinite_elements(self.settle_1px_s),
+            "settle_05px_s": null_nonfinite_elements(self.settle_05px_s),
+            "residual_px": null_nonfinite_elements(self.residual_px),
+            "truth_mm": null_nonfinite_elements(MM * self.truth_m),
             "gaze": self._method(self.gaze),
             "itpc": self._method(self.itpc),
-            "gap_mm": _json_value(MM * self.gaze.gap[0]),
+            "gap_mm": null_nonfinite_elements(MM * self.gaze.gap[0]),
             "controller": self.config.controller,
             "gain": self.config.gain,
             "plant": self.config.plant,
@@ -111,12 +112,12 @@ class GazeResult:
     def _method(self, fix: Fix) -> dict[str, Any]:
         error = fix.point[0] - self.truth_m
         return {
-            "point_mm": _json_value(MM * fix.point[0]),
-            "sigma_mm": _json_value(MM * fix.sigma[0]),
-            "error_mm": _json_value(MM * error),
-            "error_norm_mm": _json_value(MM * np.linalg.norm(error)),
-            "gap_mm": _json_value(MM * fix.gap[0]),
-            "covariance_mm2": _json_value(MM**2 * fix.covariance[0]),
+            "point_mm": null_nonfinite_elements(MM * fix.point[0]),
+            "sigma_mm": null_nonfinite_elements(MM * fix.sigma[0]),
+            "error_mm": null_nonfinite_elements(MM * error),
+            "error_norm_mm": null_nonfinite_elements(MM * np.linalg.norm(error)),
+            "gap_mm": null_nonfinite_elements(MM * fix.gap[0]),
+            "covariance_mm2": null_nonfinite_elements(MM**2 * fix.covariance[0]),
         }
 
 
@@ -289,10 +290,3 @@ def _outside(pixel: FloatArray, size: NDArray[np.int64]) -> str:
     if not np.isfinite(pixel).all():
         return "behind it"
     return f"at pixel ({pixel[0]:.0f}, {pixel[1]:.0f}) of {size[0]} x {size[1]}"
-
-
-def _json_value(value: Any) -> Any:
-    """Convert numbers and lists of numbers for JSON; None for values that are not finite."""
-    if np.ndim(value):
-        return [_json_value(item) for item in value]
-    return float(value) if np.isfinite(value) else None

@@ -10,7 +10,7 @@ from matplotlib.patches import Polygon
 
 from vergence.eval.head_summary import HeadSummary, edge_rays, summarise
 from vergence.eval.image_figure import draw_image
-from vergence.eval.reporting.labels import Labels, page_point
+from vergence.eval.reporting.labels import Labels, as_float_pair
 from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, figure_style, new_figure
 from vergence.files import atomic_file
 from vergence.models.head import HeadModel
@@ -218,11 +218,11 @@ def _draw_frame(
         tip[axis] += length
         if axis in plane:
             panel.annotate(
-                "", page_point(tip[plane]), page_point(start),
+                "", as_float_pair(tip[plane]), as_float_pair(start),
                 arrowprops={"arrowstyle": "-|>", "color": BLACK, "lw": 1.4, "shrinkA": 0,
                             "shrinkB": 0},
             )  # fmt: skip
-            labels.add(tip[plane], name, BLACK, page_point((tip - origin)[plane]))
+            labels.add(tip[plane], name, BLACK, as_float_pair((tip - origin)[plane]))
             labels.avoid_line(start, tip[plane])
     labels.add(start, "N", BLACK, (-1.0, -1.0))
     labels.avoid(start)
@@ -243,11 +243,11 @@ def _draw_axis(
     panel.plot(*ends.T, color=GREEN, lw=2.0, zorder=4)
     panel.plot(*start, "o", color=GREEN, ms=5, zorder=5)
     panel.annotate(
-        "", page_point(ends[1]), page_point(start),
+        "", as_float_pair(ends[1]), as_float_pair(start),
         arrowprops={"arrowstyle": "-|>", "color": GREEN, "lw": 1.6, "shrinkA": 0, "shrinkB": 0},
     )  # fmt: skip
     labels.avoid_line(*ends)
-    labels.add(ends[1], text, GREEN, page_point(direction))
+    labels.add(ends[1], text, GREEN, as_float_pair(direction))
 
 
 def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int], labels: Labels) -> None:
@@ -259,7 +259,7 @@ def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int], labels: Labe
     level = shown.nearby[:, plane[1]].min() - 0.3 * shown.size
     ends = np.array([[left[0], level], [right[0], level]])
     panel.annotate(
-        "", page_point(ends[0]), page_point(ends[1]),
+        "", as_float_pair(ends[0]), as_float_pair(ends[1]),
         arrowprops={"arrowstyle": "<|-|>", "color": GREY, "lw": 1.2, "shrinkA": 0, "shrinkB": 0},
     )  # fmt: skip
     for start, end in zip((left, right), ends, strict=True):

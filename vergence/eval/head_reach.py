@@ -45,7 +45,9 @@ def midpoint_between_cameras(head: HeadModel) -> FloatArray:
     return np.asarray(head.camera_poses(head.rest())[:, :3, 3].mean(axis=0), np.float64)
 
 
-def fixate_points(head: HeadModel, points: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+def fixation_angles_and_visibility(
+    head: HeadModel, points: FloatArray
+) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Joint angles at which both eyes look at points of N, and a mask of the visible points.
 
     Fixed eyes keep their pose; eyes that cannot fixate exactly take the angles of the least error.
@@ -79,7 +81,7 @@ def find_reach(head: HeadModel) -> Reach:
     centre = midpoint_between_cameras(head)
 
     def can(directions: FloatArray) -> NDArray[np.bool_]:
-        return fixate_points(head, centre + directions)[1]
+        return fixation_angles_and_visibility(head, centre + directions)[1]
 
     depths = np.geomspace(NEAREST_M, _FARTHEST_M, 2001)
     reached = np.flatnonzero(can(depths[:, None] * _FORWARD))
@@ -99,7 +101,7 @@ def find_reach(head: HeadModel) -> Reach:
     )
 
 
-def reach_side_points(head: HeadModel, reach: Reach) -> FloatArray:
+def off_axis_reach_points(head: HeadModel, reach: Reach) -> FloatArray:
     """Points at the sides and corners of a reach: at its widest angles and halfway there.
 
     Args:

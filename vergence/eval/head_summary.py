@@ -9,9 +9,9 @@ import numpy as np
 from vergence.eval.head_reach import (
     Reach,
     find_reach,
-    fixate_points,
+    fixation_angles_and_visibility,
     midpoint_between_cameras,
-    reach_side_points,
+    off_axis_reach_points,
 )
 from vergence.models.calibrated import CalibrationRecord
 from vergence.models.cameras import PINHOLE
@@ -128,13 +128,13 @@ def summarise(head: HeadModel) -> HeadSummary:
         head: one head, not a population.
     """
     ahead = midpoint_between_cameras(head) + np.array(DEPTHS_M)[:, None] * np.array([0.0, 0.0, 1.0])
-    q, seen = fixate_points(head, ahead)
+    q, seen = fixation_angles_and_visibility(head, ahead)
     pixels = head.project(q, ahead)
     error_mm = 1000.0 * triangulate_views(head, q, pixels).sigma[:, 2]
     reach, off_px = find_reach(head), np.zeros(1)
     if head.actuation.count:
-        looked_at = np.concatenate([ahead[seen], reach_side_points(head, reach)])
-        looked_at = looked_at[fixate_points(head, looked_at)[1]]
+        looked_at = np.concatenate([ahead[seen], off_axis_reach_points(head, reach)])
+        looked_at = looked_at[fixation_angles_and_visibility(head, looked_at)[1]]
         off_px = np.linalg.norm(head.least_error(looked_at), axis=-1)
     steps, plays = (
         np.degrees(values[EYES][: head.actuation.count])

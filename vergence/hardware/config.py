@@ -139,7 +139,7 @@ def load_hardware(source: str | os.PathLike[str]) -> HardwareConfig:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "not text in UTF-8"
         raise UnreadableFileError(
-            path, reason, "a TOML file that describes a robot head"
+            path, reason, "the TOML file of a robot's configuration"
         ) from error
     try:
         document = tomllib.loads(text)

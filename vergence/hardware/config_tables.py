@@ -46,12 +46,12 @@ _EXPOSURE: Final[Rule] = (
     lambda x: 1e-4 <= x <= 0.5,
     "seconds in steps of a camera's 100 us, 0.0001 to 0.5 (is it in milliseconds?)",
 )
-_FAR: Final[Rule] = (lambda x: abs(x) <= 100_000.0, "mm, up to 100 m")
-_NEAREST_MM: Final = 20.0
+_COORDINATE_MM: Final[Rule] = (lambda x: abs(x) <= 100_000.0, "mm, up to 100 m")
+_LEAST_TARGET_DISTANCE_MM: Final = 20.0
 """Least distance of a target from the origin of the neck frame, mm (chosen)."""
-_BESIDE: Final = "mm, at least 20 mm from the neck frame's origin (is it in metres?)"
+_NEAREST_TEXT: Final = "mm, at least 20 mm from the neck frame's origin (is it in metres?)"
 _PORT: Final = "the device file of the serial line, such as /dev/ttyUSB0"
-_NUMBERS: Final = 256
+_CAMERA_NUMBERS: Final = 256
 """Number of cameras that Linux can number on one machine (physical: a limit of Linux)."""
 _SIGMA: Final[Rule] = (lambda x: 0.0 <= x < 1e4, "a standard deviation, 0 or more")
 _TARGET: Final = "a target, such as tag:36h11:5:120"
@@ -131,8 +131,8 @@ def read_servos(
             servo = _servo(table, name, ident, 0 if slots is None else slots[name], head)
             servos.append(servo)
     if head is not None and slots is not None and set(names) < set(slots):
-        nameless = len(tables) - len(names)  # their own mistakes are reported already
-        if len(slots) - len(names) > nameless:
+        unreadable = len(tables) - len(names)  # their own mistakes are reported already
+        if len(slots) - len(names) > unreadable:
             mistakes.found.append(
                 HeadFileError(
                     "servos", names, f"a servo for each of {', '.join(slots)} of {head.name}"
@@ -222,12 +222,12 @@ def _is_source(value: object) -> bool:
     """True if a value is the number of a camera, or text that may name one."""
     if isinstance(value, str) and not value.isdecimal():
         return bool(value.strip()) and value.isprintable()
-    if isinstance(value, str) and len(value) > len(str(_NUMBERS)):
+    if isinstance(value, str) and len(value) > len(str(_CAMERA_NUMBERS)):
         return False
     return (
         isinstance(value, int | str)
         and not isinstance(value, bool)
-        and (0 <= int(value) < _NUMBERS)
+        and (0 <= int(value) < _CAMERA_NUMBERS)
     )
 
 
@@ -268,8 +268,8 @@ def read_measured_targets(
     tables: Sequence[Table], mistakes: MistakeCollector
 ) -> tuple[MeasuredTarget, ...]:
     """Read the targets at measured points; those with mistakes are left out."""
-    places: list[MeasuredTarget] = []
-    told: dict[str, str] = {}
+    targets: list[MeasuredTarget] = []
+    key_of_target: dict[str, str] = {}
     for table in tables:
         with mistakes:
             text = table.text("target", _TARGET)
@@ -280,19 +280,21 @@ def read_measured_targets(
                 raise HeadFileError(table.key("target"), text, asked) from error
             # the size of a tag does not distinguish it from others
             seen = str((target.family, target.id) if isinstance(target, AprilTag) else target)
-            if seen in told:
-                raise HeadFileError(table.key("target"), text, f"another target than {told[seen]}")
-            told[seen] = table.key("target")
-            point = table.numbers("point_mm", (3,), _FAR)
-            if np.linalg.norm(point) < _NEAREST_MM:
-                raise HeadFileError(table.key("point_mm"), point.tolist(), _BESIDE)
-            places.append(MeasuredTarget(target=target, point=point / 1000.0))
+            if seen in key_of_target:
+                raise HeadFileError(
+                    table.key("target"), text, f"another target than {key_of_target[seen]}"
+                )
+            key_of_target[seen] = table.key("target")
+            point = table.numbers("point_mm", (3,), _COORDINATE_MM)
+            if np.linalg.norm(point) < _LEAST_TARGET_DISTANCE_MM:
+                raise HeadFileError(table.key("point_mm"), point.tolist(), _NEAREST_TEXT)
             table.close()
+            targets.append(MeasuredTarget(target=target, point=point / 1000.0))
     if len(tables) == 1:
         mistakes.found.append(
             HeadFileError("places", 1, "two or more, between which the eyes turn")
         )
-    return tuple(places)
+    return tuple(targets)
 
 
 def read_emulator(table: Table) -> tuple[str, bool]:

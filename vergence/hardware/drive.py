@@ -142,14 +142,14 @@ class DriveThread(threading.Thread):
         now = self._clock()
         state = RobotState(
             now_s=now,
-            angles=servos.angles.angles + (now - measured_s) * servos.angles.speeds,
-            speeds=servos.angles.speeds,
-            joints=joints,
-            age_s=servos.angles.ages(now),
-            images_s=None if trial is None else trial.images_s,
-            seen=trial is not None and trial.seen,
-            goals=None if trial is None else trial.goals,
-            missed=0 if trial is None else trial.missed,
+            actuator_angles=servos.angles.angles + (now - measured_s) * servos.angles.speeds,
+            actuator_speeds=servos.angles.speeds,
+            joint_angles=joints,
+            reading_age_s=servos.angles.reading_ages_s(now),
+            images_received_s=None if trial is None else trial.images_s,
+            target_visible=trial is not None and trial.seen,
+            target_eye_angles=None if trial is None else trial.goals,
+            missed_periods=0 if trial is None else trial.missed,
         )
         sent = servos.send(self._supervisor.command(state, requested))
         if self._log is not None:

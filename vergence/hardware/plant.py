@@ -43,7 +43,7 @@ from vergence.hardware.safety.motion import HOLD_PERIODS
 from vergence.hardware.safety.supervisor import Supervisor
 from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.servos import HeadServos
-from vergence.hardware.start import come_to_start
+from vergence.hardware.start import drive_to_start
 from vergence.hardware.still import ReadOnlyServos
 from vergence.models.boards import AprilTag, Target
 from vergence.models.head import HeadModel
@@ -381,7 +381,7 @@ class HardwarePlant(Plant):
         """Drive the joints to the start of a trial; return the time of rest there, s."""
         goal = self.head.actuation.actuators_of(positions)
         begun_s = self._clock()
-        rested_s = come_to_start(goal, self.config, angles, self._supervisor, self._move)
+        rested_s = drive_to_start(goal, self.config, angles, self._supervisor, self._move)
         way_s = rested_s - begun_s
         _LOG.info("neck and actuators driven to %s rad in %.1f s", goal.round(3).tolist(), way_s)
         return rested_s

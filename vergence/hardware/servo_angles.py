@@ -54,7 +54,7 @@ class ServoAngles:
             self.has_servo[servo.slot] = True
         self._fastest = _FASTER * head.actuation.velocity
 
-    def ages(self, now_s: float) -> FloatArray:
+    def reading_ages_s(self, now_s: float) -> FloatArray:
         """(7,) time since the last accepted answer of each servo, s; 0 in slots without one."""
         return np.where(self.has_servo, now_s - self._accepted_s, 0.0)
 
@@ -111,7 +111,7 @@ class ServoAngles:
         turn = table.TICKS_PER_TURN / abs(servo.ticks_per_rad)
         return angle - turn * round((angle - middle) / turn)
 
-    def joints(self) -> tuple[FloatArray, FloatArray]:
+    def joint_angles_and_speeds(self) -> tuple[FloatArray, FloatArray]:
         """(7,) angles and (7,) speeds of the joints, rad and rad/s."""
         actuation = self._head.actuation
         q, v = actuation.joints_of(self.angles), self.speeds.copy()
@@ -121,7 +121,7 @@ class ServoAngles:
         q[NECK] = np.where(self.has_servo[NECK], q[NECK], rest[NECK])
         return q, v
 
-    def quantise(self, velocity: FloatArray) -> tuple[dict[int, int], FloatArray]:
+    def velocities_to_ticks(self, velocity: FloatArray) -> tuple[dict[int, int], FloatArray]:
         """Quantise velocities to the units of the servos.
 
         Args:

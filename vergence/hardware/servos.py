@@ -170,7 +170,7 @@ class HeadServos:
         if self._torque:
             self._check_faults()
             self._check_torque()
-        return measured_s, *self.angles.joints()
+        return measured_s, *self.angles.joint_angles_and_speeds()
 
     def _check_faults(self) -> None:
         """Raise an error if a servo has a fault."""
@@ -241,7 +241,7 @@ class HeadServos:
 
     def send(self, velocity: FloatArray) -> FloatArray:
         """Send velocities to the servos; return the quantised ones; both (7,) rad/s."""
-        ticks, sent = self.angles.quantise(velocity)
+        ticks, sent = self.angles.velocities_to_ticks(velocity)
         self._bus.sync_write(table.GOAL_VELOCITY, ticks)
         self._fed()
         return sent

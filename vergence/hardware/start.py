@@ -38,12 +38,12 @@ class GoalNotReachedError(HardwareError):
     """Joints that have not reached their goal."""
 
 
-def come_to_start(
+def drive_to_start(
     goal: FloatArray,
     config: HardwareConfig,
     angles: ServoAngles,
     supervisor: Supervisor,
-    move: Callable[[FloatArray], float],
+    send_velocities: Callable[[FloatArray], float],
 ) -> float:
     """Check that all joints follow, and drive them to the start of a trial.
 
@@ -52,13 +52,14 @@ def come_to_start(
         config: the hardware configuration.
         angles: see `drive_to`.
         supervisor: source of the proved joints and of the forbidden posture in the way.
-        move: see `drive_to`.
+        send_velocities: see `drive_to`.
 
     Returns:
-        Time at which they came to rest, on the clock of `move`, s.
+        Time at which they came to rest, on the clock of `send_velocities`, s.
 
     Raises:
-        HardwareError: a trial must not begin there, or the joints do not get there; see `move`.
+        HardwareError: a trial must not begin there, or the joints do not get there; see
+            `send_velocities`.
     """
     goal = np.clip(goal, angles.lower, angles.upper)
     entered = find_containing_posture(config.safety.forbidden, goal)
@@ -69,10 +70,10 @@ def come_to_start(
     unproved = angles.has_servo & ~supervisor.proved_joints
     slowest = float(supervisor.max_speed[angles.has_servo].min())
     if unproved.any():
-        prove_joints_follow(unproved, config.servos, angles, move)
+        nudge_unproved_joints(unproved, config.servos, angles, send_velocities)
     try:
         way_s = float(np.abs(goal - angles.angles)[angles.has_servo].max()) / slowest
-        return drive_to(goal, config.servos, angles, move, _TIMEOUT_S + way_s)
+        return drive_to(goal, config.servos, angles, send_velocities, _TIMEOUT_S + way_s)
     except GoalNotReachedError as error:
         name = supervisor.limiting_posture
         why = f": the forbidden posture {name!r} is in the way" if name else ""
@@ -83,7 +84,7 @@ def drive_to(
     goal: FloatArray,
     servos: tuple[ServoConfig, ...],
     angles: ServoAngles,
-    move: Callable[[FloatArray], float],
+    send_velocities: Callable[[FloatArray], float],
     timeout_s: float = _TIMEOUT_S,
 ) -> float:
     """Drive neck and actuators slowly to a posture.
@@ -91,19 +92,19 @@ def drive_to(
     Args:
         goal: (7,) goal angles, rad; clipped to the servos' ranges.
         servos: configuration of the servos.
-        angles: present angles of the servos; `move` updates them.
-        move: sends (7,) velocities, rad/s, for one control period, and returns the time, s.
+        angles: present angles of the servos; `send_velocities` updates them.
+        send_velocities: sends (7,) velocities, rad/s, for one control period; returns the time, s.
         timeout_s: time limit, s.
 
     Returns:
-        Time at which they came to rest, on the clock of `move`, s.
+        Time at which they came to rest, on the clock of `send_velocities`, s.
 
     Raises:
         GoalNotReachedError: they did not get there in time, or stopped on the way.
-        HardwareError: see `move`.
+        HardwareError: see `send_velocities`.
     """
     goal = np.clip(goal, angles.lower, angles.upper)
-    now_s = begun_s = move(np.zeros(7))
+    now_s = begun_s = send_velocities(np.zeros(7))
     moved_s, rested = begun_s, 0
     while rested < _RESTED:
         error = np.where(angles.has_servo, goal - angles.angles, 0.0)
@@ -112,7 +113,7 @@ def drive_to(
         rested = rested + 1 if arrived and resting else 0
         moved_s = moved_s if resting else now_s
         requested = np.clip(_GAIN * error, -_MOST_RAD_S, _MOST_RAD_S)
-        now_s = move(np.zeros(7) if arrived else requested)
+        now_s = send_velocities(np.zeros(7) if arrived else requested)
         waited_s, rested_s = now_s - begun_s, now_s - moved_s
         if waited_s > timeout_s or rested_s > _BLOCKED_S:
             worst = max(servos, key=lambda one: abs(error[one.slot]))
@@ -125,27 +126,30 @@ def drive_to(
     return now_s
 
 
-def prove_joints_follow(
+def nudge_unproved_joints(
     unproved: BoolArray,
     servos: tuple[ServoConfig, ...],
     angles: ServoAngles,
-    move: Callable[[FloatArray], float],
+    send_velocities: Callable[[FloatArray], float],
 ) -> None:
-    """Move joints a little towards the middle of their range and back, to test that they follow.
+    """Move joints a little towards the middle of their range and back.
+
+    The supervisor, which sees the motion, then counts them as proved or stops the head; a goal that
+    is not reached is no error here.
 
     Args:
         unproved: (7,) True for the joints to move.
         servos: see `drive_to`.
         angles: see `drive_to`.
-        move: see `drive_to`.
+        send_velocities: see `drive_to`.
 
     Raises:
-        HardwareError: see `move`.
+        HardwareError: see `send_velocities`.
     """
-    move(np.zeros(7))
+    send_velocities(np.zeros(7))
     middle = 0.5 * (angles.lower + angles.upper)
     way = np.where(angles.angles <= middle, _PROOF_RAD, -_PROOF_RAD) * unproved
     begin = angles.angles.copy()
     for goal in (begin + way, begin):
         with suppress(GoalNotReachedError):  # for example if a forbidden posture is in the way
-            drive_to(goal, servos, angles, move, _PROOF_TIMEOUT_S)
+            drive_to(goal, servos, angles, send_velocities, _PROOF_TIMEOUT_S)

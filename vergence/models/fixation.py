@@ -49,8 +49,8 @@ def fixate_step(
     r = sqrt(r2)
     d2 = r2 + cy * cy
     a, b = atan2(cx, cz), atan2(cy, r)
-    t = point_rate(frames.first, frames.camera, x, y, z)
-    s = point_rate(frames.second, frames.camera, x, y, z)
+    t = point_rate(frames.after_first_joint, frames.camera, x, y, z)
+    s = point_rate(frames.after_second_joint, frames.camera, x, y, z)
     at, ap = (cz * t[0] - cx * t[2]) / r2, (cz * s[0] - cx * s[2]) / r2
     bt = (r * t[1] - cy * (cx * t[0] + cz * t[2]) / r) / d2
     bp = (r * s[1] - cy * (cx * s[0] + cz * s[2]) / r) / d2
@@ -120,7 +120,7 @@ def _aim_error(
     a, b = (atan2(cx, cz), atan2(cy, r)) if bearings else (cx / cz, cy / cz)
     error[eye, 0], error[eye, 1] = -camera.focal_u * a, -camera.focal_v * b
     for joint in range(2):
-        axis = frames.first if joint == 0 else frames.second
+        axis = frames.after_first_joint if joint == 0 else frames.after_second_joint
         t = point_rate(axis, frames.camera, point[0], point[1], point[2])
         if bearings:
             across = (cz * t[0] - cx * t[2]) / r2

@@ -32,7 +32,7 @@ def pixel_rate(
 
 @inlined
 def eye_jacobian(
-    p: PackedHead, eye: int, frames: EyeFrames, u: float, v: float, depth: float
+    p: PackedHead, eye: int, frames: EyeFrames, ideal_u: float, ideal_v: float, depth: float
 ) -> tuple[float, float, float, float]:
     """The 2x2 image Jacobian by one eye's tilt and pan, row by row.
 
@@ -40,18 +40,18 @@ def eye_jacobian(
         p: a packed head.
         eye: 0 for left, 1 for right.
         frames: the frames of that eye.
-        u: horizontal coordinate of the ideal pixel.
-        v: vertical coordinate of the ideal pixel.
+        ideal_u: horizontal coordinate of the ideal pixel.
+        ideal_v: vertical coordinate of the ideal pixel.
         depth: the point's z in the camera frame, m.
 
     Returns:
         du/dtilt, du/dpan, dv/dtilt, dv/dpan in px/rad.
     """
     camera = camera_of(p, eye)
-    x, y = pinhole_ray(camera, u, v)
+    x, y = pinhole_ray(camera, ideal_u, ideal_v)
     px, py, pz = point_to_outer(frames.camera, x * depth, y * depth, depth)
-    tilting = point_rate(frames.first, frames.camera, px, py, pz)
-    panning = point_rate(frames.second, frames.camera, px, py, pz)
+    tilting = point_rate(frames.after_first_joint, frames.camera, px, py, pz)
+    panning = point_rate(frames.after_second_joint, frames.camera, px, py, pz)
     ut, vt = pixel_rate(camera, x, y, depth, tilting)
     up, vp = pixel_rate(camera, x, y, depth, panning)
     return ut, up, vt, vp
@@ -82,8 +82,8 @@ def image_jacobian(
             (0, yaw),
             (1, roll),
             (2, pitch),
-            (3 + 2 * eye, frames.first),
-            (4 + 2 * eye, frames.second),
+            (3 + 2 * eye, frames.after_first_joint),
+            (4 + 2 * eye, frames.after_second_joint),
         ):
             rate = point_rate(axis, frames.camera, px, py, pz)
             out[eye, 0, j], out[eye, 1, j] = pixel_rate(camera, x, y, z, rate)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.models.joints import EYE_NAMES, JOINTS, NECK
-from vergence.models.links import Body, inverse_pose, multiply_poses, pose_twists
+from vergence.models.links import Body, inverse_pose, multiply_poses, pose_parameter_twists
 from vergence.models.parts import FloatArray, FrozenArrays, Parameter
 
 PARTS: Final = ("neck", "both", "left", "right")
@@ -128,7 +128,7 @@ class JointAxes(FrozenArrays):
         for joint, places in enumerate(self.joint_indices):
             if self.parts[joint] == "neck":
                 continue
-            twists = pose_twists(reference.pose[joint], rotations[joint])
+            twists = pose_parameter_twists(reference.pose[joint], rotations[joint])
             for place in places:
                 eye, second = divmod(place - NECK.stop, 2)
                 out[row : row + 6, 3 * eye + second] = twists

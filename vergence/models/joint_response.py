@@ -92,7 +92,7 @@ def time_to_reversal(v: float, u: float, tau: float, a: float) -> float:
 
 @subroutine
 def follow_torque_limited_joint(
-    q: float, v: float, u: float, tau: float, a: float, torque_droop: float, period: float
+    q: float, v: float, u: float, tau: float, a: float, torque_falloff: float, period: float
 ) -> tuple[float, float]:
     """`follow_joint` for a motor whose torque falls with its speed.
 
@@ -102,7 +102,7 @@ def follow_torque_limited_joint(
         u: velocity command, rad/s.
         tau: time constant, s; 0 for no lag.
         a: greatest acceleration at rest, rad/s^2.
-        torque_droop: fraction of a lost per rad/s of speed, times any speed below 1.
+        torque_falloff: fraction of a lost per rad/s of speed, times any speed below 1.
         period: the period, s.
 
     Returns:
@@ -121,13 +121,13 @@ def follow_torque_limited_joint(
     way = 0.0
     # saturated until the lag alone demands no more than the limit; if the limit falls faster with
     # speed than that demand, saturated for good
-    slope = 1.0 - a * tau * torque_droop
+    slope = 1.0 - a * tau * torque_falloff
     end = (u - a * tau) / slope if slope > 0.0 else v
     if end > v:
-        rate = a * torque_droop
-        time = min(log((1.0 - torque_droop * v) / (1.0 - torque_droop * end)) / rate, period)
-        missing = 1.0 / torque_droop - v
-        way = time / torque_droop + missing * expm1(-rate * time) / rate
+        rate = a * torque_falloff
+        time = min(log((1.0 - torque_falloff * v) / (1.0 - torque_falloff * end)) / rate, period)
+        missing = 1.0 / torque_falloff - v
+        way = time / torque_falloff + missing * expm1(-rate * time) / rate
         v -= missing * expm1(-rate * time)
         period -= time
     left = lag_decay(period, tau) if period > 0.0 else 1.0
@@ -166,7 +166,7 @@ def follow_second_order_joint(
     tau: float,
     zeta: float,
     a: float,
-    torque_droop: float,
+    torque_falloff: float,
     period: float,
 ) -> tuple[float, float, float]:
     """Move a joint with a second-order lag by a short time, without position limits.
@@ -183,7 +183,7 @@ def follow_second_order_joint(
         tau: time constant, s, above 0.
         zeta: damping ratio, from above 0 to below 1.
         a: greatest acceleration at rest, rad/s^2; inf for no limit.
-        torque_droop: fraction of a lost per rad/s of speed while the joint speeds up.
+        torque_falloff: fraction of a lost per rad/s of speed while the joint speeds up.
         period: the time, s, short against tau.
 
     Returns:
@@ -192,8 +192,8 @@ def follow_second_order_joint(
     if a == inf:
         return _swing(q, v, w, u, tau, zeta, period)
     middle = v + 0.5 * period * w
-    up = a * max(1.0 - torque_droop * max(middle, 0.0), 0.0)
-    down = a * max(1.0 - torque_droop * max(-middle, 0.0), 0.0)
+    up = a * max(1.0 - torque_falloff * max(middle, 0.0), 0.0)
+    down = a * max(1.0 - torque_falloff * max(-middle, 0.0), 0.0)
     w = min(max(w, -down), up)
     free_q, free_v, free_w = _swing(q, v, w, u, tau, zeta, period)
     within = -down < w < up
@@ -212,7 +212,7 @@ def follow_second_order_joint(
         q, v, w = _swing(q, v, w, u, tau, zeta, time)
         w, period = limit, period - time
     # at the limit until the equation lowers w faster than the limit falls
-    falls = a * torque_droop * w if w * middle > 0.0 else 0.0
+    falls = a * torque_falloff * w if w * middle > 0.0 else 0.0
     most = u + tau * (tau * falls - 2.0 * zeta * w)
     held = min(max((most - v) / w, 0.0), period) if w != 0.0 else 0.0
     q, v = q + (v + 0.5 * w * held) * held, v + w * held

@@ -70,8 +70,8 @@ def pack_head(
 class EyeFrames(NamedTuple):
     """The frames of one eye in N; the z axes of `first` and `second` are its joints' axes."""
 
-    first: Pose
-    second: Pose
+    after_first_joint: Pose
+    after_second_joint: Pose
     camera: Pose
 
 
@@ -120,7 +120,7 @@ def base_pose(q: FloatArray, p: PackedHead, _four: FloatArray, out: FloatArray) 
 def camera_poses(
     q: FloatArray, p: PackedHead, _two: FloatArray, _four: FloatArray, out: FloatArray
 ) -> None:
-    """T_N_Cl and T_N_Cr of a packed head."""
+    """T_N_Cl and T_N_Cr of a packed head; `_two` and `_four` only set the size of the result."""
     for eye in range(2):
         store_pose(out[eye], eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye]).camera)
 

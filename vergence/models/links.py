@@ -18,7 +18,7 @@ from vergence.models.parts import FloatArray, FrozenArrays, Parameter
 T_3_N: Final = np.array(
     [[0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-"""From frame 3 to N: x3 is z_N, y3 is -y_N, z3 is x_N (its own inverse; physical: the definition of
+"""From frame 3 to N: x3 is z_N, y3 is -y_N, z3 is x_N; its own inverse (physical: the definition of
 N)."""
 
 
@@ -240,18 +240,22 @@ def twist_vector(matrix: FloatArray) -> FloatArray:
     )  # fmt: skip
 
 
-def pose_twists(reference: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Derivatives of the pose `[R exp([r]), p]` by r and p, as body twists.
+def pose_parameter_twists(
+    reference_rotation: FloatArray, rotation_vector: FloatArray
+) -> FloatArray:
+    """Body twists `inv(T) dT/dx` of a pose T by each component x of its parameters r and p.
+
+    T has the rotation `R exp([r])` and the position p; the twists are in its own frame.
 
     Args:
-        reference: (4, 4) pose with the rotation R.
-        rotation: (3,) the rotation vector r.
+        reference_rotation: (4, 4) pose with the rotation R.
+        rotation_vector: (3,) the rotation vector r.
 
     Returns:
         (6, 6) one twist (rotation, then translation) per row, for r, then for p.
     """
-    angle = float(np.linalg.norm(rotation))
-    x, y, z = rotation
+    angle = float(np.linalg.norm(rotation_vector))
+    x, y, z = rotation_vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     # right Jacobian of SO(3), by its series for a small angle
     small = angle < 1e-4
@@ -261,7 +265,7 @@ def pose_twists(reference: FloatArray, rotation: FloatArray) -> FloatArray:
     turn = np.eye(3) + (1.0 - angle**2 * two) * cross + one * cross @ cross
     out = np.zeros((6, 6))
     out[:3, :3] = jacobian.T
-    out[3:, 3:] = reference[:3, :3] @ turn
+    out[3:, 3:] = reference_rotation[:3, :3] @ turn
     return out
 
 

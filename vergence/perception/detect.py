@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.json_values import json_value
+from vergence.json_values import null_nonfinite_rows
 from vergence.models.parts import FloatArray
 from vergence.perception.board_centre import target_centre_px
 from vergence.perception.photographs import list_photographs
@@ -31,10 +31,10 @@ class Sighting(NamedTuple):
             "image": self.image,
             "target": str(self.detection.target),
             "id": tag_number(self.detection.target),
-            "centre_px": json_value(self.centre_px),
-            "corners_px": json_value(self.detection.corners_px),
-            "sigma_px": json_value(self.sigma_px),
-            "corners_sigma_px": json_value(self.detection.corners_sigma_px),
+            "centre_px": null_nonfinite_rows(self.centre_px),
+            "corners_px": null_nonfinite_rows(self.detection.corners_px),
+            "sigma_px": null_nonfinite_rows(self.sigma_px),
+            "corners_sigma_px": null_nonfinite_rows(self.detection.corners_sigma_px),
         }
 
 

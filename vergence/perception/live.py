@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.json_values import json_value
+from vergence.json_values import null_nonfinite_rows
 from vergence.models.boards import PlanarTarget, TagFamily, Target
 from vergence.models.parts import FloatArray
 from vergence.perception.finders import LiveFinder
@@ -49,9 +49,9 @@ class TargetStatistics(NamedTuple):
             "id": tag_number(self.target),
             "detection_rate": self.rate,
             "images_without": self.images - self.images_with_target,
-            "point_px": json_value(self.point_px),
-            "noise_px": json_value(self.noise_px),
-            "sigma_px": json_value(self.sigma_px),
+            "point_px": null_nonfinite_rows(self.point_px),
+            "noise_px": null_nonfinite_rows(self.noise_px),
+            "sigma_px": null_nonfinite_rows(self.sigma_px),
         }
 
 
@@ -73,8 +73,8 @@ class LiveSummary(NamedTuple):
         return {
             "images": self.images,
             "seconds": self.seconds,
-            "frame_rate_hz": json_value(self.frame_rate_hz),
-            "detection_ms": json_value(self.detection_ms),
+            "frame_rate_hz": null_nonfinite_rows(self.frame_rate_hz),
+            "detection_ms": null_nonfinite_rows(self.detection_ms),
             "targets": [target.document() for target in self.targets],
         }
 

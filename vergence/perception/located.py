@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.json_values import json_value, json_values
+from vergence.json_values import null_nonfinite_elements, null_nonfinite_rows
 from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -86,16 +86,16 @@ class LocatedTarget:
             "pair": self.pair,
             "target": str(self.target),
             "id": tag_number(self.target),
-            "pixels": json_value(self.pixels),
-            "points_mm": json_value(MM * self.fix.point),
-            "sigma_mm": json_value(MM * self.fix.sigma),
-            "centre_mm": json_value(MM * self.centre.point),
-            "centre_sigma_mm": json_value(MM * self.centre.sigma),
-            "sigma_px": json_value(self.sigma_px),
-            "gap_mm": json_values(MM * self.fix.gap),
+            "pixels": null_nonfinite_rows(self.pixels),
+            "points_mm": null_nonfinite_rows(MM * self.fix.point),
+            "sigma_mm": null_nonfinite_rows(MM * self.fix.sigma),
+            "centre_mm": null_nonfinite_rows(MM * self.centre.point),
+            "centre_sigma_mm": null_nonfinite_rows(MM * self.centre.sigma),
+            "sigma_px": null_nonfinite_rows(self.sigma_px),
+            "gap_mm": null_nonfinite_elements(MM * self.fix.gap),
             "spacing_mm": {
                 **self.spacing.document(),
-                "sigma": json_values([MM * self.edge_sigma_m])[0],
+                "sigma": null_nonfinite_elements([MM * self.edge_sigma_m])[0],
             },
         }
 

@@ -22,7 +22,7 @@ from vergence.eval.trials.scenarios import load_scenario
 from vergence.models.head import HeadModel
 from vergence.training.config import TrainConfig, load_run
 from vergence.training.learner_state import restore_learner, restore_running_episodes
-from vergence.training.networks import JointPolicy
+from vergence.training.networks import JointwisePolicy
 from vergence.training.run_checkpoints import RUNNING_EPISODES, RunCheckpoints
 from vergence.training.vec_env import VectorEnvAdapter
 
@@ -208,7 +208,7 @@ def _model(config: TrainConfig, env: VecNormalize, inputs: Inputs) -> PPO:
             raise ConfigurationError(
                 f"shared: expected inputs told joint by joint, got {config.inputs!r}"
             )
-        policy = JointPolicy
+        policy = JointwisePolicy
         network |= {"by_joint": inputs.by_joint.tolist(), "critic": config.critic}
         network["net_arch"] = list(config.network)
     else:

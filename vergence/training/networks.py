@@ -13,7 +13,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import nn
 
 
-class SharedLayers(nn.Module):
+class JointwiseExtractor(nn.Module):
     """Hidden layers of an actor shared by the joints, and of a critic with all inputs.
 
     Args:
@@ -53,7 +53,7 @@ class SharedLayers(nn.Module):
         return self.critic(inputs)  # type: ignore[no-any-return]
 
 
-class SharedOutputLayer(nn.Module):
+class JointwiseOutputLayer(nn.Module):
     """The last layer of the actor, (n, 4 width) to (n, 4), shared by the joints."""
 
     def __init__(self, width: int) -> None:
@@ -69,12 +69,12 @@ class SharedOutputLayer(nn.Module):
         return self.out(latent.reshape(len(latent), -1, self.width)).squeeze(-1)  # type: ignore[no-any-return]
 
 
-class JointPolicy(ActorCriticPolicy):
+class JointwisePolicy(ActorCriticPolicy):
     """A policy for PPO whose actor is one network shared by the joints.
 
     Args:
         *args: see `ActorCriticPolicy`.
-        by_joint: see `SharedLayers`.
+        by_joint: see `JointwiseExtractor`.
         critic: widths of the critic's hidden layers.
         **kwargs: see `ActorCriticPolicy`; `net_arch` holds the widths of the actor's hidden layers.
     """
@@ -92,14 +92,14 @@ class JointPolicy(ActorCriticPolicy):
 
     def _build_mlp_extractor(self) -> None:
         widths: Any = self.net_arch
-        self.mlp_extractor: Any = SharedLayers(
+        self.mlp_extractor: Any = JointwiseExtractor(
             self._by_joint, self.features_dim, widths, self._critic, self.activation_fn
         )
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
         widths: Any = self.net_arch
-        self.action_net = SharedOutputLayer(widths[-1])
+        self.action_net = JointwiseOutputLayer(widths[-1])
         make: Any = self.optimizer_class
         self.optimizer = make(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
@@ -110,7 +110,7 @@ class JointPolicy(ActorCriticPolicy):
             "critic": self._critic,
         }
 
-    def plain_actor(self) -> nn.Sequential:
+    def dense_actor(self) -> nn.Sequential:
         """The actor as ordinary layers, (n, size) inputs to (n, 4) actions not yet limited.
 
         The shared weights are repeated in one block per joint of larger matrices, with zeros

@@ -26,7 +26,7 @@ from vergence.controllers.networks.manifest import POLICY
 from vergence.controllers.networks.onnx_graph import Network, read_network
 from vergence.controllers.networks.runtime import Runtime
 from vergence.errors import BundleError, ConfigurationError
-from vergence.training.networks import JointPolicy
+from vergence.training.networks import JointwisePolicy
 
 CHECKED: Final = 10_000
 """Random inputs on which ONNX and torch must agree (numerical)."""
@@ -58,7 +58,7 @@ def learner_network(
         moments: Any = normalisation.obs_rms
         std = np.sqrt(moments.var + normalisation.epsilon)
         actor = NormalisedActor(actor, moments.mean, std, normalisation.clip_obs)
-    network = export_network(LinearOutputs(actor, kind), size)
+    network = export_network(RescaledActor(actor, kind), size)
 
     def act(inputs: NDArray[np.float32]) -> NDArray[Any]:
         seen: Any = inputs if normalisation is None else normalisation.normalize_obs(inputs)
@@ -174,7 +174,7 @@ def deterministic_actor(model: BaseAlgorithm) -> nn.Module:
         model: a PPO, or another on-policy learner of Stable-Baselines3.
 
     Returns:
-        The module; it shares the learner's weights, except for a `JointPolicy`.
+        The module; it shares the learner's weights, except for a `JointwisePolicy`.
 
     Raises:
         ConfigurationError: the policy is of another kind, or the actions have other bounds.
@@ -187,8 +187,8 @@ def deterministic_actor(model: BaseAlgorithm) -> nn.Module:
         )
     policy = model.policy
     if isinstance(policy, ActorCriticPolicy):
-        if isinstance(policy, JointPolicy):
-            layers = policy.plain_actor()
+        if isinstance(policy, JointwisePolicy):
+            layers = policy.dense_actor()
         else:
             layers = nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
         return _Actor(policy.pi_features_extractor, layers, policy.squash_output)
@@ -226,11 +226,12 @@ class NormalisedActor(nn.Module):
         return self.network(torch.clip(normal, -self.clip, self.clip))  # type: ignore[no-any-return]
 
 
-class LinearOutputs(nn.Module):
+class RescaledActor(nn.Module):
     """Maps an actor's actions to outputs in [-1, 1] that are linear in gains or velocities.
 
-    Training environments use nonlinear actions: gains grow with their square, velocities with their
-    cube. The exported graph includes this mapping, so that users of a bundle need not know it.
+    In training, a gain is proportional to the square of the shifted action, and a velocity to the
+    cube of the action. The exported graph includes this mapping, so that its outputs are
+    proportional to gains or velocities.
 
     Args:
         actor: maps (n, size) inputs to (n, actions) in [-1, 1].

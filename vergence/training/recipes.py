@@ -26,7 +26,7 @@ class Recipe:
     critic: tuple[int, ...] = (64, 64)
     """Widths of the critic's hidden layers."""
     shared: bool = True
-    """True if the joints share one network as actor (`networks.JointPolicy`)."""
+    """True if the joints share one network as actor (`networks.JointwisePolicy`)."""
     activation: str = "tanh"
     """Activation of the hidden layers: `tanh`, `relu`, `elu` or `silu`."""
     algorithm: dict[str, Any] = field(default_factory=dict)

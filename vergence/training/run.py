@@ -101,7 +101,7 @@ def resume(
         listener.resumed(done)
         with _writing(folder):
             if steps is not None:
-                with atomic_files(folder, last="config.toml") as beside:
+                with atomic_files(folder, moved_last="config.toml") as beside:
                     write_config(beside, config, head, PACKAGES)
             return _Run(folder, learner, listener, clock, rows).go_on()
     finally:

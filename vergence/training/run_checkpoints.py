@@ -81,7 +81,7 @@ class RunCheckpoints:
         folder = self.path("last").parent
         folder.mkdir(exist_ok=True)
         # last.pt comes first: if the process is killed in between, `latest` makes best.pt from it
-        with atomic_files(folder, last="best.pt") as beside:
+        with atomic_files(folder, moved_last="best.pt") as beside:
             (beside / "last.pt").write_bytes(checkpoint_bytes(full))
             if best:
                 (beside / "best.pt").write_bytes(checkpoint_bytes(marked))

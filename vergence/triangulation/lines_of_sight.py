@@ -24,27 +24,31 @@ class RayDepths(NamedTuple):
 
 
 @inlined
-def ray_of_error(p: PackedHead, eye: int, camera: Pose, error_u: float, error_v: float) -> Ray:
+def ray_from_pixel_error(
+    p: PackedHead, eye: int, camera: Pose, error_u_px: float, error_v_px: float
+) -> Ray:
     """Compute the ray in N of an image's pixel error.
 
     Args:
         p: a packed head.
         eye: 0 for left, 1 for right.
         camera: pose of that eye's camera in N at the exposure.
-        error_u: undistorted pixel less principal point along u, px; nan if not visible.
-        error_v: undistorted pixel less principal point along v, px; nan if not visible.
+        error_u_px: undistorted pixel less principal point along u, px; nan if not visible.
+        error_v_px: undistorted pixel less principal point along v, px; nan if not visible.
 
     Returns:
         The ray. Its direction has unit z in the camera, so the distance along it is the depth.
     """
     lens = camera_of(p, eye)
-    tip = point_to_outer(camera, error_u / lens.focal_u, error_v / lens.focal_v, 1.0)
+    tip = point_to_outer(camera, error_u_px / lens.focal_u, error_v_px / lens.focal_v, 1.0)
     origin = (camera.x, camera.y, camera.z)
     return Ray(origin, (tip[0] - camera.x, tip[1] - camera.y, tip[2] - camera.z))
 
 
 @inlined
-def rays_of_image(p: PackedHead, left: Pose, right: Pose, error: FloatArray) -> tuple[Ray, Ray]:
+def rays_from_pixel_errors(
+    p: PackedHead, left: Pose, right: Pose, error: FloatArray
+) -> tuple[Ray, Ray]:
     """Compute the rays in N of both images' pixel errors.
 
     Args:
@@ -54,11 +58,11 @@ def rays_of_image(p: PackedHead, left: Pose, right: Pose, error: FloatArray) -> 
         error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
 
     Returns:
-        The left and the right ray, see `ray_of_error`.
+        The left and the right ray, see `ray_from_pixel_error`.
     """
     return (
-        ray_of_error(p, 0, left, error[0, 0], error[0, 1]),
-        ray_of_error(p, 1, right, error[1, 0], error[1, 1]),
+        ray_from_pixel_error(p, 0, left, error[0, 0], error[0, 1]),
+        ray_from_pixel_error(p, 1, right, error[1, 0], error[1, 1]),
     )
 
 

@@ -169,10 +169,10 @@ def _add_joint_noise(
     crossing: Crossing,
 ) -> None:
     rates = (
-        _joint_rate(0, left.first, crossing),
-        _joint_rate(0, left.second, crossing),
-        _joint_rate(1, right.first, crossing),
-        _joint_rate(1, right.second, crossing),
+        _joint_rate(0, left.after_first_joint, crossing),
+        _joint_rate(0, left.after_second_joint, crossing),
+        _joint_rate(1, right.after_first_joint, crossing),
+        _joint_rate(1, right.after_second_joint, crossing),
     )
     if has_motor_per_joint(p):
         for j in range(4):

@@ -37,7 +37,7 @@ def is_pose(pose: FloatArray) -> bool:
 
 
 @compiled
-def predict_pixels(
+def predict_target_pixels(
     pixels: FloatArray,
     packed_camera: FloatArray,
     T_0_C_before: FloatArray,

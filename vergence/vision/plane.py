@@ -66,7 +66,7 @@ class UndistortedView(NamedTuple):
     This plane is perpendicular to the ray of the point; its unit there is one pixel.
     """
 
-    lens: bool
+    has_lens: bool
     """False if the image itself is undistorted and serves as the plane."""
     plane_from_ray: FloatArray
     """(3, 3) homography from rays (X / Z, Y / Z) to the plane."""
@@ -158,7 +158,7 @@ def undistorted_point(
         u: u of the pixel, px; may be slightly outside of the image.
         v: v of the pixel, px, likewise.
     """
-    if not view.lens:
+    if not view.has_lens:
         return u, v
     x, y = interpolate_ray(rays, u, v)
     return transform_point(view.plane_from_ray, x, y)
@@ -169,7 +169,7 @@ def distorted_pixel(
     camera: CameraRow, view: UndistortedView, u: float, v: float
 ) -> tuple[float, float]:
     """Pixel of a point of a view's plane; nan beyond the lens model."""
-    if not view.lens:
+    if not view.has_lens:
         return u, v
     x, y = transform_point(view.ray_from_plane, u, v)
     return ray_to_pixel(camera, x, y)

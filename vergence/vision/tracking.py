@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.vision.detection import Detection, Detector, as_pixel
-from vergence.vision.motion_prediction import is_pose, predict_pixels
+from vergence.vision.motion_prediction import is_pose, predict_target_pixels
 
 _UNKNOWN_M: Final = np.empty((0, 2))
 """Corners of a target of unknown size (numerical)."""
@@ -98,7 +98,9 @@ class Tracker:
         corners_m = last.target.corners_m if last.target.size_known else _UNKNOWN_M
         out = np.empty(pixels.shape)
         return (
-            out if predict_pixels(pixels, camera.row, self._pose, pose, corners_m, out) else pixels
+            out
+            if predict_target_pixels(pixels, camera.row, self._pose, pose, corners_m, out)
+            else pixels
         )
 
 

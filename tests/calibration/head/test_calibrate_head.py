@@ -190,7 +190,7 @@ def test_a_sigma_that_is_too_small_makes_no_head_too_sure(usual):
             lambda frames: replace(
                 frames, positions=frames.positions * [1, 1, 1, 1, -1, 1, 1]
             ),
-            "views that go together",
+            "views that agree with each other",
         ),
     ],
     ids=["one pose", "eyes exchanged", "another board", "degrees", "a joint's sign"],

@@ -58,7 +58,7 @@ def test_pixels_and_derivatives_are_those_of_the_head(case, eye):
         seen.pixels, pixels(about, values, q, corners, boards)[:, :, eye], atol=1e-9
     )
     by_head = np.zeros((*seen.pixels.shape, len(values)))
-    by_head[..., chain.columns[eye]] = seen.head_jacobian
+    by_head[..., chain.eye_parameter_indices[eye]] = seen.head_jacobian
     assert_derivative(
         by_head,
         by_differences(

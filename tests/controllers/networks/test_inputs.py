@@ -161,7 +161,7 @@ def test_before_the_first_image_nothing_is_known() -> None:
 
 
 def test_a_joint_left_to_itself_comes_to_rest_where_the_inputs_say() -> None:
-    """`to_rest` while the joint is fast is `to_go` once it rests."""
+    """`to_rest_middle` while the joint is fast is `to_go` once it rests."""
     task = begun(40)
     inputs = Inputs.of("to_go", task.head)
     memory = np.tile(inputs.initial(), (40, 1))

@@ -9,7 +9,7 @@ from tests.grids import some_of
 from tests.heads import CENTRE, IMAGE, LOOP, eyes, head_of, joint
 from tests.naming import named
 from vergence import load_head
-from vergence.controllers.prediction.joints import RIG, pack_predictor_model
+from vergence.controllers.prediction.joints import PREDICTOR_PARAMETERS, pack_predictor_parameters
 from vergence.controllers.prediction.virtual_joints import with_virtual_joints
 from vergence.envs.task import GazeTask
 from vergence.models import parse_head
@@ -35,8 +35,10 @@ def skewed():
 @pytest.mark.parametrize("name", ["panfirst", "simulated"])
 def test_axes_at_right_angles_are_told_from_others(name) -> None:
     head = load_head(name) if name == "simulated" else head_of(name)
-    assert (pack_predictor_model(head).view(RIG)["orthogonal"] == 1.0).all()
-    assert (pack_predictor_model(skewed()).view(RIG)["orthogonal"] == 0.0).all()
+    assert (pack_predictor_parameters(head).view(PREDICTOR_PARAMETERS)["orthogonal"] == 1.0).all()
+    assert (
+        pack_predictor_parameters(skewed()).view(PREDICTOR_PARAMETERS)["orthogonal"] == 0.0
+    ).all()
 
 
 @pytest.mark.parametrize(

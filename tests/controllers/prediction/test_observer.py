@@ -7,7 +7,7 @@ import pytest
 
 from tests.controllers.prediction.observed import predictor_of, record, turns
 from vergence import load_head
-from vergence.controllers.prediction.memory import MEMORY
+from vergence.controllers.prediction.predictor_state import PREDICTOR_STATE
 from vergence.models.parts import FloatArray
 
 HEAD = load_head("simulated")
@@ -46,10 +46,10 @@ def test_speeds_are_observed_and_their_delay_is_found_however_they_are_read(read
     observed = []
     for seen, reported in zip(way.observations, spoilt(speeds), strict=True):
         predictor.update(seen._replace(velocities=reported), state)
-        memory = state.view(MEMORY)[0]
-        observed.append(memory["velocity"].copy())
+        estimated = state.view(PREDICTOR_STATE)[0]
+        observed.append(estimated["velocity"].copy())
     if delay_s is not None:
-        assert memory["observer"]["delay_s"] == pytest.approx(delay_s, abs=0.003)
+        assert estimated["observer"]["delay_s"] == pytest.approx(delay_s, abs=0.003)
     off = np.abs(np.array(observed) - speeds[:, 3:])[20:, [1, 3]]
     assert np.sqrt((off**2).mean()) < 0.02  # of 3 rad/s to and fro
 
@@ -61,4 +61,4 @@ def test_a_damaged_angle_makes_no_speed_that_no_actuator_has() -> None:
         spoilt = np.where(k == 20, 1e7, seen.positions)
         predictor.update(seen._replace(positions=spoilt), state)
         fastest = 3.0 * HEAD.actuation.velocity[3:]
-        assert (np.abs(state.view(MEMORY)[0]["velocity"]) <= fastest).all()
+        assert (np.abs(state.view(PREDICTOR_STATE)[0]["velocity"]) <= fastest).all()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vergence import load_head
-from vergence.controllers.prediction.joints import RIG, pack_predictor_model
+from vergence.controllers.prediction.joints import PREDICTOR_PARAMETERS, pack_predictor_parameters
 from vergence.controllers.prediction.oscillation import (
     MANY_HALF_SWINGS,
     Oscillation,
@@ -24,12 +24,12 @@ def swings(angle, aim=None):
     """The greatest number of swings of a joint at some angles, its goal at others."""
     record = np.zeros(1, dtype=row_layout(Oscillation))[0]
     record["patience_s"] = 1.0
-    rig = pack_predictor_model(HEAD).view(RIG)[0]
+    params = pack_predictor_parameters(HEAD).view(PREDICTOR_PARAMETERS)[0]
     begin_oscillation(record, 0, 1, float(angle[0]))
     most = 0.0
     for one, goal in zip(angle, np.zeros_like(angle) if aim is None else aim, strict=True):
-        decay_count(record, rig.period_s)
-        update_oscillation(record, rig, 0, 1, float(one), float(goal), NOISE)
+        decay_count(record, params.period_s)
+        update_oscillation(record, params, 0, 1, float(one), float(goal), NOISE)
         most = max(most, float(record["count"]))
     return most
 

@@ -53,11 +53,13 @@ def test_a_command_of_another_shape_is_refused(exact: HeadModel) -> None:
                 heads.step(np.zeros(shape))
 
 
-def swinging(head: HeadModel, commands: np.ndarray, overshoot: float, fade: float) -> np.ndarray:
+def swinging(
+    head: HeadModel, commands: np.ndarray, overshoot: float, torque_falloff: float
+) -> np.ndarray:
     """(periods + 1, 7) angles of joints with a lag of second order, integrated numerically."""
     period, tau, a = head.timing.period_s, head.timing.lag_s, head.limits.acceleration
     zeta = -np.log(overshoot) / np.hypot(np.pi, np.log(overshoot))
-    share = fade / head.limits.velocity
+    share = torque_falloff / head.limits.velocity
     state, angles = np.zeros(21), [np.zeros(7)]
 
     def rates(_t: float, state: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -81,19 +83,21 @@ def swinging(head: HeadModel, commands: np.ndarray, overshoot: float, fade: floa
 
 
 @pytest.mark.parametrize(
-    ("plant", "fade", "within_rad"),
+    ("plant", "torque_falloff", "within_rad"),
     [("kinematic", 0.0, 2e-5), ("kinematic", 0.5, 2e-3), ("mujoco", 0.0, 4e-3)],
 )
 def test_a_servo_of_second_order_swings_within_its_acceleration(
-    exact: HeadModel, plant, fade, within_rad
+    exact: HeadModel, plant, torque_falloff, within_rad
 ) -> None:
     overshoot, commands = 0.25, np.zeros((36, 7))
     # a limit that falls with speed stays through each eighth of a lag; MuJoCo looks four times a
     # period. The commands are small enough for the lag alone, and far beyond the limit
     commands[:, 3:] = np.where(np.arange(36) < 20, 1.0, -0.5)[:, None] * [0.5, -1.0, 3.0, -5.0]
-    options = {"overshoot": overshoot, "torque_falloff": fade}
+    options = {"overshoot": overshoot, "torque_falloff": torque_falloff}
     heads = make_plant(plant, exact, 1, **options)
     _r, q, v = steps(heads, start_of(), 36, lambda k: commands[k])
-    assert q[:, 0] == pytest.approx(swinging(exact, commands, overshoot, fade), abs=within_rad)
+    assert q[:, 0] == pytest.approx(
+        swinging(exact, commands, overshoot, torque_falloff), abs=within_rad
+    )
     beyond = v[:21, 0, 3].max() / 0.5
     assert beyond == pytest.approx(1.0 + overshoot, abs=0.03)  # seen at the periods' ends

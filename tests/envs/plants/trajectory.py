@@ -45,13 +45,15 @@ def motion_of(
     commands = np.asarray(commands, dtype=np.float64)
     gain = np.broadcast_to(np.asarray(gain, dtype=np.float64), 7)
     a, period = ratio * head.limits.acceleration, head.timing.period_s
-    fade = falloff / (gain * head.limits.velocity)
+    torque_falloff = falloff / (gain * head.limits.velocity)
     lag = head.timing.lag_s if lag_s is None else lag_s
 
     def slope(u: Array) -> Callable[[float, Array], Array]:
         def rates(_t: float, state: Array) -> Array:
             v = state[7:]
-            up, down = (a * (1.0 - fade * np.maximum(side * v, 0.0)) for side in (1.0, -1.0))
+            up, down = (
+                a * (1.0 - torque_falloff * np.maximum(side * v, 0.0)) for side in (1.0, -1.0)
+            )
             return np.concatenate([v, np.clip((u - v) / lag, -down, up)])
 
         return rates

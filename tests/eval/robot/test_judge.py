@@ -13,14 +13,14 @@ from vergence.eval.comparison.contestants import make_contestants
 from vergence.eval.comparison.options import GivenOptions
 from vergence.eval.robot.evaluation_record import JournalEntry, RecordedTrial
 from vergence.eval.robot.judge import RobotJob
-from vergence.eval.trials.run import trial_periods
+from vergence.eval.trials.run import evaluated_and_run_periods
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.recording.log import read_log
 
 pytest.importorskip("mcap")
 DESK = desk_config("/dev/null")
 SCENARIO = load_scenario("webcam")
-COUNTED, STEPS = trial_periods(SCENARIO, DESK.head, simulated=False)
+COUNTED, STEPS = evaluated_and_run_periods(SCENARIO, DESK.head, simulated=False)
 
 
 @pytest.fixture(scope="module")

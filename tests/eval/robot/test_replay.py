@@ -9,7 +9,7 @@ from tests.recording.logged import STEPS, log_trials
 from vergence.errors import VergenceError
 from vergence.eval.robot.config import ReplayConfig
 from vergence.eval.robot.replay import replay
-from vergence.eval.robot.replay_folder import write_replay
+from vergence.eval.robot.replay_folder import write_replay_folder
 from vergence.recording.log import read_log
 
 pytest.importorskip("mcap")
@@ -72,7 +72,7 @@ def test_a_log_without_gazes_tells_its_faults_and_is_written_whole(tmp_path):
     found = replay(ReplayConfig(log=path, controller="ibvs"))
     assert found.summary()["faults"] == ["bus: gone"]
     out.mkdir()
-    write_replay(out, found)
+    write_replay_folder(out, found)
     assert not read_log(out / "recovered.mcap").cut_off
 
 

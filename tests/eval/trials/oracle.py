@@ -30,25 +30,25 @@ class Joints(NamedTuple):
     a: Array
     top: Array
     """Greatest speeds, gain included, rad/s."""
-    fade: Array
+    torque_falloff: Array
     """Fraction by which 1 rad/s reduces the acceleration."""
 
 
 @njit
-def _fading(q, v, u, lag, a, fade, time):
+def _with_torque_falloff(q, v, u, lag, a, torque_falloff, time):
     ends, speeds = np.empty_like(q), np.empty_like(q)
     for n in range(q.shape[0]):
         for k in range(q.shape[1]):
             ends[n, k], speeds[n, k] = follow_torque_limited_joint(
-                q[n, k], v[n, k], u[n, k], lag[n, k], a[n, k], fade[n, k], time[n, k]
+                q[n, k], v[n, k], u[n, k], lag[n, k], a[n, k], torque_falloff[n, k], time[n, k]
             )
     return ends, speeds
 
 
 def advance(q: Array, v: Array, u: Array, joints: Joints, time: Array) -> tuple[Array, Array]:
     """Angles and velocities (n, 4) a time (n, 4) later."""
-    if joints.fade.any():
-        return _fading(q, v, u, joints.lag, joints.a, joints.fade, time)
+    if joints.torque_falloff.any():
+        return _with_torque_falloff(q, v, u, joints.lag, joints.a, joints.torque_falloff, time)
     return respond(q, v, u, joints.lag, joints.a, time)
 
 
@@ -130,7 +130,7 @@ def run(task: GazeTask, steps: int, beyond_px: float) -> tuple[Array, Array]:
         lag=conditions.lag_s[:, None] * actuation.lag_ratio[3:],
         a=conditions.acceleration_ratio[:, None] * np.where(moves, actuation.acceleration[3:], 1.0),
         top=top,
-        fade=conditions.torque_falloff[:, None] / top,
+        torque_falloff=conditions.torque_falloff[:, None] / top,
     )
     goal = goals(task)
     start = actuation.actuators_of(truth.positions)[:, 3:]

@@ -14,7 +14,7 @@ from vergence.controllers.tuned import find_tuned, is_tuned_for
 from vergence.envs.streams import RandomStreams
 from vergence.envs.targets.motion import target_position
 from vergence.envs.targets.registry import make_target
-from vergence.errors import ConfigurationError, TargetError, UnknownNameError
+from vergence.errors import ConfigurationError, UnknownNameError, UnreachableTargetError
 from vergence.eval.article.twin.heads import TwinConfig
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import SCENARIOS, SPLITS, Scenario, load_scenario
@@ -100,7 +100,7 @@ def test_a_target_that_a_head_cannot_look_at_is_told_with_its_scenario() -> None
     controller = make_controller("ibvs", head)
     for name in ("step", "line", "fast"):
         said = f"^scenario {name}: target: expected .*another scenario"
-        with pytest.raises(TargetError, match=said):
+        with pytest.raises(UnreachableTargetError, match=said):
             run_trials(controller, load_scenario(name), episodes=2, head=head)
 
 

@@ -102,7 +102,7 @@ def test_a_joint_outside_its_limits_is_found_unless_zeros_are_being_set(check):
     own[3].q = 1.6
     (finding,), _served = check(own)
     assert "expected an angle of -1.500 to 1.500 rad, got 1.600 rad" in finding.problem
-    found, _served = check(own, check_limits=False)
+    found, _served = check(own, check_joint_in_limits=False)
     assert found == []
 
 

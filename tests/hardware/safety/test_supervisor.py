@@ -38,13 +38,13 @@ class Robot:
         """One period; what is sent. What differs from a healthy state is given."""
         now = {
             "now_s": self.now_s,
-            "angles": self.angles,
-            "speeds": self.speeds,
-            "joints": self.angles,
-            "age_s": np.zeros(7),
-            "images_s": np.full(2, self.now_s),
-            "seen": True,
-            "goals": np.zeros(4),
+            "actuator_angles": self.angles,
+            "actuator_speeds": self.speeds,
+            "joint_angles": self.angles,
+            "reading_age_s": np.zeros(7),
+            "images_received_s": np.full(2, self.now_s),
+            "target_visible": True,
+            "target_eye_angles": np.zeros(4),
         }
         state = RobotState(**{**now, **self.changes, **changes})
         sent = self.supervisor.command(state, np.zeros(7) if requested is None else requested)
@@ -110,9 +110,9 @@ def test_the_first_reason_stays():
 
 def test_old_angles_stop():
     robot = Robot()
-    robot.step(age_s=0.14 * LEFT_PAN)
+    robot.step(reading_age_s=0.14 * LEFT_PAN)
     assert robot.supervisor.fault == ""
-    robot.step(age_s=0.16 * LEFT_PAN)
+    robot.step(reading_age_s=0.16 * LEFT_PAN)
     assert "expected the joints' angles within" in robot.supervisor.fault
 
 
@@ -121,7 +121,7 @@ def test_a_camera_without_images_stops(eye, name):
     robot = Robot(image_age_s=0.3)
     images_s = np.full(2, 1e9)
     images_s[eye] = 10.0
-    assert robot.run(1.0, images_s=images_s) == pytest.approx(0.3, abs=1.1 * PERIOD_S)
+    assert robot.run(1.0, images_received_s=images_s) == pytest.approx(0.3, abs=1.1 * PERIOD_S)
     assert f"cameras.{name}: expected a new image within 0.3 s" in robot.supervisor.fault
 
 
@@ -159,7 +159,7 @@ def test_a_loaded_and_late_joint_follows():
     robot.prove()
     for _ in range(20):
         requested = rng.normal(0.0, 1.0, 7)
-        assert robot.run(0.3, requested, images_s=None) is None, robot.supervisor.fault
+        assert robot.run(0.3, requested, images_received_s=None) is None, robot.supervisor.fault
 
 
 def test_a_joint_that_is_pushed_beyond_its_limit_stops():
@@ -180,18 +180,18 @@ def test_a_forbidden_posture_stops():
 
 def test_missed_periods_stop_beyond_their_share():
     robot = Robot(overruns=0.3)
-    assert robot.run(4.0, missed=0) is None
+    assert robot.run(4.0, missed_periods=0) is None
     few, many = Robot(overruns=0.3), Robot(overruns=0.3)
     for period in range(240):
-        few.step(missed=int(period % 4 == 0))
-        many.step(missed=int(period % 2 == 0))
+        few.step(missed_periods=int(period % 4 == 0))
+        many.step(missed_periods=int(period % 2 == 0))
     assert few.supervisor.fault == ""
     assert "of the 120 periods of 2 s to be missed" in many.supervisor.fault
 
 
 def test_one_long_pause_is_no_slow_machine():
     robot = Robot()
-    robot.step(missed=5)
+    robot.step(missed_periods=5)
     assert robot.run(3.0) is None
 
 
@@ -200,7 +200,7 @@ def swing(robot, goal=lambda _side: 0.0):
     robot.prove()
     for period in range(240):
         side = 1.0 if period // 6 % 2 else -1.0
-        robot.step(2.0 * side * LEFT_PAN, goals=np.full(4, goal(side)))
+        robot.step(2.0 * side * LEFT_PAN, target_eye_angles=np.full(4, goal(side)))
     return bool(robot.supervisor.fault)
 
 
@@ -218,11 +218,11 @@ def test_a_lost_target_holds_until_it_is_seen_again():
     robot = Robot(lost_s=0.3)
     robot.prove()
     for _ in range(15):
-        assert robot.step(LEFT_PAN, seen=False)[3] == pytest.approx(1.0)
+        assert robot.step(LEFT_PAN, target_visible=False)[3] == pytest.approx(1.0)
     for _ in range(30):
-        robot.step(LEFT_PAN, seen=False)
+        robot.step(LEFT_PAN, target_visible=False)
     assert robot.supervisor.verdict is Verdict.HOLD
-    assert (robot.step(LEFT_PAN, seen=False) == 0.0).all()
+    assert (robot.step(LEFT_PAN, target_visible=False) == 0.0).all()
     assert robot.step(LEFT_PAN)[3] > 0.0
     assert robot.supervisor.verdict is Verdict.GO
     assert robot.supervisor.fault == ""
@@ -233,7 +233,7 @@ def test_a_search_turns_both_eyes_slowly_over_the_field_of_view():
     robot.prove()
     seen = []
     for _ in range(round(30.0 / PERIOD_S)):
-        robot.step(seen=False)
+        robot.step(target_visible=False)
         assert np.abs(robot.speeds).max() < 1.0
         seen.append(robot.angles[3:].copy())
     assert robot.supervisor.verdict is Verdict.SEARCH
@@ -243,5 +243,5 @@ def test_a_search_turns_both_eyes_slowly_over_the_field_of_view():
 
 def test_nothing_of_images_counts_on_the_way_to_a_trial():
     robot = Robot(image_age_s=0.1, lost_s=0.1)
-    assert robot.run(2.0, 0.3 * LEFT_PAN, images_s=None, seen=False) is None
+    assert robot.run(2.0, 0.3 * LEFT_PAN, images_received_s=None, target_visible=False) is None
     assert robot.supervisor.verdict is Verdict.GO

@@ -112,7 +112,7 @@ def test_joints_that_both_eyes_stand_on_after_the_neck_are_theirs(head_of):
     ]
     text = urdf(NECK, joint("eyes_tilt", "head", "tilted", xyz="0.04 0 0.1", axis="0 1 0"), *pans)
     imported = head_of(text, neck=TURNS)
-    assert imported.chains.parts["eyes_tilt"] == "both"
+    assert imported.chains.moved_part_of_joint["eyes_tilt"] == "both"
     assert imported.head.joints[3:] == ("eyes_tilt", "left_pan", "eyes_tilt", "right_pan")
     assert imported.head.actuation.count == 3
     assert_moves_as(imported, CAMERAS, UrdfKinematics(text), "base")
@@ -171,7 +171,7 @@ def test_a_mimic_between_eye_joints_becomes_one_motor(head_of):
     text = urdf(NECK, eye("left"), right)
     imported = head_of(text, neck=TURNS)
     tilt = next(motor for motor in imported.motors if motor.name == "left_tilt")
-    assert dict(tilt.joints) == {"left_tilt": 1.0, "right_tilt": -1.5}
+    assert dict(tilt.joint_factors) == {"left_tilt": 1.0, "right_tilt": -1.5}
     # the right joint's -0.5 to 0.7 allow the left one -0.4 to 0.4, at 2 rad/s
     np.testing.assert_allclose(
         [tilt.limits.lower, tilt.limits.upper, tilt.limits.velocity], [-0.4, 0.4, 2.0]
@@ -217,7 +217,7 @@ def test_what_follows_a_held_joint_is_held_too(head_of):
     tied = roll.replace("</joint>", '<mimic joint="yaw" multiplier="0.5" offset="0.1"/></joint>')
     text = urdf(NECK.replace(roll, tied), eye("left"), eye("right"))
     imported = head_of(text, neck=("pitch",), lock=("yaw=20",))
-    assert imported.chains.fixed == pytest.approx(
+    assert imported.chains.fixed_values == pytest.approx(
         {"yaw": np.deg2rad(20.0), "roll": 0.5 * np.deg2rad(20.0) + 0.1}
     )
     held = {"yaw": np.deg2rad(20.0)}
@@ -454,8 +454,8 @@ def test_version_and_vergence_are_given_to_two_pans(head_of):
     assert [motor.name for motor in imported.motors] == ["version", "vergence", "tilt"]
     version, vergence, _ = imported.motors
     # the left pan turns left, the right one, its axis downwards, right
-    assert dict(version.joints) == {"left_pan": -1.0, "right_pan": 1.0}
-    assert dict(vergence.joints) == {"left_pan": -0.5, "right_pan": -0.5}
+    assert dict(version.joint_factors) == {"left_pan": -1.0, "right_pan": 1.0}
+    assert dict(vergence.joint_factors) == {"left_pan": -0.5, "right_pan": -0.5}
     head = imported.head
     assert head.actuation.count == 3
     converged = head.actuation.joints_of(np.array([0, 0, 0, 0, 0.2, 0, 0.0]))
@@ -475,7 +475,7 @@ def test_version_and_vergence_stay_within_the_pans(head_of):
         (version.limits.lower, version.limits.upper), (vergence.limits.lower, vergence.limits.upper)
     ):
         for name, low, high in (("left_pan", -0.5, 0.9), ("right_pan", -0.4, 0.5)):
-            angle = version.joints[name] * v + vergence.joints[name] * g
+            angle = version.joint_factors[name] * v + vergence.joint_factors[name] * g
             assert low - 1e-12 <= angle <= high + 1e-12
     assert version.limits.velocity + 0.5 * vergence.limits.velocity <= 5.0
 
@@ -605,7 +605,7 @@ def test_an_equality_of_an_mjcf_ties_joints_while_it_is_active(head_of, active):
     assert imported.head.actuation.count == (3 if active else 4)
     if active:
         # MuJoCo counts both from their references, which are alike here
-        assert imported.motors[1].offsets == pytest.approx({"rt": 0.01})
+        assert imported.motors[1].joint_offsets == pytest.approx({"rt": 0.01})
 
 
 def test_a_head_that_was_exported_comes_back(tmp_path):
@@ -816,7 +816,7 @@ REAL = {
 def test_a_real_head_moves_as_its_urdf(name):
     path = real_robot(name)
     imported = import_urdf(UrdfSource(file=path, speed=("6",), **REAL[name]))
-    held = dict(imported.chains.fixed)
+    held = dict(imported.chains.fixed_values)
     kinematics = UrdfKinematics(path.read_text(encoding="utf-8"))
     assert_moves_as(
         imported, REAL[name]["cameras"], kinematics, REAL[name]["base"], held, count=1000

@@ -253,9 +253,9 @@ class HeadAdjustment:
             rows = rows.reshape(f, -1, rows.shape[-1])
             product = rows.transpose(0, 2, 1) @ rows
             pulls = (rows.transpose(0, 2, 1) @ r)[..., 0]
-            columns = np.concatenate([chain.columns[eye], np.arange(p, width)])
+            columns = np.concatenate([chain.eye_parameter_indices[eye], np.arange(p, width)])
             # all frames share the head's own block: sum it at once
-            numbers = len(chain.columns[eye]) + head - p
+            numbers = len(chain.eye_parameter_indices[eye]) + head - p
             matrix[np.ix_(columns[:numbers], columns[:numbers])] += product[
                 :, :numbers, :numbers
             ].sum(axis=0)

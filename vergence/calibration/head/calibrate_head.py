@@ -29,11 +29,11 @@ from vergence.calibration.head.found_terms import (
 )
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.held_out import cross_validate
-from vergence.calibration.head.moved import find_new_placement, find_small_motion
+from vergence.calibration.head.moved import find_new_placement, find_small_board_motion
 from vergence.calibration.head.prior import parameter_prior_sigma
 from vergence.calibration.head.reading_terms import ReadingTerms
 from vergence.calibration.head.solution import HeadSolution
-from vergence.calibration.head.start import LEAST_CORNERS, estimate_initial_board_poses
+from vergence.calibration.head.start import LEAST_CORNERS, estimate_consensus_board_poses
 from vergence.calibration.head.terms import AUTO, choose_terms, convert_for_terms
 from vergence.calibration.head.uncertainty import head_covariance
 from vergence.errors import ConfigurationError
@@ -159,7 +159,7 @@ def calibrate_head(
     file, head = head, convert_for_terms(head, terms)
     remarks: list[str] = []
     try:
-        start = estimate_initial_board_poses(head, frames)
+        start = estimate_consensus_board_poses(head, frames)
         refuse_swapped_eyes(head, frames, start)
         report(0.1)
         problem = HeadAdjustment(head, parameter_prior_sigma(head, cameras), start.frames)
@@ -171,7 +171,7 @@ def calibrate_head(
             more = find_new_placement(fit.solution, fit.kept)
             near = None if more is None else fit.solution.state
             if more is None:
-                more = find_small_motion(fit.solution)
+                more = find_small_board_motion(fit.solution)
             if more is None:
                 break
             remarks.append(more.remark)

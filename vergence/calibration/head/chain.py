@@ -23,7 +23,7 @@ from vergence.calibration.adjustment import BoardPoses, cross_matrices
 from vergence.calibration.projection import camera_parameter_names, project_with_jacobians
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
-from vergence.models.links import inverse_pose, pose_twists
+from vergence.models.links import inverse_pose, pose_parameter_twists
 from vergence.models.parts import FloatArray
 
 IntArray = NDArray[np.intp]
@@ -61,7 +61,7 @@ class ParametricHead:
         return self.nominal_head.with_parameters(self.values)
 
     @cached_property
-    def constants(self) -> FloatArray:
+    def constant_poses(self) -> FloatArray:
         """(10, 4, 4) B_0 to B_3 of the neck, and M_0 to M_2 of each eye with its camera."""
         poses = np.array(self.head.links.constant_poses())
         for eye in range(2):
@@ -82,11 +82,13 @@ class ParametricHead:
             out[:, last] = out[:, last] @ into.T
             first = names.index(f"{name}.head_eye.rx")
             rotation = self.values[first : first + 3]
-            out[first : first + 6, last] = pose_twists(nominal_head.head_eye[eye], rotation)
+            out[first : first + 6, last] = pose_parameter_twists(
+                nominal_head.head_eye[eye], rotation
+            )
         return out
 
     @cached_property
-    def columns(self) -> tuple[IntArray, IntArray]:
+    def eye_parameter_indices(self) -> tuple[IntArray, IntArray]:
         """(p_eye,) by eye: indices of the parameters that it depends on, its camera's last."""
         names = self.nominal_head.parameters().names
         found = []
@@ -110,7 +112,7 @@ class ParametricHead:
             points: (f, n, 3) metres, in frame 0.
             offsets: (f, n, 3) offsets of these points from the board's origin, in frame 0.
         """
-        B, M = self.constants[:4], self.constants[4 + 3 * eye : 7 + 3 * eye]
+        B, M = self.constant_poses[:4], self.constant_poses[4 + 3 * eye : 7 + 3 * eye]
         after = [(B[0], q[:, 0]), (B[1], q[:, 1]), (B[2], q[:, 2]), (B[3], None)]
         after += [(M[0], q[:, 3 + 2 * eye]), (M[1], q[:, 4 + 2 * eye]), (M[2], None)]
         # each frame after its joint's rotation: the joint's own twist is about its z axis
@@ -138,7 +140,7 @@ class ParametricHead:
             gradient = in_base @ rotations[place][:, None]
             return np.concatenate([_cross(places[place], gradient), gradient], axis=-1)
 
-        columns = self.columns[eye]
+        columns = self.eye_parameter_indices[eye]
         twists = self.twists[columns, 3 * eye : 3 * eye + 3]
         by_head = np.zeros((*image.pixels.shape, len(columns)))
         for k, place in enumerate((5, 6, 7)):

@@ -10,7 +10,7 @@ from vergence.calibration.head.solution import HeadSolution
 from vergence.calibration.head.start import (
     LEAST_CORNERS,
     InitialBoardPoses,
-    estimate_initial_board_poses,
+    estimate_consensus_board_poses,
 )
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -21,7 +21,7 @@ _LEAST_POSES: Final = 6
 _CLEARLY: Final = 0.5
 """Ratio of the spread of the board's position with exchanged eyes to the spread as recorded, below
 which the eyes are exchanged (chosen)."""
-_LEAST_LEVERAGE_COMPLEMENT: Final = 0.5
+_LEAST_AGREEING_FRACTION: Final = 0.5
 """Fraction of inlier views up to which a recording is refused (chosen)."""
 _ANOTHER_SIZE: Final = 1.2
 """Ratio of the eyes' distance to the file's, either way, from which on a head is refused (chosen:
@@ -65,7 +65,7 @@ def refuse_swapped_eyes(head: HeadModel, frames: HeadFrames, start: InitialBoard
         target=some.target, time_s=some.time_s, positions=some.positions,
         pixels=some.pixels[::-1], sigma=some.sigma[::-1], placement=some.placement,
     )  # fmt: skip
-    if estimate_initial_board_poses(head, exchanged).spread_m < _CLEARLY * start.spread_m:
+    if estimate_consensus_board_poses(head, exchanged).spread_m < _CLEARLY * start.spread_m:
         raise ConfigurationError(
             "expected the left eye's images as the left ones, got images that go with each other "
             "if left and right are exchanged"
@@ -76,11 +76,12 @@ def refuse_implausible(solution: HeadSolution, kept: NDArray[np.bool_]) -> None:
     """Refuse views that do not agree, or a head far from its file."""
     frames = solution.problem.frames
     views = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).sum()
-    share = kept.any(axis=-1).sum() / views
-    if share <= _LEAST_LEVERAGE_COMPLEMENT:
+    fraction = kept.any(axis=-1).sum() / views
+    if fraction <= _LEAST_AGREEING_FRACTION:
         raise ConfigurationError(
-            f"expected views that go together, got {views} of which {100.0 * share:.0f} % do: do "
-            "the joint angles belong to the images, and did the board stand still?"
+            f"expected views that agree with each other, got {views} of which "
+            f"{100.0 * fraction:.0f} % do: do the joint angles belong to the "
+            "images, and did the board stand still?"
         )
     refuse_few_poses(frames.of(np.asarray(kept.any(axis=(0, 2)))))
     was, now = baselines_m(solution)

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from vergence.calibration.head.calibrate_head import HeadCalibration
-from vergence.eval.head_reach import fixate_points, midpoint_between_cameras
+from vergence.eval.head_reach import fixation_angles_and_visibility, midpoint_between_cameras
 from vergence.models.parts import FloatArray
 from vergence.triangulation import triangulate_views
 
@@ -82,7 +82,7 @@ def predict_depth_errors(
     points = midpoint_between_cameras(head) + points_from_eyes_m
     distance = np.linalg.norm(points_from_eyes_m, axis=-1)
     along = points_from_eyes_m / distance[:, None]
-    q, sees = fixate_points(head, points)
+    q, sees = fixation_angles_and_visibility(head, points)
     pixels = head.project(q, points)
     fix = triangulate_views(head, q, pixels)
     off = triangulate_views(calibration.nominal_head, q, pixels).point - points

@@ -13,16 +13,16 @@ from vergence.calibration.head.start import LEAST_CORNERS
 from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 
-_OUTLYING: Final = 5.0
+_INLIER_GATE: Final = 5.0
 """Gate on a corner's residual or a reading's error, in standard deviations (chosen)."""
-_HALF: Final = 0.5
+_LEAST_INLIER_FRACTION: Final = 0.5
 """Fraction of a view's corners that have to be inliers for the view to be kept (chosen)."""
-_FITS: Final = 6
+_MOST_ROUNDS: Final = 6
 """Largest number of rounds of selecting corners and fitting (numerical)."""
 _LEAST_SCATTER_RATIO: Final = 1.3
 """Ratio of the readings' scatter to its expectation by quantisation and backlash above which their
 standard deviation is enlarged (chosen)."""
-_SAME_SCATTER: Final = 0.05
+_SCATTER_TOLERANCE: Final = 0.05
 """Relative change of a scatter that needs no further fit (numerical)."""
 
 
@@ -52,15 +52,15 @@ def fit_robustly(
     Raises:
         LinAlgError: no views agree, or the start is behind a camera.
     """
-    enough = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
+    eligible = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
     begin = problem.start(initial_boards)
     if start is not None:
         begin = begin._replace(values=start.values, bend=start.bend)
-    first = Weights.of(enough & inlier_views[..., None])
+    first = Weights.of(eligible & inlier_views[..., None])
     solution = solve(problem, begin, first, cauchy_scale=FIRST_CAUCHY_SCALE)
-    if not inlier_views[enough.any(axis=-1)].all():  # views that disagreed by the nominal head
+    if not inlier_views[eligible.any(axis=-1)].all():  # views that disagreed by the nominal head
         cauchy_scale = solution.weights.cauchy_scale
-        solution = solve(problem, solution.state, Weights.of(enough), cauchy_scale=cauchy_scale)
+        solution = solve(problem, solution.state, Weights.of(eligible), cauchy_scale=cauchy_scale)
     return refine_inliers(solution)
 
 
@@ -74,49 +74,53 @@ def refine_inliers(solution: HeadSolution) -> HeadFit:
         LinAlgError: no views agree.
     """
     problem = solution.problem
-    enough = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
-    kept, scatter_ratio = np.zeros_like(enough), np.ones(7)
-    for _ in range(_FITS):
-        before = kept, scatter_ratio
+    eligible = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
+    kept, scatter_ratio = np.zeros_like(eligible), np.ones(7)
+    for _ in range(_MOST_ROUNDS):
+        previous = kept, scatter_ratio
         scatter_ratio = reading_scatter_ratio(solution)
-        kept = _inliers(solution, enough, scatter_ratio)
-        if np.array_equal(kept, before[0]) and np.allclose(
-            scatter_ratio, before[1], rtol=_SAME_SCATTER
+        kept = _inliers(solution, eligible, scatter_ratio)
+        if not kept.any():
+            raise np.linalg.LinAlgError("expected views that agree with each other, got none")
+        if np.array_equal(kept, previous[0]) and np.allclose(
+            scatter_ratio, previous[1], rtol=_SCATTER_TOLERANCE
         ):
             break
-        if not kept.any():
-            raise np.linalg.LinAlgError("expected views that go together, got none")
         problem = replace(problem, scatter_ratio=scatter_ratio)
         solution = solve(problem, solution.state, Weights.of(kept))
     return HeadFit(solution, kept)
 
 
 def _inliers(
-    solution: HeadSolution, enough: NDArray[np.bool_], scatter_ratio: FloatArray
+    solution: HeadSolution, eligible: NDArray[np.bool_], scatter_ratio: FloatArray
 ) -> NDArray[np.bool_]:
     """(2, f, n) True for inlier corners of views with mostly inliers and plausible readings."""
-    typical_square = _typical_square(solution, enough)
-    fit = enough & (np.nan_to_num(solution.squares, nan=np.inf) < _OUTLYING**2 * typical_square)
+    typical_square = _typical_square(solution, eligible)
+    fit = eligible & (
+        np.nan_to_num(solution.squares, nan=np.inf) < _INLIER_GATE**2 * typical_square
+    )
     already = solution.problem.scatter_ratio
     known = np.ones(7) if already is None else already
     errors = np.abs(solution.normalised_reading_errors) * known / scatter_ratio
-    wrong = errors > _OUTLYING * np.sqrt(typical_square)
+    wrong = errors > _INLIER_GATE * np.sqrt(typical_square)
     moved = np.abs(solution.problem.joints_from_actuators) > 0.0
     for eye in range(2):
         joints = moved[[3 + 2 * eye, 4 + 2 * eye]].any(axis=0)
         fit[eye] &= ~np.asarray((wrong & joints).any(axis=1))[:, None]
-    most = fit.sum(axis=-1) >= np.maximum(_HALF * enough.sum(axis=-1), LEAST_CORNERS)
+    keep_view = fit.sum(axis=-1) >= np.maximum(
+        _LEAST_INLIER_FRACTION * eligible.sum(axis=-1), LEAST_CORNERS
+    )
     # a wrong neck reading drops both views, unless one of them is wrong already and may explain it
-    most &= ~(most.all(axis=0) & np.asarray(wrong[:, NECK].any(axis=1)))
-    return np.asarray(fit & np.asarray(most)[..., None])
+    keep_view &= ~(keep_view.all(axis=0) & np.asarray(wrong[:, NECK].any(axis=1)))
+    return np.asarray(fit & np.asarray(keep_view)[..., None])
 
 
-def _typical_square(solution: HeadSolution, enough: NDArray[np.bool_]) -> float:
+def _typical_square(solution: HeadSolution, eligible: NDArray[np.bool_]) -> float:
     """Typical mean square of a corner's residuals, in units of sigma^2; at least 1.
 
     If most views are wrong, the robust fit's value is smaller than their median, and is taken.
     """
-    counted = enough & (solution.weights.corners > 0.0)
+    counted = eligible & (solution.weights.corners > 0.0)
     return min(max(float(np.median(solution.squares[counted])), 1.0), solution.weights.cauchy_scale)
 
 
@@ -129,18 +133,20 @@ def reading_scatter_ratio(solution: HeadSolution) -> FloatArray:
     known = np.ones(7) if already is None else already
     found = np.ones(7)
     counted = np.asarray((solution.weights.corners > 0.0).any(axis=(0, 2)))
-    usual_corner = _typical_square(solution, solution.problem.frames.seen)
+    typical_square = _typical_square(solution, solution.problem.frames.seen)
     for joint in range(7):
         used = own.is_single[:, joint] & counted
         squares = solution.normalised_reading_errors[used, joint] ** 2
         if len(squares) < _LEAST_READINGS:
             continue
         # for a normal or a uniform distribution, without a few wrong readings
-        usual = np.mean(squares[squares <= _OUTLYING**2 * max(float(np.median(squares)), 1e-12)])
+        trimmed_square = np.mean(
+            squares[squares <= _INLIER_GATE**2 * max(float(np.median(squares)), 1e-12)]
+        )
         expected = max(float(np.mean(1.0 - solution.reading_variance_ratio[used, joint])), 0.1)
-        times = float(np.sqrt(usual / expected)) * known[joint]
+        ratio = float(np.sqrt(trimmed_square / expected)) * known[joint]
         # noise of the corners enlarges the estimated reading errors as well
-        found[joint] = times if times > _LEAST_SCATTER_RATIO * np.sqrt(usual_corner) else 1.0
+        found[joint] = ratio if ratio > _LEAST_SCATTER_RATIO * np.sqrt(typical_square) else 1.0
     return found
 
 

@@ -41,7 +41,7 @@ from vergence.calibration.head.pose_equations import BoolArray, solve_poses
 from vergence.calibration.head.start import (
     LEAST_CORNERS,
     board_in_cameras,
-    estimate_initial_board_poses,
+    estimate_consensus_board_poses,
     single_camera_rig,
 )
 from vergence.calibration.projection import project_with_jacobians
@@ -84,7 +84,7 @@ class _Views(NamedTuple):
     @classmethod
     def of(cls, head: HeadModel, frames: HeadFrames) -> "_Views":
         if len(equivalent_corner_orders(frames.target)) > 1:
-            frames = estimate_initial_board_poses(head, frames).frames
+            frames = estimate_consensus_board_poses(head, frames).frames
         boards = np.tile(np.eye(4), (2, len(frames.time_s), 1, 1))
         for eye, poses in enumerate(board_in_cameras(head, frames)):
             boards[eye, :, :3, :3], boards[eye, :, :3, 3] = poses
@@ -100,7 +100,9 @@ class _Views(NamedTuple):
         residuals = np.full(self.frames.pixels.shape, np.nan)
         for eye in range(2):
             rig = single_camera_rig(head, eye)
-            seen = project_with_jacobians(rig.lenses[0], rig.values[0], points[eye]).pixels
+            seen = project_with_jacobians(
+                rig.lenses[0], rig.camera_parameters[0], points[eye]
+            ).pixels
             residuals[eye] = seen - self.frames.pixels[eye]
         return rms_length(residuals[kept])
 
@@ -173,7 +175,7 @@ def refine_by_reprojection(head: HeadModel, frames: HeadFrames, start: HeadEyeFi
     for place, (name, unit) in enumerate(zip(parameters.names, parameters.units, strict=True)):
         if ".head_eye." in name:
             prior_sigma[place] = _TURN_RAD if unit == "rad" else _SHIFT_M
-    start_of_board = estimate_initial_board_poses(start_head, frames)
+    start_of_board = estimate_consensus_board_poses(start_head, frames)
     problem = HeadAdjustment(start_head, prior_sigma, start_of_board.frames)
     fit = fit_robustly(problem, start_of_board.boards, start_of_board.inlier_views)
     residuals = fit.solution.normal.residuals * problem.frames.sigma

@@ -135,7 +135,7 @@ def _target_of(log: Log, target: PlanarTarget | None) -> PlanarTarget:
         assert target is not None
         return target
     try:
-        own = parse_board(text, tags=True)
+        own = parse_board(text, accept_single_tag=True)
     except ConfigurationError as error:
         raise ConfigurationError(f"{log.path}: {error}") from error
     if target is not None and str(own) != str(target):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vergence.calibration.adjustment import BoardPoses
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.solution import HeadSolution
-from vergence.calibration.head.start import LEAST_CORNERS, estimate_initial_board_poses
+from vergence.calibration.head.start import LEAST_CORNERS, estimate_consensus_board_poses
 
 _LEAST_POSES: Final = 3
 """Fewest poses with the board at another placement (chosen: fewer are wrong detections)."""
@@ -32,7 +32,7 @@ board was moved (chosen: 40 occur by chance once in a million moments, and backl
 errors add to it)."""
 
 
-class NewPlacement(NamedTuple):
+class FramesWithNewPlacement(NamedTuple):
     """The frames with one more placement of the board."""
 
     frames: HeadFrames
@@ -43,21 +43,26 @@ class NewPlacement(NamedTuple):
     remark: str
 
 
-def find_new_placement(solution: HeadSolution, kept: NDArray[np.bool_]) -> NewPlacement | None:
+def find_new_placement(
+    solution: HeadSolution, kept_corners: NDArray[np.bool_]
+) -> FramesWithNewPlacement | None:
     """Find a placement of the board on which left-out views agree.
 
     Args:
         solution: solution of the kept views.
-        kept: (2, f, n) True for their corners.
+        kept_corners: (2, f, n) True for their corners.
+
+    Returns:
+        All frames, with the placements found; None if the left-out views agree on no other one.
     """
     frames = solution.problem.frames
-    views = np.asarray(kept.any(axis=-1))
+    views = np.asarray(kept_corners.any(axis=-1))
     enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
     lost = enough.any(axis=0) & ~views.any(axis=0)
     if len(np.unique(frames.pose[lost])) < _LEAST_POSES:
         return None
     some = frames.of(lost)
-    start = estimate_initial_board_poses(
+    start = estimate_consensus_board_poses(
         solution.head, replace(some, placement=np.zeros(lost.sum(), dtype=np.intp))
     )
     size = float(np.ptp(frames.corners, axis=0).max())
@@ -75,7 +80,7 @@ def find_new_placement(solution: HeadSolution, kept: NDArray[np.bool_]) -> NewPl
     inlier_views[:, lost] = start.inlier_views
     boards = solution.state.boards
     first, last = frames.time_s[agreeing[0]], frames.time_s[agreeing[-1]]
-    return NewPlacement(
+    return FramesWithNewPlacement(
         replace(frames, placement=placement, pixels=pixels, sigma=sigma),
         BoardPoses(
             np.concatenate([boards.rotation, start.boards.rotation]),
@@ -87,7 +92,7 @@ def find_new_placement(solution: HeadSolution, kept: NDArray[np.bool_]) -> NewPl
     )
 
 
-def find_small_motion(solution: HeadSolution) -> NewPlacement | None:
+def find_small_board_motion(solution: HeadSolution) -> FramesWithNewPlacement | None:
     """Find the moment of a small motion of the board, if one step of its pose explains much.
 
     Args:
@@ -126,8 +131,8 @@ def find_small_motion(solution: HeadSolution) -> NewPlacement | None:
     later = (placement == placement[when]) & (np.arange(len(placement)) >= when)
     placement[later] = placement.max() + 1
     split = replace(frames, placement=placement)
-    start = estimate_initial_board_poses(problem.nominal_head, split)
-    return NewPlacement(
+    start = estimate_consensus_board_poses(problem.nominal_head, split)
+    return FramesWithNewPlacement(
         start.frames,
         start.boards,
         start.inlier_views,

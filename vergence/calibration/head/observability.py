@@ -133,7 +133,7 @@ def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
     for eye in range(2):
         seen = chain.project_board(eye, q, there, turned)
         rows = np.zeros((len(q), 2, len(solution.state.values)))
-        rows[:, :, chain.columns[eye]] = seen.head_jacobian[:, 0]
+        rows[:, :, chain.eye_parameter_indices[eye]] = seen.head_jacobian[:, 0]
         visible = np.isfinite(seen.pixels[:, 0]).all(axis=-1)
         moved.append(rows[visible].reshape(-1, rows.shape[-1]))
         # a motion of the eyes is the opposite motion of the world

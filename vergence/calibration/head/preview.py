@@ -9,7 +9,7 @@ from vergence.calibration.head.adjust import HeadAdjustment
 from vergence.calibration.head.fit import fit_robustly
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.prior import parameter_prior_sigma
-from vergence.calibration.head.start import estimate_initial_board_poses
+from vergence.calibration.head.start import estimate_consensus_board_poses
 from vergence.calibration.head.uncertainty import head_covariance
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
@@ -50,7 +50,7 @@ def preview_calibration(
         The preliminary calibration; None if the frames do not determine a head yet.
     """
     try:
-        begin = estimate_initial_board_poses(head, frames)
+        begin = estimate_consensus_board_poses(head, frames)
         problem = HeadAdjustment(head, parameter_prior_sigma(head), begin.frames)
         near = problem.start(begin.boards)
         if previous is not None:

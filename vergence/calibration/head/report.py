@@ -24,7 +24,7 @@ from vergence.eval.reporting.text import (
     read_template,
 )
 from vergence.files import write_atomic
-from vergence.json_values import json_value, json_values
+from vergence.json_values import null_nonfinite_elements, null_nonfinite_rows
 from vergence.models.joints import EYE_NAMES
 
 DEPTHS_M: Final = (0.3, 0.5, 1.0, 2.0, 2.5, 3.0)
@@ -122,13 +122,13 @@ def result_document(
         "after_percent": depth.sigma_percent,
         "floor_mm": 1e3 * depth.noise_floor_m,
     }
-    rows = zip(*(json_values(values) for values in table.values()), strict=True)
+    rows = zip(*(null_nonfinite_elements(values) for values in table.values()), strict=True)
     views = calibration.frames.seen.any(axis=-1)
     return {
         "depth": [dict(zip(table, row, strict=True)) for row in rows],
         "noise": calibration.solution.reduced_chi,
         "rms_px": rms_length(figures.residuals_px(calibration)),
-        "rms_heldout_sigma": json_value(_heldout(calibration)),
+        "rms_heldout_sigma": null_nonfinite_rows(_heldout(calibration)),
         "views": int(calibration.views.sum()),
         "left_out": int((views & ~calibration.views).sum()),
         "frames": len(calibration.frames.time_s),

@@ -55,7 +55,7 @@ class InitialBoardPoses(NamedTuple):
     placements."""
 
 
-def estimate_initial_board_poses(head: HeadModel, frames: HeadFrames) -> InitialBoardPoses:
+def estimate_consensus_board_poses(head: HeadModel, frames: HeadFrames) -> InitialBoardPoses:
     """Find the poses of the board on which most views agree, through a given head.
 
     Args:

@@ -74,34 +74,35 @@ class ChosenTerms(NamedTuple):
     fit: HeadFit
     """Fit with the accepted terms that a head's file can hold. Harmonics are not among these:
     readings are not corrected by them, so that the other parameters are best without them."""
-    suspected: HeadSolution | None
-    """Solution with harmonics, of some of the frames, if these are called for too; else None."""
+    solution_with_harmonics: HeadSolution | None
+    """Solution with the harmonics that the recording calls for, of some of the frames; a head's
+    file cannot hold harmonics, so they are only reported. None if they are not called for."""
 
 
-def choose_terms(fit: HeadFit, cameras: bool) -> ChosenTerms:
+def choose_terms(fit: HeadFit, estimate_cameras: bool) -> ChosenTerms:
     """Add the terms that a recording calls for, most significant first.
 
     Args:
         fit: fit of the head without terms.
-        cameras: True if the cameras are estimated, see `parameter_prior_sigma`.
+        estimate_cameras: True if the cameras are estimated, see `parameter_prior_sigma`.
     """
     chosen: tuple[str, ...] = ()
     left, some = set(TERMS), _thinned(fit)
     while left:
-        gains = _gains(some.solution, chosen, left, cameras)
+        gains = _gains(some.solution, chosen, left, estimate_cameras)
         if not gains:
             break
         best = max(gains, key=lambda term: gains[term])
         left.discard(best)
         with suppress(np.linalg.LinAlgError):  # the fit with this term fails
-            richer = _richer(some, (*chosen, best), cameras)
+            richer = _richer(some, (*chosen, best), estimate_cameras)
             scatters = np.any(richer.solution.problem.scatter_ratio != 1.0)
             least = _LEAST_GAIN_OF_PLAY if best == "play" and scatters else _LEAST_GAIN
             if _predicts_better(richer, some, least):
                 some, chosen = richer, (*chosen, best)
     lasting = tuple(term for term in chosen if term != "harmonics")
     return ChosenTerms(
-        _richer(fit, lasting, cameras) if lasting else fit,
+        _richer(fit, lasting, estimate_cameras) if lasting else fit,
         some.solution if lasting != chosen else None,
     )
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-from vergence.commands.console import print_failures, print_note, progress_bar
+from vergence.commands.console import print_failures, print_to_stderr, progress_bar
 from vergence.commands.options import check_writable, claimed_run_folder, dated_run_folder
 from vergence.errors import ConfigurationError
 
@@ -110,6 +110,6 @@ class CalibrationOptions:
             if run.saved:
                 print(f"written to {run.folder}")
         for line in advised:
-            print_note(line)
+            print_to_stderr(line)
         print_failures(found.failures)
         return 0 if run.saved and not found.failures else 2

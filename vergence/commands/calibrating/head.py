@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from vergence.commands.console import print_failures, print_note, progress_bar
+from vergence.commands.console import print_failures, print_to_stderr, progress_bar
 from vergence.commands.options import (
     Flat,
     JobOptions,
@@ -125,7 +125,9 @@ class CalibrateHead:
         from vergence.models.files.head_toml import check_head_name
 
         head: HeadModel = load_head(self.head)
-        target = parse_board(self.target, tags=True) if self.target is not None else None
+        target = (
+            parse_board(self.target, accept_single_tag=True) if self.target is not None else None
+        )
         terms = parse_terms(self.terms)
         jobs = []
         with progress_bar("read") as report:
@@ -179,10 +181,10 @@ class CalibrateHead:
         for out, outcome in zip(outs, outcomes, strict=True):
             before = f"{out.stem}: " if len(outs) > 1 else ""
             if outcome.refusal:
-                print_note(f"{before}{outcome.refusal}")
+                print_to_stderr(f"{before}{outcome.refusal}")
                 continue
             for remark in outcome.document["remarks"]:
-                print_note(f"{before}{remark}")
+                print_to_stderr(f"{before}{remark}")
             print_failures(outcome.document["not_read"])
 
 

@@ -24,7 +24,9 @@ def print_calibration(calibration: "Calibration", out: Path) -> None:
     several = len(calibration.single_fits) > 1
     names = list(EYE_NAMES) if several else ["camera"]
     rows = []
-    for camera, (name, values) in enumerate(zip(names, calibration.rig.values, strict=False)):
+    for camera, (name, values) in enumerate(
+        zip(names, calibration.rig.camera_parameters, strict=False)
+    ):
         sigma = calibration.sigma[calibration.rig.blocks[camera]]
         for label, value, deviation in zip(
             camera_parameter_names(calibration.lens), values.tolist(), sigma.tolist(), strict=True

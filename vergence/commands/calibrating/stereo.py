@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from vergence.commands.calibrating.common import CalibrationOptions
-from vergence.commands.console import print_note
+from vergence.commands.console import print_to_stderr
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class CalibrateStereo(CalibrationOptions):
         lefts, rights = list_photographs(self.left), list_photographs(self.right)
         pairs = pair_images(lefts, rights, one_folder=lefts == rights)
         if pairs.unpaired:
-            print_note(
+            print_to_stderr(
                 f"{len(pairs.unpaired)} of the images without a partner: "
                 f"{join_first_names(path.name for path in pairs.unpaired)}"
             )

@@ -46,8 +46,8 @@ def show_import(imported: ImportedHead, path: Path) -> None:
     actuators = actuator_summaries(head)
     if actuators:
         print(f"actuators of the eyes: {', '.join(map(_range, actuators))}")
-    if chains.fixed:
-        held = ", ".join(f"{name} at {value:.6g}" for name, value in chains.fixed.items())
+    if chains.fixed_values:
+        held = ", ".join(f"{name} at {value:.6g}" for name, value in chains.fixed_values.items())
         print(f"held, at rad or m: {held}")
     print(f"cameras: {' and '.join(dict.fromkeys(map(_camera, eyes)))}, ", end="")
     print(f"{baseline_mm(head):.2f} mm apart at rest")

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from vergence.commands.console import print_note
+from vergence.commands.console import print_to_stderr
 from vergence.commands.importing.head_output import HeadOutput
 from vergence.commands.options import parse_size
 from vergence.errors import ConfigurationError
@@ -50,7 +50,7 @@ class ImportStereo(HeadOutput):
             self.files, unit=self.unit, size=parse_size(self.size), lens=self.lens, swap=self.swap
         )
         for guess in pair.guesses:
-            print_note(f"assumed: {guess}")
+            print_to_stderr(f"assumed: {guess}")
         text = stereo_pair_to_head_toml(pair, self.name or self.out.stem)
         head = parse_head(text)
         self.check()

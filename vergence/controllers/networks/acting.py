@@ -84,7 +84,7 @@ class NetworkLoop:
         """(..., 4) commands of the linear law, rad/s; nan where the network turns the eyes."""
         assert self.inputs.predictor is not None
         against = now._replace(velocities=now.velocities - now.rates)
-        command = linear_command(against, self.inputs.predictor.rig, DEFAULT_LAW)
+        command = linear_command(against, self.inputs.predictor.params, DEFAULT_LAW)
         calm = (now.half_swings > MANY_HALF_SWINGS) | (now.build_up > 0.0)
         return np.where(calm[..., None], command + now.later_rates / now.speed_gain, np.nan)
 

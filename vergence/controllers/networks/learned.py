@@ -42,8 +42,8 @@ Action = NDArray[np.float32]
 class _Learned(ABC):
     """Computes actions from observations with a network whose outputs range from -1 to 1."""
 
-    hold: ClassVar[float]
-    """Replacement for an output of nan: the eyes rest."""
+    nan_replacement: ClassVar[float]
+    """Output in place of nan, at which the eyes rest: velocity 0, or -1, which is gain 0."""
     schedule: ClassVar[bool] = False
     """True if the network chooses gains, False for velocities."""
 
@@ -101,7 +101,7 @@ class _Learned(ABC):
     def _run(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
         out = self._runtime(seen)
         np.clip(out, -1.0, 1.0, out=out)
-        out[np.isnan(out)] = self.hold
+        out[np.isnan(out)] = self.nan_replacement
         return out
 
     @staticmethod
@@ -151,7 +151,7 @@ class LearnedPolicy(BundledNetwork):
     """Actuator velocities from a network; the arguments are those of `BundledNetwork`."""
 
     kind = POLICY
-    hold = 0.0
+    nan_replacement = 0.0
 
     def _action(
         self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
@@ -163,7 +163,7 @@ class LearnedGain(BundledNetwork):
     """The article's law with gains from a network; the arguments are those of `BundledNetwork`."""
 
     kind = GAIN_SCHEDULE
-    hold = -1.0  # a gain of zero
+    nan_replacement = -1.0  # a gain of zero
     schedule = True
 
     @staticmethod
@@ -180,7 +180,7 @@ class LearnedGain(BundledNetwork):
         )
 
 
-class NetworkPolicy(_Learned):
+class BareNetworkPolicy(_Learned):
     """A bare ONNX file that maps the numbers of an observation to those of an action.
 
     Such a file does not state which head and layout it was trained with: the caller is responsible
@@ -196,7 +196,7 @@ class NetworkPolicy(_Learned):
         ConfigurationError: onnxruntime is not installed.
     """
 
-    hold = 0.0
+    nan_replacement = 0.0
 
     def __init__(
         self, *, head: HeadModel, layout: ObservationLayout, path: str | os.PathLike[str]
@@ -236,7 +236,7 @@ def load_policy(
     """
     layout = checked_layout(head, layout)
     if Path(path).suffix == ".onnx":
-        return NetworkPolicy(head=head, layout=layout, path=path)
+        return BareNetworkPolicy(head=head, layout=layout, path=path)
     if Path(path).suffix != SUFFIX:
         raise BundleError(f"{path}: expected a file named *{SUFFIX} or *.onnx, got another name")
     bundle = read_bundle(path)

@@ -84,7 +84,7 @@ def least_squares_aim(
             a, b = cx / cz, cy / cz
             wanted[eye, 0], wanted[eye, 1] = -camera.focal_u * a, -camera.focal_v * b
             for joint in range(2):
-                axis = frames.first if joint == 0 else frames.second
+                axis = frames.after_first_joint if joint == 0 else frames.after_second_joint
                 rate = point_rate(axis, frames.camera, x, y, z)
                 u, v = pixel_rate(camera, a, b, cz, rate)
                 jacobian[eye, 0, joint], jacobian[eye, 1, joint] = u, v

@@ -11,9 +11,9 @@ keeps its direction.
 from typing import Final
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.joints import PredictorModel
-from vergence.controllers.prediction.memory import PredictorState
+from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.moving import MODELS, Motions
+from vergence.controllers.prediction.predictor_state import PredictorState
 from vergence.models.packed import PackedHead, joint_per_actuator
 from vergence.models.parts import FloatArray
 
@@ -35,11 +35,11 @@ _FORGET: Final = 0.98
 
 
 @inlined
-def cross_backlash(memory: PredictorState, p: PackedHead, command: FloatArray) -> None:
+def inflate_variance_at_reversal(state: PredictorState, p: PackedHead, command: FloatArray) -> None:
     """Increase the variance of goals whose motors are about to reverse and cross their backlash.
 
     Args:
-        memory: changed in place.
+        state: changed in place.
         p: a packed head.
         command: (4,) commands of the actuators, rad/s.
     """
@@ -47,57 +47,57 @@ def cross_backlash(memory: PredictorState, p: PackedHead, command: FloatArray) -
         if abs(command[k]) < _TURNS_RAD_S:
             continue
         side = 1.0 if command[k] > 0.0 else -1.0
-        if memory.last_direction[k] == side:
+        if state.last_direction[k] == side:
             continue
-        memory.last_direction[k] = side
+        state.last_direction[k] = side
         for j in range(4):
             share = joint_per_actuator(p, j, k)
             if share == 0.0:
                 continue
             eye, joint, backlash = j // 2, j % 2, _BACKLASH_RAD * share
-            memory.filter_variance[eye, joint] += backlash * backlash
-            memory.reversed_at[eye, joint] = memory.periods
-            motions: Motions = memory.motions[eye]
+            state.filter_variance[eye, joint] += backlash * backlash
+            state.reversed_at[eye, joint] = state.periods
+            motions: Motions = state.motions[eye]
             for m in range(MODELS):  # half, as the covariance is common to both joints
                 motions[m].covariance[0] += 0.5 * backlash * backlash
 
 
 @inlined
-def backlash_variance(
-    memory: PredictorState,
-    rig: PredictorModel,
-    exposed: float,
+def update_backlash_variance(
+    state: PredictorState,
+    params: PredictorParameters,
+    exposure_period: float,
     eye: int,
     joint: int,
-    goal: float,
+    measured_goal: float,
     at_rest: bool,
 ) -> float:
     """Update the backlash estimate with a measured goal; return its contribution to the variance.
 
     Args:
-        memory: the predictor's state; its backlash estimate is updated in place.
-        rig: the head's parameters.
-        exposed: exposure time of the image, in periods.
+        state: the predictor's state; its backlash estimate is updated in place.
+        params: the head's parameters.
+        exposure_period: exposure time of the image, in periods.
         eye: index of the eye.
         joint: index of its joint.
-        goal: the measured goal, rad.
+        measured_goal: the measured goal, rad.
         at_rest: True if the target is taken to rest.
 
     Returns:
         The variance, rad^2; 0 if the motor has not reversed recently.
     """
-    memory.backlash_variance[eye, joint] *= _FORGET
-    since_s = (exposed - memory.reversed_at[eye, joint]) * rig.period_s
+    state.backlash_variance[eye, joint] *= _FORGET
+    since_s = (exposure_period - state.reversed_at[eye, joint]) * params.period_s
     if since_s > _LATELY_S:
         return 0.0
-    off = goal - memory.goals[eye, joint]
-    clear = off * off > max(_CLEAR * memory.detection_variance, _LEAST_RAD * _LEAST_RAD)
+    off = measured_goal - state.goals[eye, joint]
+    clear = off * off > max(_CLEAR * state.detection_variance, _LEAST_RAD * _LEAST_RAD)
     if at_rest and clear and abs(off) < _MOST_RAD:
         half = 0.5 * off
-        if memory.jump_sign[eye, joint] * off < 0.0:
-            memory.backlash_variance[eye, joint] = max(
-                memory.backlash_variance[eye, joint], half * half
+        if state.jump_sign[eye, joint] * off < 0.0:
+            state.backlash_variance[eye, joint] = max(
+                state.backlash_variance[eye, joint], half * half
             )
-        memory.jump_sign[eye, joint] = 1.0 if off > 0.0 else -1.0
-    found: float = memory.backlash_variance[eye, joint]
+        state.jump_sign[eye, joint] = 1.0 if off > 0.0 else -1.0
+    found: float = state.backlash_variance[eye, joint]
     return found

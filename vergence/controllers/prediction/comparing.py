@@ -12,8 +12,8 @@ import numpy as np
 
 from vergence._jit import subroutine
 from vergence.controllers.prediction.dating import HYPOTHESES, SPACING_S, add_delay_cost
-from vergence.controllers.prediction.joints import PredictorModel
-from vergence.controllers.prediction.memory import PredictorState, angle_at
+from vergence.controllers.prediction.joints import PredictorParameters
+from vergence.controllers.prediction.predictor_state import PredictorState, angle_at
 from vergence.models.parts import FloatArray
 
 _SWING_RAD_S2: Final = 4.0
@@ -29,8 +29,8 @@ which an image carries evidence on the delay (chosen: 4 sigma)."""
 
 @subroutine
 def compare_delays(
-    memory: PredictorState,
-    rig: PredictorModel,
+    state: PredictorState,
+    params: PredictorParameters,
     arrived: float,
     low: int,
     high: int,
@@ -43,8 +43,8 @@ def compare_delays(
     """Weigh the delay hypotheses on a moving target by the second differences of its goals.
 
     Args:
-        memory: the predictor's state.
-        rig: the head's parameters.
+        state: the predictor's state.
+        params: the head's parameters.
         arrived: arrival of the image (its stamp if the camera stamps exposures), in periods.
         low: index of the first delay hypothesis that is not ruled out.
         high: index one past the last of them.
@@ -55,13 +55,13 @@ def compare_delays(
         variance: (2, 2) variances of the measured goals, rad^2.
         added: (HYPOTHESES,) cost that the image adds to each delay, changed in place.
     """
-    one, two = memory.images[0], memory.images[1]
+    one, two = state.images[0], state.images[1]
     first, second = arrived - one.arrived, one.arrived - two.arrived
     if not (0.0 < second < 40.0 and 0.0 < first < 40.0):
         return
     ratio = first / second
     more = 1.0 + (1.0 + ratio) ** 2 + ratio * ratio
-    swing, turns = _SWING_RAD_S2 * (first * rig.period_s) ** 2, np.zeros(HYPOTHESES)
+    swing, turns = _SWING_RAD_S2 * (first * params.period_s) ** 2, np.zeros(HYPOTHESES)
     for eye in range(2):
         if not isfinite(goals[eye, 0] + one.goals[eye, 0] + two.goals[eye, 0]):
             continue
@@ -72,11 +72,11 @@ def compare_delays(
             rest += ratio * (two.goals[eye, joint] - two.angles_at_exposure[eye, joint])
             least, most = inf, -inf
             for i in range(low, high):
-                own = (memory.first_delay_s + SPACING_S * i) / rig.period_s
+                own = (state.first_delay_s + SPACING_S * i) / params.period_s
                 turn = angles_by_delay[i, eye, joint]
-                before = angle_at(memory, rig.keep_every, one.arrived - own, eye, joint)
+                before = angle_at(state, params.keep_every, one.arrived - own, eye, joint)
                 turn -= (1.0 + ratio) * before
-                turn += ratio * angle_at(memory, rig.keep_every, two.arrived - own, eye, joint)
+                turn += ratio * angle_at(state, params.keep_every, two.arrived - own, eye, joint)
                 turns[i], least, most = turn, min(least, turn), max(most, turn)
             # an eye that follows as smoothly as its target moves carries no evidence on the delay
             if (most - least) ** 2 > INFORMATIVE_RATIO * innovation_variance:

@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from vergence._jit import inlined, subroutine
-from vergence.controllers.prediction.joints import PredictorModel
+from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.response import (
     FIRST_ORDER,
     RESPONSE_MODELS,
@@ -101,34 +101,36 @@ _REMEMBERED: Final = 0.7
 
 
 @inlined
-def _mean_step(rig: PredictorModel, j: int) -> float:
+def _mean_step(params: PredictorParameters, j: int) -> float:
     """Standard deviation that encoder quantisation adds to a mean velocity, rad/s."""
-    return 0.4 * float(rig.angle_step[j]) / rig.period_s
+    return 0.4 * float(params.angle_step[j]) / params.period_s
 
 
 @inlined
-def _last_to_act(rig: PredictorModel) -> int:
+def _last_to_act(params: PredictorParameters) -> int:
     """Largest number of periods before a command acts."""
-    return int(longest_latency(rig) / rig.period_s) + 1
+    return int(longest_latency(params) / params.period_s) + 1
 
 
 @inlined
-def _is_moving(response: Response, rig: PredictorModel, tick: int) -> bool:
+def _is_moving(response: Response, params: PredictorParameters, tick: int) -> bool:
     """True if any actuator moves, or a command that may still act is not zero."""
     for j in range(4):
         if abs(speed_at(response, tick, j)) > _MOVING_RAD_S:
             return True
-        for i in range(_last_to_act(rig)):
+        for i in range(_last_to_act(params)):
             if command_at(response, tick - 1 - i, j) != 0.0:
                 return True
     return False
 
 
 @inlined
-def _is_excited(response: Response, rig: PredictorModel, first: int, tick: int, j: int) -> bool:
+def _is_excited(
+    response: Response, params: PredictorParameters, first: int, tick: int, j: int
+) -> bool:
     """True if the commands of an actuator have changed enough to identify its response."""
     begin, most = speed_at(response, first, j), 0.0
-    for i in range(first - _last_to_act(rig), tick):
+    for i in range(first - _last_to_act(params), tick):
         most = max(most, abs(command_at(response, i, j) - begin))
     return most >= _EXCITED_RAD_S
 
@@ -137,7 +139,7 @@ def _is_excited(response: Response, rig: PredictorModel, first: int, tick: int, 
 def _posterior_cost(
     response: Response,
     model: ResponseModel,
-    rig: PredictorModel,
+    params: PredictorParameters,
     tick: int,
     latency: float,
     ratio: float,
@@ -152,17 +154,17 @@ def _posterior_cost(
     total = 0.0
     for i in range(3):
         total += deviation[i] * deviation[i] * model.information[i]
-    period, whole = rig.period_s, int(latency / rig.period_s + 1e-9)
+    period, whole = params.period_s, int(latency / params.period_s + 1e-9)
     rest, build_up = latency - whole * period, model.parameters[3]
     for j in range(4):
         gain = exp(model.gain[j])
         v, w = speed_at(response, first, j), model.accelerations[j]
-        lag, a = rig.lag_ratio[j] * exp(log_lag), rig.acceleration_limit[j] * exp(ratio)
+        lag, a = params.lag_ratio[j] * exp(log_lag), params.acceleration_limit[j] * exp(ratio)
         before, after = (
             prepare_held_response(lag, build_up, a, rest),
             prepare_held_response(lag, build_up, a, period - rest),
         )
-        mean_sd = _mean_step(rig, j)
+        mean_sd = _mean_step(params, j)
         for i in range(first, tick):
             u = gain * command_at(response, i - whole - 1, j)
             q, v, w = follow_held(0.0, v, w, u, before)
@@ -170,33 +172,35 @@ def _posterior_cost(
             q, v, w = follow_held(q, v, w, u, after)
             measured, simulated, step_sd = mean_speed_at(response, i + 1, j), q / period, mean_sd
             if response.prompt_velocities > 0.5:
-                measured, simulated, step_sd = speed_at(response, i + 1, j), v, rig.speed_step[j]
+                measured, simulated, step_sd = speed_at(response, i + 1, j), v, params.speed_step[j]
             residual_variance = step_sd * step_sd + 0.05**2 + 0.01 * measured * measured
             total += min((measured - simulated) ** 2 / residual_variance, 30.0)
     return total
 
 
 @subroutine
-def _try_others(response: Response, model: ResponseModel, rig: PredictorModel, tick: int) -> None:
+def _try_others(
+    response: Response, model: ResponseModel, params: PredictorParameters, tick: int
+) -> None:
     """Restart the fit at other parameter values where these explain the window better."""
     known, free = model.parameters, model.variance[0] > _SURE_S**2
-    best = _posterior_cost(response, model, rig, tick, known[0], known[1], known[2]) - _BETTER
+    best = _posterior_cost(response, model, params, tick, known[0], known[1], known[2]) - _BETTER
     for i in range(_TRIED if free else 0):
-        latency = min(_SPACING_S * i, longest_latency(rig))
-        cost = _posterior_cost(response, model, rig, tick, latency, known[1], known[2])
+        latency = min(_SPACING_S * i, longest_latency(params))
+        cost = _posterior_cost(response, model, params, tick, latency, known[1], known[2])
         if cost < best:
             best, known[0] = cost, latency
     for m in range(8):  # 8 of 72 combinations per period, all in nine periods
         i = (8 * tick + m) % 72
         latency, ratio = 0.008 * (i % 6), log(0.4) + 0.5 * (i // 6 % 3)
         log_lag = log(0.016) + 0.45 * (i // 18)
-        cost = _posterior_cost(response, model, rig, tick, latency, ratio, log_lag)
+        cost = _posterior_cost(response, model, params, tick, latency, ratio, log_lag)
         if cost < best:
             best, known[0], known[1], known[2] = cost, latency, ratio, log_lag
     for m in range(2):  # 2 of 16 per period, all in eight: motors very unlike the model
         i = (2 * tick + m) % 16
         ratio, log_lag = log(_FASTER[i % 4]), log(_FASTER_LAGS_S[i // 4])
-        cost = _posterior_cost(response, model, rig, tick, known[0], ratio, log_lag)
+        cost = _posterior_cost(response, model, params, tick, known[0], ratio, log_lag)
         if cost < best:
             best, known[1], known[2] = cost, ratio, log_lag
 
@@ -219,9 +223,9 @@ def _solve(matrix: FloatArray, right: FloatArray, out: FloatArray) -> None:
 
 
 @subroutine
-def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: int) -> None:
+def _fit(response: Response, model: ResponseModel, params: PredictorParameters, tick: int) -> None:
     """Take one Gauss-Newton step on the window."""
-    first, period = int(response.window_begin), rig.period_s
+    first, period = int(response.window_begin), params.period_s
     builds_up = model.parameters[3] > 0.0
     size = 4 if builds_up else 3
     normal, right = np.zeros((size, size)), np.zeros(size)
@@ -235,7 +239,7 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
     for j in range(4):
         own[j] = 1.0 / _GAIN_SD**2
         own_right[j] = own[j] * (model.gain_prior[j] - model.gain[j])
-        if not (rig.speed_limit[j] > 0.0 and _is_excited(response, rig, first, tick, j)):
+        if not (params.speed_limit[j] > 0.0 and _is_excited(response, params, first, tick, j)):
             continue
         responses = [prepare_held_response(1.0, 0.0, 1.0, 0.0)] * 12
         for m in range(size + 2):  # nominal (0), gain (1) or a parameter perturbed
@@ -245,8 +249,8 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
             build_up = model.parameters[3] + (_DIFFERENCES[3] if m == 5 else 0.0)
             gains[m] = exp(model.gain[j] + (_DIFFERENCES[4] if m == 1 else 0.0))
             holds[m] = int(latency / period + 1e-9)
-            rest, lag = latency - holds[m] * period, rig.lag_ratio[j] * exp(log_lag)
-            a = rig.acceleration_limit[j] * exp(ratio)
+            rest, lag = latency - holds[m] * period, params.lag_ratio[j] * exp(log_lag)
+            a = params.acceleration_limit[j] * exp(ratio)
             responses[2 * m] = prepare_held_response(lag, build_up, a, rest)
             responses[2 * m + 1] = prepare_held_response(lag, build_up, a, period - rest)
             v[m], w[m] = speed_at(response, first, j), model.accelerations[j]
@@ -259,11 +263,11 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
                 distances[m] = distance / period
             measured, step_sd, simulated = (
                 mean_speed_at(response, i + 1, j),
-                _mean_step(rig, j),
+                _mean_step(params, j),
                 distances,
             )
             if response.prompt_velocities > 0.5:
-                measured, step_sd, simulated = speed_at(response, i + 1, j), rig.speed_step[j], v
+                measured, step_sd, simulated = speed_at(response, i + 1, j), params.speed_step[j], v
             residual = measured - simulated[0]
             residual_variance = step_sd * step_sd + _SPEED_SD**2 * (1.0 + measured * measured)
             square = residual * residual / residual_variance
@@ -290,7 +294,7 @@ def _fit(response: Response, model: ResponseModel, rig: PredictorModel, tick: in
     if not isfinite(step.sum()):  # no usable slope so far from the optimum
         return
     least = (0.0, log(_RATIOS[0]), log(_LAGS_S[0]), _BUILD_UPS[0])
-    most = (longest_latency(rig), log(_RATIOS[1]), log(_LAGS_S[1]), _BUILD_UPS[1])
+    most = (longest_latency(params), log(_RATIOS[1]), log(_LAGS_S[1]), _BUILD_UPS[1])
     model.residuals, model.misfit = residuals, residuals / max(count, 1.0)
     worse = max(1.0, model.misfit)
     for i in range(size):
@@ -324,26 +328,30 @@ def _select(response: Response, lasted_s: float, ends: bool) -> None:
 
 @subroutine
 def _replay(
-    response: Response, model: ResponseModel, rig: PredictorModel, tick: int, out: FloatArray
+    response: Response,
+    model: ResponseModel,
+    params: PredictorParameters,
+    tick: int,
+    out: FloatArray,
 ) -> None:
     """(4,) accelerations at the end of the window, simulated with a response model, rad/s^2."""
     first = int(response.window_begin)
     for j in range(4):
         v, out[j] = speed_at(response, first, j), model.accelerations[j]
         for i in range(first, tick):
-            _q, v, out[j] = simulate_period(response, model, rig, i, j, 0.0, v, out[j])
+            _q, v, out[j] = simulate_period(response, model, params, i, j, 0.0, v, out[j])
 
 
 @inlined
-def learn_response(response: Response, rig: PredictorModel, tick: int) -> None:
+def learn_response(response: Response, params: PredictorParameters, tick: int) -> None:
     """Update the response model with the readings of a period.
 
     Args:
         response: state of the identification, changed in place.
-        rig: the head's parameters.
+        params: the head's parameters.
         tick: the period that has ended; its commands and velocities are already stored.
     """
-    moving = _is_moving(response, rig, tick)
+    moving = _is_moving(response, params, tick)
     if response.window_begin < 0.0:
         if not moving:
             return
@@ -351,12 +359,12 @@ def learn_response(response: Response, rig: PredictorModel, tick: int) -> None:
         for i in range(RESPONSE_MODELS if response.window_end != response.window_begin else 0):
             response.models[i].accelerations[:] = 0.0
     first = int(response.window_begin)
-    window = min(max(int(_WINDOW_S / rig.period_s + 0.5), _LEAST_WINDOW), SPEEDS - 4)
+    window = min(max(int(_WINDOW_S / params.period_s + 0.5), _LEAST_WINDOW), SPEEDS - 4)
     ends = tick - first >= window or not moving
     excited = False
     for j in range(4):
         excited = excited or (
-            rig.speed_limit[j] > 0.0 and _is_excited(response, rig, first, tick, j)
+            params.speed_limit[j] > 0.0 and _is_excited(response, params, first, tick, j)
         )
     # a well-known response is updated only once a window
     model = selected_model(response)
@@ -364,14 +372,14 @@ def learn_response(response: Response, rig: PredictorModel, tick: int) -> None:
     if excited and (ends or not well_known or model.variance[1] > _SURE_RATIO**2):
         for i in range(RESPONSE_MODELS):
             if not well_known:
-                _try_others(response, response.models[i], rig, tick)
-            _fit(response, response.models[i], rig, tick)
-        _select(response, (tick - first) * rig.period_s, ends)
-        _replay(response, selected_model(response), rig, tick, response.accelerations)
+                _try_others(response, response.models[i], params, tick)
+            _fit(response, response.models[i], params, tick)
+        _select(response, (tick - first) * params.period_s, ends)
+        _replay(response, selected_model(response), params, tick, response.accelerations)
     if ends:
         for i in range(RESPONSE_MODELS):
             model = response.models[i]
-            _replay(response, model, rig, tick, model.accelerations)
+            _replay(response, model, params, tick, model.accelerations)
             for n in range(4):
                 model.prior[n] = model.parameters[n]
                 variance = max(1.2 * model.variance[n], _FLOORS[n] ** 2)

@@ -5,9 +5,8 @@ from typing import Final
 import numpy as np
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.joints import PredictorModel
+from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.measuring import JITTER_S
-from vergence.controllers.prediction.memory import PredictorState, angle_at
 from vergence.controllers.prediction.moving import (
     MODELS,
     mean_rate,
@@ -15,6 +14,7 @@ from vergence.controllers.prediction.moving import (
     predict_modes,
     predict_motions,
 )
+from vergence.controllers.prediction.predictor_state import PredictorState, angle_at
 from vergence.models.parts import FloatArray
 
 _SLOW_RAD_S: Final = 0.02
@@ -30,28 +30,28 @@ third more in the loop of scenario `hardware`, by two thirds more with the head 
 
 
 @inlined
-def predict_to_exposure(memory: PredictorState, rig: PredictorModel, exposed: float) -> None:
+def predict_to_exposure(state: PredictorState, params: PredictorParameters, exposed: float) -> None:
     """Predict the target motion models to the exposure of an image (IMM mixing and time update).
 
     Args:
-        memory: changed in place.
-        rig: the head's parameters.
+        state: changed in place.
+        params: the head's parameters.
         exposed: exposure time of the image, in periods.
     """
-    time_s = max(exposed - memory.moved_at, 0.0) * rig.period_s
+    time_s = max(exposed - state.moved_at, 0.0) * params.period_s
     mixed = np.zeros((MODELS, 12))
     for eye in range(2):
-        if memory.known[eye] > 0.5:
-            mix_models(memory.motions[eye], memory.mode_probabilities, mixed)
-            predict_motions(memory.motions[eye], time_s)
-    predict_modes(memory.mode_probabilities)
-    memory.moved_at = exposed
+        if state.known[eye] > 0.5:
+            mix_models(state.motions[eye], state.mode_probabilities, mixed)
+            predict_motions(state.motions[eye], time_s)
+    predict_modes(state.mode_probabilities)
+    state.moved_at = exposed
 
 
 @inlined
 def slip_variances(
-    memory: PredictorState,
-    rig: PredictorModel,
+    state: PredictorState,
+    params: PredictorParameters,
     exposed: float,
     variance: FloatArray,
     delay_variance: FloatArray,
@@ -63,8 +63,8 @@ def slip_variances(
     only the velocity of the eye relative to the target (slip) remains.
 
     Args:
-        memory: the predictor's state.
-        rig: the head's parameters.
+        state: the predictor's state.
+        params: the head's parameters.
         exposed: exposure time of the image, in periods.
         variance: (2, 2) variances of the goals for a known delay, rad^2.
         delay_variance: (2, 2) variances that the uncertain delay adds for a resting target, rad^2.
@@ -72,12 +72,12 @@ def slip_variances(
     """
     for eye in range(2):
         for joint in range(2):
-            after = angle_at(memory, rig.keep_every, exposed + 0.5, eye, joint)
-            before = angle_at(memory, rig.keep_every, exposed - 0.5, eye, joint)
-            speed = (after - before) / rig.period_s
-            share = speed - mean_rate(memory.motions[eye], memory.mode_probabilities, joint)
+            after = angle_at(state, params.keep_every, exposed + 0.5, eye, joint)
+            before = angle_at(state, params.keep_every, exposed - 0.5, eye, joint)
+            speed = (after - before) / params.period_s
+            share = speed - mean_rate(state.motions[eye], state.mode_probabilities, joint)
             share = min((share / max(abs(speed), _SLOW_RAD_S)) ** 2, 1.0)
             dating = JITTER_S * JITTER_S * speed * speed
             own = variance[eye, joint] - (1.0 - share) * dating
-            step = _ENCODER * rig.joint_step[eye, joint]
+            step = _ENCODER * params.joint_step[eye, joint]
             slip[eye, joint] = own + step * step + share * delay_variance[eye, joint]

@@ -31,14 +31,13 @@ from vergence.controllers.prediction.dating import (
     delay_posterior,
     forget_delay_evidence,
 )
-from vergence.controllers.prediction.joints import RING_LENGTH, PredictorModel
+from vergence.controllers.prediction.joints import RING_LENGTH, PredictorParameters
 from vergence.controllers.prediction.jumps import has_jumped
 from vergence.controllers.prediction.measuring import (
     average_exposure,
     goal_variance,
     measure_goals,
 )
-from vergence.controllers.prediction.memory import PredictorState, angle_at
 from vergence.controllers.prediction.moving import (
     MODES,
     Motions,
@@ -48,11 +47,12 @@ from vergence.controllers.prediction.moving import (
     update_modes,
 )
 from vergence.controllers.prediction.oscillation import reduce_count
+from vergence.controllers.prediction.predictor_state import PredictorState, angle_at
 from vergence.controllers.prediction.rest_or_motion import (
     classify_innovations,
     expect_motion,
-    find_direct_views,
     likely_model,
+    mark_directly_tracked_eyes,
     update_motion,
 )
 from vergence.models.packed import PackedHead
@@ -78,41 +78,45 @@ _MOST_NOISE_PX: Final = 3.0
 
 
 @inlined
-def _average_goals(memory: PredictorState, low: int, high: int, weights: FloatArray) -> None:
+def _average_goals(state: PredictorState, low: int, high: int, weights: FloatArray) -> None:
     """Compute the mean and the variance of the goals over the delay hypotheses."""
     for eye in range(2):
         for joint in range(2):
             mean = square = 0.0
-            first = memory.goals_by_delay[low, eye, joint]
+            first = state.goals_by_delay[low, eye, joint]
             for i in range(low, high):
-                off = memory.goals_by_delay[i, eye, joint] - first
+                off = state.goals_by_delay[i, eye, joint] - first
                 mean += weights[i] * off
                 square += weights[i] * off * off
-            memory.goals[eye, joint] = first + mean
-            memory.goal_variance_over_delays[eye, joint] = max(square - mean * mean, 0.0)
+            state.goals[eye, joint] = first + mean
+            state.goal_variance_over_delays[eye, joint] = max(square - mean * mean, 0.0)
 
 
 @inlined
-def _readmit_delays(memory: PredictorState, low: int, high: int) -> None:
+def _readmit_delays(state: PredictorState, low: int, high: int) -> None:
     """Initialise the goals of delays that are considered again with the current mean goals."""
     for i in range(low, high):
-        if memory.low <= i < memory.high:
+        if state.low <= i < state.high:
             continue
         for eye in range(2):
             for joint in range(2):
-                memory.goals_by_delay[i, eye, joint] = memory.goals[eye, joint]
-    memory.low, memory.high = low, high
+                state.goals_by_delay[i, eye, joint] = state.goals[eye, joint]
+    state.low, state.high = low, high
 
 
 @inlined
 def update_with_image(
-    memory: PredictorState, rig: PredictorModel, error: FloatArray, p: PackedHead, learn: bool
+    state: PredictorState,
+    params: PredictorParameters,
+    error: FloatArray,
+    p: PackedHead,
+    learn: bool,
 ) -> None:
     """Update the goals with a new image.
 
     Args:
-        memory: the predictor's state, changed in place; `image_age_s` is the age of the image.
-        rig: the head's parameters.
+        state: the predictor's state, changed in place; `image_age_s` is the age of the image.
+        params: the head's parameters.
         error: (2, 2) undistorted pixel errors by eye and image axis, px; nan where not visible.
         p: a packed head.
         learn: True to estimate the delay on line.
@@ -121,43 +125,43 @@ def update_with_image(
     angles_at_exposure, angles_by_delay = np.zeros((2, 2)), np.zeros((HYPOTHESES, 2, 2))
     goals = np.zeros((2, 2))
     inferred = np.zeros(2, dtype=np.bool_)
-    arrived = memory.periods - (memory.image_age_s - rig.image_latency_s) / rig.period_s
-    low, high = active_range(memory.delay_cost)
-    _readmit_delays(memory, low, high)
-    delay_posterior(memory.delay_cost, low, high, weights)
+    arrived = state.periods - (state.image_age_s - params.image_latency_s) / params.period_s
+    low, high = active_range(state.delay_cost)
+    _readmit_delays(state, low, high)
+    delay_posterior(state.delay_cost, low, high, weights)
     # eyes at rest for longer than the longest delay: every delay gives the present angles
-    still = memory.still_periods > (RING_LENGTH - 4.0) * rig.keep_every
+    still = state.still_periods > (RING_LENGTH - 4.0) * params.keep_every
     if still:
-        exposed = arrived - memory.delay_s / rig.period_s
+        exposed = arrived - state.delay_s / params.period_s
         for eye in range(2):
             for joint in range(2):
                 angles_at_exposure[eye, joint] = angle_at(
-                    memory, rig.keep_every, exposed, eye, joint
+                    state, params.keep_every, exposed, eye, joint
                 )
                 for i in range(low, high):
                     angles_by_delay[i, eye, joint] = angles_at_exposure[eye, joint]
     else:
-        memory.delay_s = average_exposure(
-            memory, rig, arrived, low, high, weights, angles_by_delay, angles_at_exposure,
+        state.delay_s = average_exposure(
+            state, params, arrived, low, high, weights, angles_by_delay, angles_at_exposure,
             delay_variance,
         )  # fmt: skip
-        exposed = arrived - memory.delay_s / rig.period_s
-    depth = (memory.depth[0], memory.depth[1])
-    most = rig.gap_rad + 4.0 * sqrt(2.0 * memory.detection_variance)
-    agree = measure_goals(memory, p, angles_at_exposure, error, most, goals) < most
+        exposed = arrived - state.delay_s / params.period_s
+    depth = (state.depth[0], state.depth[1])
+    most = params.gap_rad + 4.0 * sqrt(2.0 * state.detection_variance)
+    agree = measure_goals(state, p, angles_at_exposure, error, most, goals) < most
     for eye in range(2):
         inferred[eye] = not isfinite(error[eye, 0] + error[eye, 1])
     learn = learn and not still
     _filter(
-        memory, rig, arrived, exposed, low, high, angles_at_exposure, delay_variance,
+        state, params, arrived, exposed, low, high, angles_at_exposure, delay_variance,
         angles_by_delay, goals, inferred, depth, agree, learn,
     )  # fmt: skip
-    _average_goals(memory, low, high, weights)
+    _average_goals(state, low, high, weights)
 
 
 @inlined
 def _begin_goals(
-    memory: PredictorState,
+    state: PredictorState,
     eye: int,
     low: int,
     high: int,
@@ -168,21 +172,21 @@ def _begin_goals(
     agree: bool,
 ) -> None:
     """Initialise an eye's goals with an image."""
-    memory.known[eye], memory.confirmations[eye] = 1.0, 1.0 if agree else 0.0
+    state.known[eye], state.confirmations[eye] = 1.0, 1.0 if agree else 0.0
     for joint in range(2):
-        memory.filter_variance[eye, joint] = variance[eye, joint]
+        state.filter_variance[eye, joint] = variance[eye, joint]
         for i in range(low, high):
             off = angles_by_delay[i, eye, joint] - angles_at_exposure[eye, joint]
-            memory.goals_by_delay[i, eye, joint] = goals[eye, joint] + off
+            state.goals_by_delay[i, eye, joint] = goals[eye, joint] + off
 
 
 @inlined
 def _store_image(
-    memory: PredictorState, arrived: float, goals: FloatArray, angles_at_exposure: FloatArray
+    state: PredictorState, arrived: float, goals: FloatArray, angles_at_exposure: FloatArray
 ) -> None:
     """Store an image as the last one."""
-    memory.images[1] = memory.images[0]
-    image = memory.images[0]
+    state.images[1] = state.images[0]
+    image = state.images[0]
     image.arrived = arrived
     for eye in range(2):
         for joint in range(2):
@@ -191,19 +195,21 @@ def _store_image(
 
 
 @inlined
-def _learn_noise(memory: PredictorState, rig: PredictorModel, scatter: float, count: int) -> None:
+def _learn_noise(
+    state: PredictorState, params: PredictorParameters, scatter: float, count: int
+) -> None:
     """Update the detection variance with an image's squared deviations: their sum and number."""
-    least, most = _LEAST_NOISE_PX * rig.pixel_rad, _MOST_NOISE_PX * rig.pixel_rad
-    found = min(scatter / count, 9.0 * memory.detection_variance)
-    noise = memory.detection_variance + 0.25 * count * _NOISE_SHARE * (
-        found - memory.detection_variance
+    least, most = _LEAST_NOISE_PX * params.pixel_rad, _MOST_NOISE_PX * params.pixel_rad
+    found = min(scatter / count, 9.0 * state.detection_variance)
+    noise = state.detection_variance + 0.25 * count * _NOISE_SHARE * (
+        found - state.detection_variance
     )
-    memory.detection_variance = min(max(noise, least * least), most * most)
+    state.detection_variance = min(max(noise, least * least), most * most)
 
 
 @inlined
 def _filter_joint(
-    memory: PredictorState,
+    state: PredictorState,
     eye: int,
     joint: int,
     low: int,
@@ -221,7 +227,7 @@ def _filter_joint(
     Returns:
         Squared deviation due to detection noise, rad^2; negative if other terms hide it.
     """
-    before = memory.filter_variance[eye, joint] + _PROCESS * memory.detection_variance
+    before = state.filter_variance[eye, joint] + _PROCESS * state.detection_variance
     own = variance[eye, joint]
     gain = before / (before + own + delay_variance[eye, joint])
     least, most = inf, -inf
@@ -233,26 +239,26 @@ def _filter_joint(
     informative = not moves and (most - least) ** 2 > bound
     for i in range(low, high):
         off = angles_by_delay[i, eye, joint] - angles_at_exposure[eye, joint]
-        innovation = goals[eye, joint] + off - memory.goals_by_delay[i, eye, joint]
+        innovation = goals[eye, joint] + off - state.goals_by_delay[i, eye, joint]
         if informative:
             add_delay_cost(added, innovation * innovation / expected, i)
-        memory.goals_by_delay[i, eye, joint] += gain * innovation
-    memory.filter_variance[eye, joint] = (1.0 - gain) * before
+        state.goals_by_delay[i, eye, joint] += gain * innovation
+    state.filter_variance[eye, joint] = (1.0 - gain) * before
     calm = (
-        delay_variance[eye, joint] < 0.1 * memory.detection_variance
-        and own < 1.1 * memory.detection_variance
+        delay_variance[eye, joint] < 0.1 * state.detection_variance
+        and own < 1.1 * state.detection_variance
     )
     if moves or not calm:
         return -1.0
-    off = goals[eye, joint] - memory.goals[eye, joint]
-    square: float = off * off / (1.0 + before / memory.detection_variance)
+    off = goals[eye, joint] - state.goals[eye, joint]
+    square: float = off * off / (1.0 + before / state.detection_variance)
     return square
 
 
 @inlined
 def _filter(
-    memory: PredictorState,
-    rig: PredictorModel,
+    state: PredictorState,
+    params: PredictorParameters,
     arrived: float,
     exposed: float,
     low: int,
@@ -269,86 +275,90 @@ def _filter(
     """Update the filtered goals and the costs of the delays with a new image's goals."""
     variance, added = np.zeros((2, 2)), np.zeros(HYPOTHESES)
     outliers = 0.0
-    targets_move = rig.targets_move > 0.5
-    moves = targets_move and memory.mode_probabilities[0] < 0.5
+    targets_move = params.targets_move > 0.5
+    moves = targets_move and state.mode_probabilities[0] < 0.5
     for eye in range(2):
         if not isfinite(goals[eye, 0]):
             continue
         for joint in range(2):
             turn = goals[eye, joint] - angles_at_exposure[eye, joint]
-            variance[eye, joint] = goal_variance(memory, rig, exposed, eye, joint, turn)
+            variance[eye, joint] = goal_variance(state, params, exposed, eye, joint, turn)
     slip, backlash, direct = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2, dtype=np.bool_)
     is_outlier, matches_motion = np.zeros(2, dtype=np.bool_), np.zeros(2, dtype=np.bool_)
-    find_direct_views(memory, goals, inferred, direct)
+    mark_directly_tracked_eyes(state, goals, inferred, direct)
     if targets_move:
-        expect_motion(memory, rig, exposed, goals, direct, variance, delay_variance, slip, backlash)
+        expect_motion(
+            state, params, exposed, goals, direct, variance, delay_variance, slip, backlash
+        )
     outliers = classify_innovations(
-        memory, rig, goals, direct, variance, delay_variance, slip, agree, is_outlier,
+        state, params, goals, direct, variance, delay_variance, slip, agree, is_outlier,
         matches_motion,
     )  # fmt: skip
     if outliers == 1:  # one of the eyes shows an outlier, so the triangulated depth is wrong too
-        memory.depth[0], memory.depth[1] = depth[0], depth[1]
+        state.depth[0], state.depth[1] = depth[0], depth[1]
     scatter, count = 0.0, 0
-    nll, likely = np.zeros(MODES), likely_model(memory)
-    if targets_move and memory.known[0] + memory.known[1] == 0.0:
-        begin_modes(memory.mode_probabilities)
+    nll, likely = np.zeros(MODES), likely_model(state)
+    if targets_move and state.known[0] + state.known[1] == 0.0:
+        begin_modes(state.mode_probabilities)
     # an eye whose goals are inferred from the other one is processed second
     first = 1 if inferred[0] else 0
     for number in range(2):
         eye = number ^ first
         if not isfinite(goals[eye, 0]):
             continue
-        motions: Motions = memory.motions[eye]
+        motions: Motions = state.motions[eye]
         if inferred[eye]:
-            if moves and memory.displaced_count[1 - eye] < 0.5:
+            if moves and state.displaced_count[1 - eye] < 0.5:
                 update_from_other_eye(motions, goals[eye], slip[eye])
             goals[eye, 0] = goals[eye, 1] = nan
             continue
         if is_outlier[eye] and not matches_motion[eye]:
             other = 1 - eye
             alone = direct[other] and not is_outlier[other]
-            jumped = (outliers == 2 and agree) or memory.confirmations[eye] < 0.5
-            if not (jumped or has_jumped(memory, rig, eye, goals, variance, delay_variance, alone)):
+            jumped = (outliers == 2 and agree) or state.confirmations[eye] < 0.5
+            if not (
+                jumped or has_jumped(state, params, eye, goals, variance, delay_variance, alone)
+            ):
                 continue
-        memory.displaced_count[eye] = 0.0
+        state.displaced_count[eye] = 0.0
         if matches_motion[eye]:
             own_scatter = update_motion(
-                memory, rig, eye, low, high, angles_at_exposure, angles_by_delay, goals, variance,
+                state, params, eye, low, high, angles_at_exposure, angles_by_delay, goals, variance,
                 slip, backlash, likely, nll,
             )  # fmt: skip
             if moves and not is_outlier[eye]:
                 scatter, count = scatter + own_scatter, count + 2
         elif targets_move:
             begin_motion(motions, goals[eye], variance[eye, 0])
-        if is_outlier[eye] or memory.known[eye] < 0.5:
-            reduce_count(memory.oscillation)
+        if is_outlier[eye] or state.known[eye] < 0.5:
+            reduce_count(state.oscillation)
             _begin_goals(
-                memory, eye, low, high, goals, angles_at_exposure, angles_by_delay, variance, agree
+                state, eye, low, high, goals, angles_at_exposure, angles_by_delay, variance, agree
                 or matches_motion[eye],
             )  # fmt: skip
             continue
-        memory.confirmations[eye] += 1.0
+        state.confirmations[eye] += 1.0
         for joint in range(2):
             square = _filter_joint(
-                memory, eye, joint, low, high, angles_at_exposure, angles_by_delay, goals, variance,
+                state, eye, joint, low, high, angles_at_exposure, angles_by_delay, goals, variance,
                 delay_variance, moves, added,
             )  # fmt: skip
             if square >= 0.0:
                 scatter, count = scatter + square, count + 1
     if targets_move:
-        update_modes(memory.mode_probabilities, nll)
+        update_modes(state.mode_probabilities, nll)
     if learn and moves:
         compare_delays(
-            memory, rig, arrived, low, high, angles_at_exposure, angles_by_delay, goals, variance,
+            state, params, arrived, low, high, angles_at_exposure, angles_by_delay, goals, variance,
             added,
         )  # fmt: skip
     if learn:
-        accumulate_costs(memory.delay_cost, low, high, added)
+        accumulate_costs(state.delay_cost, low, high, added)
         # if rest and motion alternate, neither explains the images: the delay may be wrong
-        turned = moves != (targets_move and memory.mode_probabilities[0] < 0.5)
-        memory.mode_switches = _CALMS * memory.mode_switches + (1.0 if turned else 0.0)
-        if turned and memory.mode_switches > _MANY_TURNS:
-            forget_delay_evidence(memory.delay_cost)
-    _store_image(memory, arrived, goals, angles_at_exposure)
+        turned = moves != (targets_move and state.mode_probabilities[0] < 0.5)
+        state.mode_switches = _CALMS * state.mode_switches + (1.0 if turned else 0.0)
+        if turned and state.mode_switches > _MANY_TURNS:
+            forget_delay_evidence(state.delay_cost)
+    _store_image(state, arrived, goals, angles_at_exposure)
     if count > 0:
-        _learn_noise(memory, rig, scatter, count)
+        _learn_noise(state, params, scatter, count)

@@ -25,7 +25,7 @@ _RING_S: Final = 0.45
 """Least time that the ring buffer covers, s (numerical: longer than every delay hypothesis)."""
 
 
-class PredictorModel:
+class PredictorParameters:
     """Timing, sensors and actuators of a head, as its controller knows them.
 
     Arrays of four are by actuator of the eyes unless stated otherwise; where each of the four eye
@@ -84,21 +84,21 @@ class PredictorModel:
     0."""
 
 
-RIG: Final = row_layout(PredictorModel)
-RIG_SIZE: Final = row_size(RIG)
+PREDICTOR_PARAMETERS: Final = row_layout(PredictorParameters)
+PREDICTOR_PARAMETERS_SIZE: Final = row_size(PREDICTOR_PARAMETERS)
 _ORTHOGONAL: Final = 0.1
 """Largest cosine between two axes that count as at right angles (chosen)."""
 
 
-def pack_predictor_model(head: HeadModel, moving: bool = True) -> FloatArray:
-    """Pack the `PredictorModel` of a head into a row.
+def pack_predictor_parameters(head: HeadModel, moving: bool = True) -> FloatArray:
+    """Pack the `PredictorParameters` of a head into a row.
 
     Args:
         head: the model of the head.
         moving: True if targets may move.
 
     Returns:
-        A row of the layout `RIG`.
+        A row of the layout `PREDICTOR_PARAMETERS`.
     """
     timing, sensor, actuation = head.timing, head.sensor, head.actuation
     leverage = np.abs(actuation.to_joints).max(axis=0)
@@ -106,7 +106,7 @@ def pack_predictor_model(head: HeadModel, moving: bool = True) -> FloatArray:
     pixel_rad = 1.0 / float(np.mean(head.cameras.focal))
     moves = actuation.velocity[EYES] > 0.0
     return make_row(
-        RIG,
+        PREDICTOR_PARAMETERS,
         period_s=timing.period_s,
         latency_s=(0.0 if timing.exposure_stamps else timing.latency_s) - timing.feedback_latency_s,
         image_latency_s=0.0 if timing.exposure_stamps else timing.latency_s,

@@ -4,8 +4,8 @@ from typing import Final
 
 from vergence._jit import inlined
 from vergence.controllers.prediction.comparing import EXACT_RAD
-from vergence.controllers.prediction.joints import PredictorModel
-from vergence.controllers.prediction.memory import PredictorState
+from vergence.controllers.prediction.joints import PredictorParameters
+from vergence.controllers.prediction.predictor_state import PredictorState
 from vergence.models.parts import FloatArray
 
 DISPLACED_GATE: Final = 36.0
@@ -22,7 +22,7 @@ _DOUBTED_S: Final = 0.1
 
 @inlined
 def squared_mahalanobis(
-    memory: PredictorState,
+    state: PredictorState,
     eye: int,
     goals: FloatArray,
     variance: FloatArray,
@@ -31,7 +31,7 @@ def squared_mahalanobis(
     """Squared Mahalanobis distance of an image's goals of one eye from the filtered ones.
 
     Args:
-        memory: the predictor's state.
+        state: the predictor's state.
         eye: index of the eye.
         goals: (2, 2) goals of the image, rad.
         variance: (2, 2) variances of the goals for a known delay, rad^2.
@@ -42,8 +42,8 @@ def squared_mahalanobis(
     """
     most = 0.0
     for joint in range(2):
-        off = goals[eye, joint] - memory.goals[eye, joint]
-        known = memory.filter_variance[eye, joint] + memory.goal_variance_over_delays[eye, joint]
+        off = goals[eye, joint] - state.goals[eye, joint]
+        known = state.filter_variance[eye, joint] + state.goal_variance_over_delays[eye, joint]
         known += variance[eye, joint] + delay_variance[eye, joint]
         most = max(most, off * off / known)
     return most
@@ -51,8 +51,8 @@ def squared_mahalanobis(
 
 @inlined
 def has_jumped(
-    memory: PredictorState,
-    rig: PredictorModel,
+    state: PredictorState,
+    params: PredictorParameters,
     eye: int,
     goals: FloatArray,
     variance: FloatArray,
@@ -66,21 +66,21 @@ def has_jumped(
     the other eye sees its target unmoved.
 
     Args:
-        memory: the predictor's state; its count of images in a row is updated.
-        rig: the head's parameters.
+        state: the predictor's state; its count of images in a row is updated.
+        params: the head's parameters.
         eye: index of the eye.
         goals: (2, 2) goals of the image, rad.
         variance: (2, 2) variances of the goals for a known delay, rad^2.
         delay_variance: (2, 2) variances that the uncertain delay adds, rad^2.
         alone: True if the other eye sees its target where it was.
     """
-    again = memory.displaced_count[eye] > 0.5
+    again = state.displaced_count[eye] > 0.5
     for joint in range(2):
-        off = goals[eye, joint] - memory.displaced_goals[eye, joint]
+        off = goals[eye, joint] - state.displaced_goals[eye, joint]
         known = 2.0 * (variance[eye, joint] + delay_variance[eye, joint]) + 2.0 * EXACT_RAD**2
         again = again and off * off <= DISPLACED_GATE * known
-    memory.displaced_count[eye] = memory.displaced_count[eye] + 1.0 if again else 1.0
+    state.displaced_count[eye] = state.displaced_count[eye] + 1.0 if again else 1.0
     for joint in range(2):
-        memory.displaced_goals[eye, joint] = goals[eye, joint]
-    most = max(round((_ALONE_S if alone else _DOUBTED_S) / rig.frame_s), 2)
-    return bool(memory.displaced_count[eye] > min(max(memory.confirmations[eye], 2.0), most) - 0.5)
+        state.displaced_goals[eye, joint] = goals[eye, joint]
+    most = max(round((_ALONE_S if alone else _DOUBTED_S) / params.frame_s), 2)
+    return bool(state.displaced_count[eye] > min(max(state.confirmations[eye], 2.0), most) - 0.5)

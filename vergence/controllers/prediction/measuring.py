@@ -5,14 +5,14 @@ from typing import Final
 
 from vergence._jit import inlined
 from vergence.controllers.prediction.dating import SPACING_S
-from vergence.controllers.prediction.joints import PredictorModel
-from vergence.controllers.prediction.memory import PredictorState, angle_at
+from vergence.controllers.prediction.joints import PredictorParameters
+from vergence.controllers.prediction.predictor_state import PredictorState, angle_at
 from vergence.models.fixation import fixate_step
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 from vergence.models.pose import point_to_local
-from vergence.triangulation.lines_of_sight import depths_on_rays, rays_of_image
+from vergence.triangulation.lines_of_sight import depths_on_rays, rays_from_pixel_errors
 
 _MODEL: Final = 0.004
 """Model error of the head, standard deviation as a fraction of the angle to turn (chosen)."""
@@ -29,8 +29,8 @@ _NEWTON: Final = 10
 
 @inlined
 def average_exposure(
-    memory: PredictorState,
-    rig: PredictorModel,
+    state: PredictorState,
+    params: PredictorParameters,
     arrived: float,
     low: int,
     high: int,
@@ -42,8 +42,8 @@ def average_exposure(
     """Average the exposure time of an image, and the joint angles then, over the delay hypotheses.
 
     Args:
-        memory: the predictor's state.
-        rig: the head's parameters.
+        state: the predictor's state.
+        params: the head's parameters.
         arrived: arrival of the image (its stamp if the camera stamps exposures), in periods.
         low: index of the first delay hypothesis that is not ruled out.
         high: index one past the last of them.
@@ -58,12 +58,14 @@ def average_exposure(
     """
     delay = 0.0
     for i in range(low, high):
-        own = memory.first_delay_s + SPACING_S * i
+        own = state.first_delay_s + SPACING_S * i
         delay += weights[i] * own
         for eye in range(2):
             for joint in range(2):
-                tick = arrived - own / rig.period_s
-                angles_by_delay[i, eye, joint] = angle_at(memory, rig.keep_every, tick, eye, joint)
+                tick = arrived - own / params.period_s
+                angles_by_delay[i, eye, joint] = angle_at(
+                    state, params.keep_every, tick, eye, joint
+                )
     for eye in range(2):
         for joint in range(2):
             mean = square = 0.0
@@ -78,7 +80,7 @@ def average_exposure(
 
 @inlined
 def measure_goals(
-    memory: PredictorState,
+    state: PredictorState,
     p: PackedHead,
     angles_at_exposure: FloatArray,
     error: FloatArray,
@@ -91,7 +93,7 @@ def measure_goals(
     depth last triangulated by both.
 
     Args:
-        memory: the predictor's state; its depths are changed in place.
+        state: the predictor's state; its depths are changed in place.
         p: a packed head.
         angles_at_exposure: (2, 2) joint angles at the exposure, rad.
         error: (2, 2) undistorted pixel errors by eye and image axis, px; nan where not visible.
@@ -103,7 +105,7 @@ def measure_goals(
         Miss distance of both eyes' rays, divided by the target's distance; nan unless both eyes see
         it.
     """
-    left, right = rays_of_image(
+    left, right = rays_from_pixel_errors(
         p,
         eye_frames(p, 0, angles_at_exposure[0, 0], angles_at_exposure[0, 1]).camera,
         eye_frames(p, 1, angles_at_exposure[1, 0], angles_at_exposure[1, 1]).camera,
@@ -119,21 +121,21 @@ def measure_goals(
         y = ay + depths.left * by - cy - depths.right * dy
         z = az + depths.left * bz - cz - depths.right * dz
         gap = sqrt(x * x + y * y + z * z) / depths.left
-        if gap < max_miss_ratio or memory.known[0] + memory.known[1] == 0.0:
-            memory.depth[0], memory.depth[1] = depths.left, depths.right
+        if gap < max_miss_ratio or state.known[0] + state.known[1] == 0.0:
+            state.depth[0], state.depth[1] = depths.left, depths.right
     for eye in range(2):
         source = eye
         if not (isfinite(error[eye, 0]) and isfinite(error[eye, 1])):
             source = 1 - eye
-            if memory.known[eye] < 0.5 or not isfinite(error[source, 0] + error[source, 1]):
+            if state.known[eye] < 0.5 or not isfinite(error[source, 0] + error[source, 1]):
                 goals[eye, 0] = goals[eye, 1] = nan
                 continue
-        z = memory.depth[source]
+        z = state.depth[source]
         o, d = left if source == 0 else right
         x, y, z = o[0] + z * d[0], o[1] + z * d[1], o[2] + z * d[2]
         q1, q2 = angles_at_exposure[eye, 0], angles_at_exposure[eye, 1]
-        if memory.known[eye] > 0.5:  # Newton's method from the last goal needs one step
-            q1, q2 = memory.goals[eye, 0], memory.goals[eye, 1]
+        if state.known[eye] > 0.5:  # Newton's method from the last goal needs one step
+            q1, q2 = state.goals[eye, 0], state.goals[eye, 1]
         for _ in range(_NEWTON):
             d1, d2 = fixate_step(p, eye, q1, q2, x, y, z)
             q1 += min(max(d1, -0.5), 0.5)
@@ -144,27 +146,32 @@ def measure_goals(
         if source != eye:
             continue
         frames = eye_frames(p, eye, q1, q2)
-        memory.fixated_depth[eye] = point_to_local(frames.camera, x, y, z)[2]
+        state.fixated_depth[eye] = point_to_local(frames.camera, x, y, z)[2]
     return gap
 
 
 @inlined
 def goal_variance(
-    memory: PredictorState, rig: PredictorModel, exposed: float, eye: int, joint: int, turn: float
+    state: PredictorState,
+    params: PredictorParameters,
+    exposed: float,
+    eye: int,
+    joint: int,
+    turn: float,
 ) -> float:
     """Variance of a measured goal for a known delay, rad^2.
 
     Args:
-        memory: the predictor's state.
-        rig: the head's parameters.
+        state: the predictor's state.
+        params: the head's parameters.
         exposed: exposure time of the image, in periods.
         eye: index of the eye.
         joint: index of its joint.
         turn: angle from the joint's position at the exposure to the goal, rad.
     """
-    after = angle_at(memory, rig.keep_every, exposed + 0.5, eye, joint)
-    before = angle_at(memory, rig.keep_every, exposed - 0.5, eye, joint)
-    speed, model = (after - before) / rig.period_s, _MODEL * turn
-    encoder = _ENCODER * rig.joint_step[eye, joint] if abs(speed) > _MOVING_RAD_S else 0.0
+    after = angle_at(state, params.keep_every, exposed + 0.5, eye, joint)
+    before = angle_at(state, params.keep_every, exposed - 0.5, eye, joint)
+    speed, model = (after - before) / params.period_s, _MODEL * turn
+    encoder = _ENCODER * params.joint_step[eye, joint] if abs(speed) > _MOVING_RAD_S else 0.0
     jitter = JITTER_S * speed
-    return memory.detection_variance + jitter * jitter + model * model + encoder * encoder
+    return state.detection_variance + jitter * jitter + model * model + encoder * encoder

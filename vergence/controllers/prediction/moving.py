@@ -278,7 +278,7 @@ def innovation_nll(innovation: float, variance: float) -> float:
 
 
 @inlined
-def add_nll(nll: FloatArray, eye_nll: FloatArray) -> None:
+def add_bounded_nll(nll: FloatArray, eye_nll: FloatArray) -> None:
     """Add the negative log-likelihoods of one eye (MODES,), bounded relative to the best mode.
 
     The bound keeps an outlier of one eye from ruling out a mode with one image.

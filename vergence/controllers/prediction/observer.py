@@ -21,7 +21,7 @@ from math import exp, sqrt
 from typing import Annotated, Final
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.joints import PredictorModel, clip_to_quantisation
+from vergence.controllers.prediction.joints import PredictorParameters, clip_to_quantisation
 from vergence.controllers.prediction.response import (
     Response,
     command_at,
@@ -87,15 +87,15 @@ class Observer:
     """Last measured velocity, rad/s."""
     first_angle: Annotated[FloatArray, 4]
     """Measured angle at the start of the comparison, rad."""
-    first_speed: Annotated[FloatArray, 4]
+    first_velocity: Annotated[FloatArray, 4]
     """Measured velocity at the start of the comparison, rad/s."""
-    summed: Annotated[FloatArray, 4]
+    integrated_velocity: Annotated[FloatArray, 4]
     """Integral of the measured velocity since then, rad."""
-    compared: Annotated[FloatArray, 4]
+    compared_periods: Annotated[FloatArray, 4]
     """Periods since then."""
     information: float
     """Fisher information on the delay of the velocities, 1/s^2."""
-    moment: float
+    delay_times_information: float
     """Information times the delay, 1/s."""
     delay_s: float
     """Delay of velocities behind angles, s."""
@@ -106,8 +106,8 @@ class Observer:
 @inlined
 def begin_comparison(observer: Observer, j: int, angle: float, rate: float) -> None:
     """Start comparing the angles and the velocities of an actuator."""
-    observer.first_angle[j], observer.first_speed[j] = angle, rate
-    observer.summed[j] = observer.compared[j] = 0.0
+    observer.first_angle[j], observer.first_velocity[j] = angle, rate
+    observer.integrated_velocity[j] = observer.compared_periods[j] = 0.0
     observer.last_velocity[j] = rate
 
 
@@ -118,36 +118,40 @@ def _delay_sd(observer: Observer) -> float:
 
 @inlined
 def _update_delay(
-    observer: Observer, rig: PredictorModel, j: int, angle: float, rate: float
+    observer: Observer, params: PredictorParameters, j: int, angle: float, rate: float
 ) -> None:
     """Update the delay of the velocities with a reading."""
-    period = rig.period_s
-    observer.summed[j] += 0.5 * period * (rate + observer.last_velocity[j])
-    observer.compared[j] += 1.0
+    period = params.period_s
+    observer.integrated_velocity[j] += 0.5 * period * (rate + observer.last_velocity[j])
+    observer.compared_periods[j] += 1.0
     observer.last_velocity[j] = rate
     travel = angle - observer.first_angle[j]
-    change = rate - observer.first_speed[j]
-    ahead = travel - observer.summed[j]
-    steps = 0.4 * rig.angle_step[j] + 0.3 * period * rig.speed_step[j] * sqrt(observer.compared[j])
+    change = rate - observer.first_velocity[j]
+    ahead = travel - observer.integrated_velocity[j]
+    steps = 0.4 * params.angle_step[j] + 0.3 * period * params.speed_step[j] * sqrt(
+        observer.compared_periods[j]
+    )
     share = _TRAVEL * travel
     variance = steps * steps + share * share + _ANGLE_RAD * _ANGLE_RAD
     if abs(change) > _INFORMATIVE_RAD_S:
         weight = 0.25 / variance  # successive readings have correlated errors
         observer.information = _FORGET * observer.information + weight * change * change
-        observer.moment = _FORGET * observer.moment + weight * change * ahead
+        observer.delay_times_information = (
+            _FORGET * observer.delay_times_information + weight * change * ahead
+        )
     if abs(travel) > 4.0 * (steps + _ANGLE_RAD):
         off = ahead - observer.delay_s * change
         square = min(off * off / variance, _MOST_MISFIT)
         observer.misfit += _SETTLES * (square - observer.misfit)
-    delay_s = observer.moment * _delay_sd(observer) ** 2
+    delay_s = observer.delay_times_information * _delay_sd(observer) ** 2
     observer.delay_s = min(max(delay_s, 0.0), _OLDEST_S)
-    at_rest = rate == 0.0 and abs(travel - observer.summed[j]) <= rig.angle_step[j]
-    if at_rest or observer.compared[j] * period > _COMPARED_S:
+    at_rest = rate == 0.0 and abs(travel - observer.integrated_velocity[j]) <= params.angle_step[j]
+    if at_rest or observer.compared_periods[j] * period > _COMPARED_S:
         begin_comparison(observer, j, angle, rate)
 
 
 @inlined
-def reads_without_delay(observer: Observer) -> bool:
+def no_velocity_delay_found(observer: Observer) -> bool:
     """True if no evidence says that velocities are read with a delay."""
     return observer.delay_s < _PROMPT_S and observer.misfit < _EXPLAINED
 
@@ -166,12 +170,12 @@ def _relative_acceleration_sd(response: Response, period: float) -> float:
 def update_observer(
     observer: Observer,
     response: Response,
-    rig: PredictorModel,
+    params: PredictorParameters,
     tick: int,
     j: int,
-    before: float,
-    q: float,
-    v: float,
+    velocity_before: float,
+    predicted_angle: float,
+    predicted_velocity: float,
     angle: float,
     rate: float,
 ) -> tuple[float, float]:
@@ -180,59 +184,73 @@ def update_observer(
     Args:
         observer: changed in place.
         response: model of the actuators' response.
-        rig: the head's parameters.
+        params: the head's parameters.
         tick: the period that has ended.
         j: index of the actuator.
-        before: its velocity at the start of the period, rad/s.
-        q: its angle predicted from the commands, rad.
-        v: its velocity predicted from the commands, rad/s.
+        velocity_before: its velocity at the start of the period, rad/s.
+        predicted_angle: its angle predicted from the commands, rad.
+        predicted_velocity: its velocity predicted from the commands, rad/s.
         angle: the measured angle, rad.
         rate: the measured velocity, rad/s.
 
     Returns:
         The angle, within the resolution about the reading, rad, and the velocity, rad/s.
     """
-    period, c, model = rig.period_s, observer.covariance[j], selected_model(response)
-    lag = rig.lag_ratio[j] * exp(model.parameters[2])
+    period, c, model = params.period_s, observer.covariance[j], selected_model(response)
+    lag = params.lag_ratio[j] * exp(model.parameters[2])
     late_s = model.parameters[0] + 2.0 * sqrt(max(model.variance[0], 0.0))
     asked, gain = 0.0, exp(model.gain[j])
-    for i in range(int(min(late_s, longest_latency(rig)) / period) + 2):
-        asked = max(asked, abs(gain * command_at(response, tick - i, j) - v))
-    most = rig.acceleration_limit[j] * exp(model.parameters[1] + sqrt(max(model.variance[1], 0.0)))
+    for i in range(int(min(late_s, longest_latency(params)) / period) + 2):
+        asked = max(asked, abs(gain * command_at(response, tick - i, j) - predicted_velocity))
+    most = params.acceleration_limit[j] * exp(
+        model.parameters[1] + sqrt(max(model.variance[1], 0.0))
+    )
     sd = _relative_acceleration_sd(response, period) * period * min(most, asked / lag)
     noise = sd * sd + _PUSHED_RAD_S * _PUSHED_RAD_S
     left = lag_decay(period, lag)
     c[0] += period * (2.0 * c[1] + period * (c[2] + noise / 3.0))
     c[1] = left * (c[1] + period * c[2]) + 0.5 * period * noise
     c[2] = left * left * c[2] + noise
-    step = _ANGLE * rig.angle_step[j]
+    step = _ANGLE * params.angle_step[j]
     innovation_variance = c[0] + step * step + _ANGLE_RAD * _ANGLE_RAD
-    innovation = clip_to_quantisation(q, angle, rig.angle_step[j]) - q
+    innovation = (
+        clip_to_quantisation(predicted_angle, angle, params.angle_step[j]) - predicted_angle
+    )
     k, kv = c[0] / innovation_variance, c[1] / innovation_variance
-    q, v = q + k * innovation, v + kv * innovation
+    predicted_angle, predicted_velocity = (
+        predicted_angle + k * innovation,
+        predicted_velocity + kv * innovation,
+    )
     c[2] -= kv * c[1]
     c[1] *= 1.0 - k
     c[0] *= 1.0 - k
-    _update_delay(observer, rig, j, angle, rate)
+    _update_delay(observer, params, j, angle, rate)
     # measurement update with the reported velocity
     delay = observer.delay_s
     taken = 1.0 - lag_decay(period, delay)
-    expected = observer.expected_velocity[j] + taken * (v - observer.expected_velocity[j])
-    acceleration = abs(v - before) / period
+    expected = observer.expected_velocity[j] + taken * (
+        predicted_velocity - observer.expected_velocity[j]
+    )
+    acceleration = abs(predicted_velocity - velocity_before) / period
     observer.recent_acceleration[j] = max(0.8 * observer.recent_acceleration[j], acceleration)
     delay_sd = _delay_sd(observer) + _SHAPE * delay
-    speed_sd = _SPEED * rig.speed_step[j] + _SPEED_RAD_S + _SPEED_SHARE * abs(v)
+    speed_sd = _SPEED * params.speed_step[j] + _SPEED_RAD_S + _SPEED_SHARE * abs(predicted_velocity)
     speed_sd += observer.recent_acceleration[j] * delay_sd
     innovation_variance = c[2] + speed_sd * speed_sd * max(observer.misfit, 1.0)
-    innovation = clip_to_quantisation(expected, rate, rig.speed_step[j]) - expected
+    innovation = clip_to_quantisation(expected, rate, params.speed_step[j]) - expected
     # Cauchy weight: outliers count for little
     innovation_variance += innovation * innovation / 9.0
     k, kv = c[1] / innovation_variance, c[2] / innovation_variance
-    q, v = q + k * innovation, v + kv * innovation
+    predicted_angle, predicted_velocity = (
+        predicted_angle + k * innovation,
+        predicted_velocity + kv * innovation,
+    )
     c[0] -= k * c[1]
     c[1] *= 1.0 - kv
     c[2] *= 1.0 - kv
     observer.expected_velocity[j] = expected + kv * innovation
     # bound the effect of a corrupted packet
-    fastest = _FASTEST * rig.speed_limit[j]
-    return clip_to_quantisation(q, angle, rig.angle_step[j]), min(max(v, -fastest), fastest)
+    fastest = _FASTEST * params.speed_limit[j]
+    return clip_to_quantisation(predicted_angle, angle, params.angle_step[j]), min(
+        max(predicted_velocity, -fastest), fastest
+    )

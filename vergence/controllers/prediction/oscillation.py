@@ -11,7 +11,7 @@ from math import exp2, pi, sqrt
 from typing import Annotated, Final
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.joints import PredictorModel
+from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.models.parts import FloatArray
 
 _LEAST_RAD: Final = 0.003
@@ -96,7 +96,7 @@ def begin_oscillation(oscillation: Oscillation, eye: int, joint: int, angle: flo
 @inlined
 def update_oscillation(
     oscillation: Oscillation,
-    rig: PredictorModel,
+    params: PredictorParameters,
     eye: int,
     joint: int,
     angle: float,
@@ -107,19 +107,19 @@ def update_oscillation(
 
     Args:
         oscillation: changed in place.
-        rig: the head's parameters.
+        params: the head's parameters.
         eye: index of the eye.
         joint: index of its joint.
         angle: its present angle, rad.
         aim: its goal, rad.
         noise: detection variance, rad^2.
     """
-    least = _LEAST_RAD + _STEPS * rig.joint_step[eye, joint] + _NOISES * sqrt(noise)
+    least = _LEAST_RAD + _STEPS * params.joint_step[eye, joint] + _NOISES * sqrt(noise)
     side, farthest = oscillation.side[eye, joint], oscillation.farthest[eye, joint]
     oscillation.periods_since[eye, joint] += 1.0
     goal_moved = abs(aim - oscillation.aim[eye, joint])
     oscillation.goal_moved[eye, joint, 0] = max(oscillation.goal_moved[eye, joint, 0], goal_moved)
-    if oscillation.periods_since[eye, joint] * rig.period_s > _SLOW_S:
+    if oscillation.periods_since[eye, joint] * params.period_s > _SLOW_S:
         oscillation.half_swing[eye, joint] = 0.0
     if side == 0.0:
         off = angle - oscillation.turned_at[eye, joint]
@@ -138,7 +138,7 @@ def update_oscillation(
     oscillation.goal_moved[eye, joint, 1] = oscillation.goal_moved[eye, joint, 0]
     oscillation.goal_moved[eye, joint, 0] = 0.0
     before = oscillation.half_swing[eye, joint]
-    time_s = (oscillation.periods_since[eye, joint]) * rig.period_s
+    time_s = (oscillation.periods_since[eye, joint]) * params.period_s
     fast = pi * half > _SLOW_RAD_S * time_s
     if before > 0.0 and fast and half > _GOALS * goal_moved:
         share = (half / before - _DIES) / (_LASTS - _DIES)

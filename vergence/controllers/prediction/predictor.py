@@ -26,17 +26,21 @@ from vergence._jit import compiled, inlined
 from vergence.controllers.freshness import is_fresh
 from vergence.controllers.prediction.aim import least_squares_aim
 from vergence.controllers.prediction.aiming import extrapolate_targets, present_error
-from vergence.controllers.prediction.backlash import cross_backlash
+from vergence.controllers.prediction.backlash import inflate_variance_at_reversal
 from vergence.controllers.prediction.goals import update_with_image
-from vergence.controllers.prediction.joints import RIG, PredictorModel, pack_predictor_model
-from vergence.controllers.prediction.memory import (
-    MEMORY,
-    SIZE,
+from vergence.controllers.prediction.joints import (
+    PREDICTOR_PARAMETERS,
+    PredictorParameters,
+    pack_predictor_parameters,
+)
+from vergence.controllers.prediction.oscillation import decay_count, update_oscillation
+from vergence.controllers.prediction.predictor_state import (
+    PREDICTOR_STATE,
+    PREDICTOR_STATE_SIZE,
     PredictorState,
     initial_row,
     update_joints,
 )
-from vergence.controllers.prediction.oscillation import decay_count, update_oscillation
 from vergence.controllers.prediction.response import (
     longest_latency,
     selected_model,
@@ -186,11 +190,11 @@ class Predictor:
         self.head = head
         self.layout = layout
         self._packed = with_virtual_joints(head)
-        self.rig = pack_predictor_model(head, moving)
+        self.params = pack_predictor_parameters(head, moving)
         self._learn_delay = delay == "estimated"
         self._learn_response = lag == "estimated"
         self._initial = initial_row(
-            self.rig, head.timing.exposure_stamps, self._learn_delay, self._learn_response
+            self.params, head.timing.exposure_stamps, self._learn_delay, self._learn_response
         )
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -201,7 +205,7 @@ class Predictor:
     @property
     def size(self) -> int:
         """Length of a head's state."""
-        return SIZE
+        return PREDICTOR_STATE_SIZE
 
     def initial(self) -> FloatArray:
         """(size,) the state before the first observation."""
@@ -228,14 +232,14 @@ class Predictor:
             np.ascontiguousarray(seen.last_command).reshape(-1, 4),
             np.ascontiguousarray(seen.image_age_s).reshape(-1),
             np.ascontiguousarray(seen.pixel_error).reshape(-1, 2, 2),
-            self.rig,
+            self.params,
             self._packed,
             self._learn_delay,
             self._learn_response,
             present.reshape(-1, _PREDICTION_SIZE),
         )
         if not self.head.actuation.direct:
-            _fill_coupled(rows, self.rig, self._packed, present.reshape(-1, _PREDICTION_SIZE))
+            _fill_coupled(rows, self.params, self._packed, present.reshape(-1, _PREDICTION_SIZE))
         fields: Any = present.view(_PREDICTION)[..., 0]
         values: dict[str, Any] = {name: fields[name] for name in Prediction._fields}
         return Prediction(**{**values, "known": values["known"] > 0.5})
@@ -243,74 +247,74 @@ class Predictor:
 
 @inlined
 def _update_goals(
-    memory: PredictorState,
-    rig: PredictorModel,
+    state: PredictorState,
+    params: PredictorParameters,
     age_s: float,
     error: FloatArray,
     p: PackedHead,
     learn_delay: bool,
 ) -> None:
     """Update with the newest image if it is new; drop goals not seen for longer than `HOLD_S`."""
-    fresh = is_fresh(age_s, memory.image_age_s, rig.period_s)
-    memory.image_age_s = age_s
+    fresh = is_fresh(age_s, state.image_age_s, params.period_s)
+    state.image_age_s = age_s
     for eye in range(2):
-        memory.unseen_periods[eye] += 1.0
+        state.unseen_periods[eye] += 1.0
         if fresh and isfinite(error[eye, 0]) and isfinite(error[eye, 1]):
-            memory.unseen_periods[eye] = 0.0
-    if memory.unseen_periods[0] == 0.0 or memory.unseen_periods[1] == 0.0:
-        update_with_image(memory, rig, error, p, learn_delay)
+            state.unseen_periods[eye] = 0.0
+    if state.unseen_periods[0] == 0.0 or state.unseen_periods[1] == 0.0:
+        update_with_image(state, params, error, p, learn_delay)
     for eye in range(2):
-        unseen = memory.unseen_periods[eye]
+        unseen = state.unseen_periods[eye]
         # the other eye shows where a moving target is
-        if rig.targets_move > 0.5 and memory.mode_probabilities[0] < 0.5:
-            unseen = min(unseen, memory.unseen_periods[1 - eye])
-        if unseen > round(HOLD_S / rig.period_s):
-            memory.known[eye] = 0.0
+        if params.targets_move > 0.5 and state.mode_probabilities[0] < 0.5:
+            unseen = min(unseen, state.unseen_periods[1 - eye])
+        if unseen > round(HOLD_S / params.period_s):
+            state.known[eye] = 0.0
 
 
 @inlined
 def _fill_prediction(
-    memory: PredictorState, rig: PredictorModel, p: PackedHead, present: _PredictionRow
+    state: PredictorState, params: PredictorParameters, p: PackedHead, present: _PredictionRow
 ) -> None:
     """Fill in the prediction: the state and the angles left to turn when the next command acts."""
-    response, direct = memory.response, has_motor_per_joint(p)
+    response, direct = state.response, has_motor_per_joint(p)
     model = selected_model(response)
     sd = sqrt(max(model.variance[0], 0.0))
-    latency = min(model.parameters[0] + _LATER * sd, longest_latency(rig))
+    latency = min(model.parameters[0] + _LATER * sd, longest_latency(params))
     for j in range(4):
-        q, v = memory.actuators[j], memory.velocity[j]
-        q, v, w = state_when_next_acts(response, rig, int(memory.periods), j, q, v, latency)
-        present.actuators[j] = min(max(q, rig.lower[j]), rig.upper[j])
+        q, v = state.actuators[j], state.velocity[j]
+        q, v, w = state_when_next_acts(response, params, int(state.periods), j, q, v, latency)
+        present.actuators[j] = min(max(q, params.lower[j]), params.upper[j])
         present.velocities[j], present.accelerations[j] = v, w
         present.speed_gain[j] = exp(model.gain[j])
-    extrapolate_targets(memory, rig, memory.periods + latency / rig.period_s)
+    extrapolate_targets(state, params, state.periods + latency / params.period_s)
     for j in range(4):
         present.positions[j] = present.actuators[j]
         if not direct:
             present.positions[j] = eye_joint_angle(p, j, present.actuators)
     for eye in range(2):
-        present.known[eye] = memory.known[eye]
+        present.known[eye] = state.known[eye]
         first, second = present.positions[2 * eye], present.positions[2 * eye + 1]
-        u, v = present_error(memory, p, eye, first, second)
+        u, v = present_error(state, p, eye, first, second)
         present.pixel_error[eye, 0], present.pixel_error[eye, 1] = u, v
     for j in range(4):
         present.angle_error[j] = present.rates[j] = present.later_rates[j] = 0.0
         # `_fill_coupled` computes this for coupled joints
         if direct and present.known[j // 2] > 0.5:
-            aim, rate = memory.aims[j // 2, j % 2], memory.rates[j // 2, j % 2]
-            goal = min(max(aim, rig.lower[j]), rig.upper[j])
+            aim, rate = state.aims[j // 2, j % 2], state.rates[j // 2, j % 2]
+            goal = min(max(aim, params.lower[j]), params.upper[j])
             present.angle_error[j] = goal - present.actuators[j]
             if goal == aim:
                 present.rates[j] = rate
-                present.later_rates[j] = memory.later_rates[j // 2, j % 2]
-    present.delay_s, present.lag_s = memory.delay_s, exp(model.parameters[2])
+                present.later_rates[j] = state.later_rates[j // 2, j % 2]
+    present.delay_s, present.lag_s = state.delay_s, exp(model.parameters[2])
     present.build_up = model.parameters[3]
     present.latency_s, present.latency_sd_s = model.parameters[0], sd
     present.acceleration_ratio = exp(model.parameters[1])
     present.acceleration_sd = sqrt(max(model.variance[1], 0.0))
-    present.noise_rad = sqrt(memory.detection_variance)
+    present.noise_rad = sqrt(state.detection_variance)
     present.misfit = model.misfit if response.windows > 0.5 else 0.0
-    present.half_swings = memory.oscillation.count
+    present.half_swings = state.oscillation.count
 
 
 @compiled
@@ -321,72 +325,73 @@ def _update(
     command: FloatArray,
     age_s: FloatArray,
     error: FloatArray,
-    rig_row: FloatArray,
+    params_row: FloatArray,
     p: PackedHead,
     learn_delay: bool,
     learn_response: bool,
     present_rows: FloatArray,
 ) -> None:
-    rig: PredictorModel = record_view(rig_row, RIG)
+    params: PredictorParameters = record_view(params_row, PREDICTOR_PARAMETERS)
     for n in range(rows.shape[0]):
-        memory: PredictorState = record_view(rows[n][:SIZE], MEMORY)
-        update_joints(memory, rig, p, positions[n], velocities[n], command[n], learn_response)
-        _update_goals(memory, rig, age_s[n], error[n], p, learn_delay)
-        cross_backlash(memory, p, command[n])
-        decay_count(memory.oscillation, rig.period_s)
+        state: PredictorState = record_view(rows[n][:PREDICTOR_STATE_SIZE], PREDICTOR_STATE)
+        update_joints(state, params, p, positions[n], velocities[n], command[n], learn_response)
+        _update_goals(state, params, age_s[n], error[n], p, learn_delay)
+        inflate_variance_at_reversal(state, p, command[n])
+        decay_count(state.oscillation, params.period_s)
         for eye in range(2):
-            for joint in range(2 if memory.known[eye] > 0.5 else 0):
-                q = eye_joint_angle(p, 2 * eye + joint, memory.actuators)
-                aim = memory.aims[eye, joint]
+            for joint in range(2 if state.known[eye] > 0.5 else 0):
+                q = eye_joint_angle(p, 2 * eye + joint, state.actuators)
+                aim = state.aims[eye, joint]
                 update_oscillation(
-                    memory.oscillation, rig, eye, joint, q, aim, memory.detection_variance
+                    state.oscillation, params, eye, joint, q, aim, state.detection_variance
                 )
-        _fill_prediction(memory, rig, p, record_view(present_rows[n], _PREDICTION))
+        _fill_prediction(state, params, p, record_view(present_rows[n], _PREDICTION))
 
 
 @compiled
 def _fill_coupled(
-    rows: FloatArray, rig_row: FloatArray, p: PackedHead, present_rows: FloatArray
+    rows: FloatArray, params_row: FloatArray, p: PackedHead, present_rows: FloatArray
 ) -> None:
     """Compute the angles left to turn where actuators couple the eyes' joints."""
-    rig: PredictorModel = record_view(rig_row, RIG)
+    params: PredictorParameters = record_view(params_row, PREDICTOR_PARAMETERS)
     goals, ahead, jacobian = np.zeros(4), np.zeros(4), np.zeros((2, 2, 2))
     later, shown = np.zeros((2, 2)), np.zeros(4)
     for n in range(rows.shape[0]):
-        memory: PredictorState = record_view(rows[n][:SIZE], MEMORY)
+        state: PredictorState = record_view(rows[n][:PREDICTOR_STATE_SIZE], PREDICTOR_STATE)
         present: _PredictionRow = record_view(present_rows[n], _PREDICTION)
         left, right = present.known[0] > 0.5, present.known[1] > 0.5
         if not (left or right):
             continue
-        depth_l, depth_r = memory.fixated_depth[0], memory.fixated_depth[1]
+        depth_l, depth_r = state.fixated_depth[0], state.fixated_depth[1]
         least_squares_aim(
-            p, memory.aims, depth_l, depth_r, left, right, present.actuators, jacobian, goals
+            p, state.aims, depth_l, depth_r, left, right, present.actuators, jacobian, goals
         )
         moves = False
         for eye in range(2):
             for joint in range(2):
-                moves = moves or memory.rates[eye, joint] != 0.0
+                moves = moves or state.rates[eye, joint] != 0.0
         if moves:
             for eye in range(2):
                 for joint in range(2):
-                    turn = _AHEAD_S * memory.rates[eye, joint]
-                    later[eye, joint] = memory.aims[eye, joint] + turn
+                    turn = _AHEAD_S * state.rates[eye, joint]
+                    later[eye, joint] = state.aims[eye, joint] + turn
             least_squares_aim(
                 p, later, depth_l, depth_r, left, right, present.actuators, jacobian, ahead
             )
             for eye in range(2):
                 for joint in range(2):
-                    turn = _AHEAD_S * memory.later_rates[eye, joint]
-                    later[eye, joint] = memory.aims[eye, joint] + turn
+                    turn = _AHEAD_S * state.later_rates[eye, joint]
+                    later[eye, joint] = state.aims[eye, joint] + turn
             least_squares_aim(
                 p, later, depth_l, depth_r, left, right, present.actuators, jacobian, shown
             )
         for j in range(4):
             if (
-                rig.moves_eye[j, 0] * present.known[0] + rig.moves_eye[j, 1] * present.known[1]
+                params.moves_eye[j, 0] * present.known[0]
+                + params.moves_eye[j, 1] * present.known[1]
                 > 0.0
             ):
-                goal = min(max(goals[j], rig.lower[j]), rig.upper[j])
+                goal = min(max(goals[j], params.lower[j]), params.upper[j])
                 present.angle_error[j] = goal - present.actuators[j]
                 if moves and goal == goals[j]:
                     present.rates[j] = (ahead[j] - goals[j]) / _AHEAD_S

@@ -19,7 +19,7 @@ from typing import Annotated, Final
 import numpy as np
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.joints import PredictorModel
+from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.models.held_response import follow_held, prepare_held_response
 from vergence.models.parts import FloatArray
 
@@ -137,12 +137,12 @@ def selected_model(response: Response) -> ResponseModel:
 
 
 @inlined
-def longest_latency(rig: PredictorModel) -> float:
+def longest_latency(params: PredictorParameters) -> float:
     """Longest latency of commands plus readings that is considered, s.
 
     The ring buffer holds the commands of a window of readings and of this latency before it.
     """
-    return min(max(LONGEST_S, rig.response_s), rig.period_s * (COMMANDS - SPEEDS))
+    return min(max(LONGEST_S, params.response_s), params.period_s * (COMMANDS - SPEEDS))
 
 
 @inlined
@@ -167,19 +167,19 @@ def mean_speed_at(response: Response, tick: int, j: int) -> float:
 
 
 @inlined
-def effective_command(rig: PredictorModel, command: float) -> float:
+def effective_command(params: PredictorParameters, command: float) -> float:
     """Quantise a command to the motors' resolution; one single step counts as zero."""
-    if rig.command_step == 0.0:
+    if params.command_step == 0.0:
         return command
-    count = np.rint(command / rig.command_step)
-    return rig.command_step * count if abs(count) > 1.0 else 0.0
+    count = np.rint(command / params.command_step)
+    return params.command_step * count if abs(count) > 1.0 else 0.0
 
 
 @inlined
 def simulate_period(
     response: Response,
     model: ResponseModel,
-    rig: PredictorModel,
+    params: PredictorParameters,
     tick: int,
     j: int,
     q: float,
@@ -187,20 +187,26 @@ def simulate_period(
     w: float,
 ) -> tuple[float, float, float]:
     """Simulate one actuator with a model over one period, from the end of period `tick`."""
-    latency, lag = model.parameters[0], rig.lag_ratio[j] * exp(model.parameters[2])
-    a, gain = rig.acceleration_limit[j] * exp(model.parameters[1]), exp(model.gain[j])
-    whole = int(latency / rig.period_s + 1e-9)
-    rest = latency - whole * rig.period_s
+    latency, lag = model.parameters[0], params.lag_ratio[j] * exp(model.parameters[2])
+    a, gain = params.acceleration_limit[j] * exp(model.parameters[1]), exp(model.gain[j])
+    whole = int(latency / params.period_s + 1e-9)
+    rest = latency - whole * params.period_s
     if rest > 1e-9:
         u = gain * command_at(response, tick - whole - 1, j)
         q, v, w = follow_held(q, v, w, u, prepare_held_response(lag, model.parameters[3], a, rest))
-    u, time = gain * command_at(response, tick - whole, j), rig.period_s - rest
+    u, time = gain * command_at(response, tick - whole, j), params.period_s - rest
     return follow_held(q, v, w, u, prepare_held_response(lag, model.parameters[3], a, time))
 
 
 @inlined
 def state_when_next_acts(
-    response: Response, rig: PredictorModel, tick: int, j: int, q: float, v: float, latency: float
+    response: Response,
+    params: PredictorParameters,
+    tick: int,
+    j: int,
+    q: float,
+    v: float,
+    latency: float,
 ) -> tuple[float, float, float]:
     """Predict an actuator's state at the time the next command begins to act.
 
@@ -208,7 +214,7 @@ def state_when_next_acts(
 
     Args:
         response: state of the identification.
-        rig: the head's parameters.
+        params: the head's parameters.
         tick: the period that has ended.
         j: index of the actuator.
         q: its present angle, rad.
@@ -216,15 +222,15 @@ def state_when_next_acts(
         latency: time until the command acts, s.
     """
     model = selected_model(response)
-    lag, build_up = rig.lag_ratio[j] * exp(model.parameters[2]), model.parameters[3]
-    a, gain = rig.acceleration_limit[j] * exp(model.parameters[1]), exp(model.gain[j])
+    lag, build_up = params.lag_ratio[j] * exp(model.parameters[2]), model.parameters[3]
+    a, gain = params.acceleration_limit[j] * exp(model.parameters[1]), exp(model.gain[j])
     w = response.accelerations[j]
-    whole = int(latency / rig.period_s + 1e-9)
-    rest = latency - whole * rig.period_s
+    whole = int(latency / params.period_s + 1e-9)
+    rest = latency - whole * params.period_s
     if rest > 1e-9:
         u = gain * command_at(response, tick - whole - 1, j)
         q, v, w = follow_held(q, v, w, u, prepare_held_response(lag, build_up, a, rest))
-    held = prepare_held_response(lag, build_up, a, rig.period_s)
+    held = prepare_held_response(lag, build_up, a, params.period_s)
     for i in range(whole):
         u = gain * command_at(response, tick - whole + i, j)
         q, v, w = follow_held(q, v, w, u, held)

@@ -11,24 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.backlash import backlash_variance
+from vergence.controllers.prediction.backlash import update_backlash_variance
 from vergence.controllers.prediction.dating import (
     HYPOTHESES,
     add_delay_cost,
     negative_log_likelihood,
 )
 from vergence.controllers.prediction.following import predict_to_exposure, slip_variances
-from vergence.controllers.prediction.joints import PredictorModel
+from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.jumps import DISPLACED_GATE, UNMOVED_GATE, squared_mahalanobis
-from vergence.controllers.prediction.memory import PredictorState
 from vergence.controllers.prediction.moving import (
     MODES,
     EyeMotion,
     Motions,
-    add_nll,
+    add_bounded_nll,
     passes_gate,
     update_models,
 )
+from vergence.controllers.prediction.predictor_state import PredictorState
 from vergence.models.parts import FloatArray
 
 _UNEVEN_RAD: Final = 0.0004
@@ -41,8 +41,8 @@ _UNEVEN: Final = 0.5
 
 @inlined
 def expect_motion(
-    memory: PredictorState,
-    rig: PredictorModel,
+    state: PredictorState,
+    params: PredictorParameters,
     exposed: float,
     goals: FloatArray,
     direct: NDArray[np.bool_],
@@ -54,8 +54,8 @@ def expect_motion(
     """Predict the motion models to an image, and compute the variances of its goals.
 
     Args:
-        memory: changed in place.
-        rig: the head's parameters.
+        state: changed in place.
+        params: the head's parameters.
         exposed: exposure time of the image, in periods.
         goals: (2, 2) goals of the image, rad.
         direct: (2,) True for an eye that sees its target now and whose target was known before.
@@ -64,21 +64,21 @@ def expect_motion(
         slip: (2, 2) result: variances of the goals for a moving target, rad^2.
         backlash: (2, 2) result: variances that backlash adds for a resting target, rad^2.
     """
-    at_rest = memory.mode_probabilities[0] >= 0.5
-    predict_to_exposure(memory, rig, exposed)
-    slip_variances(memory, rig, exposed, variance, delay_variance, slip)
+    at_rest = state.mode_probabilities[0] >= 0.5
+    predict_to_exposure(state, params, exposed)
+    slip_variances(state, params, exposed, variance, delay_variance, slip)
     for eye in range(2):
         for joint in range(2 if direct[eye] else 0):
             goal = goals[eye, joint]
-            backlash[eye, joint] = backlash_variance(
-                memory, rig, exposed, eye, joint, goal, at_rest
+            backlash[eye, joint] = update_backlash_variance(
+                state, params, exposed, eye, joint, goal, at_rest
             )
 
 
 @inlined
 def classify_innovations(
-    memory: PredictorState,
-    rig: PredictorModel,
+    state: PredictorState,
+    params: PredictorParameters,
     goals: FloatArray,
     direct: NDArray[np.bool_],
     variance: FloatArray,
@@ -91,8 +91,8 @@ def classify_innovations(
     """Test each eye's goal in an image for displacement from rest and for agreement with motion.
 
     Args:
-        memory: the predictor's state.
-        rig: the head's parameters.
+        state: the predictor's state.
+        params: the head's parameters.
         goals: (2, 2) goals of the image, rad.
         direct: (2,) True for an eye that sees its target now and whose target was known before.
         variance: (2, 2) variances of the goals for a known delay, rad^2.
@@ -106,11 +106,11 @@ def classify_innovations(
     Returns:
         Number of eyes whose goal fits neither rest nor motion.
     """
-    targets_move, stays, outliers = rig.targets_move > 0.5, False, 0
-    moves = targets_move and memory.mode_probabilities[0] < 0.5
+    targets_move, stays, outliers = params.targets_move > 0.5, False, 0
+    moves = targets_move and state.mode_probabilities[0] < 0.5
     for eye in range(2):
         if direct[eye]:
-            off = squared_mahalanobis(memory, eye, goals, variance, delay_variance)
+            off = squared_mahalanobis(state, eye, goals, variance, delay_variance)
             is_outlier[eye] = off > DISPLACED_GATE
             stays = stays or off < UNMOVED_GATE
     for eye in range(2):
@@ -118,7 +118,7 @@ def classify_innovations(
             continue
         if targets_move:
             matches = passes_gate(
-                memory.motions[eye], memory.mode_probabilities, goals[eye], slip[eye]
+                state.motions[eye], state.mode_probabilities, goals[eye], slip[eye]
             )
             # a resting target displaced in one eye only may be an outlier
             matches_motion[eye] = matches and (
@@ -130,18 +130,18 @@ def classify_innovations(
 
 
 @inlined
-def likely_model(memory: PredictorState) -> int:
+def likely_model(state: PredictorState) -> int:
     """Index of the motion model with the largest probability."""
     likely = 1
     for m in range(2, MODES):
-        likely = m if memory.mode_probabilities[m] > memory.mode_probabilities[likely] else likely
+        likely = m if state.mode_probabilities[m] > state.mode_probabilities[likely] else likely
     return likely - 1
 
 
 @inlined
 def update_motion(
-    memory: PredictorState,
-    rig: PredictorModel,
+    state: PredictorState,
+    params: PredictorParameters,
     eye: int,
     low: int,
     high: int,
@@ -157,8 +157,8 @@ def update_motion(
     """Update an eye's motion models with its goal; add the negative log-likelihoods of all modes.
 
     Args:
-        memory: changed in place.
-        rig: the head's parameters.
+        state: changed in place.
+        params: the head's parameters.
         eye: index of the eye.
         low: index of the first delay hypothesis that is not ruled out.
         high: index one past the last of them.
@@ -176,35 +176,35 @@ def update_motion(
         Detection variance estimated from the deviation from the likeliest model, summed over both
         joints, rad^2.
     """
-    motions: Motions = memory.motions[eye]
+    motions: Motions = state.motions[eye]
     costs, own, exact = np.zeros(HYPOTHESES), np.zeros(MODES), np.zeros(2)
     scatter = 0.0
     for joint in range(2):
-        step = _UNEVEN * rig.joint_step[eye, joint]
+        step = _UNEVEN * params.joint_step[eye, joint]
         exact[joint] = _UNEVEN_RAD * _UNEVEN_RAD + step * step
-        known = memory.filter_variance[eye, joint] + variance[eye, joint] + exact[joint]
+        known = state.filter_variance[eye, joint] + variance[eye, joint] + exact[joint]
         crossed = known + backlash[eye, joint]
         log_ratio = log(crossed / known)
         own[0] += 0.5 * log(known)
         for i in range(low, high):
             off = goals[eye, joint] - angles_at_exposure[eye, joint]
             off = off + angles_by_delay[i, eye, joint]
-            square = (off - memory.goals_by_delay[i, eye, joint]) ** 2
+            square = (off - state.goals_by_delay[i, eye, joint]) ** 2
             add_delay_cost(costs, min(square / known, square / crossed + log_ratio), i)
         motion: EyeMotion = motions[likely]
         off = goals[eye, joint] - motion.angle[joint]
         # expectation-maximisation estimate of the detection variance
-        share = memory.detection_variance / (motion.covariance[0] + slip[eye, joint])
-        scatter += (share * off) ** 2 + (1.0 - share) * memory.detection_variance
+        share = state.detection_variance / (motion.covariance[0] + slip[eye, joint])
+        scatter += (share * off) ** 2 + (1.0 - share) * state.detection_variance
     update_models(motions, goals[eye], slip[eye], exact, own)
-    own[0] += negative_log_likelihood(memory.delay_cost, low, high, costs)
-    add_nll(nll, own)
+    own[0] += negative_log_likelihood(state.delay_cost, low, high, costs)
+    add_bounded_nll(nll, own)
     return scatter
 
 
 @inlined
-def find_direct_views(
-    memory: PredictorState,
+def mark_directly_tracked_eyes(
+    state: PredictorState,
     goals: FloatArray,
     inferred: NDArray[np.bool_],
     direct: NDArray[np.bool_],
@@ -212,4 +212,4 @@ def find_direct_views(
     """Set `direct` (2,): True for an eye with a goal (2, 2) of its own and a known target."""
     for eye in range(2):
         sees = isfinite(goals[eye, 0]) and not inferred[eye]
-        direct[eye] = sees and memory.known[eye] > 0.5
+        direct[eye] = sees and state.known[eye] > 0.5

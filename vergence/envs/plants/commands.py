@@ -78,25 +78,26 @@ def is_command_lost(conditions: TrialConditions, key: StreamKey, step: int) -> b
 
 @inlined
 def loop_resumes_at(
-    conditions: TrialConditions, key: StreamKey, step: int, period_s: float, resumes: int
+    conditions: TrialConditions, key: StreamKey, step: int, period_s: float, last_resume_period: int
 ) -> int:
-    """Compute the period in which the loop resumes: `step` or an earlier one if it is running.
+    """Number of the period from which the loop runs again; at most `step` while it runs.
 
-    Between two stalls the loop runs for at least one period.
+    A loop that stalls at `step` returns a later period, drawn from the trial's random stream. It
+    runs for at least one period between two stalls.
 
     Args:
         conditions: the trial's conditions.
         key: key of the trial's random stream.
         step: number of the period, one more than in the last call.
         period_s: the control period, s.
-        resumes: result of the last call.
+        last_resume_period: result of the last call.
     """
     chance = conditions.stall_probability
-    if chance == 0.0 or step == 0 or step <= resumes:
-        return resumes
+    if chance == 0.0 or step == 0 or step <= last_resume_period:
+        return last_resume_period
     words = random_words(key.seed, key.trial, _COMMAND, step, 1)
     if not to_uniform(words[1]) < chance:
-        return resumes
+        return last_resume_period
     return step + max(int(np.rint(to_uniform(words[2]) * conditions.stall_s / period_s)), 1)
 
 
@@ -152,9 +153,9 @@ def store_commands(
 class HeldCommands(NamedTuple):
     """Ring positions of the commands that apply to the motors within a period."""
 
-    first: np.uintp
+    position_before: np.uintp
     """Position of the command that applies at the period's beginning."""
-    then: np.uintp
+    position_after: np.uintp
     """Position of the command that applies from the change on."""
     change_s: float
     """Time of the change since the period's beginning, s."""

@@ -41,7 +41,7 @@ class Imperfection(NamedTuple):
     by_actuator: bool = False
     """True if each actuator has its own value."""
     probability: str = ""
-    """Name of the probability that must be above 0 for an effect; empty if there always is one."""
+    """Name of the imperfection that is the probability of this one; empty if it always acts."""
     display_unit: tuple[str, float] = ("", 1.0)
     """Unit for display, empty for a ratio, and the factor from `unit` to it."""
 

@@ -77,15 +77,15 @@ def move_motors(
         step, frame, conditions = steps[n], following[n], unpack_conditions(packed, n)
         begin_s = step * period_s
         hold = held_commands(conditions.command_latency_s, step, ring, period_s)
-        slot, done, count = hold.first, 0.0, np.uintp(0)
+        slot, done, count = hold.position_before, 0.0, np.uintp(0)
         due = exposure_time(conditions, frame) - begin_s
         neck = 0.0  # motion of the neck; at rest it is skipped
         for k in range(3):
             neck += (
                 abs(speeds[n, k])
                 + abs(rates[n, k])
-                + abs(given[n, hold.first, k])
-                + abs(given[n, hold.then, k])
+                + abs(given[n, hold.position_before, k])
+                + abs(given[n, hold.position_after, k])
             )
         first = 3 if neck == 0.0 else 0
         while True:
@@ -138,7 +138,7 @@ def move_motors(
             elif done >= period_s:
                 break
             if done >= hold.change_s:
-                slot = hold.then
+                slot = hold.position_after
         counts[n] = count
         for k in range(7):
             motor = MotorState(angles[n, k], speeds[n, k], output[n, k])

@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike
 from vergence.envs.plants.frames import TIME_TOLERANCE_S
 from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.plants.track import (
-    JointTrack,
+    SubstepTrajectory,
     expose_on_track,
+    mean_substep_controls,
     read_joints,
     start_track,
-    substep_controls,
 )
 from vergence.envs.reading import Reading
 from vergence.envs.saved_state import Arrays
@@ -98,7 +98,7 @@ class MujocoPlant(SimulatedPlant):
             or rate < 0.5
         )
         self._substeps = SUBSTEPS if within else 1
-        self._track = JointTrack.empty(num, self._substeps)
+        self._track = SubstepTrajectory.empty(num, self._substeps)
         self._nthread = min(nthread, num) if nthread else (1 if num == 1 else 0)
         self._half_step = 0.5 * self._model.opt.timestep
         self._start_batch()
@@ -154,7 +154,7 @@ class MujocoPlant(SimulatedPlant):
         own, period_s = self._arguments, self.head.timing.period_s
         start_track(own.scene, self._track)
         for substep in range(self._substeps):
-            substep_controls(
+            mean_substep_controls(
                 substep, self._substeps, period_s, own.packed, self._scene.step, own.commands,
                 own.motors, self._slots, self._ctrl,
             )  # fmt: skip

@@ -44,16 +44,16 @@ _NONE: Final = -(2**62)
 """Frame number that stands for no frame (numerical)."""
 
 
-class Sensor(NamedTuple):
+class SensorTiming(NamedTuple):
     """Clock and sensors common to all heads of a batch, by their model."""
 
-    period_s: float
+    control_period_s: float
     """Control period, s."""
-    latency_s: float
+    nominal_latency_s: float
     """Nominal latency by which a reading dates its image, s."""
-    feedback_latency_s: float
+    nominal_feedback_latency_s: float
     """Nominal latency by which a reading dates the joints, s."""
-    stamped: bool
+    exposure_stamped: bool
     """True if the cameras stamp the exposure of a frame."""
     exposure_s: float
     """Exposure time, s."""
@@ -61,14 +61,14 @@ class Sensor(NamedTuple):
     """Image motion during an exposure above which the target is not detected, px."""
 
     @classmethod
-    def of(cls, head: HeadModel) -> "Sensor":
+    def of(cls, head: HeadModel) -> "SensorTiming":
         """The sensors of a head model."""
         timing = head.timing
         return cls(
-            period_s=timing.period_s,
-            latency_s=timing.latency_s,
-            feedback_latency_s=timing.feedback_latency_s,
-            stamped=bool(timing.exposure_stamps),
+            control_period_s=timing.period_s,
+            nominal_latency_s=timing.latency_s,
+            nominal_feedback_latency_s=timing.feedback_latency_s,
+            exposure_stamped=bool(timing.exposure_stamps),
             exposure_s=timing.exposure_s,
             max_smear_px=head.sensor.max_smear_px,
         )
@@ -77,7 +77,7 @@ class Sensor(NamedTuple):
 @compiled
 def store_frames(
     ids: IntArray,
-    sensor: Sensor,
+    timing: SensorTiming,
     packed: PackedConditions,
     keys: StreamKeys,
     scene: Scene,
@@ -88,20 +88,20 @@ def store_frames(
 
     Args:
         ids: (m,) environment indices.
-        sensor: `untyped_tuple`, as are the following.
+        timing: `untyped_tuple`, as are the following.
         packed: conditions of the trials.
         keys: keys of the trials' random streams.
         scene: the true heads and their targets.
         exposures: times of the exposures, and the joints at these times.
         frames: ring buffers, updated in place.
     """
-    sensor, packed, keys = Sensor(*sensor), PackedConditions(*packed), StreamKeys(*keys)
+    timing, packed, keys = SensorTiming(*timing), PackedConditions(*packed), StreamKeys(*keys)
     scene, exposures, frames = Scene(*scene), Exposures(*exposures), Frames(*frames)
     # unpacked once, as numba would count references at each access in the loop
     heads, motions, necks, _steps, _positions, _velocities = scene
     counts, times, then_q, then_v = exposures
     pixels, visible, dropped, exposed_s, comes_s, following, _pending, latest_s = frames
-    half_exposure_s = 0.5 * sensor.exposure_s
+    half_exposure_s = 0.5 * timing.exposure_s
     mask, many = dropped.shape[1] - 1, np.uintp(heads.shape[0] > 1)
     for env in ids:
         n = np.uintp(env)  # unsigned, so that no index is counted from the end
@@ -138,7 +138,7 @@ def store_frames(
                     smear = image_displacement(
                         p, motion, necks[n], eye, q, then_v[n, i], target_time_s, half_exposure_s
                     )
-                    if not hypot(smear[0], smear[1]) <= sensor.max_smear_px:
+                    if not hypot(smear[0], smear[1]) <= timing.max_smear_px:
                         continue
                 du, dv = outlier_offset(conditions, key, f, eye)
                 false_u = false_v = 0.0
@@ -152,7 +152,7 @@ def store_frames(
 @compiled
 def read_sensors(
     ids: IntArray,
-    sensor: Sensor,
+    timing: SensorTiming,
     packed: PackedConditions,
     keys: StreamKeys,
     steps: IntArray,
@@ -166,7 +166,7 @@ def read_sensors(
 
     Args:
         ids: (m,) environment indices.
-        sensor: `untyped_tuple`, as are all but the steps and `coupling`.
+        timing: `untyped_tuple`, as are all but the steps and `coupling`.
         packed: conditions of the trials.
         keys: keys of the trials' random streams.
         steps: (n,) control periods since the trials' start.
@@ -176,9 +176,9 @@ def read_sensors(
         frames: ring buffers.
         reading: the result; its image fields are unchanged if no new frame has arrived.
     """
-    sensor, packed, keys = Sensor(*sensor), PackedConditions(*packed), StreamKeys(*keys)
+    timing, packed, keys = SensorTiming(*timing), PackedConditions(*packed), StreamKeys(*keys)
     frames, reading = Frames(*frames), Reading(*reading)
-    period_s, loop_states = sensor.period_s, Feedback(*feedback).loop_states
+    period_s, loop_states = timing.control_period_s, Feedback(*feedback).loop_states
     for env in ids:
         n = np.uintp(env)
         conditions, step = unpack_conditions(packed, n), steps[n]
@@ -210,7 +210,7 @@ def read_sensors(
         time_s[n] = now_s
         if k < loop_states[n, RESUMES]:
             continue
-        joints_s[n] = now_s - sensor.feedback_latency_s
+        joints_s[n] = now_s - timing.nominal_feedback_latency_s
         newest, f, conditions = _NONE, pending[n], unpack_conditions(packed, n)
         # a frame whose right eye is still to be exposed has not arrived
         while first_exposure(conditions, f) < following[n]:
@@ -226,9 +226,13 @@ def read_sensors(
             continue
         slot = np.uintp(newest & mask)
         received_s[n] = comes_s[n, slot]
-        date_s = exposed_s[n, slot] if sensor.stamped else comes_s[n, slot] - sensor.latency_s
+        date_s = (
+            exposed_s[n, slot]
+            if timing.exposure_stamped
+            else comes_s[n, slot] - timing.nominal_latency_s
+        )
         read_exposure_s[n] = date_s
-        at = reported_interval((date_s + sensor.feedback_latency_s) * rate, k, kept)
+        at = reported_interval((date_s + timing.nominal_feedback_latency_s) * rate, k, kept)
         for j in range(7):
             old = reported[n, at.first, j]
             at_exposure[n, j] = old

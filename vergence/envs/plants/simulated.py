@@ -17,7 +17,7 @@ from vergence.envs.plants.frames import TIME_TOLERANCE_S, Exposures, Frames
 from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.envs.plants.motors import MOVING, ActuatorCoupling, MotorStates
 from vergence.envs.plants.scene import Scene, update_truth
-from vergence.envs.plants.sensing import Sensor, read_sensors, store_frames
+from vergence.envs.plants.sensing import SensorTiming, read_sensors, store_frames
 from vergence.envs.plants.simulation import Simulation, TrialStart
 from vergence.envs.plants.true_heads import TrueHeads
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
@@ -38,7 +38,7 @@ _AHEAD: Final = (0.0, 0.0, 1.0)
 class _KernelArguments(NamedTuple):
     """Arguments of the kernels of every step, `untyped_tuple`: made once."""
 
-    sensor: Sensor
+    timing: SensorTiming
     packed: PackedConditions
     keys: StreamKeys
     scene: Scene
@@ -143,7 +143,7 @@ class SimulatedPlant(Simulation):
         )
         self._missing_joints = np.flatnonzero([not name for name in head.joints])
         self._arguments = _KernelArguments(
-            sensor=untyped_tuple(Sensor.of(head)),
+            timing=untyped_tuple(SensorTiming.of(head)),
             packed=untyped_tuple(heads.packed),
             keys=untyped_tuple(self._streams.keys),
             scene=untyped_tuple(self._scene),
@@ -319,12 +319,12 @@ class SimulatedPlant(Simulation):
     def _expose(self, ids: IntArray) -> None:
         """Take the last period's frames of some environments."""
         own = self._arguments
-        store_frames(ids, own.sensor, own.packed, own.keys, own.scene, own.exposures, own.frames)
+        store_frames(ids, own.timing, own.packed, own.keys, own.scene, own.exposures, own.frames)
 
     def _report(self, ids: IntArray) -> None:
         """Read the sensors of some environments."""
         own = self._arguments
         read_sensors(
-            ids, own.sensor, own.packed, own.keys, self._scene.step, own.motors, self._coupling,
+            ids, own.timing, own.packed, own.keys, self._scene.step, own.motors, self._coupling,
             own.feedback, own.frames, own.reading,
         )  # fmt: skip

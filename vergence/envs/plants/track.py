@@ -28,7 +28,7 @@ from vergence.models.packed import PackedHead, eye_actuator_angle, eye_actuator_
 from vergence.models.parts import FloatArray
 
 
-class JointTrack(NamedTuple):
+class SubstepTrajectory(NamedTuple):
     """Joint states within a period: at its beginning and at the end of each substep."""
 
     positions: FloatArray
@@ -37,15 +37,15 @@ class JointTrack(NamedTuple):
     """(n, substeps + 1, 7) rad/s."""
 
     @classmethod
-    def empty(cls, num: int, substeps: int) -> "JointTrack":
+    def empty(cls, num: int, substeps: int) -> "SubstepTrajectory":
         """Arrays for `num` heads."""
         return cls(*np.zeros((2, num, substeps + 1, 7)))
 
 
 @compiled
-def start_track(scene: Scene, track: JointTrack) -> None:
+def start_track(scene: Scene, track: SubstepTrajectory) -> None:
     """Begin a period's track with the present joint states; both arguments are `untyped_tuple`."""
-    scene, track = Scene(*scene), JointTrack(*track)
+    scene, track = Scene(*scene), SubstepTrajectory(*track)
     for n in range(scene.step.shape[0]):
         for j in range(7):
             track.positions[n, 0, j] = scene.positions[n, j]
@@ -53,7 +53,7 @@ def start_track(scene: Scene, track: JointTrack) -> None:
 
 
 @compiled
-def substep_controls(
+def mean_substep_controls(
     substep: int,
     substeps: int,
     period_s: float,
@@ -61,7 +61,7 @@ def substep_controls(
     steps: IntArray,
     commands: CommandBuffers,
     motors: MotorStates,
-    slots: IntArray,
+    servo_slots: IntArray,
     control: FloatArray,
 ) -> None:
     """Compute the servos' controls for a substep of a period: the mean of its commands.
@@ -77,7 +77,7 @@ def substep_controls(
         steps: (n,) numbers of the periods.
         commands: `untyped_tuple`, ring buffers with the commands of the period.
         motors: `untyped_tuple`, their accelerations are updated in place.
-        slots: (nu,) indices of the servos in an array of the neck's joints and the actuators.
+        servo_slots: (nu,) indices of the servos in an array of the neck's joints and the actuators.
         control: (n, nu) result, rad/s.
     """
     packed, motors = PackedConditions(*packed), MotorStates(*motors)
@@ -86,9 +86,12 @@ def substep_controls(
         conditions = unpack_conditions(packed, n)
         hold = held_commands(conditions.command_latency_s, steps[n], given.shape[1], period_s)
         before = min(max(hold.change_s - substep * length, 0.0), length) / length
-        for i in range(slots.shape[0]):
-            k = slots[i]
-            u = before * given[n, hold.first, k] + (1.0 - before) * given[n, hold.then, k]
+        for i in range(servo_slots.shape[0]):
+            k = servo_slots[i]
+            u = (
+                before * given[n, hold.position_before, k]
+                + (1.0 - before) * given[n, hold.position_after, k]
+            )
             control[n, i] = u = packed.own[n, GAIN, k] * u
             if conditions.overshoot == 0.0:
                 continue
@@ -115,7 +118,7 @@ def read_joints(
     scene: Scene,
     motors: MotorStates,
     coupling: ActuatorCoupling | None,
-    track: JointTrack,
+    track: SubstepTrajectory,
 ) -> None:
     """Read angles and velocities of motors and joints at the end of a substep.
 
@@ -136,7 +139,7 @@ def read_joints(
         track: updated in place.
     """
     packed, scene = PackedConditions(*packed), Scene(*scene)
-    motors, track = MotorStates(*motors), JointTrack(*track)
+    motors, track = MotorStates(*motors), SubstepTrajectory(*track)
     angles, rates = np.zeros(7), np.zeros(7)
     for n in range(motors.angles.shape[0]):
         for j in range(7):
@@ -171,7 +174,7 @@ def expose_on_track(
     packed: PackedConditions,
     steps: IntArray,
     frames: Frames,
-    track: JointTrack,
+    track: SubstepTrajectory,
     exposures: Exposures,
 ) -> None:
     """Expose the frames of a period, with the joints interpolated within its substeps.
@@ -185,7 +188,7 @@ def expose_on_track(
         exposures: `untyped_tuple`, the result.
     """
     packed, frames = PackedConditions(*packed), Frames(*frames)
-    track, exposures = JointTrack(*track), Exposures(*exposures)
+    track, exposures = SubstepTrajectory(*track), Exposures(*exposures)
     substeps = track.positions.shape[1] - 1
     length = period_s / substeps
     for n in range(len(steps)):

@@ -66,7 +66,7 @@ def board_axes(point: Vector, facing_head: bool) -> Axes:
 
 
 @inlined
-def distance_from_eyes(p: PackedHead, angles: FloatArray, point: Vector) -> float:
+def mean_camera_distance(p: PackedHead, angles: FloatArray, point: Vector) -> float:
     """Mean distance of a point from both cameras, m.
 
     Args:
@@ -99,7 +99,7 @@ def is_in_view(
     k = len(board.outline)
     size = 1.0
     if k and board.natural_distance_m == board.natural_distance_m:
-        size = distance_from_eyes(p, angles, point) / board.natural_distance_m
+        size = mean_camera_distance(p, angles, point) / board.natural_distance_m
     right, down, _into = board_axes(point, board.facing_head)
     for eye in range(2):
         camera = camera_of(p, eye)

@@ -20,9 +20,9 @@ Point = tuple[float, float, float]
 class PrescribedTarget(Target):
     """A target without randomness: one motion for all trials."""
 
-    seen_first: ClassVar[str]
+    first_point_name: ClassVar[str]
     """Name of its position at time zero, for error messages."""
-    stays: ClassVar[bool] = False
+    stays_at_first_point: ClassVar[bool] = False
     """True if it stays at this position."""
 
     @abstractmethod
@@ -41,9 +41,9 @@ class PrescribedTarget(Target):
         """See `Target.check`: an eye must see the first point, both must reach a lasting one."""
         (q,) = self._begin(head, np.array([self._fixated_point()]))
         first = np.array(self._first_point())
-        refuse_unseen(head, self.seen_first, first, q)
-        if self.stays:
-            fixation_angles(head, self.seen_first, first[None])
+        refuse_unseen(head, self.first_point_name, first, q)
+        if self.stays_at_first_point:
+            fixation_angles(head, self.first_point_name, first[None])
 
     def draw(
         self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
@@ -59,8 +59,8 @@ class StaticTarget(PrescribedTarget):
 
     kind: ClassVar[str] = "static"
     metres: ClassVar[tuple[str, ...]] = ("point",)
-    seen_first: ClassVar[str] = "point"
-    stays: ClassVar[bool] = True
+    first_point_name: ClassVar[str] = "point"
+    stays_at_first_point: ClassVar[bool] = True
     point: Point = (0.0, -0.1, 1.0)
     """Position in N, m."""
 
@@ -77,8 +77,8 @@ class StepTarget(PrescribedTarget):
 
     kind: ClassVar[str] = "step"
     metres: ClassVar[tuple[str, ...]] = ("before", "after")
-    seen_first: ClassVar[str] = "point after the step"
-    stays: ClassVar[bool] = True
+    first_point_name: ClassVar[str] = "point after the step"
+    stays_at_first_point: ClassVar[bool] = True
     before: Point = (0.0, -0.1, 1.0)
     """Position before the jump, in N, m."""
     after: Point = (0.0, -0.2, 1.0)
@@ -101,7 +101,7 @@ class CircleTarget(PrescribedTarget):
 
     kind: ClassVar[str] = "circle"
     metres: ClassVar[tuple[str, ...]] = ("centre", "radius")
-    seen_first: ClassVar[str] = "beginning of the circle"
+    first_point_name: ClassVar[str] = "beginning of the circle"
     centre: Point = (0.0, -0.1, 1.0)
     """Centre of the circle, in N, m."""
     radius: float = 0.1
@@ -131,7 +131,7 @@ class LineTarget(PrescribedTarget):
 
     kind: ClassVar[str] = "line"
     metres: ClassVar[tuple[str, ...]] = ("origin", "end", "speed")
-    seen_first: ClassVar[str] = "beginning of the line"
+    first_point_name: ClassVar[str] = "beginning of the line"
     origin: Point = (-0.27860, -0.02313, 0.95784)
     """Start of the line, in N, m."""
     end: Point = (-0.39002, -0.03039, 1.11191)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vergence.envs.streams import IntArray, RandomStreams
 from vergence.envs.targets.board import POINT, Board
 from vergence.envs.validation import check_numbers
-from vergence.errors import ConfigurationError, TargetError
+from vergence.errors import ConfigurationError, UnreachableTargetError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -115,7 +115,7 @@ def fixation_angles(head: HeadModel, point_name: str, points: FloatArray) -> Flo
         asked = "look at within their limits, and see then"
     if not within.all():
         bad = tuple(points[np.flatnonzero(~within)[0]].tolist())
-        raise TargetError(
+        raise UnreachableTargetError(
             f"target: expected a {point_name} that both eyes can {asked}, got {bad} m"
         )
     return q
@@ -145,7 +145,7 @@ def refuse_unseen(head: HeadModel, point_name: str, point: FloatArray, q: FloatA
     where = "outside both images"
     if not np.isfinite(head.project(q, point)).any():
         where = "behind the head or far outside both images"
-    raise TargetError(
+    raise UnreachableTargetError(
         f"target: expected a {point_name} that an eye sees at the start of the trial, got "
         f"{tuple(point.tolist())} m, which is {where}"
     )

@@ -28,7 +28,7 @@ from vergence.envs.targets.placement import (
     uniform_between,
 )
 from vergence.envs.targets.target import Target
-from vergence.errors import ConfigurationError, TargetError
+from vergence.errors import ConfigurationError, UnreachableTargetError
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
 from vergence.models.packed import eye_actuator_angle, has_motor_per_joint
@@ -113,7 +113,7 @@ class WanderTarget(Target):
             untyped_tuple(board),
             paths,
         ):
-            raise TargetError(
+            raise UnreachableTargetError(
                 f"target: expected paths that this head can follow and "
                 f"see{whole_board_text(board)}, got none of {MAX_CANDIDATES} of {self}"
             )

@@ -18,7 +18,7 @@ from vergence.envs.targets.placement import (
     random_point,
 )
 from vergence.envs.targets.target import Target
-from vergence.errors import ConfigurationError, TargetError
+from vergence.errors import ConfigurationError, UnreachableTargetError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
@@ -89,8 +89,8 @@ class RandomTarget(Target):
             self.start == "fixation",
         )
 
-    def _unseen(self, what: str, board: Board) -> TargetError:
-        return TargetError(
+    def _unseen(self, what: str, board: Board) -> UnreachableTargetError:
+        return UnreachableTargetError(
             f"target: expected a workspace that this head can look at, got none of "
             f"{MAX_CANDIDATES} {what} of {self} that both eyes can fixate and "
             f"see{whole_board_text(board)}"

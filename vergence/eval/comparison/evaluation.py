@@ -9,7 +9,7 @@ import pandas as pd
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.contestants import BASELINE
 from vergence.eval.comparison.summary import SWINGING, bound_summary, bound_trials, speed_up
-from vergence.eval.trials.settling import judged_bands
+from vergence.eval.trials.settling import bounded_bands
 from vergence.models.head import HeadModel
 
 _WHICH: Final = ("scenario", "plant", "controller", "head", "trials")
@@ -41,7 +41,7 @@ def row_fields(band_px: float) -> tuple[str, ...]:
     """
     settling = [
         name
-        for band in judged_bands(band_px)
+        for band in bounded_bands(band_px)
         for name in (
             band.settled_fraction,
             band.settle_median_s,

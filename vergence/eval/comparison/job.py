@@ -14,7 +14,7 @@ from vergence.eval.comparison.evaluation import EvaluationResult
 from vergence.eval.comparison.summary import summarise
 from vergence.eval.trials.curves import effective_gains, error_curves, single_predict_us
 from vergence.eval.trials.results import Trials
-from vergence.eval.trials.settling import judged_bands, timed_bands
+from vergence.eval.trials.settling import bounded_bands, timed_bands
 
 OBSERVED: Final = 100
 """Trials whose observations are kept, for effective gains and the duration of `predict` for one
@@ -79,7 +79,7 @@ def _table(trials: Trials, label: str) -> pd.DataFrame:
     """Table with one row per trial; nan for undefined metrics and trials that never settle."""
     settling = not trials.target_moves
     nothing = float("nan")
-    judged = judged_bands(trials.band_px)
+    judged = bounded_bands(trials.band_px)
     columns = {
         "scenario": trials.scenario,
         "plant": trials.plant,

@@ -13,7 +13,7 @@ import pandas as pd
 
 from vergence.eval.comparison.contestants import BOUND
 from vergence.eval.comparison.statistics import Bootstrap, Interval, Statistic, mean, median, p95
-from vergence.eval.trials.settling import HALF_PX, ONE_PX, Band, judged_bands, timed_bands
+from vergence.eval.trials.settling import HALF_PX, ONE_PX, Band, bounded_bands, timed_bands
 from vergence.models.parts import FloatArray
 
 SWINGING: Final = "swinging_trials"
@@ -50,7 +50,7 @@ _BOTH: Final[dict[str, tuple[str, Statistic]]] = {
 def _of_bands(band_px: float) -> dict[str, tuple[str, Statistic]]:
     """Statistics (column and function by name) of a scenario's bands, widest first."""
     found: dict[str, tuple[str, Statistic]] = {}
-    for band in reversed(judged_bands(band_px)):
+    for band in reversed(bounded_bands(band_px)):
         found[band.settled_fraction] = (band.settled, mean)
         for one in (ONE_PX, HALF_PX) if band == ONE_PX else (band,):
             found[one.settle_median_s] = (one.settle_s, median)
@@ -74,7 +74,7 @@ def fill_missing(table: pd.DataFrame, band_px: float) -> dict[str, FloatArray]:
     values: dict[str, Any] = {
         name: table[name].to_numpy() for name in table.columns if table[name].dtype != object
     }
-    for band in judged_bands(band_px):
+    for band in bounded_bands(band_px):
         settle, bound = values[band.settle_s], values[band.bound_s]
         values[band.settled] = np.isfinite(settle)
         # the ratio counts as infinite if the trial never settled, or if it is too short even for
@@ -169,7 +169,7 @@ def bound_trials(tables: Sequence[pd.DataFrame], band_px: float) -> pd.DataFrame
     """
     least = {
         band.bound_s: np.fmin.reduce([one[band.bound_s].to_numpy() for one in tables])
-        for band in judged_bands(band_px)
+        for band in bounded_bands(band_px)
     }
     return tables[0].assign(**least)
 
@@ -192,7 +192,7 @@ def bound_summary(table: pd.DataFrame, band_px: float, seed: int) -> dict[str, A
     row["duration_s"] = float(table["duration_s"].iloc[0])
     none, one = Interval(np.nan, np.nan, np.nan), Interval(1.0, 1.0, 1.0)
     found = dict.fromkeys([*_of_bands(band_px), *_SETTLING, *_MOVING, *_BOTH], none)
-    for band in judged_bands(band_px):
+    for band in bounded_bands(band_px):
         bound = limit[band.bound_s]
         within = np.minimum(bound, limit["duration_s"])
         found[band.settled_fraction] = bootstrap.interval(bound < limit["duration_s"], mean)

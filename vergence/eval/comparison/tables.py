@@ -17,7 +17,7 @@ from vergence.eval.reporting.text import (
     read_template,
     render_text,
 )
-from vergence.eval.trials.settling import ONE_PX, Band, judged_bands
+from vergence.eval.trials.settling import ONE_PX, Band, bounded_bands
 
 SETTLING_COLUMNS: Final = (
     "controller", "settled (%)", "settle (ms)", "95 % within (ms)", "x bound",
@@ -280,6 +280,6 @@ def describe_evaluation(evaluation: Evaluation) -> SectionText:
 
 def _listed(evaluation: Evaluation) -> str:
     """The settling bands of all scenarios as text, such as "1 or 2"."""
-    bands = {band for one in evaluation.outcomes for band in judged_bands(one.band_px)}
+    bands = {band for one in evaluation.outcomes for band in bounded_bands(one.band_px)}
     *others, last = (f"{band.px:g}" for band in sorted(bands))
     return f"{', '.join(others)} or {last}"

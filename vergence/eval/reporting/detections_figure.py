@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from vergence.eval.reporting.labels import page_point
+from vergence.eval.reporting.labels import as_float_pair
 from vergence.eval.reporting.style import figure_style, new_figure
 from vergence.files import atomic_file
 from vergence.models.boards import PlanarTarget
@@ -87,8 +87,8 @@ def draw_detections(
         number = tag_number(target)
         if number is not None:
             panel.text(
-                *page_point(detection.point_px), str(number), ha="center", va="center", fontsize=12,
-                fontweight="bold", path_effects=_HALO, **style,
+                *as_float_pair(detection.point_px), str(number), ha="center", va="center",
+                fontsize=12, fontweight="bold", path_effects=_HALO, **style,
             )  # fmt: skip
     panel.grid(False)
     panel.set(

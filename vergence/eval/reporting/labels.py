@@ -19,8 +19,8 @@ _GAP: Final = 2.5
 """Free margin around a text, pt (chosen)."""
 
 
-def page_point(point: FloatArray) -> tuple[float, float]:
-    """Convert a point to the tuple that matplotlib's types require."""
+def as_float_pair(point: FloatArray) -> tuple[float, float]:
+    """Convert a point (2,) to two floats, the type that matplotlib's signatures state."""
     return float(point[0]), float(point[1])
 
 
@@ -42,7 +42,7 @@ class Labels:
     ) -> None:
         """Add a text, preferably in the direction `direction` (across, up) from its point."""
         annotation = self._panel.annotate(
-            text, page_point(point), (0, 0), textcoords="offset points", color=colour,
+            text, as_float_pair(point), (0, 0), textcoords="offset points", color=colour,
             ha="center", va="center", zorder=8, **{"fontsize": 11, **style},
         )  # fmt: skip
         annotation.set_in_layout(False)  # its position is known only after the panel's layout
@@ -75,10 +75,10 @@ class Labels:
             angle = float(np.arctan2(wanted[1], wanted[0]))
             offset = _free_offset(anchor, half, angle, taken, corners)
             taken.append((anchor + offset, half))
-            annotation.set_position(page_point(offset))
+            annotation.set_position(as_float_pair(offset))
             if np.linalg.norm(np.maximum(np.abs(offset) - half, 0.0)) > _LEADER_FROM:
                 self._panel.annotate(
-                    "", page_point(point), page_point(offset), textcoords="offset points",
+                    "", as_float_pair(point), as_float_pair(offset), textcoords="offset points",
                     arrowprops={"arrowstyle": "-", "color": annotation.get_color(), "lw": 0.6,
                                 "shrinkA": 8.0, "shrinkB": 2.0},
                 )  # fmt: skip

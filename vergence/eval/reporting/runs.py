@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import tomli_w
 
 from vergence.errors import ConfigurationError
-from vergence.files import atomic_folder, remove_partial, save_folder
+from vergence.files import atomic_folder, remove_partial, save_folder_at_free_path
 from vergence.locks import hold_lock
 from vergence.models.files.head_file import save_head
 from vergence.models.head import HeadModel
@@ -186,7 +186,7 @@ def save_run(folder: Path, write: Callable[[Path], None]) -> Path:
         ConfigurationError: neither can be written.
     """
     try:
-        return save_folder(folder, write)
+        return save_folder_at_free_path(folder, write)
     except OSError as error:
         raise ConfigurationError(
             f"out: the result is lost, as {folder} cannot be written: {error.strerror or error}"

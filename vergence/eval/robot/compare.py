@@ -29,7 +29,7 @@ from vergence.eval.robot.evaluation_record import (
 )
 from vergence.eval.robot.judge import RobotJob, missed_periods
 from vergence.eval.robot.stage import TargetStage
-from vergence.eval.trials.run import trial_periods
+from vergence.eval.trials.run import evaluated_and_run_periods
 from vergence.eval.trials.scenarios import Scenario
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.plant import HardwarePlant
@@ -125,7 +125,10 @@ class RobotRun:
     def recorded(self) -> dict[TrialKey, RecordedTrial]:
         """Read the completed trials of this run."""
         head = self.hardware.head
-        steps = {one.name: trial_periods(one, head, simulated=False)[1] for one in self.scenarios}
+        steps = {
+            one.name: evaluated_and_run_periods(one, head, simulated=False)[1]
+            for one in self.scenarios
+        }
         found = self.record.completed_trials(lambda scenario: steps.get(scenario, sys.maxsize))
         if not self.stage.emulated:  # do not use an emulated head's ground truth here
             found = {
@@ -238,7 +241,7 @@ class _Connection:
     ) -> None:
         run = self._run
         assert isinstance(task.plant, HardwarePlant)
-        _, steps = trial_periods(self._scenario, task.head, simulated=False)
+        _, steps = evaluated_and_run_periods(self._scenario, task.head, simulated=False)
         seed = self._scenario.seed("test", run.seed)
         placed, point = -1, np.full(3, np.nan)
         for key in pending:

@@ -9,7 +9,7 @@ from vergence.envs.task import GazeTask
 from vergence.eval.gaze_trajectory import MM
 from vergence.eval.trials.recorded import trials_from_record
 from vergence.eval.trials.results import Trials
-from vergence.json_values import json_value
+from vergence.json_values import null_nonfinite_rows
 from vergence.recording import Recorder
 
 BAND_PX: Final = 2.0
@@ -89,7 +89,7 @@ class Gazes:
     def _answer(self, trial: Trials, value: float) -> float | None:
         """A metric of a gaze; None if it is not judged."""
         judged = self._whole(trial) and not self.dry_run
-        found: float | None = json_value(value) if judged else None
+        found: float | None = null_nonfinite_rows(value) if judged else None
         return found
 
     def _settle_s(self, trial: Trials, band_px: float) -> float | None:

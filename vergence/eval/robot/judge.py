@@ -18,9 +18,13 @@ from vergence.eval.robot.evaluation_record import RecordedTrial
 from vergence.eval.robot.stage import REST_TARGET
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.results import Trials, join_trials
-from vergence.eval.trials.run import TimedController, run_trials_in, trial_periods
+from vergence.eval.trials.run import (
+    InstrumentedController,
+    evaluated_and_run_periods,
+    run_trials_in,
+)
 from vergence.eval.trials.scenarios import Scenario
-from vergence.eval.trials.settling import judged_bands
+from vergence.eval.trials.settling import bounded_bands
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.loop import loop_variation
 from vergence.models.head import HeadModel
@@ -46,14 +50,14 @@ class RobotJob(EvaluationJob):
     def _trials(self, controller: Controller, scenario: Scenario, *, observed: int = 0) -> Trials:
         """Judge the logged trials; the controller runs again on their readings."""
         head, found, points = self.hardware.head, [], []
-        _, steps = trial_periods(scenario, head, simulated=False)
+        _, steps = evaluated_and_run_periods(scenario, head, simulated=False)
         for place, one in enumerate(self.recorded):
             trial = one.trial
             if one.entry.stopped:
                 trial = _extended_to_full_length(trial, steps, head.timing.period_s)
             options = {"trials": [trial]}
             task = GazeTask(1, head=head, plant=REPLAYED, target=REST_TARGET, plant_options=options)
-            timed = TimedController(controller, int(place < observed))
+            timed = InstrumentedController(controller, int(place < observed))
             with errors_attributed_to(controller):
                 trials = run_trials_in(task, timed, scenario, plant=self.plant)
             trials = replace(
@@ -137,6 +141,6 @@ def robot_settle_bounds(
     with closing(task):
         simulation_of(task.plant).begin(start)
         found = {
-            band.px: settle_bound(task, band.px, sight_s) for band in judged_bands(trials.band_px)
+            band.px: settle_bound(task, band.px, sight_s) for band in bounded_bands(trials.band_px)
         }
     return {band_px: np.where(known, one, np.nan) for band_px, one in found.items()}

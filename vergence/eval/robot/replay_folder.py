@@ -13,13 +13,13 @@ from vergence.recording import schema
 from vergence.recording.recovery import recover_log
 
 
-def write_replay(folder: Path, replay: Replay, gaze: int | None = None) -> None:
+def write_replay_folder(folder: Path, replay: Replay, drawn_gaze: int | None = None) -> None:
     """Write tables and the picture of one gaze; for a truncated log, also a repaired copy.
 
     Args:
         folder: the run folder.
         replay: the replayed log.
-        gaze: number of the gaze to draw, counted from 1; None for the last one.
+        drawn_gaze: number of the gaze to draw, counted from 1; None for the last one.
     """
     log = replay.log
     write_json(folder / "result.json", replay.summary())
@@ -32,7 +32,7 @@ def write_replay(folder: Path, replay: Replay, gaze: int | None = None) -> None:
         recover_log(log.path, folder / "recovered.mcap")
     replay.trajectory().to_csv(folder / "trajectory.csv", index=False)
     if replay.results:
-        draw_gaze(replay.results[-1 if gaze is None else gaze - 1], folder / "gaze.png")
+        draw_gaze(replay.results[-1 if drawn_gaze is None else drawn_gaze - 1], folder / "gaze.png")
 
 
 def _commands(rerun: RerunCommands, head: HeadModel) -> pd.DataFrame:

@@ -231,7 +231,7 @@ def _entry(
     lag: float,
     acceleration: float,
     speed: float,
-    fade: float,
+    torque_falloff: float,
     period: float,
 ) -> float:
     """Least time in which an actuator at rest enters its band and stays there.
@@ -244,7 +244,7 @@ def _entry(
         lag: time constant of the response, s.
         acceleration: greatest acceleration, rad/s^2.
         speed: greatest velocity command, rad/s.
-        fade: loss of acceleration with speed, as a fraction per rad/s.
+        torque_falloff: loss of acceleration with speed, as a fraction per rad/s.
         period: the control period, s.
     """
     near = abs(turn) - half_band
@@ -257,4 +257,4 @@ def _entry(
         return inf
     if far >= room:
         far = inf  # the end of the range stops it
-    return fastest_entry(near, far, lag, acceleration, speed, fade)
+    return fastest_entry(near, far, lag, acceleration, speed, torque_falloff)

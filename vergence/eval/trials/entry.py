@@ -40,21 +40,21 @@ def fastest_entry(
     joint = _Joint(lag, acceleration, speed, torque_falloff if acceleration < inf else 0.0)
     switch = inf
     if far < inf:
-        low, high = 0.0, _until_beyond(far, joint)
+        low, high = 0.0, _time_to_pass(far, joint)
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
-            if _stop(middle, joint) <= far:
+            if _stopping_angle(middle, joint) <= far:
                 low = middle
             else:
                 high = middle
         switch = low
-    low, high = 0.0, _until_beyond(near, joint)
+    low, high = 0.0, _time_to_pass(near, joint)
     if switch < inf:
         # a joint that stops at the far edge has passed the near one
         high = min(high, switch) + _stop_time(switch, joint)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        if _place(middle, switch, joint)[0] < near:
+        if _bang_bang_state(middle, switch, joint)[0] < near:
             low = middle
         else:
             high = middle
@@ -71,7 +71,9 @@ class _Joint(NamedTuple):
 
 
 @inlined
-def _after(q: float, v: float, command: float, time: float, joint: _Joint) -> tuple[float, float]:
+def _joint_after(
+    q: float, v: float, command: float, time: float, joint: _Joint
+) -> tuple[float, float]:
     if joint.torque_falloff > 0.0:
         return follow_torque_limited_joint(
             q, v, command, joint.lag, joint.acceleration, joint.torque_falloff, time
@@ -81,18 +83,18 @@ def _after(q: float, v: float, command: float, time: float, joint: _Joint) -> tu
 
 
 @inlined
-def _place(time: float, switch: float, joint: _Joint) -> tuple[float, float]:
+def _bang_bang_state(time: float, switch: float, joint: _Joint) -> tuple[float, float]:
     """Angle and velocity at a time, under full command until the switch, then full reverse."""
-    q, v = _after(0.0, 0.0, joint.speed, min(time, switch), joint)
+    q, v = _joint_after(0.0, 0.0, joint.speed, min(time, switch), joint)
     if time > switch:
-        q, v = _after(q, v, -joint.speed, time - switch, joint)
+        q, v = _joint_after(q, v, -joint.speed, time - switch, joint)
     return q, v
 
 
 @inlined
 def _stop_time(switch: float, joint: _Joint) -> float:
     """Time from the switch until full reverse has stopped the joint, s."""
-    _q, v = _place(switch, switch, joint)
+    _q, v = _bang_bang_state(switch, switch, joint)
     time = 0.0
     # the deceleration stays at its limit down to this velocity; then the lag reduces it
     least = inf
@@ -107,15 +109,15 @@ def _stop_time(switch: float, joint: _Joint) -> float:
 
 
 @inlined
-def _stop(switch: float, joint: _Joint) -> float:
+def _stopping_angle(switch: float, joint: _Joint) -> float:
     """Angle at which the joint stops if it reverses at the switch, rad."""
-    return _place(switch + _stop_time(switch, joint), switch, joint)[0]
+    return _bang_bang_state(switch + _stop_time(switch, joint), switch, joint)[0]
 
 
 @inlined
-def _until_beyond(distance: float, joint: _Joint) -> float:
+def _time_to_pass(distance: float, joint: _Joint) -> float:
     """An upper bound on the time in which full command carries a joint beyond a distance, s."""
     time = distance / joint.speed + joint.lag + 1e-6
-    while _place(time, inf, joint)[0] <= distance:
+    while _bang_bang_state(time, inf, joint)[0] <= distance:
         time *= 2.0
     return time

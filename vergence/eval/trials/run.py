@@ -33,7 +33,7 @@ from vergence.eval.trials.goal import least_measured_error
 from vergence.eval.trials.recorded import trials_from_record
 from vergence.eval.trials.results import Trials, headline_metric, join_trials
 from vergence.eval.trials.scenarios import Assignment, Scenario, explaining_target_errors
-from vergence.eval.trials.settling import judged_bands
+from vergence.eval.trials.settling import bounded_bands
 from vergence.models.head import HeadModel
 from vergence.recording import Recorder
 
@@ -100,7 +100,7 @@ def run_trials(
     for begin in range(0, episodes, size):
         num = min(size, episodes - begin)
         with closing(scenario.task(num, plant=plant, head=head)) as task:
-            timed = TimedController(controller, max(0, min(num, observed - begin)), clock_ns)
+            timed = InstrumentedController(controller, max(0, min(num, observed - begin)), clock_ns)
             part = run_trials_in(
                 task,
                 timed,
@@ -122,7 +122,7 @@ def _share(
     return lambda fraction: progress(begin + share * fraction)
 
 
-class TimedController:
+class InstrumentedController:
     """Wrapper of a controller that records durations of `predict` and the first observations.
 
     Args:
@@ -160,7 +160,9 @@ class TimedController:
         return answer
 
 
-def trial_periods(assignment: Assignment, head: HeadModel, *, simulated: bool) -> tuple[int, int]:
+def evaluated_and_run_periods(
+    assignment: Assignment, head: HeadModel, *, simulated: bool
+) -> tuple[int, int]:
     """Control periods of a trial, evaluated and run.
 
     Args:
@@ -178,7 +180,7 @@ def trial_periods(assignment: Assignment, head: HeadModel, *, simulated: bool) -
 
 def run_trials_in(
     task: GazeTask,
-    timed: TimedController,
+    timed: InstrumentedController,
     scenario: Assignment,
     *,
     plant: str,
@@ -201,7 +203,7 @@ def run_trials_in(
         The trials; without bounds if the plant is no simulation.
     """
     simulated = isinstance(task.plant, Simulation)
-    steps, all_steps = trial_periods(scenario, task.head, simulated=simulated)
+    steps, all_steps = evaluated_and_run_periods(scenario, task.head, simulated=simulated)
     record = Recorder(
         task, all_steps, reading=_SIMULATED if simulated else Reading._fields, truth=_TRUTH
     )
@@ -241,7 +243,7 @@ def _known_at_the_start(task: GazeTask, plant: Simulation, scenario: Assignment)
     """Onsets, bounds and residuals of simulated trials that have just begun."""
     known: dict[str, Any] = {"onset_s": plant.onset_s()}
     if not scenario.target_moves:
-        bands = judged_bands(scenario.band_px)
+        bands = bounded_bands(scenario.band_px)
         known["bounds_s"] = {band.px: settle_bound(task, band.px) for band in bands}
         known["residual"] = least_measured_error(task, plant.truth_at_rest().target)
     return known

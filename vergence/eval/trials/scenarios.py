@@ -15,7 +15,12 @@ from vergence.entry_points import is_entry_point
 from vergence.envs.plants.simulation import Simulation
 from vergence.envs.plants.variation import Variation
 from vergence.envs.task import GazeTask
-from vergence.errors import ConfigurationError, TargetError, UnknownNameError, did_you_mean
+from vergence.errors import (
+    ConfigurationError,
+    UnknownNameError,
+    UnreachableTargetError,
+    did_you_mean,
+)
 from vergence.eval.trials.loops import DESK, HARDWARE, LATEST_ONSET_S, TICK_RAD_S, TICKS, WEBCAM
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
 from vergence.models.files.head_file import load_head
@@ -148,12 +153,12 @@ def explaining_target_errors(scenario: str) -> Iterator[None]:
         scenario: the scenario's name.
 
     Raises:
-        TargetError: the head cannot look at the scenario's target.
+        UnreachableTargetError: the head cannot look at the scenario's target.
     """
     try:
         yield
-    except TargetError as error:
-        raise TargetError(
+    except UnreachableTargetError as error:
+        raise UnreachableTargetError(
             f"scenario {scenario}: {error}; choose another scenario, or a head whose joints "
             "and images reach there"
         ) from error

@@ -82,7 +82,7 @@ HALF_PX: Final = Band(0.5)
 """Band with settle times in every table, but with a bound only if it leads (chosen)."""
 
 
-def judged_bands(leading_px: float) -> list[Band]:
+def bounded_bands(leading_px: float) -> list[Band]:
     """The bands to which a scenario's trials have time-optimal bounds, narrowest first.
 
     Args:
@@ -92,9 +92,9 @@ def judged_bands(leading_px: float) -> list[Band]:
 
 
 def timed_bands(leading_px: float) -> list[Band]:
-    """The bands to which a scenario's trials have settle times, narrowest first.
+    """The bands whose settle times tables hold: those with a bound, and 0.5 px; narrowest first.
 
     Args:
         leading_px: the scenario's leading band, px.
     """
-    return sorted({HALF_PX, *judged_bands(leading_px)})
+    return sorted({HALF_PX, *bounded_bands(leading_px)})

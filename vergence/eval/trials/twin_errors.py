@@ -38,4 +38,4 @@ TWIN_SPREADS: Final = ModelErrors(
 their common scale."""
 TWIN_ERRORS: Final = TWIN_SPREADS.scaled(0.41)
 """Standard deviations of the scenarios' model errors: `TWIN_SPREADS` times the scale found by
-`vergence reproduce physical-static`."""
+`vergence reproduce physical-static` (measured)."""

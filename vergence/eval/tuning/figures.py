@@ -9,7 +9,7 @@ from vergence.eval.reporting.style import BLUE, GREY, ORANGE, figure_style, new_
 from vergence.eval.tuning.objective import Attempt
 from vergence.eval.tuning.spaces import SearchRange
 
-_METRIC = {"s": "settle time to 1 px (s)", "px": "tracking RMS (px)"}
+_METRIC = {"s": "settle time (s)", "px": "tracking RMS (px)"}
 
 
 def draw_search(

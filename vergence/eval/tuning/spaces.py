@@ -99,6 +99,6 @@ def default_point(controller: str, search_ranges: Mapping[str, SearchRange]) -> 
     return point
 
 
-def is_grid(search_ranges: Mapping[str, SearchRange]) -> bool:
+def has_single_stepped_option(search_ranges: Mapping[str, SearchRange]) -> bool:
     """True if a search is small enough to try every point: a single option with a step."""
     return len(search_ranges) == 1 and all(span.step is not None for span in search_ranges.values())

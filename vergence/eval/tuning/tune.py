@@ -15,7 +15,7 @@ from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.figures import draw_search
 from vergence.eval.tuning.objective import Attempt, Objective
-from vergence.eval.tuning.spaces import SearchRange, default_point, is_grid
+from vergence.eval.tuning.spaces import SearchRange, default_point, has_single_stepped_option
 from vergence.eval.tuning.study import SearchSpec, run_search
 from vergence.eval.tuning.study_storage import without_password
 from vergence.files import atomic_files
@@ -66,7 +66,7 @@ def tune(
     config = dataclasses.replace(
         config,
         head=config.head or scenario.head,
-        grid=config.grid or is_grid(search_ranges),
+        grid=config.grid or has_single_stepped_option(search_ranges),
         steps=config.steps if config.learned else None,
         study=config.name,
         storage=config.storage_in(folder),
@@ -105,7 +105,7 @@ def _write(
 ) -> None:
     config = result.config
     # processes that share a study may end together, and each writes the results of all
-    with hold_lock(folder, wait=True), atomic_files(folder, last="tune.json") as partial:
+    with hold_lock(folder, wait=True), atomic_files(folder, moved_last="tune.json") as partial:
         shown = dataclasses.replace(config, storage=without_password(str(config.storage)))
         write_config(partial, shown, head, PACKAGES)
         rows = [

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from vergence.errors import ChecksFailedError, Finding, HardwareError
 from vergence.hardware.checks.cameras import camera_requests, check_cameras
 from vergence.hardware.checks.line import open_bus
-from vergence.hardware.checks.registers import joint_angle
+from vergence.hardware.checks.registers import joint_angle_from_registers
 from vergence.hardware.checks.servos import check_servos
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
@@ -96,6 +96,6 @@ def _servo(config: HardwareConfig, servo: ServoConfig, bus: Bus) -> str:
     memory = read_memory(bus, servo.id)
     volts = 0.1 * memory.get(table.PRESENT_INPUT_VOLTAGE)
     celsius = memory.get(table.PRESENT_TEMPERATURE)
-    angle = joint_angle(config, servo, memory)
+    angle = joint_angle_from_registers(config, servo, memory)
     name = model_name(memory.get(table.MODEL_NUMBER))
     return f"{name}, id {servo.id}, {volts:.1f} V, {celsius} C, at {angle:.3f} rad"

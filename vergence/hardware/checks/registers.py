@@ -32,7 +32,7 @@ _DRIVE_MODES: Final = {
 
 
 def check_registers(
-    config: HardwareConfig, servo: ServoConfig, memory: ServoMemory, *, check_limits: bool
+    config: HardwareConfig, servo: ServoConfig, memory: ServoMemory, *, check_joint_in_limits: bool
 ) -> Iterator[Finding]:
     """Find all problems in a servo's registers.
 
@@ -40,11 +40,11 @@ def check_registers(
         config: the robot.
         servo: the servo, of a supported model.
         memory: its registers.
-        check_limits: True to check that its joint is within its limits.
+        check_joint_in_limits: True to check that its joint is within its limits.
     """
     asked = _Asked(config, servo, memory)
     for check in _CHECKS:
-        if check_limits or check is not _posture:
+        if check_joint_in_limits or check is not _posture:
             yield from check(asked)
 
 
@@ -175,7 +175,9 @@ def _faults(one: _Asked) -> Iterator[Finding]:
         )
 
 
-def joint_angle(config: HardwareConfig, servo: ServoConfig, memory: ServoMemory) -> float:
+def joint_angle_from_registers(
+    config: HardwareConfig, servo: ServoConfig, memory: ServoMemory
+) -> float:
     """Angle of a servo's joint from its registers, rad."""
     angles = ServoAngles((servo,), config.head)
     state = bytes(4) + table.PRESENT_POSITION.encode(memory.get(table.PRESENT_POSITION))
@@ -185,7 +187,7 @@ def joint_angle(config: HardwareConfig, servo: ServoConfig, memory: ServoMemory)
 
 def _posture(one: _Asked) -> Iterator[Finding]:
     servo, ticks = one.servo, one.get(table.PRESENT_POSITION)
-    angle_rad = joint_angle(one.config, servo, one.memory)
+    angle_rad = joint_angle_from_registers(one.config, servo, one.memory)
     if not servo.lower_rad - _POSTURE_RAD <= angle_rad <= servo.upper_rad + _POSTURE_RAD:
         yield one.finding(
             f"expected an angle of {servo.lower_rad:.3f} to {servo.upper_rad:.3f} rad, got "

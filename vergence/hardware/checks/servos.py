@@ -11,7 +11,12 @@ import numpy as np
 
 from vergence.errors import ChecksFailedError, Finding, HardwareError
 from vergence.hardware.checks.line import check_exchange_fits_period, check_latency_timer
-from vergence.hardware.checks.registers import WIZARD, check_registers, joint_angle, servo_finding
+from vergence.hardware.checks.registers import (
+    WIZARD,
+    check_registers,
+    joint_angle_from_registers,
+    servo_finding,
+)
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
@@ -24,15 +29,15 @@ _LOOKED_AT: Final = range(1, 21)
 
 
 def check_servos(
-    config: HardwareConfig, bus: Bus, *, check_limits: bool = True, sysfs: str = "/sys"
+    config: HardwareConfig, bus: Bus, *, check_joint_in_limits: bool = True, sysfs: str = "/sys"
 ) -> list[Finding]:
     """Find all problems of the servos and their line. Nothing is written to a servo.
 
     Args:
         config: the robot.
         bus: its open line.
-        check_limits: True to check that joints are within their limits; False while zeros are
-            being set.
+        check_joint_in_limits: True to check that joints are within their limits; False while zeros
+            are being set.
         sysfs: mount point of sysfs.
 
     Raises:
@@ -62,9 +67,11 @@ def check_servos(
             findings.append(_silent(servo, str(error)))
             continue
         delays[servo.name] = memory.get(table.RETURN_DELAY_TIME)
-        findings += check_registers(config, servo, memory, check_limits=check_limits)
-        angles[servo.slot] = joint_angle(config, servo, memory)
-    if check_limits:
+        findings += check_registers(
+            config, servo, memory, check_joint_in_limits=check_joint_in_limits
+        )
+        angles[servo.slot] = joint_angle_from_registers(config, servo, memory)
+    if check_joint_in_limits:
         findings += _forbidden(config, angles)
     findings += check_exchange_fits_period(config, delays, sysfs)
     latency = check_latency_timer(config.bus.port, sysfs)

@@ -7,6 +7,7 @@ mid-exposure; images are sent in the order of exposure.
 This is a separate process, so that drawing does not delay the answers of the servos.
 """
 
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -60,12 +61,16 @@ class _Stream:
     def __init__(self) -> None:
         self._new = threading.Condition()
         self._jpeg, self._count = b"", 0
+        self._exposure_s = 0.0
         self._ended = False
 
-    def publish(self, jpeg: bytes) -> None:
+    def publish(self, jpeg: bytes, exposure_s: float) -> None:
+        """Publish an image; one that a later exposure has overtaken is dropped."""
         with self._new:
-            self._jpeg, self._count = jpeg, self._count + 1
-            self._new.notify_all()
+            if exposure_s >= self._exposure_s:
+                self._jpeg, self._count = jpeg, self._count + 1
+                self._exposure_s = exposure_s
+                self._new.notify_all()
 
     def end(self, ended: bool) -> None:
         """Close the stream to all readers, or allow new ones again."""
@@ -148,19 +153,20 @@ class EmulatedCameras:
                     late_s = config.latency_s + config.jitter_s * float(self._rng.random())
                     late_s += self._faults.late_s(one)
                     sent_s[one] = max(sent_s[one], exposed_s + late_s)
-                    self._send(one, images[one], sent_s[one])
+                    self._send(one, images[one], exposed_s, sent_s[one])
             # frames whose time has passed are skipped
             frame = max(frame + 1, int((self._clock() - begun_s) * config.frame_rate_hz))
 
-    def _send(self, eye: int, new: Image, at_s: float) -> None:
-        """Publish an image at a time, after applying the faults."""
+    def _send(self, eye: int, new: Image, exposed_s: float, at_s: float) -> None:
+        """Publish an image exposed at one time at another, after applying the faults."""
         stream = self.streams[eye]
         stream.end(self._faults.has_ended(eye))
         image = self._faults.image(eye, new)
         if image is None:
             return
+        jpeg = _jpeg(image)
         delay_s = max(at_s - self._clock(), 0.0)
-        timer = threading.Timer(delay_s, stream.publish, (_jpeg(image),))
+        timer = threading.Timer(delay_s, stream.publish, (jpeg, exposed_s))
         timer.daemon = True
         timer.start()
 
@@ -186,7 +192,7 @@ def make_stream_server(cameras: EmulatedCameras, port: int) -> ThreadingHTTPServ
             path, _, query = self.path.partition("?")
             images = parse_qs(query).get("images", ["-1"])[0]
             stream = streams.get(path)
-            if stream is None or not images.lstrip("-").isdecimal():
+            if stream is None or re.fullmatch(r"-1|[0-9]{1,9}", images) is None:
                 self.send_error(404, "expected /left or /right, or /left?images=90")
                 return
             if stream.has_ended:

@@ -50,7 +50,7 @@ _WINDOWS: Final = (_Window(0.5, 0.0, 0.1), _Window(4.0, 0.03, 0.2))
 
 
 class FollowingMonitor:
-    """Comparison of the joints' motion with their commands.
+    """Detector of joints that do not follow their commands.
 
     Args:
         head: the model of the head.

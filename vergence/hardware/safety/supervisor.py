@@ -55,22 +55,22 @@ class RobotState(NamedTuple):
 
     now_s: float
     """Present time, s of a monotonic clock."""
-    angles: FloatArray
+    actuator_angles: FloatArray
     """(7,) angles of the neck's joints and the actuators of the eyes, rad."""
-    speeds: FloatArray
+    actuator_speeds: FloatArray
     """(7,) measured speeds of these, rad/s."""
-    joints: FloatArray
+    joint_angles: FloatArray
     """(7,) joint angles, rad."""
-    age_s: FloatArray
+    reading_age_s: FloatArray
     """(7,) time since each servo's last answer, during which its angle is extrapolated, s."""
-    images_s: FloatArray | None
-    """(2,) time of receipt of each eye's newest image, s; None while images do not count, as on the
-    way to the start of a trial."""
-    seen: bool = False
+    images_received_s: FloatArray | None
+    """(2,) time of receipt of each eye's newest image, on the clock of `now_s`, s; None outside of
+    trials, where late images are no fault."""
+    target_visible: bool = False
     """True if the target is visible in the newest image of an eye."""
-    goals: FloatArray | None = None
+    target_eye_angles: FloatArray | None = None
     """(4,) angles at which the eye joints look at the target, rad; nan if unknown."""
-    missed: int = 0
+    missed_periods: int = 0
     """Control periods missed since the last call."""
 
 
@@ -144,7 +144,9 @@ class Supervisor:
             requested = self._while_lost(state, requested)
         first = np.minimum(np.maximum(_FIRST * self.max_speed, _FIRST_RAD_S), self.max_speed)
         max_speed = np.where(self._following.proved_joints, self.max_speed, first)
-        return self._motion.limit_velocities(state.angles, state.speeds, requested, max_speed)
+        return self._motion.limit_velocities(
+            state.actuator_angles, state.actuator_speeds, requested, max_speed
+        )
 
     def on_sent(self, sent: FloatArray) -> None:
         """Report the command, (7,) rad/s, that was sent for a period."""
@@ -173,29 +175,30 @@ class Supervisor:
 
     def _judge(self, state: RobotState) -> None:
         """Stop if joints, limits or forbidden postures are violated, or the trial's loop fails."""
-        age_s = float(state.age_s.max())
+        age_s = float(state.reading_age_s.max())
         if age_s > JOINTS_AGE_S:
             self.stop(
                 f"servos: expected the joints' angles within {JOINTS_AGE_S:g} s, got none for "
                 f"{age_s:.2f} s; cure: check the servos' cables and power"
             )
         for name, slot in self._names.items():
-            angle = state.angles[slot]
+            angle = state.actuator_angles[slot]
             beyond = max(self._lower[slot] - angle, angle - self._upper[slot])
-            seen = state.age_s[slot] <= _SEEN * self._head.timing.period_s
+            seen = state.reading_age_s[slot] <= _SEEN * self._head.timing.period_s
             if beyond > _BEYOND_RAD and seen:
                 self.stop(
                     f"servos: {name}: expected {self._lower[slot]:.3f} to {self._upper[slot]:.3f} "
                     f"rad, got {angle:.3f} rad: it was pushed, or commands came late; cure: turn "
                     "it back by hand with torque off (`vergence jog`: off)"
                 )
-        entered = find_containing_posture(self._config.forbidden, state.angles)
+        entered = find_containing_posture(self._config.forbidden, state.actuator_angles)
         if entered is not None:
+            refusal = entered.refusal(state.actuator_angles, self._names)
             self.stop(
-                f"safety: {entered.refusal(state.angles, self._names)}; cure: turn it out of there "
-                "by hand with torque off (`vergence jog`: off)"
+                f"safety: {refusal}; cure: turn it out of there by hand with torque off "
+                "(`vergence jog`: off)"
             )
-        off = self._following.update(state.now_s, state.angles, self._last_sent)
+        off = self._following.update(state.now_s, state.actuator_angles, self._last_sent)
         for name, slot in self._names.items():
             if off[slot] > 0.0:
                 self.stop(
@@ -203,8 +206,8 @@ class Supervisor:
                     "stuck, turns the wrong way, or is misread; cure: see with `vergence jog` "
                     "whether it turns freely and as far as it is told to"
                 )
-        if state.images_s is not None:
-            self._judge_loop(state, state.images_s)
+        if state.images_received_s is not None:
+            self._judge_loop(state, state.images_received_s)
 
     def _judge_loop(self, state: RobotState, images_s: FloatArray) -> None:
         """Stop if a trial's images are late, many periods are missed, or the head oscillates."""
@@ -217,7 +220,7 @@ class Supervisor:
                     f"none for {age_s:.2f} s; cure: another cable or port, or a longer "
                     "safety.image_age_s"
                 )
-        self._missed.append((state.now_s, state.missed))
+        self._missed.append((state.now_s, state.missed_periods))
         while state.now_s - self._missed[0][0] > _OVERRUN_WINDOW_S:
             self._missed.popleft()
         missed = sum(count for _, count in self._missed)
@@ -229,8 +232,8 @@ class Supervisor:
                 "is too slow; cure: end other programs, or take a quicker policy or a lower "
                 "control_rate_hz in the head file"
             )
-        goals = np.full(4, np.nan) if state.goals is None else state.goals
-        joint = self._oscillation.update(state.now_s, state.joints[EYES], goals)
+        goals = np.full(4, np.nan) if state.target_eye_angles is None else state.target_eye_angles
+        joint = self._oscillation.update(state.now_s, state.joint_angles[EYES], goals)
         if joint is not None:
             self.stop(
                 f"{SWINGING}, got {self._head.joints[EYES][joint]} swinging at speed; cure: a "
@@ -241,9 +244,9 @@ class Supervisor:
     def _while_lost(self, state: RobotState, requested: FloatArray) -> FloatArray:
         """Replace the requested velocities while the target is lost: by rest, or by the search."""
         self.verdict = Verdict.GO
-        if state.images_s is None:
+        if state.images_received_s is None:
             return requested
-        if state.seen:
+        if state.target_visible:
             self._seen_s = state.now_s
         lost_s = state.now_s - self._seen_s - self._config.lost_s
         if lost_s <= 0.0:
@@ -252,4 +255,4 @@ class Supervisor:
             self.verdict = Verdict.HOLD
             return np.zeros(7)
         self.verdict = Verdict.SEARCH
-        return self._search.velocities(lost_s, state.angles, state.joints)
+        return self._search.velocities(lost_s, state.actuator_angles, state.joint_angles)

@@ -27,7 +27,7 @@ from vergence.models.files.robot_description.camera_axes import (
     rotation_of_axes,
 )
 from vergence.models.files.robot_description.given import parse_locked_joints
-from vergence.models.files.robot_description.head_chains import HeadChains, head_chains
+from vergence.models.files.robot_description.head_chains import HeadChains, build_head_chains
 from vergence.models.files.robot_description.head_tables import (
     ASSUMED_LOOP,
     LOOP_REASONS,
@@ -118,7 +118,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         for eye, name in zip(EYE_NAMES, source.cameras, strict=True)
     )
     _check_two(source.cameras)
-    chains = head_chains(
+    chains = build_head_chains(
         mechanism,
         base=base,
         cameras=(cameras[0], cameras[1]),
@@ -126,25 +126,29 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         locked=parse_locked_joints(source.lock, mechanism.joints()),
     )
     axes = _axes(mechanism, cameras, source.camera_axes)
-    zero = dict.fromkeys(chains.parts, 0.0)
+    zero = dict.fromkeys(chains.moved_part_of_joint, 0.0)
     eyes = [
         EyeAtZeroAngles(
             name=name,
             pose=chain.pose(zero) @ _turned(rotation),
-            axes=chain.axes([n for n, part in chains.parts.items() if part != "neck"]),
+            axes=chain.axes(
+                [n for n, part in chains.moved_part_of_joint.items() if part != "neck"]
+            ),
         )
         for name, chain, rotation in zip(source.cameras, chains.chains, axes, strict=True)
     ]
-    joints = [joint_fields(chains, name) for name in chains.parts]
+    joints = [joint_fields(chains, name) for name in chains.moved_part_of_joint]
     mounts = [
-        pose_fields("position_m", chain.end @ _turned(rotation), f"{eye} camera")
+        pose_fields("position_m", chain.camera_in_last_link @ _turned(rotation), f"{eye} camera")
         for eye, chain, rotation in zip(EYE_NAMES, chains.chains, axes, strict=True)
     ]
     if not source.camera_axes:
-        root = mechanism.pose(0, base, {**zero, **chains.fixed})
+        root = mechanism.pose(0, base, {**zero, **chains.fixed_values})
         check_camera_axes(eyes, up=root[:3, 2])
     ranges, assumed = joint_motion_limits(
-        [chains.joint(name).joint for name in chains.parts], source.speed, source.acceleration
+        [chains.joint(name).joint for name in chains.moved_part_of_joint],
+        source.speed,
+        source.acceleration,
     )
     moved = _motors(chains, eyes, ranges, source.couplings)
     assumed = _of_motors(assumed, moved)
@@ -229,10 +233,10 @@ def _motors(
         return []
     between = frame_between_cameras(np.stack([eye.pose for eye in eyes]))
     joints = []
-    for name, part in chains.parts.items():
+    for name, part in chains.moved_part_of_joint.items():
         if part != "neck":
             axis = chains.axis(name) @ between[:3, :3]
-            joints.append(EyeJoint(name=name, part=part, axis=axis, limits=ranges[name]))
+            joints.append(EyeJoint(name=name, moved_eyes=part, axis=axis, limits=ranges[name]))
     baseline = float(np.linalg.norm(eyes[1].pose[:3, 3] - eyes[0].pose[:3, 3]))
     return find_eye_motors(joints, chains.mimic_joints, couplings, baseline)
 
@@ -242,7 +246,7 @@ def _of_motors(assumed: Mapping[str, str], moved: Sequence[EyeMotor]) -> dict[st
     found: dict[str, str] = {}
     for key, why in assumed.items():
         joint, _, field = key.removeprefix("joints.").rpartition(".")
-        movers = [motor for motor in moved if joint in motor.joints]
+        movers = [motor for motor in moved if joint in motor.joint_factors]
         for motor in movers:
             found.setdefault(f"actuators.{motor.name}.{field}", why)
         if not movers:
@@ -272,8 +276,8 @@ def _heading(source: UrdfSource, mechanism: Mechanism, chains: HeadChains) -> st
         f"The head of {mechanism.name or 'a robot'} in {Path(source.file).name}, from "
         f"{source.base} to the cameras {source.cameras[0]} and {source.cameras[1]}."
     ]
-    if chains.fixed:
-        held = (f"{name} at {value:.6g}" for name, value in chains.fixed.items())
+    if chains.fixed_values:
+        held = (f"{name} at {value:.6g}" for name, value in chains.fixed_values.items())
         lines.append(f"Held, in rad or m: {', '.join(held)}.")
     lines.append("What the file lacks is assumed: see [assumptions].")
     return "".join(f"# {_printable(line)}\n" for line in lines)
@@ -293,7 +297,7 @@ def _parsed(text: str) -> HeadModel:
 
 
 def _ignored(mechanism: Mechanism, chains: HeadChains) -> list[str]:
-    others = len(mechanism.joints()) - len(chains.parts) - len(chains.fixed)
+    others = len(mechanism.joints()) - len(chains.moved_part_of_joint) - len(chains.fixed_values)
     return [
         *([f"{others} other joints"] if others else []),
         "shapes, masses, friction, efforts",

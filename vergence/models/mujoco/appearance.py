@@ -9,7 +9,7 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
 from vergence.models.links import inverse_pose
 from vergence.models.mujoco.bodies import Bodies
-from vergence.models.mujoco.posture import EYE_RADIUS_M, RestPoses, carrier_bodies, rest_poses
+from vergence.models.mujoco.posture import EYE_RADIUS_M, RestPoses, n_and_camera_bodies, rest_poses
 from vergence.models.mujoco.shapes import (
     DARK,
     LENS,
@@ -56,7 +56,7 @@ def add_appearance(spec: mujoco.MjSpec, bodies: Bodies, head: HeadModel) -> None
     """
     add_materials(spec)
     posture, links = rest_poses(head), head.links.bodies()
-    skull, *ends = carrier_bodies(head)
+    skull, *ends = n_and_camera_bodies(head)
     _add_stand(bodies[-1], posture)
     for place, link in enumerate(links):
         body, size = bodies[place], posture.scale

@@ -85,7 +85,7 @@ class RestPoses(NamedTuple):
 
 
 def rest_poses(head: HeadModel) -> RestPoses:
-    """Compute the posture of one head at rest."""
+    """Compute the poses of a head's links, base and cameras at rest, and its upright frame."""
     q, links = head.rest(), head.links.bodies()
     frames: list[FloatArray] = []
     for body in links:
@@ -100,7 +100,7 @@ def rest_poses(head: HeadModel) -> RestPoses:
         upright[:3, :3] = base[:3, :3] @ _N_UPRIGHT.T
         upright[:3, 3] = base[:3, 3] - upright[:3, :3] @ _N_ORIGIN_M
     cameras = base @ head.camera_poses(q)
-    carrier, *ends = carrier_bodies(head)
+    carrier, *ends = n_and_camera_bodies(head)
     roots = np.array(cameras[:, :3, 3])
     for eye, end in enumerate(ends):
         if end != carrier:
@@ -118,7 +118,7 @@ def rest_poses(head: HeadModel) -> RestPoses:
     )
 
 
-def carrier_bodies(head: HeadModel) -> tuple[int, int, int]:
+def n_and_camera_bodies(head: HeadModel) -> tuple[int, int, int]:
     """Indices in `Links.bodies` of the bodies that carry N and both cameras; -1 for the base."""
     bodies = head.links.bodies()
     return chain_end(bodies, None), chain_end(bodies, 0), chain_end(bodies, 1)

@@ -89,7 +89,10 @@ class Surroundings(NamedTuple):
 
 
 def surroundings_of(head: HeadModel) -> Surroundings:
-    """Compute the position and size of a head's surroundings."""
+    """Place the floor, the stand and the view around a head at rest, and size them by it.
+
+    The article's head keeps the article's values.
+    """
     posture = rest_poses(head)
     if posture.is_article:
         return Surroundings(posture.upright)

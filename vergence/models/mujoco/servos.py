@@ -41,7 +41,7 @@ def discrete_lag_rate(lag_s: float, timestep_s: float) -> float:
 
 
 def add_servos(
-    spec: mujoco.MjSpec, head: HeadModel, drives: Sequence[Transmission], loads: FloatArray
+    spec: mujoco.MjSpec, head: HeadModel, drives: Sequence[Transmission], load_inertias: FloatArray
 ) -> None:
     """Add an actuator for each drive; its control is the commanded velocity, rad/s.
 
@@ -49,12 +49,12 @@ def add_servos(
         spec: the specification to extend; its time step is set.
         head: the head; it supplies limits and lags.
         drives: the actuators and their joints.
-        loads: (7,) load inertias of the actuators, kg m^2.
+        load_inertias: (7,) load inertias of the actuators, kg m^2.
     """
     own = head.actuation
     for drive in drives:
         speed = own.velocity[drive.slot]
-        torque = loads[drive.slot] * own.acceleration[drive.slot]
+        torque = load_inertias[drive.slot] * own.acceleration[drive.slot]
         rate = discrete_lag_rate(
             head.timing.lag_s * own.lag_ratio[drive.slot], spec.option.timestep
         )
@@ -68,7 +68,7 @@ def add_servos(
             ctrllimited=mujoco.mjtLimited.mjLIMITED_TRUE,
             ctrlrange=[-speed, speed],
         )
-        servo.set_to_velocity(kv=loads[drive.slot] * rate)
+        servo.set_to_velocity(kv=load_inertias[drive.slot] * rate)
         if np.isfinite(torque):
             servo.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
             servo.forcerange = [-torque, torque]

@@ -150,7 +150,7 @@ class AprilGridDetector(Detector[AprilGrid]):
         middle = cv2.perspectiveTransform(np.zeros((1, 1, 2)), fit.homography)[0, 0]
         sigma = origin_sigma_px(fit.homography, board_m, sigmas[known])
         if (board_m.min(axis=0) < 0).all() and (board_m.max(axis=0) > 0).all():
-            middle = middle + fit.distortion_px
-            sigma = np.hypot(sigma, fit.distortion_sigma_px)
+            middle = middle + fit.origin_distortion_px
+            sigma = np.hypot(sigma, fit.origin_distortion_sigma_px)
         point = flat.to_pixels(middle[None])[0]
         return Detection(board, point, out, sigma, sigmas)

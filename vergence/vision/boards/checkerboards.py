@@ -15,7 +15,7 @@ from vergence.vision.boards.corners import (
     corner_sigmas,
     estimate_noise_grey,
     refine_corners,
-    refine_robustly,
+    refine_corners_robustly,
     remaining_move_px,
 )
 from vergence.vision.boards.evenness import estimate_corner_scatter_px, leave_one_out_residuals
@@ -318,7 +318,7 @@ def _refine_strays(
             break
         strays |= now
         start = flat.to_pixels((ideal - left)[strays])
-        again = refine_robustly(image, start, half_side_px)
+        again = refine_corners_robustly(image, start, half_side_px)
         corners[strays] = np.where(np.isfinite(again), again, corners[strays])
     if beside.max() > max(_LOST_PX, _LOST_SQUARES * square, _LOST * usual):
         return None

@@ -79,7 +79,7 @@ def remaining_move_px(
     return _moves(image, corners, half_side_px)[:, 0]
 
 
-def refine_robustly(
+def refine_corners_robustly(
     image: NDArray[np.uint8], corners: NDArray[np.float64], half_side_px: int
 ) -> NDArray[np.float64]:
     r"""Refine corners by the edges that meet at them, robust to other edges in the window.
@@ -97,12 +97,12 @@ def refine_robustly(
         Refined corners, px, shape (n, 2); nan if no two edges cross or the window is left.
     """
     out = np.empty(corners.shape)
-    _refine_robustly(image, np.ascontiguousarray(corners), half_side_px, out)
+    _refine_corners_robustly(image, np.ascontiguousarray(corners), half_side_px, out)
     return out
 
 
 @compiled
-def _refine_robustly(
+def _refine_corners_robustly(
     image: NDArray[np.uint8], corners: FloatArray, half_side_px: int, out: FloatArray
 ) -> None:
     height, width = image.shape
@@ -193,19 +193,19 @@ def _moves(image: NDArray[np.uint8], corners: FloatArray, half_side_px: int) -> 
     return out
 
 
-def estimate_noise_grey(image: NDArray[np.uint8], points_px: NDArray[np.float64]) -> float:
+def estimate_noise_grey(image: NDArray[np.uint8], flat_points_px: NDArray[np.float64]) -> float:
     """Estimate the pixel noise at points inside squares of one colour.
 
     Args:
         image: grey levels, shape (height, width).
-        points_px: the points, px, shape (n, 2); those at the image's edge are left out.
+        flat_points_px: these points, px, shape (n, 2); those at the image's edge are left out.
 
     Returns:
         Standard deviation of a pixel's grey level, from a trimmed mean over the points; at least
         that of rounding.
     """
     height, width = image.shape
-    x, y = np.rint(points_px).astype(int).T
+    x, y = np.rint(flat_points_px).astype(int).T
     inside = (x > 0) & (y > 0) & (x < width - 1) & (y < height - 1)
     if not inside.any():
         return _LEAST_NOISE_GREY

@@ -25,7 +25,7 @@ _MOST_ROUNDS: Final = 8
 """Most rounds of removing outliers (numerical)."""
 
 
-class BoardFit(NamedTuple):
+class SmoothHomographyFit(NamedTuple):
     """A fit to corners."""
 
     homography: NDArray[np.float64]
@@ -34,15 +34,15 @@ class BoardFit(NamedTuple):
     """(n,) mask of the inliers."""
     residual_sigma_px: float
     """Standard deviation of the inliers' residuals, of each coordinate; 0 if unknown."""
-    distortion_px: NDArray[np.float64]
+    origin_distortion_px: NDArray[np.float64]
     """(2,) lens distortion at the board's origin, added to the homography."""
-    distortion_sigma_px: float
+    origin_distortion_sigma_px: float
     """Standard deviation of each coordinate of `distortion_px`."""
 
 
 def fit_board(
     board_m: NDArray[np.float64], pixels: NDArray[np.float64], max_residual_px: NDArray[np.float64]
-) -> BoardFit | None:
+) -> SmoothHomographyFit | None:
     """Fit a homography and a smooth distortion to corners, without outliers.
 
     Args:
@@ -68,7 +68,7 @@ def fit_board(
             # an outlier also pulls its neighbours away, so only the worst are removed per round
             good[np.flatnonzero(good)[over > max(1.0, 0.5 * float(over.max()))]] = False
     assert fit is not None
-    return BoardFit(
+    return SmoothHomographyFit(
         fit.homography, good, fit.residual_sigma_px, fit.distortion_px, fit.distortion_sigma_px
     )
 

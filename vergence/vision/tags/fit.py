@@ -238,7 +238,7 @@ def _look(
 ) -> SearchRegion:
     """Image region around the corners, and an undistorted plane across the rays to them."""
     view = UndistortedView(len(rays) > 0, np.empty((3, 3)), np.empty((3, 3)))
-    if view.lens:
+    if view.has_lens:
         u = v = 0.0
         for k in range(4):
             u, v = u + start[k, 0], v + start[k, 1]

@@ -77,7 +77,7 @@ def gather_edge_pixels(
         first = left + (-(left + phase * row)) % stride
         for column in range(first, right + 1, stride):
             u, v = float(column), float(row)
-            if view.lens:
+            if view.has_lens:
                 x, y = rays[row, column, 0], rays[row, column, 1]
                 u, v = transform_point(view.plane_from_ray, x, y)
             w = G[2, 0] * u + G[2, 1] * v + G[2, 2]

@@ -198,7 +198,7 @@ def _to_image(
     Returns:
         The pixel, and the standard deviations.
     """
-    if view.lens:
+    if view.has_lens:
         left_u, left_v = distorted_pixel(camera, view, u - 0.5, v)
         right_u, right_v = distorted_pixel(camera, view, u + 0.5, v)
         above_u, above_v = distorted_pixel(camera, view, u, v - 0.5)

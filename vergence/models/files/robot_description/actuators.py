@@ -57,8 +57,8 @@ class EyeMotor:
     """
 
     name: str
-    joints: Mapping[str, float]
-    offsets: Mapping[str, float]
+    joint_factors: Mapping[str, float]
+    joint_offsets: Mapping[str, float]
     limits: MotionLimits
     assumption_reason: str = ""
     assumed_keys: Sequence[str] = ("lower_rad", "upper_rad")
@@ -76,7 +76,7 @@ class EyeJoint:
     """
 
     name: str
-    part: str
+    moved_eyes: str
     axis: FloatArray
     limits: MotionLimits
 
@@ -137,8 +137,8 @@ def _free(
         )
     return EyeMotor(
         name=joint.name,
-        joints={joint.name: 1.0} | {mimic.joint: mimic.multiplier for mimic in mine},
-        offsets={mimic.joint: mimic.offset for mimic in mine if mimic.offset},
+        joint_factors={joint.name: 1.0} | {mimic.joint: mimic.multiplier for mimic in mine},
+        joint_offsets={mimic.joint: mimic.offset for mimic in mine if mimic.offset},
         limits=allowed,
     )
 
@@ -152,14 +152,16 @@ def _pair(
         part: [
             motor
             for motor in found
-            if len(motor.joints) == 1
-            and by_name[motor.name].part == part
+            if len(motor.joint_factors) == 1
+            and by_name[motor.name].moved_eyes == part
             and by_name[motor.name].pans == pans
         ]
         for part in ("left", "right")
     }
     if any(len(own_motors) != 1 for own_motors in own.values()):
-        there = [f"{j.name} ({j.part}, {'pan' if j.pans else 'tilt'})" for j in by_name.values()]
+        there = [
+            f"{j.name} ({j.moved_eyes}, {'pan' if j.pans else 'tilt'})" for j in by_name.values()
+        ]
         raise ConfigurationError(
             f"actuators: expected for {coupling} a joint that {which} the left eye alone and one "
             f"that {which} the right, neither tied to another, got {', '.join(there) or 'none'}"
@@ -185,8 +187,8 @@ def _common_tilt(left: EyeMotor, right: EyeMotor, by_name: Mapping[str, EyeJoint
         )
     return EyeMotor(
         name=_free_name("tilt", by_name),
-        joints={left.name: 1.0, right.name: factor},
-        offsets={},
+        joint_factors={left.name: 1.0, right.name: factor},
+        joint_offsets={},
         limits=allowed,
         assumption_reason="what both tilts may do; --actuators common-tilt ties them",
     )
@@ -225,8 +227,8 @@ def _version_vergence(
     half = {left.name: 0.5 * signs[0], right.name: -0.5 * signs[1]}
     version = EyeMotor(
         name=_free_name("version", by_name),
-        joints={left.name: signs[0], right.name: signs[1]},
-        offsets={},
+        joint_factors={left.name: signs[0], right.name: signs[1]},
+        joint_offsets={},
         limits=replace(
             both,
             lower=low,
@@ -241,8 +243,8 @@ def _version_vergence(
         version,
         EyeMotor(
             name=_free_name("vergence", by_name),
-            joints=half,
-            offsets={},
+            joint_factors=half,
+            joint_offsets={},
             limits=replace(both, lower=0.0, upper=float(vergence)),
             assumption_reason=reason,
             assumed_keys=("lower_rad", "upper_rad", "velocity_rad_s"),

@@ -32,7 +32,7 @@ class KinematicChain:
     """
 
     joints: tuple[ChainJoint, ...]
-    end: FloatArray
+    camera_in_last_link: FloatArray
 
     def pose(self, values: Mapping[str, float]) -> FloatArray:
         """T_base_frame, (4, 4), of the camera frame, at joint angles by name, rad."""
@@ -41,7 +41,7 @@ class KinematicChain:
             turn = np.eye(4)
             turn[:3, :3] = each.joint.rotation(values[each.joint.name])
             pose = pose @ each.origin @ turn
-        return np.asarray(pose @ self.end)
+        return np.asarray(pose @ self.camera_in_last_link)
 
     def axes(self, names: Sequence[str]) -> FloatArray:
         """(J, 3) axes of the named joints in the base's frame, at zero."""

@@ -40,9 +40,9 @@ class HeadChains:
     """
 
     chains: tuple[KinematicChain, KinematicChain]
-    parts: Mapping[str, str]
+    moved_part_of_joint: Mapping[str, str]
     mimic_joints: tuple[MimicJoint, ...]
-    fixed: Mapping[str, float]
+    fixed_values: Mapping[str, float]
 
     def joint(self, name: str) -> ChainJoint:
         """Return a moving joint by name."""
@@ -53,7 +53,7 @@ class HeadChains:
         return np.asarray(np.concatenate([chain.axes([name]) for chain in self.chains])[0])
 
 
-def head_chains(
+def build_head_chains(
     mechanism: Mechanism,
     *,
     base: int,
@@ -99,9 +99,9 @@ def head_chains(
     parts = _parts(paths, shared, neck, fixed)
     return HeadChains(
         chains=tuple(build_chain(mechanism, base, camera, fixed) for camera in cameras),  # type: ignore[arg-type]
-        parts=parts,
+        moved_part_of_joint=parts,
         mimic_joints=_eye_mimic_joints(mechanism, parts),
-        fixed=fixed,
+        fixed_values=fixed,
     )
 
 

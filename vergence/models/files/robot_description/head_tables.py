@@ -43,7 +43,7 @@ def joint_fields(chains: HeadChains, name: str) -> dict[str, Any]:
     found = chains.joint(name)
     return {
         "name": name,
-        "part": chains.parts[name],
+        "part": chains.moved_part_of_joint[name],
         **pose_fields("origin_m", found.origin, f"joint {name}"),
         "axis": (found.joint.axis + 0.0).tolist(),
     }
@@ -63,10 +63,10 @@ def actuator_fields(motors: Sequence[EyeMotor]) -> dict[str, Any]:
     """Tables of actuators; empty if each joint has its own."""
     if not motors:
         return {}
-    offsets = {joint: offset for motor in motors for joint, offset in motor.offsets.items()}
+    offsets = {joint: offset for motor in motors for joint, offset in motor.joint_offsets.items()}
     tables: dict[str, Any] = {
         "actuators": [
-            {"name": motor.name, "joints": dict(motor.joints), **limit_fields(motor.limits)}
+            {"name": motor.name, "joints": dict(motor.joint_factors), **limit_fields(motor.limits)}
             for motor in motors
         ]
     }

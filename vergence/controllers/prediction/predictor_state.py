@@ -11,12 +11,16 @@ import numpy as np
 from vergence._jit import inlined
 from vergence.controllers.prediction.dating import HYPOTHESES, first_hypothesis_delay, prior_costs
 from vergence.controllers.prediction.fitting import learn_response
-from vergence.controllers.prediction.joints import RIG, RING_LENGTH, PredictorModel
+from vergence.controllers.prediction.joints import (
+    PREDICTOR_PARAMETERS,
+    RING_LENGTH,
+    PredictorParameters,
+)
 from vergence.controllers.prediction.moving import MODELS, MODES, EyeMotion
 from vergence.controllers.prediction.observer import (
     Observer,
     begin_comparison,
-    reads_without_delay,
+    no_velocity_delay_found,
     update_observer,
 )
 from vergence.controllers.prediction.oscillation import (
@@ -87,7 +91,7 @@ class PredictorState:
     backlash_variance: Annotated[FloatArray, 2, 2]
     """Variance that the backlash found so far adds to a measured goal, rad^2."""
     angles: Annotated[FloatArray, RING_LENGTH, 2, 2]
-    """Ring buffer of joint angles, one entry every `PredictorModel.keep_every` periods, rad;
+    """Ring buffer of joint angles, one entry every `PredictorParameters.keep_every` periods, rad;
     entry k is at index k modulo `RING_LENGTH`."""
     first_delay_s: float
     """Delay of hypothesis 0, s."""
@@ -143,68 +147,68 @@ class PredictorState:
     """Depth of each eye's target once it is on the optical axis, m."""
 
 
-MEMORY: Final = row_layout(PredictorState)
-SIZE: Final = row_size(MEMORY)
+PREDICTOR_STATE: Final = row_layout(PredictorState)
+PREDICTOR_STATE_SIZE: Final = row_size(PREDICTOR_STATE)
 """Length of the packed state."""
 
 
 def initial_row(
-    rig_row: FloatArray, stamped: bool, learn_delay: bool, learn_response: bool
+    params_row: FloatArray, stamped: bool, learn_delay: bool, learn_response: bool
 ) -> FloatArray:
     """(SIZE,) state before the first observation.
 
     Args:
-        rig_row: packed `PredictorModel`, see
-            `vergence.controllers.prediction.joints.pack_predictor_model`.
+        params_row: packed `PredictorParameters`, see
+            `vergence.controllers.prediction.joints.pack_predictor_parameters`.
         stamped: True if the camera stamps exposures.
         learn_delay: True to estimate the delay of images on line.
         learn_response: True to identify the actuators' response on line.
     """
-    rig: PredictorModel = rig_row.view(RIG)[0]
-    response = np.zeros(1, dtype=MEMORY["response"])
+    params: PredictorParameters = params_row.view(PREDICTOR_PARAMETERS)[0]
+    response = np.zeros(1, dtype=PREDICTOR_STATE["response"])
     response["window_begin"] = -1.0
-    for name, value in initial_models(rig.response_s, rig.lag_s, learn_response).items():
+    for name, value in initial_models(params.response_s, params.lag_s, learn_response).items():
         response["models"][name] = value
-    oscillation = np.zeros(1, dtype=MEMORY["oscillation"])
+    oscillation = np.zeros(1, dtype=PREDICTOR_STATE["oscillation"])
     oscillation["patience_s"] = FIRST_PATIENCE_S
-    images = np.zeros(2, dtype=MEMORY["images"].base)
+    images = np.zeros(2, dtype=PREDICTOR_STATE["images"].base)
     images["arrived"] = -1e9
     return make_row(
-        MEMORY,
+        PREDICTOR_STATE,
         periods=-1.0,
         reversed_at=-1e9,
         image_age_s=AGE_S,
         response=response,
         oscillation=oscillation,
-        first_delay_s=first_hypothesis_delay(rig.latency_s),
-        delay_cost=prior_costs(rig.latency_s, stamped, learn_delay),
+        first_delay_s=first_hypothesis_delay(params.latency_s),
+        delay_cost=prior_costs(params.latency_s, stamped, learn_delay),
         high=HYPOTHESES,
-        delay_s=rig.latency_s,
-        detection_variance=(max(rig.detection_px, NOISE_PX) * rig.pixel_rad) ** 2,
+        delay_s=params.latency_s,
+        detection_variance=(max(params.detection_px, NOISE_PX) * params.pixel_rad) ** 2,
         depth=DEFAULT_DEPTH_M,
         images=images,
     )
 
 
 @inlined
-def angle_at(memory: PredictorState, every: float, tick: float, eye: int, joint: int) -> float:
+def angle_at(state: PredictorState, every: float, tick: float, eye: int, joint: int) -> float:
     """Interpolate a joint's angle at a time by the cubic through the four stored angles around it.
 
     Args:
-        memory: the predictor's state.
-        every: see `PredictorModel.keep_every`.
+        state: the predictor's state.
+        every: see `PredictorParameters.keep_every`.
         tick: the time, in periods.
         eye: index of the eye.
         joint: index of its joint.
     """
-    last = np.floor(memory.periods / every)
+    last = np.floor(state.periods / every)
     tick = min(max(tick / every, last - (RING_LENGTH - 4.0)), last)
     i = min(int(np.floor(tick)), int(last) - 2)
     s = tick - i
-    a = memory.angles[np.uintp((i - 1) & (RING_LENGTH - 1)), eye, joint]
-    b = memory.angles[np.uintp(i & (RING_LENGTH - 1)), eye, joint]
-    c = memory.angles[np.uintp((i + 1) & (RING_LENGTH - 1)), eye, joint]
-    d = memory.angles[np.uintp((i + 2) & (RING_LENGTH - 1)), eye, joint]
+    a = state.angles[np.uintp((i - 1) & (RING_LENGTH - 1)), eye, joint]
+    b = state.angles[np.uintp(i & (RING_LENGTH - 1)), eye, joint]
+    c = state.angles[np.uintp((i + 1) & (RING_LENGTH - 1)), eye, joint]
+    d = state.angles[np.uintp((i + 2) & (RING_LENGTH - 1)), eye, joint]
     near = (s + 1.0) * (s - 2.0)
     angle: float = (s * (s - 1.0) / 6.0) * ((s + 1.0) * d - (s - 2.0) * a)
     angle += 0.5 * near * ((s - 1.0) * b - s * c)
@@ -213,8 +217,8 @@ def angle_at(memory: PredictorState, every: float, tick: float, eye: int, joint:
 
 @inlined
 def update_joints(
-    memory: PredictorState,
-    rig: PredictorModel,
+    state: PredictorState,
+    params: PredictorParameters,
     p: PackedHead,
     positions: FloatArray,
     velocities: FloatArray,
@@ -224,20 +228,20 @@ def update_joints(
     """Update the angles, the velocities and the response with a period's readings.
 
     Args:
-        memory: changed in place.
-        rig: the head's parameters.
+        state: changed in place.
+        params: the head's parameters.
         p: a packed head.
         positions: (7,) measured joint angles, rad.
         velocities: (7,) measured joint velocities, rad/s.
         command: (4,) velocity commands that the actuators received, rad/s.
         learn: True to identify the response.
     """
-    memory.periods += 1.0
-    memory.still_periods += 1.0
-    tick, direct, begins = int(memory.periods), has_motor_per_joint(p), memory.periods == 0.0
-    response = memory.response
+    state.periods += 1.0
+    state.still_periods += 1.0
+    tick, direct, begins = int(state.periods), has_motor_per_joint(p), state.periods == 0.0
+    response = state.response
     model = selected_model(response)
-    prompt = reads_without_delay(memory.observer)
+    prompt = no_velocity_delay_found(state.observer)
     response.prompt_velocities = 1.0 if prompt else 0.0
     before, now = np.uintp((tick - 1) & (COMMANDS - 1)), np.uintp(tick & (SPEEDS - 1))
     for j in range(4):
@@ -246,32 +250,32 @@ def update_joints(
             angle = eye_actuator_angle(p, j, positions[3:])
             rate = eye_actuator_velocity(p, j, velocities[3:])
         if begins:  # at rest
-            memory.actuators[j], memory.velocity[j] = angle, rate
+            state.actuators[j], state.velocity[j] = angle, rate
             response.angles[j] = angle
-            begin_comparison(memory.observer, j, angle, rate)
+            begin_comparison(state.observer, j, angle, rate)
             continue
-        response.commands[before, j] = effective_command(rig, command[j])
-        q, v = memory.actuators[j], memory.velocity[j]
+        response.commands[before, j] = effective_command(params, command[j])
+        q, v = state.actuators[j], state.velocity[j]
         w = response.accelerations[j]
-        ahead_q, ahead_v, w = simulate_period(response, model, rig, tick - 1, j, q, v, w)
+        ahead_q, ahead_v, w = simulate_period(response, model, params, tick - 1, j, q, v, w)
         response.accelerations[j] = w
         q, v = update_observer(
-            memory.observer, response, rig, tick - 1, j, v, ahead_q, ahead_v, angle, rate
+            state.observer, response, params, tick - 1, j, v, ahead_q, ahead_v, angle, rate
         )
-        memory.actuators[j], memory.velocity[j] = q, v
-        response.mean_speeds[now, j] = (angle - response.angles[j]) / rig.period_s
+        state.actuators[j], state.velocity[j] = q, v
+        response.mean_speeds[now, j] = (angle - response.angles[j]) / params.period_s
         response.angles[j] = angle
         response.speeds[now, j] = rate if prompt else v
-        if abs(memory.velocity[j]) > _STILL_RAD_S:
-            memory.still_periods = 0.0
-    every = int(rig.keep_every)
+        if abs(state.velocity[j]) > _STILL_RAD_S:
+            state.still_periods = 0.0
+    every = int(params.keep_every)
     slot = np.uintp(tick // every & (RING_LENGTH - 1))
     for j in range(4 if tick % every == 0 else 0):
-        q = memory.actuators[j] if direct else eye_joint_angle(p, j, memory.actuators)
+        q = state.actuators[j] if direct else eye_joint_angle(p, j, state.actuators)
         if begins:
-            begin_oscillation(memory.oscillation, j // 2, j % 2, q)
+            begin_oscillation(state.oscillation, j // 2, j % 2, q)
             for place in range(RING_LENGTH):
-                memory.angles[place, j // 2, j % 2] = q
-        memory.angles[slot, j // 2, j % 2] = q
+                state.angles[place, j // 2, j % 2] = q
+        state.angles[slot, j // 2, j % 2] = q
     if learn and not begins:
-        learn_response(response, rig, tick)
+        learn_response(response, params, tick)
