@@ -132,7 +132,7 @@ def test_angles_that_belong_to_other_frames_count_for_what_they_are_worth(usual)
     head, true, frames, _ = usual
     found = calibrate_head(head, replace(frames, positions=np.roll(frames.positions, 1, axis=0)))
     assert surprise(found, true) < 1.9
-    assert any("scatter more than their steps" in line for line in found.remarks)
+    assert any("scatter more than their quantisation" in line for line in found.remarks)
 
 
 def test_a_board_that_was_moved_meanwhile_is_another_place(usual):

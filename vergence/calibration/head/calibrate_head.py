@@ -231,9 +231,9 @@ def _noisy(solution: HeadSolution) -> list[str]:
     worst = max(wide, key=lambda joint: scatter_ratio[joint])
     return [
         f"the readings of {', '.join(names[joint] for joint in wide)} scatter more than their "
-        f"steps and play explain, those of {names[worst]} by {np.rad2deg(sigma[worst]):.2g} "
-        f"degrees, {scatter_ratio[worst]:.1f} times as much: is there more play, did the joints "
-        "rest, and do the angles belong to the images?"
+        f"quantisation and backlash explain, those of {names[worst]} by {np.rad2deg(sigma[worst]):.2g} "
+        f"degrees, {scatter_ratio[worst]:.1f} times as much: is there more backlash, did the "
+        "joints rest, and do the angles belong to the images?"
     ]
 
 

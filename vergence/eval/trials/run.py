@@ -5,7 +5,7 @@ scenario = load_scenario("workspace")
 head = scenario.model()
 controller = make_controller("ibvs", head)
 trials = run_trials(controller, scenario, episodes=1000)
-headline(trials)                       # s: the median time to settle to 1 px
+headline_metric(trials)                # s: the median time to settle to the leading band
 ```
 
 Trial i is trial `first_trial + i` of `scenario.seed(split, seed)`: it has the same target, noise
