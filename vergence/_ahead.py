@@ -13,7 +13,7 @@ from typing import Final
 
 from vergence._jit import Kernel, cache_folder
 
-_RUNNING: Final[list["subprocess.Popen[bytes]"]] = []
+_STARTED_PROCESSES: Final[list["subprocess.Popen[bytes]"]] = []
 """Started processes, kept because Python warns if a running one is garbage-collected."""
 
 
@@ -36,7 +36,7 @@ def compile_ahead(kernels: Sequence[str]) -> None:
         )
     except OSError:  # the kernels are then compiled at their first call
         return
-    _RUNNING.append(process)
+    _STARTED_PROCESSES.append(process)
 
 
 def _processors() -> int:

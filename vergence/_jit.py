@@ -118,7 +118,7 @@ class Kernel:
 
     def compile(self) -> None:
         """Compile the kernel, or load it from the cache, unless this has been done."""
-        with _BUILDING:
+        with _COMPILE_LOCK:
             if self._ufunc == self._compile_and_call:
                 self._ufunc = self._compile()
 
@@ -146,7 +146,7 @@ class Kernel:
         return ufunc
 
 
-_BUILDING: Final = threading.RLock()
+_COMPILE_LOCK: Final = threading.RLock()
 
 
 def kernel(
@@ -384,9 +384,9 @@ class _Reporter(event.Listener):
 
     def compiling(self) -> None:
         if cache_folder() is None:
-            self._say("compiling", _EVERY_TIME)
+            self._say("compiling", _UNCACHED_MESSAGE)
         else:
-            self._say("compiling", _ONCE)
+            self._say("compiling", _CACHED_MESSAGE)
 
     def not_kept(self, error: OSError) -> None:
         reason = error.strerror or str(error)
@@ -398,11 +398,13 @@ class _Reporter(event.Listener):
             self._tell(text)
 
 
-_TIME: Final = "some ten seconds to a minute"
+_COMPILE_TIME_TEXT: Final = "some ten seconds to a minute"
 """Compile time on most machines; it depends on the machine and the command (least for a gaze)."""
-_ONCE: Final = f"compiling kernels: {_TIME}, once; another command may need others"
-_EVERY_TIME: Final = (
-    f"compiling kernels: {_TIME} at every call, as no folder to keep them in can be "
+_CACHED_MESSAGE: Final = (
+    f"compiling kernels: {_COMPILE_TIME_TEXT}, once; another command may need others"
+)
+_UNCACHED_MESSAGE: Final = (
+    f"compiling kernels: {_COMPILE_TIME_TEXT} at every call, as no folder to keep them in can be "
     "written; NUMBA_CACHE_DIR names another"
 )
 _REPORTER: Final = _Reporter()

@@ -20,8 +20,8 @@ from typing import Any, Final
 from vergence.errors import ConfigurationError
 
 _PACKAGE: Final = Path(__file__).parent
-_INSTALLED: Final = ("site-packages", "dist-packages", f"python{sys.version_info[0]}.")
-_LONGEST: Final = 400
+_INSTALLED_PATH_PARTS: Final = ("site-packages", "dist-packages", f"python{sys.version_info[0]}.")
+_MAX_MESSAGE_CHARS: Final = 400
 """Most characters of a foreign error message that are shown (chosen: detail against length)."""
 
 
@@ -175,7 +175,11 @@ def describe_user_error(error: BaseException) -> str:
         for frame in traceback.extract_tb(error.__traceback__)
         if not (frame.filename.startswith("<frozen") or _PACKAGE in Path(frame.filename).parents)
     ]
-    own = [frame for frame in frames if not any(part in frame.filename for part in _INSTALLED)]
+    own = [
+        frame
+        for frame in frames
+        if not any(part in frame.filename for part in _INSTALLED_PATH_PARTS)
+    ]
     if not frames:
         return said
     frame = (own or frames)[-1]
@@ -195,7 +199,7 @@ def _one_line(error: BaseException) -> str:
         text = " ".join(str(error).split())
     except Exception:  # a user's own __str__ may fail
         text = ""
-    text = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+    text = text if len(text) <= _MAX_MESSAGE_CHARS else f"{text[:_MAX_MESSAGE_CHARS]}..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 

@@ -186,7 +186,7 @@ class ControllerError(VergenceError):
     """
 
 
-_LONGEST: Final = 200
+_MAX_VALUE_CHARS: Final = 200
 """Most characters of a value that a message shows (chosen: detail against length)."""
 
 
@@ -197,7 +197,7 @@ def _shown(value: object) -> str:
         return "a number of thousands of digits"
     except RecursionError:
         return "values nested too deep"
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
+    return text if len(text) <= _MAX_VALUE_CHARS else f"{text[:_MAX_VALUE_CHARS]} ..."
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:

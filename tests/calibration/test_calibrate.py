@@ -26,7 +26,7 @@ LENS = "brown-conrady"
 def few_starts(request, monkeypatch):
     """Fewer samples to begin with, which take half of the time and only bad views need."""
     if "bad_views" not in request.node.name:
-        monkeypatch.setattr(cameras, "_STARTS", 2)
+        monkeypatch.setattr(cameras, "_SAMPLE_COUNT", 2)
 
 
 @pytest.fixture(scope="module")

@@ -38,12 +38,12 @@ _POSE_STEPS: Final = 50
 _POSE_TOLERANCE: Final = 1e-7
 """Convergence tolerance of a pose step, rad and in units of the board's size; the next step is
 about 1e-4 of it (numerical)."""
-_RIDGE: Final = 1e-13
+_RELATIVE_RIDGE: Final = 1e-13
 """Relative ridge on the diagonal of a view's normal matrix; it matters only if the matrix is
 singular (numerical)."""
-_LEAST_DIAGONAL: Final = 1e-200
+_ABSOLUTE_RIDGE: Final = 1e-200
 """Absolute ridge, which lets a view without corners have an inverse (numerical)."""
-_SAME_COST: Final = 1e-13
+_COST_ROUNDING: Final = 1e-13
 """Relative change of a sum of squares that counts as rounding (numerical)."""
 _FIRST_DAMPING: Final = 1e-6
 """Initial damping of the pose steps, relative to the diagonal (numerical)."""
@@ -52,7 +52,7 @@ _MOST_DAMPING: Final = 1e6
 _MOST_EVALUATIONS: Final = 60
 """Largest number of evaluations of the sum of squares. Cameras take about 10, more only if a lens
 has more coefficients than the views determine and these wander along a valley (numerical)."""
-_RATIONAL_SIZE: Final = 1.0
+_RATIONAL_PRIOR_SIGMA: Final = 1.0
 """Prior standard deviation of the coefficients k1 to k6 of the rational lens (chosen: real lenses
 have coefficients of this size or less)."""
 _TOLERANCE: Final = 1e-8
@@ -137,7 +137,7 @@ class CameraRig(NamedTuple):
 
         Views hardly determine the coefficients of the rational lens one by one: numerator and
         denominator may share a factor, with poles in the image. The prior keeps them at about
-        `_RATIONAL_SIZE` or less, as in real lenses.
+        `_RATIONAL_PRIOR_SIGMA` or less, as in real lenses.
         """
         known = [
             np.where(
@@ -148,7 +148,7 @@ class CameraRig(NamedTuple):
             for lens in self.lenses
         ]
         others = np.zeros(self.blocks[-1].stop - self.blocks[len(known) - 1].stop)
-        return np.concatenate([*known, others]) / _RATIONAL_SIZE**2
+        return np.concatenate([*known, others]) / _RATIONAL_PRIOR_SIGMA**2
 
     def names(self, eyes: Sequence[str]) -> list[str]:
         """Name the parameters in the order of `packed`.
@@ -297,7 +297,7 @@ class BundleAdjustment:
             small = np.abs(steps / np.array([1, 1, 1, size, size, size])).max(axis=1)
             done = (
                 (small < _POSE_TOLERANCE)
-                | (np.abs(cost - costs) <= _SAME_COST * cost)
+                | (np.abs(cost - costs) <= _COST_ROUNDING * cost)
                 | (damping > _MOST_DAMPING)
             )
             cost = np.where(better, costs, cost)
@@ -377,13 +377,13 @@ def _eliminated(linear: LinearisedResiduals) -> FloatArray:
 def _pose_sensitivity(linear: LinearisedResiduals) -> FloatArray:
     """(v, 6, p) negative derivative of the best poses by the rig's parameters."""
     transposed = linear.pose_jacobian.transpose(0, 2, 1)
-    normal = _damped(transposed @ linear.pose_jacobian, np.full(len(transposed), _RIDGE))
+    normal = _damped(transposed @ linear.pose_jacobian, np.full(len(transposed), _RELATIVE_RIDGE))
     return np.asarray(np.linalg.solve(normal, transposed @ linear.rig_jacobian))
 
 
 def _damped(normal: FloatArray, damping: FloatArray) -> FloatArray:
     """(v, 6, 6) normal matrices with larger diagonals, so that each has an inverse."""
-    larger = damping[:, None] * np.einsum("vii->vi", normal) + _LEAST_DIAGONAL
+    larger = damping[:, None] * np.einsum("vii->vi", normal) + _ABSOLUTE_RIDGE
     return np.asarray(normal + larger[..., None] * np.eye(6))
 
 

@@ -31,9 +31,9 @@ from vergence.models.parts import FloatArray
 from vergence.models.response import Response
 from vergence.perception.spacing import MM
 
-_DETECTED: Final = 0.5
+_DETECTION_PROGRESS: Final = 0.5
 """Fraction of the progress done after detection in all images (chosen)."""
-_UNSURE: Final = 0.1
+_MOST_FOCAL_SIGMA: Final = 0.1
 """Relative standard deviation of a focal length from which on a camera is refused (chosen)."""
 _MOST_JOINT_RATIO: Final = 3.0
 """Largest ratio of a pair's joint residual to the residual of its cameras alone, if a focal length
@@ -185,10 +185,12 @@ def calibrate(
     seen, failures = detect_board_corners(
         target,
         photographs,
-        lambda done: report(_DETECTED * done),
+        lambda done: report(_DETECTION_PROGRESS * done),
         [response] * len(photographs),
     )
-    found = calibrate_views(seen, lens, lambda done: report(_DETECTED + (1.0 - _DETECTED) * done))
+    found = calibrate_views(
+        seen, lens, lambda done: report(_DETECTION_PROGRESS + (1.0 - _DETECTION_PROGRESS) * done)
+    )
     return replace(found, failures=tuple(failures))
 
 
@@ -322,7 +324,7 @@ def _refuse_unsure(solution: BundleSolution, camera: int, cameras: int) -> None:
     """Refuse a camera whose focal length the views do not determine."""
     values = solution.rig.camera_parameters[0]
     sigma = np.sqrt(np.diagonal(rig_covariance(solution)))[:2]
-    if not float((sigma / values[:2]).max()) < _UNSURE:
+    if not float((sigma / values[:2]).max()) < _MOST_FOCAL_SIGMA:
         known = "none at all"
         if sigma.max() < values[:2].max():
             known = f"{values[0]:.0f} px with a deviation of {sigma.max():.0f} px"

@@ -31,35 +31,36 @@ FOLDS: Final = 5
 _FOLD_TOLERANCE: Final = 1e-6
 """Relative tolerance of a fold's sum of squares, which may be coarser than the result's
 (numerical)."""
-_STARTS: Final = 10
+_SAMPLE_COUNT: Final = 10
 """Random samples of views from which a start is tried (chosen: with a fifth of bad views, 95 % of
 the cases have at least one good sample)."""
-_SAMPLE: Final = 6
+_VIEWS_PER_SAMPLE: Final = 6
 """Views per sample (chosen: fewer determine a camera badly, more are rarely all good)."""
-_TRUSTED: Final = 0.6
+_TRUSTED_FRACTION: Final = 0.6
 """Fraction of the views, the best-fitting ones, that the first fits use: least trimmed squares,
 Rousseeuw 1984 (chosen: up to two fifths of the views may be bad)."""
-_POOR_START: Final = 4.0
+_POOR_START_CHI: Final = 4.0
 """Ratio of residuals to sigma above which a start is poor (chosen: cameras that are about right
 leave 1 to 2 before the poses are refined)."""
 _MOST_FITS: Final = 10
 """Largest number of rounds of fitting and selecting views (numerical)."""
-_OUTLYING: Final = 3.0
+_OUTLIER_CHI_RATIO: Final = 3.0
 """Ratio of a view's noise, residuals over sigma, to the trusted views' median above which it is an
-outlier, if `_OUTLYING_PX` is exceeded too (chosen)."""
-_OUTLYING_PX: Final = 2.0
-"""Ratio of a view's rms in pixels to the trusted views' median, see `_OUTLYING` (chosen)."""
-_AS_GOOD: Final = 1.2
+outlier, if `_OUTLIER_RMS_RATIO` is exceeded too (chosen)."""
+_OUTLIER_RMS_RATIO: Final = 2.0
+"""Ratio of a view's rms in pixels to the trusted views' median, see `_OUTLIER_CHI_RATIO`
+(chosen)."""
+_EQUAL_FIT_RATIO: Final = 1.2
 """Ratio to the least median noise up to which a fit counts as equally good, so that the one with
 more views wins (chosen)."""
-_NOISY: Final = 1.2
+_NOISY_VIEW_RATIO: Final = 1.2
 """Ratio of a view's noise to the median above which its sigma is enlarged (chosen: a view's noise
 scatters by about 6 % by chance)."""
-_SETTLED: Final = 0.05
+_SIGMA_TOLERANCE: Final = 0.05
 """Relative change of a view's sigma that needs no further fit (numerical)."""
-_LEAST_POSED: Final = 4
+_LEAST_POSE_CORNERS: Final = 4
 """Fewest corners that determine a pose (physical: geometry of a planar target)."""
-_BEFORE_IT: Final = np.array([0.0, 0.0, 1.0])
+_PLACEHOLDER_TRANSLATION: Final = np.array([0.0, 0.0, 1.0])
 """Translation of a view without a pose, m: in front of the camera (numerical)."""
 
 
@@ -78,7 +79,9 @@ class ViewResiduals:
             np.median(self.reduced_chi[trusted_views]),
             np.median(self.rms_px[trusted_views]),
         )
-        worse = (self.reduced_chi > _OUTLYING * reduced_chi) & (self.rms_px > _OUTLYING_PX * rms_px)
+        worse = (self.reduced_chi > _OUTLIER_CHI_RATIO * reduced_chi) & (
+            self.rms_px > _OUTLIER_RMS_RATIO * rms_px
+        )
         return np.asarray(worse | ~np.isfinite(self.reduced_chi))
 
 
@@ -138,7 +141,7 @@ def estimate_board_poses(
     for view in rays:
         seen = np.isfinite(view).all(axis=-1)
         found: Any = (False,)
-        if seen.sum() >= _LEAST_POSED:
+        if seen.sum() >= _LEAST_POSE_CORNERS:
             with suppress(cv2.error):  # collinear corners
                 found = cv2.solvePnP(
                     problem.board_corners[seen],
@@ -147,7 +150,7 @@ def estimate_board_poses(
                     None,
                     flags=cv2.SOLVEPNP_IPPE,
                 )
-        turn, shift = found[1:] if found[0] else (np.zeros(3), _BEFORE_IT)
+        turn, shift = found[1:] if found[0] else (np.zeros(3), _PLACEHOLDER_TRANSLATION)
         rotations.append(cv2.Rodrigues(turn)[0])
         translations.append(np.ravel(shift))
     return BoardPoses(np.array(rotations), np.array(translations))
@@ -244,14 +247,14 @@ def fit_consistent_views(observations: Observations) -> CameraFit:
             f"found it in {len(views)} of {len(observations.usable[0])}"
         )
     rng = np.random.default_rng(0)
-    count = _STARTS if len(views) > _SAMPLE else 0
-    samples = [views, *(rng.choice(views, _SAMPLE, replace=False) for _ in range(count))]
+    count = _SAMPLE_COUNT if len(views) > _VIEWS_PER_SAMPLE else 0
+    samples = [views, *(rng.choice(views, _VIEWS_PER_SAMPLE, replace=False) for _ in range(count))]
     starts: list[tuple[str, FloatArray]] = []
     for sample in samples:
         for values in initial_camera_values(problem.of(sample), BROWN_CONRADY, size):
             starts += [(BROWN_CONRADY, values), ("fisheye", _by_angle(values))]
     best = _best_start(problem, views, starts, size)
-    if best is None or best.reduced_chi > _POOR_START:
+    if best is None or best.reduced_chi > _POOR_START_CHI:
         wide = [("fisheye", values) for values in _fisheye_starts(problem.of(views), size)]
         best = _best_start(problem, views, wide, size, best)
     if best is None:
@@ -260,7 +263,7 @@ def fit_consistent_views(observations: Observations) -> CameraFit:
             "which no focal length follows"
         )
     rig, poses = best.rig, best.poses
-    trusted = max(int(np.ceil(_TRUSTED * len(views))), LEAST_VIEWS)
+    trusted = max(int(np.ceil(_TRUSTED_FRACTION * len(views))), LEAST_VIEWS)
     reduced_chi = compute_view_residuals(problem, problem.linearised(rig, poses)).reduced_chi
     kept = np.zeros(len(reduced_chi), bool)
     for _ in range(_MOST_FITS):
@@ -279,7 +282,7 @@ class _Start(NamedTuple):
     """An initial camera, and the board's poses in front of it."""
 
     reduced_chi: float
-    """Noise at the `_TRUSTED` quantile of the views."""
+    """Noise at the `_TRUSTED_FRACTION` quantile of the views."""
     rig: CameraRig
     poses: BoardPoses
 
@@ -299,7 +302,7 @@ def _best_start(
         reduced_chi = np.nan_to_num(
             compute_view_residuals(problem, linear).reduced_chi[views], nan=np.inf
         )
-        typical = float(np.quantile(reduced_chi, _TRUSTED))
+        typical = float(np.quantile(reduced_chi, _TRUSTED_FRACTION))
         if best is None or typical < best.reduced_chi:
             best = _Start(typical, rig, poses)
     return best
@@ -322,7 +325,7 @@ def fit_camera(observations: Observations, lens: str, consistent_fit: CameraFit)
     # views that only the first fit's lens excluded are tried again
     for kept in (consistent_fit.kept, observations.usable[0]):
         solutions = _solutions(problem, kept, lens, _turned_into(lens, mine), size)
-        enough = _AS_GOOD * consistent_fit.solution.reduced_chi
+        enough = _EQUAL_FIT_RATIO * consistent_fit.solution.reduced_chi
         if all(solution.reduced_chi > enough for solution in solutions):
             starts = initial_camera_values(problem.of(kept), lens, size)
             solutions += _solutions(problem, kept, lens, starts, size)
@@ -336,7 +339,7 @@ def fit_camera(observations: Observations, lens: str, consistent_fit: CameraFit)
         raise ConfigurationError(f"lens: expected one that fits these images, got {lens}")
     least = min(fit.median_noise for fit in found)
     return max(
-        (fit for fit in found if fit.median_noise <= _AS_GOOD * least),
+        (fit for fit in found if fit.median_noise <= _EQUAL_FIT_RATIO * least),
         key=lambda fit: int(fit.kept.sum()),
     )
 
@@ -390,11 +393,13 @@ def drop_outlier_views(
         if chosen.sum() < LEAST_VIEWS:
             chosen = kept
         reduced_chi = views.reduced_chi / np.median(views.reduced_chi[chosen])
-        share = np.maximum(reduced_chi / _NOISY, 1.0) ** 2
+        share = np.maximum(reduced_chi / _NOISY_VIEW_RATIO, 1.0) ** 2
         before = weighted.sigma[:, kept]
         weighted = replace(problem, sigma=problem.sigma * share[:, None, None])
         same = np.array_equal(chosen, kept)
-        if same and np.allclose(weighted.sigma[:, kept], before, rtol=_SETTLED, equal_nan=True):
+        if same and np.allclose(
+            weighted.sigma[:, kept], before, rtol=_SIGMA_TOLERANCE, equal_nan=True
+        ):
             break
         kept = chosen
         solution = weighted.of(kept).solve(solution.rig, poses.of(kept))
@@ -435,8 +440,8 @@ def cross_validation_errors(fit: CameraFit, problem: BundleAdjustment) -> FloatA
     """(v) mean square cross-validation error of each view, in units of sigma^2.
 
     Kept views have the residuals of `cross_validation_residuals`; others have the residuals of the
-    fit, or `_HOPELESS` if there are none. Sigma is the detector's, as the fit has enlarged it for
-    views that do not fit its own lens well.
+    fit, or `_UNSEEN_MEAN_SQUARE` if there are none. Sigma is the detector's, as the fit has
+    enlarged it for views that do not fit its own lens well.
 
     Args:
         fit: fit of one camera.
@@ -447,37 +452,37 @@ def cross_validation_errors(fit: CameraFit, problem: BundleAdjustment) -> FloatA
     errors[fit.kept] = np.nanmean(
         (cross_validation_residuals(fit.solution) / sigma) ** 2, axis=(0, 2, 3)
     )
-    return np.where(np.isfinite(errors), errors, _HOPELESS)
+    return np.where(np.isfinite(errors), errors, _UNSEEN_MEAN_SQUARE)
 
 
 def choose_lens(errors: Mapping[str, FloatArray]) -> str:
     """Choose the simplest lens model that predicts unseen views as well as the best one.
 
-    It is the first model in `_ORDER` that meets two conditions. The logarithm of the ratio of its
-    errors to the best model's, averaged over the views, is at most 2 % or two of its standard
-    errors, whichever is larger. And no single view has a ratio that refutes the model.
+    It is the first model in `_LENS_PREFERENCE` that meets two conditions. The logarithm of the
+    ratio of its errors to the best model's, averaged over the views, is at most 2 % or two of its
+    standard errors, whichever is larger. And no single view has a ratio that refutes the model.
 
     Args:
         errors: by lens, (v) see `cross_validation_errors`.
     """
     logs = {lens: np.log(each) for lens, each in errors.items()}
     best = min(logs, key=lambda lens: float(np.mean(logs[lens])))
-    for lens in _ORDER:
+    for lens in _LENS_PREFERENCE:
         if lens in logs:
             more = logs[lens] - logs[best]
-            chance = max(2.0 * np.std(more) / np.sqrt(len(more)), _LEAST_GAIN)
-            if np.mean(more) <= chance and np.max(more) < _REFUTED:
+            chance = max(2.0 * np.std(more) / np.sqrt(len(more)), _LEAST_LOG_GAIN)
+            if np.mean(more) <= chance and np.max(more) < _REFUTING_LOG_RATIO:
                 return lens
     return best
 
 
-_REFUTED: Final = 2.0 * np.log(3.0)
+_REFUTING_LOG_RATIO: Final = 2.0 * np.log(3.0)
 """Log ratio of mean squares at which a single view refutes a lens model (chosen: three times the
 error is no chance)."""
-_HOPELESS: Final = 1e12
+_UNSEEN_MEAN_SQUARE: Final = 1e12
 """Mean square, in units of sigma^2, of a view that a camera cannot have seen (numerical)."""
-_LEAST_GAIN: Final = 0.02
+_LEAST_LOG_GAIN: Final = 0.02
 """Least gain in the logarithm of a mean square (chosen: less is not worth more coefficients, which
 the views hardly determine)."""
-_ORDER: Final = (BROWN_CONRADY, "fisheye", "rational")
+_LENS_PREFERENCE: Final = (BROWN_CONRADY, "fisheye", "rational")
 """Lens models in order of preference: fewer coefficients first, then the more common one."""

@@ -23,34 +23,34 @@ ENOUGH_VIEWS: Final = 20
 _FACING_DEG: Final = 15.0
 """Tilt below which a board faces the camera and hardly separates the focal length from the
 distance, degrees (chosen: after Zhang 2000, figure 5)."""
-_TILTED: Final = 0.25
+_LEAST_TILTED_FRACTION: Final = 0.25
 """Fraction of the views that should be tilted by more than `_FACING_DEG` (chosen)."""
-_ASIDE_DEG: Final = 10.0
+_LEAST_SIDE_TILT_DEG: Final = 10.0
 """Tilt from which on a board counts as tilted to a side, degrees (chosen)."""
-_NEARER: Final = ("right side", "left side", "lower edge", "upper edge")
+_NEARER_SIDE_NAMES: Final = ("right side", "left side", "lower edge", "upper edge")
 """Side of the board that is nearest to the camera if its normal points to +x, -x, +y, -y."""
-_DEPTHS: Final = 1.3
+_LEAST_DISTANCE_RATIO: Final = 1.3
 """Ratio of the far views' distance to the near ones' below which all views count as equally far
 (chosen)."""
-_MOVED: Final = 2.0
+_MOVED_RESIDUAL_RATIO: Final = 2.0
 """Ratio of a pair's joint residual to its images' own residuals above which the board or a camera
 moved (chosen)."""
-_MANY: Final = 0.25
+_MANY_VIEWS_FRACTION: Final = 0.25
 """Fraction of the views that were left out, or moved, from which on advice is given (chosen)."""
-_UNSURE_FOCAL: Final = 0.005
+_UNCERTAIN_FOCAL_SIGMA: Final = 0.005
 """Relative standard deviation of a focal length that calls for advice (chosen: it causes 5 mm of
 depth error at 1 m)."""
-_UNSURE_CORNER: Final = 5.0
+_UNCERTAIN_CORNER_RATIO: Final = 5.0
 """Ratio of the directions' standard deviation in an image corner to the image's median that calls
-for advice, if it also exceeds `_UNSURE_CORNER_PX` (chosen)."""
-_UNSURE_CORNER_PX: Final = 0.5
+for advice, if it also exceeds `_UNCERTAIN_CORNER_PX` (chosen)."""
+_UNCERTAIN_CORNER_PX: Final = 0.5
 """Standard deviation of directions in an image corner that matters, px (chosen)."""
-_GRID: Final = 9
+_SIGMA_GRID_COUNT: Final = 9
 """Pixels along each side of an image at which the uncertainty of directions is evaluated
 (numerical)."""
 _NEAREST_M: Final = 0.1
 """Smallest plausible distance of a board's middle, m (chosen: webcams do not focus nearer)."""
-_BENT: Final = 0.005
+_BENT_SAG_RATIO: Final = 0.005
 """Ratio of the board's sag to its diagonal that calls for a flat board (chosen: 1 mm for the
 200 mm of a board on A4 paper)."""
 
@@ -192,11 +192,12 @@ def advise_on_pair_motion(calibration: Calibration) -> str:
         return ""
     by_itself = np.sqrt((alone[:, usable] ** 2).mean(axis=0))
     together = calibration.fit.views.rms_px[usable]
-    moved = together > _MOVED * by_itself
-    if moved.sum() < max(_MANY * len(moved), 1):
+    moved = together > _MOVED_RESIDUAL_RATIO * by_itself
+    if moved.sum() < max(_MANY_VIEWS_FRACTION * len(moved), 1):
         return ""
     return (
-        f"In {moved.sum()} of {len(moved)} pairs both images together leave more than {_MOVED:g} "
+        f"In {moved.sum()} of {len(moved)} pairs both images together leave more than "
+        f"{_MOVED_RESIDUAL_RATIO:g} "
         f"times what each leaves by itself ({np.median(together[moved]):.2f} px against "
         f"{np.median(by_itself[moved]):.2f}): rest the board on something, fix the cameras to each "
         "other, and take both images at the same moment."
@@ -208,7 +209,7 @@ def advise_on_view_count(calibration: Calibration) -> str:
     kept = calibration.fit.kept
     count, every = int(kept.sum()), len(kept)
     lost = every - count
-    if lost > _MANY * every:
+    if lost > _MANY_VIEWS_FRACTION * every:
         without = int((~calibration.observations.usable.any(axis=0)).sum())
         why = f"; in {without} the board was not found" if without else ""
         return (
@@ -260,7 +261,7 @@ def advise_on_tilts(calibration: Calibration) -> str:
     angle = np.linalg.norm(tilt, axis=-1)
     tilted = int((angle > _FACING_DEG).sum())
     before = " before the left camera" if len(calibration.single_fits) > 1 else ""
-    if tilted < _TILTED * len(angle):
+    if tilted < _LEAST_TILTED_FRACTION * len(angle):
         count = {0: "None", 1: "Only one"}.get(tilted, f"Only {tilted}")
         verb = "is" if tilted < 2 else "are"
         return (
@@ -268,10 +269,14 @@ def advise_on_tilts(calibration: Calibration) -> str:
             "degrees: tilt some by 30 degrees, to all four sides."
         )
     sides = np.column_stack([tilt[:, 0], -tilt[:, 0], tilt[:, 1], -tilt[:, 1]])
-    missing = [name for name, side in zip(_NEARER, sides.T, strict=True) if side.max() < _ASIDE_DEG]
+    missing = [
+        name
+        for name, side in zip(_NEARER_SIDE_NAMES, sides.T, strict=True)
+        if side.max() < _LEAST_SIDE_TILT_DEG
+    ]
     if missing:
         return (
-            f"No board{before} is tilted by more than {_ASIDE_DEG:g} degrees with its "
+            f"No board{before} is tilted by more than {_LEAST_SIDE_TILT_DEG:g} degrees with its "
             f"{' or its '.join(missing)} nearer: tilt some by 30 degrees that way."
         )
     return ""
@@ -280,7 +285,7 @@ def advise_on_tilts(calibration: Calibration) -> str:
 def advise_on_distances(calibration: Calibration) -> str:
     """Advise on boards that are all at about the same distance."""
     near, far = np.quantile(board_tilts(calibration, 0).distance_m, [0.1, 0.9])
-    if far > _DEPTHS * near:
+    if far > _LEAST_DISTANCE_RATIO * near:
         return ""
     away = (
         f"{near:.2f} to {far:.2f} m away"
@@ -299,8 +304,10 @@ def median_and_corner_sigma_px(calibration: Calibration, camera: int) -> tuple[f
         calibration: the calibration.
         camera: index of the camera.
     """
-    grid = pixel_grid(calibration.observations.sizes[camera], _GRID).reshape(-1, 2)
-    sigma = direction_sigma_at(calibration, camera, grid).reshape(_GRID, _GRID)
+    grid = pixel_grid(calibration.observations.sizes[camera], _SIGMA_GRID_COUNT).reshape(-1, 2)
+    sigma = direction_sigma_at(calibration, camera, grid).reshape(
+        _SIGMA_GRID_COUNT, _SIGMA_GRID_COUNT
+    )
     sigma = np.where(np.isfinite(sigma), sigma, np.inf)
     return float(np.median(sigma)), float(sigma[[0, 0, -1, -1], [0, -1, 0, -1]].max())
 
@@ -314,7 +321,7 @@ def advise_on_image_corners(calibration: Calibration) -> str:
     camera = int(np.argmax([corner for _, corner in sigma]))
     usual, corner = sigma[camera]
     beyond = np.isinf(corner) and calibration.lens == "fisheye"  # at 90 degrees, beyond any board
-    if corner <= max(_UNSURE_CORNER * usual, _UNSURE_CORNER_PX) or beyond:
+    if corner <= max(_UNCERTAIN_CORNER_RATIO * usual, _UNCERTAIN_CORNER_PX) or beyond:
         return ""
     of = f"the {EYE_NAMES[camera]} camera's image" if len(sigma) > 1 else "the image"
     known = "unknown" if np.isinf(corner) else f"known to {corner:.1f} px only"
@@ -340,7 +347,7 @@ def advise_on_focal_lengths(calibration: Calibration) -> str:
         )
     ]
     camera = int(np.argmax(unsure))
-    if unsure[camera] < _UNSURE_FOCAL:
+    if unsure[camera] < _UNCERTAIN_FOCAL_SIGMA:
         return ""
     name = f"{camera_names(calibration)[camera]} camera's" if len(unsure) > 1 else "camera's"
     return (
@@ -366,7 +373,7 @@ def advise_on_bent_board(calibration: Calibration) -> str:
         board_sag(calibration),
         MM * float(np.linalg.norm(np.ptp(calibration.observations.target.corners_m, 0))),
     )
-    if sag.mm - 2.0 * sag.sigma_mm < _BENT * size:
+    if sag.mm - 2.0 * sag.sigma_mm < _BENT_SAG_RATIO * size:
         return ""
     return f"The board is bent by {sag.mm:.1f} mm: mount it on something flat and stiff."
 

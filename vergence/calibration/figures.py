@@ -30,17 +30,17 @@ from vergence.calibration.image_figures import (
 from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, figure_style, new_figure
 from vergence.models.parts import FloatArray
 
-_WIDE: Final = 11.2
+_PAGE_WIDTH: Final = 11.2
 """Width of a figure of all cameras, inches (chosen)."""
 _RINGS: Final = 12
 """Rings of equal width around the principal point in which residuals are averaged (chosen)."""
-_GRID: Final = 41
+_CONTOUR_GRID_COUNT: Final = 41
 """Pixels along each side of an image at which sigma is evaluated for contours (numerical)."""
 _LEVELS_PX: Final = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 """Levels of the contours of sigma, px (chosen)."""
-_CLIPPED: Final = 4.0
+_AXIS_LIMIT_MEDIANS: Final = 4.0
 """Largest bar in medians of the kept views, unless a kept view exceeds it (chosen)."""
-_NAMED: Final = 40
+_MOST_NAMED_VIEWS: Final = 40
 """Largest number of views that all have their names below the bars (chosen)."""
 
 
@@ -158,11 +158,11 @@ def view_residuals(calibration: Calibration) -> Figure:
         for name, fit in fits.items()
     }
     good = np.concatenate([bars[name][fit.kept] for name, fit in fits.items()])
-    limit = max(1.15 * float(good.max()), _CLIPPED * float(np.median(good)))
+    limit = max(1.15 * float(good.max()), _AXIS_LIMIT_MEDIANS * float(np.median(good)))
     kept = calibration.fit.kept
     places, wide = np.arange(len(kept)), 0.8 / len(fits)
     with figure_style():
-        figure = new_figure(_WIDE, 4.0)
+        figure = new_figure(_PAGE_WIDTH, 4.0)
         panel = figure.add_subplot()
         for number, (name, fit) in enumerate(fits.items()):
             at = places + wide * (number - 0.5 * (len(fits) - 1))
@@ -180,7 +180,7 @@ def view_residuals(calibration: Calibration) -> Figure:
         panel.set_axisbelow(True)
         panel.set(xlim=(-0.7, len(kept) - 0.3), ylim=(0.0, 1.08 * limit), ylabel="rms (px)")
         labels = short_file_names(calibration.observations.names[0])
-        step = -(-len(kept) // _NAMED)
+        step = -(-len(kept) // _MOST_NAMED_VIEWS)
         panel.set_xticks(places[::step], labels[::step], rotation=90, fontsize=9)
         panel.tick_params(axis="x", length=0, pad=10)
         if len(fits) > 1:
@@ -192,8 +192,10 @@ def view_residuals(calibration: Calibration) -> Figure:
 def direction_sigma(calibration: Calibration, camera: int) -> Figure:
     """Draw the standard deviation of directions over a camera's image, and the hull of corners."""
     width, height = calibration.observations.sizes[camera]
-    grid = pixel_grid((width, height), _GRID)
-    sigma = direction_sigma_at(calibration, camera, grid.reshape(-1, 2)).reshape(_GRID, _GRID)
+    grid = pixel_grid((width, height), _CONTOUR_GRID_COUNT)
+    sigma = direction_sigma_at(calibration, camera, grid.reshape(-1, 2)).reshape(
+        _CONTOUR_GRID_COUNT, _CONTOUR_GRID_COUNT
+    )
     low, high = _LEVELS_PX[0], _LEVELS_PX[-1]
     shown = np.ma.masked_invalid(np.clip(sigma, 1.001 * low, 0.999 * high))
     pixels, _ = _residuals(calibration, camera)

@@ -19,7 +19,7 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 from vergence.models.response import Response
 
-_VERSIONED: Final = ("vergence", "opencv-python-headless", "numpy", "scipy")
+_RECORDED_PACKAGES: Final = ("vergence", "opencv-python-headless", "numpy", "scipy")
 _ROS_LENSES: Final[dict[str, str]] = {
     "brown-conrady": "plumb_bob",
     "rational": "rational_polynomial",
@@ -86,7 +86,9 @@ def calibration_record(calibration: Calibration) -> CalibrationRecord:
         rms_px=rms_length(calibration.fit.solution.residuals_px),
         rms_heldout_px=rms_length(calibration.held_out_px),
         corners_sha256=calibration.observations.digest,
-        versions=", ".join(f"{name} {each}" for name, each in package_versions(_VERSIONED).items()),
+        versions=", ".join(
+            f"{name} {each}" for name, each in package_versions(_RECORDED_PACKAGES).items()
+        ),
         sigma=sigma,
     )
 
@@ -145,7 +147,7 @@ def ros_camera_document(calibration: Calibration) -> dict[str, Any]:
             "rms_px": calibration.rms_alone_px[0],
             "rms_heldout_px": rms_length(calibration.held_out_px),
             "corners_sha256": calibration.observations.digest,
-            "versions": package_versions(_VERSIONED),
+            "versions": package_versions(_RECORDED_PACKAGES),
             "sigma": dict(
                 zip(names, calibration.sigma[calibration.rig.blocks[0]].tolist(), strict=True)
             ),

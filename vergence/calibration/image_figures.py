@@ -19,9 +19,9 @@ EYE_STYLES: Final[tuple[dict[str, Any], ...]] = (
 )
 LEAST_IN_CELL: Final = 3
 """Fewest corners whose mean residual is shown (chosen: a mean of fewer is mostly noise)."""
-_ACROSS: Final = 14
+_CELLS_ACROSS: Final = 14
 """Cells across an image in which residuals are averaged (chosen)."""
-_ARROW: Final = 0.9
+_LONG_ARROW_CELLS: Final = 0.9
 """Length of a long mean arrow (95th percentile), in cells (chosen: arrows hardly overlap)."""
 _MAGNIFICATIONS: Final = tuple(digit * 10**power for power in range(5) for digit in (1, 2, 5))
 """Round magnifications of arrows (chosen)."""
@@ -41,7 +41,7 @@ def draw_residual_arrows(
         name: name of the camera.
     """
     width, height = size
-    cell = width / _ACROSS
+    cell = width / _CELLS_ACROSS
     keys = np.floor((pixels + 0.5) / cell).astype(int)
     cells, which, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     mean = np.zeros((len(cells), 2))
@@ -51,7 +51,7 @@ def draw_residual_arrows(
     places = (cells[full] + 0.5) * cell - 0.5
     lengths = np.linalg.norm(mean, axis=-1)
     long = float(np.quantile(lengths, 0.95)) if len(lengths) else 1.0
-    wanted = max(_ARROW * cell / max(long, 1e-6), 1.0)
+    wanted = max(_LONG_ARROW_CELLS * cell / max(long, 1e-6), 1.0)
     factor = max(each for each in _MAGNIFICATIONS if each <= wanted)
     with figure_style():
         figure = new_figure(WIDTH, WIDTH * height / width + 0.7)

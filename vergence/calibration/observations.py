@@ -22,10 +22,10 @@ from vergence.perception.similar_targets import describe_similar_targets
 from vergence.vision import Detector, make_detector, parse_target, read_image
 from vergence.vision.image import read_pixels
 
-_SURELY_NONE: Final = 6
+_MISSES_BEFORE_CHECK: Final = 6
 """Photographs without the board after which another board is searched for (chosen: an early
 message against a wrong one)."""
-_LARGE_PX: Final = 1600
+_LARGE_IMAGE_PX: Final = 1600
 """Longer side above which an image is searched again at half its size, px (chosen: larger images
 are often soft from pixel to pixel)."""
 LEAST_CORNERS: Final = 6
@@ -166,7 +166,7 @@ def detect_board_corners(
     check = ResponseCheck()
     for number, path in enumerate(every, 1):
         seen.append(_look(path, detectors[(number - 1) // views], check))
-        if number == _SURELY_NONE:
+        if number == _MISSES_BEFORE_CHECK:
             _refuse_another(target, every[:number], seen)
         if progress is not None:
             progress(number / len(every))
@@ -217,7 +217,7 @@ def _look(path: Path, detector: Detector[Any], check: ResponseCheck) -> _Seen | 
     """Detect the board in a photograph; a text says why the file cannot be read.
 
     Large photographs are often soft from pixel to pixel. If the board is not found, they are
-    searched again at half the size, and so on down to `_LARGE_PX`.
+    searched again at half the size, and so on down to `_LARGE_IMAGE_PX`.
     """
     try:
         image = read_pixels(path)
@@ -228,7 +228,7 @@ def _look(path: Path, detector: Detector[Any], check: ResponseCheck) -> _Seen | 
     found = detector.detect(image)
     if image.dtype == np.int32:  # from a TIFF; cv2.resize does not take it
         image = image.astype(np.float32)
-    while found is None and max(image.shape[:2]) > _LARGE_PX:
+    while found is None and max(image.shape[:2]) > _LARGE_IMAGE_PX:
         image = np.asarray(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
         scale *= 2.0
         found = detector.detect(image)

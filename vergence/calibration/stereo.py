@@ -19,12 +19,12 @@ from vergence.models.files.stereo import GREATEST_BASELINE_M, LEAST_BASELINE_M
 from vergence.models.parts import FloatArray
 from vergence.perception.located import equivalent_corner_orders
 
-_TOGETHER: Final = 0.03
+_MOST_PAIR_ERROR_WIDTHS: Final = 0.03
 """Largest median reprojection error over the pairs, in image widths, with the relative pose of the
 best single pair (chosen: public photograph sets have 0.004)."""
-_AGREEING: Final = 0.5
+_AGREEING_FRACTION: Final = 0.5
 """Fraction of the pairs that have to agree (chosen)."""
-_TRUSTED: Final = 3.0
+_TRUSTED_ERROR_RATIO: Final = 3.0
 """Ratio of a pair's reprojection error to the median up to which the first fit uses it (chosen)."""
 
 
@@ -73,12 +73,12 @@ def fit_camera_pair(
                 0.5 * (alone[0].board_curvatures + alone[1].board_curvatures),
             )
             missed = np.stack([_missed_px(each.problem, rig, by_left) for each in turned])
-            score = float(np.quantile(missed.min(axis=0)[both], _AGREEING))
+            score = float(np.quantile(missed.min(axis=0)[both], _AGREEING_FRACTION))
             if best is None or score < best[0]:
                 best = score, rig, missed
     assert best is not None
     score, rig, missed = best
-    if not score < _TOGETHER * observations.sizes[1][0]:
+    if not score < _MOST_PAIR_ERROR_WIDTHS * observations.sizes[1][0]:
         raise ConfigurationError(
             "expected pairs of photographs taken at the same moment by two cameras that are fixed "
             f"to each other, got {both.sum()} pairs of which fewer than half agree on where the "
@@ -86,7 +86,7 @@ def fit_camera_pair(
         )
     for which, order in enumerate(orders):
         observations = _turned(observations, order, both & (missed.argmin(axis=0) == which))
-    trusted = both & (missed.min(axis=0) <= _TRUSTED * score)
+    trusted = both & (missed.min(axis=0) <= _TRUSTED_ERROR_RATIO * score)
     kept = np.stack([left.kept, right.kept])
     problem = replace(
         observations.problem,

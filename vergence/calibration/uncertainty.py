@@ -33,7 +33,7 @@ parameters that is not observable (numerical)."""
 _LEAST_LEVERAGE_COMPLEMENT: Final = 1e-3
 """Least eigenvalue of 1 - H_v: a view that alone determines a parameter leaves no residual from
 which to estimate its error (numerical)."""
-_SURELY: Final = 2.0
+_SIGNIFICANT_SIGMAS: Final = 2.0
 """Standard deviations by which the pulls have to exceed their expectation before their covariance
 is used (chosen)."""
 
@@ -79,7 +79,7 @@ def clustered_covariance(
     ratio = (pulls**2).sum() / mean
     spread = np.sqrt(2.0 * (expected**2).sum()) / mean
     inner = np.eye(len(root))
-    if ratio > 1.0 + _SURELY * spread:
+    if ratio > 1.0 + _SIGNIFICANT_SIGMAS * spread:
         weight = len(pulls) / (len(pulls) + len(root))
         inner = weight * pulls.T @ pulls + (1.0 - weight) * ratio * inner
     return np.asarray(reduced_chi**2 * root @ inner @ root.T)

@@ -22,16 +22,16 @@ if TYPE_CHECKING:
     from vergence.models.head import HeadModel
     from vergence.recording.looking import Looker
 
-_ROBOT: Final = "vergence.hardware.looker"
+_ROBOT_LOOKER_MODULE: Final = "vergence.hardware.looker"
 """Module of the `Looker` of a robot."""
-_HEAD: Final = "simulated"
-_DISTANCE_M: Final = 0.7
+_DEFAULT_HEAD: Final = "simulated"
+_DEFAULT_DISTANCE_M: Final = 0.7
 """Default distance of a simulated board, m (chosen: a usual working distance)."""
 _NEAREST_M: Final = 0.05
 """Smallest distance of a simulated board, m (chosen: refuses another unit, not a real setup)."""
 _FARTHEST_M: Final = 50.0
 """Largest distance of a simulated board, m (chosen: as above)."""
-_MOST_ERRORS: Final = 20.0
+_MOST_ERROR_SCALE: Final = 20.0
 """Largest scale of a simulated head's errors (chosen: far beyond real heads)."""
 
 
@@ -109,7 +109,7 @@ class Collect:
         from vergence.models.files.head_file import load_head
 
         try:
-            make = import_module(_ROBOT).RobotLooker
+            make = import_module(_ROBOT_LOOKER_MODULE).RobotLooker
         except ModuleNotFoundError as error:
             raise ConfigurationError(
                 f"plant: expected one that this installation has, got hardware: {error}"
@@ -126,21 +126,21 @@ class Collect:
     def _simulated(self, target: "PlanarTarget") -> "Looker":
         if self.config is not None:
             raise ConfigurationError(f"config: expected --plant hardware, got --plant {self.plant}")
-        distance_m = _DISTANCE_M if self.distance is None else self.distance
+        distance_m = _DEFAULT_DISTANCE_M if self.distance is None else self.distance
         errors = 0.0 if self.errors is None else self.errors
         if not _NEAREST_M <= distance_m <= _FARTHEST_M:
             raise ConfigurationError(
                 f"distance: expected {_NEAREST_M:g} to {_FARTHEST_M:g} metres, got {distance_m:g}"
             )
-        if not 0.0 <= errors <= _MOST_ERRORS:
-            raise ConfigurationError(f"errors: expected 0 to {_MOST_ERRORS:g}, got {errors:g}")
+        if not 0.0 <= errors <= _MOST_ERROR_SCALE:
+            raise ConfigurationError(f"errors: expected 0 to {_MOST_ERROR_SCALE:g}, got {errors:g}")
         import numpy as np
 
         from vergence.calibration.head.simulated_looker import SimulatedLooker, board_ahead
         from vergence.eval.trials.twin_errors import TWIN_SPREADS
         from vergence.models.files.head_file import load_head
 
-        head = load_head(self.head or _HEAD)
+        head = load_head(self.head or _DEFAULT_HEAD)
         # runs with one seed have the same head but different noise
         true = head.perturbed(np.random.default_rng(self.seed), TWIN_SPREADS.scaled(errors))
         runs = len(list(self.folder.glob("*.mcap")))
@@ -171,7 +171,7 @@ class Collect:
             print_to_stderr(f"{recording.looks_without_board} looks without the board, left out")
         for line in advise_recording(head, recording, frames):
             print_to_stderr(line)
-        named = _head_of(self.config) if self.config is not None else self.head or _HEAD
+        named = _head_of(self.config) if self.config is not None else self.head or _DEFAULT_HEAD
         words = ["calibrate", "head", str(self.folder), "--head", named, "--out", "calibrated.toml"]
         print(f"next: vergence {shlex.join(words)}")
 

@@ -24,7 +24,7 @@ from rich.progress import (
 
 _PROGRESS_AFTER_S: Final = 2.0
 """Time after which a progress bar appears, s (chosen: short work shows none)."""
-_LONGEST: Final = 1000
+_LONGEST_NOTE: Final = 1000
 """Longest note, characters; longer ones, such as quoted input, lose their middle
 (chosen: detail against length)."""
 _MOST_FAILURES: Final = 5
@@ -36,8 +36,8 @@ def print_to_stderr(text: str) -> None:
     line = "".join(
         c if c.isprintable() else f"\\x{ord(c):02x}" for c in " ".join(text.splitlines())
     )
-    if len(line) > _LONGEST:
-        line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
+    if len(line) > _LONGEST_NOTE:
+        line = f"{line[: _LONGEST_NOTE // 2]} ... {line[-_LONGEST_NOTE // 2 :]}"
     print(f"vergence: {line}", file=sys.stderr)
 
 
@@ -89,14 +89,14 @@ def print_failures(failures: Sequence[str]) -> None:
 
 def replace_unprintable() -> None:
     """Make standard output and error replace characters that their encoding lacks."""
-    codecs.register_error(_PLAIN, _ascii_replacement)
+    codecs.register_error(_ERROR_HANDLER_NAME, _ascii_replacement)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors=_PLAIN)
+            stream.reconfigure(errors=_ERROR_HANDLER_NAME)
 
 
-_PLAIN = "vergence-plain"
-_ALIKE = {
+_ERROR_HANDLER_NAME = "vergence-plain"
+_ASCII_LOOKALIKES = {
     "–": "-", "—": "-", "−": "-", "×": "x", "±": "+-", "°": " deg", "µ": "u", "…": "...",
     "≤": "<=", "≥": ">=",
 }  # fmt: skip
@@ -108,7 +108,7 @@ def _ascii_replacement(error: UnicodeError) -> tuple[str, int]:
         raise error
     found = []
     for character in error.object[error.start : error.end]:
-        plain = _ALIKE.get(character) or _line_of_a_box(character)
+        plain = _ASCII_LOOKALIKES.get(character) or _line_of_a_box(character)
         found.append(plain or character.encode("ascii", "backslashreplace").decode())
     return "".join(found), error.end
 
@@ -146,7 +146,7 @@ def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
             bar.stop()
 
 
-_LINE_AFTER_S: Final = 30.0
+_LINE_INTERVAL_S: Final = 30.0
 """Time between two progress lines if there is no terminal, s (chosen: news against length)."""
 
 
@@ -180,7 +180,7 @@ class ProgressListener:
 
         def report(done: int, total: int) -> None:
             nonlocal told_s
-            if not self._console.is_terminal and time.monotonic() - told_s > _LINE_AFTER_S:
+            if not self._console.is_terminal and time.monotonic() - told_s > _LINE_INTERVAL_S:
                 told_s = time.monotonic()
                 print_to_stderr(f"{name}: {done} of {total}")
             # an experiment may map several rounds of jobs: the bar shows the present one

@@ -83,7 +83,7 @@ def _help(path: list[str]) -> str:
     return parser_output.getvalue()
 
 
-_AXES: Final = re.compile(r"-[xyz](,[+-]?[xyz]){2}")
+_NEGATIVE_AXES_PATTERN: Final = re.compile(r"-[xyz](,[+-]?[xyz]){2}")
 """Pattern of a value that looks like an option: camera axes whose first axis is negative."""
 
 
@@ -91,7 +91,7 @@ def _with_axes_joined(words: list[str]) -> list[str]:
     """Words with such values joined to their option by "=", as the parser needs them."""
     joined: list[str] = []
     for word in words:
-        if joined and joined[-1] == "--camera-axes" and _AXES.fullmatch(word):
+        if joined and joined[-1] == "--camera-axes" and _NEGATIVE_AXES_PATTERN.fullmatch(word):
             joined[-1] += f"={word}"
         else:
             joined.append(word)

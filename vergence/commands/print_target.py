@@ -8,12 +8,12 @@ import tyro
 
 from vergence.errors import ConfigurationError
 
-_ENDINGS: Final = (".pdf", ".svg", ".png")
+_FILE_SUFFIXES: Final = (".pdf", ".svg", ".png")
 _DPI: Final = 300.0
 """Default resolution of a PNG, pixels per inch (chosen: sharp edges against file size)."""
 _LEAST_DPI: Final = 50.0
 """Lowest resolution of a PNG, pixels per inch (chosen: refuses coarse edges)."""
-_MOST_PIXELS: Final = 200e6
+_MAX_PNG_PIXELS: Final = 200e6
 """Most pixels of a PNG, each of 4 bytes while it is drawn (chosen: resolution against memory)."""
 _INCH_MM: Final = 25.4
 """Millimetres per inch (physical: definition of the inch)."""
@@ -59,7 +59,7 @@ class PrintTarget:
 
     def _check(self) -> None:
         ending = self.out.suffix.lower()
-        if ending not in _ENDINGS:
+        if ending not in _FILE_SUFFIXES:
             raise ConfigurationError(
                 f"out: expected a name that ends in .pdf, .svg or .png, got {self.out}"
             )
@@ -73,7 +73,7 @@ class PrintTarget:
     def _resolution(self, area_mm2: float) -> float:
         """Resolution of a PNG of the given area, pixels per inch."""
         dpi = _DPI if self.dpi is None else self.dpi
-        most = float(int(_INCH_MM * (_MOST_PIXELS / area_mm2) ** 0.5))
+        most = float(int(_INCH_MM * (_MAX_PNG_PIXELS / area_mm2) ** 0.5))
         if self.out.suffix.lower() == ".png" and not _LEAST_DPI <= dpi <= most:
             raise ConfigurationError(
                 f"dpi: expected {_LEAST_DPI:g} to {most:g} on this paper, got {dpi:g}"

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from vergence.hardware.scan import FoundServo, ScanResult
 
 _COLUMNS: Final = ("id", "model", "firmware", "baud", "mode", "torque", "V", "C", "position")
-_REASONS: Final = (
+_NO_ANSWER_REASONS: Final = (
     "is the servos' power switched on? The adapter's USB does not feed them",
     "is the data cable in, and the ground of supply and adapter the same?",
     "is it an adapter for these servos: TTL (3 wires) or RS-485 (4 wires)?",
     "do they speak Protocol 2.0? AX and MX from the factory speak 1.0, which ROBOTIS's Dynamixel "
     "Wizard can change in MX",
 )
-_MOST_ID: Final = 252
+_MAX_SERVO_ID: Final = 252
 """Largest id of a servo (physical: Dynamixel Protocol 2.0)."""
 
 
@@ -63,9 +63,11 @@ def _ids(text: str | None) -> range | None:
     ends = re.fullmatch(r"(\d{1,3})(?:-(\d{1,3}))?", text)
     if ends is not None:
         ids = range(int(ends[1]), int(ends[2] or ends[1]) + 1)
-        if ids and ids[-1] <= _MOST_ID:
+        if ids and ids[-1] <= _MAX_SERVO_ID:
             return ids
-    raise ConfigurationError(f"ids: expected A-B or A within 0 to {_MOST_ID}, got {text!r:.80}")
+    raise ConfigurationError(
+        f"ids: expected A-B or A within 0 to {_MAX_SERVO_ID}, got {text!r:.80}"
+    )
 
 
 def _row(servo: "FoundServo") -> list[str]:
@@ -104,5 +106,5 @@ def _say_nobody(port: str, found: "ScanResult") -> None:
         )
         return
     print_to_stderr(f"error: {port}: expected servos, got no answer at any baud rate")
-    for reason in _REASONS:
+    for reason in _NO_ANSWER_REASONS:
         print_to_stderr(f"error: {reason}")

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 Row = Sequence[str]
-_SHORT: Final = 12
+_NAME_END_LENGTH: Final = 12
 """Characters kept of the end of a long name, usually enough to tell names apart (chosen: width
 of the table against clarity)."""
 
@@ -72,7 +72,7 @@ def _with_short(rows: Sequence[Row], shortenable: Sequence[int]) -> Sequence[Row
     """Rows with long names shortened to their ends, if these are still distinct."""
     out = [list(row) for row in rows]
     for place in shortenable:
-        for length in (_SHORT, 2 * _SHORT):
+        for length in (_NAME_END_LENGTH, 2 * _NAME_END_LENGTH):
             short = {row[place]: _end(row[place], length) for row in rows}
             if len(set(short.values())) == len(short):
                 for row in out:

@@ -5,7 +5,7 @@ from typing import Final
 from vergence._jit import inlined
 from vergence.envs.layout import AGE_S
 
-_TOLERANCE: Final = 0.3
+_PERIOD_TOLERANCE: Final = 0.3
 """Fraction of a period up to which two exposure times count as equal (chosen: float32 rounds the
 age, and jitter of the period shifts the age of an old image by as much)."""
 
@@ -26,4 +26,4 @@ def is_fresh(age_s: float, last_age_s: float, period_s: float) -> bool:
         period_s: the control period, s.
     """
     later = period_s - (age_s - last_age_s)
-    return age_s < AGE_S and later > _TOLERANCE * period_s
+    return age_s < AGE_S and later > _PERIOD_TOLERANCE * period_s

@@ -34,15 +34,15 @@ BRIDGED_S: Final = 0.05
 MOST_HELD: Final = 3
 """Largest number of detections in a row that are held back (chosen: outliers against reaction
 time)."""
-_MARGIN: Final = 2.0
+_SPEED_MARGIN: Final = 2.0
 """Ratio of the largest image speed to the known one (chosen): exposure times are nominal, and
 joints accelerate."""
-_FADING_S: Final = 0.1
+_SPEED_DECAY_S: Final = 0.1
 """Time constant of the speed's decay, in addition to the images' latency, s (chosen)."""
-_SWERVE: Final = 0.5
+_MAX_SWERVE_RATIO: Final = 0.5
 """Deviation of a target that has started to move from its straight line, as a fraction of its step
 (chosen)."""
-_SHARP: Final = 0.5
+_SHARP_BLUR_FRACTION: Final = 0.5
 """Fraction of the largest motion blur below which a target is certainly detected (chosen)."""
 _HELD: Final = 0
 """Verdict: held back (numerical)."""
@@ -132,8 +132,10 @@ class OutlierGate:
             GATE_LAW,
             tolerance_px=TOLERANCE_PX + 6.0 * head.sensor.detection_noise_px,
             focal_px=head.cameras.focal.max(axis=-1),
-            smearing_px_s=_SHARP * head.sensor.max_smear_px / exposure_s if exposure_s else inf,
-            speed_decay=exp(-layout.period_s / (_FADING_S + layout.latency_s)),
+            smearing_px_s=_SHARP_BLUR_FRACTION * head.sensor.max_smear_px / exposure_s
+            if exposure_s
+            else inf,
+            speed_decay=exp(-layout.period_s / (_SPEED_DECAY_S + layout.latency_s)),
             period_s=layout.period_s,
         )
 
@@ -165,7 +167,7 @@ def _classify(g: EyeGate, law: GateLaw, u: float, v: float) -> int:
     if g.sees_target < 0.5:
         return _ACCEPTED
     off = hypot(u - g.error[0], v - g.error[1])
-    if off <= law.tolerance_px + _MARGIN * g.speed_px_s * g.since_s:
+    if off <= law.tolerance_px + _SPEED_MARGIN * g.speed_px_s * g.since_s:
         if off > 0.5 * law.tolerance_px:
             g.speed_px_s = max(g.speed_px_s, off / g.since_s)
         return _ACCEPTED
@@ -173,14 +175,14 @@ def _classify(g: EyeGate, law: GateLaw, u: float, v: float) -> int:
         return _HELD
     if g.held_count > MOST_HELD - 0.5:
         return _JUMPED
-    room = law.tolerance_px + _MARGIN * g.speed_px_s * g.held_since_s
+    room = law.tolerance_px + _SPEED_MARGIN * g.speed_px_s * g.held_since_s
     beside = hypot(u - g.held_error[0], v - g.held_error[1])
     if beside <= room:
         return _JUMPED
     du, dv = g.held_error[0] - g.error[0], g.held_error[1] - g.error[1]
     on = g.held_since_s / (g.since_s - g.held_since_s)
     swerve = hypot(u - g.held_error[0] - on * du, v - g.held_error[1] - on * dv)
-    if swerve <= room + _SWERVE * hypot(du, dv):
+    if swerve <= room + _MAX_SWERVE_RATIO * hypot(du, dv):
         g.speed_px_s = max(g.speed_px_s, beside / g.held_since_s)
         return _ACCEPTED
     return _HELD

@@ -41,20 +41,20 @@ from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-_NEAR: Final = 2.0
+_ZONE_ANGLES: Final = 2.0
 """Width of the soft law's zone, in multiples of the uncertain angle of a period at full
 acceleration (chosen)."""
-_NOISY: Final = 4.0
+_ZONE_SIGMAS: Final = 4.0
 """Width of that zone, in standard deviations of a detection (chosen: 4 sigma)."""
-_MOVING: Final = 2.0
+_MOVING_TRIM_FACTOR: Final = 2.0
 """Factor by which `trim_px` is wider for a moving target (chosen)."""
-_RATE: Final = 1.5
+_MAX_RATE_TIMES_LAG: Final = 1.5
 """Upper bound of the soft law's rate, as a multiple of 1 / lag (chosen: overshoot against
 speed)."""
-_SEES: Final = 0.6
+_JOINT_BLUR_FRACTION: Final = 0.6
 """Fraction of the motion-blur speed limit that each joint of an eye may have (chosen: margin for
 two joints)."""
-_BLIND_S: Final = 0.12
+_MAX_BLIND_SACCADE_S: Final = 0.12
 """Approximate longest time for which a catch-up saccade exceeds that speed, s (chosen)."""
 _LEAST_LAG_S: Final = 0.004
 """Lower bound of the lag in the soft law's rate, s (numerical)."""
@@ -63,14 +63,14 @@ MODEL_QUALITY_FIELDS: Final = (
     "half_swings", "build_up",
 )  # fmt: skip
 """Fields of a `Prediction` that determine how fast the law may be."""
-_UNEXPLAINED: Final = 4.0
+_MAX_MISFIT: Final = 4.0
 """Misfit of the response above which only the linear law turns the eyes (chosen)."""
 _CALM_RATE: Final = 12.0
 """Rate of the linear law after oscillation or with that misfit, 1/s; each further half swing halves
 it (chosen)."""
 _LINEAR_RATE: Final = 30.0
 """Rate of the linear law if the lag builds up, 1/s (chosen)."""
-_MOST_ACCELERATION: Final = 1e3
+_MAX_ZONE_ACCELERATION: Final = 1e3
 """Upper bound of the acceleration in the width of the soft law's zone, for actuators without a
 limit, rad/s^2 (numerical)."""
 
@@ -175,7 +175,7 @@ def saccade_command(
     period = params.period_s
     unsure = min(model_quality[1] + model_quality[2] / period, 1.0)
     oscillates = model_quality[5] > MANY_HALF_SWINGS
-    unexplained, builds_up = model_quality[4] > _UNEXPLAINED, model_quality[6] > 0.0
+    unexplained, builds_up = model_quality[4] > _MAX_MISFIT, model_quality[6] > 0.0
     for j in range(4):
         out[j] = 0.0
         if not (
@@ -191,14 +191,15 @@ def saccade_command(
         )
         if goal_velocity[j] != 0.0:  # lose sight only briefly of a target that may reverse
             visible_speed = max(
-                _SEES * params.max_slip_rad_s / params.leverage[j], abs(angle_error[j]) / _BLIND_S
+                _JOINT_BLUR_FRACTION * params.max_slip_rad_s / params.leverage[j],
+                abs(angle_error[j]) / _MAX_BLIND_SACCADE_S,
             )
             speed = min(speed, visible_speed)
         a = model_quality[0] * params.acceleration_limit[j]
         # uncertain part of the angle turned in a period at full acceleration
-        wide = law_row[2] if goal_velocity[j] == 0.0 else _MOVING * law_row[2]
-        soft = max(wide, _NOISY * model_quality[3]) / params.leverage[j]
-        near = max(soft, _NEAR * min(a, _MOST_ACCELERATION) * period**2 * unsure)
+        wide = law_row[2] if goal_velocity[j] == 0.0 else _MOVING_TRIM_FACTOR * law_row[2]
+        soft = max(wide, _ZONE_SIGMAS * model_quality[3]) / params.leverage[j]
+        near = max(soft, _ZONE_ANGLES * min(a, _MAX_ZONE_ACCELERATION) * period**2 * unsure)
         calm = oscillates or (unexplained and goal_velocity[j] == 0.0)
         if calm or builds_up:
             linear_rate = calmed_rate(_CALM_RATE, model_quality[5]) if calm else _LINEAR_RATE
@@ -206,7 +207,9 @@ def saccade_command(
                 angle_error[j], v, acceleration[j], linear_rate, lag, model_quality[6]
             )
         elif abs(angle_error[j]) < near and abs(v) * lag < 3.0 * near:
-            u = min(law_row[3], _RATE / max(lag, _LEAST_LAG_S)) * (angle_error[j] - lag * v)
+            u = min(law_row[3], _MAX_RATE_TIMES_LAG / max(lag, _LEAST_LAG_S)) * (
+                angle_error[j] - lag * v
+            )
         else:
             braking = law_row[0] * exp(-min(law_row[1] * model_quality[1], 1.0)) * a
             trusted = joint_timing(lag, speed, braking, period)

@@ -13,7 +13,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-_MANY: Final = 10
+_MAX_LISTED_ARRAYS: Final = 10
 """Number of arrays from which on a message does not list their shapes (chosen: detail
 against length)."""
 
@@ -98,7 +98,7 @@ def continued_state(
     several = isinstance(given, tuple | list)
     if not several or len(given) != 1 or np.shape(given[0]) != shape:
         found = " ".join(f"{given!r:.200}".split())[:80]
-        if several and len(given) < _MANY:
+        if several and len(given) < _MAX_LISTED_ARRAYS:
             found = ", ".join(str(np.shape(part)) for part in given)
         raise ConfigurationError(
             f"state: expected a tuple of one array of shape {shape}, got {found or '()'}"

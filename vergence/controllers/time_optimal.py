@@ -21,9 +21,9 @@ from vergence.models.joint_response import follow_joint
 
 _LEAST_LAG_S: Final = 1e-4
 """Lower bound of the lag, s (numerical)."""
-_LONGEST: Final = 1000
+_MAX_BRAKING_PERIODS: Final = 1000
 """Largest number of braking periods that are simulated (numerical)."""
-_SOLVE_STEPS: Final = 20
+_MAX_ROOT_ITERATIONS: Final = 20
 """Iteration limit of the root finder (numerical)."""
 _TOLERANCE_RAD: Final = 1e-6
 """Convergence tolerance of the stopping angle, rad (numerical)."""
@@ -75,7 +75,7 @@ def stopping_distance(v: float, joint: JointTiming) -> float:
     side = 1.0 if v >= 0.0 else -1.0
     v = abs(v)
     distance: float = 0.0
-    for _ in range(_LONGEST):  # a joint that needs longer cannot be stopped
+    for _ in range(_MAX_BRAKING_PERIODS):  # a joint that needs longer cannot be stopped
         if not v > joint.last_stop_speed:
             break
         dq, v = follow_joint(0.0, v, -joint.u_max, joint.lag, joint.a, joint.period, joint.decay)
@@ -128,7 +128,7 @@ def fastest_command(angle_error: float, v: float, a: float, trusted: JointTiming
     low, high = max(-u_max, v - widest), min(u_max, v + widest)
     # regula falsi, Illinois variant
     kept = 0
-    for _ in range(_SOLVE_STEPS):
+    for _ in range(_MAX_ROOT_ITERATIONS):
         if not above > below:  # converged to rounding
             break
         u = (low * above - high * below) / (above - below)

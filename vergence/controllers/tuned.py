@@ -25,7 +25,7 @@ from vergence.models.head import HeadModel
 
 TUNED_FILE: Final = Path(__file__).with_name("tuned.toml")
 """Table that ships with the package."""
-_SCENARIOS_OWN: Final = ("simulated", "physical")
+_SCENARIO_HEADS: Final = ("simulated", "physical")
 """Heads of the scenarios; their options are starting values for other heads."""
 TUNED_VARIABLE: Final = "VERGENCE_TUNED"
 """Environment variable that names another file for the user's table."""
@@ -201,7 +201,7 @@ def find_tuned(name: str, scenario: str, head: HeadModel) -> TunedEntry | None:
     if own is not None:
         return own
     known = [one for one in shipped_table().values() if one.key[:2] == key[:2]]
-    return min(known, key=lambda one: one.head not in _SCENARIOS_OWN, default=None)
+    return min(known, key=lambda one: one.head not in _SCENARIO_HEADS, default=None)
 
 
 def is_tuned_for(entry: TunedEntry | None, head: HeadModel) -> bool:

@@ -191,7 +191,7 @@ def encode_observation(
         out[i + 3 * m] = action[k]
 
 
-_SHAPES: Final = (np.zeros(2), np.zeros(7), np.zeros(4))
+_DIMENSION_DUMMIES: Final = (np.zeros(2), np.zeros(7), np.zeros(4))
 """Dummy operands: they name dimensions that `_decode` has only in its results (numerical)."""
 
 
@@ -212,7 +212,7 @@ def decode_observation(
         ConfigurationError: the array does not hold observations.
     """
     numbers = as_observation(observation, size).astype(np.float64, copy=False)
-    fields: tuple[NDArray[Any], ...] = _decode(numbers, scaling, *_SHAPES)
+    fields: tuple[NDArray[Any], ...] = _decode(numbers, scaling, *_DIMENSION_DUMMIES)
     return fields
 
 
@@ -234,7 +234,8 @@ def _decode(
     velocities: FloatArray,
     command: FloatArray,
 ) -> None:
-    """Compute the fields of `Observation`; the three arguments after `scaling` are `_SHAPES`.
+    """Compute the fields of `Observation`; the three arguments after `scaling` are
+    `_DIMENSION_DUMMIES`.
 
     At least `ACTUATORS` numbers are read, so callers must have checked the length.
     """

@@ -13,8 +13,8 @@ from typing import Final
 
 from vergence.errors import how_to_install
 
-_VARIABLE: Final = "MUJOCO_GL"
-_HARMLESS: Final = ("", "glfw", "disable", "disabled", "off", "false", "0")
+_BACKEND_VARIABLE: Final = "MUJOCO_GL"
+_IMPORTABLE_VALUES: Final = ("", "glfw", "disable", "disabled", "off", "false", "0")
 """Values with which MuJoCo can be imported anywhere."""
 _TIMEOUT_S: Final = 30
 """Time limit of a trial process, s (chosen: patience with slow machines against a long wait)."""
@@ -29,12 +29,12 @@ def disable_broken_opengl() -> str | None:
         The reason if OpenGL is disabled, for this process and its child processes; else None.
     """
     global _switched_off
-    chosen = os.environ.get(_VARIABLE, "").strip().lower()
-    if chosen not in _HARMLESS:
+    chosen = os.environ.get(_BACKEND_VARIABLE, "").strip().lower()
+    if chosen not in _IMPORTABLE_VALUES:
         reason = _failure("import mujoco")
         if reason is not None:
-            _switched_off = f"{_VARIABLE}={chosen}: {reason}"
-            os.environ[_VARIABLE] = "disable"
+            _switched_off = f"{_BACKEND_VARIABLE}={chosen}: {reason}"
+            os.environ[_BACKEND_VARIABLE] = "disable"
     return _switched_off
 
 

@@ -17,7 +17,7 @@ EYE_COLOURS: Final = ((31, 119, 180), (214, 96, 30))
 """RGB of the left and the right eye's axis (chosen: easy to tell apart)."""
 
 
-_SLIM_M: Final = 0.15
+_MAX_NARROW_BASELINE_M: Final = 0.15
 """Baseline above which the camera moves back to keep the head in view, m (chosen: room around wide
 heads against the size of the picture)."""
 
@@ -124,7 +124,7 @@ def outside_camera(
     camera, reach = mujoco.MjvCamera(), _reach(target)
     towards = target if np.isfinite(target).all() else np.array([0.0, 0.0, reach])
     camera.lookat = (base_pose @ [*(0.5 * towards), 1.0])[:3]
-    camera.distance = 0.35 + 1.35 * reach + 1.5 * max(0.0, width_m - _SLIM_M)
+    camera.distance = 0.35 + 1.35 * reach + 1.5 * max(0.0, width_m - _MAX_NARROW_BASELINE_M)
     camera.azimuth, camera.elevation = -145.0, -22.0
     return camera
 

@@ -55,13 +55,13 @@ SETTLED_PX: Final = 1.0
 
 # pixel errors that halve a part of the reward: while turning, while braking, at rest (chosen: a
 # gradient at every distance)
-_FAR_PX: Final = 100.0
-_NEAR_PX: Final = 10.0
-_PRECISE_PX: Final = 1.0
+_TURNING_ERROR_PX: Final = 100.0
+_BRAKING_ERROR_PX: Final = 10.0
+_RESTING_ERROR_PX: Final = 1.0
 
-_EFFORT: Final = 0.01
+_EFFORT_WEIGHT: Final = 0.01
 """Weight of the effort term (chosen: calm actions against fast turns)."""
-_LOST: Final = 25.0
+_LOST_COST: Final = 25.0
 """Cost of a lost target (chosen: weight of a loss against the reward of a trial)."""
 
 
@@ -191,9 +191,12 @@ def assess(
                 reducible_error(coupled_head, q, error[n], left, right, goal)
             for eye in range(2):
                 size = _norm(error[n, eye, 0], error[n, eye, 1])
-                tracking += (_NEAR_PX / (_NEAR_PX + size) + _FAR_PX / (_FAR_PX + size)) / 6.0
+                tracking += (
+                    _BRAKING_ERROR_PX / (_BRAKING_ERROR_PX + size)
+                    + _TURNING_ERROR_PX / (_TURNING_ERROR_PX + size)
+                ) / 6.0
                 size = _norm(goal[eye, 0], goal[eye, 1])
-                precision += _PRECISE_PX / (_PRECISE_PX + size) / 6.0
+                precision += _RESTING_ERROR_PX / (_RESTING_ERROR_PX + size) / 6.0
                 settled = settled and size < SETTLED_PX
         encode_observation(
             result.observation[n], scaling, error[n], reading, n, action[n], coupled_head
@@ -217,8 +220,8 @@ def assess(
             result.lost[n] = later_s >= rules.first_seen_within_s
         result.success[n] = later_s - progress.unsettled_s[n] >= rules.success_after_s
         terms[n, 0], terms[n, 1] = tracking, precision
-        terms[n, 2] = -_EFFORT * (tracking + precision) * square / m
-        terms[n, 3] = -_LOST if result.lost[n] else 0.0
+        terms[n, 2] = -_EFFORT_WEIGHT * (tracking + precision) * square / m
+        terms[n, 3] = -_LOST_COST if result.lost[n] else 0.0
         result.reward[n] = terms[n, 0] + terms[n, 1] + terms[n, 2] + terms[n, 3]
 
 

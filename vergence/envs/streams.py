@@ -30,8 +30,8 @@ _MULTIPLIERS: Final = (np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A8263951211
 _WEYL: Final = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B))
 _ROUNDS: Final = 10
 _TO_DOUBLE: Final = 1.0 / 2**53
-_ELEVEN: Final = np.uint64(11)
-_ONE: Final = np.uint64(1)
+_MANTISSA_SHIFT: Final = np.uint64(11)
+_LOWEST_BIT: Final = np.uint64(1)
 _SINE: Final = tuple((-1.0) ** k / factorial(2 * k + 1) for k in range(8))
 _COSINE: Final = tuple((-1.0) ** k / factorial(2 * k) for k in range(8))
 
@@ -174,7 +174,7 @@ def random_words(seed: np.uint64, trial: np.uint64, purpose: int, block: int, la
 @inlined
 def to_uniform(word: np.uint64) -> float:
     """Convert a word to a uniform number in [0, 1)."""
-    return (word >> _ELEVEN) * _TO_DOUBLE
+    return (word >> _MANTISSA_SHIFT) * _TO_DOUBLE
 
 
 @inlined
@@ -185,7 +185,7 @@ def to_normals(first: np.uint64, second: np.uint64) -> tuple[float, float]:
     the last digit, and two bits choose the axis. This avoids library functions, whose branches a
     processor cannot predict for random arguments.
     """
-    radius = sqrt(-2.0 * log(((first >> _ELEVEN) + 0.5) * _TO_DOUBLE))
+    radius = sqrt(-2.0 * log(((first >> _MANTISSA_SHIFT) + 0.5) * _TO_DOUBLE))
     x = 0.5 * pi * (to_uniform(second) - 0.5)
     y = x * x
     sine = cosine = 0.0
@@ -193,7 +193,7 @@ def to_normals(first: np.uint64, second: np.uint64) -> tuple[float, float]:
         sine = _SINE[k] + y * sine
         cosine = _COSINE[k] + y * cosine
     along, across = radius * cosine, radius * x * sine
-    sign = 1.0 - 2.0 * (second & _ONE)
-    swap = 1.0 * ((second >> _ONE) & _ONE)
+    sign = 1.0 - 2.0 * (second & _LOWEST_BIT)
+    swap = 1.0 * ((second >> _LOWEST_BIT) & _LOWEST_BIT)
     stay = 1.0 - swap
     return sign * (stay * along + swap * across), sign * (stay * across + swap * along)

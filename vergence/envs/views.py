@@ -23,9 +23,9 @@ EYE_WIDTH: Final = 480
 VIEW_HEIGHT: Final = 320
 """Height of the view of the head, px (chosen: detail against size)."""
 # Colour of text, grey of the background, colour of the target's mark; 0 to 255 (chosen: contrast).
-_INK: Final = (40, 40, 40)
-_PAPER: Final = 245
-_MARK: Final = (0, 150, 60)
+_TEXT_COLOUR: Final = (40, 40, 40)
+_BACKGROUND_GREY: Final = 245
+_TARGET_COLOUR: Final = (0, 150, 60)
 
 
 def opengl_works() -> bool:
@@ -127,7 +127,10 @@ class Viewer:
         head = self._task.head
         origin = "" if self._task.plant.frames(n) is not None else ", drawn"
         if image is None:
-            image, origin = np.full(head.cameras.size[eye, ::-1], _PAPER, np.uint8), ", no image"
+            image, origin = (
+                np.full(head.cameras.size[eye, ::-1], _BACKGROUND_GREY, np.uint8),
+                ", no image",
+            )
         scale = EYE_WIDTH / image.shape[1]
         size = (EYE_WIDTH, round(scale * image.shape[0]))
         grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
@@ -136,7 +139,7 @@ class Viewer:
         _cross(out, scale * head.cameras.principal[eye], colour, 14)
         pixel = self._task.reading.pixels[n, eye]
         if np.isfinite(pixel).all():
-            _cross(out, scale * pixel, _MARK, 9)
+            _cross(out, scale * pixel, _TARGET_COLOUR, 9)
         error = float(np.hypot(*self._task.pixel_error[n, eye]))
         text = f"{('left', 'right')[eye]} eye{origin}   error "
         text += f"{error:.1f} px" if np.isfinite(error) else "-"
@@ -176,7 +179,7 @@ def schematic(
         (height, width, 3) RGB.
     """
     poses = head.camera_poses(positions)
-    out = np.full((height, width, 3), _PAPER, dtype=np.uint8)
+    out = np.full((height, width, 3), _BACKGROUND_GREY, dtype=np.uint8)
     anywhere = bool(np.isfinite(target).all())
     depth = max(1.2 * float(target[2]), 0.5) if anywhere else 1.0
     half = width // 2
@@ -205,9 +208,9 @@ def schematic(
             cv2.line(view, (a[0] - left, a[1]), (b[0] - left, b[1]), colour, 2, cv2.LINE_AA)
             cv2.circle(view, (a[0] - left, a[1]), 8, colour, -1, cv2.LINE_AA)
         if anywhere and known:
-            cv2.circle(out, pixel_of(target), 6, _MARK, 2, cv2.LINE_AA)
+            cv2.circle(out, pixel_of(target), 6, _TARGET_COLOUR, 2, cv2.LINE_AA)
         elif anywhere:
-            _cross(out, np.array(pixel_of(target)), _MARK, 9)
+            _cross(out, np.array(pixel_of(target)), _TARGET_COLOUR, 9)
         _label(out, title, (left + 12, 24))
     cv2.line(out, (half, 10), (half, height - 10), (200, 200, 200), 1)
     return out
@@ -260,7 +263,7 @@ class Window:
 def _padded(image: Image, height: int) -> Image:
     """Pad a picture at the bottom with background, to the height of the other eye's."""
     below = ((0, height - len(image)), (0, 0), (0, 0))
-    return np.pad(image, below, constant_values=_PAPER)
+    return np.pad(image, below, constant_values=_BACKGROUND_GREY)
 
 
 def _cross(image: Image, at: FloatArray, colour: tuple[int, int, int], size: int) -> None:
@@ -273,5 +276,5 @@ def _label(image: Image, text: str, at: tuple[int, int]) -> None:
     font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.55
     (width, height), below = cv2.getTextSize(text, font, scale, 1)
     corner, opposite = (at[0] - 5, at[1] - height - 5), (at[0] + width + 5, at[1] + below + 3)
-    cv2.rectangle(image, corner, opposite, (_PAPER,) * 3, -1)
-    cv2.putText(image, text, at, font, scale, _INK, 1, cv2.LINE_AA)
+    cv2.rectangle(image, corner, opposite, (_BACKGROUND_GREY,) * 3, -1)
+    cv2.putText(image, text, at, font, scale, _TEXT_COLOUR, 1, cv2.LINE_AA)

@@ -33,7 +33,7 @@ from vergence.models.point_warnings import describe_beyond_limits
 from vergence.recording import Recorder
 from vergence.triangulation import Fix
 
-_HARDWARE: Final = "hardware"
+_HARDWARE_PLANT: Final = "hardware"
 """The plant of robots."""
 
 
@@ -248,17 +248,18 @@ def gaze_result(
 
 def _hardware(config: GazeConfig) -> tuple[GazeConfig, HeadModel, dict[str, Any]]:
     """Configuration with the head's name filled in, the head, and options of the plant."""
-    if config.plant != _HARDWARE:
+    if config.plant != _HARDWARE_PLANT:
         if config.hardware is not None:
             raise ConfigurationError(
-                f"config: expected --plant {_HARDWARE} beside a robot's configuration, got "
+                f"config: expected --plant {_HARDWARE_PLANT} beside a robot's configuration, got "
                 f"--plant {config.plant}"
             )
         config = dataclasses.replace(config, head=config.head or "simulated")
         return config, load_head(config.head or ""), {}
     if config.hardware is None:
         raise ConfigurationError(
-            f"config: expected the file that describes the robot of --plant {_HARDWARE}, got none "
+            f"config: expected the file that describes the robot of --plant {_HARDWARE_PLANT}, "
+            "got none "
             "(vergence emulate prints one of an emulated head)"
         )
     hardware = load_hardware(config.hardware)

@@ -16,10 +16,10 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 
 _COLOURS = ("#1f6fb4", "#d1571b")
-_WORTH_MAGNIFYING: Final = 0.15
+_MOST_MAGNIFIED_FRACTION: Final = 0.15
 """Largest half width of the magnified part, as a fraction of the image's width; wider parts are not
 magnified (chosen: detail against clutter)."""
-_LEAST_PX: Final = 1e-3
+_LEAST_DRAWN_ERROR_PX: Final = 1e-3
 """Least drawn error, px; smaller errors are drawn as this (chosen: far below one that
 matters, on a logarithmic axis)."""
 _GREEN, _GREY = "#14803c", "#666666"
@@ -87,7 +87,7 @@ def _draw_eye(axes: Axes, result: GazeResult, eye: int) -> None:
     middle = 0.5 * (path[0] + centre) if len(path) else centre
     half = max(float(np.abs(path - middle).max(initial=0.0)) + 60.0, 0.05 * width)
     panels = [axes]
-    if half < _WORTH_MAGNIFYING * width:
+    if half < _MOST_MAGNIFIED_FRACTION * width:
         left = 0.01 if middle[0] > 0.55 * width else 0.60
         zoom = axes.inset_axes((left, 0.51, 0.39, 0.47))
         zoom.spines[:].set_visible(True)
@@ -145,9 +145,14 @@ def _draw_errors(axes: Axes, result: GazeResult) -> None:
         norm = np.linalg.norm(_columns(result, what, eye), axis=1)
         style = ("-", (0, (5, 2)))[eye]
         axes.plot(
-            time, np.maximum(norm, _LEAST_PX), color=_COLOURS[eye], ls=style, lw=2, label=name
+            time,
+            np.maximum(norm, _LEAST_DRAWN_ERROR_PX),
+            color=_COLOURS[eye],
+            ls=style,
+            lw=2,
+            label=name,
         )
-    scale: dict[str, Any] = {"yscale": "log", "ylim": (_LEAST_PX, None)}
+    scale: dict[str, Any] = {"yscale": "log", "ylim": (_LEAST_DRAWN_ERROR_PX, None)}
     if result.has_residual:
         title = _mark_least_error(axes, result)
         if result.residual_px > 1.0:  # an error that ends far from zero needs no logarithmic scale

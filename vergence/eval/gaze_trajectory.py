@@ -15,7 +15,7 @@ from vergence.triangulation import Fix, triangulate_gaze, triangulate_views
 
 MM: Final = 1000.0
 """Millimetres per metre (physical: conversion of units)."""
-_LATELY_S: Final = 0.2
+_MOST_IMAGE_AGE_S: Final = 0.2
 """Greatest age of the last image with the target visible in both eyes for it to be used, s
 (chosen)."""
 
@@ -56,7 +56,7 @@ def _last_valid(time_s: FloatArray, valid: NDArray[np.bool_]) -> NDArray[np.int6
     rows = np.zeros(len(valid), dtype=np.int64)
     last = 0
     for row in range(len(valid)):
-        if valid[row] or time_s[row] - time_s[last] > _LATELY_S:
+        if valid[row] or time_s[row] - time_s[last] > _MOST_IMAGE_AGE_S:
             last = row
         rows[row] = last
     return rows

@@ -28,9 +28,9 @@ _VIEWS: Final = (
 """Title, axes of N across and up the page, and their labels; y points down the page."""
 _MM: Final = 1000.0
 """Millimetres per metre (physical: conversion of units)."""
-_RAYS: Final = 49
+_OUTLINE_RAYS: Final = 49
 """Rays across a field of view (chosen: smoothness of its outline)."""
-_SAME: Final = 0.02
+_AXIS_MERGE_TOLERANCE: Final = 0.02
 """Largest distance, as a fraction of the head's size, and difference of unit directions at which
 axes are drawn as one (chosen)."""
 
@@ -74,9 +74,9 @@ def _field(camera: EyeCamera) -> FloatArray:
     (u, v), (right, bottom) = camera.principal_px, (camera.width - 0.5, camera.height - 0.5)
     edges, _ = edge_rays(camera, np.array([[-0.5, v], [right, v], [u, -0.5], [u, bottom]]))
     angles = np.arctan(edges)
-    rays = np.zeros((2, _RAYS, 3))
+    rays = np.zeros((2, _OUTLINE_RAYS, 3))
     for axis in range(2):
-        swept = np.linspace(angles[2 * axis, axis], angles[2 * axis + 1, axis], _RAYS)
+        swept = np.linspace(angles[2 * axis, axis], angles[2 * axis + 1, axis], _OUTLINE_RAYS)
         rays[axis, :, axis], rays[axis, :, 2] = np.sin(swept), np.cos(swept)
     return rays
 
@@ -200,7 +200,10 @@ def _seen_as_one(
     for number, (origin, axis) in enumerate(shown.axes, start=1):
         for place, (numbers, other, direction) in enumerate(found):
             apart = np.linalg.norm((origin - other)[plane]) / shown.size
-            if apart < _SAME and np.linalg.norm(axis - direction) < _SAME:
+            if (
+                apart < _AXIS_MERGE_TOLERANCE
+                and np.linalg.norm(axis - direction) < _AXIS_MERGE_TOLERANCE
+            ):
                 found[place] = (f"{numbers}, {number}", other, direction)
                 break
         else:

@@ -14,11 +14,16 @@ NEAREST_M: Final = 0.01
 """Least depth of the search, m (chosen)."""
 _FARTHEST_M: Final = 100.0
 """Greatest depth of the search, m; the reach counts as infinite from there (chosen)."""
-_SIDES: Final = (("left", 0, -1.0), ("right", 0, 1.0), ("up", 1, -1.0), ("down", 1, 1.0))
+_SEARCH_DIRECTIONS: Final = (
+    ("left", 0, -1.0),
+    ("right", 0, 1.0),
+    ("up", 1, -1.0),
+    ("down", 1, 1.0),
+)
 """Name, axis of N and sign of the directions in which the widest angles are searched."""
 _FORWARD: Final = np.array([0.0, 0.0, 1.0])
 """Direction straight ahead in N (numerical: a unit vector)."""
-_DIRECTION_M: Final = 1.0
+_ANGLE_SEARCH_DISTANCE_M: Final = 1.0
 """Distance at which the widest angles are searched, or twice the nearest depth if larger, m
 (chosen)."""
 
@@ -89,10 +94,10 @@ def find_reach(head: HeadModel) -> Reach:
     if reached.size:
         nearest, farthest = depths[reached[0]], depths[reached[-1]]
         farthest = np.inf if reached[-1] == len(depths) - 1 else farthest
-    distance = float(np.nanmax([_DIRECTION_M, 2.0 * nearest]))
+    distance = float(np.nanmax([_ANGLE_SEARCH_DISTANCE_M, 2.0 * nearest]))
     angles = np.radians(np.linspace(0.0, 179.0, 1791))
     widest = {}
-    for name, axis, sign in _SIDES:
+    for name, axis, sign in _SEARCH_DIRECTIONS:
         failed = np.flatnonzero(~can(distance * _directions(angles, axis, sign)))
         last = failed[0] - 1 if failed.size else len(angles) - 1
         widest[f"{name}_deg"] = float(np.degrees(angles[last])) if last >= 0 else float("nan")
@@ -112,7 +117,7 @@ def off_axis_reach_points(head: HeadModel, reach: Reach) -> FloatArray:
         (n, 3) in N, m; none on a side without reach. Points in corners may be out of reach.
     """
     sides: list[list[FloatArray]] = [[], []]
-    for name, axis, sign in _SIDES:
+    for name, axis, sign in _SEARCH_DIRECTIONS:
         widest = np.radians(getattr(reach, f"{name}_deg"))
         if np.isfinite(widest):
             sides[axis] += list(_directions(np.array([0.5, 1.0]) * widest, axis, sign))

@@ -24,9 +24,9 @@ from vergence.eval.reporting.runs import package_versions
 
 T = TypeVar("T")
 Job = Callable[[], Any]
-_MANAGER: Final = "_ExecutorManagerThread"
+_LOKY_MANAGER_THREAD: Final = "_ExecutorManagerThread"
 """Class name of loky's thread that distributes jobs."""
-_JOIN_S: Final = 10.0
+_THREAD_JOIN_TIMEOUT_S: Final = 10.0
 """Longest wait for that thread after jobs are cancelled, s (chosen)."""
 Progress = Callable[[int, int], None]
 """Callback with the number of finished jobs and the total number."""
@@ -122,8 +122,8 @@ def _call_off(results: Generator[Any]) -> None:
         warnings.simplefilter("ignore")  # about the number of cancelled jobs
         results.close()
     for thread in threading.enumerate():
-        if type(thread).__name__ == _MANAGER:
-            thread.join(_JOIN_S)
+        if type(thread).__name__ == _LOKY_MANAGER_THREAD:
+            thread.join(_THREAD_JOIN_TIMEOUT_S)
 
 
 @contextmanager
@@ -135,7 +135,7 @@ def _silent_manager() -> Iterator[None]:
     hook = threading.excepthook
 
     def tell(failed: threading.ExceptHookArgs) -> None:
-        if failed.exc_type is not KeyError or type(failed.thread).__name__ != _MANAGER:
+        if failed.exc_type is not KeyError or type(failed.thread).__name__ != _LOKY_MANAGER_THREAD:
             hook(failed)
 
     threading.excepthook = tell
@@ -241,7 +241,9 @@ class RayMapper(Mapper):
 
     def _run(self, jobs: Sequence[Callable[[], T]]) -> Generator[tuple[int, T]]:
         ray = self._ray
-        task = ray.remote(num_cpus=1, max_retries=_RETRIES, scheduling_strategy="SPREAD")(_remote)
+        task = ray.remote(num_cpus=1, max_retries=_TASK_RETRIES, scheduling_strategy="SPREAD")(
+            _remote
+        )
         pending = {task.remote(job, package_versions()): number for number, job in enumerate(jobs)}
         while pending:
             (reference,), _ = ray.wait(list(pending), num_returns=1)
@@ -260,9 +262,9 @@ class RayMapper(Mapper):
         self._ray.shutdown()
 
 
-_RETRIES: Final = 5
+_TASK_RETRIES: Final = 5
 """Most lost nodes per task (chosen)."""
-_ANSWER_S: Final = 5
+_CLUSTER_TIMEOUT_S: Final = 5
 """Time limit for a cluster to answer, s (chosen)."""
 
 
@@ -274,7 +276,7 @@ def _join(address: str) -> ModuleType:
     settings = {
         "RAY_USAGE_STATS_ENABLED": "0",
         "RAY_NUM_REDIS_GET_RETRIES": "2",
-        "RAY_py_gcs_connect_timeout_s": str(_ANSWER_S),
+        "RAY_py_gcs_connect_timeout_s": str(_CLUSTER_TIMEOUT_S),
     }
     try:
         if socket.gethostbyname(host).startswith("127."):
@@ -286,7 +288,7 @@ def _join(address: str) -> ModuleType:
         import ray
 
         # if nothing listens at the address, Ray itself would retry for minutes
-        socket.create_connection((host, int(port)), timeout=_ANSWER_S).close()
+        socket.create_connection((host, int(port)), timeout=_CLUSTER_TIMEOUT_S).close()
         ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     except ImportError as error:
         raise ConfigurationError(

@@ -33,9 +33,9 @@ from vergence.vision.tracking import Tracker
 from vergence.vision.video import is_local_camera, open_capture
 
 _LOG: Final = logging.getLogger(__name__)
-_STEADY: Final = 5
+_STEADY_INTERVALS: Final = 5
 """Consecutive intervals outside a burst after which the times of images are trusted (chosen)."""
-_BURST: Final = 0.5
+_BURST_FRACTION: Final = 0.5
 """Intervals below this fraction of the frame period belong to a burst (chosen)."""
 _STALLED_S: Final = 1.0
 """Time without an image after which a camera counts as lost, s (chosen)."""
@@ -113,7 +113,7 @@ class EyeThread(threading.Thread):
 
     def _run(self) -> None:
         in_pace = 0
-        least_s = _BURST * self._head.timing.frame_s
+        least_s = _BURST_FRACTION * self._head.timing.frame_s
         while not self._ended:
             if not self._capture.grab():
                 self._fault = self._fault or "the stream ended"
@@ -125,7 +125,7 @@ class EyeThread(threading.Thread):
                 _LOG.warning("%s: images again, after none for %.1f s", self.config.name, gap_s)
             in_pace = in_pace + 1 if gap_s >= least_s else 0
             self._last_s = received_s
-            if not there or (in_pace < _STEADY and not self._steady.is_set()):
+            if not there or (in_pace < _STEADY_INTERVALS and not self._steady.is_set()):
                 continue
             self._look(np.asarray(image, np.uint8), received_s)
             self._steady.set()

@@ -24,7 +24,7 @@ from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import DEPTH_RANGE_M
 from vergence.vision.optics import EyeCamera
 
-_PARALLEL: Final = 1e-8
+_PARALLEL_SINE_SQUARED: Final = 1e-8
 """Squared sine of the angle below which two lines count as parallel: 0.1 mrad (numerical)."""
 
 
@@ -71,7 +71,7 @@ def _depths(origins: FloatArray, directions: FloatArray) -> FloatArray:
     a, b, c = left @ left, left @ right, right @ right
     w = origins[0] - origins[1]
     determinant = a * c - b * b
-    if not determinant > _PARALLEL * a * c:
+    if not determinant > _PARALLEL_SINE_SQUARED * a * c:
         return np.full(2, DEPTH_RANGE_M[1])
     s = (b * (right @ w) - c * (left @ w)) / determinant
     t = (a * (right @ w) - b * (left @ w)) / determinant

@@ -75,10 +75,10 @@ __all__ = [
     "refuse_other_head",
 ]
 
-_PAIRING: Final = 0.75
+_PAIRING_FRAME_FRACTION: Final = 0.75
 """Greatest time between the exposures of a pair, as a fraction of the frame period: a half, so that
 images of unsynchronised cameras always find a partner, and a quarter for jitter (chosen)."""
-_TOLERANCE: Final[Rule] = (lambda x: 0.0 < x < 1.0, "seconds, 0 to 1 (is it in milliseconds?)")
+_TOLERANCE_RULE: Final[Rule] = (lambda x: 0.0 < x < 1.0, "seconds, 0 to 1 (is it in milliseconds?)")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -241,10 +241,10 @@ def _cameras(
     table: Table, head: HeadModel | None, mistakes: MistakeCollector
 ) -> tuple[list[CameraConfig], float]:
     """Read the cameras, left one first, and the pairing tolerance, s; mistakes are left out."""
-    tolerance_s = 0.0 if head is None else _PAIRING * head.timing.frame_s
+    tolerance_s = 0.0 if head is None else _PAIRING_FRAME_FRACTION * head.timing.frame_s
     with mistakes:
         if table.has("pairing_tolerance_s"):
-            tolerance_s = table.number("pairing_tolerance_s", _TOLERANCE)
+            tolerance_s = table.number("pairing_tolerance_s", _TOLERANCE_RULE)
     cameras = []
     for eye, name in enumerate(EYE_NAMES):
         with mistakes:

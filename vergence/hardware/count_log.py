@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-_EVERY_S: Final = 1.0
+_MIN_INTERVAL_S: Final = 1.0
 """Least time between two lines, s (chosen)."""
 
 
@@ -31,6 +31,6 @@ class CountLog:
         """Count events, and log them if the last line is a second old."""
         self._count += count
         now = self._clock()
-        if now - self._told_s >= _EVERY_S:
+        if now - self._told_s >= _MIN_INTERVAL_S:
             self._log.log(self._level, self._text, self._count, *values)
             self._count, self._told_s = 0, now

@@ -27,7 +27,7 @@ from vergence.recording.listener import RobotListener
 from vergence.recording.schema import CommandOrigin, LoggedCommand
 
 _LOG: Final = logging.getLogger(__name__)
-_OLD: Final = 1.0
+_MAX_AGE_PERIODS: Final = 1.0
 """Joint angles older than this are read again before a command, control periods (chosen)."""
 _REPEAT_PERIODS: Final = 3.0
 """Control periods for which a requested command is repeated; then the joints brake (chosen)."""
@@ -136,7 +136,7 @@ class DriveThread(threading.Thread):
         self._refuse_others()  # again, under the lock
         servos = self._servos
         old_s = self._clock() - self._history.newest()[0]
-        if old_s > _OLD * self._period_s and not self._supervisor.fault:
+        if old_s > _MAX_AGE_PERIODS * self._period_s and not self._supervisor.fault:
             self.sense()  # the caller was slow
         measured_s, joints, _ = self._history.newest()
         now = self._clock()

@@ -18,10 +18,10 @@ from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.servo_memory import PRESENT, ServoMemory, describe_fault_bits, read_memory
 
 _CURRENT_LIMIT: Final = table.Register("CURRENT_LIMIT", 38, 2)
-_REPORT_LOAD: Final = frozenset((30, 1060, 1070, 1080, 1090, 1160))
+_MODELS_WITHOUT_CURRENT: Final = frozenset((30, 1060, 1070, 1080, 1090, 1160))
 """MODEL_NUMBER of servos without a current sensor (physical: ROBOTIS's MX-28, XL430, XC430, 2XL430,
 2XC430)."""
-_FULL_LOAD: Final = 1000
+_FULL_LOAD_READING: Final = 1000
 """PRESENT_LOAD at the greatest torque (physical: register unit 0.1 %)."""
 _UNKNOWN_FAULT: Final = 1 << 7
 """Bit for a fault that a servo has announced, but whose status could not be read (numerical)."""
@@ -30,11 +30,11 @@ WARM_K: Final = 10.0
 """Margin below the temperature limit at which a servo is warm, K (chosen)."""
 HOT_K: Final = 5.0
 """Margin below the temperature limit at which a servo has to rest without torque, K (chosen)."""
-_NEAR_VOLTAGE: Final = 0.03
+_VOLTAGE_WARNING_FRACTION: Final = 0.03
 """Distance to a voltage limit that gives a warning, as a fraction of the limit (chosen)."""
 _HIGH_LOAD: Final = 0.8
 """Fraction of the full load that gives a warning (chosen)."""
-_FULL_LOAD_SHARE: Final = 0.95
+_FULL_LOAD_FRACTION: Final = 0.95
 """Fraction of the full load that counts as full (chosen)."""
 _FULL_READS: Final = 3
 """Consecutive reads at full load that stop the head; fewer may be an acceleration (chosen)."""
@@ -95,8 +95,8 @@ def read_limits(bus: Bus, id: int) -> HealthLimits:
         HardwareError: the servo does not answer, or the line is gone.
     """
     memory = read_memory(bus, id, ((0, 2), (31, 5)))
-    full = float(_FULL_LOAD)
-    if memory.get(table.MODEL_NUMBER) not in _REPORT_LOAD:
+    full = float(_FULL_LOAD_READING)
+    if memory.get(table.MODEL_NUMBER) not in _MODELS_WITHOUT_CURRENT:
         # models that lack the register refuse the read or return 0
         full = np.nan
         with suppress(HardwareError):
@@ -159,7 +159,7 @@ class HealthWatch:
             self._load(health.load),
             (HealthLevel.STOP, f"fault: {describe_fault_bits(health.errors)}")
             if health.errors
-            else _FINE,
+            else _NO_PROBLEM,
         ]
         order = list(HealthLevel)
         level = max((one for one, _ in judged), key=order.index)
@@ -170,7 +170,7 @@ class HealthWatch:
     def _temperature(self, temperature_c: float) -> tuple[bool, tuple[HealthLevel, str]]:
         limit_c = self.limits.temperature_c
         if temperature_c < limit_c - WARM_K:
-            return False, _FINE
+            return False, _NO_PROBLEM
         hot = temperature_c >= limit_c - HOT_K
         below_c = limit_c - (HOT_K if hot else WARM_K)
         text = f"temperature: expected below {below_c:g} C, got {temperature_c:g} C"
@@ -184,19 +184,24 @@ class HealthWatch:
         # voltages come in steps of 0.1 V: allow half a step
         if not least - 0.05 < voltage_v < most + 0.05:
             return HealthLevel.STOP, text
-        near = not least * (1.0 + _NEAR_VOLTAGE) < voltage_v < most * (1.0 - _NEAR_VOLTAGE)
-        return (HealthLevel.WARN, text) if near else _FINE
+        near = (
+            not least * (1.0 + _VOLTAGE_WARNING_FRACTION)
+            < voltage_v
+            < most * (1.0 - _VOLTAGE_WARNING_FRACTION)
+        )
+        return (HealthLevel.WARN, text) if near else _NO_PROBLEM
 
     def _load(self, load: float) -> tuple[HealthLevel, str]:
         share = abs(load)
-        self._full = self._full + 1 if share >= _FULL_LOAD_SHARE else 0
+        self._full = self._full + 1 if share >= _FULL_LOAD_FRACTION else 0
         if not share >= _HIGH_LOAD:  # also if it is unknown
-            return _FINE
+            return _NO_PROBLEM
         if self._full < _FULL_READS:
             return HealthLevel.WARN, f"load: expected below {_HIGH_LOAD:.0%}, got {share:.0%}"
         return HealthLevel.STOP, (
-            f"load: expected below {_FULL_LOAD_SHARE:.0%}, got {share:.0%} at {_FULL_READS} looks"
+            f"load: expected below {_FULL_LOAD_FRACTION:.0%}, got {share:.0%} at {_FULL_READS} "
+            "looks"
         )
 
 
-_FINE: Final = (HealthLevel.OK, "")
+_NO_PROBLEM: Final = (HealthLevel.OK, "")

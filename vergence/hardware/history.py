@@ -8,9 +8,9 @@ import numpy as np
 
 from vergence.models.parts import FloatArray
 
-_LENGTH: Final = 512
+_KEPT_READINGS: Final = 512
 """Readings that are kept: 4 s at 120 Hz, more than the age of any image (numerical)."""
-_AHEAD_S: Final = 0.05
+_MAX_EXTRAPOLATION_S: Final = 0.05
 """Longest extrapolation beyond the newest reading at constant velocity, s (chosen)."""
 
 
@@ -18,7 +18,7 @@ class JointHistory:
     """Readings of the joints by time; one thread writes, others may read."""
 
     def __init__(self) -> None:
-        self._rows: deque[tuple[float, FloatArray, FloatArray]] = deque(maxlen=_LENGTH)
+        self._rows: deque[tuple[float, FloatArray, FloatArray]] = deque(maxlen=_KEPT_READINGS)
         self._lock = threading.RLock()  # re-entrant: a signal handler may close all in between
 
     def add(self, time_s: float, positions: FloatArray, velocities: FloatArray) -> None:
@@ -68,7 +68,7 @@ class JointHistory:
             return rows[0][1].copy()
         before = rows[i - 1]
         if i == len(rows):
-            ahead_s = min(time_s - before[0], _AHEAD_S)
+            ahead_s = min(time_s - before[0], _MAX_EXTRAPOLATION_S)
             return np.asarray(before[1] + ahead_s * before[2])
         share = (time_s - before[0]) / (times[i] - before[0])
         return np.asarray(before[1] + share * (rows[i][1] - before[1]))

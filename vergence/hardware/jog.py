@@ -22,19 +22,19 @@ from vergence.hardware.servo_angles import SILENT_S, ServoAngles
 
 MOST_STEP_RAD: Final = 0.5
 """Largest step, rad: a person who watches the joint can still stop it in time (chosen)."""
-_SPEED_SHARE: Final = 0.1
+_SPEED_FRACTION: Final = 0.1
 """Jogging speed as a fraction of the joint's greatest speed (chosen)."""
 _GAIN: Final = 5.0
 """Speed per remaining distance, 1/s: a tenth of what the lag of a quick servo allows (chosen)."""
-_WITHIN: Final = 0.05
+_TOLERANCE_FRACTION: Final = 0.05
 """Tolerance of the end of a step, as a fraction of the step (chosen)."""
-_WITHIN_TICKS: Final = 2
+_MIN_TOLERANCE_TICKS: Final = 2
 """Least tolerance of the end of a step, ticks (chosen)."""
 _STUCK_S: Final = 0.5
 """Time without progress after which a step fails, s (chosen)."""
-_AWAY_RAD: Final = 0.02
+_MAX_DEVIATION_RAD: Final = 0.02
 """Motion in the wrong direction or past the goal at which a step fails, rad (chosen)."""
-_SPARE_S: Final = 5.0
+_EXTRA_TIMEOUT_S: Final = 5.0
 """Time allowed for a step beyond its length divided by its speed, s (chosen)."""
 
 
@@ -140,11 +140,13 @@ class Jogger:
 
     def _drive(self, servo: ServoConfig, way_rad: float) -> float:
         timing, speed_rad_s = self._config.head.timing, self._speed(servo)
-        within_rad = max(_WITHIN * abs(way_rad), _WITHIN_TICKS / abs(servo.ticks_per_rad))
+        within_rad = max(
+            _TOLERANCE_FRACTION * abs(way_rad), _MIN_TOLERANCE_TICKS / abs(servo.ticks_per_rad)
+        )
         tick_rad_s = servo.sign * table.TICK_RAD_S / servo.gear_ratio
         start = self.ticks(servo.name)
         begun_s = answered_s = progress_s = self._clock()
-        until_s = begun_s + _SPARE_S + abs(way_rad) / speed_rad_s
+        until_s = begun_s + _EXTRA_TIMEOUT_S + abs(way_rad) / speed_rad_s
         moved = best = 0.0
         while abs(left := way_rad - moved) > within_rad:
             wanted = float(np.clip(_GAIN * left, -speed_rad_s, speed_rad_s))
@@ -163,9 +165,9 @@ class Jogger:
             if along > best:
                 best, progress_s = along, now
             expected = f"the joint to turn by {way_rad:.3f} rad"
-            if along < -_AWAY_RAD:
+            if along < -_MAX_DEVIATION_RAD:
                 raise _failed(servo, expected, f"{moved:.3f} rad: it turns the wrong way")
-            if along > abs(way_rad) + _AWAY_RAD:
+            if along > abs(way_rad) + _MAX_DEVIATION_RAD:
                 raise _failed(servo, expected, f"{moved:.3f} rad: it turns too far")
             if now - progress_s > _STUCK_S or now > until_s:
                 raise _failed(servo, expected, f"{moved:.3f} rad: it is stuck")
@@ -179,7 +181,7 @@ class Jogger:
     def _speed(self, servo: ServoConfig) -> float:
         """The joint's jogging speed, at least one unit of the servo's velocity, rad/s."""
         greatest = float(self._config.head.actuation.velocity[servo.slot])
-        return max(_SPEED_SHARE * greatest, table.TICK_RAD_S / servo.gear_ratio)
+        return max(_SPEED_FRACTION * greatest, table.TICK_RAD_S / servo.gear_ratio)
 
 
 def _failed(servo: ServoConfig, expected: str, got: str) -> HardwareError:

@@ -20,17 +20,17 @@ from vergence.recording.schema import LoggedDetection
 
 _GAIN: Final = 6.0
 """Gain of the approach, speed per remaining angle, 1/s: as on the way to a start (chosen)."""
-_MOST_RAD_S: Final = 0.2
+_MAX_SPEED_RAD_S: Final = 0.2
 """Greatest speed of the approach, rad/s (chosen)."""
-_NEAR_RAD: Final = 0.003
+_TOLERANCE_RAD: Final = 0.003
 """Tolerance of the approach, rad: a servo's least speed ends 2 mrad early (chosen)."""
-_APPROACH_S: Final = 0.5
+_APPROACH_TIMEOUT_S: Final = 0.5
 """Longest time for the approach, s: being near is enough (chosen)."""
 _REST_RAD_S: Final = 0.03
 """Joints slower than this are at rest, rad/s: above a servo's unit of 0.024 rad/s (chosen)."""
-_RESTED: Final = 6
+_REST_PERIODS: Final = 6
 """Control periods at rest before images count: three time constants of the servos (chosen)."""
-_GRACE: Final = 6
+_MAX_WAIT_FRAMES: Final = 6
 """Frames to wait for an eye that does not find the board: a search may take several (chosen)."""
 _TIMEOUT_S: Final = 3.0
 """Longest time for the joints to rest and images to arrive, s (chosen)."""
@@ -98,18 +98,18 @@ class RobotLooker:
         still = np.zeros(7)
         yield still
         begun_s = heard.clock_s
-        while heard.clock_s - begun_s < _APPROACH_S:
+        while heard.clock_s - begun_s < _APPROACH_TIMEOUT_S:
             left = goal - actuation.actuators_of(heard.positions)[self._slots]
-            if np.abs(left).max() < _NEAR_RAD:
+            if np.abs(left).max() < _TOLERANCE_RAD:
                 break
             requested = still.copy()
-            requested[self._slots] = np.clip(_GAIN * left, -_MOST_RAD_S, _MOST_RAD_S)
+            requested[self._slots] = np.clip(_GAIN * left, -_MAX_SPEED_RAD_S, _MAX_SPEED_RAD_S)
             yield requested
         rested, until_s = 0, heard.clock_s + _TIMEOUT_S
-        while rested < _RESTED and heard.clock_s < until_s:
+        while rested < _REST_PERIODS and heard.clock_s < until_s:
             yield still
             rested = rested + 1 if np.abs(heard.velocities).max() < _REST_RAD_S else 0
-        if rested < _RESTED:
+        if rested < _REST_PERIODS:
             return
         rested_s = heard.clock_s
         while heard.clock_s < until_s:
@@ -118,7 +118,7 @@ class RobotLooker:
             if not pairs:
                 continue
             best = max(pairs, key=_found)
-            waited = pairs[-1][0].exposed_s - rested_s > _GRACE * timing.frame_s
+            waited = pairs[-1][0].exposed_s - rested_s > _MAX_WAIT_FRAMES * timing.frame_s
             if _found(best) == len(EYE_NAMES) or waited:
                 seen.append(best)
                 return

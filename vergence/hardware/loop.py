@@ -7,7 +7,7 @@ import numpy as np
 from vergence.envs.plants.variation import Variation, make_variation
 from vergence.hardware.config import HardwareConfig
 
-_MEASURED: Final = (
+_LOOP_OPTIONS: Final = (
     "jitter_s", "command_latency_s", "lag_s", "speed_gain", "backlash_rad", "acceleration_ratio"
 )  # fmt: skip
 
@@ -25,7 +25,7 @@ def loop_variation(config: HardwareConfig) -> Variation:
     latency_s, loop = float(np.mean([camera.latency_s for camera in config.cameras])), config.loop
     values: dict[str, float | None] = {"latency_s": latency_s}
     if loop is not None:
-        values = {name: getattr(loop, name) for name in _MEASURED}
+        values = {name: getattr(loop, name) for name in _LOOP_OPTIONS}
         # in simulation detection and computing a command take no time
         values["latency_s"] = latency_s + loop.computing_s
         # the encoder readings date everything else, so they have no latency themselves

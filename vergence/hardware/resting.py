@@ -7,7 +7,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
 
-_TRIES: Final = 3
+_REPEATS: Final = 3
 """Number of times that zero velocity is sent, as servos do not confirm a broadcast (chosen)."""
 
 
@@ -18,7 +18,7 @@ def broadcast_zero_speed(bus: Bus, ids: Iterable[int]) -> None:
         HardwareError: the line is gone.
     """
     goals = dict.fromkeys(ids, 0)
-    for _ in range(_TRIES):
+    for _ in range(_REPEATS):
         bus.sync_write(table.GOAL_VELOCITY, goals)
 
 

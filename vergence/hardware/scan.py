@@ -24,7 +24,7 @@ from vergence.hardware.servo_memory import ServoMemory, read_memory
 
 RATES: Final = (57_600, 1_000_000, *(set(table.BAUD_RATES) - {57_600, 1_000_000}))
 """All baud rates, first the factory default and the usual one (physical: Dynamixel X series)."""
-_TURN_S: Final = 3e-3
+_WAIT_PER_ID_S: Final = 3e-3
 """Longest wait of a servo per lower id, s (physical: ROBOTIS's SDK)."""
 _STATUS_BYTES: Final = 14
 """Length of the answer to a ping, bytes (physical: Protocol 2.0)."""
@@ -61,7 +61,7 @@ def scan_for_servos(
     *,
     baud_rates: Sequence[int] = RATES,
     ids: Iterable[int] | None = None,
-    wait_per_id_s: float = _TURN_S,
+    wait_per_id_s: float = _WAIT_PER_ID_S,
     report: Callable[[float], None] = lambda _done: None,
 ) -> ScanResult:
     """Ping for servos at each baud rate.

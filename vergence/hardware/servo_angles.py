@@ -17,11 +17,11 @@ from vergence.models.parts import FloatArray
 
 SILENT_S: Final = 0.1
 """Time without an answer after which a servo counts as lost, s (chosen)."""
-_FASTER: Final = 2.0
+_MAX_SPEED_RATIO: Final = 2.0
 """Greatest accepted speed as a ratio to the head's greatest (chosen)."""
-_JUMP_RAD: Final = 0.1
+_EXTRA_MOTION_RAD: Final = 0.1
 """Accepted motion beyond that of this speed, rad, for a servo that is pushed (chosen)."""
-_STILL_TICKS: Final = 0.05
+_ZERO_COMMAND_TICKS: Final = 0.05
 """Commands below this count as zero, ticks: the carry-over is dropped, the joint rests (chosen)."""
 
 
@@ -52,7 +52,7 @@ class ServoAngles:
         for servo in servos:
             self.lower[servo.slot], self.upper[servo.slot] = servo.lower_rad, servo.upper_rad
             self.has_servo[servo.slot] = True
-        self._fastest = _FASTER * head.actuation.velocity
+        self._fastest = _MAX_SPEED_RATIO * head.actuation.velocity
 
     def reading_ages_s(self, now_s: float) -> FloatArray:
         """(7,) time since the last accepted answer of each servo, s; 0 in slots without one."""
@@ -100,7 +100,7 @@ class ServoAngles:
         fastest = float(self._fastest[slot])
         if np.isnan(since_s):
             return True
-        way = _JUMP_RAD + fastest * since_s
+        way = _EXTRA_MOTION_RAD + fastest * since_s
         return abs(speed) <= fastest + 1.0 and abs(angle - self.angles[slot]) <= way
 
     @staticmethod
@@ -136,7 +136,7 @@ class ServoAngles:
             exact = velocity[slot] / per_tick
             most = self.limit_ticks.get(servo.id, 0)
             ticks = int(np.clip(np.rint(exact + self.rounding_error[slot]), -most, most))
-            still = abs(exact) < _STILL_TICKS
+            still = abs(exact) < _ZERO_COMMAND_TICKS
             self.rounding_error[slot] = (
                 0.0 if still else np.clip(exact + self.rounding_error[slot] - ticks, -1, 1)
             )

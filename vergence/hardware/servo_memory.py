@@ -12,9 +12,9 @@ SPANS: Final = ((0, 14), (20, 4), (31, 5), (44, 4), (64, 1), (68, 3), (126, 21))
 models (physical: Dynamixel X series)."""
 PRESENT: Final = SPANS[-1]
 """Span of present load, velocity, position, voltage and temperature."""
-_TRIES: Final = 2
+_MAX_READS: Final = 2
 """Reads per span: even on a good line one packet in a thousand may be damaged (chosen)."""
-_FAULTS: Final = {
+_FAULT_BIT_TEXTS: Final = {
     0: "input voltage",
     2: "overheating",
     3: "motor encoder",
@@ -55,7 +55,7 @@ def read_memory(bus: Bus, id: int, spans: tuple[tuple[int, int], ...] = SPANS) -
     """
     found: dict[int, bytes] = {}
     for address, length in spans:
-        for _ in range(_TRIES):
+        for _ in range(_MAX_READS):
             answers = bus.sync_read([id], address, length, timeout_s=bus.single_timeout_s)
             if id in answers:
                 found[address] = answers[id]
@@ -71,7 +71,7 @@ def read_memory(bus: Bus, id: int, spans: tuple[tuple[int, int], ...] = SPANS) -
 def describe_fault_bits(errors: int) -> str:
     """Describe the bits of HARDWARE_ERROR_STATUS in words."""
     bits = [bit for bit in range(8) if errors >> bit & 1]
-    return ", ".join(_FAULTS.get(bit, f"unknown fault {bit}") for bit in bits)
+    return ", ".join(_FAULT_BIT_TEXTS.get(bit, f"unknown fault {bit}") for bit in bits)
 
 
 def model_name(number: int) -> str:

@@ -20,18 +20,18 @@ from vergence.models.parts import FloatArray
 
 _LOG: Final = logging.getLogger(__name__)
 _T = TypeVar("_T")
-_STATE: Final = (
+_MOTION_SPAN: Final = (
     table.PRESENT_VELOCITY.address,
     table.PRESENT_VELOCITY.length + table.PRESENT_POSITION.length,
 )
 """Address and length of the present velocity and, directly after it, the present position."""
-_HEALTH_S: Final = 1.0
+_HEALTH_INTERVAL_S: Final = 1.0
 """Time between two reads of temperature, voltage and load, s (chosen)."""
-_TORQUE_EVERY: Final = 10
+_TORQUE_READ_PERIODS: Final = 10
 """Control periods between two reads of the servos' torque state (chosen)."""
-_MISSES: Final = 3
+_STOPPING_MISSES: Final = 3
 """Consecutive missed answers that stop the head, once `SILENT_S` has passed (chosen)."""
-_PAUSE: Final = 0.5
+_PAUSE_FRACTION: Final = 0.5
 """Pause without packets after which the watchdog's state is read, as a fraction of its time. Any
 packet feeds it, so it need not be read in every period (chosen)."""
 
@@ -144,7 +144,7 @@ class HeadServos:
         asked_s = self._clock()
         self._senses += 1
         # every other request is a byte longer: its length exposes a late answer to the one before
-        address, length = _STATE
+        address, length = _MOTION_SPAN
         found = self._bus.sync_read(self.angles.ids, address, length + self._senses % 2)
         answers = {ident: data[:length] for ident, data in found.items()}
         now = self._clock()
@@ -160,7 +160,7 @@ class HeadServos:
             missed.append(asked_s)
             self._unanswered.add(1, servo.name)
             # a pause without requests does not count as silence
-            if now - missed[0] > SILENT_S and len(missed) >= _MISSES:
+            if now - missed[0] > SILENT_S and len(missed) >= _STOPPING_MISSES:
                 got = "angles that no joint can have" if servo.id in answers else "none"
                 raise HardwareError(
                     f"servos: {servo.name}: expected an answer of the id {servo.id} on "
@@ -188,7 +188,7 @@ class HeadServos:
 
     def _check_torque(self) -> None:
         """Raise an error if a servo has lost its torque, as after a shutdown or a reboot."""
-        if self._senses % _TORQUE_EVERY:
+        if self._senses % _TORQUE_READ_PERIODS:
             return
         register = table.TORQUE_ENABLE
         found = self._bus.sync_read(self.angles.ids, register.address, register.length)
@@ -210,7 +210,7 @@ class HeadServos:
             HardwareError: a servo has to stop.
         """
         now = self._clock()
-        if now - self._health_s < _HEALTH_S:
+        if now - self._health_s < _HEALTH_INTERVAL_S:
             return []
         self._health_s = now
         found = read_health(self._bus, self._limits)
@@ -256,7 +256,7 @@ class HeadServos:
         """Longest time without a packet since the last call; 0 if no watchdog has tripped."""
         pause_s = max(self._pause_s, self._clock() - self._fed_s)
         self._pause_s = 0.0
-        if pause_s < _PAUSE * self._config.bus.watchdog_s:
+        if pause_s < _PAUSE_FRACTION * self._config.bus.watchdog_s:
             return 0.0
         state = [
             self._twice(one, partial(self._bus.read, one, table.BUS_WATCHDOG))

@@ -16,13 +16,13 @@ from vergence.models.parts import FloatArray
 
 _GAIN: Final = 6.0
 """Gain of the drive to the start, speed per remaining angle, 1/s (chosen)."""
-_MOST_RAD_S: Final = 1.5
+_MAX_SPEED_RAD_S: Final = 1.5
 """Greatest requested speed of the drive to the start, rad/s (chosen)."""
-_WITHIN_RAD: Final = 0.01
+_TOLERANCE_RAD: Final = 0.01
 """Tolerance of the start posture, rad (chosen)."""
 _REST_RAD_S: Final = 0.03
 """Joints slower than this are at rest, rad/s: above a servo's unit of 0.024 rad/s (chosen)."""
-_RESTED: Final = 6
+_REST_PERIODS: Final = 6
 """Consecutive control periods at rest at the goal that end the drive (chosen)."""
 _TIMEOUT_S: Final = 10.0
 """Longest time of the drive, s; that at the slowest joint's speed is added (chosen)."""
@@ -106,13 +106,13 @@ def drive_to(
     goal = np.clip(goal, angles.lower, angles.upper)
     now_s = begun_s = send_velocities(np.zeros(7))
     moved_s, rested = begun_s, 0
-    while rested < _RESTED:
+    while rested < _REST_PERIODS:
         error = np.where(angles.has_servo, goal - angles.angles, 0.0)
-        arrived = np.abs(error).max() < _WITHIN_RAD
+        arrived = np.abs(error).max() < _TOLERANCE_RAD
         resting = np.abs(angles.speeds).max() < _REST_RAD_S
         rested = rested + 1 if arrived and resting else 0
         moved_s = moved_s if resting else now_s
-        requested = np.clip(_GAIN * error, -_MOST_RAD_S, _MOST_RAD_S)
+        requested = np.clip(_GAIN * error, -_MAX_SPEED_RAD_S, _MAX_SPEED_RAD_S)
         now_s = send_velocities(np.zeros(7) if arrived else requested)
         waited_s, rested_s = now_s - begun_s, now_s - moved_s
         if waited_s > timeout_s or rested_s > _BLOCKED_S:

@@ -24,7 +24,7 @@ from vergence.operands import as_operand
 
 SLOTS: Final = 4
 """Number of eye actuators in the arrays of kernels (numerical)."""
-_OWN: Final = ("lag_s", "encoder_resolution_rad", "velocity_resolution_rad_s")
+_INHERITED_FIELDS: Final = ("lag_s", "encoder_resolution_rad", "velocity_resolution_rad_s")
 """Fields of an actuator that default to the head's own value; nan stands for the default."""
 
 
@@ -67,7 +67,7 @@ class Actuators(FrozenArrays):
 
     def __post_init__(self) -> None:
         count = len(self.names)
-        for name in (*_OWN, "backlash_rad"):
+        for name in (*_INHERITED_FIELDS, "backlash_rad"):
             if not len(np.atleast_1d(getattr(self, name))):
                 fill = 0.0 if name == "backlash_rad" else np.nan
                 object.__setattr__(self, name, np.full(count, fill))
@@ -185,7 +185,9 @@ def assemble_actuation(
         for name in ("lower", "upper", "velocity", "acceleration"):
             values = getattr(limits, name)
             seven[name] = _seven(values[NECK], values[EYES][first])
-        given: dict[str, Any] = dict.fromkeys((*_OWN, "backlash_rad"), np.full(len(names), np.nan))
+        given: dict[str, Any] = dict.fromkeys(
+            (*_INHERITED_FIELDS, "backlash_rad"), np.full(len(names), np.nan)
+        )
     else:
         direct = False
         names, offset = actuators.names, actuators.offset
@@ -193,7 +195,7 @@ def assemble_actuation(
         to_joints[:, : len(names)] = actuators.matrix
         for name in ("lower", "upper", "velocity", "acceleration"):
             seven[name] = _seven(getattr(limits, name)[NECK], getattr(actuators, name))
-        given = {name: getattr(actuators, name) for name in (*_OWN, "backlash_rad")}
+        given = {name: getattr(actuators, name) for name in (*_INHERITED_FIELDS, "backlash_rad")}
     lag = np.where(np.isnan(given["lag_s"]), timing.lag_s, given["lag_s"])
     if timing.lag_s == 0.0 and lag.any():
         raise ConfigurationError(

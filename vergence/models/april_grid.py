@@ -18,12 +18,12 @@ GRID_FAMILY: Final = "36h11"
 GRID_BORDER: Final = 2
 """Width of each tag's black border, bits; the AprilTag library's own tags have 1 (physical:
 Kalibr's boards)."""
-_BITS: Final = 6
+_CODE_BITS: Final = 6
 """Bits along a side of the family's code (physical: the AprilTag family 36h11)."""
 _MOST_CELLS_PER_BIT: Final = 16
 """Most cells along a bit. Kalibr's vector drawing has no cells; cells reproduce it to 1 / 320 of a
 tag, mostly exactly (chosen: accuracy against image size)."""
-_SAME: Final = 1e-6
+_ROUNDING_BITS: Final = 1e-6
 """Rounding error of a gap that counts as a whole number of cells, in bits (numerical)."""
 
 
@@ -81,7 +81,7 @@ class AprilGrid:
     @property
     def bit_m(self) -> float:
         """Edge of one bit of a tag in metres."""
-        return self.tag_m / (_BITS + 2 * GRID_BORDER)
+        return self.tag_m / (_CODE_BITS + 2 * GRID_BORDER)
 
     @property
     def cell_m(self) -> float:
@@ -100,23 +100,23 @@ class AprilGrid:
 
         If no number up to the limit does, the one with the least error.
         """
-        bits = _BITS + 2 * GRID_BORDER
+        bits = _CODE_BITS + 2 * GRID_BORDER
         gaps = [self.spacing * bits * cells for cells in range(1, _MOST_CELLS_PER_BIT + 1)]
         off = [abs(max(round(gap), 1) - gap) / cells for cells, gap in enumerate(gaps, 1)]
-        best = next((i for i, each in enumerate(off) if each < _SAME), int(np.argmin(off)))
+        best = next((i for i, each in enumerate(off) if each < _ROUNDING_BITS), int(np.argmin(off)))
         return best + 1, max(round(gaps[best]), 1)
 
     def tag_bits(self, identity: int) -> NDArray[np.uint8]:
         """One tag without the squares at its corners, 0 black, 255 white, shape (10, 10)."""
-        start = (self.code.total_cells - _BITS) // 2
-        bits = self.code.cells(identity)[start : start + _BITS, start : start + _BITS]
+        start = (self.code.total_cells - _CODE_BITS) // 2
+        bits = self.code.cells(identity)[start : start + _CODE_BITS, start : start + _CODE_BITS]
         return np.pad(bits, GRID_BORDER)
 
     @cached_property
     def cells(self) -> NDArray[np.uint8]:
         """The board with a white margin as wide as a gap; one byte a cell, 0 black, 255 white."""
         fine, gap = self._cells_per_bit
-        size = fine * (_BITS + 2 * GRID_BORDER)
+        size = fine * (_CODE_BITS + 2 * GRID_BORDER)
         pitch = size + gap
         out = np.full((self.rows * pitch + 3 * gap, self.columns * pitch + 3 * gap), 255, np.uint8)
         for identity, (row, column) in enumerate(self.tag_cells.tolist()):

@@ -24,7 +24,7 @@ _MOST_CELLS: Final = 200
 _MOST_CHARUCO_CELLS: Final = 96
 """Most cells along a square of a ChArUco board; its markers are drawn to about one cell (chosen:
 accuracy against image size)."""
-_SAME_CELLS: Final = 1e-6
+_ROUNDING_CELLS: Final = 1e-6
 """Rounding error of a marker that counts as a whole number of cells, cells (numerical)."""
 
 
@@ -278,7 +278,7 @@ class CharucoBoard:
         share = self.marker_m / self.square_m
         for cells in range(bits + 1, _MOST_CHARUCO_CELLS):
             bit = round(cells * share / bits)
-            exact = bit > 0 and abs(bits * bit - cells * share) < _SAME_CELLS
+            exact = bit > 0 and abs(bits * bit - cells * share) < _ROUNDING_CELLS
             if exact and (cells - bits * bit) % 2 == 0:
                 return cells
         return _MOST_CHARUCO_CELLS

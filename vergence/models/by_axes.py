@@ -10,7 +10,7 @@ from vergence.models.joint_axes import JointAxes
 from vergence.models.joints import NECK
 from vergence.models.links import multiply_poses
 
-_NO_MORE: Final = ("links", "eyes")
+_DROPPED_KEY_PREFIXES: Final = ("links", "eyes")
 """Prefixes of assumption keys whose numbers a file of a head by `JointAxes` does not have."""
 
 
@@ -43,7 +43,9 @@ def to_joint_axes(head: HeadModel) -> HeadModel:
         head_eye=multiply_poses(mounts, head.head_eye),
         calibration=record,
         assumptions={
-            key: why for key, why in head.assumptions.items() if not key.startswith(_NO_MORE)
+            key: why
+            for key, why in head.assumptions.items()
+            if not key.startswith(_DROPPED_KEY_PREFIXES)
         },
     )
 

@@ -34,8 +34,8 @@ FORM_VERSION: Final = 1
 _LENSES: Final = {BROWN_CONRADY: 1, "rational": 2, "fisheye": 3}
 _WHOLE_PERIODS_TOLERANCE: Final = 1e-9
 """Tolerance for a whole number of control periods (numerical)."""
-_POSES: Final = ("links", "head_eye")
-_DECIMALS: Final = 12
+_ROUNDED_PARTS: Final = ("links", "head_eye")
+_POSE_DECIMALS: Final = 12
 """Decimals that rounding keeps of a `JointAxes` head's poses (numerical)."""
 _EXCLUDED: Final = ("name", "names", "assumptions", "calibration")
 """Fields for human readers, left out of the digest."""
@@ -61,8 +61,8 @@ def digest_of(head: Any) -> str:
                 sha.update(f"{part.name}.{field}{value}".encode())
                 continue
             array = np.asarray(value, dtype="<f8")
-            if by_axes and part.name in _POSES:
-                array = np.round(array, _DECIMALS) + 0.0  # without negative zeros
+            if by_axes and part.name in _ROUNDED_PARTS:
+                array = np.round(array, _POSE_DECIMALS) + 0.0  # without negative zeros
             sha.update(f"{part.name}.{field}{array.shape}".encode())
             sha.update(array.tobytes())
     return sha.hexdigest()

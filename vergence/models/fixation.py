@@ -18,17 +18,17 @@ from vergence.models.packed import PACKED, PackedHead, camera_of, eye_joint_angl
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector, point_rate, point_to_local
 
-_STEPS: Final = 60
+_MAX_ITERATIONS: Final = 60
 """Iteration limit of Newton's method, and half that of Gauss-Newton (numerical)."""
 _MAX_STEP_RAD: Final = 0.5
 """Longest step of one iteration, rad (numerical)."""
-_TOLERANCE_RAD: Final = 1e-15
+_NEWTON_TOLERANCE_RAD: Final = 1e-15
 """Convergence tolerance of a Newton step, rad (numerical)."""
-_NEAR_RAD: Final = 1e-4
+_PIXEL_PHASE_STEP_RAD: Final = 1e-4
 """Gauss-Newton step below which the errors change from bearings to pixels, rad (numerical)."""
-_LEAST_STEP_RAD: Final = 1e-13
+_GN_TOLERANCE_RAD: Final = 1e-13
 """Convergence tolerance of a Gauss-Newton step, rad (numerical)."""
-_SETTLED_RAD: Final = 1e-7
+_ACCEPTED_STEP_RAD: Final = 1e-7
 """Last Gauss-Newton step that is accepted at the iteration limit, rad (numerical)."""
 
 
@@ -68,7 +68,7 @@ def fixate_eye(p: PackedHead, eye: int, x: float, y: float, z: float) -> tuple[f
         The angles of the eye's two joints, rad; nan if no angles fixate the point.
     """
     tilt, pan = 0.0, 0.0
-    for _ in range(_STEPS):
+    for _ in range(_MAX_ITERATIONS):
         dt, dp = fixate_step(p, eye, tilt, pan, x, y, z)
         step = hypot(dt, dp)
         if not isfinite(step):
@@ -76,7 +76,7 @@ def fixate_eye(p: PackedHead, eye: int, x: float, y: float, z: float) -> tuple[f
         scale = _MAX_STEP_RAD / max(step, _MAX_STEP_RAD)
         tilt += scale * dt
         pan += scale * dp
-        if step < _TOLERANCE_RAD:
+        if step < _NEWTON_TOLERANCE_RAD:
             break
     cx, cy, cz = point_to_local(eye_frames(p, eye, tilt, pan).camera, x, y, z)
     # a tolerance two orders above rounding: a larger error means that there is no solution
@@ -148,7 +148,7 @@ def fixate_coupled(p: PackedHead, x: float, y: float, z: float, joints: FloatArr
     own, step = np.zeros(SLOTS), np.zeros(SLOTS)
     error, rate = np.zeros((2, 2)), np.zeros((2, 2, 2))
     bearings, found, size = True, False, 0.0
-    for _ in range(2 * _STEPS):
+    for _ in range(2 * _MAX_ITERATIONS):
         for joint in range(SLOTS):
             joints[joint] = eye_joint_angle(p, joint, own)
         sees = True
@@ -165,12 +165,12 @@ def fixate_coupled(p: PackedHead, x: float, y: float, z: float, joints: FloatArr
         scale = _MAX_STEP_RAD / max(size, _MAX_STEP_RAD)
         for k in range(SLOTS):
             own[k] += scale * step[k]
-        if size < (_NEAR_RAD if bearings else _LEAST_STEP_RAD):
+        if size < (_PIXEL_PHASE_STEP_RAD if bearings else _GN_TOLERANCE_RAD):
             found = not bearings
             if found:
                 break
             bearings = False
-    if not found and not bearings and size < _SETTLED_RAD:
+    if not found and not bearings and size < _ACCEPTED_STEP_RAD:
         found = True  # Gauss-Newton converges slowly if a large error remains
     for joint in range(SLOTS):
         joints[joint] = eye_joint_angle(p, joint, own) if found else nan

@@ -15,10 +15,10 @@ from vergence.models.parts import FloatArray
 
 LENS_NUMBERS: Final = 11
 """Length of the array that `pack_lens` returns (numerical)."""
-_BEFORE_A_POLE: Final = 1.0 - 1e-9
+_POLE_MARGIN_FACTOR: Final = 1.0 - 1e-9
 """Factor on the squared radius of a pole: the model has no value at the pole, only before it
 (numerical)."""
-_BEFORE_A_RIGHT_ANGLE: Final = 0.5 * np.pi - 1e-9
+_MAX_FOLD_ANGLE_RAD: Final = 0.5 * np.pi - 1e-9
 """Largest angle of a fisheye's fold from the optical axis, rad; its tangent is finite
 (numerical)."""
 _LEAST_RECIPROCAL: Final = 1e-12
@@ -44,7 +44,7 @@ def pack_lens(lens: str, distortion: FloatArray) -> FloatArray:
         numbers[..., 8] = FISHEYE
         angle = np.sqrt(_first_root(_odd_derivative(distortion[..., :4])))
         # a ray (X / Z, Y / Z) is less than a right angle from the axis
-        numbers[..., 9] = np.tan(np.minimum(angle, _BEFORE_A_RIGHT_ANGLE)) ** 2
+        numbers[..., 9] = np.tan(np.minimum(angle, _MAX_FOLD_ANGLE_RAD)) ** 2
         numbers[..., 10] = numbers[..., 9]
         return numbers
     count = distortion.shape[-1]
@@ -96,7 +96,7 @@ def _rational_fold(above: FloatArray, below: FloatArray) -> FloatArray:
     powers = np.arange(3.0, -1.0, -1.0)
     # the derivative is (N D + 2 s (N' D - N D')) / D^2 with s = r^2 and derivatives by s
     derivative = _product((1.0 + 2.0 * powers) * N, D) - _product(N, 2.0 * powers * D)
-    return np.minimum(_first_root(derivative), _BEFORE_A_POLE * _first_root(D))
+    return np.minimum(_first_root(derivative), _POLE_MARGIN_FACTOR * _first_root(D))
 
 
 def _product(a: FloatArray, b: FloatArray) -> FloatArray:

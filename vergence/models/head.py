@@ -31,7 +31,7 @@ from vergence.models.perturbation import ModelErrors, perturb_geometry
 from vergence.models.point_warnings import FixationBounds, warn_of_point
 from vergence.operands import as_operand
 
-_TIED_RAD: Final = 1e-9
+_COUPLING_TOLERANCE_RAD: Final = 1e-9
 """Tolerance for the angles of coupled joints and for their limits, rad (numerical)."""
 
 
@@ -353,11 +353,13 @@ class HeadModel:
         if actuation.direct and not len(self._missing):
             return self.limits.contains(q, margin)
         own = actuation.actuators_of(q)
-        tied = np.abs(actuation.joints_of(own) - q).max(axis=-1) < _TIED_RAD
+        tied = np.abs(actuation.joints_of(own) - q).max(axis=-1) < _COUPLING_TOLERANCE_RAD
         moves = actuation.upper > actuation.lower
-        keep = np.where(moves, margin, -_TIED_RAD)
+        keep = np.where(moves, margin, -_COUPLING_TOLERANCE_RAD)
         inside = (own >= actuation.lower + keep) & (own <= actuation.upper - keep)
-        return np.asarray(tied & inside.all(axis=-1) & self.limits.contains(q, -_TIED_RAD))
+        return np.asarray(
+            tied & inside.all(axis=-1) & self.limits.contains(q, -_COUPLING_TOLERANCE_RAD)
+        )
 
     @property
     def geometry(self) -> Geometry:

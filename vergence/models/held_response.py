@@ -15,13 +15,13 @@ from typing import Final, NamedTuple
 from vergence._jit import inlined
 from vergence.models.joint_response import follow_joint, lag_decay
 
-_LEAST: Final = 0.02
+_MIN_BUILD_UP: Final = 0.02
 """Build-up m below which the response is taken as first-order (numerical)."""
-_PART: Final = 0.5
+_MAX_PART_LENGTH: Final = 0.5
 """Longest part of the hold time, in time constants, if the acceleration is limited (numerical)."""
-_MOST_PARTS: Final = 3
+_MAX_PARTS: Final = 3
 """Most parts of the hold time (numerical)."""
-_CRITICAL: Final = 1e-5
+_MIN_RATE_DIFFERENCE: Final = 1e-5
 """Least half difference of the two decay rates, as a fraction of their mean: avoids a division by
 zero at critical damping (numerical)."""
 
@@ -62,7 +62,7 @@ def _transition(lag: float, square: float, t: float) -> tuple[float, float, floa
         turn, left = sqrt(-gap), exp(-decay * t)
         even, odd = left * cos(turn * t), left * sin(turn * t) / turn
     else:
-        turn = max(sqrt(gap), _CRITICAL * decay)
+        turn = max(sqrt(gap), _MIN_RATE_DIFFERENCE * decay)
         slow, fast = exp(-t / (square * (decay + turn))), exp(-t * (decay + turn))
         even, odd = 0.5 * (slow + fast), 0.5 * (slow - fast) / turn
     return even + decay * odd, odd, even - decay * odd, -odd / square
@@ -78,11 +78,11 @@ def prepare_held_response(lag: float, build_up: float, a: float, time: float) ->
         a: greatest acceleration, rad/s^2, inf for none.
         time: hold time of a command, s.
     """
-    if build_up < _LEAST or time <= 0.0:
+    if build_up < _MIN_BUILD_UP or time <= 0.0:
         return HeldResponse(lag, 0.0, a, time, 1, lag_decay(time, lag), 0.0, 0.0, 0.0)
     square, parts = build_up * lag * lag, 1
     if a < inf:
-        parts = min(int(time / (_PART * sqrt(square))) + 1, _MOST_PARTS)
+        parts = min(int(time / (_MAX_PART_LENGTH * sqrt(square))) + 1, _MAX_PARTS)
     gap_gap, gap_w, w_w, w_gap = _transition(lag, square, time / parts)
     return HeldResponse(lag, square, a, time / parts, parts, gap_gap, gap_w, w_w, w_gap)
 

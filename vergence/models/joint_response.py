@@ -27,7 +27,7 @@ from typing import Final
 
 from vergence._jit import inlined, subroutine
 
-_SECANTS: Final = 5
+_SECANT_STEPS: Final = 5
 """Secant steps to the time at which the acceleration meets its limit; exact to rounding
 (numerical)."""
 
@@ -203,7 +203,7 @@ def follow_second_order_joint(
         # time until the limit, by the secant method
         limit = up if free_w > up else -down
         before, off_before, time, off = 0.0, w - limit, period, free_w - limit
-        for _ in range(_SECANTS):
+        for _ in range(_SECANT_STEPS):
             if off == off_before:
                 break
             after = time - off * (time - before) / (off - off_before)

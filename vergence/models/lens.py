@@ -37,7 +37,7 @@ _NEWTON_STEPS: Final = 25
 """Iteration limit of Newton's method (numerical)."""
 _NEWTON_TOLERANCE: Final = 1e-15
 """Relative convergence tolerance of a Newton step (numerical)."""
-_RESIDUAL: Final = 1e-13
+_MAX_RESIDUAL: Final = 1e-13
 """Largest residual of an inverse: distance of its image from the distorted coordinates, relative
 (numerical)."""
 
@@ -46,7 +46,7 @@ _SEARCH_STEPS: Final = 200
 """Iteration limit of the damped search (numerical)."""
 _LEAST_STEP_FRACTION: Final = 1e-6
 """Smallest fraction of a Newton step that the damped search tries (numerical)."""
-_FARTHEST: Final = 1e20
+_MAX_COORDINATE: Final = 1e20
 """Largest distorted coordinate that is inverted: far beyond any image; powers of more overflow
 (numerical)."""
 
@@ -213,7 +213,7 @@ def _search(camera: CameraRow, xd: float, yd: float, x: float, y: float) -> tupl
     than the solution. For a fisheye, x and y are angles.
     """
     size = abs(xd) + abs(yd)
-    if size > _FARTHEST:
+    if size > _MAX_COORDINATE:
         return nan, nan
     limit = camera.fold_radius_squared
     if camera.lens == FISHEYE:
@@ -236,7 +236,7 @@ def _search(camera: CameraRow, xd: float, yd: float, x: float, y: float) -> tupl
             fraction *= 0.5
             if fraction < _LEAST_STEP_FRACTION:
                 break
-    if not least < _RESIDUAL * (1.0 + size):
+    if not least < _MAX_RESIDUAL * (1.0 + size):
         return nan, nan
     if camera.lens == FISHEYE and least < size:  # from its angles to the ray
         angle = sqrt(x * x + y * y)

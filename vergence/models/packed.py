@@ -25,14 +25,14 @@ PackedHead = FloatArray
 """(PACKED,) one head."""
 
 # Lengths of the parts, and indices of their first elements, in the row of a head (numerical).
-_POSE: Final = 12
-_NECK: Final = 0
-_EYES: Final = 4 * _POSE
-_EYE: Final = 3 * _POSE
-_CAMERAS: Final = _EYES + 2 * _EYE
+_POSE_LENGTH: Final = 12
+_NECK_START: Final = 0
+_EYES_START: Final = 4 * _POSE_LENGTH
+_EYE_LENGTH: Final = 3 * _POSE_LENGTH
+_CAMERAS_START: Final = _EYES_START + 2 * _EYE_LENGTH
 CAMERA: Final = 17
 """Length of a packed camera (numerical)."""
-_DIRECT: Final = _CAMERAS + 2 * CAMERA
+_DIRECT: Final = _CAMERAS_START + 2 * CAMERA
 _TO_JOINTS: Final = _DIRECT + 1
 _OFFSET: Final = _TO_JOINTS + SLOTS * SLOTS
 _TO_ACTUATORS: Final = _OFFSET + SLOTS
@@ -61,9 +61,11 @@ def pack_constants(
     packed = np.zeros((*batch_shape, PACKED))
     for i, pose in enumerate(poses):
         rows = pose[..., :3, :]
-        packed[..., i * _POSE : (i + 1) * _POSE] = rows.reshape(*rows.shape[:-2], _POSE)
+        packed[..., i * _POSE_LENGTH : (i + 1) * _POSE_LENGTH] = rows.reshape(
+            *rows.shape[:-2], _POSE_LENGTH
+        )
     pair = pack_cameras(cameras)
-    packed[..., _CAMERAS:_DIRECT] = pair.reshape(*pair.shape[:-2], 2 * CAMERA)
+    packed[..., _CAMERAS_START:_DIRECT] = pair.reshape(*pair.shape[:-2], 2 * CAMERA)
     packed[..., _DIRECT] = actuation.direct
     packed[..., _TO_JOINTS:_OFFSET] = actuation.to_joints.ravel()
     packed[..., _OFFSET:_TO_ACTUATORS] = actuation.offset
@@ -126,19 +128,19 @@ def camera_at(row: FloatArray, i: int) -> CameraRow:
 @inlined
 def camera_of(p: PackedHead, eye: int) -> CameraRow:
     """The camera of an eye, 0 for left, 1 for right."""
-    return camera_at(p, _CAMERAS + eye * CAMERA)
+    return camera_at(p, _CAMERAS_START + eye * CAMERA)
 
 
 @inlined
 def neck_link(p: PackedHead, link: int) -> Pose:
     """One of the neck's four constants B_0 (before its first joint) to B_3 (after its third)."""
-    return pose_at(p, _NECK + link * _POSE)
+    return pose_at(p, _NECK_START + link * _POSE_LENGTH)
 
 
 @inlined
 def eye_link(p: PackedHead, eye: int, link: int) -> Pose:
     """One of an eye's three constants M_0 (before its first joint) to M_2 (after its second)."""
-    return pose_at(p, _EYES + eye * _EYE + link * _POSE)
+    return pose_at(p, _EYES_START + eye * _EYE_LENGTH + link * _POSE_LENGTH)
 
 
 @inlined

@@ -14,7 +14,7 @@ from vergence.models.links import DenavitHartenberg, chain_end, inverse_pose
 from vergence.models.parameters import Geometry, geometry_with, parameters_of
 from vergence.models.parts import FloatArray
 
-_MISTAKEN: Final = {
+_WRONG_UNIT_LIMITS: Final = {
     # a third of such heads are off by more than 29 degrees: half the field of view of a common
     # camera
     "_rad": (0.5, "radians", "degrees"),
@@ -70,7 +70,7 @@ class ModelErrors:
                 raise ConfigurationError(
                     f"ModelErrors.{key}: expected a standard deviation >= 0, got {value!r}"
                 )
-            for ending, (most, unit, other) in _MISTAKEN.items():
+            for ending, (most, unit, other) in _WRONG_UNIT_LIMITS.items():
                 if key.endswith(ending) and value >= most:
                     raise ConfigurationError(
                         f"ModelErrors.{key}: expected a standard deviation below {most:g} {unit}, "
@@ -113,7 +113,7 @@ def _eyes(*names: str) -> list[str]:
     return [f"{eye}.{name}" for eye in EYE_NAMES for name in names]
 
 
-_DRAWS: Final = (
+_DEVIATE_LAYOUT: Final = (
     ("link_m", _links("a")),
     ("link_m", _links("d")),
     ("coaxiality_rad", ["left.1.ry", "right.1.ry", "", *_links("alpha")[3:]]),
@@ -128,20 +128,20 @@ _DRAWS: Final = (
 """The standard normal numbers of a head, in the order of drawing: the error of each, and the
 parameter it moves (empty for none)."""
 
-_MOVED: Final = {
+_DEVIATE_OF_PARAMETER: Final = {
     name: (error, place)
     for place, (error, name) in enumerate(
-        (error, name) for error, names in _DRAWS for name in names
+        (error, name) for error, names in _DEVIATE_LAYOUT for name in names
     )
 }
 """By parameter: its error, and the index of its standard normal number."""
 
-_ONE_FOCAL: Final = {
+_SHARED_FOCAL: Final = {
     f"{eye}.camera.{name}": f"{eye}.camera.f" for eye in EYE_NAMES for name in ("f_u", "f_v")
 }
 """Focal lengths by parameter: one number moves both of a camera."""
 
-_SAME: Final = {
+_DH_PARAMETER_OF_AXIS: Final = {
     f"{eye}.{own}": f"{eye}.{link}"
     for eye in EYE_NAMES
     for own, link in (
@@ -154,14 +154,14 @@ _SAME: Final = {
 """By parameter of `JointAxes`: the parameter of the article's links whose number it uses. Rotations
 `1.ry` use the neck's otherwise unused numbers. A joint that both eyes share uses the left eye's."""
 
-_LOWERED: Final = {"left.tilt.offset": 1.0, "right.tilt.offset": -1.0}
+_ARTICLE_TILT_SIGNS: Final = {"left.tilt.offset": 1.0, "right.tilt.offset": -1.0}
 """Factors on the common tilt for the article's head: a positive left tilt looks down, a positive
 right tilt up."""
-_LEAST_TILT: Final = 0.5
+_MIN_TILT_COMPONENT: Final = 0.5
 """Least component of a joint's axis along x_N for the joint to count as a tilt (chosen: within 60
 degrees of x_N)."""
 
-DEVIATES: Final = sum(len(names) for _error, names in _DRAWS)
+DEVIATES: Final = sum(len(names) for _error, names in _DEVIATE_LAYOUT)
 """Number of standard normal numbers per head."""
 
 
@@ -184,7 +184,7 @@ def perturb_geometry(
         np.zeros((*shape, len(names)))
         if error == "common_tilt_rad" and errors.common_tilt_rad == 0.0
         else rng.standard_normal((*shape, len(names)))
-        for error, names in _DRAWS
+        for error, names in _DEVIATE_LAYOUT
     ]
     return perturb_by_deviates(nominal, errors, np.concatenate(draws, axis=-1))
 
@@ -207,7 +207,11 @@ def perturb_by_deviates(nominal: Geometry, errors: ModelErrors, deviates: FloatA
     # not by `standard_deviations`, so that heads drawn by earlier versions stay equal bit for bit
     values = np.where(relative, values * (1.0 + deviations), values + deviations)
     if errors.common_tilt_rad > 0.0:
-        lowered = _LOWERED if isinstance(nominal.links, DenavitHartenberg) else _lowered(nominal)
+        lowered = (
+            _ARTICLE_TILT_SIGNS
+            if isinstance(nominal.links, DenavitHartenberg)
+            else _lowered(nominal)
+        )
         shares = np.array([lowered.get(name, 0.0) for name in names])
         values += shares * (errors.common_tilt_rad * deviates[..., -1:])
     return geometry_with(nominal, values)
@@ -237,8 +241,8 @@ def _sources(
     moved = []
     for name in names:
         own = name.replace("both.", "left.", 1)
-        own = _SAME.get(own, _ONE_FOCAL.get(own, own))
-        moved.append(_MOVED.get(own, ("", 0)))
+        own = _DH_PARAMETER_OF_AXIS.get(own, _SHARED_FOCAL.get(own, own))
+        moved.append(_DEVIATE_OF_PARAMETER.get(own, ("", 0)))
     errors = tuple(error for error, _place in moved)
     relative = np.array([error == "focal_relative" for error in errors])
     return errors, [place for _error, place in moved], relative
@@ -265,7 +269,7 @@ def _lowered(nominal: Geometry) -> dict[str, float]:
                 along_x = float((into_n @ in_n[i])[0, 2])
                 tilts[f"{own}.{place - 2 - 2 * eye}.rz"] = along_x
         best = max(tilts, key=lambda key: abs(tilts[key]), default="")
-        if best and abs(tilts[best]) > _LEAST_TILT:
+        if best and abs(tilts[best]) > _MIN_TILT_COMPONENT:
             out[best] = -float(np.sign(tilts[best]))  # about x_N, y turns to z: the eye looks up
         else:
             out[f"{name}.head_eye.rx"] = -1.0

@@ -13,10 +13,10 @@ from vergence.models.actuation import Actuation
 from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray, JointLimits
 
-_UNSEEN_PX: Final = 0.5
+_ZERO_DISPARITY_PX: Final = 0.5
 """Disparity below which a point looks as if at infinity, px: it rounds to 0 (chosen: half a
 pixel)."""
-_MM: Final = 1000.0
+_MM_PER_M: Final = 1000.0
 """Millimetres per metre (physical: the unit)."""
 _ROUNDING_RAD: Final = 1e-9
 """Tolerance for angles at their limits, rad (numerical)."""
@@ -50,7 +50,7 @@ class FixationBounds(NamedTuple):
     ) -> "FixationBounds":
         """Bounds of one head, from its limits, its baseline at rest and its focal length."""
         return cls(
-            baseline_m * focal_px / _UNSEEN_PX,
+            baseline_m * focal_px / _ZERO_DISPARITY_PX,
             actuation,
             limits,
             joints,
@@ -72,7 +72,7 @@ def warn_of_point(bounds: FixationBounds, point: ArrayLike, q: FloatArray) -> No
     """
     x, y, z = np.asarray(point, dtype=np.float64).tolist()
     distance = hypot(x, y, z)
-    if bounds.far_m < distance < _MM * bounds.far_m:
+    if bounds.far_m < distance < _MM_PER_M * bounds.far_m:
         said = (
             f"metres, got {_formatted(x, y, z)}, which is {distance:.3g} m away, where no eye of "
             f"this head tells how far (from {bounds.far_m:.0f} m on): is it in millimetres?"

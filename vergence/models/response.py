@@ -19,7 +19,7 @@ EXPECTED: Final = (
     "power), or a table of the light at levels in equal steps, rising from 0 to 1"
 )
 """Description of a valid response, for messages."""
-_GAMMAS: Final = (0.2, 5.0)
+_GAMMA_RANGE: Final = (0.2, 5.0)
 """Least and greatest gamma; those of cameras and displays lie between 1 and 2.6 (chosen: far
 beyond)."""
 _LEVELS: Final = 256
@@ -52,7 +52,7 @@ def parse_response(value: Any, name: str = "response") -> Response:
         value = numbers if len(numbers) > 1 else numbers[0]
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
         gamma = float(value)
-        if not (isfinite(gamma) and _GAMMAS[0] <= gamma <= _GAMMAS[1]):
+        if not (isfinite(gamma) and _GAMMA_RANGE[0] <= gamma <= _GAMMA_RANGE[1]):
             raise ConfigurationError(f"{name}: expected {EXPECTED}, got {gamma:g}")
         return LINEAR if gamma == 1.0 else gamma
     try:

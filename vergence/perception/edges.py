@@ -13,16 +13,16 @@ from vergence.perception.photographs import join_first_names
 from vergence.perception.spacing import MM, neighbour_pairs, stated_edge_m
 from vergence.triangulation import Noise, triangulate_views
 
-_SURELY: Final = 3.0
+_SIGNIFICANT_SIGMAS: Final = 3.0
 """Standard deviations above which a difference is significant (chosen: false against missed
 remarks)."""
-_SHARE: Final = 0.01
+_MIN_RELATIVE_DIFFERENCE: Final = 0.01
 """Smallest difference that is remarked on, as a fraction of the stated edge; good calibrations and
 printers err by less (chosen: as above)."""
-_NEAR: Final = 0.05
+_UNIT_RATIO_TOLERANCE: Final = 0.05
 """Relative tolerance within which a ratio of lengths suggests a mistaken unit (chosen: mistakes
 recognised against coincidence)."""
-_UNITS: Final = {
+_UNIT_MISTAKE_HINTS: Final = {
     1000.0: "was the size given in m, or the head's lengths in mm?",
     100.0: "were the head's lengths given in cm?",
     39.37: "were the head's lengths given in inches?",
@@ -50,7 +50,9 @@ class MeanEdge(NamedTuple):
         if not self.target.size_known:
             return False
         stated = stated_edge_m(self.target)
-        return abs(self.mean_m - stated) > max(_SURELY * self.sigma_m, _SHARE * stated)
+        return abs(self.mean_m - stated) > max(
+            _SIGNIFICANT_SIGMAS * self.sigma_m, _MIN_RELATIVE_DIFFERENCE * stated
+        )
 
 
 def mean_edge_sigma(
@@ -120,7 +122,14 @@ def describe_wrong_edges(name: str, mean_edges: Sequence[MeanEdge]) -> str:
     found = low if low == high else f"{low} to {high}"
     sigma = MM * float(np.median([each.sigma_m for each in off]))
     ratio = float(np.median(lengths)) / stated
-    hint = next((f"; {why}" for k, why in _UNITS.items() if abs(ratio / k - 1.0) < _NEAR), "")
+    hint = next(
+        (
+            f"; {why}"
+            for k, why in _UNIT_MISTAKE_HINTS.items()
+            if abs(ratio / k - 1.0) < _UNIT_RATIO_TOLERANCE
+        ),
+        "",
+    )
     where = join_first_names(dict.fromkeys(each.pair for each in off))
     if len(mean_edges) > 1:
         where = f"{len(off)} of {len(mean_edges)} places ({where})"

@@ -11,7 +11,7 @@ from vergence.models.response import Response
 from vergence.perception.target_finder import target_key
 from vergence.vision import Detection, Detector, EyeCamera, Tracker, make_detector
 
-_SEARCHED_EVERY: Final = 15
+_SEARCH_INTERVAL_IMAGES: Final = 15
 """Images between searches for new tags of a family, and for which a lost tag is searched for
 (chosen: new tags found early against time)."""
 
@@ -82,7 +82,7 @@ class FamilyTracker:
                 if target_key(new.target) not in self._known():
                     self._tracks.append(_Track(new, np.zeros(2)))
         self._images += 1
-        self._awaited.update(dict.fromkeys(self._known(), self._images + _SEARCHED_EVERY))
+        self._awaited.update(dict.fromkeys(self._known(), self._images + _SEARCH_INTERVAL_IMAGES))
         return [track.last for track in self._tracks]
 
     def _known(self) -> list[Hashable]:
@@ -92,7 +92,9 @@ class FamilyTracker:
         """True if the whole image is to be searched."""
         known = self._known()
         self._awaited = {tag: until for tag, until in self._awaited.items() if until > self._images}
-        if self._images % _SEARCHED_EVERY == 0 or any(tag not in known for tag in self._awaited):
+        if self._images % _SEARCH_INTERVAL_IMAGES == 0 or any(
+            tag not in known for tag in self._awaited
+        ):
             return True
         return not known and self._detector.search(image) is not None
 

@@ -14,10 +14,10 @@ from vergence.models.parts import FloatArray
 from vergence.perception.joint_rows import PAIR, Row, read_table_rows
 from vergence.perception.photographs import join_first_names
 
-_BEYOND_RAD: Final = 0.1
+_LIMIT_TOLERANCE_RAD: Final = 0.1
 """Tolerance of a joint's limits, rad: encoders have an offset, and limits are rounded (chosen:
 these against angles in the wrong unit)."""
-_UNITS: Final = {"_rad": 1.0, "_deg": math.pi / 180.0}
+_RADIANS_PER_SUFFIX: Final = {"_rad": 1.0, "_deg": math.pi / 180.0}
 
 
 def eyes_move(head: HeadModel) -> bool:
@@ -122,7 +122,10 @@ def parse_joint_angles(head: HeadModel, row: Row, where: str) -> FloatArray:
         actuators[EYES][: own.count] = [given[name] for name in own.names]
         q = own.joints_of(actuators)
     for place, name in enumerate(head.joints):
-        low, high = head.limits.lower[place] - _BEYOND_RAD, head.limits.upper[place] + _BEYOND_RAD
+        low, high = (
+            head.limits.lower[place] - _LIMIT_TOLERANCE_RAD,
+            head.limits.upper[place] + _LIMIT_TOLERANCE_RAD,
+        )
         if name and not low <= q[place] <= high:
             raise ConfigurationError(
                 f"{where}: {name}: expected {head.limits.lower[place]:.4g} to "
@@ -138,7 +141,7 @@ def _radians(head: HeadModel, row: Row, where: str) -> dict[str, float]:
     found: dict[str, float] = {}
     for column, value in row.items():
         name, unit = column, 1.0
-        for suffix, size in _UNITS.items():
+        for suffix, size in _RADIANS_PER_SUFFIX.items():
             if column not in names and column.endswith(suffix):
                 name, unit = column.removesuffix(suffix), size
         if name not in names:

@@ -18,15 +18,15 @@ from vergence.perception.spacing import neighbour_pairs
 from vergence.vision import Detection
 from vergence.vision.image import measurement_channel
 
-_REACH_PX: Final = 4.0
+_STRIP_HALF_WIDTH_PX: Final = 4.0
 """Half width of the strip along an edge, px (chosen: the whole blur against other edges)."""
 _LEAST_EDGE_PX: Final = 16.0
 """Shortest edge that is used, px: shorter ones have less than 8 px between their ends (chosen:
 number of edges against noise)."""
-_ENDS: Final = 0.22
+_EDGE_END_FRACTION: Final = 0.22
 """Fraction of an edge at each end that is left out, as other edges blur into it (chosen: bias
 against pixels lost)."""
-_MOST_EDGES: Final = 12
+_MAX_EDGES_PER_TARGET: Final = 12
 """Most edges of a detection; each takes some milliseconds (chosen: certainty against time)."""
 _LEAST_CONTRAST_GREY: Final = 40.0
 """Smallest contrast of an edge, grey levels; below it the responses hardly differ (chosen: evidence
@@ -36,12 +36,12 @@ _CLIPPED_GREY: Final = 250
 bias against edges lost)."""
 _LEAST_EDGES: Final = 8
 """Fewest edges for a conclusion (chosen: early remarks against false ones)."""
-_ENOUGH_EDGES: Final = 120
+_MAX_EDGES_IN_TOTAL: Final = 120
 """Number of edges after which no more are added (chosen: certainty of the mean against time)."""
-_SURE: Final = 4.0
+_MIN_STANDARD_ERRORS: Final = 4.0
 """Standard errors by which the mean ratio must exceed 0 for a remark (chosen: missed against false
 remarks)."""
-_CLEARLY: Final = 0.03
+_MIN_MEAN_LOG_RATIO: Final = 0.03
 """Mean ratio that must be exceeded as well; no public set of grey photographs reaches it, nor does
 a lens out of focus (measured: benchmarks.responses)."""
 
@@ -65,7 +65,7 @@ class ResponseCheck:
             detections: detections of targets in it.
             stated_response: response with which it was read.
         """
-        if stated_response == LINEAR and len(self._ratios) < _ENOUGH_EDGES:
+        if stated_response == LINEAR and len(self._ratios) < _MAX_EDGES_IN_TOTAL:
             self._ratios += edge_log_ratios(measurement_channel(image), detections)
 
     def notes(self) -> list[str]:
@@ -74,7 +74,7 @@ class ResponseCheck:
         if count < _LEAST_EDGES:
             return []
         mean, spread = float(np.mean(self._ratios)), float(np.std(self._ratios, ddof=1))
-        if not mean > max(_CLEARLY, _SURE * spread / np.sqrt(count)):
+        if not mean > max(_MIN_MEAN_LOG_RATIO, _MIN_STANDARD_ERRORS * spread / np.sqrt(count)):
             return []
         return [
             f"{count} edges look as if the camera's response were srgb, not linear: state it by "
@@ -98,7 +98,9 @@ def edge_log_ratios(image: NDArray[np.uint8], detections: Iterable[Detection]) -
         corners = found.corners_px[neighbour_pairs(found.target)]
         long = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1) >= _LEAST_EDGE_PX
         chosen = corners[long]  # without edges that have a corner of nan
-        for start, end in chosen[:: max(len(chosen) // _MOST_EDGES, 1)][:_MOST_EDGES]:
+        for start, end in chosen[:: max(len(chosen) // _MAX_EDGES_PER_TARGET, 1)][
+            :_MAX_EDGES_PER_TARGET
+        ]:
             strip = _strip(image, start, end)
             if strip is not None:
                 squares = [_residual_squares(*strip, one) for one in (LINEAR, SRGB)]
@@ -112,8 +114,10 @@ def _strip(
 ) -> tuple[FloatArray, FloatArray] | None:
     """Pixels along an edge: signed distances from it, px, positive towards white, and levels."""
     height, width = image.shape
-    low = np.maximum(np.floor(np.minimum(start, end) - _REACH_PX).astype(int), 0)
-    high = np.minimum(np.ceil(np.maximum(start, end) + _REACH_PX).astype(int) + 1, (width, height))
+    low = np.maximum(np.floor(np.minimum(start, end) - _STRIP_HALF_WIDTH_PX).astype(int), 0)
+    high = np.minimum(
+        np.ceil(np.maximum(start, end) + _STRIP_HALF_WIDTH_PX).astype(int) + 1, (width, height)
+    )
     if (high - low < 2).any():
         return None
     v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]
@@ -123,9 +127,13 @@ def _strip(
     du, dv = u - start[0], v - start[1]
     share = (du * along[0] + dv * along[1]) / length
     across = dv * along[0] - du * along[1]
-    near = (share > _ENDS) & (share < 1.0 - _ENDS) & (np.abs(across) <= _REACH_PX)
+    near = (
+        (share > _EDGE_END_FRACTION)
+        & (share < 1.0 - _EDGE_END_FRACTION)
+        & (np.abs(across) <= _STRIP_HALF_WIDTH_PX)
+    )
     away, level = across[near], image[v[near], u[near]].astype(float)
-    far = np.abs(away) > 0.6 * _REACH_PX
+    far = np.abs(away) > 0.6 * _STRIP_HALF_WIDTH_PX
     one, two = level[far & (away < 0.0)], level[far & (away > 0.0)]
     if min(len(one), len(two)) < 4:
         return None
@@ -153,6 +161,8 @@ def _residual_squares(away: FloatArray, level: FloatArray, response: Response) -
     first = [dark, bright - dark, 0.0, 0.0, 0.0, 0.0]
     found = least_squares(residuals, first, method="lm", max_nfev=120)
     blur = float(np.exp(found.x[3]))
-    if not (0.2 < blur < 0.6 * _REACH_PX and abs(found.x[2]) < 0.5 * _REACH_PX):
+    if not (
+        0.2 < blur < 0.6 * _STRIP_HALF_WIDTH_PX and abs(found.x[2]) < 0.5 * _STRIP_HALF_WIDTH_PX
+    ):
         return 0.0
     return float(2.0 * found.cost)

@@ -187,7 +187,7 @@ def _measured_point(
     return TargetCentre(fix.point, fix.covariance)
 
 
-_NOWHERE: Final = TargetCentre(np.full(3, np.nan), np.full((3, 3), np.nan))
+_NAN_CENTRE: Final = TargetCentre(np.full(3, np.nan), np.full((3, 3), np.nan))
 """Centre of a board that cannot be located (numerical)."""
 
 
@@ -195,7 +195,7 @@ def _board_centre(target: PlanarTarget, fix: Fix, of_joints: FloatArray) -> Targ
     """Centre of a board: pixel errors average out over its corners, joint errors do not."""
     weights = centre_weights(target.corners_m, np.asarray(fix.valid, bool))
     if not np.isfinite(weights).all():
-        return _NOWHERE
+        return _NAN_CENTRE
     of_pixels = fix.covariance - of_joints
     used = weights != 0.0
     return TargetCentre(

@@ -18,9 +18,9 @@ from vergence.perception.photographs import (
     require_existing,
 )
 
-_WORDS: Final = (("left", "right"), ("l", "r"), ("cam0", "cam1"), ("camera0", "camera1"))
+_SIDE_WORDS: Final = (("left", "right"), ("l", "r"), ("cam0", "cam1"), ("camera0", "camera1"))
 """Words for the sides of a pair, left first."""
-_SIDE: Final = "\0"
+_SIDE_PLACEHOLDER: Final = "\0"
 """Placeholder in a name for the word for the side."""
 
 
@@ -138,10 +138,12 @@ def _keys(path: Path, eye: int, side_required: bool) -> list[str]:
         side_required: True if the name must have a word for the side.
     """
     keys = [] if side_required else [path.stem]
-    for words in _WORDS:
+    for words in _SIDE_WORDS:
         for start, end in _places(path.stem, words[eye]):
             # the key holds the kind of word, so that `l` matches only `r`
-            keys.append(f"{path.stem[:start]}{_SIDE}{words[0]}{_SIDE}{path.stem[end:]}")
+            keys.append(
+                f"{path.stem[:start]}{_SIDE_PLACEHOLDER}{words[0]}{_SIDE_PLACEHOLDER}{path.stem[end:]}"
+            )
     return keys
 
 

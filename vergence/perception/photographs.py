@@ -12,7 +12,7 @@ SUFFIXES: Final = (
     ".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pnm", ".jp2",
 )  # fmt: skip
 """Extensions of files that count as photographs; other files of a folder are ignored."""
-_NAMED: Final = 5
+_MAX_NAMES: Final = 5
 """Most names in a message; further ones are only counted (chosen: completeness against length)."""
 
 
@@ -89,5 +89,5 @@ def list_photographs(paths: Sequence[Path]) -> list[Path]:
 def join_first_names(names: Iterable[str]) -> str:
     """Join names for a message: the first few, and the number of further ones."""
     every = list(names)
-    said = ", ".join(every[:_NAMED])
-    return said if len(every) <= _NAMED else f"{said} and {len(every) - _NAMED} more"
+    said = ", ".join(every[:_MAX_NAMES])
+    return said if len(every) <= _MAX_NAMES else f"{said} and {len(every) - _MAX_NAMES} more"

@@ -15,12 +15,12 @@ from vergence.vision import EyeCamera, make_detector
 from vergence.vision.boards.april_layout import plausible_grids
 from vergence.vision.tags.library import families_in
 
-_OTHERS: Final = ((-1, -1), (-1, 0), (0, -1), (1, 0), (0, 1), (1, 1), (-2, -2))
+_SIZE_OFFSETS: Final = ((-1, -1), (-1, 0), (0, -1), (1, 0), (0, 1), (1, 1), (-2, -2))
 """Columns and rows to add to the size asked for; first the error of counting squares instead of
 inner corners (chosen: likely mistakes against time)."""
-_MOST_NAMED: Final = 5
+_MAX_NAMED_TARGETS: Final = 5
 """Most targets that a hint names (chosen: completeness against length)."""
-_MOST_PX: Final = 1280
+_MAX_IMAGE_SIDE_PX: Final = 1280
 """Longest side of the image that is searched, px; larger images are reduced (chosen: small targets
 against the time of a dozen searches in 12 megapixels)."""
 
@@ -57,9 +57,9 @@ def describe_similar_targets(
     there = list(dict.fromkeys(there))
     if not there:
         return ""
-    more = f" and {len(there) - _MOST_NAMED} more" if len(there) > _MOST_NAMED else ""
+    more = f" and {len(there) - _MAX_NAMED_TARGETS} more" if len(there) > _MAX_NAMED_TARGETS else ""
     verb = "is" if len(there) == 1 else "are"
-    return f"{', '.join(there[:_MOST_NAMED])}{more} {verb} there"
+    return f"{', '.join(there[:_MAX_NAMED_TARGETS])}{more} {verb} there"
 
 
 def _reduced(
@@ -67,9 +67,9 @@ def _reduced(
 ) -> tuple[NDArray[np.uint8], EyeCamera | None]:
     """Reduce a large image to a size that is searched quickly, and its camera accordingly."""
     height, width = image.shape
-    if max(width, height) <= _MOST_PX:
+    if max(width, height) <= _MAX_IMAGE_SIDE_PX:
         return image, camera
-    scale = _MOST_PX / max(width, height)
+    scale = _MAX_IMAGE_SIDE_PX / max(width, height)
     size = round(scale * width), round(scale * height)
     if camera is not None:
         u, v = size[0] / width, size[1] / height
@@ -97,7 +97,7 @@ def _tags(image: NDArray[np.uint8], families: Sequence[str], camera: EyeCamera |
 
 def _boards(image: NDArray[np.uint8], target: Checkerboard, camera: EyeCamera | None) -> list[str]:
     """First board of similar size."""
-    for columns, rows in _OTHERS:
+    for columns, rows in _SIZE_OFFSETS:
         try:
             other = replace(target, columns=target.columns + columns, rows=target.rows + rows)
         except ConfigurationError:  # too few corners for a board

@@ -11,13 +11,13 @@ from vergence.perception.located import LocatedTarget
 from vergence.perception.spacing import MM
 from vergence.perception.target_finder import tag_number
 
-_SPACE = ("x", "y", "z")
+_AXES = ("x", "y", "z")
 
 
 def write_points(path: Path, located: Sequence[LocatedTarget]) -> None:
     """Write one row per corner of each target; cells without a solution are empty."""
     head = ["pair", "target", "id", "point"]
-    head += [f"{axis}_mm" for axis in _SPACE] + [f"sigma_{axis}_mm" for axis in _SPACE] + ["gap_mm"]
+    head += [f"{axis}_mm" for axis in _AXES] + [f"sigma_{axis}_mm" for axis in _AXES] + ["gap_mm"]
     for what in ("", "sigma_"):
         head += [f"{what}{eye}_{axis}_px" for eye in EYE_NAMES for axis in "uv"]
     _write(path, head, (row for one in located for row in _points(one)))
@@ -40,7 +40,7 @@ def _points(one: LocatedTarget) -> Iterable[list[object]]:
 def write_targets(path: Path, located: Sequence[LocatedTarget]) -> None:
     """Write one row per target of each pair."""
     head = ["pair", "target", "id", "points"]
-    head += [f"{axis}_mm" for axis in _SPACE] + [f"sigma_{axis}_mm" for axis in _SPACE]
+    head += [f"{axis}_mm" for axis in _AXES] + [f"sigma_{axis}_mm" for axis in _AXES]
     head += ["gap_rms_mm", "spacing_mean_mm", "spacing_spread_mm", "spacing_stated_mm"]
     rows: list[list[object]] = []
     for one in located:

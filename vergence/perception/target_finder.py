@@ -63,7 +63,7 @@ def is_of_target(detection: Detection, target: Target) -> bool:
 
 _CLIPPED_GREY: Final = 254
 """Grey level from which on a pixel counts as clipped (chosen: just below 255, the largest)."""
-_MUCH_CLIPPED: Final = 0.15
+_MAX_CLIPPED_FRACTION: Final = 0.15
 """Fraction of clipped pixels around a target above which its white is clipped (chosen: missed
 against false remarks)."""
 
@@ -78,7 +78,7 @@ def is_white_clipped(image: NDArray[np.uint8], detection: Detection) -> bool:
     corners = detection.corners_px[np.isfinite(detection.corners_px).all(axis=1)]
     u0, v0 = np.maximum(corners.min(axis=0).astype(int), 0)
     u1, v1 = corners.max(axis=0).astype(int) + 1
-    return bool((image[v0:v1, u0:u1] >= _CLIPPED_GREY).mean() > _MUCH_CLIPPED)
+    return bool((image[v0:v1, u0:u1] >= _CLIPPED_GREY).mean() > _MAX_CLIPPED_FRACTION)
 
 
 class UnseenTargets:

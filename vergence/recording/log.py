@@ -31,10 +31,10 @@ from vergence.recording.schema import (
 if TYPE_CHECKING:
     from mcap.records import McapRecord
 
-_LONGEST_S: Final = 1e5
+_MAX_TRIAL_S: Final = 1e5
 """Upper limit of times in a trial, s: a day; a log with later ones is refused (chosen)."""
-_WHOLE: Final = re.compile("-?[0-9]{1,19}")
-_KNOWN: Final = {topic.name: topic for topic in schema.TOPICS}
+_INTEGER_PATTERN: Final = re.compile("-?[0-9]{1,19}")
+_TOPIC_BY_NAME: Final = {topic.name: topic for topic in schema.TOPICS}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,10 +160,10 @@ class _OpenTrial:
         """Convert the trial to arrays, and refuse inconsistent ones."""
         reading = Reading._make(_columns(self.readings))
         times = reading.time_s[:, 0]
-        if not ((np.diff(times) > 0.0).all() and 0.0 <= times[0] <= times[-1] < _LONGEST_S):
+        if not ((np.diff(times) > 0.0).all() and 0.0 <= times[0] <= times[-1] < _MAX_TRIAL_S):
             raise ConfigurationError(
                 f"{schema.READING.name}: time_s: expected times that grow, from 0 up to "
-                f"{_LONGEST_S:g} s"
+                f"{_MAX_TRIAL_S:g} s"
             )
         steps, commands = len(self.readings) - 1, len(self.commands)
         if commands not in (steps, steps + 1):
@@ -210,8 +210,8 @@ class _LogBuilder:
         """Add a record of the file."""
         from mcap.records import Attachment, Channel, Message, Metadata
 
-        if isinstance(record, Channel) and record.topic in _KNOWN:
-            self._topics[record.id] = _KNOWN[record.topic]
+        if isinstance(record, Channel) and record.topic in _TOPIC_BY_NAME:
+            self._topics[record.id] = _TOPIC_BY_NAME[record.topic]
         elif isinstance(record, Message) and record.channel_id in self._topics:
             topic = self._topics[record.channel_id]
             self._add_message(topic, decode_message(topic, record.data))
@@ -254,6 +254,6 @@ class _LogBuilder:
 
     def _clock_zero_ns(self) -> int:
         text = self.facts.get("clock_zero_ns", "")
-        if not _WHOLE.fullmatch(text):
+        if not _INTEGER_PATTERN.fullmatch(text):
             raise ConfigurationError(f"clock_zero_ns: expected ns, got {text!r:.40}")
         return int(text)

@@ -14,7 +14,7 @@ from vergence.recording.schema import Form, Topic, shape_text
 
 _MAX_NUMBER: Final = 1e15
 """Largest absolute value of a number (chosen: above any measurement, and products stay finite)."""
-_LATEST_S: Final = 2**33
+_MAX_UNIX_TIME_S: Final = 2**33
 """Upper limit of times of day, s since 1970: some 270 years (chosen)."""
 
 
@@ -83,7 +83,7 @@ def _decoded(form: Form, value: Any) -> Any:
     sec, nsec = (value.get("sec"), value.get("nsec")) if isinstance(value, dict) else (None, None)
     if type(sec) is not int or type(nsec) is not int:
         return None
-    return sec * 10**9 + nsec if abs(sec) < _LATEST_S and 0 <= nsec < 10**9 else None
+    return sec * 10**9 + nsec if abs(sec) < _MAX_UNIX_TIME_S and 0 <= nsec < 10**9 else None
 
 
 def _array(form: NDArray[Any], value: Any) -> Any:

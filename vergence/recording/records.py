@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     from mcap.records import Chunk, McapRecord
 
 EXPECTED: Final = "a log of a robot in MCAP, as vergence deploy writes it"
-_LARGEST_CHUNK: Final = 64 * 2**20
+_MAX_CHUNK_BYTES: Final = 64 * 2**20
 """Largest size of an unpacked chunk, bytes (chosen: far above a log's, whose chunks span 50 ms)."""
-_LARGEST_RATIO: Final = 200
+_MAX_UNPACKING_RATIO: Final = 200
 """Largest ratio of unpacked to packed bytes, beyond a first chunk (chosen: logs have 5 to 15)."""
 
 
@@ -39,7 +39,7 @@ def read_records(
         ) from error
     with _opened(path) as file:
         size = os.fstat(file.fileno()).st_size
-        left = _LARGEST_CHUNK + _LARGEST_RATIO * size
+        left = _MAX_CHUNK_BYTES + _MAX_UNPACKING_RATIO * size
         reader = iter(StreamReader(file, emit_chunks=True, record_size_limit=size).records)
         begun = False
         while True:
@@ -48,7 +48,7 @@ def read_records(
                 if not isinstance(record, Chunk):
                     inside = [record]
                 else:
-                    data = _unpacked(record, min(left, _LARGEST_CHUNK))
+                    data = _unpacked(record, min(left, _MAX_CHUNK_BYTES))
                     left -= len(data)
                     inside = breakup_chunk(replace(record, compression="", data=data), True)
             except StopIteration:

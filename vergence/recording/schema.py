@@ -145,11 +145,11 @@ def _of_head(empty: Reading | Truth) -> dict[str, Form]:
 # Forms by shape: scalar float, scalar integer, seven joints, one pixel, any number of pixels
 # (numerical).
 _NUMBER: Final[Form] = np.zeros(())
-_WHOLE: Final[Form] = np.zeros((), dtype=np.int64)
-_SEVEN: Final[Form] = np.zeros(7)
+_INTEGER: Final[Form] = np.zeros((), dtype=np.int64)
+_JOINT_VECTOR: Final[Form] = np.zeros(7)
 _PIXEL: Final[Form] = np.zeros(2)
 _PIXELS: Final[Form] = np.zeros((0, 2))
-TRIAL: Final = Topic(name="/trial", schema_name="vergence.Trial", fields={"number": _WHOLE})
+TRIAL: Final = Topic(name="/trial", schema_name="vergence.Trial", fields={"number": _INTEGER})
 """Start of a trial; the next reading is at its time zero."""
 READING: Final = Topic(
     name="/reading",
@@ -160,13 +160,19 @@ READING: Final = Topic(
 COMMAND: Final = Topic(
     name="/command",
     schema_name="vergence.Command",
-    fields={"clock_s": _NUMBER, "asked": _SEVEN, "sent": _SEVEN, "verdict": str, "by": str},
+    fields={
+        "clock_s": _NUMBER,
+        "asked": _JOINT_VECTOR,
+        "sent": _JOINT_VECTOR,
+        "verdict": str,
+        "by": str,
+    },
 )
 """Each command; a policy's precedes the reading at its period's end, see `LoggedCommand`."""
 JOINTS: Final = Topic(
     name="/joints",
     schema_name="vergence.Joints",
-    fields={"clock_s": _NUMBER, "positions": _SEVEN, "velocities": _SEVEN},
+    fields={"clock_s": _NUMBER, "positions": _JOINT_VECTOR, "velocities": _JOINT_VECTOR},
 )
 """Each measurement of the joints, in trials and while moving to their start, see `LoggedJoints`."""
 TRUTH: Final = Topic(name="/truth", schema_name="vergence.Truth", fields=_of_head(Truth.unknown(1)))
@@ -178,7 +184,7 @@ DETECTION: Final = Topic(
         "eye": str,
         "exposed_s": _NUMBER,
         "ready_s": _NUMBER,
-        "positions": _SEVEN,
+        "positions": _JOINT_VECTOR,
         "point_px": _PIXEL,
         "sigma_px": _PIXEL,
         "corners_px": _PIXELS,
@@ -193,11 +199,11 @@ NOTES: Final = Topic(
     schema_name="foxglove.Log",
     fields={
         "timestamp": dict[str, int],
-        "level": _WHOLE,
+        "level": _INTEGER,
         "message": str,
         "name": str,
         "file": str,
-        "line": _WHOLE,
+        "line": _INTEGER,
     },
 )
 """Messages of the package's loggers."""

@@ -35,7 +35,7 @@ _MAX_QUEUED: Final = 5000
 """Largest number of queued messages, about ten seconds; beyond it the log ends (chosen)."""
 _JPEG_QUALITY: Final = 90
 """JPEG quality of logged images, 0 to 100 (chosen: detail against size of the log)."""
-_LEVELS: Final = ((50, 5), (40, 4), (30, 3), (20, 2), (10, 1))
+_FOXGLOVE_LEVELS: Final = ((50, 5), (40, 4), (30, 3), (20, 2), (10, 1))
 """Pairs of Python's logging level and Foxglove's (physical: defined by both)."""
 
 
@@ -201,7 +201,7 @@ class LogWriter(RobotListener):
 
     def note(self, record: logging.LogRecord) -> None:
         """Keep a message of a logger."""
-        level = next((ours for theirs, ours in _LEVELS if record.levelno >= theirs), 0)
+        level = next((ours for theirs, ours in _FOXGLOVE_LEVELS if record.levelno >= theirs), 0)
         self._put(
             schema.NOTES,
             self._clock(),

@@ -30,30 +30,30 @@ class OptionRange:
     def __str__(self) -> str:
         kind = "a whole number" if self.integer else "a number"
         first = f"{kind} above {self.low:g}" if self.excludes_low else f"{kind} from {self.low:g}"
-        rest = [f"to {self.high:g}"] if self.high < _MANY else []
+        rest = [f"to {self.high:g}"] if self.high < _MAX_COUNT else []
         return " ".join([first, *rest])
 
 
-_MANY: Final = 2**31
+_MAX_COUNT: Final = 2**31
 """Largest count, beyond any practical one (numerical)."""
-_SHARE: Final = OptionRange(high=1.0)
-_COUNT: Final = OptionRange(low=1, high=_MANY, integer=True)
-_POSITIVE: Final = OptionRange(excludes_low=True)
+_FRACTION_RANGE: Final = OptionRange(high=1.0)
+_COUNT_RANGE: Final = OptionRange(low=1, high=_MAX_COUNT, integer=True)
+_POSITIVE_RANGE: Final = OptionRange(excludes_low=True)
 
-_OPTIONS: Final[dict[str, OptionRange | None]] = {
-    "learning_rate": _POSITIVE,
-    "n_steps": _COUNT,
-    "batch_size": OptionRange(low=2, high=_MANY, integer=True),
-    "n_epochs": _COUNT,
-    "gamma": _SHARE,
-    "gae_lambda": _SHARE,
-    "clip_range": _POSITIVE,
-    "clip_range_vf": _POSITIVE,
+_RANGE_BY_OPTION: Final[dict[str, OptionRange | None]] = {
+    "learning_rate": _POSITIVE_RANGE,
+    "n_steps": _COUNT_RANGE,
+    "batch_size": OptionRange(low=2, high=_MAX_COUNT, integer=True),
+    "n_epochs": _COUNT_RANGE,
+    "gamma": _FRACTION_RANGE,
+    "gae_lambda": _FRACTION_RANGE,
+    "clip_range": _POSITIVE_RANGE,
+    "clip_range_vf": _POSITIVE_RANGE,
     "normalize_advantage": None,
     "ent_coef": OptionRange(),
     "vf_coef": OptionRange(),
-    "max_grad_norm": _POSITIVE,
-    "target_kl": _POSITIVE,
+    "max_grad_norm": _POSITIVE_RANGE,
+    "target_kl": _POSITIVE_RANGE,
 }
 """Bounds by option; None for a boolean."""
 
@@ -67,9 +67,9 @@ def check_ppo_options(options: Mapping[str, Any]) -> None:
     Raises:
         ConfigurationError: a name is unknown or a value out of bounds.
     """
-    refuse_unknown("algorithm", options, _OPTIONS)
+    refuse_unknown("algorithm", options, _RANGE_BY_OPTION)
     for name, value in options.items():
-        bounds = _OPTIONS[name]
+        bounds = _RANGE_BY_OPTION[name]
         if bounds is None and not isinstance(value, bool):
             raise ConfigurationError(f"algorithm.{name}: expected true or false, got {value!r}")
         if bounds is not None and not bounds.allows(value):

@@ -20,7 +20,7 @@ from vergence.files import write_atomic
 
 FORMAT: Final = 4
 """Version of a checkpoint's content (numerical)."""
-_DIGITS: Final = 64
+_SHA256_HEX_DIGITS: Final = 64
 """Hexadecimal digits of a SHA-256 (physical: the standard FIPS 180-4)."""
 
 
@@ -42,7 +42,7 @@ def checkpoint_bytes(content: Mapping[str, Any]) -> bytes:
     torch.save({"format": FORMAT, **content}, archive)
     # an archive ends with the length of its comment, which is 0 so far
     archive.seek(-2, io.SEEK_END)
-    archive.write(_DIGITS.to_bytes(2, "little"))
+    archive.write(_SHA256_HEX_DIGITS.to_bytes(2, "little"))
     archive.write(_digits(archive.getvalue()))
     return archive.getvalue()
 
@@ -57,7 +57,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         data = path.read_bytes()
     except OSError as error:
         raise ConfigurationError(f"expected a checkpoint, got {path}: {error.strerror}") from error
-    if data[-_DIGITS:] != _digits(data[:-_DIGITS]):
+    if data[-_SHA256_HEX_DIGITS:] != _digits(data[:-_SHA256_HEX_DIGITS]):
         raise ConfigurationError(
             f"expected a checkpoint with its checksum, got a damaged or an older file: {path} "
             "(put a whole copy of it back, or begin a new run)"

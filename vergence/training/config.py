@@ -28,7 +28,7 @@ PLANTS: Final = get_args(TrainingPlant)
 ACTIVATIONS: Final = ("tanh", "relu", "elu", "silu")
 PACKAGES: Final = ("torch", "stable-baselines3")
 """Packages whose versions are recorded in addition to those of every run."""
-_COUNTS: Final = {
+_MAX_COUNTS: Final = {
     "steps": 2**53,
     "envs": 2**20,  # number of environments that get distinct seeds in a scenario's split
     "episode_steps": 2**31,
@@ -37,9 +37,9 @@ _COUNTS: Final = {
     "threads": 256,
 }
 """Largest value of each count; the smallest is 1."""
-_LOG_STD: Final = (-20.0, 2.0)
+_LOG_STD_RANGE: Final = (-20.0, 2.0)
 """Bounds of `log_std_init`, logarithm of a standard deviation of actions in [-1, 1] (numerical)."""
-_TYPES: Final[dict[Any, tuple[type, ...]]] = {
+_TYPES_BY_ANNOTATION: Final[dict[Any, tuple[type, ...]]] = {
     int: (int,),
     bool: (bool,),
     float: (float, int),
@@ -86,7 +86,7 @@ class TrainConfig(Recipe):
             ("activation", ACTIVATIONS),
         ):
             _check_known(name, getattr(self, name), known)
-        for name, most in _COUNTS.items():
+        for name, most in _MAX_COUNTS.items():
             count = getattr(self, name)
             if not 1 <= count <= most:
                 raise ConfigurationError(
@@ -94,9 +94,10 @@ class TrainConfig(Recipe):
                 )
         for name in ("network", "critic"):
             _check_widths(name, getattr(self, name))
-        if not _LOG_STD[0] <= self.log_std_init <= _LOG_STD[1]:
+        if not _LOG_STD_RANGE[0] <= self.log_std_init <= _LOG_STD_RANGE[1]:
             raise ConfigurationError(
-                f"log_std_init: expected a number from {_LOG_STD[0]:g} to {_LOG_STD[1]:g}, "
+                f"log_std_init: expected a number from {_LOG_STD_RANGE[0]:g} to "
+                f"{_LOG_STD_RANGE[1]:g}, "
                 f"got {self.log_std_init!r}"
             )
         last = self.final_learning_rate
@@ -126,7 +127,7 @@ def check_type(name: str, value: object) -> None:
         ConfigurationError: the value has another type than the field.
     """
     hint = get_type_hints(TrainConfig)[name]
-    expected = _TYPES.get(hint, (str,))
+    expected = _TYPES_BY_ANNOTATION.get(hint, (str,))
     if not isinstance(value, expected) or (isinstance(value, bool) and hint is not bool):
         words = " or ".join("list" if one is tuple else one.__name__ for one in expected)
         raise ConfigurationError(

@@ -78,7 +78,7 @@ def export_run(run: Path, out: Path, checkpoint: str = "best", replace: bool = F
 def training_command(config: TrainConfig) -> str:
     """Command that reproduces a training run, independent of later changes of the recipe."""
     words = ["vergence", "train", config.kind]
-    named = {name: getattr(config, name) for name in _NAMED}
+    named = {name: getattr(config, name) for name in _COMMAND_OPTIONS}
     if config.head:
         named["head"] = config.head
     for name, value in named.items():
@@ -94,7 +94,7 @@ def training_command(config: TrainConfig) -> str:
     return shlex.join([*words, *(["--set", *changes] if changes else [])])
 
 
-_NAMED: Final = ("scenario", "plant", "seed", "steps", "envs", "inputs")
+_COMMAND_OPTIONS: Final = ("scenario", "plant", "seed", "steps", "envs", "inputs")
 
 
 def _changes(usual: Mapping[str, Any], wanted: Mapping[str, Any], prefix: str = "") -> list[str]:

@@ -39,7 +39,7 @@ def running_episodes_state(model: BaseAlgorithm, normalisation: VecNormalize) ->
         normalisation: wrapper of the environments, which must have `state`.
     """
     venv: Any = normalisation.venv
-    seen: dict[str, Any] = {name: getattr(model, f"_last_{name}") for name in _LAST}
+    seen: dict[str, Any] = {name: getattr(model, f"_last_{name}") for name in _LAST_STEP_ATTRIBUTES}
     content: dict[str, Any] = {
         "environments": {part: _tensors(arrays) for part, arrays in venv.state().items()},
         "last": _tensors({name: array for name, array in seen.items() if array is not None}),
@@ -48,7 +48,7 @@ def running_episodes_state(model: BaseAlgorithm, normalisation: VecNormalize) ->
     return content
 
 
-_LAST: Final = ("obs", "original_obs", "episode_starts")
+_LAST_STEP_ATTRIBUTES: Final = ("obs", "original_obs", "episode_starts")
 """Attributes of SB3's models that hold the previous step, without their prefix `_last_`."""
 
 

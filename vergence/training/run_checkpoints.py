@@ -16,7 +16,7 @@ from vergence.training.config import TrainConfig
 CHECKPOINTS: Final = ("best", "last")
 RUNNING_EPISODES: Final = "surroundings"
 """Key of the state of running episodes, which only the last checkpoint holds."""
-_MAY_CHANGE: Final = ("steps",)
+_CHANGEABLE_FIELDS: Final = ("steps",)
 """Fields of the configuration that may change if a run is resumed."""
 
 
@@ -132,6 +132,6 @@ def _changes(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str = ""
         old, new = before.get(name), now.get(name)
         if isinstance(old, Mapping) and isinstance(new, Mapping):
             changes += _changes(old, new, f"{prefix}{name}.")
-        elif old != new and name not in _MAY_CHANGE:
+        elif old != new and name not in _CHANGEABLE_FIELDS:
             changes.append(f"{prefix}{name} = {new!r} (was {old!r})")
     return changes

@@ -13,7 +13,7 @@ from vergence.models.parts import FloatArray
 from vergence.operands import as_operand
 from vergence.triangulation.rays import triangulate
 
-_SHAPE = np.zeros(3)
+_SHAPE_ONLY = np.zeros(3)
 
 
 class Fix(NamedTuple):
@@ -173,5 +173,5 @@ def triangulate_views(
         array([0.1 , 0.05, 1.2 ])
     """
     noise = Noise.of(head) if noise is None else noise
-    results: Any = triangulate(q, pixels, noise.pixel_px, noise.joint_rad, head.packed, _SHAPE)
+    results: Any = triangulate(q, pixels, noise.pixel_px, noise.joint_rad, head.packed, _SHAPE_ONLY)
     return Fix(*results)

@@ -35,21 +35,21 @@ from vergence.vision.blur import gaussian_radius_and_sigma, motion_blur_kernel
 from vergence.vision.noise import NOISE_MEAN, NOISE_UNIT, noise_window
 from vergence.vision.optics import EyeCamera, ray_table
 
-_NEAREST_M: Final = 0.02
+_LEAST_DEPTH_M: Final = 0.02
 """Smallest depth of a board's corner at which it is drawn, m (chosen: near views against
 corners behind the camera)."""
-_LEAST_INCIDENCE: Final = 0.05
+_LEAST_INCIDENCE_COSINE: Final = 0.05
 """Least cosine between line of sight and the board's normal, about 87 degrees, at which it is
 drawn (chosen: oblique views against the oversampling they need)."""
-_TEXELS: Final = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
+_TEXELS_PER_CELL: Final = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
 """Texels per cell in each level of the texture pyramid (chosen: close levels against memory)."""
-_LEAST_TEXEL: Final = 0.45
+_LEAST_TEXEL_SAMPLES: Final = 0.45
 """Smallest size of a texel, in samples, along the most foreshortened direction (chosen: aliasing
 against blur)."""
 _TEXTURE_BLUR: Final = 1.35
 """Standard deviation of the texture's own blur, in texels. At the texel size above and two samples
 a pixel it suits a lens blur of at least 0.45 pixels (chosen: aliasing against blur)."""
-_LEAST_FINE_TEXEL: Final = 0.22
+_LEAST_FINE_TEXEL_SAMPLES: Final = 0.22
 """Smallest size of a texel, in samples, for sharper images; the texture then has all the blur
 (chosen: aliasing against blur)."""
 _FINE_BLURS: Final = (1.35, 2.6)
@@ -168,10 +168,10 @@ class TargetDrawing:
         """Smallest u and v of the board and the largest; None if its front is not visible."""
         outline = self._outline_fine_T if self.camera.distorts else self._outline_T
         points = outline @ board.T
-        if min(points[:, 2].tolist()) < _NEAREST_M:
+        if min(points[:, 2].tolist()) < _LEAST_DEPTH_M:
             return None
         (_, _, a, x), (_, _, b, y), (_, _, c, z), _ = pose.tolist()
-        if a * x + b * y + c * z < _LEAST_INCIDENCE * math.sqrt(x * x + y * y + z * z):
+        if a * x + b * y + c * z < _LEAST_INCIDENCE_COSINE * math.sqrt(x * x + y * y + z * z):
             return None
         u, v = self.camera.project(points).T.tolist()
         if math.isnan(sum(u) + sum(v)):  # beyond the lens model: may be anywhere in the frame
@@ -201,11 +201,11 @@ class TargetDrawing:
         wanted = (scale * self.rendering.blur_px) ** 2 + scale**2 / 12 - (scale**2 - 1) / 12
         least, greatest = (oversampling * value * self.target.cell_m for value in spacing)
         mean = 0.5 * (least + greatest)
-        texels = _texels(least, _LEAST_TEXEL)
+        texels = _texels(least, _LEAST_TEXEL_SAMPLES)
         blur = _TEXTURE_BLUR
         done = (mean / texels) ** 2 * (1 / 12 + blur**2)
         if done > wanted:
-            texels = _texels(least, _LEAST_FINE_TEXEL)
+            texels = _texels(least, _LEAST_FINE_TEXEL_SAMPLES)
             exact = math.sqrt(max(wanted * (texels / mean) ** 2 - 1 / 12, 0.0))
             # rounded, so that a gaze needs few textures
             blur = min(max(math.floor(10 * exact) / 10, _FINE_BLURS[0]), _FINE_BLURS[1])
@@ -337,7 +337,7 @@ def _oversampling(spacing: tuple[float, float]) -> int:
 
 def _texels(samples: float, least: float) -> int:
     """Most texels for a cell of `samples` samples with texels of at least `least` samples."""
-    return _TEXELS[max(bisect_right(_TEXELS, samples / least) - 1, 0)]
+    return _TEXELS_PER_CELL[max(bisect_right(_TEXELS_PER_CELL, samples / least) - 1, 0)]
 
 
 @lru_cache(maxsize=256)

@@ -13,23 +13,23 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.models.response import Response, light_table, parse_response, to_light
 
-_EXPECTED: Final = (
+_EXPECTED_IMAGE: Final = (
     "expected an array (height, width), or (height, width, 3 or 4) in OpenCV's order BGR(A), of "
     "whole numbers or floats"
 )
-_DEPTHS: Final = (8, 10, 12, 14, 16)
+_BIT_DEPTHS: Final = (8, 10, 12, 14, 16)
 """Bits per pixel of cameras; more than 8 come in 16 bits, mostly unscaled (physical: sensors)."""
-_USUAL_PERCENT: Final = 99.9
+_MAXIMUM_PERCENTILE: Final = 99.9
 """Percentile that stands for the largest value of an image (chosen: ignores hot pixels)."""
-_MOST_UNIT: Final = 2.0
+_MAX_UNIT_FLOAT: Final = 2.0
 """Largest value of a float image that is taken to have its white at 1 (chosen: allows overshoot
 of interpolation)."""
-_CALM_GREY: Final = 1.5
+_LOW_NOISE_GREY: Final = 1.5
 """Noise up to which an image is searched without smoothing, standard deviation in grey levels
 (chosen: sharpness against search time)."""
-_LOUD_GREY: Final = 8.0
+_HIGH_NOISE_GREY: Final = 8.0
 """Noise above which an image is smoothed more, standard deviation in grey levels (chosen)."""
-_MEDIAN_OF_SECOND: Final = 1.652
+_MEDIAN_SECOND_DIFFERENCE: Final = 1.652
 """Median of |2 a - b - c| of normal numbers with standard deviation 1 (numerical)."""
 _LEAST_RANGE_GREY: Final = 6.0
 """Smallest range of grey levels, beyond noise, of an image worth searching (chosen)."""
@@ -38,7 +38,7 @@ _LEAST_SIDE_PX: Final = 16
 _COLOURS_EVERY_PX: Final = 8
 """Spacing of the pixels that decide whether a video's image is grey, px (chosen: noise alone
 colours some pixels, and fewer samples cost less)."""
-_SAME_GREY: Final = 3
+_MAX_CHANNEL_DIFFERENCE: Final = 3
 """Largest difference of the channels of a grey image, grey levels, due to the rounding in video
 codecs (chosen)."""
 
@@ -80,13 +80,13 @@ def as_grey(
         TypeError,
         ValueError,
     ) as error:  # a tensor on a GPU, rows of different lengths
-        raise ConfigurationError(f"image: {_EXPECTED}; got {type(image).__name__}") from error
+        raise ConfigurationError(f"image: {_EXPECTED_IMAGE}; got {type(image).__name__}") from error
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
     colour = has_colours(array)
     if array.dtype.kind not in "buif" or not (colour or array.ndim == 2):
         what = f"shape {array.shape} of {array.dtype}" if array.shape else _in_a_line(image)
-        raise ConfigurationError(f"image: {_EXPECTED}; got {what}")
+        raise ConfigurationError(f"image: {_EXPECTED_IMAGE}; got {what}")
     if array.size == 0:
         raise ConfigurationError(f"image: expected pixels, got an empty array of {array.shape}")
     height, width = array.shape[:2]
@@ -140,7 +140,7 @@ def restore_grey(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     if not has_colours(frame):
         return frame
     some = frame[::_COLOURS_EVERY_PX, ::_COLOURS_EVERY_PX]
-    return frame if np.ptp(some, axis=2).max() > _SAME_GREY else as_grey(frame)
+    return frame if np.ptp(some, axis=2).max() > _MAX_CHANNEL_DIFFERENCE else as_grey(frame)
 
 
 def _in_a_line(image: object) -> str:
@@ -175,11 +175,11 @@ def _levels(array: NDArray[Any]) -> NDArray[np.float32]:
     # ignores hot pixels, and overshoot of interpolation
     some = values[:: max(values.shape[0] // 400, 1), :: max(values.shape[1] // 400, 1)]
     finite = some[np.isfinite(some)]
-    greatest = float(np.percentile(finite, _USUAL_PERCENT)) if finite.size else 1.0
-    if floats and greatest <= _MOST_UNIT:
+    greatest = float(np.percentile(finite, _MAXIMUM_PERCENTILE)) if finite.size else 1.0
+    if floats and greatest <= _MAX_UNIT_FLOAT:
         full = 1.0
     else:
-        full = next((2.0**bits - 1.0 for bits in _DEPTHS if greatest < 2.0**bits), greatest)
+        full = next((2.0**bits - 1.0 for bits in _BIT_DEPTHS if greatest < 2.0**bits), greatest)
     scaled: NDArray[np.float32] = np.clip(values * (255.0 / full), 0.0, 255.0)
     return scaled
 
@@ -201,11 +201,11 @@ def smooth_for_square_search(image: NDArray[np.uint8]) -> NDArray[np.uint8] | No
         return None
     part = image[:: max(image.shape[0] // 200, 1)].astype(np.int16)  # a subset of rows suffices
     second = np.abs(2 * part[:, 1:-1] - part[:, :-2] - part[:, 2:])
-    noise = float(np.median(second)) / _MEDIAN_OF_SECOND
-    if noise <= _CALM_GREY:
+    noise = float(np.median(second)) / _MEDIAN_SECOND_DIFFERENCE
+    if noise <= _LOW_NOISE_GREY:
         plain = int(image.max()) - int(image.min()) < _LEAST_RANGE_GREY + 10.0 * noise
         return None if plain else image
-    blur_px = 1.0 if noise <= _LOUD_GREY else 2.0
+    blur_px = 1.0 if noise <= _HIGH_NOISE_GREY else 2.0
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px), np.uint8)
     # smoothing divides white noise by 2 sqrt(pi) blur; its extremes are at about five sigma
     left = noise / (2.0 * math.sqrt(math.pi) * blur_px)

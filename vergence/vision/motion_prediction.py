@@ -9,13 +9,13 @@ from vergence.models.lens import is_distorted, undistort_ray
 from vergence.models.packed import camera_at
 from vergence.models.parts import FloatArray
 
-_DEPTH_M: Final = 1.0
+_DEFAULT_DEPTH_M: Final = 1.0
 """Depth of a target of unknown size, m; scales the image motion by a camera's translation, not by
 its rotation (chosen: a usual working distance)."""
-_NEAREST: Final = 0.05
+_LEAST_DEPTH_RATIO: Final = 0.05
 """Least depth of a predicted corner, as a ratio to the target's; a smaller one is beside or behind
 the camera (chosen)."""
-_NO_ROTATION: Final = 1e-3
+_ROTATION_TOLERANCE: Final = 1e-3
 """Tolerance on the products of a rotation's rows (chosen: accepts rounded poses)."""
 
 
@@ -27,7 +27,7 @@ def is_pose(pose: FloatArray) -> bool:
             product = 0.0
             for k in range(3):
                 product += pose[i, k] * pose[j, k]
-            if not abs(product - (1.0 if i == j else 0.0)) <= _NO_ROTATION:
+            if not abs(product - (1.0 if i == j else 0.0)) <= _ROTATION_TOLERANCE:
                 return False
     handed = 0.0
     for i in range(3):
@@ -66,7 +66,7 @@ def predict_target_pixels(
         if is_distorted(camera):
             x, y = undistort_ray(camera, x, y)
         out[k, 0], out[k, 1] = x, y
-    depth_m, first, last = _DEPTH_M, -1, -1
+    depth_m, first, last = _DEFAULT_DEPTH_M, -1, -1
     for k in range(len(corners_m)):
         if isfinite(out[k, 0]):
             first, last = k if first < 0 else first, k
@@ -85,7 +85,7 @@ def predict_target_pixels(
             a = T_0_C_before[i, 0] * out[k, 0] + T_0_C_before[i, 1] * out[k, 1] + T_0_C_before[i, 2]
             a += (T_0_C_before[i, 3] - T_0_C_now[i, 3]) / depth_m
             x, y, z = x + T_0_C_now[i, 0] * a, y + T_0_C_now[i, 1] * a, z + T_0_C_now[i, 2] * a
-        if z < _NEAREST:
+        if z < _LEAST_DEPTH_RATIO:
             return False
         out[k, 0], out[k, 1] = ray_to_pixel(camera, x / z, y / z)
     return isfinite(out[count - 1, 0])

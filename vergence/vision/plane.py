@@ -12,7 +12,7 @@ from vergence.models.lens import CameraRow
 from vergence.models.packed import camera_at
 from vergence.models.parts import FloatArray
 
-_SMALL_STEP: Final = 1e-4
+_DIFFERENCE_STEP_RAD: Final = 1e-4
 """Step of a difference quotient, rad (numerical)."""
 
 
@@ -94,7 +94,7 @@ def set_view_along(camera: CameraRow, x: float, y: float, view: UndistortedView)
     A[1, 0], A[1, 1], A[1, 2] = -k * cx * cy, 1.0 - k * cy * cy, -cy
     A[2, 0], A[2, 1], A[2, 2] = cx, cy, cz
     # Jacobian of the pixel with respect to small steps perpendicular to the ray
-    h = _SMALL_STEP
+    h = _DIFFERENCE_STEP_RAD
     left_u, left_v = ray_to_pixel(camera, *_turned_back(A, -h, 0.0))
     right_u, right_v = ray_to_pixel(camera, *_turned_back(A, h, 0.0))
     above_u, above_v = ray_to_pixel(camera, *_turned_back(A, 0.0, -h))

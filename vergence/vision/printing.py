@@ -20,16 +20,16 @@ RULER_MM: Final = 100.0
 """Length of the ruler beside the board (chosen: long enough to check the scale, fits on A5)."""
 STRIP_MM: Final = 17.0
 """Width of the strip for the ruler and its two lines of text, up to the sheet's edge (chosen)."""
-_EDGE_MM: Final = 5.0
+_UNPRINTED_MARGIN_MM: Final = 5.0
 """Unprinted margin along the edges of a sheet (chosen: office printers need up to 4.3 mm)."""
-_MORE_EDGE_MM: Final = 8.0
+_MAX_EXTRA_MARGIN_MM: Final = 8.0
 """Largest additional margin of the strip if there is room (chosen)."""
-_QUIET_SHARE: Final = 0.05
+_QUIET_ZONE_FRACTION: Final = 0.05
 """Least white margin around a board as a fraction of its shorter side, such as a quarter of a
 square for a ChArUco board of 5 squares; one cell is required as well (chosen)."""
-_QUIET_SQUARES: Final = 0.5
+_QUIET_ZONE_SQUARES: Final = 0.5
 """Least white margin around a checkerboard, in squares, its cells (chosen)."""
-_MOST_MM: Final = 5000.0
+_MAX_SHEET_MM: Final = 5000.0
 """Largest sheet of a PDF, rounded down: 14400 points are 5080 mm (physical: the PDF standard)."""
 _MM_PER_M: Final = 1000.0
 """Millimetres per metre (physical)."""
@@ -86,9 +86,9 @@ def parse_paper(text: str) -> Paper:
             return PAPERS[name]
         raise UnknownNameError("paper", text[:100], [*sorted(PAPERS), "WIDTHxHEIGHT in mm"])
     short, long = sorted(float(part) for part in match.groups())
-    if not 0.0 < short <= long <= _MOST_MM:
+    if not 0.0 < short <= long <= _MAX_SHEET_MM:
         raise ConfigurationError(
-            f"paper: expected edges of up to {_MOST_MM:g} mm, got {text.strip():.100}"
+            f"paper: expected edges of up to {_MAX_SHEET_MM:g} mm, got {text.strip():.100}"
         )
     return Paper(short, long)
 
@@ -165,7 +165,7 @@ def lay_out_sheet(target: PlanarTarget, paper: Paper) -> PrintSheet:
     # lengths along the direction from the board to the ruler: to the right or down
     sheet, board = (width, frame.width_mm) if place.upright else (height, frame.height_mm)
     spare = max(0.0, sheet - board - STRIP_MM)
-    ruler = sheet - STRIP_MM - min(spare / 3.0, _MORE_EDGE_MM)
+    ruler = sheet - STRIP_MM - min(spare / 3.0, _MAX_EXTRA_MARGIN_MM)
     if place.upright:
         left, top = 0.5 * (ruler - frame.width_mm), 0.5 * (height - frame.height_mm)
         zero = (ruler, 0.5 * (height + RULER_MM))
@@ -201,8 +201,8 @@ class _Frame:
         y, x = np.nonzero(target.cells == 0)
         white = min(x.min(), y.min(), columns - 1 - x.max(), rows - 1 - y.max())
         shorter = cell * (min(rows, columns) - 2 * white)
-        quiet = cell * (_QUIET_SQUARES if isinstance(target, Checkerboard) else 1.0)
-        rim = max(quiet, _QUIET_SHARE * shorter, _EDGE_MM) - cell * white
+        quiet = cell * (_QUIET_ZONE_SQUARES if isinstance(target, Checkerboard) else 1.0)
+        rim = max(quiet, _QUIET_ZONE_FRACTION * shorter, _UNPRINTED_MARGIN_MM) - cell * white
         return cls(cell * columns + 2.0 * rim, cell * rows + 2.0 * rim, rim)
 
 
@@ -222,7 +222,7 @@ class _Place:
 
 def _needs_mm(frame: _Frame, upright: bool) -> tuple[float, float]:
     """Width and height of the smallest sheet for a frame and a ruler."""
-    ruler = RULER_MM + 2.0 * _EDGE_MM
+    ruler = RULER_MM + 2.0 * _UNPRINTED_MARGIN_MM
     if upright:
         return frame.width_mm + STRIP_MM, max(frame.height_mm, ruler)
     return max(frame.width_mm, ruler), frame.height_mm + STRIP_MM

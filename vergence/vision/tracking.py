@@ -9,7 +9,7 @@ from vergence.errors import ConfigurationError
 from vergence.vision.detection import Detection, Detector, as_pixel
 from vergence.vision.motion_prediction import is_pose, predict_target_pixels
 
-_UNKNOWN_M: Final = np.empty((0, 2))
+_NO_CORNERS_M: Final = np.empty((0, 2))
 """Corners of a target of unknown size (numerical)."""
 
 
@@ -95,7 +95,7 @@ class Tracker:
         pixels = np.concatenate([last.corners_px, last.point_px[None]])
         if camera is None or pose is None or self._pose is None:
             return pixels
-        corners_m = last.target.corners_m if last.target.size_known else _UNKNOWN_M
+        corners_m = last.target.corners_m if last.target.size_known else _NO_CORNERS_M
         out = np.empty(pixels.shape)
         return (
             out

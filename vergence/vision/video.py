@@ -20,7 +20,7 @@ MANUAL_EXPOSURE: Final = 1
 linux/v4l2-controls.h)."""
 EXPOSURE_STEP_S: Final = 1e-4
 """Unit of CAP_PROP_EXPOSURE, s (physical: V4L2_CID_EXPOSURE_ABSOLUTE)."""
-_MISSES: Final = 10
+_MAX_MISSED_IMAGES: Final = 10
 """Consecutive images that a camera may fail to deliver (chosen)."""
 
 
@@ -40,7 +40,7 @@ def open_video(source: str) -> Iterator[Iterator[NDArray[np.uint8]]]:
     device = is_local_camera(source)
     capture = open_capture(source, "live")
     try:
-        yield _images(capture, _MISSES if device else 0)
+        yield _images(capture, _MAX_MISSED_IMAGES if device else 0)
     finally:
         capture.release()
 

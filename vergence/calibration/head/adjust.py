@@ -29,11 +29,11 @@ from vergence.models.parts import FloatArray
 
 BEND: Final = 3
 """Number of curvatures of the board, see `vergence.calibration.adjustment` (numerical)."""
-_BEND_SIGMA: Final = 0.5
+_CURVATURE_SIGMA: Final = 0.5
 """Prior standard deviation of a curvature, 1/m (chosen: 0.6 mm at the edge of a 100 mm board)."""
-_NO_PRIOR: Final = 1e-6
+_WEAK_PRIOR_INFORMATION: Final = 1e-6
 """Prior information of unknowns without a prior, 1/rad^2 and 1/m^2 (numerical)."""
-_ROBUST: Final = 3.0
+_CAUCHY_SIGMAS: Final = 3.0
 """Scale of Cauchy's loss, in standard deviations: a larger corner or reading error counts for less
 (chosen)."""
 
@@ -160,9 +160,9 @@ class HeadAdjustment:
     def prior_information(self) -> FloatArray:
         """(s,) prior information of each shared unknown, 1 / sigma^2."""
         flat = len(self.frames.corners) <= 4
-        bend = 1e-6 if flat else _BEND_SIGMA
+        bend = 1e-6 if flat else _CURVATURE_SIGMA
         # placements of the board that no frame shows need a solvable pose too
-        known = np.full(self.shared_count, _NO_PRIOR)
+        known = np.full(self.shared_count, _WEAK_PRIOR_INFORMATION)
         sigma = np.maximum(self.prior_sigma, 1e-9)
         known[: len(sigma)] = 1.0 / sigma**2
         known[len(sigma) : len(sigma) + BEND] = 1.0 / bend**2
@@ -219,7 +219,7 @@ class HeadAdjustment:
         kept = np.where(own.is_single, state.frame_errors / sigma, 0.0)
         p, width, head = len(self.prior_mean), self.columns.shape[1], self.common_count
         by_term = self.terms.evaluate(state.terms)[1][:, None, None]
-        far, cut = _ROBUST**2 * np.array([1.0, 2.0 * weights.cauchy_scale])
+        far, cut = _CAUCHY_SIGMAS**2 * np.array([1.0, 2.0 * weights.cauchy_scale])
         far = far if np.isfinite(cut) else np.inf
         trust = weights.angles / (1.0 + kept**2 / far)
         cost = float((weights.angles * _loss(kept**2, far)).sum())

@@ -12,9 +12,9 @@ from vergence.models.parts import FloatArray
 
 _CELLS: Final = 4
 """Cells along each side of an image in which coverage is counted (chosen)."""
-_FULL_PERCENT: Final = 80.0
+_ENOUGH_COVERAGE_PERCENT: Final = 80.0
 """Percentage of cells that is enough coverage (chosen)."""
-_MOVED_RAD: Final = 0.1
+_UNMOVED_RANGE_RAD: Final = 0.1
 """Range of angles up to which a joint counts as unmoved, rad (chosen: 6 degrees)."""
 _FAR_M: Final = 1.5
 """Distance of a board that is far enough to calibrate depth far away, m (chosen)."""
@@ -48,7 +48,7 @@ def advise_recording(
     lines = []
     there = np.array([bool(name) for name in head.joints[NECK]])
     ranges = np.ptp(frames.positions[:, NECK], axis=0)
-    if there.any() and not (ranges[there] > _MOVED_RAD).any():
+    if there.any() and not (ranges[there] > _UNMOVED_RANGE_RAD).any():
         lines.append(
             "the neck has not moved: where the eyes sit in the neck stays as it was believed"
         )
@@ -66,6 +66,6 @@ def advise_recording(
                 "tells more of depth far away"
             )
     for eye, percent in zip(EYE_NAMES, coverage_percent(head, frames), strict=True):
-        if percent < _FULL_PERCENT:
+        if percent < _ENOUGH_COVERAGE_PERCENT:
             lines.append(f"the board was seen in {percent:.0f} % of the {eye} image alone")
     return lines

@@ -40,13 +40,13 @@ from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-_MOST_PLACES: Final = 8
+_MOST_PLACEMENTS: Final = 8
 """Most fits to a recording, each after the first with another placement of the board (chosen)."""
-_ASK: Final = (
+_HARMONICS_HINT: Final = (
     ": a head's file has no place for them; --terms harmonics tells them, and the head of readings "
     "that are corrected by them"
 )
-_BY_AXES: Final = (
+_JOINT_AXES_REMARK: Final = (
     "the joints are described by their axes one by one, which may be turned in ways that D-H "
     "numbers lack"
 )
@@ -166,7 +166,7 @@ def calibrate_head(
         reading_terms = ReadingTerms.of_frames(head, start.frames, terms)
         problem = replace(problem, terms=reading_terms)
         fit = fit_robustly(problem, start.boards, start.inlier_views)
-        for place in range(1, _MOST_PLACES):
+        for place in range(1, _MOST_PLACEMENTS):
             report(0.1 + 0.6 * place / (place + 1.0))
             more = find_new_placement(fit.solution, fit.kept)
             near = None if more is None else fit.solution.state
@@ -182,9 +182,9 @@ def calibrate_head(
         if tuple(terms) == (AUTO,):
             fit, suspected = choose_terms(fit, cameras)
             if suspected is not None:
-                remarks.append(harmonics_remark(suspected) + _ASK)
+                remarks.append(harmonics_remark(suspected) + _HARMONICS_HINT)
         if type(fit.solution.head.links) is not type(file.links):
-            remarks.append(_BY_AXES)
+            remarks.append(_JOINT_AXES_REMARK)
         report(0.8)
         views = cross_validate(fit.solution, fit.kept).views
     except np.linalg.LinAlgError:
@@ -231,9 +231,9 @@ def _noisy(solution: HeadSolution) -> list[str]:
     worst = max(wide, key=lambda joint: scatter_ratio[joint])
     return [
         f"the readings of {', '.join(names[joint] for joint in wide)} scatter more than their "
-        f"quantisation and backlash explain, those of {names[worst]} by {np.rad2deg(sigma[worst]):.2g} "
-        f"degrees, {scatter_ratio[worst]:.1f} times as much: is there more backlash, did the "
-        "joints rest, and do the angles belong to the images?"
+        f"quantisation and backlash explain, those of {names[worst]} by "
+        f"{np.rad2deg(sigma[worst]):.2g} degrees, {scatter_ratio[worst]:.1f} times as much: is "
+        "there more backlash, did the joints rest, and do the angles belong to the images?"
     ]
 
 

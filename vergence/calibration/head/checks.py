@@ -18,21 +18,21 @@ from vergence.models.joints import EYE_NAMES
 
 _LEAST_POSES: Final = 6
 """Fewest poses of a recording (chosen: fewer carry no evidence on errors)."""
-_CLEARLY: Final = 0.5
+_SWAPPED_SPREAD_RATIO: Final = 0.5
 """Ratio of the spread of the board's position with exchanged eyes to the spread as recorded, below
 which the eyes are exchanged (chosen)."""
 _LEAST_AGREEING_FRACTION: Final = 0.5
 """Fraction of inlier views up to which a recording is refused (chosen)."""
-_ANOTHER_SIZE: Final = 1.2
+_MOST_BASELINE_RATIO: Final = 1.2
 """Ratio of the eyes' distance to the file's, either way, from which on a head is refused (chosen:
 nobody mismeasures it by so much)."""
-_SAME_SIZE: Final = 0.025
+_SAME_BASELINE_FRACTION: Final = 0.025
 """Change of the eyes' distance, relative to the file's, below which no remark is made (chosen)."""
-_SAME_SIZE_MM: Final = 1.0
+_SAME_BASELINE_MM: Final = 1.0
 """Change of the eyes' distance below which no remark is made, mm (chosen)."""
-_MANY_LEFT_OUT: Final = 0.1
+_MANY_LEFT_OUT_FRACTION: Final = 0.1
 """Fraction of an eye's views that were left out above which a remark is made (chosen)."""
-_SURPRISING: Final = 4.0
+_MOST_PRIOR_SIGMAS: Final = 4.0
 """Prior standard deviations by which a parameter may differ from the head's file (chosen)."""
 
 
@@ -65,7 +65,10 @@ def refuse_swapped_eyes(head: HeadModel, frames: HeadFrames, start: InitialBoard
         target=some.target, time_s=some.time_s, positions=some.positions,
         pixels=some.pixels[::-1], sigma=some.sigma[::-1], placement=some.placement,
     )  # fmt: skip
-    if estimate_consensus_board_poses(head, exchanged).spread_m < _CLEARLY * start.spread_m:
+    if (
+        estimate_consensus_board_poses(head, exchanged).spread_m
+        < _SWAPPED_SPREAD_RATIO * start.spread_m
+    ):
         raise ConfigurationError(
             "expected the left eye's images as the left ones, got images that go with each other "
             "if left and right are exchanged"
@@ -85,7 +88,7 @@ def refuse_implausible(solution: HeadSolution, kept: NDArray[np.bool_]) -> None:
         )
     refuse_few_poses(frames.of(np.asarray(kept.any(axis=(0, 2)))))
     was, now = baselines_m(solution)
-    if not 1.0 / _ANOTHER_SIZE < now / was < _ANOTHER_SIZE:
+    if not 1.0 / _MOST_BASELINE_RATIO < now / was < _MOST_BASELINE_RATIO:
         raise ConfigurationError(
             f"expected eyes about {1e3 * was:.0f} mm apart, as the head's file has them, got "
             f"{1e3 * now:.0f} mm: is the board of the stated size, "
@@ -96,7 +99,7 @@ def refuse_implausible(solution: HeadSolution, kept: NDArray[np.bool_]) -> None:
         problem.prior_sigma > 0.0, problem.prior_sigma, np.inf
     )
     worst = int(np.abs(away).argmax())
-    if abs(away[worst]) > _SURPRISING:
+    if abs(away[worst]) > _MOST_PRIOR_SIGMAS:
         names, units, _ = problem.nominal_head.parameters()
         step = solution.state.values[worst] - problem.prior_mean[worst]
         raise ConfigurationError(
@@ -118,7 +121,7 @@ def baselines_m(solution: HeadSolution) -> tuple[float, float]:
 def remark_on_head_size(solution: HeadSolution) -> list[str]:
     """Remark on a head that is larger or smaller than its file, as a wrong board size makes it."""
     was, now = (1e3 * each for each in baselines_m(solution))
-    if abs(now - was) < max(_SAME_SIZE_MM, _SAME_SIZE * was):
+    if abs(now - was) < max(_SAME_BASELINE_MM, _SAME_BASELINE_FRACTION * was):
         return []
     return [
         f"the eyes come out {now:.1f} mm apart, where the file has {was:.1f}: lengths are as right "
@@ -134,7 +137,7 @@ def remark_on_few_views(frames: HeadFrames, kept: NDArray[np.bool_]) -> list[str
         out = views - int(kept[eye].any(axis=-1).sum())
         if not views:
             lines.append(f"the {name} eye has never seen the board: it stays as its file has it")
-        elif out > _MANY_LEFT_OUT * views:
+        elif out > _MANY_LEFT_OUT_FRACTION * views:
             lines.append(
                 f"{out} of {views} views of the {name} eye do not go with the others and are left "
                 "out: do they show the board, at the same time as the other eye's?"

@@ -34,11 +34,11 @@ from vergence.recording.writer import LogWriter
 _DITHER_RAD: Final = np.deg2rad(0.3).item()
 """Largest dither of an actuator about a pose, rad (chosen: several quantisation steps of a 12-bit
 encoder, which makes their errors independent, and small enough to keep the board in view)."""
-_EVALUATED_POSES: Final = 10
+_POSES_PER_EVALUATION: Final = 10
 """Poses after which the recording is evaluated again (chosen: a fit takes time)."""
-_MOST_LOST: Final = 12
+_MOST_LOST_POSES: Final = 12
 """Consecutive poses without the board after which the collection ends with an error (chosen)."""
-_GIVEN_UP: Final = 2
+_LOOKS_BEFORE_GIVING_UP: Final = 2
 """Looks of a pose without the board after which the next pose is tried (chosen)."""
 _MOVED_WIDTHS: Final = 0.01
 """Displacement of the board in the image, in image widths, above which the board has been moved
@@ -160,13 +160,13 @@ def _earlier(
         if found.placement in here:
             own = frames.placement == here.index(found.placement)
             found.poses = len(np.unique(frames.pose[own]))
-        if len(np.unique(frames.pose)) >= _EVALUATED_POSES:
+        if len(np.unique(frames.pose)) >= _POSES_PER_EVALUATION:
             found.preview = preview_calibration(looker.head, frames)
     return found, number
 
 
 def _enough(found: CollectedRecording, options: CollectOptions) -> bool:
-    if options.until is None or found.preview is None or found.poses < _EVALUATED_POSES:
+    if options.until is None or found.preview is None or found.poses < _POSES_PER_EVALUATION:
         return False
     return bool(found.preview.depth_percent.max() <= options.until)
 
@@ -209,13 +209,13 @@ class _Run:
             while found.poses < options.poses and not _enough(found, options):
                 if self._pose(log):
                     lost, found.poses = 0, found.poses + 1
-                    if found.poses % _EVALUATED_POSES == 0 or found.poses == options.poses:
+                    if found.poses % _POSES_PER_EVALUATION == 0 or found.poses == options.poses:
                         self._evaluate()
                         evaluated(found)
                     progress(found.poses / options.poses)
                 else:
                     lost += 1
-                if lost == _MOST_LOST:
+                if lost == _MOST_LOST_POSES:
                     raise ConfigurationError(
                         f"expected {looker.target} where it was, found it in none of the last "
                         f"{lost} poses: has it been moved (--moved), or covered?"
@@ -236,7 +236,7 @@ class _Run:
                 kept.append(sight)
             else:
                 self._found.looks_without_board += 1
-            if number + 1 == _GIVEN_UP and not kept:
+            if number + 1 == _LOOKS_BEFORE_GIVING_UP and not kept:
                 break
         self._found.sights += [one._replace(time_s=one.time_s + self._later_s) for one in kept]
         self._found.sight_placements += [self._found.placement] * len(kept)

@@ -10,7 +10,7 @@ from vergence.eval.head_reach import fixation_angles_and_visibility, midpoint_be
 from vergence.models.parts import FloatArray
 from vergence.triangulation import triangulate_views
 
-_STEP: Final = 1e-3
+_STEP_SIGMAS: Final = 1e-3
 """Step of a central difference, in prior standard deviations of a parameter: far above rounding,
 with a square far below 1 (numerical)."""
 
@@ -87,7 +87,7 @@ def predict_depth_errors(
     fix = triangulate_views(head, q, pixels)
     off = triangulate_views(calibration.nominal_head, q, pixels).point - points
     free = calibration.solution.problem.prior_sigma > 0.0
-    steps = _STEP * np.diag(calibration.solution.problem.prior_sigma)[free]
+    steps = _STEP_SIGMAS * np.diag(calibration.solution.problem.prior_sigma)[free]
     values = calibration.solution.state.values + np.stack([steps, -steps])
     moved = triangulate_views(
         calibration.nominal_head.with_parameters(values[:, :, None]), q, pixels

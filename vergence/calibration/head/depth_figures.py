@@ -15,7 +15,7 @@ from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, figure_styl
 from vergence.eval.reporting.text import format_fixed
 from vergence.models.parts import FloatArray
 
-_WIDE: Final = 11.2
+_PAGE_WIDTH: Final = 11.2
 """Width of a figure across the page, inches (chosen)."""
 _DISTANCES_M: Final = (0.3, 3.0)
 """Range of distances of the figures, m (chosen: the range of use)."""
@@ -70,7 +70,7 @@ def depth_map(calibration: HeadCalibration, distance_m: float) -> Figure:
     """
     depth = predict_depth_errors(calibration, map_points(distance_m))
     with figure_style():
-        figure = new_figure(_WIDE, 5.0)
+        figure = new_figure(_PAGE_WIDTH, 5.0)
         before, after = figure.subplots(1, 2)
         _table(
             before,

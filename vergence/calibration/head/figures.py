@@ -29,18 +29,18 @@ from vergence.eval.reporting.style import (
 from vergence.models.joints import EYE_NAMES, NECK
 from vergence.models.parts import FloatArray
 
-_WIDE: Final = 11.2
+_PAGE_WIDTH: Final = 11.2
 """Width of a figure across the page, inches (chosen)."""
-_CLIPPED: Final = 2.5
+_AXIS_LIMIT_MEDIANS: Final = 2.5
 """Range of a residual axis in medians of the kept views, unless a kept view exceeds it (chosen)."""
-_STRONG: Final = 0.9
+_STRONG_CORRELATION: Final = 0.9
 """Absolute correlation from which on two parameters are hardly separable (chosen)."""
-_MOST_NAMES: Final = 24
+_MOST_PARAMETERS: Final = 24
 """Most parameters in a correlation matrix (chosen: more are unreadable)."""
 _MOST_VARIANCE_RATIO: Final = 0.5
 """Ratio of posterior to prior variance of a reading error below which images determine it
 (chosen)."""
-_BINS: Final = (6, 30)
+_BIN_COUNT_RANGE: Final = (6, 30)
 """Fewest and most bins of a histogram, which grow with the readings (chosen)."""
 
 
@@ -49,10 +49,10 @@ def residuals_over_time(calibration: HeadCalibration) -> Figure:
     rms = view_rms(calibration)
     held_out = np.sqrt(calibration.held_out)
     usual = rms[calibration.views]
-    limit = max(1.15 * float(usual.max()), _CLIPPED * float(np.median(usual)))
+    limit = max(1.15 * float(usual.max()), _AXIS_LIMIT_MEDIANS * float(np.median(usual)))
     time = calibration.frames.time_s
     with figure_style():
-        figure = new_figure(_WIDE, 4.6)
+        figure = new_figure(_PAGE_WIDTH, 4.6)
         for eye, panel in enumerate(figure.subplots(2, 1, sharex=True)):
             kept = np.flatnonzero(calibration.views[eye])
             kept = kept[thinning_slice(len(kept))]
@@ -161,7 +161,7 @@ def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
         if name and own.upper[k] > own.lower[k]
     ]
     with figure_style():
-        figure = new_figure(_WIDE, 4.6)
+        figure = new_figure(_PAGE_WIDTH, 4.6)
         strips, eyes = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
         # dots one below the other in the order of the recording
         height = np.linspace(-0.32, 0.32, len(q)) if len(q) > 1 else np.zeros(1)
@@ -215,8 +215,8 @@ def correlated_parameters(calibration: HeadCalibration) -> NDArray[np.intp]:
     size = np.abs(_correlation(calibration)[np.ix_(free, free)])
     np.fill_diagonal(size, 0.0)
     best = size.max(axis=1, initial=0.0)
-    chosen = np.argsort(-best, kind="stable")[:_MOST_NAMES]
-    return np.sort(free[chosen[best[chosen] >= _STRONG]])
+    chosen = np.argsort(-best, kind="stable")[:_MOST_PARAMETERS]
+    return np.sort(free[chosen[best[chosen] >= _STRONG_CORRELATION]])
 
 
 def _correlation(calibration: HeadCalibration) -> FloatArray:
@@ -235,10 +235,12 @@ def parameter_correlations(calibration: HeadCalibration) -> Figure:
     values = _correlation(calibration)[np.ix_(chosen, chosen)]
     count = len(chosen)
     with figure_style():
-        figure = new_figure(_WIDE, 2.2 + 0.3 * count)
+        figure = new_figure(_PAGE_WIDTH, 2.2 + 0.3 * count)
         panel = figure.add_subplot()
         image = panel.imshow(values, cmap="PuOr", norm=Normalize(-1.8, 1.8))
-        for row, column in np.argwhere((np.abs(values) >= _STRONG) & ~np.eye(count, dtype=bool)):
+        for row, column in np.argwhere(
+            (np.abs(values) >= _STRONG_CORRELATION) & ~np.eye(count, dtype=bool)
+        ):
             panel.text(
                 column, row, f"{100.0 * values[row, column]:.0f}", ha="center", va="center",
                 fontsize=9, color=BLACK,
@@ -278,7 +280,7 @@ def reading_error_histograms(calibration: HeadCalibration) -> Figure:
     columns = min(len(errors), 4)
     rows = -(-len(errors) // columns)
     with figure_style():
-        figure = new_figure(_WIDE, 0.4 + 2.3 * rows)
+        figure = new_figure(_PAGE_WIDTH, 0.4 + 2.3 * rows)
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         for panel in panels[len(errors) :]:
             panel.set_axis_off()
@@ -286,7 +288,7 @@ def reading_error_histograms(calibration: HeadCalibration) -> Figure:
             step = np.degrees(calibration.nominal_head.actuation.angle_step[names.index(name)])
             values = np.degrees(values)
             reach = 1.05 * max(float(np.abs(values).max()), 0.75 * step)
-            bins = int(np.clip(1.5 * np.sqrt(len(values)), *_BINS))
+            bins = int(np.clip(1.5 * np.sqrt(len(values)), *_BIN_COUNT_RANGE))
             panel.hist(values, np.linspace(-reach, reach, bins + 1), density=True, color=BLUE)
             if step > 0.0:
                 half, high = 0.5 * step, 1.0 / step

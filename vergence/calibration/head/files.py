@@ -9,8 +9,15 @@ from vergence.models.calibrated import CalibrationRecord
 from vergence.models.files.head_toml import check_head_name, head_to_toml
 from vergence.models.head import HeadModel
 
-_VERSIONED: Final = ("vergence", "numpy", "scipy", "opencv-python-headless")
-_MEASURED: Final = ("links", "eyes", "joints.origin_m", "joints.rpy_rad", "joints.axis", "frame")
+_RECORDED_PACKAGES: Final = ("vergence", "numpy", "scipy", "opencv-python-headless")
+_REPLACED_ASSUMPTIONS: Final = (
+    "links",
+    "eyes",
+    "joints.origin_m",
+    "joints.rpy_rad",
+    "joints.axis",
+    "frame",
+)
 """Prefixes of the keys of assumptions that a calibration replaces by estimates."""
 
 
@@ -40,7 +47,7 @@ def calibrated_head(calibration: HeadCalibration, sha256: str, name: str) -> Hea
     assumptions = {
         key: why
         for key, why in calibration.nominal_head.assumptions.items()
-        if not key.startswith(_MEASURED)
+        if not key.startswith(_REPLACED_ASSUMPTIONS)
     }
     record = CalibrationRecord(
         target=str(calibration.frames.target),
@@ -48,7 +55,9 @@ def calibrated_head(calibration: HeadCalibration, sha256: str, name: str) -> Hea
         rms_px=calibration.rms_px,
         rms_heldout_px=calibration.rms_heldout_px,
         corners_sha256=sha256,
-        versions=", ".join(f"{name} {each}" for name, each in package_versions(_VERSIONED).items()),
+        versions=", ".join(
+            f"{name} {each}" for name, each in package_versions(_RECORDED_PACKAGES).items()
+        ),
         sigma=sigma,
     )
     return replace(calibration.head, name=name, assumptions=assumptions, calibration=record)

@@ -9,7 +9,7 @@ from vergence.calibration.head.solution import HeadSolution
 from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 
-_SURELY: Final = 2.0
+_SIGNIFICANT_SIGMAS: Final = 2.0
 """Standard deviations above which a parameter is significant (chosen)."""
 
 
@@ -25,7 +25,7 @@ class FittedTerm(NamedTuple):
     @property
     def significant(self) -> bool:
         """True if it differs significantly from zero."""
-        return abs(self.value) > _SURELY * self.sigma
+        return abs(self.value) > _SIGNIFICANT_SIGMAS * self.sigma
 
 
 def fitted_terms(solution: HeadSolution, covariance: FloatArray) -> tuple[FittedTerm, ...]:

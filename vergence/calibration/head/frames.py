@@ -17,7 +17,7 @@ IntArray = NDArray[np.intp]
 POSE_RAD: Final = 0.026
 """Bound on the difference of frames of one pose in every joint, rad (chosen: 1.5 degrees, between
 the dither of some tenths of a degree and the distance of poses of some degrees)."""
-_STILL_SHARE: Final = 0.8
+_STILL_POSE_FRACTION: Final = 0.8
 """Fraction of the poses in which a joint's reading must not change for the joint to count as one
 without dither (chosen)."""
 
@@ -136,7 +136,10 @@ def _rests(angles: FloatArray, pose: IntArray, step: float) -> bool:
         for each, count in zip(*np.unique(pose, return_counts=True), strict=True)
         if count > 1
     ]
-    return bool(len(spans)) and float(np.mean(np.array(spans) <= _SAME * step)) >= _STILL_SHARE
+    return (
+        bool(len(spans))
+        and float(np.mean(np.array(spans) <= _SAME_READING_STEPS * step)) >= _STILL_POSE_FRACTION
+    )
 
 
 def _stretches(angles: FloatArray, step: FloatArray, placement: IntArray) -> list[tuple[int, int]]:
@@ -145,13 +148,13 @@ def _stretches(angles: FloatArray, step: FloatArray, placement: IntArray) -> lis
     for frame in range(1, len(angles) + 1):
         if frame < len(angles) and placement[frame] == placement[begin]:
             stretch = angles[begin : frame + 1]
-            if (np.ptp(stretch, axis=0) <= _SAME * step).all():
+            if (np.ptp(stretch, axis=0) <= _SAME_READING_STEPS * step).all():
                 continue
         found.append((begin, frame))
         begin = frame
     return found
 
 
-_SAME: Final = 1.01
+_SAME_READING_STEPS: Final = 1.01
 """Steps (quantisation or backlash) within which readings count as equal: one, for an angle at the
 edge of a step, and rounding (numerical)."""

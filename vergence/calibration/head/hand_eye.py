@@ -51,9 +51,9 @@ from vergence.models.links import inverse_pose
 from vergence.models.parts import FloatArray
 from vergence.perception.located import equivalent_corner_orders
 
-_TURN_RAD: Final = 1.0
+_ROTATION_PRIOR_RAD: Final = 1.0
 """Prior standard deviation of a head-eye rotation, rad (chosen: too large to matter)."""
-_SHIFT_M: Final = 0.5
+_TRANSLATION_PRIOR_M: Final = 0.5
 """Prior standard deviation of a head-eye translation, m (chosen: too large to matter)."""
 
 
@@ -174,7 +174,7 @@ def refine_by_reprojection(head: HeadModel, frames: HeadFrames, start: HeadEyeFi
     prior_sigma = np.zeros(len(parameters.names))
     for place, (name, unit) in enumerate(zip(parameters.names, parameters.units, strict=True)):
         if ".head_eye." in name:
-            prior_sigma[place] = _TURN_RAD if unit == "rad" else _SHIFT_M
+            prior_sigma[place] = _ROTATION_PRIOR_RAD if unit == "rad" else _TRANSLATION_PRIOR_M
     start_of_board = estimate_consensus_board_poses(start_head, frames)
     problem = HeadAdjustment(start_head, prior_sigma, start_of_board.frames)
     fit = fit_robustly(problem, start_of_board.boards, start_of_board.inlier_views)

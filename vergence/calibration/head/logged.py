@@ -28,10 +28,10 @@ TARGET: Final = "target"
 """Name of a log's fact with the board, in the form of `parse_target`."""
 SUFFIX: Final = ".mcap"
 """File suffix of a log."""
-_BETWEEN_S: Final = 1.0
+_LOG_GAP_S: Final = 1.0
 """Time from the last frame of a log to the first of the next one, s (chosen: clocks may have been
 set between them, so that their own times cannot be used)."""
-_NEAR_S: Final = 0.15
+_REST_WINDOW_S: Final = 0.15
 """Time before and after an exposure in which a joint at rest must not move, s (chosen: backlash and
 brackets have settled then)."""
 _STILL_RAD_S: Final = 0.02
@@ -103,7 +103,7 @@ def read_logs(
         sights += [one._replace(time_s=one.time_s + begins_s) for one in found]
         placement += [_placement_of(log)] * len(found)
         if found:
-            begins_s = sights[-1].time_s + _BETWEEN_S
+            begins_s = sights[-1].time_s + _LOG_GAP_S
         moving += moved
         unlike += log.head.digest != head.digest
         cut += bool(log.cut_off)
@@ -213,7 +213,9 @@ class _Still:
         """
         if self._trusted:
             return True
-        first, last = np.searchsorted(self._times, (time_s - _NEAR_S, time_s + _NEAR_S))
+        first, last = np.searchsorted(
+            self._times, (time_s - _REST_WINDOW_S, time_s + _REST_WINDOW_S)
+        )
         away = np.abs(self._angles[first:last] - self._own.actuators_of(positions))
         after_s = np.abs(self._times[first:last] - time_s)[:, None]
         return bool((away - self._own.angle_step <= _STILL_RAD_S * after_s + 1e-9).all())

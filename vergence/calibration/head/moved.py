@@ -18,15 +18,15 @@ from vergence.calibration.head.start import LEAST_CORNERS, estimate_consensus_bo
 
 _LEAST_POSES: Final = 3
 """Fewest poses with the board at another placement (chosen: fewer are wrong detections)."""
-_IN_A_ROW: Final = 0.5
+_LEAST_CONTIGUOUS_FRACTION: Final = 0.5
 """Least fraction of the frames between the first and the last of a placement that show the board
 there (chosen: a moved board stays, while wrong detections that happen to agree are scattered)."""
-_TOGETHER: Final = 0.05
+_MOST_SPREAD_SIZES: Final = 0.05
 """Largest spread of the corners among views of one placement, in board sizes (chosen: the head is
 calibrated then, except for parameters that the first placement alone did not determine)."""
 
 
-_SURELY: Final = 80.0
+_MOVED_COST_DECREASE: Final = 80.0
 """Decrease of the sum of squares by a step of the board's pose (six parameters) from which on the
 board was moved (chosen: 40 occur by chance once in a million moments, and backlash and other model
 errors add to it)."""
@@ -67,9 +67,12 @@ def find_new_placement(
     )
     size = float(np.ptp(frames.corners, axis=0).max())
     agreeing = np.flatnonzero(lost)[start.inlier_views.any(axis=0)]
-    if start.spread_m > _TOGETHER * size or len(np.unique(frames.pose[agreeing])) < _LEAST_POSES:
+    if (
+        start.spread_m > _MOST_SPREAD_SIZES * size
+        or len(np.unique(frames.pose[agreeing])) < _LEAST_POSES
+    ):
         return None
-    if len(agreeing) < _IN_A_ROW * (agreeing[-1] - agreeing[0] + 1):
+    if len(agreeing) < _LEAST_CONTIGUOUS_FRACTION * (agreeing[-1] - agreeing[0] + 1):
         return None
     placement = frames.placement.copy()
     number = int(placement.max()) + 1
@@ -122,10 +125,10 @@ def find_small_board_motion(solution: HeadSolution) -> FramesWithNewPlacement | 
         elif frames.pose[frame - 1] != frames.pose[frame]:
             left = own - across[:-1].T @ inverse @ across[:-1]
             pulled = pull - across[:-1].T @ inverse @ normal.gradient
-            gain = float(pulled @ np.linalg.lstsq(left, pulled, rcond=_RANK)[0])
+            gain = float(pulled @ np.linalg.lstsq(left, pulled, rcond=_RANK_TOLERANCE)[0])
             if gain > best:
                 best, when = gain, frame
-    if best < _SURELY * max(solution.reduced_chi, 1.0) ** 2:
+    if best < _MOVED_COST_DECREASE * max(solution.reduced_chi, 1.0) ** 2:
         return None
     placement = frames.placement.copy()
     later = (placement == placement[when]) & (np.arange(len(placement)) >= when)
@@ -141,5 +144,5 @@ def find_small_board_motion(solution: HeadSolution) -> FramesWithNewPlacement | 
     )
 
 
-_RANK: Final = 1e-9
+_RANK_TOLERANCE: Final = 1e-9
 """Relative cutoff of singular values: a few frames may not determine a step fully (numerical)."""

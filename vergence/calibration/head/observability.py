@@ -23,16 +23,23 @@ from vergence.models.parts import FloatArray
 
 _LEAST_INFORMATION: Final = 1.0
 """Information relative to the prior's from which on a direction counts as observed (chosen)."""
-_NOTHING_PX: Final = 0.02
+_NO_EFFECT_PX: Final = 0.02
 """Largest rms effect of one prior standard deviation along a direction on which no image depends,
 px; to first order it is zero (numerical)."""
-_ALIKE: Final = 0.1
+_RIGID_MISFIT: Final = 0.1
 """Fraction of its pixel effect by which a direction may differ from a rigid motion (chosen)."""
-_DIRECTIONS: Final = ((0.0, 0.0), (0.35, 0.0), (-0.35, 0.0), (0.0, 0.3), (0.0, -0.3), (0.3, 0.3))
+_FIXATION_SLOPES: Final = (
+    (0.0, 0.0),
+    (0.35, 0.0),
+    (-0.35, 0.0),
+    (0.0, 0.3),
+    (0.0, -0.3),
+    (0.3, 0.3),
+)
 """Slopes x/z and y/z of the fixated points at which effects are evaluated (chosen)."""
 _DISTANCES_M: Final = (0.5, 1.0, 2.5)
 """Distances z of the fixated points, m (chosen: the range of use)."""
-_RIGID: Final = (
+_RIGID_MOTIONS: Final = (
     ("tilt of both eyes in common", "rad"),
     ("turn of both eyes in common about the vertical", "rad"),
     ("roll of both eyes in common", "rad"),
@@ -42,7 +49,7 @@ _RIGID: Final = (
 )
 """Rigid motions of the eyes in N, about and along x, y and z, with units."""
 
-_NO_NECK: Final = "none without a neck: N is where the file has it"
+_NO_NECK_REMEDY: Final = "none without a neck: N is where the file has it"
 
 
 class UnobservableDirection(NamedTuple):
@@ -79,7 +86,7 @@ def unobservable_directions(solution: HeadSolution) -> tuple[UnobservableDirecti
     size = np.sqrt(len(moved))
     _, strength, right_vectors = np.linalg.svd(effect, full_matrices=False)
     found: list[UnobservableDirection] = []
-    redundant = int((strength / size < _NOTHING_PX).sum())
+    redundant = int((strength / size < _NO_EFFECT_PX).sum())
     if redundant:
         found.append(
             UnobservableDirection(
@@ -89,10 +96,10 @@ def unobservable_directions(solution: HeadSolution) -> tuple[UnobservableDirecti
                 "nothing depends on them: judge optical axes and points, never single numbers",
             )
         )
-    remaining = unobserved @ right_vectors[strength / size >= _NOTHING_PX].T
-    remedy = "move the neck" if any(solution.problem.nominal_head.joints[NECK]) else _NO_NECK
+    remaining = unobserved @ right_vectors[strength / size >= _NO_EFFECT_PX].T
+    remedy = "move the neck" if any(solution.problem.nominal_head.joints[NECK]) else _NO_NECK_REMEDY
     shares: list[FloatArray] = []
-    for axis, (name, unit) in enumerate(_RIGID):
+    for axis, (name, unit) in enumerate(_RIGID_MOTIONS):
         share = _share_of_rigid(moved[:, free] * S @ remaining, rigid[:, axis])
         if share is not None:
             shares.append(share)
@@ -114,7 +121,7 @@ def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
     head = solution.head
     chain = ParametricHead(solution.problem.nominal_head, solution.state.values)
     points = np.array(
-        [[z * x, z * y, z] for z in _DISTANCES_M for x, y in _DIRECTIONS], dtype=np.float64
+        [[z * x, z * y, z] for z in _DISTANCES_M for x, y in _FIXATION_SLOPES], dtype=np.float64
     )
     q = head.fixate(points, head.rest()[:3], warn=False)
     # each eye looks beside the point, so that all parts of the image are covered
@@ -152,7 +159,7 @@ def _share_of_rigid(moved: FloatArray, rigid: FloatArray) -> FloatArray | None:
         return None
     share = np.asarray(np.linalg.lstsq(moved, rigid, rcond=None)[0])
     missed = moved @ share - rigid
-    return share if (missed**2).sum() < _ALIKE**2 * (rigid**2).sum() else None
+    return share if (missed**2).sum() < _RIGID_MISFIT**2 * (rigid**2).sum() else None
 
 
 def _cost(axis: int, unit: str, amount: float) -> str:

@@ -19,8 +19,8 @@ from vergence.recording.looking import BoardView
 
 TABLES: Final = ("joints.csv", "joints.json", "joints.toml")
 """File names of the table of joint angles."""
-_TIME: Final = "time_s"
-_PLACEMENT: Final = "placement"
+_TIME_COLUMN: Final = "time_s"
+_PLACEMENT_COLUMN: Final = "placement"
 
 
 def holds_photographs(path: Path) -> bool:
@@ -64,7 +64,7 @@ def read_photographs(
     untimed = [name for name, one in zip(names, taken, strict=True) if one.time_s is None]
     if 0 < len(untimed) < len(names):
         raise ConfigurationError(
-            f"{tables[0]}: expected {_TIME} of all pairs or of none, got none of "
+            f"{tables[0]}: expected {_TIME_COLUMN} of all pairs or of none, got none of "
             f"{join_first_names(untimed)}"
         )
     seen, failures = detect_board_corners(
@@ -109,13 +109,19 @@ class _Taken(NamedTuple):
 
 
 def _read(head: HeadModel, row: Row, where: str) -> _Taken:
-    angles = {name: value for name, value in row.items() if name not in (_TIME, _PLACEMENT)}
-    time_s = parse_finite_number(row[_TIME], f"{where}: {_TIME}") if _TIME in row else None
-    placement = parse_finite_number(row.get(_PLACEMENT, 0), f"{where}: {_PLACEMENT}")
+    angles = {
+        name: value for name, value in row.items() if name not in (_TIME_COLUMN, _PLACEMENT_COLUMN)
+    }
+    time_s = (
+        parse_finite_number(row[_TIME_COLUMN], f"{where}: {_TIME_COLUMN}")
+        if _TIME_COLUMN in row
+        else None
+    )
+    placement = parse_finite_number(row.get(_PLACEMENT_COLUMN, 0), f"{where}: {_PLACEMENT_COLUMN}")
     if not (placement.is_integer() and 0 <= placement < MOST_PLACES):
         raise ConfigurationError(
-            f"{where}: {_PLACEMENT}: expected a whole number below {MOST_PLACES}, got "
-            f"{row[_PLACEMENT]!r:.40}"
+            f"{where}: {_PLACEMENT_COLUMN}: expected a whole number below {MOST_PLACES}, got "
+            f"{row[_PLACEMENT_COLUMN]!r:.40}"
         )
     return _Taken(parse_joint_angles(head, angles, where), int(placement), time_s)
 

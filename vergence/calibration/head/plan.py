@@ -21,9 +21,9 @@ _KNOWN_MARGINS: Final = (0.025, 0.015)
 _FARTHEST_NECK_RAD: Final = 0.6
 """Largest angle of a neck joint from rest, rad (chosen: the eyes can compensate for it, and it is
 moderate for a resting body)."""
-_APART_RAD: Final = 0.1
+_EYE_OFFSET_RAD: Final = 0.1
 """Largest random offset of an eye actuator from the fixation of one point, rad (chosen)."""
-_LIMIT_RAD: Final = 1e-3
+_LIMIT_DISTANCE_RAD: Final = 1e-3
 """Distance of actuators to their limits, beyond the dither, rad (chosen)."""
 _NECK_WEIGHT: Final = 0.5
 """Weight of the neck's whole range relative to the board crossing the whole image (chosen)."""
@@ -84,7 +84,7 @@ class PosePlanner:
     """
 
     def __init__(self, rng: np.random.Generator, dither_rad: float, used: FloatArray) -> None:
-        self._rng, self._keep = rng, dither_rad + _LIMIT_RAD
+        self._rng, self._keep = rng, dither_rad + _LIMIT_DISTANCE_RAD
         self._used = list(used)
 
     def next_pose(self, scene: BoardScene) -> FloatArray:
@@ -133,7 +133,7 @@ class PosePlanner:
         aside = rng.uniform(-1.0, 1.0, (_CANDIDATES, 2)) * half_view
         there[:, :2] += aside * np.linalg.norm(there, axis=-1, keepdims=True)
         q = own.actuators_of(np.nan_to_num(head.fixate(there, neck)))
-        q[:, EYES] += rng.uniform(-_APART_RAD, _APART_RAD, (_CANDIDATES, 4))
+        q[:, EYES] += rng.uniform(-_EYE_OFFSET_RAD, _EYE_OFFSET_RAD, (_CANDIDATES, 4))
         return self._held(head, q)
 
     def _held(self, head: HeadModel, actuators: FloatArray) -> FloatArray:

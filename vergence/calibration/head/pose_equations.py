@@ -32,10 +32,10 @@ LEAST_TURN_RAD: Final = np.deg2rad(0.5).item()
 about 0.1 degrees for a board's pose in an image and 0.03 degrees for an encoder's reading)."""
 _LEAST_POSES: Final = 3
 """Fewest poses (physical: geometry, they have two relative rotations, about two axes)."""
-_OUTLYING: Final = 4.0
+_OUTLIER_RATIO: Final = 4.0
 """Ratio of a pose's error to the median above which it is an outlier (chosen: only one normally
 distributed error of three coordinates in 10^9 is so large)."""
-_NUMERICAL: Final = 1e-7
+_ANGLE_ROUNDING_RAD: Final = 1e-7
 """Rounding of angles between quaternions, rad (numerical)."""
 _UNRELATED_RAD: Final = 0.1
 """Median mismatch of rotations above which A and B do not belong together, rad (chosen)."""
@@ -79,7 +79,7 @@ def solve_poses(A: FloatArray, B: FloatArray, group: IntArray, part_name: str) -
             f"expected joint angles that belong to the images, got rotations of {part_name} that "
             f"differ by {np.rad2deg(usual):.0f} degrees from those of the board"
         )
-    kept = mismatch <= _OUTLYING * usual + _NUMERICAL
+    kept = mismatch <= _OUTLIER_RATIO * usual + _ANGLE_ROUNDING_RAD
     for _ in range(_MOST_ROUNDS):
         _refuse_still(a, group, kept, part_name)
         X, Y = _fitted(A, B, (a, b), group, kept)
@@ -88,7 +88,7 @@ def solve_poses(A: FloatArray, B: FloatArray, group: IntArray, part_name: str) -
         errors = (turn, np.linalg.norm(off[:, :3, 3], axis=1))
         chosen = np.ones_like(kept)
         for error in errors:
-            chosen &= error <= _OUTLYING * np.median(error[kept]) + _NUMERICAL
+            chosen &= error <= _OUTLIER_RATIO * np.median(error[kept]) + _ANGLE_ROUNDING_RAD
         if np.array_equal(chosen, kept):
             break
         kept = chosen

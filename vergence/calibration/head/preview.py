@@ -18,7 +18,7 @@ from vergence.triangulation import triangulate_views
 
 DEPTHS_M: Final = (1.0, 2.5)
 """Distances straight ahead at which depth is judged, m (chosen: the range of use)."""
-_STEP: Final = 1e-3
+_STEP_SIGMAS: Final = 1e-3
 """Step of finite differences, in standard deviations of each parameter (numerical)."""
 
 
@@ -88,7 +88,7 @@ def depth_sigma_m(
     points = ahead + head.camera_poses(head.rest())[:, :3, 3].mean(axis=0)
     q = head.fixate(points, head.rest()[NECK])
     pixels = head.project(q, points)
-    steps = np.diag(_STEP * np.sqrt(np.diagonal(covariance)))
+    steps = np.diag(_STEP_SIGMAS * np.sqrt(np.diagonal(covariance)))
     changed = nominal_head.with_parameters((values + np.stack([steps, -steps]))[:, :, None])
     depth = triangulate_views(changed, q, pixels).point[..., 2]
     by_step = (depth[0] - depth[1]) / 2.0  # (p, 2)

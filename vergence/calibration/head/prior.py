@@ -23,9 +23,9 @@ PRIOR: Final = ModelErrors(
 )
 """Prior standard deviations (chosen: they matter only for directions that the recording does not
 determine)."""
-_COEFFICIENTS: Final = {"p1": 0.005, "p2": 0.005}
+_COEFFICIENT_SIGMA: Final = {"p1": 0.005, "p2": 0.005}
 """Prior standard deviations of lens coefficients, by name (chosen)."""
-_OTHER_COEFFICIENTS: Final = 0.1
+_OTHER_COEFFICIENT_SIGMA: Final = 0.1
 """Prior standard deviation of other lens coefficients (chosen)."""
 
 
@@ -46,7 +46,7 @@ def parameter_prior_sigma(head: HeadModel, cameras: bool = True) -> FloatArray:
         if ".camera." not in name:
             continue
         if spreads[place] == 0.0:
-            spreads[place] = _COEFFICIENTS.get(own, _OTHER_COEFFICIENTS)
+            spreads[place] = _COEFFICIENT_SIGMA.get(own, _OTHER_COEFFICIENT_SIGMA)
         if record is not None and name in record.sigma:
             spreads[place] = record.sigma[name]
         if not cameras:

@@ -29,11 +29,11 @@ from vergence.models.joints import EYE_NAMES
 
 DEPTHS_M: Final = (0.3, 0.5, 1.0, 2.0, 2.5, 3.0)
 """Distances of the table of depth, m (chosen: the range of use)."""
-_HEADLINE_M: Final = (0.5, 1.0, 2.5)
+_SUMMARY_DISTANCES_M: Final = (0.5, 1.0, 2.5)
 """Distances of the summary at the top of the report, m (chosen)."""
-_MAPS_M: Final = (1.0, 2.5)
+_MAP_DISTANCES_M: Final = (1.0, 2.5)
 """Distances of the maps of depth errors, m (chosen)."""
-_SHOWN: Final[dict[str, tuple[float, str, int]]] = {
+_UNIT_FORMATS: Final[dict[str, tuple[float, str, int]]] = {
     "rad": (180.0 / np.pi, "°", 4),
     "m": (1e3, "mm", 3),
     "px": (1.0, "px", 2),
@@ -222,7 +222,7 @@ def write_report(
         recording: facts on the origin of the frames, by name.
     """
     drawn = _figures(calibration).items()
-    depth = predict_depth_errors(calibration, points_ahead(np.array(_HEADLINE_M)))
+    depth = predict_depth_errors(calibration, points_ahead(np.array(_SUMMARY_DISTANCES_M)))
     page = jinja_environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = page.from_string(read_template("vergence.calibration.head", "head.html.jinja"))
     text = template.render(
@@ -232,7 +232,7 @@ def write_report(
         recording=recording,
         headline=_headline(depth),
         eyes=EYE_NAMES,
-        maps=[f"{each:g}" for each in _MAPS_M],
+        maps=[f"{each:g}" for each in _MAP_DISTANCES_M],
         dropped=[
             [f"{one.time_s:.2f} s, {one.eye}", one.why]
             for one in left_out_views(calibration)[:_MOST_ROWS]
@@ -260,7 +260,7 @@ def _headline(depth: DepthErrors) -> list[tuple[str, str, str]]:
 def _figures(calibration: HeadCalibration) -> dict[str, Figure]:
     """Draw all figures, by name."""
     drawn = {"depth": depth_figures.depth_by_distance(calibration)}
-    for distance in _MAPS_M:
+    for distance in _MAP_DISTANCES_M:
         drawn[f"map-{distance:g}"] = depth_figures.depth_map(calibration, distance)
     drawn["views"] = figures.residuals_over_time(calibration)
     for eye, name in enumerate(EYE_NAMES):
@@ -282,7 +282,7 @@ def _number_rows(calibration: HeadCalibration) -> list[list[str]]:
         calibration.solution.state.values.tolist(), calibration.sigma.tolist(),
         own.prior_sigma.tolist(), strict=True,
     ):  # fmt: skip
-        scale, said, digits = _SHOWN[unit]
+        scale, said, digits = _UNIT_FORMATS[unit]
         free = spread > 0.0
         rows.append(
             [

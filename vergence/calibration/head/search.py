@@ -20,7 +20,7 @@ _ELEVATIONS: Final = np.deg2rad((-25.0, 0.0, 25.0))
 """Elevations to look at, rad (chosen, see `_AZIMUTHS`)."""
 _NECK_SHARES: Final = (0.0, -0.6, 0.6)
 """Fractions of the way from rest to a limit for the neck's first and last joint (chosen)."""
-_SAME_RAD: Final = 0.02
+_SAME_POSTURE_RAD: Final = 0.02
 """Largest joint difference of two postures that count as equal, rad (chosen)."""
 _AHEAD_M: Final = 1.0
 """Forward distance of the fixated points, m (chosen)."""
@@ -95,6 +95,6 @@ def _directions(head: HeadModel) -> Iterator[FloatArray]:
     found.sort(key=lambda q: float(np.abs(q - rest).sum()))
     taken: list[FloatArray] = []
     for q in found:
-        if all(np.abs(q - one).max() > _SAME_RAD for one in taken):
+        if all(np.abs(q - one).max() > _SAME_POSTURE_RAD for one in taken):
             taken.append(q)
             yield q

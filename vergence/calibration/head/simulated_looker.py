@@ -18,7 +18,7 @@ from vergence.vision import EyeCamera, TargetDrawing, make_detector
 
 _LOOK_S: Final = 1.0
 """Simulated time per look, s (chosen)."""
-_TILT: Final = (0.25, -0.2, 0.1)
+_BOARD_ROTATION_VECTOR: Final = (0.25, -0.2, 0.1)
 """Rotation vector of the board from upright, in its frame, rad (chosen: as if set up by hand)."""
 _BORDER_PX: Final = 3.0
 """Least distance of corners to the image's border, px (chosen: room for a detector)."""
@@ -41,7 +41,7 @@ def board_ahead(head: HeadModel, target: PlanarTarget, distance_m: float) -> Flo
     left, right = head.base_pose(q) @ head.camera_poses(q)
     ahead = left[:3, 2] + right[:3, 2]
     pose = np.eye(4)
-    pose[:3, :3] = left[:3, :3] @ Rotation.from_rotvec(_TILT).as_matrix()
+    pose[:3, :3] = left[:3, :3] @ Rotation.from_rotvec(_BOARD_ROTATION_VECTOR).as_matrix()
     middle = 0.5 * (left[:3, 3] + right[:3, 3]) + distance_m * ahead / np.linalg.norm(ahead)
     pose[:3, 3] = middle - pose[:3, :2] @ target.corners_m.mean(axis=0)
     return pose

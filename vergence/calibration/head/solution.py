@@ -14,18 +14,18 @@ from vergence.models.parts import FloatArray
 
 _MOST_STEPS: Final = 60
 """Largest number of Levenberg-Marquardt steps (numerical)."""
-_SAME_COST: Final = 1e-3
+_COST_TOLERANCE: Final = 1e-3
 """Change of the cost below which the adjustment ends; an error of one standard deviation in one
 parameter changes the cost by 1 (numerical)."""
-_ROUNDING: Final = 1e-9
+_COST_ROUNDING: Final = 1e-9
 """Relative change of the cost that counts as rounding (numerical)."""
-_ROUGH: Final = 1e-3
+_ROBUST_TOLERANCE: Final = 1e-3
 """Relative change of the cost below which a robust fit ends, as a fit to the inliers follows
 (numerical)."""
 FIRST_CAUCHY_SCALE: Final = 1e4
 """Typical mean square of a corner's residuals with the nominal head, in units of sigma^2 (chosen:
 it corresponds to errors of degrees)."""
-_LESS: Final = 0.7
+_SCALE_UPDATE_RATIO: Final = 0.7
 """Ratio to its old value below which the typical mean square replaces it (chosen)."""
 _MOST_DAMPING: Final = 1e9
 """Damping above which the adjustment ends (numerical)."""
@@ -82,7 +82,7 @@ def solve(
     weights: Weights,
     *,
     cauchy_scale: float = np.inf,
-    tolerance: float = _SAME_COST,
+    tolerance: float = _COST_TOLERANCE,
 ) -> HeadSolution:
     """Find the unknowns with the least sum of squares, by Levenberg and Marquardt.
 
@@ -119,10 +119,12 @@ def solve(
             state, now = moved, then
             damping *= 0.1
             cauchy_scale = _typical_square(problem, now, weights)
-            if robust and cauchy_scale < _LESS * weights.cauchy_scale:
+            if robust and cauchy_scale < _SCALE_UPDATE_RATIO * weights.cauchy_scale:
                 weights = weights._replace(cauchy_scale=cauchy_scale)
                 now = problem.linearised(state, weights)
-            elif change < max(tolerance, (_ROUGH if robust else _ROUNDING) * now.cost):
+            elif change < max(
+                tolerance, (_ROBUST_TOLERANCE if robust else _COST_ROUNDING) * now.cost
+            ):
                 break
         else:
             damping = max(10.0 * damping, 1.0)

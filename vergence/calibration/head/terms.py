@@ -30,7 +30,7 @@ from vergence.models.parts import FloatArray
 
 AUTO: Final = "auto"
 TERMS: Final = (*TERM_KINDS, "axes")
-_CHANCE: Final = 1e-3
+_FALSE_TRIAL_PROBABILITY: Final = 1e-3
 """Probability that an absent term is tried, if all errors are independent (chosen)."""
 _LEAST_GAIN: Final = 0.02
 """Least gain of a term in the mean logarithm of the poses' cross-validation errors, see
@@ -39,12 +39,12 @@ _LEAST_GAIN_OF_PLAY: Final = 0.15
 """Least gain of backlash if readings scatter even with it. A reading error also changes the
 difference to the previous reading, whose sign then predicts some of the error, just as with
 backlash (chosen: readings that scatter by 0.1 degrees, four times their steps, gain 0.06 so)."""
-_WORTH: Final = 0.5 * _LEAST_GAIN
+_LEAST_TRIAL_FRACTION: Final = 0.5 * _LEAST_GAIN
 """Fraction of the mean squares of corners and readings, 2 together, by which a first step has to
 reduce them for the term to be tried (chosen: the final reduction may be larger)."""
 _MOST_FRAMES: Final = 200
 """Approximate number of frames on which terms are tried (chosen: more take longer)."""
-_SURELY: Final = 2.0
+_SIGNIFICANT_SIGMAS: Final = 2.0
 """Standard errors by which the mean gain over the poses has to exceed zero (chosen)."""
 
 
@@ -186,7 +186,7 @@ def _gains(
     # while a term is missing, its error enlarges the readings' sigma and so reduces the gain
     own, scatter_ratio = solution.problem.joint_errors.is_single, solution.problem.scatter_ratio
     belief = 1.0 if scatter_ratio is None else float(scatter_ratio.max()) ** 2
-    worth = _WORTH * 2.0 * own.sum() / belief
+    worth = _LEAST_TRIAL_FRACTION * 2.0 * own.sum() / belief
     return {
         term: gain / noise
         for term, gain in gains.items()
@@ -205,7 +205,7 @@ def _gain(normal: NormalEquations, mine: NDArray[np.bool_], others: NDArray[np.b
 
 def _chance(numbers: int) -> float:
     """Bound on the reduction of the sum of squares by chance; inf without parameters."""
-    return float(chi2.ppf(1.0 - _CHANCE, numbers)) if numbers else np.inf
+    return float(chi2.ppf(1.0 - _FALSE_TRIAL_PROBABILITY, numbers)) if numbers else np.inf
 
 
 def _predicts_better(richer: HeadFit, simpler: HeadFit, least: float) -> bool:
@@ -225,5 +225,5 @@ def _predicts_better(richer: HeadFit, simpler: HeadFit, least: float) -> bool:
         cross_validate(richer.solution, kept).poses
     )
     less = less[np.isfinite(less)]
-    surely = _SURELY * np.std(less) / np.sqrt(max(len(less), 1))
+    surely = _SIGNIFICANT_SIGMAS * np.std(less) / np.sqrt(max(len(less), 1))
     return len(less) > 1 and bool(np.mean(less) >= max(surely, least))

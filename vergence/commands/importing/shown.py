@@ -94,10 +94,10 @@ def _print_assumed(assumptions: Iterable[AssumedValue]) -> None:
 def _values(field: str, members: list[AssumedValue]) -> str:
     """Field with its distinct values; the field alone if the values are long."""
     values = " or ".join(dict.fromkeys(one.value for one in members))
-    return f"{field} {values}" if len(values) <= _LONGEST else field
+    return f"{field} {values}" if len(values) <= _MAX_VALUES_LENGTH else field
 
 
-_LONGEST: Final = 40
+_MAX_VALUES_LENGTH: Final = 40
 """Longest values that are printed with their field, characters (chosen: detail against length)."""
 
 

@@ -30,9 +30,9 @@ MAX_PART_BYTES: Final = {MANIFEST_PART: 2**18, NETWORK_PART: MAX_NETWORK_BYTES}
 """Largest size of each part once unpacked, bytes."""
 
 _PRETRAINED = resources.files("vergence.controllers") / "pretrained"
-_ENCRYPTED: Final = 0x1
+_ENCRYPTED_FLAG: Final = 0x1
 """Flag of an encrypted entry (physical: ZIP format, general purpose bit 0)."""
-_DATE: Final = (1980, 1, 1, 0, 0, 0)
+_ENTRY_DATE: Final = (1980, 1, 1, 0, 0, 0)
 """Date of each entry, so that equal content gives equal files (physical: earliest of ZIP)."""
 
 
@@ -167,7 +167,7 @@ def _pack(parts: dict[str, bytes]) -> bytes:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
         for name, content in parts.items():
-            entry = zipfile.ZipInfo(name, _DATE)
+            entry = zipfile.ZipInfo(name, _ENTRY_DATE)
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.external_attr = 0o644 << 16
             entry.create_system = 3  # fixed, as the default depends on the platform
@@ -207,7 +207,7 @@ def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
         raise BundleError(
             f"{entry.filename}: expected it stored or deflated, got method {entry.compress_type}"
         )
-    if entry.flag_bits & _ENCRYPTED:
+    if entry.flag_bits & _ENCRYPTED_FLAG:
         raise BundleError(f"{entry.filename}: expected it in the clear, got it encrypted")
     with archive.open(entry) as file:
         content = file.read(limit + 1)

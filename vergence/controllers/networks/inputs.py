@@ -90,8 +90,8 @@ class Inputs:
         self.kind = kind
         self.head = head
         self.layout = layout
-        self.predictor = Predictor(head=head, layout=layout) if kind in _PREDICTED else None
-        self._gate = OutlierGate(head, layout) if kind in _GATED else None
+        self.predictor = Predictor(head=head, layout=layout) if kind in _PREDICTED_KINDS else None
+        self._gate = OutlierGate(head, layout) if kind in _GATED_KINDS else None
         actuation = head.actuation
         self._acceleration = np.array(actuation.acceleration[EYES])
         self._lag_ratio = np.array(actuation.lag_ratio[EYES])
@@ -135,7 +135,9 @@ class Inputs:
         if self.kind == "observation":
             return None
         actuators = self.layout.action_names
-        places = [[self.names.index(f"{c}_{a}") for a in actuators] for c in _KNOWN[self.kind]]
+        places = [
+            [self.names.index(f"{c}_{a}") for a in actuators] for c in _KNOWN_CHANNELS[self.kind]
+        ]
         return np.array(places)
 
     def low(self) -> NDArray[np.float32]:
@@ -178,7 +180,7 @@ class Inputs:
         if self._gate is not None:
             detections = self._gate.update(seen, state[..., self._of_gate])
             at, error = detections.positions_at_exposure, detections.pixel_error
-            asked = ibvs_velocities(self.head, at, error, _UNIT, np.nan, _UNLIMITED)
+            asked = ibvs_velocities(self.head, at, error, _UNIT_GAINS, np.nan, _NO_SPEED_LIMITS)
             if self._history is not None:
                 memory = state[..., self._of_history]
                 channels = self._history.update(seen, detections, asked, memory, shape)
@@ -232,12 +234,12 @@ class Inputs:
         return inputs
 
 
-_PREDICTED = ("predicted", "to_go")
-_GATED = ("error", "history", "predicted")
-_KNOWN = {
+_PREDICTED_KINDS = ("predicted", "to_go")
+_GATED_KINDS = ("error", "history", "predicted")
+_KNOWN_CHANNELS = {
     "error": ("visible",),
     "history": tuple(f"seen_{k}" for k in range(IMAGES)),
-    **dict.fromkeys(_PREDICTED, ("known",)),
+    **dict.fromkeys(_PREDICTED_KINDS, ("known",)),
 }
-_UNIT = np.ones((2, 2))
-_UNLIMITED = np.full(4, 1e9)
+_UNIT_GAINS = np.ones((2, 2))
+_NO_SPEED_LIMITS = np.full(4, 1e9)

@@ -130,7 +130,9 @@ class Manifest:
         for key, value in content.items():
             kind = kinds.get(key, dict)
             if type(value) is not kind:
-                raise BundleError(f"manifest: {key}: expected a {_JSON[kind]}, got {value!r:.60}")
+                raise BundleError(
+                    f"manifest: {key}: expected a {_JSON_TYPE_NAMES[kind]}, got {value!r:.60}"
+                )
         return cls(**content)
 
     @property
@@ -196,7 +198,7 @@ _NO_SENSOR: Final = SensorModel(
     dropped_frame_probability=0.0,
     max_smear_px=0.0,
 )
-_JSON: Final = {str: "text", float: "number with a point", list: "list", dict: "table"}
+_JSON_TYPE_NAMES: Final = {str: "text", float: "number with a point", list: "list", dict: "table"}
 
 
 def sensorless_digest(head: HeadModel) -> str:

@@ -38,21 +38,29 @@ OPSETS: Final = range(13, 26)
 """Versions of the default operator set in which the operators have the assumed meaning (physical:
 the ONNX standard)."""
 
-_REMARKS = {"doc_string", "metadata_props"}
+_COMMENT_FIELDS = {"doc_string", "metadata_props"}
 FIELDS: Final[dict[str, set[str]]] = {
     "ModelProto": {
         *("ir_version", "opset_import", "graph", "producer_name", "producer_version", "domain"),
-        *("model_version", *_REMARKS),
+        *("model_version", *_COMMENT_FIELDS),
     },
     "OperatorSetIdProto": {"domain", "version"},
-    "GraphProto": {"name", "node", "initializer", "input", "output", "value_info", *_REMARKS},
-    "NodeProto": {"name", "op_type", "domain", "input", "output", "attribute", *_REMARKS},
+    "GraphProto": {
+        "name",
+        "node",
+        "initializer",
+        "input",
+        "output",
+        "value_info",
+        *_COMMENT_FIELDS,
+    },
+    "NodeProto": {"name", "op_type", "domain", "input", "output", "attribute", *_COMMENT_FIELDS},
     "AttributeProto": {"name", "type", "f", "i", "s", "t", "doc_string"},
     "TensorProto": {
         *("name", "dims", "data_type", "data_location", "raw_data", "float_data", "int64_data"),
-        *_REMARKS,
+        *_COMMENT_FIELDS,
     },
-    "ValueInfoProto": {"name", "type", *_REMARKS},
+    "ValueInfoProto": {"name", "type", *_COMMENT_FIELDS},
     "TypeProto": {"tensor_type", "denotation"},
     "Tensor": {"elem_type", "shape"},
     "TensorShapeProto": {"dim"},

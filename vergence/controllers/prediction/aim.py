@@ -19,11 +19,11 @@ from vergence.models.packed import PackedHead, camera_of, eye_joint_angle
 from vergence.models.parts import FloatArray
 from vergence.models.pose import point_rate, point_to_local, point_to_outer
 
-_STEPS: Final = 12
+_MAX_ITERATIONS: Final = 12
 """Iteration limit of Gauss-Newton (numerical)."""
 _MAX_STEP_RAD: Final = 0.5
 """Largest step of one iteration, rad; longer steps are scaled down (numerical)."""
-_NEAR_RAD: Final = 1e-6
+_CONVERGED_STEP_RAD: Final = 1e-6
 """Convergence tolerance: largest actuator step at which iteration stops, rad (numerical)."""
 
 
@@ -71,7 +71,7 @@ def least_squares_aim(
     actuator_least_squares(p, jacobian, wanted, left, right, step)
     for k in range(4):
         out[k] = present[k] + step[k]
-    for _ in range(_STEPS):
+    for _ in range(_MAX_ITERATIONS):
         for eye in range(2):
             if not (right if eye else left):
                 continue
@@ -95,5 +95,5 @@ def least_squares_aim(
         scale = _MAX_STEP_RAD / max(size, _MAX_STEP_RAD)
         for k in range(4):
             out[k] += scale * step[k]
-        if not size > _NEAR_RAD:
+        if not size > _CONVERGED_STEP_RAD:
             return

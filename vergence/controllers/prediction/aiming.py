@@ -12,12 +12,12 @@ from vergence.models.kinematics import eye_frames, point_in_eye
 from vergence.models.packed import PackedHead, camera_of
 from vergence.models.pose import point_to_outer
 
-_SURE: Final = 0.9
+_REST_PROBABILITY: Final = 0.9
 """Probability of rest above which a target is treated as resting (chosen)."""
-_CLEARLY: Final = 0.5
+_BLUR_SPEED_FRACTION: Final = 0.5
 """Fraction of the motion-blur speed limit (`PredictorParameters.max_slip_rad_s`) that an eye may
 reach relative to its target (chosen: margin for exposure against speed of pursuit)."""
-_GRACE_S: Final = 0.03
+_LATE_IMAGE_GRACE_S: Final = 0.03
 """Time after the next image is due during which an eye keeps following the extrapolated motion, s
 (chosen: tolerates late frames)."""
 
@@ -29,10 +29,13 @@ def extrapolate_targets(state: PredictorState, params: PredictorParameters, tick
     `later_rates` are the rates when that command shows in the motion, a lag and half a period
     later.
     """
-    moves = params.targets_move > 0.5 and state.mode_probabilities[0] < _SURE
+    moves = params.targets_move > 0.5 and state.mode_probabilities[0] < _REST_PROBABILITY
     effect_delay_s = exp(selected_model(state.response).parameters[2]) + 0.5 * params.period_s
     expected_s = (
-        state.delay_s + params.frame_s + (tick - state.periods) * params.period_s + _GRACE_S
+        state.delay_s
+        + params.frame_s
+        + (tick - state.periods) * params.period_s
+        + _LATE_IMAGE_GRACE_S
     )
     slow = 1.0
     for eye in range(2):
@@ -44,7 +47,9 @@ def extrapolate_targets(state: PredictorState, params: PredictorParameters, tick
                 motions, resting = state.motions[eye], state.goals[eye, joint]
                 if joint == 0:
                     slow = visible_speed_fraction(
-                        motions, state.mode_probabilities, _CLEARLY * params.max_slip_rad_s
+                        motions,
+                        state.mode_probabilities,
+                        _BLUR_SPEED_FRACTION * params.max_slip_rad_s,
                     )
                 angle, rate = extrapolate(
                     motions, state.mode_probabilities, resting, joint, time_s, expected_s, slow

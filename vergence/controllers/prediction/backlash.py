@@ -17,20 +17,20 @@ from vergence.controllers.prediction.predictor_state import PredictorState
 from vergence.models.packed import PackedHead, joint_per_actuator
 from vergence.models.parts import FloatArray
 
-_BACKLASH_RAD: Final = 0.0006
+_CROSSING_SD_RAD: Final = 0.0006
 """Shift of a goal while a motor crosses its backlash, standard deviation, rad (chosen)."""
-_MOST_RAD: Final = 0.012
+_MAX_BACKLASH_RAD: Final = 0.012
 """Largest shift that is taken for backlash, rad (chosen)."""
-_LEAST_RAD: Final = 0.0012
+_MIN_BACKLASH_RAD: Final = 0.0012
 """Smallest shift that is taken for backlash, rad (chosen)."""
-_CLEAR: Final = 16.0
+_MIN_SQUARED_SHIFT: Final = 16.0
 """Squared shift of a goal, relative to the detection variance, above which it is no noise (chosen:
 4 sigma)."""
-_TURNS_RAD_S: Final = 0.01
+_MIN_REVERSING_COMMAND: Final = 0.01
 """Command below which a motor does not reverse, rad/s (chosen)."""
-_LATELY_S: Final = 0.25
+_RECENT_REVERSAL_S: Final = 0.25
 """Time after a reversal for which an eye may be at either end of the backlash, s (chosen)."""
-_FORGET: Final = 0.98
+_VARIANCE_DECAY: Final = 0.98
 """Per-image decay of the backlash variance that has been found (chosen)."""
 
 
@@ -44,7 +44,7 @@ def inflate_variance_at_reversal(state: PredictorState, p: PackedHead, command: 
         command: (4,) commands of the actuators, rad/s.
     """
     for k in range(4):
-        if abs(command[k]) < _TURNS_RAD_S:
+        if abs(command[k]) < _MIN_REVERSING_COMMAND:
             continue
         side = 1.0 if command[k] > 0.0 else -1.0
         if state.last_direction[k] == side:
@@ -54,7 +54,7 @@ def inflate_variance_at_reversal(state: PredictorState, p: PackedHead, command: 
             share = joint_per_actuator(p, j, k)
             if share == 0.0:
                 continue
-            eye, joint, backlash = j // 2, j % 2, _BACKLASH_RAD * share
+            eye, joint, backlash = j // 2, j % 2, _CROSSING_SD_RAD * share
             state.filter_variance[eye, joint] += backlash * backlash
             state.reversed_at[eye, joint] = state.periods
             motions: Motions = state.motions[eye]
@@ -86,13 +86,15 @@ def update_backlash_variance(
     Returns:
         The variance, rad^2; 0 if the motor has not reversed recently.
     """
-    state.backlash_variance[eye, joint] *= _FORGET
+    state.backlash_variance[eye, joint] *= _VARIANCE_DECAY
     since_s = (exposure_period - state.reversed_at[eye, joint]) * params.period_s
-    if since_s > _LATELY_S:
+    if since_s > _RECENT_REVERSAL_S:
         return 0.0
     off = measured_goal - state.goals[eye, joint]
-    clear = off * off > max(_CLEAR * state.detection_variance, _LEAST_RAD * _LEAST_RAD)
-    if at_rest and clear and abs(off) < _MOST_RAD:
+    clear = off * off > max(
+        _MIN_SQUARED_SHIFT * state.detection_variance, _MIN_BACKLASH_RAD * _MIN_BACKLASH_RAD
+    )
+    if at_rest and clear and abs(off) < _MAX_BACKLASH_RAD:
         half = 0.5 * off
         if state.jump_sign[eye, joint] * off < 0.0:
             state.backlash_variance[eye, joint] = max(

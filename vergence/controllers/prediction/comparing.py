@@ -16,7 +16,7 @@ from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.predictor_state import PredictorState, angle_at
 from vergence.models.parts import FloatArray
 
-_SWING_RAD_S2: Final = 4.0
+_TARGET_ACCELERATION_SD: Final = 4.0
 """Angular acceleration of a target, standard deviation, rad/s^2 (chosen: larger values make
 evidence on the delay rarer, smaller ones take target motion for a delay error)."""
 EXACT_RAD: Final = 0.0004
@@ -61,7 +61,7 @@ def compare_delays(
         return
     ratio = first / second
     more = 1.0 + (1.0 + ratio) ** 2 + ratio * ratio
-    swing, turns = _SWING_RAD_S2 * (first * params.period_s) ** 2, np.zeros(HYPOTHESES)
+    swing, turns = _TARGET_ACCELERATION_SD * (first * params.period_s) ** 2, np.zeros(HYPOTHESES)
     for eye in range(2):
         if not isfinite(goals[eye, 0] + one.goals[eye, 0] + two.goals[eye, 0]):
             continue

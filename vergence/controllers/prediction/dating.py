@@ -27,34 +27,34 @@ HYPOTHESES: Final = 32
 """Number of delay hypotheses (numerical)."""
 SPACING_S: Final = 0.008
 """Delay between neighbouring hypotheses, s (numerical)."""
-_EARLIER: Final = 12
+_MAX_EARLIER_HYPOTHESES: Final = 12
 """Largest number of hypotheses below the head's nominal delay (numerical)."""
-_LEAST_S: Final = -0.03
+_MIN_DELAY_S: Final = -0.03
 """Shortest delay considered, s (chosen); negative, as a stamped image has less latency than the
 joint readings."""
-_SD_S: Final = 0.035
+_PRIOR_SD_S: Final = 0.035
 """Prior standard deviation of the delay about its nominal value, s (chosen: trust in data sheets
 against the time to find a wrong one)."""
-_STAMPED_SD_S: Final = 0.012
+_STAMPED_PRIOR_SD_S: Final = 0.012
 """The prior standard deviation if the camera stamps exposures, s (chosen)."""
-_LARGEST_TERM: Final = 16.0
+_MAX_IMAGE_COST: Final = 16.0
 """Upper bound of the cost of one joint in one image (chosen): an image that fits no hypothesis is
 no evidence."""
-_RULED_OUT: Final = 150.0
+_RULED_OUT_COST: Final = 150.0
 """Excess of a cost over the least one above which a delay is ruled out (chosen: its weight is
 below exp(-75))."""
 _LARGEST_COST: Final = 2000.0
 """Upper bound of a cost, so that a ruled-out delay can return (chosen)."""
-_FORGET: Final = 0.97
+_COST_DECAY: Final = 0.97
 """Factor that remains of old costs after a fully informative image (chosen: noise against
 tracking of a delay that changes)."""
-_KEPT_IN_DOUBT: Final = 0.5
+_DOUBTED_COST_FACTOR: Final = 0.5
 """Factor that remains of the costs once no hypothesis explains the images (chosen)."""
 
 
 def first_hypothesis_delay(latency_s: float) -> float:
     """Delay of hypothesis 0, s, for a nominal delay; the nominal delay is one of the hypotheses."""
-    earlier = min(_EARLIER, max(floor((latency_s - _LEAST_S) / SPACING_S), 0))
+    earlier = min(_MAX_EARLIER_HYPOTHESES, max(floor((latency_s - _MIN_DELAY_S) / SPACING_S), 0))
     return latency_s - earlier * SPACING_S
 
 
@@ -67,7 +67,7 @@ def prior_costs(latency_s: float, stamped: bool, learn: bool) -> FloatArray:
         learn: True to estimate the delay on line; False rules out all but the nominal one.
     """
     delays = first_hypothesis_delay(latency_s) + SPACING_S * np.arange(HYPOTHESES)
-    sd = _STAMPED_SD_S if stamped else _SD_S
+    sd = _STAMPED_PRIOR_SD_S if stamped else _PRIOR_SD_S
     return np.asarray(((delays - latency_s) / (sd if learn else 1e-6)) ** 2)
 
 
@@ -78,9 +78,9 @@ def active_range(cost: FloatArray) -> tuple[int, int]:
     for i in range(HYPOTHESES):
         least = min(least, cost[i])
     low, high = 0, HYPOTHESES
-    while cost[low] - least > _RULED_OUT:
+    while cost[low] - least > _RULED_OUT_COST:
         low += 1
-    while cost[high - 1] - least > _RULED_OUT:
+    while cost[high - 1] - least > _RULED_OUT_COST:
         high -= 1
     return low, high
 
@@ -102,7 +102,7 @@ def delay_posterior(cost: FloatArray, low: int, high: int, weights: FloatArray) 
 @inlined
 def add_delay_cost(added: FloatArray, square: float, i: int) -> None:
     """Add a bounded squared normalised innovation to the cost that an image adds to delay `i`."""
-    added[i] += min(square, _LARGEST_TERM)
+    added[i] += min(square, _MAX_IMAGE_COST)
 
 
 @inlined
@@ -128,7 +128,7 @@ def accumulate_costs(cost: FloatArray, low: int, high: int, added: FloatArray) -
     least = most = added[low]
     for i in range(low, high):
         least, most = min(least, added[i]), max(most, added[i])
-    forget = 1.0 - (1.0 - _FORGET) * min(most - least, 1.0)
+    forget = 1.0 - (1.0 - _COST_DECAY) * min(most - least, 1.0)
     for i in range(HYPOTHESES):
         cost[i] *= forget
         if low <= i < high:
@@ -140,4 +140,4 @@ def accumulate_costs(cost: FloatArray, low: int, high: int, added: FloatArray) -
 def forget_delay_evidence(cost: FloatArray) -> None:
     """Forget part of the evidence on the delay."""
     for i in range(HYPOTHESES):
-        cost[i] *= _KEPT_IN_DOUBT
+        cost[i] *= _DOUBTED_COST_FACTOR

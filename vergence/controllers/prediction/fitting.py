@@ -51,7 +51,7 @@ _RATIOS: Final = (0.15, 120.0)
 """Bounds of the acceleration limit, as a ratio to the model's (chosen)."""
 _BUILD_UPS: Final = (0.03, 8.0)
 """Bounds of the build-up m (chosen)."""
-_MOST_GAIN: Final = 0.3
+_MAX_LOG_GAIN: Final = 0.3
 """Bound of the absolute logarithm of a speed gain (chosen)."""
 _MOVING_RAD_S: Final = 0.05
 """Actuator speed above which a window starts, rad/s (chosen)."""
@@ -61,33 +61,33 @@ _EXCITED_RAD_S: Final = 0.3
 _SPEED_SD: Final = 0.03
 """Model error of a velocity, standard deviation: rad/s, plus this fraction of the velocity
 (chosen)."""
-_SURE_S: Final = 0.0015
+_KNOWN_LATENCY_SD_S: Final = 0.0015
 """Standard deviation of the latency below which it counts as known, s (chosen)."""
-_SURE_RATIO: Final = 0.06
+_KNOWN_RATIO_SD: Final = 0.06
 """Standard deviation of the log acceleration ratio below which it counts as known (chosen)."""
-_GOOD: Final = 2.0
+_GOOD_FIT_MISFIT: Final = 2.0
 """Mean squared normalised residual below which a fit needs no other starting values (chosen)."""
 _SPACING_S: Final = 0.004
 """Spacing of the latencies tried, s (numerical)."""
-_TRIED: Final = 30
+_TRIED_LATENCIES: Final = 30
 """Number of latencies tried (numerical)."""
-_FASTER: Final = (3.0, 9.0, 27.0, 81.0)
-"""Acceleration ratios tried too, with the lags `_FASTER_LAGS_S`: motors unlike the model
+_FAST_MOTOR_RATIOS: Final = (3.0, 9.0, 27.0, 81.0)
+"""Acceleration ratios tried too, with the lags `_FAST_MOTOR_LAGS_S`: motors unlike the model
 (chosen)."""
-_FASTER_LAGS_S: Final = (0.008, 0.016, 0.03, 0.06)
-"""Lags tried with the acceleration ratios `_FASTER`, s (chosen)."""
-_BETTER: Final = 3.0
+_FAST_MOTOR_LAGS_S: Final = (0.008, 0.016, 0.03, 0.06)
+"""Lags tried with the acceleration ratios `_FAST_MOTOR_RATIOS`, s (chosen)."""
+_MIN_MISFIT_DECREASE: Final = 3.0
 """Decrease of the misfit needed to restart the fit at other values (chosen: guards against jumps
 between equal fits)."""
-_FLOORS: Final = (0.0008, 0.03, 0.05, 0.05)
+_MIN_PRIOR_SDS: Final = (0.0008, 0.03, 0.05, 0.05)
 """Least prior standard deviations that a window leaves: of latency in s, log ratio, log lag and
 build-up (chosen: keeps adapting)."""
-_LIMITS: Final = (0.006, 0.25, 0.25, 0.4)
+_MAX_STEPS: Final = (0.006, 0.25, 0.25, 0.4)
 """Longest Gauss-Newton steps: of latency in s, log ratio, log lag and build-up (numerical)."""
 _DIFFERENCES: Final = (0.5e-3, 0.02, 0.02, 0.02, 0.02)
 """Finite differences for the derivatives: of latency in s, log ratio, log lag, build-up and log
 gain (numerical)."""
-_EVIDENCE: Final = 15.0
+_MIN_SECOND_ORDER_EVIDENCE: Final = 15.0
 """Excess of squared normalised residuals of the plain model, relative to the misfit of the other
 one, above which the model with a build-up is used (chosen)."""
 _INFORMATIVE_S: Final = 0.06
@@ -96,7 +96,7 @@ begun to move, both models fit."""
 _LEAST_BUILD_UP: Final = 0.25
 """Least build-up that is used; the critical damping limit, below which nothing overshoots
 (physical: 1/4 of the second-order lag)."""
-_REMEMBERED: Final = 0.7
+_EVIDENCE_DECAY: Final = 0.7
 """Factor that remains of the evidence of earlier windows (chosen)."""
 
 
@@ -183,9 +183,12 @@ def _try_others(
     response: Response, model: ResponseModel, params: PredictorParameters, tick: int
 ) -> None:
     """Restart the fit at other parameter values where these explain the window better."""
-    known, free = model.parameters, model.variance[0] > _SURE_S**2
-    best = _posterior_cost(response, model, params, tick, known[0], known[1], known[2]) - _BETTER
-    for i in range(_TRIED if free else 0):
+    known, free = model.parameters, model.variance[0] > _KNOWN_LATENCY_SD_S**2
+    best = (
+        _posterior_cost(response, model, params, tick, known[0], known[1], known[2])
+        - _MIN_MISFIT_DECREASE
+    )
+    for i in range(_TRIED_LATENCIES if free else 0):
         latency = min(_SPACING_S * i, longest_latency(params))
         cost = _posterior_cost(response, model, params, tick, latency, known[1], known[2])
         if cost < best:
@@ -199,7 +202,7 @@ def _try_others(
             best, known[0], known[1], known[2] = cost, latency, ratio, log_lag
     for m in range(2):  # 2 of 16 per period, all in eight: motors very unlike the model
         i = (2 * tick + m) % 16
-        ratio, log_lag = log(_FASTER[i % 4]), log(_FASTER_LAGS_S[i // 4])
+        ratio, log_lag = log(_FAST_MOTOR_RATIOS[i % 4]), log(_FAST_MOTOR_LAGS_S[i // 4])
         cost = _posterior_cost(response, model, params, tick, known[0], ratio, log_lag)
         if cost < best:
             best, known[1], known[2] = cost, ratio, log_lag
@@ -298,7 +301,7 @@ def _fit(response: Response, model: ResponseModel, params: PredictorParameters, 
     model.residuals, model.misfit = residuals, residuals / max(count, 1.0)
     worse = max(1.0, model.misfit)
     for i in range(size):
-        updated = model.parameters[i] + min(max(step[i], -_LIMITS[i]), _LIMITS[i])
+        updated = model.parameters[i] + min(max(step[i], -_MAX_STEPS[i]), _MAX_STEPS[i])
         model.parameters[i] = min(max(updated, least[i]), most[i])
         for r in range(size):
             unit[r] = 1.0 if r == i else 0.0
@@ -309,7 +312,7 @@ def _fit(response: Response, model: ResponseModel, params: PredictorParameters, 
         for r in range(size):
             change -= mixed[j, r] * step[r]
         gain = model.gain[j] + min(max(change / own[j], -0.1), 0.1)
-        model.gain[j] = min(max(gain, -_MOST_GAIN), _MOST_GAIN)
+        model.gain[j] = min(max(gain, -_MAX_LOG_GAIN), _MAX_LOG_GAIN)
 
 
 @inlined
@@ -319,11 +322,11 @@ def _select(response: Response, lasted_s: float, ends: bool) -> None:
     excess = 0.0
     if lasted_s >= _INFORMATIVE_S:
         excess = (first_order.residuals - second_order.residuals) / max(second_order.misfit, 1.0)
-    better = response.evidence + excess > _EVIDENCE
+    better = response.evidence + excess > _MIN_SECOND_ORDER_EVIDENCE
     overshoots = second_order.parameters[3] > _LEAST_BUILD_UP
     response.selected = SECOND_ORDER if better and overshoots else FIRST_ORDER
     if ends:
-        response.evidence = _REMEMBERED * (response.evidence + excess)
+        response.evidence = _EVIDENCE_DECAY * (response.evidence + excess)
 
 
 @subroutine
@@ -368,8 +371,8 @@ def learn_response(response: Response, params: PredictorParameters, tick: int) -
         )
     # a well-known response is updated only once a window
     model = selected_model(response)
-    well_known = model.variance[0] < _SURE_S**2 and model.misfit < _GOOD
-    if excited and (ends or not well_known or model.variance[1] > _SURE_RATIO**2):
+    well_known = model.variance[0] < _KNOWN_LATENCY_SD_S**2 and model.misfit < _GOOD_FIT_MISFIT
+    if excited and (ends or not well_known or model.variance[1] > _KNOWN_RATIO_SD**2):
         for i in range(RESPONSE_MODELS):
             if not well_known:
                 _try_others(response, response.models[i], params, tick)
@@ -382,7 +385,7 @@ def learn_response(response: Response, params: PredictorParameters, tick: int) -
             _replay(response, model, params, tick, model.accelerations)
             for n in range(4):
                 model.prior[n] = model.parameters[n]
-                variance = max(1.2 * model.variance[n], _FLOORS[n] ** 2)
+                variance = max(1.2 * model.variance[n], _MIN_PRIOR_SDS[n] ** 2)
                 model.information[n] = 1.0 / variance
                 model.gain_prior[n] = model.gain[n]
         response.window_begin, response.window_end = -1.0, float(tick)

@@ -17,9 +17,9 @@ from vergence.controllers.prediction.moving import (
 from vergence.controllers.prediction.predictor_state import PredictorState, angle_at
 from vergence.models.parts import FloatArray
 
-_SLOW_RAD_S: Final = 0.02
+_MIN_SPEED_RAD_S: Final = 0.02
 """Least joint speed by which the slip of the eye on the target is normalised, rad/s (chosen)."""
-_ENCODER: Final = 0.6
+_ENCODER_SD_STEPS: Final = 0.6
 """Standard deviation that an encoder adds to a moving target's angle, as a fraction of its
 resolution.
 
@@ -76,8 +76,8 @@ def slip_variances(
             before = angle_at(state, params.keep_every, exposed - 0.5, eye, joint)
             speed = (after - before) / params.period_s
             share = speed - mean_rate(state.motions[eye], state.mode_probabilities, joint)
-            share = min((share / max(abs(speed), _SLOW_RAD_S)) ** 2, 1.0)
+            share = min((share / max(abs(speed), _MIN_SPEED_RAD_S)) ** 2, 1.0)
             dating = JITTER_S * JITTER_S * speed * speed
             own = variance[eye, joint] - (1.0 - share) * dating
-            step = _ENCODER * params.joint_step[eye, joint]
+            step = _ENCODER_SD_STEPS * params.joint_step[eye, joint]
             slip[eye, joint] = own + step * step + share * delay_variance[eye, joint]

@@ -58,17 +58,17 @@ from vergence.controllers.prediction.rest_or_motion import (
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
 
-_PROCESS: Final = 0.02
+_PROCESS_NOISE_FRACTION: Final = 0.02
 """Process noise of a goal per image, as a fraction of the detection variance (chosen: noise against
 tracking)."""
-_CREEPS_RAD: Final = 0.012
+_MIN_INFORMATIVE_RAD: Final = 0.012
 """Eye motions below this carry no evidence on the delay, rad (chosen): catching up with a slowly
 creeping target looks like another delay."""
-_CALMS: Final = 0.98
+_SWITCH_COUNT_DECAY: Final = 0.98
 """Per-image decay of the rest/motion switch counter (chosen)."""
-_MANY_TURNS: Final = 2.5
+_DOUBT_SWITCH_COUNT: Final = 2.5
 """Value of that counter above which the delay is doubted (chosen)."""
-_NOISE_SHARE: Final = 0.08
+_NOISE_WEIGHT: Final = 0.08
 """Weight of a new image in the estimate of the detection variance (chosen: noise against
 adaptation)."""
 _LEAST_NOISE_PX: Final = 0.02
@@ -201,7 +201,7 @@ def _learn_noise(
     """Update the detection variance with an image's squared deviations: their sum and number."""
     least, most = _LEAST_NOISE_PX * params.pixel_rad, _MOST_NOISE_PX * params.pixel_rad
     found = min(scatter / count, 9.0 * state.detection_variance)
-    noise = state.detection_variance + 0.25 * count * _NOISE_SHARE * (
+    noise = state.detection_variance + 0.25 * count * _NOISE_WEIGHT * (
         found - state.detection_variance
     )
     state.detection_variance = min(max(noise, least * least), most * most)
@@ -227,7 +227,7 @@ def _filter_joint(
     Returns:
         Squared deviation due to detection noise, rad^2; negative if other terms hide it.
     """
-    before = state.filter_variance[eye, joint] + _PROCESS * state.detection_variance
+    before = state.filter_variance[eye, joint] + _PROCESS_NOISE_FRACTION * state.detection_variance
     own = variance[eye, joint]
     gain = before / (before + own + delay_variance[eye, joint])
     least, most = inf, -inf
@@ -235,7 +235,7 @@ def _filter_joint(
         angle = angles_by_delay[i, eye, joint]
         least, most = min(least, angle), max(most, angle)
     expected = before + own + EXACT_RAD**2
-    bound = max(INFORMATIVE_RATIO * expected, _CREEPS_RAD**2)
+    bound = max(INFORMATIVE_RATIO * expected, _MIN_INFORMATIVE_RAD**2)
     informative = not moves and (most - least) ** 2 > bound
     for i in range(low, high):
         off = angles_by_delay[i, eye, joint] - angles_at_exposure[eye, joint]
@@ -356,8 +356,8 @@ def _filter(
         accumulate_costs(state.delay_cost, low, high, added)
         # if rest and motion alternate, neither explains the images: the delay may be wrong
         turned = moves != (targets_move and state.mode_probabilities[0] < 0.5)
-        state.mode_switches = _CALMS * state.mode_switches + (1.0 if turned else 0.0)
-        if turned and state.mode_switches > _MANY_TURNS:
+        state.mode_switches = _SWITCH_COUNT_DECAY * state.mode_switches + (1.0 if turned else 0.0)
+        if turned and state.mode_switches > _DOUBT_SWITCH_COUNT:
             forget_delay_evidence(state.delay_cost)
     _store_image(state, arrived, goals, angles_at_exposure)
     if count > 0:

@@ -13,15 +13,15 @@ from vergence.models.joints import EYES
 from vergence.models.kinematics import eye_frames
 from vergence.models.parts import FloatArray
 
-_GAP_RAD: Final = 0.008
+_MODEL_MISS_RATIO: Final = 0.008
 """Miss distance of both eyes' rays to one target, divided by its distance, that model errors cause
 (chosen)."""
-_NO_LIMIT: Final = 1e6
+_NO_ACCELERATION_LIMIT: Final = 1e6
 """Acceleration limit used for an actuator that has none, rad/s^2 (numerical)."""
 
 RING_LENGTH: Final = 64
 """Number of past joint angles in the ring buffer, a power of two (numerical)."""
-_RING_S: Final = 0.45
+_MIN_RING_S: Final = 0.45
 """Least time that the ring buffer covers, s (numerical: longer than every delay hypothesis)."""
 
 
@@ -68,7 +68,7 @@ class PredictorParameters:
     speed_limit: Annotated[FloatArray, 4]
     """Largest commands, rad/s."""
     acceleration_limit: Annotated[FloatArray, 4]
-    """Acceleration limits, rad/s^2; `_NO_LIMIT` for none."""
+    """Acceleration limits, rad/s^2; `_NO_ACCELERATION_LIMIT` for none."""
     lower: Annotated[FloatArray, 4]
     """Lower position limits, rad."""
     upper: Annotated[FloatArray, 4]
@@ -86,7 +86,7 @@ class PredictorParameters:
 
 PREDICTOR_PARAMETERS: Final = row_layout(PredictorParameters)
 PREDICTOR_PARAMETERS_SIZE: Final = row_size(PREDICTOR_PARAMETERS)
-_ORTHOGONAL: Final = 0.1
+_MAX_ORTHOGONAL_COSINE: Final = 0.1
 """Largest cosine between two axes that count as at right angles (chosen)."""
 
 
@@ -111,7 +111,7 @@ def pack_predictor_parameters(head: HeadModel, moving: bool = True) -> FloatArra
         latency_s=(0.0 if timing.exposure_stamps else timing.latency_s) - timing.feedback_latency_s,
         image_latency_s=0.0 if timing.exposure_stamps else timing.latency_s,
         response_s=timing.command_latency_s + timing.feedback_latency_s,
-        keep_every=np.ceil(_RING_S * timing.control_rate_hz / (RING_LENGTH - 4)),
+        keep_every=np.ceil(_MIN_RING_S * timing.control_rate_hz / (RING_LENGTH - 4)),
         lag_s=timing.lag_s,
         pixel_rad=pixel_rad,
         detection_px=sensor.detection_noise_px,
@@ -119,14 +119,16 @@ def pack_predictor_parameters(head: HeadModel, moving: bool = True) -> FloatArra
         frame_s=1.0 / timing.frame_rate_hz,
         max_slip_rad_s=min(sensor.max_smear_px * pixel_rad / max(timing.exposure_s, 1e-6), 1e6),
         targets_move=moving,
-        gap_rad=_GAP_RAD,
+        gap_rad=_MODEL_MISS_RATIO,
         lag_ratio=actuation.lag_ratio[EYES],
         angle_step=actuation.angle_step[EYES],
         speed_step=actuation.speed_step[EYES],
         speed_limit=actuation.velocity[EYES],
         # a finite number instead of infinity, which is slow; also where there is no actuator
         acceleration_limit=np.where(
-            moves, np.minimum(actuation.acceleration[EYES], _NO_LIMIT), _NO_LIMIT
+            moves,
+            np.minimum(actuation.acceleration[EYES], _NO_ACCELERATION_LIMIT),
+            _NO_ACCELERATION_LIMIT,
         ),
         lower=actuation.lower[EYES],
         upper=actuation.upper[EYES],
@@ -152,7 +154,7 @@ def joint_resolutions(head: HeadModel) -> FloatArray:
 def _is_orthogonal(packed: FloatArray, eye: int) -> bool:
     frames = eye_frames(packed, eye, 0.0, 0.0)
     axes = np.array([[frame.xz, frame.yz, frame.zz] for frame in frames])
-    return bool(np.abs((axes @ axes.T)[np.triu_indices(3, 1)]).max() < _ORTHOGONAL)
+    return bool(np.abs((axes @ axes.T)[np.triu_indices(3, 1)]).max() < _MAX_ORTHOGONAL_COSINE)
 
 
 @inlined

@@ -13,10 +13,10 @@ DISPLACED_GATE: Final = 36.0
 sigma)."""
 UNMOVED_GATE: Final = 9.0
 """Squared Mahalanobis distance up to which a goal is where it was (chosen: 3 sigma)."""
-_ALONE_S: Final = 0.25
+_OTHER_UNMOVED_S: Final = 0.25
 """Time for which one eye has to see its target displaced while the other sees it unmoved, s
 (chosen: false detections against reaction time)."""
-_DOUBTED_S: Final = 0.1
+_OTHER_UNSURE_S: Final = 0.1
 """This time if the other eye does not see its target, or sees it at a third place, s (chosen)."""
 
 
@@ -62,8 +62,8 @@ def has_jumped(
     """True if the displaced detection of one eye has stayed long enough to be its target.
 
     A lamp or a reflection may be taken for the target in several images. So a displaced target has
-    to be confirmed in as many images as the old one was, or for `_DOUBTED_S`, or for `_ALONE_S` if
-    the other eye sees its target unmoved.
+    to be confirmed in as many images as the old one was, or for `_OTHER_UNSURE_S`, or for
+    `_OTHER_UNMOVED_S` if the other eye sees its target unmoved.
 
     Args:
         state: the predictor's state; its count of images in a row is updated.
@@ -82,5 +82,5 @@ def has_jumped(
     state.displaced_count[eye] = state.displaced_count[eye] + 1.0 if again else 1.0
     for joint in range(2):
         state.displaced_goals[eye, joint] = goals[eye, joint]
-    most = max(round((_ALONE_S if alone else _DOUBTED_S) / params.frame_s), 2)
+    most = max(round((_OTHER_UNMOVED_S if alone else _OTHER_UNSURE_S) / params.frame_s), 2)
     return bool(state.displaced_count[eye] > min(max(state.confirmations[eye], 2.0), most) - 0.5)

@@ -14,16 +14,16 @@ from vergence.models.parts import FloatArray
 from vergence.models.pose import point_to_local
 from vergence.triangulation.lines_of_sight import depths_on_rays, rays_from_pixel_errors
 
-_MODEL: Final = 0.004
+_RELATIVE_MODEL_SD: Final = 0.004
 """Model error of the head, standard deviation as a fraction of the angle to turn (chosen)."""
-_ENCODER: Final = 0.3
+_ENCODER_SD_STEPS: Final = 0.3
 """Quantisation error of a moving joint's filtered angle, standard deviation as a fraction of the
 resolution (chosen: that of one rounded angle)."""
 JITTER_S: Final = 0.006
 """Jitter of the frames' latency, standard deviation, s (chosen)."""
 _MOVING_RAD_S: Final = 0.05
 """Joint speed above which encoder quantisation is added to the variance, rad/s (chosen)."""
-_NEWTON: Final = 10
+_MAX_NEWTON_STEPS: Final = 10
 """Iteration limit of Newton's method (numerical)."""
 
 
@@ -136,7 +136,7 @@ def measure_goals(
         q1, q2 = angles_at_exposure[eye, 0], angles_at_exposure[eye, 1]
         if state.known[eye] > 0.5:  # Newton's method from the last goal needs one step
             q1, q2 = state.goals[eye, 0], state.goals[eye, 1]
-        for _ in range(_NEWTON):
+        for _ in range(_MAX_NEWTON_STEPS):
             d1, d2 = fixate_step(p, eye, q1, q2, x, y, z)
             q1 += min(max(d1, -0.5), 0.5)
             q2 += min(max(d2, -0.5), 0.5)
@@ -171,7 +171,9 @@ def goal_variance(
     """
     after = angle_at(state, params.keep_every, exposed + 0.5, eye, joint)
     before = angle_at(state, params.keep_every, exposed - 0.5, eye, joint)
-    speed, model = (after - before) / params.period_s, _MODEL * turn
-    encoder = _ENCODER * params.joint_step[eye, joint] if abs(speed) > _MOVING_RAD_S else 0.0
+    speed, model = (after - before) / params.period_s, _RELATIVE_MODEL_SD * turn
+    encoder = (
+        _ENCODER_SD_STEPS * params.joint_step[eye, joint] if abs(speed) > _MOVING_RAD_S else 0.0
+    )
     jitter = JITTER_S * speed
     return state.detection_variance + jitter * jitter + model * model + encoder * encoder

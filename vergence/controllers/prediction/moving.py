@@ -32,46 +32,46 @@ MODES: Final = MODELS + 1
 """Number of mode probabilities: rest, then the motion models (numerical)."""
 ERRATIC: Final = MODELS - 1
 """Index of the model of a target that changes direction at random (numerical)."""
-_SD: Final = (0.05, 4.0, 5.0)
+_ACCELERATION_SD: Final = (0.05, 4.0, 5.0)
 """sigma_a of each motion model, rad/s^2 (chosen). The first one is for creeping targets: with 0.15
 its rate follows noise."""
-_FORGETS_S: Final = (1.0, 1.0, 0.05)
+_ACCELERATION_TIME_S: Final = (1.0, 1.0, 0.05)
 """T_a of each motion model, s (chosen)."""
-_START_RATE: Final = 0.5
+_PRIOR_RATE_SD: Final = 0.5
 """Prior standard deviation of a new target's rate, rad/s (chosen)."""
-_FASTEST: Final = 2.5
+_MAX_TARGET_RATE: Final = 2.5
 """Largest target rate, rad/s; estimates are clipped to it (chosen)."""
-_SWITCHES: Final = 0.02
+_SWITCH_PROBABILITY: Final = 0.02
 """Probability that a target switches to another model between two images (chosen)."""
-_RESTS: Final = 0.98
+_PRIOR_REST_PROBABILITY: Final = 0.98
 """Prior probability that a new target rests (chosen)."""
-_REST: Final = 0.7
+_REST_BONUS_AT_REST: Final = 0.7
 """Log-likelihood added in favour of rest at each image while the target probably rests (chosen)."""
-_STOPS: Final = 0.2
+_REST_BONUS_IN_MOTION: Final = 0.2
 """Log-likelihood added in favour of rest while it probably moves; a lower value keeps a creeping
 target from switching between rest and motion (measured on scenario `simulated`: with 0.7 speeds
 vary half as much again, with -0.3 a quarter)."""
 _GATE: Final = 36.0
 """Gate on the squared Mahalanobis distance of an innovation (chosen: 6 sigma)."""
-_NARROW: Final = 9.0
-"""Gate for a model whose probability is below `_LIKELY` (chosen: 3 sigma)."""
-_WORST: Final = 25.0
+_UNLIKELY_MODEL_GATE: Final = 9.0
+"""Gate for a model whose probability is below `_WIDE_GATE_PROBABILITY` (chosen: 3 sigma)."""
+_MAX_SQUARED_INNOVATION: Final = 25.0
 """Bound of the squared normalised innovation in a log-likelihood (chosen)."""
-_DOUBT: Final = 2.5
+_MAX_EYE_LOG_RATIO: Final = 2.5
 """Largest log-likelihood ratio that one eye contributes in one image (chosen: robust to
 outliers)."""
-_INFERRED_RAD: Final = 0.006
+_INFERRED_SD_RAD: Final = 0.006
 """Standard deviation of a target angle inferred from the other eye, rad (chosen)."""
-_LIKELY: Final = 0.1
+_WIDE_GATE_PROBABILITY: Final = 0.1
 """Mode probability above which a model has the wide gate (chosen)."""
-_UNSEEN_S: Final = 0.4
+_MAX_EXTRAPOLATION_S: Final = 0.4
 """Time after an image for which motion is extrapolated, s (chosen); then the aim returns to where
 the target was last seen."""
-_LASTS_S: Final = 0.3
+_ERRATIC_TIME_S: Final = 0.3
 """Mean time between changes of direction in the erratic model, s (chosen)."""
-_LEAST_SHARE: Final = 0.1
+_MIN_SPEED_FRACTION: Final = 0.1
 """Lower bound of the fraction `visible_speed_fraction` (chosen)."""
-_RETURNS_S: Final = 0.15
+_RETURN_TIME_S: Final = 0.15
 """Time constant of that return, s (chosen)."""
 
 
@@ -96,7 +96,9 @@ Motions: TypeAlias = Any
 def begin_modes(probabilities: FloatArray) -> None:
     """Initialise the mode probabilities of a new target."""
     for m in range(MODES):
-        probabilities[m] = _RESTS if m == 0 else (1.0 - _RESTS) / MODELS
+        probabilities[m] = (
+            _PRIOR_REST_PROBABILITY if m == 0 else (1.0 - _PRIOR_REST_PROBABILITY) / MODELS
+        )
 
 
 @inlined
@@ -108,16 +110,16 @@ def begin_motion(motions: Motions, goals: FloatArray, variance: float) -> None:
             motion.angle[joint] = goals[joint]
             motion.rate[joint] = motion.acceleration[joint] = 0.0
         c = motion.covariance
-        c[0], c[3], c[5] = variance, _START_RATE**2, _SD[m] * _SD[m]
+        c[0], c[3], c[5] = variance, _PRIOR_RATE_SD**2, _ACCELERATION_SD[m] * _ACCELERATION_SD[m]
         c[1] = c[2] = c[4] = 0.0
 
 
 @inlined
 def predict_modes(probabilities: FloatArray) -> None:
     """Predict the mode probabilities to the next image with the Markov transition matrix."""
-    other = _SWITCHES / MODELS
+    other = _SWITCH_PROBABILITY / MODELS
     for m in range(MODES):
-        probabilities[m] = (1.0 - _SWITCHES - other) * probabilities[m] + other
+        probabilities[m] = (1.0 - _SWITCH_PROBABILITY - other) * probabilities[m] + other
 
 
 @inlined
@@ -129,22 +131,26 @@ def mix_models(motions: Motions, probabilities: FloatArray, mixed: FloatArray) -
         probabilities: (MODES,) mode probabilities after the last image.
         mixed: (MODELS, 12) work space.
     """
-    other = _SWITCHES / MODELS
+    other = _SWITCH_PROBABILITY / MODELS
     for m in range(MODELS):
         total = 1e-12
         for n in range(MODELS):
-            total += ((1.0 - _SWITCHES) if n == m else other) * probabilities[n + 1]
+            total += ((1.0 - _SWITCH_PROBABILITY) if n == m else other) * probabilities[n + 1]
         for i in range(12):
             mixed[m, i] = 0.0
         for n in range(MODELS):
-            share = ((1.0 - _SWITCHES) if n == m else other) * probabilities[n + 1] / total
+            share = (
+                ((1.0 - _SWITCH_PROBABILITY) if n == m else other) * probabilities[n + 1] / total
+            )
             motion: EyeMotion = motions[n]
             for joint in range(2):
                 mixed[m, joint] += share * motion.angle[joint]
                 mixed[m, 2 + joint] += share * motion.rate[joint]
                 mixed[m, 4 + joint] += share * motion.acceleration[joint]
         for n in range(MODELS):
-            share = ((1.0 - _SWITCHES) if n == m else other) * probabilities[n + 1] / total
+            share = (
+                ((1.0 - _SWITCH_PROBABILITY) if n == m else other) * probabilities[n + 1] / total
+            )
             motion = motions[n]
             for i in range(6):
                 mixed[m, 6 + i] += share * motion.covariance[i]
@@ -177,7 +183,7 @@ def predict_motions(motions: Motions, time_s: float) -> None:
     t2, t3 = t * t, t * t * t
     for m in range(MODELS):
         motion: EyeMotion = motions[m]
-        forgets = _FORGETS_S[m]
+        forgets = _ACCELERATION_TIME_S[m]
         left = exp(-t / forgets)
         f13 = forgets * forgets * (t / forgets - 1.0 + left)
         f23 = forgets * (1.0 - left)
@@ -186,7 +192,7 @@ def predict_motions(motions: Motions, time_s: float) -> None:
             motion.angle[joint] += t * motion.rate[joint] + f13 * a
             motion.rate[joint] += f23 * a
             motion.acceleration[joint] = left * a
-        c, noise = motion.covariance, 2.0 * _SD[m] * _SD[m] / forgets
+        c, noise = motion.covariance, 2.0 * _ACCELERATION_SD[m] * _ACCELERATION_SD[m] / forgets
         p11, p12, p13, p22, p23, p33 = c[0], c[1], c[2], c[3], c[4], c[5]
         # rows of F P, then F P F'
         a11, a12 = p11 + t * p12 + f13 * p13, p12 + t * p22 + f13 * p23
@@ -206,7 +212,10 @@ def passes_gate(
     """True if measured angles (2,) of given variances pass the gate of a model."""
     for m in range(MODELS):
         motion: EyeMotion = motions[m]
-        inside, gate = True, _GATE if probabilities[m + 1] > _LIKELY else _NARROW
+        inside, gate = (
+            True,
+            _GATE if probabilities[m + 1] > _WIDE_GATE_PROBABILITY else _UNLIKELY_MODEL_GATE,
+        )
         for joint in range(2):
             innovation = goals[joint] - motion.angle[joint]
             inside = inside and innovation * innovation < gate * (
@@ -227,7 +236,7 @@ def kalman_update(motion: EyeMotion, goals: FloatArray, variance: float) -> None
         innovation = goals[joint] - motion.angle[joint]
         motion.angle[joint] += k1 * innovation
         rate = motion.rate[joint] + k2 * innovation
-        motion.rate[joint] = min(max(rate, -_FASTEST), _FASTEST)
+        motion.rate[joint] = min(max(rate, -_MAX_TARGET_RATE), _MAX_TARGET_RATE)
         motion.acceleration[joint] += k3 * innovation
     p11, p12, p13 = c[0], c[1], c[2]
     c[0], c[1], c[2] = p11 - k1 * p11, p12 - k1 * p12, p13 - k1 * p13
@@ -266,7 +275,7 @@ def update_models(
 @inlined
 def update_from_other_eye(motions: Motions, goals: FloatArray, variance: FloatArray) -> None:
     """Update an eye's models with angles (2,) inferred from the other eye; `variance` is (2,)."""
-    own = 0.5 * (variance[0] + variance[1]) + _INFERRED_RAD * _INFERRED_RAD
+    own = 0.5 * (variance[0] + variance[1]) + _INFERRED_SD_RAD * _INFERRED_SD_RAD
     for m in range(MODELS):
         kalman_update(motions[m], goals, own)
 
@@ -274,7 +283,7 @@ def update_from_other_eye(motions: Motions, goals: FloatArray, variance: FloatAr
 @inlined
 def innovation_nll(innovation: float, variance: float) -> float:
     """Negative log-likelihood of an innovation of a given variance, with a bounded square."""
-    return 0.5 * (min(innovation * innovation / variance, _WORST) + log(variance))
+    return 0.5 * (min(innovation * innovation / variance, _MAX_SQUARED_INNOVATION) + log(variance))
 
 
 @inlined
@@ -287,13 +296,13 @@ def add_bounded_nll(nll: FloatArray, eye_nll: FloatArray) -> None:
     for m in range(1, MODES):
         least = min(least, eye_nll[m])
     for m in range(MODES):
-        nll[m] += min(eye_nll[m] - least, _DOUBT)
+        nll[m] += min(eye_nll[m] - least, _MAX_EYE_LOG_RATIO)
 
 
 @inlined
 def update_modes(probabilities: FloatArray, nll: FloatArray) -> None:
     """Update the mode probabilities with the negative log-likelihoods of an image."""
-    rest = _REST if probabilities[0] > 0.5 else _STOPS
+    rest = _REST_BONUS_AT_REST if probabilities[0] > 0.5 else _REST_BONUS_IN_MOTION
     least = nll[0] - rest
     for m in range(MODELS):
         least = min(least, nll[m + 1])
@@ -322,7 +331,7 @@ def visible_speed_fraction(
 ) -> float:
     """Fraction of the target's speed at which an eye still sees it even if it has reversed."""
     speed = hypot(mean_rate(motions, probabilities, 0), mean_rate(motions, probabilities, 1))
-    return min(max((max_slip_rad_s - speed) / max(speed, 1e-6), _LEAST_SHARE), 1.0)
+    return min(max((max_slip_rad_s - speed) / max(speed, 1e-6), _MIN_SPEED_FRACTION), 1.0)
 
 
 @inlined
@@ -347,21 +356,21 @@ def extrapolate(
         visible_speed_fraction: fraction of its speed at which it is followed after that time, from
             the function of this name.
     """
-    left = exp(-max(time_s - _UNSEEN_S, 0.0) / _RETURNS_S)
-    slow = visible_speed_fraction * max(min(time_s, _UNSEEN_S) - expected_s, 0.0)
+    left = exp(-max(time_s - _MAX_EXTRAPOLATION_S, 0.0) / _RETURN_TIME_S)
+    slow = visible_speed_fraction * max(min(time_s, _MAX_EXTRAPOLATION_S) - expected_s, 0.0)
     slower = left * (visible_speed_fraction if time_s > expected_s else 1.0)
-    time_s = min(time_s, _UNSEEN_S, expected_s)
+    time_s = min(time_s, _MAX_EXTRAPOLATION_S, expected_s)
     offset = rate = 0.0
     for m in range(MODELS):
         motion: EyeMotion = motions[m]
-        forgets, w, a = _FORGETS_S[m], motion.rate[joint], motion.acceleration[joint]
+        forgets, w, a = _ACCELERATION_TIME_S[m], motion.rate[joint], motion.acceleration[joint]
         kept = exp(-time_s / forgets)
         now = w + a * forgets * (1.0 - kept)
         turn = w * time_s + a * forgets * forgets * (time_s / forgets - 1.0 + kept)
         share = 1.0
         if m == ERRATIC:  # it may have changed direction by then
-            share, lasts = visible_speed_fraction, exp(-time_s / _LASTS_S)
-            now, turn = lasts * now, turn * _LASTS_S * (1.0 - lasts) / max(time_s, 1e-9)
+            share, lasts = visible_speed_fraction, exp(-time_s / _ERRATIC_TIME_S)
+            now, turn = lasts * now, turn * _ERRATIC_TIME_S * (1.0 - lasts) / max(time_s, 1e-9)
         offset += probabilities[m + 1] * (
             motion.angle[joint] - resting + share * (turn + slow * now)
         )

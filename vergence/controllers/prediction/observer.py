@@ -33,43 +33,43 @@ from vergence.models.parts import FloatArray
 
 _ACCELERATION_SHARE: Final = 0.1
 """Relative error of the acceleration predicted by a known response (chosen)."""
-_PUSHED_RAD_S: Final = 0.005
+_DISTURBANCE_SD_RAD_S: Final = 0.005
 """Change of velocity per period without a command, standard deviation, rad/s (chosen)."""
-_ANGLE: Final = 0.3
+_ANGLE_SD_STEPS: Final = 0.3
 """Standard deviation of an angle, as a fraction of the encoder's resolution (chosen: uniform
 quantisation error)."""
-_ANGLE_RAD: Final = 1e-5
+_ANGLE_SD_RAD: Final = 1e-5
 """Standard deviation of an angle in addition, rad (chosen)."""
-_SPEED: Final = 0.3
+_SPEED_SD_STEPS: Final = 0.3
 """Standard deviation of a velocity, as a fraction of its resolution (chosen: uniform quantisation
 error)."""
-_SPEED_RAD_S: Final = 0.002
+_SPEED_SD_RAD_S: Final = 0.002
 """Standard deviation of a velocity in addition, rad/s (chosen)."""
-_SPEED_SHARE: Final = 0.01
+_RELATIVE_SPEED_SD: Final = 0.01
 """Standard deviation of a velocity in addition, as a fraction of it (chosen)."""
-_SHAPE: Final = 0.3
+_RELATIVE_DELAY_SD: Final = 0.3
 """Deviation of a velocity filter from first order, as a fraction of its delay (chosen)."""
 _DELAY_SD_S: Final = 0.02
 """Prior standard deviation of the velocities' delay, s (chosen)."""
-_PROMPT_S: Final = 0.003
+_MAX_PROMPT_DELAY_S: Final = 0.003
 """Delay below which velocities count as prompt, s (chosen)."""
-_EXPLAINED: Final = 10.0
+_MAX_EXPLAINED_MISFIT: Final = 10.0
 """Misfit up to which the delay explains the velocities (chosen)."""
-_OLDEST_S: Final = 0.2
+_MAX_VELOCITY_DELAY_S: Final = 0.2
 """Longest delay of velocities, s (chosen)."""
-_COMPARED_S: Final = 0.25
+_MAX_COMPARISON_S: Final = 0.25
 """Longest interval over which angles and integrated velocities are compared, s (chosen)."""
 _INFORMATIVE_RAD_S: Final = 0.1
 """Changes of velocity below this carry no evidence on the delay, rad/s (chosen)."""
-_TRAVEL: Final = 0.02
+_RELATIVE_TRAVEL_SD: Final = 0.02
 """Relative error of the integrated velocity (chosen)."""
-_FORGET: Final = 0.995
+_INFORMATION_DECAY: Final = 0.995
 """Per-reading decay of the information on the delay (chosen: noise against adaptation)."""
-_FASTEST: Final = 3.0
+_MAX_SPEED_RATIO: Final = 3.0
 """Bound of the estimated velocity, as a ratio to the largest command (chosen)."""
-_SETTLES: Final = 0.1
+_MISFIT_WEIGHT: Final = 0.1
 """Weight of a reading in the running mean of the misfit (chosen)."""
-_MOST_MISFIT: Final = 100.0
+_MAX_SQUARED_RESIDUAL: Final = 100.0
 """Bound of a single squared normalised residual in that mean (chosen)."""
 
 
@@ -131,29 +131,29 @@ def _update_delay(
     steps = 0.4 * params.angle_step[j] + 0.3 * period * params.speed_step[j] * sqrt(
         observer.compared_periods[j]
     )
-    share = _TRAVEL * travel
-    variance = steps * steps + share * share + _ANGLE_RAD * _ANGLE_RAD
+    share = _RELATIVE_TRAVEL_SD * travel
+    variance = steps * steps + share * share + _ANGLE_SD_RAD * _ANGLE_SD_RAD
     if abs(change) > _INFORMATIVE_RAD_S:
         weight = 0.25 / variance  # successive readings have correlated errors
-        observer.information = _FORGET * observer.information + weight * change * change
+        observer.information = _INFORMATION_DECAY * observer.information + weight * change * change
         observer.delay_times_information = (
-            _FORGET * observer.delay_times_information + weight * change * ahead
+            _INFORMATION_DECAY * observer.delay_times_information + weight * change * ahead
         )
-    if abs(travel) > 4.0 * (steps + _ANGLE_RAD):
+    if abs(travel) > 4.0 * (steps + _ANGLE_SD_RAD):
         off = ahead - observer.delay_s * change
-        square = min(off * off / variance, _MOST_MISFIT)
-        observer.misfit += _SETTLES * (square - observer.misfit)
+        square = min(off * off / variance, _MAX_SQUARED_RESIDUAL)
+        observer.misfit += _MISFIT_WEIGHT * (square - observer.misfit)
     delay_s = observer.delay_times_information * _delay_sd(observer) ** 2
-    observer.delay_s = min(max(delay_s, 0.0), _OLDEST_S)
+    observer.delay_s = min(max(delay_s, 0.0), _MAX_VELOCITY_DELAY_S)
     at_rest = rate == 0.0 and abs(travel - observer.integrated_velocity[j]) <= params.angle_step[j]
-    if at_rest or observer.compared_periods[j] * period > _COMPARED_S:
+    if at_rest or observer.compared_periods[j] * period > _MAX_COMPARISON_S:
         begin_comparison(observer, j, angle, rate)
 
 
 @inlined
 def no_velocity_delay_found(observer: Observer) -> bool:
     """True if no evidence says that velocities are read with a delay."""
-    return observer.delay_s < _PROMPT_S and observer.misfit < _EXPLAINED
+    return observer.delay_s < _MAX_PROMPT_DELAY_S and observer.misfit < _MAX_EXPLAINED_MISFIT
 
 
 @inlined
@@ -206,13 +206,13 @@ def update_observer(
         model.parameters[1] + sqrt(max(model.variance[1], 0.0))
     )
     sd = _relative_acceleration_sd(response, period) * period * min(most, asked / lag)
-    noise = sd * sd + _PUSHED_RAD_S * _PUSHED_RAD_S
+    noise = sd * sd + _DISTURBANCE_SD_RAD_S * _DISTURBANCE_SD_RAD_S
     left = lag_decay(period, lag)
     c[0] += period * (2.0 * c[1] + period * (c[2] + noise / 3.0))
     c[1] = left * (c[1] + period * c[2]) + 0.5 * period * noise
     c[2] = left * left * c[2] + noise
-    step = _ANGLE * params.angle_step[j]
-    innovation_variance = c[0] + step * step + _ANGLE_RAD * _ANGLE_RAD
+    step = _ANGLE_SD_STEPS * params.angle_step[j]
+    innovation_variance = c[0] + step * step + _ANGLE_SD_RAD * _ANGLE_SD_RAD
     innovation = (
         clip_to_quantisation(predicted_angle, angle, params.angle_step[j]) - predicted_angle
     )
@@ -233,8 +233,12 @@ def update_observer(
     )
     acceleration = abs(predicted_velocity - velocity_before) / period
     observer.recent_acceleration[j] = max(0.8 * observer.recent_acceleration[j], acceleration)
-    delay_sd = _delay_sd(observer) + _SHAPE * delay
-    speed_sd = _SPEED * params.speed_step[j] + _SPEED_RAD_S + _SPEED_SHARE * abs(predicted_velocity)
+    delay_sd = _delay_sd(observer) + _RELATIVE_DELAY_SD * delay
+    speed_sd = (
+        _SPEED_SD_STEPS * params.speed_step[j]
+        + _SPEED_SD_RAD_S
+        + _RELATIVE_SPEED_SD * abs(predicted_velocity)
+    )
     speed_sd += observer.recent_acceleration[j] * delay_sd
     innovation_variance = c[2] + speed_sd * speed_sd * max(observer.misfit, 1.0)
     innovation = clip_to_quantisation(expected, rate, params.speed_step[j]) - expected
@@ -250,7 +254,7 @@ def update_observer(
     c[2] *= 1.0 - kv
     observer.expected_velocity[j] = expected + kv * innovation
     # bound the effect of a corrupted packet
-    fastest = _FASTEST * params.speed_limit[j]
+    fastest = _MAX_SPEED_RATIO * params.speed_limit[j]
     return clip_to_quantisation(predicted_angle, angle, params.angle_step[j]), min(
         max(predicted_velocity, -fastest), fastest
     )

@@ -14,32 +14,32 @@ from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.models.parts import FloatArray
 
-_LEAST_RAD: Final = 0.003
+_MIN_HALF_SWING_RAD: Final = 0.003
 """Least length of a half swing, rad, to which quantisation and detection noise are added
 (chosen)."""
-_STEPS: Final = 2.0
+_HALF_SWING_STEPS: Final = 2.0
 """Encoder resolutions added to that length (chosen)."""
-_NOISES: Final = 4.0
+_HALF_SWING_SIGMAS: Final = 4.0
 """Standard deviations of a detection added to that length (chosen: 4 sigma)."""
-_SLOW_S: Final = 0.6
+_MAX_HALF_SWING_S: Final = 0.6
 """Duration above which a half swing does not count, s (chosen)."""
-_SLOW_RAD_S: Final = 0.2
+_MIN_SWING_SPEED: Final = 0.2
 """Peak-to-peak speed of the equivalent sinusoid below which a half swing does not count, rad/s
 (chosen)."""
-_GOALS: Final = 2.0
+_MIN_GOAL_RATIO: Final = 2.0
 """Least ratio of a half swing to the goal's motion in that time (chosen)."""
-_DIES: Final = 0.3
+_DYING_RATIO: Final = 0.3
 """Ratio of a half swing to the one before up to which an oscillation dies away: it counts 0
 (chosen)."""
-_LASTS: Final = 0.7
+_SUSTAINED_RATIO: Final = 0.7
 """Ratio from which it is sustained: it counts 1, and proportionally in between (chosen)."""
-_JUMP_LEAVES: Final = 0.5
+_COUNT_KEPT_AT_JUMP: Final = 0.5
 """Factor that remains of the count after a jump of the target (chosen)."""
 MANY_HALF_SWINGS: Final = 2.0
 """Count of half swings above which a law has to be calm (chosen)."""
 MOST_HALF_SWINGS: Final = 6.0
 """Upper bound of the count (chosen)."""
-_SLOWEST: Final = 1.0
+_MIN_REDUCED_RATE: Final = 1.0
 """Lower bound of a calmed law's rate, 1/s (chosen)."""
 FIRST_PATIENCE_S: Final = 1.0
 """Initial time constant with which the count decays, s (chosen)."""
@@ -72,13 +72,13 @@ class Oscillation:
 @inlined
 def calmed_rate(rate: float, half_swings: float) -> float:
     """Rate of a linear law, 1/s, halved for each half swing counted beyond `MANY_HALF_SWINGS`."""
-    return max(rate * exp2(-max(half_swings - MANY_HALF_SWINGS, 0.0)), min(rate, _SLOWEST))
+    return max(rate * exp2(-max(half_swings - MANY_HALF_SWINGS, 0.0)), min(rate, _MIN_REDUCED_RATE))
 
 
 @inlined
 def reduce_count(oscillation: Oscillation) -> None:
     """Reduce the count, because the target has jumped."""
-    oscillation.count *= _JUMP_LEAVES
+    oscillation.count *= _COUNT_KEPT_AT_JUMP
 
 
 @inlined
@@ -114,12 +114,16 @@ def update_oscillation(
         aim: its goal, rad.
         noise: detection variance, rad^2.
     """
-    least = _LEAST_RAD + _STEPS * params.joint_step[eye, joint] + _NOISES * sqrt(noise)
+    least = (
+        _MIN_HALF_SWING_RAD
+        + _HALF_SWING_STEPS * params.joint_step[eye, joint]
+        + _HALF_SWING_SIGMAS * sqrt(noise)
+    )
     side, farthest = oscillation.side[eye, joint], oscillation.farthest[eye, joint]
     oscillation.periods_since[eye, joint] += 1.0
     goal_moved = abs(aim - oscillation.aim[eye, joint])
     oscillation.goal_moved[eye, joint, 0] = max(oscillation.goal_moved[eye, joint, 0], goal_moved)
-    if oscillation.periods_since[eye, joint] * params.period_s > _SLOW_S:
+    if oscillation.periods_since[eye, joint] * params.period_s > _MAX_HALF_SWING_S:
         oscillation.half_swing[eye, joint] = 0.0
     if side == 0.0:
         off = angle - oscillation.turned_at[eye, joint]
@@ -139,9 +143,9 @@ def update_oscillation(
     oscillation.goal_moved[eye, joint, 0] = 0.0
     before = oscillation.half_swing[eye, joint]
     time_s = (oscillation.periods_since[eye, joint]) * params.period_s
-    fast = pi * half > _SLOW_RAD_S * time_s
-    if before > 0.0 and fast and half > _GOALS * goal_moved:
-        share = (half / before - _DIES) / (_LASTS - _DIES)
+    fast = pi * half > _MIN_SWING_SPEED * time_s
+    if before > 0.0 and fast and half > _MIN_GOAL_RATIO * goal_moved:
+        share = (half / before - _DYING_RATIO) / (_SUSTAINED_RATIO - _DYING_RATIO)
         count = min(oscillation.count + min(max(share, 0.0), 1.0), MOST_HALF_SWINGS)
         if oscillation.count <= MANY_HALF_SWINGS < count:
             oscillation.patience_s *= 2.0

@@ -57,9 +57,9 @@ from vergence.models.parts import FloatArray
 LONGEST_S: Final = 0.25
 """Longest nominal latency of images that is accepted, s (numerical: limited by the ring buffer of
 angles)."""
-_AHEAD_S: Final = 0.01
+_RATE_DIFFERENCE_S: Final = 0.01
 """Interval of the finite difference for rates of coupled actuators, s (numerical)."""
-_LATER: Final = 0.5
+_LATENCY_MARGIN_SIGMAS: Final = 0.5
 """Standard deviations added to the estimated response latency in predictions (chosen)."""
 HOLD_S: Final = 1.0
 """Time for which the goal of an eye that does not see its target is kept, s (chosen)."""
@@ -280,7 +280,7 @@ def _fill_prediction(
     response, direct = state.response, has_motor_per_joint(p)
     model = selected_model(response)
     sd = sqrt(max(model.variance[0], 0.0))
-    latency = min(model.parameters[0] + _LATER * sd, longest_latency(params))
+    latency = min(model.parameters[0] + _LATENCY_MARGIN_SIGMAS * sd, longest_latency(params))
     for j in range(4):
         q, v = state.actuators[j], state.velocity[j]
         q, v, w = state_when_next_acts(response, params, int(state.periods), j, q, v, latency)
@@ -373,14 +373,14 @@ def _fill_coupled(
         if moves:
             for eye in range(2):
                 for joint in range(2):
-                    turn = _AHEAD_S * state.rates[eye, joint]
+                    turn = _RATE_DIFFERENCE_S * state.rates[eye, joint]
                     later[eye, joint] = state.aims[eye, joint] + turn
             least_squares_aim(
                 p, later, depth_l, depth_r, left, right, present.actuators, jacobian, ahead
             )
             for eye in range(2):
                 for joint in range(2):
-                    turn = _AHEAD_S * state.later_rates[eye, joint]
+                    turn = _RATE_DIFFERENCE_S * state.later_rates[eye, joint]
                     later[eye, joint] = state.aims[eye, joint] + turn
             least_squares_aim(
                 p, later, depth_l, depth_r, left, right, present.actuators, jacobian, shown
@@ -394,5 +394,5 @@ def _fill_coupled(
                 goal = min(max(goals[j], params.lower[j]), params.upper[j])
                 present.angle_error[j] = goal - present.actuators[j]
                 if moves and goal == goals[j]:
-                    present.rates[j] = (ahead[j] - goals[j]) / _AHEAD_S
-                    present.later_rates[j] = (shown[j] - goals[j]) / _AHEAD_S
+                    present.rates[j] = (ahead[j] - goals[j]) / _RATE_DIFFERENCE_S
+                    present.later_rates[j] = (shown[j] - goals[j]) / _RATE_DIFFERENCE_S

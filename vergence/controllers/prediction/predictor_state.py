@@ -49,7 +49,7 @@ from vergence.models.packed import (
 from vergence.models.parts import FloatArray
 from vergence.triangulation.lines_of_sight import DEFAULT_DEPTH_M
 
-_STILL_RAD_S: Final = 0.005
+_MAX_REST_SPEED: Final = 0.005
 """Actuator speed below which no delay in question moves the image by a pixel, rad/s (chosen)."""
 NOISE_PX: Final = 0.25
 """Least initial detection noise, standard deviation, px (chosen)."""
@@ -266,7 +266,7 @@ def update_joints(
         response.mean_speeds[now, j] = (angle - response.angles[j]) / params.period_s
         response.angles[j] = angle
         response.speeds[now, j] = rate if prompt else v
-        if abs(state.velocity[j]) > _STILL_RAD_S:
+        if abs(state.velocity[j]) > _MAX_REST_SPEED:
             state.still_periods = 0.0
     every = int(params.keep_every)
     slot = np.uintp(tick // every & (RING_LENGTH - 1))

@@ -38,17 +38,17 @@ RESPONSE_MODELS: Final = 2
 """Number of response models (numerical)."""
 _LATENCY_SD_S: Final = 0.012
 """Prior standard deviation of the latency about its nominal value, s (chosen)."""
-_MORE_S: Final = 0.01
+_FALLBACK_LATENCY_S: Final = 0.01
 """Prior mean of the latency if the head's model has none, s (chosen)."""
-_RATIO_SD: Final = 0.35
+_LOG_ACCELERATION_SD: Final = 0.35
 """Prior standard deviation of the log acceleration ratio (chosen)."""
-_LAG_SD: Final = 0.45
+_LOG_LAG_SD: Final = 0.45
 """Prior standard deviation of the log lag (chosen)."""
-_BUILD_UP: Final = 0.8
+_PRIOR_BUILD_UP: Final = 0.8
 """Prior mean of the build-up in the model that has one: a servo with 12 % overshoot (chosen)."""
 _BUILD_UP_SD: Final = 0.7
 """Prior standard deviation of the build-up (chosen)."""
-_LEAST_LAG_S: Final = 0.004
+_MIN_PRIOR_LAG_S: Final = 0.004
 """Lower bound of the prior lag, s (chosen)."""
 
 
@@ -117,10 +117,10 @@ def initial_models(latency_s: float, lag_s: float, learn: bool) -> dict[str, obj
         lag_s: nominal lag, s.
         learn: True to identify the response; False gives the nominal values zero variance.
     """
-    latency = latency_s if latency_s > 0.0 or not learn else _MORE_S
-    plain = (latency, 0.0, log(max(lag_s, _LEAST_LAG_S)), 0.0)
-    known = [plain, (*plain[:3], _BUILD_UP)]
-    sds = np.array([_LATENCY_SD_S, _RATIO_SD, _LAG_SD, _BUILD_UP_SD])
+    latency = latency_s if latency_s > 0.0 or not learn else _FALLBACK_LATENCY_S
+    plain = (latency, 0.0, log(max(lag_s, _MIN_PRIOR_LAG_S)), 0.0)
+    known = [plain, (*plain[:3], _PRIOR_BUILD_UP)]
+    sds = np.array([_LATENCY_SD_S, _LOG_ACCELERATION_SD, _LOG_LAG_SD, _BUILD_UP_SD])
     return {
         "parameters": known,
         "prior": known,

@@ -31,10 +31,10 @@ from vergence.controllers.prediction.moving import (
 from vergence.controllers.prediction.predictor_state import PredictorState
 from vergence.models.parts import FloatArray
 
-_UNEVEN_RAD: Final = 0.0004
+_FRICTION_SD_RAD: Final = 0.0004
 """Standard deviation that backlash and friction add to the goal of a resting target, rad
 (chosen)."""
-_UNEVEN: Final = 0.5
+_REST_SD_STEPS: Final = 0.5
 """Standard deviation that encoder quantisation adds to it, as a fraction of the resolution
 (chosen)."""
 
@@ -180,8 +180,8 @@ def update_motion(
     costs, own, exact = np.zeros(HYPOTHESES), np.zeros(MODES), np.zeros(2)
     scatter = 0.0
     for joint in range(2):
-        step = _UNEVEN * params.joint_step[eye, joint]
-        exact[joint] = _UNEVEN_RAD * _UNEVEN_RAD + step * step
+        step = _REST_SD_STEPS * params.joint_step[eye, joint]
+        exact[joint] = _FRICTION_SD_RAD * _FRICTION_SD_RAD + step * step
         known = state.filter_variance[eye, joint] + variance[eye, joint] + exact[joint]
         crossed = known + backlash[eye, joint]
         log_ratio = log(crossed / known)

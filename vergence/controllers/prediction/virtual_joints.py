@@ -16,7 +16,7 @@ from vergence.models.links import inverse_pose
 from vergence.models.packed import pack_constants
 from vergence.models.parts import FloatArray
 
-_PARALLEL: Final = 1e-3
+_MAX_PARALLEL_SQUARED_SINE: Final = 1e-3
 """Squared sine below which the first joint's axis counts as parallel to the optical axis
 (numerical)."""
 
@@ -46,7 +46,9 @@ def with_virtual_joints(head: HeadModel) -> FloatArray:
         elif second:
             camera = between @ after
             axis = np.cross([0.0, 0.0, 1.0], camera[:3, 2])
-            across = _about(camera, axis if axis @ axis > _PARALLEL else camera[:3, 0])
+            across = _about(
+                camera, axis if axis @ axis > _MAX_PARALLEL_SQUARED_SINE else camera[:3, 0]
+            )
             between, after = across, inverse_pose(across) @ camera
         poses[4 + 3 * eye : 7 + 3 * eye] = before, between, after
     return pack_constants(poses, head.cameras, head.actuation, ())

@@ -31,7 +31,7 @@ from vergence.models.parts import FloatArray
 TIME_TOLERANCE_S: Final = 1e-9
 """Difference below which two times are equal: rounding of sums of periods, s (numerical)."""
 _SENSOR: Final = int(StreamPurpose.SENSOR)
-_BEFORE: Final = int(StreamPurpose.BEFORE)
+_SENSOR_BEFORE_START: Final = int(StreamPurpose.BEFORE)
 
 
 def ring_size(min_length: int) -> int:
@@ -171,7 +171,7 @@ def _words(key: StreamKey, frame: int, lane: int) -> Words:
     """Four random words of a frame; lane 1 is used for the detection noise."""
     if frame >= 0:
         return random_words(key.seed, key.trial, _SENSOR, frame, lane)
-    return random_words(key.seed, key.trial, _BEFORE, -frame, lane)
+    return random_words(key.seed, key.trial, _SENSOR_BEFORE_START, -frame, lane)
 
 
 @inlined

@@ -40,9 +40,9 @@ from vergence.models.parts import FloatArray
 
 _CONTACT_RAD: Final = 1e-12
 """Rounding tolerance of contact between a motor and its output, rad (numerical)."""
-_PASSES: Final = 4
+_JOINT_STOP_PASSES: Final = 4
 """Passes over the joints that move motors back from the joints' stops (numerical)."""
-_SHORT: Final = 0.125
+_MAX_STEP_RATIO: Final = 0.125
 """Largest step of a second-order servo as a fraction of its time constant; backlash and stops are
 applied only between steps (numerical)."""
 
@@ -218,7 +218,7 @@ def advance_second_order(
         Its state, and its acceleration, rad/s^2.
     """
     q, v, w, output = motor.angle, motor.speed, acceleration, motor.output
-    zeta, steps = damping_ratio(overshoot), int(np.ceil(time_s / (_SHORT * params.lag_s)))
+    zeta, steps = damping_ratio(overshoot), int(np.ceil(time_s / (_MAX_STEP_RATIO * params.lag_s)))
     for _ in range(steps):
         output = output_angle(output, q, params.backlash)
         q, v, w = follow_second_order_joint(
@@ -252,7 +252,7 @@ def stop_at_joints(
         n: environment index.
     """
     own = coupling.scratch
-    for _ in range(_PASSES):
+    for _ in range(_JOINT_STOP_PASSES):
         for j in range(SLOTS):
             square = rate = 0.0
             for k in range(SLOTS):

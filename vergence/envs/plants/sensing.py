@@ -40,7 +40,7 @@ from vergence.envs.targets.motion import is_shown, unpack_motion
 from vergence.models.camera import inside_image
 from vergence.models.head import HeadModel
 
-_NONE: Final = -(2**62)
+_NO_FRAME: Final = -(2**62)
 """Frame number that stands for no frame (numerical)."""
 
 
@@ -211,7 +211,7 @@ def read_sensors(
         if k < loop_states[n, RESUMES]:
             continue
         joints_s[n] = now_s - timing.nominal_feedback_latency_s
-        newest, f, conditions = _NONE, pending[n], unpack_conditions(packed, n)
+        newest, f, conditions = _NO_FRAME, pending[n], unpack_conditions(packed, n)
         # a frame whose right eye is still to be exposed has not arrived
         while first_exposure(conditions, f) < following[n]:
             slot = np.uintp(f & mask)
@@ -222,7 +222,7 @@ def read_sensors(
                 frame[n] += 1
             f += 1
         pending[n] = f
-        if newest == _NONE:
+        if newest == _NO_FRAME:
             continue
         slot = np.uintp(newest & mask)
         received_s[n] = comes_s[n, slot]

@@ -31,7 +31,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _Init = TypeVar("_Init", bound=Callable[..., None])
-_AHEAD: Final = (0.0, 0.0, 1.0)
+_INITIAL_TARGET_POINT: Final = (0.0, 0.0, 1.0)
 """Position of the targets until trials are drawn, in N, m (chosen: straight ahead)."""
 
 
@@ -135,7 +135,7 @@ class SimulatedPlant(Simulation):
         self._feedback = Feedback.of(head, num, feedback_s, max_age_s + stalled_s + period_s)
         self._scene = Scene(
             heads=heads.packed.heads,
-            motions=motion_rows(np.tile(_AHEAD, (num, 1))),
+            motions=motion_rows(np.tile(_INITIAL_TARGET_POINT, (num, 1))),
             necks=np.zeros((num, 3)),
             step=np.zeros(num, dtype=np.int64),
             positions=np.zeros((num, 7)),

@@ -43,7 +43,7 @@ from vergence.models.packed import eye_actuator_angle
 from vergence.models.parts import FloatArray
 
 _VARIATION: Final = int(StreamPurpose.VARIATION)
-_LONGEST_S: Final = 10.0
+_MAX_SEARCH_S: Final = 10.0
 """Time without a sight after which a target counts as never seen, s (chosen: length of the search
 against late sights)."""
 
@@ -214,7 +214,7 @@ def first_detection_times(
         frame, latest_s = first_frame(conditions), -np.inf
         times_s[n] = np.inf
         target_time_s = -np.inf
-        while target_time_s < since_s[n] + _LONGEST_S:
+        while target_time_s < since_s[n] + _MAX_SEARCH_S:
             time_s, faults = (
                 frame_time(conditions, frame),
                 draw_frame_faults(conditions, key, frame),

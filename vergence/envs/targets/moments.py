@@ -11,7 +11,7 @@ from vergence.models.parts import FloatArray
 
 _TASK: Final = int(StreamPurpose.TASK)
 # lane of the random words (numerical); the first four are used for positions and speeds
-_LANE: Final = 5
+_EVENT_TIME_LANE: Final = 5
 
 
 def draw_event_times(
@@ -42,5 +42,5 @@ def draw_event_times(
 def _fill(keys: StreamKeys, earliest: float, latest: float, moments: FloatArray) -> None:
     keys = StreamKeys(*keys)
     for n in range(len(moments)):
-        words = random_words(keys.seeds[n], keys.trials[n], _TASK, 0, _LANE)
+        words = random_words(keys.seeds[n], keys.trials[n], _TASK, 0, _EVENT_TIME_LANE)
         moments[n] = uniform_between(words[0], earliest, latest)

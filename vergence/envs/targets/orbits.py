@@ -34,14 +34,14 @@ from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
 _TASK: Final = int(StreamPurpose.TASK)
-_PHASES: Final = 48
+_CHECKED_PHASES: Final = 48
 """Points of an ellipse at which fixation and the actuators' limits are checked (numerical)."""
-_FINE_PHASES: Final = 256
+_PEAK_SEARCH_PHASES: Final = 256
 """Points of an ellipse among which its peak angular speed is sought (numerical)."""
 
 # largest fraction of an actuator's limits that following a target needs; the rest is left for
 # catching up with it (chosen: fast targets against this reserve)
-_SHARE_OF_LIMITS: Final = 0.5
+_MAX_LIMIT_FRACTION: Final = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,8 +142,8 @@ class Orbits(NamedTuple):
 def _peak_rate(centre: Vector, first: Vector, second: Vector, eye: Vector) -> float:
     """Peak angular speed, seen from `eye`, of an ellipse at an omega of 1 rad/s."""
     peak = 0.0
-    for k in range(_FINE_PHASES):
-        c, s = cos(2.0 * pi * k / _FINE_PHASES), sin(2.0 * pi * k / _FINE_PHASES)
+    for k in range(_PEAK_SEARCH_PHASES):
+        c, s = cos(2.0 * pi * k / _PEAK_SEARCH_PHASES), sin(2.0 * pi * k / _PEAK_SEARCH_PHASES)
         x = centre[0] + first[0] * c + second[0] * s - eye[0]
         y = centre[1] + first[1] * c + second[1] * s - eye[1]
         z = centre[2] + first[2] * c + second[2] * s - eye[2]
@@ -169,12 +169,12 @@ def _can_follow(
 ) -> bool:
     """True if both eyes can fixate the whole ellipse, and turn as fast as it needs.
 
-    The last two arguments are scratch arrays (_PHASES, 4) for angles of the eye joints and of the
-    actuators.
+    The last two arguments are scratch arrays (_CHECKED_PHASES, 4) for angles of the eye joints and
+    of the actuators.
     """
     direct = has_motor_per_joint(gaze.head)
-    for k in range(_PHASES):
-        c, s = cos(2.0 * pi * k / _PHASES), sin(2.0 * pi * k / _PHASES)
+    for k in range(_CHECKED_PHASES):
+        c, s = cos(2.0 * pi * k / _CHECKED_PHASES), sin(2.0 * pi * k / _CHECKED_PHASES)
         x = centre[0] + first[0] * c + second[0] * s
         y = centre[1] + first[1] * c + second[1] * s
         z = centre[2] + first[2] * c + second[2] * s
@@ -187,15 +187,15 @@ def _can_follow(
             return False
         for i in range(SLOTS):
             own[k, i] = angles[k, i] if direct else eye_actuator_angle(gaze.head, i, angles[k])
-    step = 2.0 * pi / _PHASES / omega
-    for k in range(_PHASES):
+    step = 2.0 * pi / _CHECKED_PHASES / omega
+    for k in range(_CHECKED_PHASES):
         for j in range(SLOTS):
             last, now = own[k - 1, j], own[k, j]
-            after = own[(k + 1) % _PHASES, j]
-            if abs(after - last) > 2.0 * step * _SHARE_OF_LIMITS * gaze.velocity[j]:
+            after = own[(k + 1) % _CHECKED_PHASES, j]
+            if abs(after - last) > 2.0 * step * _MAX_LIMIT_FRACTION * gaze.velocity[j]:
                 return False
             bend = abs(after - 2.0 * now + last) / (step * step)
-            if bend > _SHARE_OF_LIMITS * gaze.acceleration[j]:
+            if bend > _MAX_LIMIT_FRACTION * gaze.acceleration[j]:
                 return False
     return True
 
@@ -219,7 +219,7 @@ def draw_orbits(
     keys, gaze = StreamKeys(*keys), HeadWithLimits(*gaze)
     ranges, board, orbits = OrbitRanges(*ranges), Board(*board), Orbits(*orbits)
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
-    angles, own = np.empty((_PHASES, 4)), np.empty((_PHASES, SLOTS))
+    angles, own = np.empty((_CHECKED_PHASES, 4)), np.empty((_CHECKED_PHASES, SLOTS))
     for n in range(len(orbits.omega)):
         seed, trial = keys.seeds[n], keys.trials[n]
         # one speed for all candidates, else the selection would favour slow targets

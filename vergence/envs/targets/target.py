@@ -14,7 +14,7 @@ from vergence.errors import ConfigurationError, UnreachableTargetError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-_ABOVE_ZERO: Final = ("period", "speed", "turns", "gone_s")
+_POSITIVE_FIELDS: Final = ("period", "speed", "turns", "gone_s")
 FARTHEST_M: Final = 100.0
 """Upper limit of every length of a target, m (chosen: farther than any robot's eyes look, yet low
 enough to catch most values in millimetres)."""
@@ -42,7 +42,7 @@ class Target(ABC):
             if name != "start":
                 default = getattr(type(self), name)
                 size = len(default) if isinstance(default, tuple) else 0
-                checked = check_numbers(f"target.{name}", value, size, name in _ABOVE_ZERO)
+                checked = check_numbers(f"target.{name}", value, size, name in _POSITIVE_FIELDS)
                 if name in self.metres and not np.abs(np.array(checked)).max() < FARTHEST_M:
                     raise ConfigurationError(
                         f"target.{name}: expected metres below {FARTHEST_M:g} in size (is it in "

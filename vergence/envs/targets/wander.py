@@ -36,16 +36,16 @@ from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
 _TASK: Final = int(StreamPurpose.TASK)
-_SEGMENTS: Final = 32
+_SEGMENTS_PER_PATH: Final = 32
 """Segments of a path, after which the target goes back (chosen: variety against time to draw)."""
 _SEGMENT_ATTEMPTS: Final = 50
 """Candidates tried for a segment (numerical)."""
-_SAMPLES: Final = 4
+_SAMPLES_PER_SEGMENT: Final = 4
 """Points of a segment at which fixation and the actuators' speeds are checked (numerical)."""
 
 # largest fraction of an actuator's speed limit that following a target needs; the rest is left for
 # catching up with it (chosen: fast targets against this reserve)
-_SHARE_OF_SPEED: Final = 0.5
+_MAX_SPEED_FRACTION: Final = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +96,7 @@ class WanderTarget(Target):
         self, head: HeadModel, streams: RandomStreams, ids: IntArray, board: Board = POINT
     ) -> tuple[FloatArray, FloatArray]:
         """See `Target.draw`; segments are drawn until one is valid."""
-        paths = np.empty((len(ids), 4 * (_SEGMENTS + 2)))
+        paths = np.empty((len(ids), 4 * (_SEGMENTS_PER_PATH + 2)))
         walk = WanderRanges(
             *self.depth,
             self.eccentricity,
@@ -208,17 +208,18 @@ def _can_follow(
 ) -> bool:
     """True if both eyes can fixate the whole segment after a knot, and turn as fast as it needs.
 
-    The last two arguments are scratch arrays: (4,) angles of the eye joints, and (_SAMPLES + 1, 4)
+    The last two arguments are scratch arrays: (4,) angles of the eye joints, and
+        (_SAMPLES_PER_SEGMENT + 1, 4)
     angles of the actuators, with those at the knot in the first row.
     """
     eye = (path[1], path[2], path[3])
-    step = (path[4 * knot + 4] - path[4 * knot]) / _SAMPLES
-    for k in range(1, _SAMPLES + 1):
+    step = (path[4 * knot + 4] - path[4 * knot]) / _SAMPLES_PER_SEGMENT
+    for k in range(1, _SAMPLES_PER_SEGMENT + 1):
         point = point_between_knots(path, knot, path[4 * knot] + k * step)
         if not _can_look(gaze, walk, board, eye, point, angles, own[k]):
             return False
         for i in range(SLOTS):
-            if abs(own[k, i] - own[k - 1, i]) > _SHARE_OF_SPEED * gaze.velocity[i] * step:
+            if abs(own[k, i] - own[k - 1, i]) > _MAX_SPEED_FRACTION * gaze.velocity[i] * step:
                 return False
     return True
 
@@ -246,7 +247,7 @@ def draw_paths(
         Board(*board),
     )
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
-    angles, own = np.empty(4), np.empty((_SAMPLES + 1, SLOTS))
+    angles, own = np.empty(4), np.empty((_SAMPLES_PER_SEGMENT + 1, SLOTS))
     last = paths.shape[1] // 4 - 1
     for n in range(len(paths)):
         seed, trial, path = keys.seeds[n], keys.trials[n], paths[n]
@@ -270,7 +271,7 @@ def draw_paths(
                 if _draw_next_knot(path, knot, words, walk) and _can_follow(
                     gaze, walk, board, path, knot, angles, own
                 ):
-                    own[0] = own[_SAMPLES]
+                    own[0] = own[_SAMPLES_PER_SEGMENT]
                     knot, tried = knot + 1, 0
             if knot == last:
                 break

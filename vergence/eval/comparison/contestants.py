@@ -38,7 +38,7 @@ TABLE_ORDER: Final = (
 )  # fmt: skip
 """Order of the registry's controllers in tables; others follow."""
 POLICY_FILES: Final = (".vgp", ".onnx")
-_TRIED: Final = 3
+_CHECKED_HEADS: Final = 3
 """Heads in the batch on which a user-defined controller acts once before the evaluation
 (numerical)."""
 
@@ -143,7 +143,7 @@ class Contestant:
                 f"{self.given.where}: {self.label}.{name}: {_without_stack(error)}"
             ) from error
         if isinstance(self.source, EntryPoint) and isinstance(controller, GuardedController):
-            task = scenario.task(_TRIED, plant="kinematic", head=head)
+            task = scenario.task(_CHECKED_HEADS, plant="kinematic", head=head)
             with controller.attributing_errors():
                 rollout(task, controller, 1, lambda _step: None)
         return found

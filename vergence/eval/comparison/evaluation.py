@@ -12,8 +12,8 @@ from vergence.eval.comparison.summary import SWINGING, bound_summary, bound_tria
 from vergence.eval.trials.settling import bounded_bands
 from vergence.models.head import HeadModel
 
-_WHICH: Final = ("scenario", "plant", "controller", "head", "trials")
-_FOUND: Final = (
+_KEY_FIELDS: Final = ("scenario", "plant", "controller", "head", "trials")
+_RESULT_FIELDS: Final = (
     "overshoot_median",
     "overshoot_p95",
     "residual_px",
@@ -50,7 +50,7 @@ def row_fields(band_px: float) -> tuple[str, ...]:
             band.ratio_p95,
         )
     ]
-    return (*_WHICH, *settling, *_FOUND)
+    return (*_KEY_FIELDS, *settling, *_RESULT_FIELDS)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,9 +19,9 @@ from vergence.eval.trials.settling import Band
 
 _DELAY_BINS: Final = 6
 """Number of bins of the delay in its figure (chosen: resolution against scatter)."""
-_GAINS: Final = (-8.0, 25.0)
+_GAIN_AXIS_LIMITS: Final = (-8.0, 25.0)
 """Limits of the axis of effective gains, 1/s (chosen: hides outliers of feedforward motion)."""
-_TIME: Final = "time since the onset (s)"
+_TIME_LABEL: Final = "time since the onset (s)"
 
 
 _CAPTIONS: Final = {
@@ -134,7 +134,7 @@ def _draw_errors(group: list[EvaluationResult], where: str) -> Figure:
         for place, one in enumerate(group):
             error = np.maximum(one.curves[f"error_p{level}_px"], 1e-3)
             draw_line(axes, one.curves["time_s"], error, styles[one.controller], place)
-        axes.set(title=f"{title} of the trials", xlabel=_TIME, yscale="log")
+        axes.set(title=f"{title} of the trials", xlabel=_TIME_LABEL, yscale="log")
         axes.set_xlim(0.0, _last_s(group))
         if not group[0].target_moves:
             axes.axhline(group[0].band_px, color=GREY, linewidth=1.0)
@@ -173,12 +173,12 @@ def _draw_gains(group: list[EvaluationResult], where: str) -> Figure:
             rows = one.effective_gains[one.effective_gains["by"] == by]
             draw_line(axes, rows["at"], rows["gain_p50"], styles[one.controller], place)
     panels[0].set(xscale="log", xlabel="error in the image (px)", ylabel="effective gain (1/s)")
-    panels[1].set(xlabel=_TIME, xlim=(0.0, _last_s(group)))
+    panels[1].set(xlabel=_TIME_LABEL, xlim=(0.0, _last_s(group)))
     for axes in panels:
         axes.axhline(0.0, color=GREY, linewidth=1.0)
     # feedforward motion gives effective gains of any size and sign, which would hide the others
     low, high = panels[0].get_ylim()
-    panels[0].set_ylim(max(low, _GAINS[0]), min(high, _GAINS[1]))
+    panels[0].set_ylim(max(low, _GAIN_AXIS_LIMITS[0]), min(high, _GAIN_AXIS_LIMITS[1]))
     _plain_log(panels[0], "x")
     figure.suptitle(f"Gain that each controller amounts to, median: {where}", fontsize=12)
     shared_legend(figure, panels[0])
@@ -241,7 +241,7 @@ def _draw_triangulation(group: list[EvaluationResult], where: str) -> Figure:
         shown = np.where(np.isfinite(error), np.maximum(error, 1e-3), np.nan)
         draw_line(axes, one.curves["time_s"], shown, styles[one.controller], place)
     axes.set(
-        xlabel=_TIME, xlim=(0.0, _last_s(group)), yscale="log",
+        xlabel=_TIME_LABEL, xlim=(0.0, _last_s(group)), yscale="log",
         ylabel="distance of the gaze fix\nfrom the target, median (mm)",
         title=f"Triangulation by gaze: {where}",
     )  # fmt: skip

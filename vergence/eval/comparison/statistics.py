@@ -20,7 +20,7 @@ RESAMPLES: Final = 1000
 LEVEL: Final = 0.95
 """Confidence level: fraction of such intervals that hold the value of the whole population of
 trials (chosen)."""
-_BLOCK: Final = 2_000_000
+_MOST_BLOCK_VALUES: Final = 2_000_000
 """Most values resampled at once, a bound on memory (numerical)."""
 
 Statistic = Callable[[FloatArray], FloatArray]
@@ -67,7 +67,7 @@ class Bootstrap:
 
     def __init__(self, num: int, seed: int = 0, resamples: int = RESAMPLES) -> None:
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, num])))
-        rows = max(1, _BLOCK // num)
+        rows = max(1, _MOST_BLOCK_VALUES // num)
         self._blocks: list[NDArray[np.int32]] = [
             rng.integers(num, size=(min(rows, resamples - begin), num), dtype=np.int32)
             for begin in range(0, resamples, rows)

@@ -14,7 +14,7 @@ from vergence.models.parts import FloatArray
 Values = FloatArray | pd.Series
 """(n,) values of a line or a column of a table."""
 
-_OWN: Final[dict[str, dict[str, Any]]] = {
+_REGISTRY_STYLES: Final[dict[str, dict[str, Any]]] = {
     BOUND: {"color": BLACK, "linestyle": (0, (1, 1)), "marker": "|"},
     BASELINE: {"color": BLACK, "linestyle": "-", "marker": "o"},
     "ibvs": {"color": GREY, "linestyle": "-", "marker": "v"},
@@ -46,7 +46,7 @@ def controller_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
     styles = {}
     strangers = 0
     for name in names:
-        style = _OWN.get(name)
+        style = _REGISTRY_STYLES.get(name)
         if style is None:
             style = {
                 "color": _COLORS[strangers % len(_COLORS)],

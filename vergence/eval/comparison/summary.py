@@ -19,7 +19,7 @@ from vergence.models.parts import FloatArray
 SWINGING: Final = "swinging_trials"
 """Column with the number of trials that swing; `swings_fraction` is their fraction, with its
 interval."""
-_SETTLING: Final[dict[str, tuple[str, Statistic]]] = {
+_SETTLING_STATISTICS: Final[dict[str, tuple[str, Statistic]]] = {
     "overshoot_median": ("overshoot", median),
     "overshoot_p95": ("overshoot", p95),
     "residual_px": ("residual_px", median),
@@ -31,12 +31,12 @@ _SETTLING: Final[dict[str, tuple[str, Statistic]]] = {
     "fixation_peak_to_peak_median_rad_s": ("fixation_peak_to_peak_rad_s", median),
     "fixation_peak_to_peak_p95_rad_s": ("fixation_peak_to_peak_rad_s", p95),
 }
-_MOVING: Final[dict[str, tuple[str, Statistic]]] = {
+_TRACKING_STATISTICS: Final[dict[str, tuple[str, Statistic]]] = {
     "tracking_rms_px": ("tracking_px", median),
     "tracking_rms_p95_px": ("tracking_px", p95),
     "tracking_lag_median_s": ("tracking_lag_s", median),
 }
-_BOTH: Final[dict[str, tuple[str, Statistic]]] = {
+_COMMON_STATISTICS: Final[dict[str, tuple[str, Statistic]]] = {
     "steady_median_px": ("steady_px", median),
     "steady_p95_px": ("steady_px", p95),
     "lost_fraction": ("lost", mean),
@@ -115,9 +115,13 @@ def summarise(
     values = fill_missing(table, band_px)
     row: dict[str, Any] = {"trials": len(table), "duration_s": duration_s}
     row[SWINGING] = np.nan if target_moves else int(values["swings"].sum())
-    settling = {**_of_bands(band_px), **_SETTLING}
-    has = {**(_MOVING if target_moves else settling), **_BOTH}
-    for name, (column, statistic) in {**settling, **_MOVING, **_BOTH}.items():
+    settling = {**_of_bands(band_px), **_SETTLING_STATISTICS}
+    has = {**(_TRACKING_STATISTICS if target_moves else settling), **_COMMON_STATISTICS}
+    for name, (column, statistic) in {
+        **settling,
+        **_TRACKING_STATISTICS,
+        **_COMMON_STATISTICS,
+    }.items():
         found = Interval(np.nan, np.nan, np.nan)
         if name in has and not np.isnan(values[column]).any():
             found = bootstrap.interval(values[column], statistic)
@@ -191,7 +195,10 @@ def bound_summary(table: pd.DataFrame, band_px: float, seed: int) -> dict[str, A
     row |= {"controller": BOUND, "options": {}, "trials": len(table)}
     row["duration_s"] = float(table["duration_s"].iloc[0])
     none, one = Interval(np.nan, np.nan, np.nan), Interval(1.0, 1.0, 1.0)
-    found = dict.fromkeys([*_of_bands(band_px), *_SETTLING, *_MOVING, *_BOTH], none)
+    found = dict.fromkeys(
+        [*_of_bands(band_px), *_SETTLING_STATISTICS, *_TRACKING_STATISTICS, *_COMMON_STATISTICS],
+        none,
+    )
     for band in bounded_bands(band_px):
         bound = limit[band.bound_s]
         within = np.minimum(bound, limit["duration_s"])

@@ -27,13 +27,13 @@ MOVING_COLUMNS: Final = (
     "controller", "tracking (px)", "95 % within (px)", "lag (ms)", "lost (%)", "x nearer",
     "predict (us)",
 )  # fmt: skip
-_PEAK_TO_PEAK: Final = (
+_PEAK_TO_PEAK_COLUMNS: Final = (
     "fixation_peak_to_peak_median_rad_s",
     "fixation_peak_to_peak_p95_rad_s",
 )
-_DEGREES: Final = math.degrees(1.0)
+_DEGREES_PER_RADIAN: Final = math.degrees(1.0)
 """Degrees per radian (physical: conversion of units)."""
-_NOTHING: Final = 1e-6
+_ZERO_TOLERANCE: Final = 1e-6
 """Magnitude below which tables show 0, such as rounding errors in the speed of eyes at rest
 (numerical)."""
 RESIDUAL_COLUMN: Final = "residual (px)"
@@ -114,7 +114,7 @@ def _settling_row(row: dict[str, Any], group: list[EvaluationResult]) -> list[st
         *([_stacked(row, "residual_px", "residual_p95_px")] if has_residual(group) else []),
         _stacked(row, "overshoot_median", "overshoot_p95", 100.0),
         _lines(_share(row, "lost_fraction"), _share(row, "left_again_fraction")),
-        _stacked(row, *_PEAK_TO_PEAK, _DEGREES),
+        _stacked(row, *_PEAK_TO_PEAK_COLUMNS, _DEGREES_PER_RADIAN),
         _cell(row, "faster"),
         _stacked(row, "predict_us", "predict_one_us"),
     ]
@@ -197,7 +197,7 @@ def _short(value: Any) -> str:
 
 def _number(row: dict[str, Any], key: str, scale: float = 1.0) -> str:
     value = row.get(key, math.nan)
-    nothing = _is_no_residual(key, value) or abs(scale * value) < _NOTHING
+    nothing = _is_no_residual(key, value) or abs(scale * value) < _ZERO_TOLERANCE
     return format_number(0.0 if nothing else scale * value)
 
 

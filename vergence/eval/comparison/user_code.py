@@ -19,7 +19,9 @@ from vergence.envs.policy import Policy
 from vergence.errors import ConfigurationError, ControllerError, HardwareError, VergenceError
 from vergence.models.head import HeadModel
 
-_PREDICT: Final = "predict(observation, state=None, episode_start=None, deterministic=True)"
+_PREDICT_SIGNATURE: Final = (
+    "predict(observation, state=None, episode_start=None, deterministic=True)"
+)
 
 
 def make_user_controller(
@@ -93,7 +95,7 @@ class GuardedController:
                 )
             except TypeError as error:
                 raise ConfigurationError(
-                    f"controller {label}: expected {_PREDICT}, got "
+                    f"controller {label}: expected {_PREDICT_SIGNATURE}, got "
                     f"predict{inspect.signature(predict)}{_file_of(controller)}: {error}"
                 ) from error
         self._controller = controller

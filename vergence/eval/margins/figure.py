@@ -15,11 +15,11 @@ from vergence.eval.margins.ranges import SEARCHED
 from vergence.eval.margins.tables import imperfection_title
 from vergence.eval.reporting.style import BLACK, GREY, figure_style, new_figure
 
-_COLUMNS: Final = 4
+_MOST_COLUMNS: Final = 4
 """Most panels side by side (chosen: legibility)."""
-_WIDTH: Final = 13.0
+_FULL_WIDTH_IN: Final = 13.0
 """Width of a figure with all columns, inches (chosen: legibility)."""
-_ROOM: Final = 0.05
+_AXIS_MARGIN: Final = 0.05
 """Margin of the axis on either side, as a fraction of the searched range (chosen: legibility)."""
 
 
@@ -39,10 +39,10 @@ def draw(margins: Margins) -> dict[str, Figure]:
 def _draw(found: list[Margin], scenario: str) -> Figure:
     controllers = list(dict.fromkeys(one.controller for one in found))
     names = list(dict.fromkeys(one.imperfection for one in found))
-    columns = min(_COLUMNS, len(names))
+    columns = min(_MOST_COLUMNS, len(names))
     rows = math.ceil(len(names) / columns)
     height = rows * (0.85 + 0.27 * len(controllers)) + 0.9
-    figure = new_figure(_WIDTH * max(columns, 2) / _COLUMNS, height)
+    figure = new_figure(_FULL_WIDTH_IN * max(columns, 2) / _MOST_COLUMNS, height)
     panels = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
     styles = controller_styles(controllers)
     for panel, name in zip(panels, names, strict=False):
@@ -86,7 +86,7 @@ def _dress(panel: Axes, own: list[Margin]) -> None:
     scale = SEARCHED[own[0].imperfection].scale
     low = scale * min(one.range.low for one in own)
     high = scale * max(one.range.high for one in own)
-    room = _ROOM * (high - low)
+    room = _AXIS_MARGIN * (high - low)
     panel.set_xlim(low - room, high + room)
     panel.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
     panel.axvline(scale * own[0].range.expected, color=BLACK, linestyle=":", linewidth=1.3)

@@ -13,11 +13,11 @@ from vergence.envs.plants.variation import Variation
 from vergence.eval.trials.results import Trials
 from vergence.eval.trials.scenarios import Scenario
 
-_DEVIATIONS: Final = 3.0
+_BAND_NOISE_SIGMAS: Final = 3.0
 """Least settling band, in standard deviations of the detection noise (chosen)."""
-_SETTLING_PERCENT: Final = 99
+_LEAST_SETTLED_PERCENT: Final = 99
 """Least percentage of the reference trials that settle which has to settle still (chosen)."""
-_SLOWER: Final = 2.0
+_SLOWDOWN_LIMIT: Final = 2.0
 """Ratio of median settle times from which a controller counts as too slow (chosen)."""
 
 
@@ -43,12 +43,12 @@ class MarginPoint(NamedTuple):
     @property
     def settles(self) -> bool:
         """True if 99 % still settle."""
-        return self.trials > 0 and 100 * self.settled >= _SETTLING_PERCENT * self.trials
+        return self.trials > 0 and 100 * self.settled >= _LEAST_SETTLED_PERCENT * self.trials
 
     @property
     def median_not_doubled(self) -> bool:
         """True if the median is less than twice the one in the unmodified scenario."""
-        return self.median_s < _SLOWER * self.untouched_median_s
+        return self.median_s < _SLOWDOWN_LIMIT * self.untouched_median_s
 
 
 def with_imperfection(scenario: Scenario, name: str, value: float) -> Scenario:
@@ -86,7 +86,7 @@ def margin_band_px(scenario: Scenario, name: str, value: float) -> float:
     """
     if name != "detection_noise_px":
         return scenario.band_px
-    return max(scenario.band_px, _DEVIATIONS * value)
+    return max(scenario.band_px, _BAND_NOISE_SIGMAS * value)
 
 
 class MarginMeasurement:

@@ -8,7 +8,7 @@ from vergence.eval.reporting.report import ReportTable
 from vergence.eval.reporting.text import SectionText, format_number, read_template, render_text
 
 COLUMNS: Final = ("imperfection", "expected", "searched", "99 % settle", "median not doubled")
-_NEVER: Final = "nowhere"
+_NO_RANGE_TEXT: Final = "nowhere"
 
 
 def report_tables(margins: Margins) -> list[ReportTable]:
@@ -46,7 +46,7 @@ def _row(one: Margin) -> list[str]:
     def span(kind: str) -> str:
         low, high = f"{kind}_low", f"{kind}_high"
         if getattr(one, low) is None:
-            return _NEVER
+            return _NO_RANGE_TEXT
         least = ("≤ " if one.is_open(low) else "") + _number(one, getattr(one, low))
         most = ("≥ " if one.is_open(high) else "") + _number(one, getattr(one, high))
         return f"{least} to {most}"

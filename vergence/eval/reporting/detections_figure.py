@@ -25,7 +25,7 @@ _TITLE_PT: Final = 10.0
 _LETTER_WIDTH: Final = 0.62
 """Estimated width of a letter as a fraction of the font size, slightly above the mean of file names
 (chosen)."""
-_HALO: Final = [patheffects.withStroke(linewidth=3.0, foreground="black", alpha=0.75)]
+_TEXT_OUTLINE: Final = [patheffects.withStroke(linewidth=3.0, foreground="black", alpha=0.75)]
 
 
 class TargetColours:
@@ -88,7 +88,7 @@ def draw_detections(
         if number is not None:
             panel.text(
                 *as_float_pair(detection.point_px), str(number), ha="center", va="center",
-                fontsize=12, fontweight="bold", path_effects=_HALO, **style,
+                fontsize=12, fontweight="bold", path_effects=_TEXT_OUTLINE, **style,
             )  # fmt: skip
     panel.grid(False)
     panel.set(

@@ -9,13 +9,15 @@ from matplotlib.text import Annotation
 
 from vergence.models.parts import FloatArray
 
-_DISTANCES: Final = (3.0, 8.0, 14.0, 22.0, 32.0, 44.0, 58.0, 74.0, 92.0)
+_CANDIDATE_DISTANCES_PT: Final = (3.0, 8.0, 14.0, 22.0, 32.0, 44.0, 58.0, 74.0, 92.0)
 """Candidate distances between a point and the box of its text, pt (chosen)."""
-_TURNS: Final = np.array([0.0, *(s * a for a in np.arange(1, 9) * np.pi / 8 for s in (1, -1))])
+_CANDIDATE_TURNS_RAD: Final = np.array(
+    [0.0, *(s * a for a in np.arange(1, 9) * np.pi / 8 for s in (1, -1))]
+)
 """Candidate directions of a text relative to the requested one, radians, nearest first."""
-_LEADER_FROM: Final = 20.0
+_LEADER_LINE_DISTANCE_PT: Final = 20.0
 """Distance between a text and its point beyond which a line joins them, pt (chosen)."""
-_GAP: Final = 2.5
+_TEXT_MARGIN_PT: Final = 2.5
 """Free margin around a text, pt (chosen)."""
 
 
@@ -70,13 +72,13 @@ class Labels:
         for point, annotation, direction in self._texts:
             anchor = to_points * transform.transform(point)
             box = annotation.get_window_extent()
-            half = 0.5 * to_points * np.array([box.width, box.height]) + _GAP
+            half = 0.5 * to_points * np.array([box.width, box.height]) + _TEXT_MARGIN_PT
             wanted = transform.transform(point + 1e-3 * direction) - transform.transform(point)
             angle = float(np.arctan2(wanted[1], wanted[0]))
             offset = _free_offset(anchor, half, angle, taken, corners)
             taken.append((anchor + offset, half))
             annotation.set_position(as_float_pair(offset))
-            if np.linalg.norm(np.maximum(np.abs(offset) - half, 0.0)) > _LEADER_FROM:
+            if np.linalg.norm(np.maximum(np.abs(offset) - half, 0.0)) > _LEADER_LINE_DISTANCE_PT:
                 self._panel.annotate(
                     "", as_float_pair(point), as_float_pair(offset), textcoords="offset points",
                     arrowprops={"arrowstyle": "-", "color": annotation.get_color(), "lw": 0.6,
@@ -97,9 +99,11 @@ def _free_offset(
     distance directions closer to the wanted one. If all overlap, the one with the least overlap is
     taken.
     """
-    towards = np.column_stack([np.cos(angle + _TURNS), np.sin(angle + _TURNS)])
+    towards = np.column_stack(
+        [np.cos(angle + _CANDIDATE_TURNS_RAD), np.sin(angle + _CANDIDATE_TURNS_RAD)]
+    )
     places = []
-    for distance in _DISTANCES:
+    for distance in _CANDIDATE_DISTANCES_PT:
         # the box's edge, not its centre, is at this distance from the point
         edge = np.min(half / np.maximum(np.abs(towards), 1e-9), axis=1)
         places.append(towards * (edge + distance)[:, None])

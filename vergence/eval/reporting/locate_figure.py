@@ -30,23 +30,23 @@ _VIEWS: Final = (
     ("from the right", 2, 1, "z (mm), forward", "y (mm), down"),
 )
 """Title, axes of N across and up the page, and their labels; y points down the page."""
-_EYES: Final = (BLUE, ORANGE)
-_VISIBLE_PT: Final = 2.0
+_EYE_COLOURS: Final = (BLUE, ORANGE)
+_LEAST_SEMI_AXIS_PT: Final = 2.0
 """Least semi-axis at which an ellipse is visible around its point, pt (chosen)."""
-_SCALES: Final = (1, 3, 10, 30)
+_ELLIPSE_SIGMAS: Final = (1, 3, 10, 30)
 """Scales of the ellipses, in standard deviations; the first visible one is used (chosen)."""
-_WIDTH: Final = 12.5
+_FIGURE_WIDTH_IN: Final = 12.5
 """Width of the figure, inches (chosen: legibility)."""
-_BELOW: Final = 5.4
+_VIEWS_HEIGHT_IN: Final = 5.4
 """Height of the views of space, inches (chosen: legibility)."""
 # Font sizes, pt (chosen: legibility).
 _HEADING_PT: Final = 13.0
 _TITLE_PT: Final = 12.0
 
-_CROWDED: Final = 5
+_MOST_DRAWN_PAIRS: Final = 5
 """Most image pairs whose points are all drawn; of more, only the points of the pair shown above are
 drawn (chosen: legibility)."""
-_FAR: Final = 5.0
+_FAR_DISTANCE_RATIO: Final = 5.0
 """Ratio to the usual distance of targets beyond which a point is left out of the views, where it
 would shrink all others to a dot (chosen)."""
 
@@ -75,22 +75,24 @@ def compose_located(result: LocateResult) -> Figure:
     """
     shown, colours = result.shown, TargetColours()
     tall = max(each.image.shape[0] / each.image.shape[1] for each in shown)
-    top = 0.5 * _WIDTH * tall + 0.4
+    top = 0.5 * _FIGURE_WIDTH_IN * tall + 0.4
     with figure_style():
         seen = [one for one in result.located if one.valid.any()]
         # without a valid point, the views of space would be empty
-        heights = (top, _BELOW) if seen else (top,)
-        figure = new_figure(_WIDTH, sum(heights))
+        heights = (top, _VIEWS_HEIGHT_IN) if seen else (top,)
+        figure = new_figure(_FIGURE_WIDTH_IN, sum(heights))
         grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
         for eye, name in enumerate(EYE_NAMES):
             panel = figure.add_subplot(grid[0, eye])
             draw_detections(panel, shown[eye].image, shown[eye].found, colours)
             nothing = "" if shown[eye].found else ", nothing found"
-            title = shorten_to_width(f"{name}: {shown[eye].path.name}", 0.35 * _WIDTH, _TITLE_PT)
-            panel.set_title(f"{title}{nothing}", color=_EYES[eye], fontsize=_TITLE_PT)
+            title = shorten_to_width(
+                f"{name}: {shown[eye].path.name}", 0.35 * _FIGURE_WIDTH_IN, _TITLE_PT
+            )
+            panel.set_title(f"{title}{nothing}", color=_EYE_COLOURS[eye], fontsize=_TITLE_PT)
         if seen:
             _draw_space(figure, grid, result, seen, colours)
-        heading = shorten_to_width(_heading(result, seen), 0.95 * _WIDTH, _HEADING_PT)
+        heading = shorten_to_width(_heading(result, seen), 0.95 * _FIGURE_WIDTH_IN, _HEADING_PT)
         figure.suptitle(heading, fontsize=_HEADING_PT)
     return figure
 
@@ -125,7 +127,9 @@ def _near(seen: Sequence[LocatedTarget]) -> list[NDArray[np.bool_]]:
     """Mask of each target's points that are near enough to be drawn, (n,) each."""
     away = [np.linalg.norm(one.fix.point, axis=-1) for one in seen]
     usual = np.median([np.median(d[one.valid]) for d, one in zip(away, seen, strict=True)])
-    return [one.valid & (d <= _FAR * usual) for d, one in zip(away, seen, strict=True)]
+    return [
+        one.valid & (d <= _FAR_DISTANCE_RATIO * usual) for d, one in zip(away, seen, strict=True)
+    ]
 
 
 def _heading(result: LocateResult, seen: Sequence[LocatedTarget]) -> str:
@@ -149,9 +153,11 @@ def _draw_view(
     shown: str,
 ) -> None:
     for eye, name in enumerate(EYE_NAMES):
-        panel.plot(*eyes[eye::2][:, axes].T, "s", color=_EYES[eye], ms=8, label=f"{name} eye")
+        panel.plot(
+            *eyes[eye::2][:, axes].T, "s", color=_EYE_COLOURS[eye], ms=8, label=f"{name} eye"
+        )
     pairs = {one.pair for one in seen}
-    many, crowded = len(pairs) > 1, len(pairs) > _CROWDED
+    many, crowded = len(pairs) > 1, len(pairs) > _MOST_DRAWN_PAIRS
     for one, drawn in zip(seen, near, strict=True):
         points, colour = MM * one.fix.point[:, axes], colours.of(one.target)
         points = np.where(drawn[:, None], points, np.nan)
@@ -190,7 +196,7 @@ def _draw_sigma(
     panel = panels[0]
     ends = panel.transData.transform([(0.0, 0.0), (largest, 0.0)])
     size_pt = (ends[1, 0] - ends[0, 0]) * 72.0 / panel.figure.dpi
-    scale = next((s for s in _SCALES if s * size_pt >= _VISIBLE_PT), None)
+    scale = next((s for s in _ELLIPSE_SIGMAS if s * size_pt >= _LEAST_SEMI_AXIS_PT), None)
     if scale is None:
         return
     for panel, (_, across, up, _, _) in zip(panels, _VIEWS, strict=True):

@@ -18,18 +18,18 @@ from vergence.vision.printing import RULER_MM, PrintSheet
 
 RULER_TEXT: Final = f"print at 100 %, measure this: {RULER_MM:g} mm"
 """Text next to the ruler."""
-_INCH_MM: Final = 25.4
+_MM_PER_INCH: Final = 25.4
 """Millimetres per inch (physical: definition of the inch)."""
-_POINTS: Final = 72.0
+_POINTS_PER_INCH: Final = 72.0
 """Points per inch, the unit of PDF pages (physical: definition of the point)."""
 _TEXT_PT: Final = 8.0
 """Font size, at which a board's longest text is shorter than the ruler, pt (chosen)."""
 _RULER_TOP_MM: Final = 0.6
 """Distance of the ruler from the board's margin, mm (chosen: layout)."""
-_LINES_MM: Final = (4.6, 8.2)
+_TEXT_LINE_OFFSETS_MM: Final = (4.6, 8.2)
 """Distances of the lines of text from the board's margin, mm (chosen: layout)."""
 # Number of the ruler's intervals, lengths of its ticks and width of its strokes (chosen).
-_TICKS: Final = 10
+_RULER_INTERVALS: Final = 10
 _TICK_MM: Final = 2.0
 _END_TICK_MM: Final = 3.2
 _STROKE_MM: Final = 0.2
@@ -67,9 +67,9 @@ def draw_sheet(sheet: PrintSheet, path: Path, dpi: float) -> None:
 
 
 def _figure(sheet: PrintSheet) -> Figure:
-    figure = Figure(figsize=(sheet.width_mm / _INCH_MM, sheet.height_mm / _INCH_MM))
+    figure = Figure(figsize=(sheet.width_mm / _MM_PER_INCH, sheet.height_mm / _MM_PER_INCH))
     FigureCanvasAgg(figure)
-    inches = Affine2D().scale(1.0, -1.0).translate(0.0, sheet.height_mm).scale(1.0 / _INCH_MM)
+    inches = Affine2D().scale(1.0, -1.0).translate(0.0, sheet.height_mm).scale(1.0 / _MM_PER_INCH)
     page = inches + figure.dpi_scale_trans
     turned = Affine2D().rotate_deg(-90.0 if sheet.ruler_upright else 0.0)
     strip = turned.translate(*sheet.ruler_zero_mm) + page
@@ -77,7 +77,7 @@ def _figure(sheet: PrintSheet) -> Figure:
         patch = PathPatch(_compound(loops), facecolor="black", linewidth=0.0, transform=transform)
         patch.set_snap(False)  # snapping to whole pixels would move edges by up to half a pixel
         figure.add_artist(patch)
-    for text, v in zip((RULER_TEXT, f"{sheet.target}"), _LINES_MM, strict=True):
+    for text, v in zip((RULER_TEXT, f"{sheet.target}"), _TEXT_LINE_OFFSETS_MM, strict=True):
         figure.text(
             *(0.0, v, text),
             transform=strip,
@@ -101,9 +101,9 @@ def _ruler() -> list[NDArray[np.float64]]:
     """Rectangles of the ruler; its first and last ticks are centred at 0 and 100 mm."""
     half = 0.5 * _STROKE_MM
     boxes = [(-half, _RULER_TOP_MM, RULER_MM + half, _RULER_TOP_MM + _STROKE_MM)]
-    for tick in range(_TICKS + 1):
-        place = tick * RULER_MM / _TICKS
-        length = _END_TICK_MM if tick % _TICKS == 0 else _TICK_MM
+    for tick in range(_RULER_INTERVALS + 1):
+        place = tick * RULER_MM / _RULER_INTERVALS
+        length = _END_TICK_MM if tick % _RULER_INTERVALS == 0 else _TICK_MM
         boxes.append((place - half, _RULER_TOP_MM, place + half, _RULER_TOP_MM + length))
     return [np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]) for x0, y0, x1, y1 in boxes]
 
@@ -124,10 +124,10 @@ def _write_pdf(figure: Figure, path: Path, title: str) -> None:
             "ViewerPreferences": wish,
         }
         file.writeObject(file.rootObject, catalog)  # replaces the catalog that is already written
-        figure.dpi = _POINTS  # the unit of a page
+        figure.dpi = _POINTS_PER_INCH  # the unit of a page
         width, height = (float(edge) for edge in figure.get_size_inches())
         file.newPage(width, height)
-        renderer = pdf.RendererPdf(file, _POINTS, height, width)
+        renderer = pdf.RendererPdf(file, _POINTS_PER_INCH, height, width)
         figure.draw(renderer)
         renderer.finalize()
         file.finalize()

@@ -21,7 +21,7 @@ from vergence.eval.reporting.runs import package_versions
 from vergence.eval.reporting.text import NONE, format_number, jinja_environment, read_template
 from vergence.files import write_atomic
 
-_PHRASES: Final = {
+_VERDICT_PHRASES: Final = {
     SAME_ORDER: "of the same order",
     DIFFERS: "farther apart",
     BY_CONSTRUCTION: "by construction",
@@ -91,7 +91,7 @@ def write_report(path: Path, sections: list[Section], title: str = "") -> None:
         headlines=article_summary_rows(sections),
         tally=count_verdicts(sections),
         reported=len(reported_results()),
-        phrases=_PHRASES,
+        phrases=_VERDICT_PHRASES,
         verdicts=VERDICTS,
         other_verdicts=OTHER_VERDICTS,
         glossary=GLOSSARY,

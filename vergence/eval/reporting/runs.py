@@ -22,7 +22,7 @@ from vergence.models.head import HeadModel
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-_VERSIONED = (
+_VERSIONED_PACKAGES = (
     "vergence",
     "numpy",
     "scipy",
@@ -35,16 +35,16 @@ _VERSIONED = (
 )
 
 
-_DISTRIBUTIONS: Final = {"mujoco": "mujoco-core"}
+_DISTRIBUTION_NAMES: Final = {"mujoco": "mujoco-core"}
 """Distributions of packages that have another name."""
 
 
-def package_versions(packages: tuple[str, ...] = _VERSIONED) -> dict[str, str]:
+def package_versions(packages: tuple[str, ...] = _VERSIONED_PACKAGES) -> dict[str, str]:
     """Versions of Python and of packages, without packages that are not installed."""
     found = {"python": platform.python_version()}
     for package in packages:
         try:
-            found[package] = importlib.metadata.version(_DISTRIBUTIONS.get(package, package))
+            found[package] = importlib.metadata.version(_DISTRIBUTION_NAMES.get(package, package))
         except importlib.metadata.PackageNotFoundError:
             continue
     return found
@@ -73,7 +73,7 @@ def check_folder_free(folder: Path) -> None:
     raise ConfigurationError(f"out: expected a new or empty folder, got {what}: {folder}")
 
 
-_SIGNS: Final = {
+_COMMAND_BY_ENTRY: Final = {
     "experiments": "reproduce",
     "study.db": "tune",
     "tune.json": "tune",
@@ -92,20 +92,22 @@ _SIGNS: Final = {
 
 def run_folder_command(folder: Path) -> str | None:
     """Command that wrote a run folder; None if there is no such folder or it is no run folder."""
-    return next((kind for name, kind in _SIGNS.items() if (folder / name).exists()), None)
+    return next(
+        (kind for name, kind in _COMMAND_BY_ENTRY.items() if (folder / name).exists()), None
+    )
 
 
 def run_folder_of(folder: Path) -> str | None:
     """Description of a run folder for messages; None if it is no run folder."""
-    if (folder / _RECORDING).is_dir() and not (folder / "evaluation.json").exists():
+    if (folder / _ROBOT_RECORD_FOLDER).is_dir() and not (folder / "evaluation.json").exists():
         return "an evaluation on a robot that has not ended (--resume goes on with it)"
     command = run_folder_command(folder)
-    return command and f"the run folder of vergence {command}{_GOES_ON.get(command, '')}"
+    return command and f"the run folder of vergence {command}{_RESUME_HINTS.get(command, '')}"
 
 
-_RECORDING: Final = "recording"
+_ROBOT_RECORD_FOLDER: Final = "recording"
 """Folder that an evaluation on a robot contains from its start."""
-_GOES_ON: Final = {
+_RESUME_HINTS: Final = {
     "train": " (--resume goes on with it)",
     "tune": " (which vergence tune goes on with)",
     "reproduce": " (which vergence reproduce goes on with)",
@@ -207,7 +209,7 @@ def write_config(
     content = {
         "config": toml_value(dataclasses.asdict(config)),
         "head": {"name": head.name, "digest": head.digest, "file": "head.toml"},
-        "versions": package_versions(_VERSIONED + packages),
+        "versions": package_versions(_VERSIONED_PACKAGES + packages),
     }
     (folder / "config.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
     save_head(head, folder / "head.toml")

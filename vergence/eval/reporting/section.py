@@ -12,7 +12,7 @@ from vergence.eval.reporting.report import ReportTable, Section
 from vergence.files import atomic_folder, write_atomic
 
 SECTION_FILE: Final = "section.json"
-_FORMAT: Final = 1
+_FORMAT_VERSION: Final = 1
 """Version of the file's format (numerical)."""
 
 
@@ -25,7 +25,9 @@ def write_section(path: Path, section: Section) -> None:
     """
     content = dataclasses.asdict(section)
     content["figures"] = [figure.relative_to(path.parent).as_posix() for figure in section.figures]
-    text = json.dumps({"format": _FORMAT, **content}, indent=2, allow_nan=False, default=str)
+    text = json.dumps(
+        {"format": _FORMAT_VERSION, **content}, indent=2, allow_nan=False, default=str
+    )
     write_atomic(path, text + "\n")
 
 
@@ -53,8 +55,10 @@ def read_section(path: Path) -> Section:
             f"include: expected the folder of a run of vergence evaluate, got {path.parent}: "
             f"no readable {path.name}"
         ) from error
-    if form != _FORMAT:
-        raise ConfigurationError(f"include: expected format {_FORMAT}, got {form!r} in {path}")
+    if form != _FORMAT_VERSION:
+        raise ConfigurationError(
+            f"include: expected format {_FORMAT_VERSION}, got {form!r} in {path}"
+        )
     here = path.parent.resolve()
     for figure in section.figures:
         inside = figure.resolve().is_relative_to(here) and figure.suffix == ".svg"
@@ -75,10 +79,10 @@ def _check_plain(section: Section) -> None:
     lines += [row for table in section.tables for row in table.rows]
     lines += [[section.name, section.title, section.article, section.data]]
     lines += [[section.what, section.conclusion]]
-    lines += [[row[key] for key in _WORDS] for row in section.summary]
+    lines += [[row[key] for key in _TEXT_KEYS] for row in section.summary]
     if not all(isinstance(text, str) for line in lines for text in line):
         raise TypeError("expected text")
-    numbers = [row[key] for row in section.summary for key in _NUMBERS]
+    numbers = [row[key] for row in section.summary for key in _NUMBER_KEYS]
     if not all(value is None or isinstance(value, int | float) for value in numbers):
         raise TypeError("expected numbers")
     if not all(type(number) is int for number in (section.rows, section.seed)):
@@ -87,8 +91,8 @@ def _check_plain(section: Section) -> None:
         raise TypeError("expected values by name")
 
 
-_WORDS: Final = ("experiment", "quantity", "method", "axis", "unit", "verdict")
-_NUMBERS: Final = ("article_low", "article_high", "ours_low", "ours_high")
+_TEXT_KEYS: Final = ("experiment", "quantity", "method", "axis", "unit", "verdict")
+_NUMBER_KEYS: Final = ("article_low", "article_high", "ours_low", "ours_high")
 
 
 def include_section(run: Path, folder: Path) -> Path:

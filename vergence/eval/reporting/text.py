@@ -14,7 +14,7 @@ NONE: Final = "–"
 """Placeholder for a missing number."""
 
 
-_CAPTION: Final = "caption_"
+_CAPTION_PREFIX: Final = "caption_"
 
 
 class SectionText(NamedTuple):
@@ -59,9 +59,9 @@ def render_text(template: str, **values: Any) -> SectionText:
     context = found.new_context(values)
     text = {name: _unwrapped("".join(block(context))) for name, block in found.blocks.items()}
     captions = {
-        name.removeprefix(_CAPTION).replace("_", "-"): words
+        name.removeprefix(_CAPTION_PREFIX).replace("_", "-"): words
         for name, words in text.items()
-        if name.startswith(_CAPTION)
+        if name.startswith(_CAPTION_PREFIX)
     }
     return SectionText(text["what"], text["found"], text.get("headline", ""), captions)
 

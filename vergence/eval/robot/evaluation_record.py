@@ -23,8 +23,8 @@ from vergence.recording.log import LoggedTrial, read_log
 
 FOLDER: Final = "recording"
 """Name of the record's folder in a run folder."""
-_CONFIGURATION: Final = "asked.json"
-_JOURNAL: Final = "journal.jsonl"
+_CONFIG_FILE: Final = "asked.json"
+_JOURNAL_FILE: Final = "journal.jsonl"
 
 
 class TrialKey(NamedTuple):
@@ -113,7 +113,7 @@ class EvaluationRecord:
     def __init__(self, run: Path, configuration: Mapping[str, Any] | None = None) -> None:
         self.folder = run / FOLDER
         self.unreadable: dict[str, str] = {}
-        place = self.folder / _CONFIGURATION
+        place = self.folder / _CONFIG_FILE
         try:
             self.configuration: dict[str, Any] = (
                 json.loads(place.read_text(encoding="utf-8"))
@@ -134,7 +134,7 @@ class EvaluationRecord:
         Raises:
             ConfigurationError: the record cannot be written.
         """
-        place = self.folder / _CONFIGURATION
+        place = self.folder / _CONFIG_FILE
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             if not place.exists():
@@ -158,7 +158,7 @@ class EvaluationRecord:
         line = json.dumps(asdict(entry)).encode() + b"\n"
         try:
             # start a new line if a kill has cut off the last one
-            with (self.folder / _JOURNAL).open("ab+") as file:
+            with (self.folder / _JOURNAL_FILE).open("ab+") as file:
                 if file.tell():
                     file.seek(-1, os.SEEK_END)
                     line = line if file.read(1) == b"\n" else b"\n" + line
@@ -167,7 +167,7 @@ class EvaluationRecord:
                 os.fsync(file.fileno())
         except OSError as error:
             raise ConfigurationError(
-                f"out: expected a journal that can be written, got {self.folder / _JOURNAL}: "
+                f"out: expected a journal that can be written, got {self.folder / _JOURNAL_FILE}: "
                 f"{error.strerror}"
             ) from error
 
@@ -201,7 +201,7 @@ class EvaluationRecord:
         return found
 
     def _entries(self) -> Iterator[JournalEntry]:
-        place = self.folder / _JOURNAL
+        place = self.folder / _JOURNAL_FILE
         try:
             lines = place.read_bytes().split(b"\n") if place.exists() else []
         except OSError as error:

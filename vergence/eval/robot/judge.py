@@ -35,7 +35,7 @@ from vergence.triangulation import triangulate_views
 
 _MEASURING_WINDOW_S: Final = 0.5
 """Time at a trial's end over which the target's position is measured, s (chosen)."""
-_FORWARD: Final = np.array([0.0, 0.0, 1.0])
+_PLACEHOLDER_TARGET: Final = np.array([0.0, 0.0, 1.0])
 """(3,) placeholder that any head can look at, for trials with unknown targets, in N, m (chosen)."""
 
 
@@ -136,7 +136,7 @@ def robot_settle_bounds(
         variation=loop_variation(hardware),
     )  # fmt: skip
     keys = np.zeros(trials.num, dtype=np.uint64)
-    places = np.where(known[:, np.newaxis], points, _FORWARD)
+    places = np.where(known[:, np.newaxis], points, _PLACEHOLDER_TARGET)
     start = TrialStart(np.arange(trials.num), keys, keys, trials.positions[0], motion_rows(places))
     with closing(task):
         simulation_of(task.plant).begin(start)

@@ -24,9 +24,9 @@ from vergence.recording import Recorder
 from vergence.recording.log import Log, LoggedTrial, read_log
 from vergence.recording.replayed import REPLAYED, ReplayedPlant
 
-_GIVEN: Final = ("name", "head", "layout")
+_NON_OPTION_ARGUMENTS: Final = ("name", "head", "layout")
 """Arguments of a controller that are not options."""
-_MOST_DIGITS: Final = 7
+_MOST_STEPS_DIGITS: Final = 7
 """Largest number of digits of the log's `steps` (numerical: bounds memory, far beyond any gaze)."""
 
 
@@ -175,7 +175,7 @@ def _options(log: Log) -> dict[str, Any]:
     except (ValueError, RecursionError):
         found = None
     if not isinstance(found, dict) or not all(
-        name.isidentifier() and name not in _GIVEN for name in found
+        name.isidentifier() and name not in _NON_OPTION_ARGUMENTS for name in found
     ):
         raise ConfigurationError(f"{log.path}: options: expected them by name as JSON")
     return found
@@ -232,7 +232,7 @@ def _planned(log: Log) -> int | None:
     text = log.facts.get("steps")
     if text is None:
         return None
-    if not text.isdecimal() or len(text) > _MOST_DIGITS:
+    if not text.isdecimal() or len(text) > _MOST_STEPS_DIGITS:
         raise ConfigurationError(f"{log.path}: steps: expected a number, got {text!r:.40}")
     return max(1, int(text))
 

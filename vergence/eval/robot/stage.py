@@ -23,7 +23,7 @@ from vergence.models.parts import FloatArray
 
 STAGES: Final = ("emulator", "places", "hand", "still")
 """Names of the stages; by default the first available one is used."""
-_JUMPS: Final = ("double-step", "occluded")
+_JUMPING_TARGET_KINDS: Final = ("double-step", "occluded")
 """Kinds of targets that disappear or jump after they have appeared."""
 REST_TARGET: Final = {"kind": "static", "point": (0.0, 0.0, 1.0)}
 """The task's target for a robot; it only makes trials begin at rest."""
@@ -48,7 +48,7 @@ class TargetStage(ABC):
             ConfigurationError: the stage cannot move a target like that.
         """
         kind = str(scenario.target.get("kind"))
-        if scenario.target_moves or kind in _JUMPS:
+        if scenario.target_moves or kind in _JUMPING_TARGET_KINDS:
             raise ConfigurationError(
                 f"scenario: expected one whose target stands still before a robot, got "
                 f"{scenario.name}, whose target is {kind!r}; an emulated head has any"
@@ -85,7 +85,7 @@ class EmulatorStage(TargetStage):
     def target(self, scenario: Assignment) -> Mapping[str, Any]:
         """See `TargetStage.target`."""
         kind = str(scenario.target.get("kind"))
-        if kind in _JUMPS:
+        if kind in _JUMPING_TARGET_KINDS:
             raise ConfigurationError(
                 f"scenario: expected one whose target is there from its start on, got "
                 f"{scenario.name}, whose target is {kind!r}"

@@ -22,11 +22,11 @@ from vergence.models.actuation import SLOTS
 from vergence.models.packed import PackedHead, camera_of, joint_per_actuator
 from vergence.models.parts import FloatArray
 
-_GOLDEN: Final = 0.6180339887498949
+_INVERSE_GOLDEN_RATIO: Final = 0.6180339887498949
 """Golden ratio less 1: the factor by which a section shrinks the bracket (numerical)."""
 _SECTIONS: Final = 40
 """Sections of the golden-section search; the bracket shrinks to 4e-9 (numerical)."""
-_LEAST_WEIGHT: Final = 1e-6
+_WEIGHT_MARGIN: Final = 1e-6
 """Distance of the weight from 0 and 1, which keeps the weighted sum invertible (numerical)."""
 
 
@@ -124,8 +124,8 @@ def _widest(squares: FloatArray, k: int) -> float:
         squares: (2, 4, 4) M_l and M_r, px^2/rad^2.
         k: index of the actuator.
     """
-    low, high = _LEAST_WEIGHT, 1.0 - _LEAST_WEIGHT
-    a, b = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+    low, high = _WEIGHT_MARGIN, 1.0 - _WEIGHT_MARGIN
+    a, b = high - _INVERSE_GOLDEN_RATIO * (high - low), low + _INVERSE_GOLDEN_RATIO * (high - low)
     at_a, at_b = _reach_squared(squares, a, k), _reach_squared(squares, b, k)
     # an actuator that moves one eye only has its minimum at an end of the interval
     least = min(_reach_squared(squares, low, k), _reach_squared(squares, high, k))
@@ -133,11 +133,11 @@ def _widest(squares: FloatArray, k: int) -> float:
         least = min(least, at_a, at_b)
         if at_a < at_b:
             high, b, at_b = b, a, at_a
-            a = high - _GOLDEN * (high - low)
+            a = high - _INVERSE_GOLDEN_RATIO * (high - low)
             at_a = _reach_squared(squares, a, k)
         else:
             low, a, at_a = a, b, at_b
-            b = low + _GOLDEN * (high - low)
+            b = low + _INVERSE_GOLDEN_RATIO * (high - low)
             at_b = _reach_squared(squares, b, k)
     return sqrt(least)
 

@@ -43,7 +43,7 @@ from vergence.models.actuation import SLOTS, Actuation
 from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
 
-_ROUNDING: Final = 1e-6
+_PERIOD_TOLERANCE: Final = 1e-6
 """Tolerance, in control periods, within which two times count as equal (numerical)."""
 
 
@@ -99,11 +99,11 @@ def settle_bound(
         if sight_s is None
         else (sight_s, np.full(task.num, -inf))
     )
-    first, last = (np.ceil(sight / period - _ROUNDING) for sight in sights)
+    first, last = (np.ceil(sight / period - _PERIOD_TOLERANCE) for sight in sights)
     moves_s = first * period + conditions.command_latency_s
     # The joints' bands enclose the error circle: an eye outside the circle has to move even if its
     # joints are within their bands.
-    settled = np.maximum(np.ceil((moves_s + motion_s) / period - _ROUNDING), last + 1.0)
+    settled = np.maximum(np.ceil((moves_s + motion_s) / period - _PERIOD_TOLERANCE), last + 1.0)
     return np.where(inside, 0.0, settled * period - simulation.onset_s())
 
 

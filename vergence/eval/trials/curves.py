@@ -29,9 +29,9 @@ ERROR_BINS_PX: Final = np.geomspace(1.0, 512.0, 19)
 LEAST_ERROR_PX: Final = 1.0
 """Least image error for an effective gain, px; below it the law's direction is mostly noise
 (chosen)."""
-_ROUNDING: Final = 1e-6
+_PERIOD_TOLERANCE: Final = 1e-6
 """Tolerance, in control periods, within which an onset falls on a step (numerical)."""
-_FEW: Final = 30
+_LEAST_BIN_SAMPLES: Final = 30
 """Least number of samples in a bin; bins with fewer are left out (chosen)."""
 
 
@@ -63,7 +63,7 @@ def error_curves(trials: Trials) -> pd.DataFrame:
 def _steps_since_onset(trials: Trials) -> NDArray[np.intp]:
     """(periods, n) indices of each trial's steps since its onset, cut to the shortest trial."""
     period_s = trials.head.timing.period_s
-    first = np.ceil(trials.onset_s / period_s - _ROUNDING).astype(np.intp)
+    first = np.ceil(trials.onset_s / period_s - _PERIOD_TOLERANCE).astype(np.intp)
     left = len(trials.time_s) - first.max()
     return np.asarray(first + np.arange(left)[:, None])
 
@@ -116,7 +116,7 @@ def _binned(
     rows: list[tuple[str | float, ...]] = []
     for i, (low, high) in enumerate(pairwise(edges)):
         own = gain[place == i]
-        if len(own) < _FEW:
+        if len(own) < _LEAST_BIN_SAMPLES:
             continue
         middle = np.sqrt(low * high) if by == "error" else 0.5 * (low + high)
         rows.append((by, float(middle), *np.percentile(own, (25, 50, 75)).tolist(), len(own)))

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 from vergence._jit import compiled, inlined
 from vergence.models.joint_response import follow_joint, follow_torque_limited_joint, lag_decay
 
-_HALVINGS: Final = 60
+_BISECTIONS: Final = 60
 """Steps of each bisection; they exhaust double precision (numerical)."""
 
 
@@ -41,7 +41,7 @@ def fastest_entry(
     switch = inf
     if far < inf:
         low, high = 0.0, _time_to_pass(far, joint)
-        for _ in range(_HALVINGS):
+        for _ in range(_BISECTIONS):
             middle = 0.5 * (low + high)
             if _stopping_angle(middle, joint) <= far:
                 low = middle
@@ -52,7 +52,7 @@ def fastest_entry(
     if switch < inf:
         # a joint that stops at the far edge has passed the near one
         high = min(high, switch) + _stop_time(switch, joint)
-    for _ in range(_HALVINGS):
+    for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         if _bang_bang_state(middle, switch, joint)[0] < near:
             low = middle

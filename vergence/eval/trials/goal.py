@@ -31,13 +31,13 @@ _NEWTON_STEPS: Final = 30
 """Most Newton steps for an eye (numerical)."""
 _GAUSS_NEWTON_STEPS: Final = 200
 """Most Gauss-Newton steps for coupled joints (numerical)."""
-_DIFFERENCE_RAD: Final = 1e-5
+_FINITE_DIFFERENCE_RAD: Final = 1e-5
 """Half step of the central differences, rad (numerical)."""
 _TOLERANCE_PX: Final = 1e-9
 """Error at which Newton's method has converged, px (numerical)."""
-_LEAST_STEP_RAD: Final = 1e-10
+_CONVERGED_STEP_RAD: Final = 1e-10
 """Gauss-Newton step below which the iteration has converged, rad (numerical)."""
-_SETTLED_RAD: Final = 1e-7
+_ACCEPTED_LAST_STEP_RAD: Final = 1e-7
 """Size of the last allowed Gauss-Newton step that still counts as converged, rad (numerical)."""
 
 
@@ -107,7 +107,7 @@ def error_slopes(
     true: PackedHead, nominal: PackedHead, eye: int, tilt: float, pan: float, point: FloatArray
 ) -> PixelErrorSlopes:
     """An eye's measured error and image Jacobian at given angles."""
-    h = _DIFFERENCE_RAD
+    h = _FINITE_DIFFERENCE_RAD
     u, v = measured_error(true, nominal, eye, tilt, pan, point)
     ua, va = measured_error(true, nominal, eye, tilt + h, pan, point)
     ub, vb = measured_error(true, nominal, eye, tilt - h, pan, point)
@@ -192,7 +192,7 @@ def actuator_goal(
             return False
         last = attempt == _GAUSS_NEWTON_STEPS - 1
         # convergence is slow if the residual is large
-        if size < (_SETTLED_RAD if last else _LEAST_STEP_RAD):
+        if size < (_ACCEPTED_LAST_STEP_RAD if last else _CONVERGED_STEP_RAD):
             return True
         for k in range(SLOTS):
             actuators[k] += step[k]

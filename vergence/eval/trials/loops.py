@@ -8,7 +8,7 @@ from vergence.eval.trials.twin_errors import TWIN_ERRORS
 
 LATEST_ONSET_S: Final = 0.6
 """Latest drawn onset of a target, s (chosen)."""
-_FAULTS: Final[dict[str, Any]] = {
+_COMMON_RANGES: Final[dict[str, Any]] = {
     "frame_phase": (0.0, 1.0),
     "clock_drift": (-0.001, 0.001),
     "jitter_s": (0.0, 2.0 / 120.0),
@@ -26,12 +26,12 @@ _FAULTS: Final[dict[str, Any]] = {
     "model_errors": TWIN_ERRORS,
 }
 """Ranges for two small servos per eye and two cameras, on a bus of their own."""
-HARDWARE: Final = Variation(latency_s=(0.04, 0.13), acceleration_ratio=(0.4, 1.2), **_FAULTS)
+HARDWARE: Final = Variation(latency_s=(0.04, 0.13), acceleration_ratio=(0.4, 1.2), **_COMMON_RANGES)
 WEBCAM: Final = Variation(
     latency_s=(0.06, 0.13),
     # 30 to 120 rad/s^2
     acceleration_ratio=(30.0 / 80.0, 120.0 / 80.0),
-    **_FAULTS,
+    **_COMMON_RANGES,
 )
 DESK: Final = replace(
     WEBCAM,

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.models.parts import FloatArray
 
-_ROUNDING_S: Final = 1e-9
+_TIME_TOLERANCE_S: Final = 1e-9
 """Tolerance within which two times count as equal, s (numerical)."""
 STEADY_S: Final = 0.25
 """Window at a trial's end for the steady-state error, s (chosen)."""
@@ -165,7 +165,7 @@ def mask_from_time(
         (steps, ...) True from that time on.
     """
     time = np.reshape(np.asarray(time_s), (-1, *(1,) * len(trials)))
-    return np.asarray(time >= np.broadcast_to(after_s, trials) - _ROUNDING_S)
+    return np.asarray(time >= np.broadcast_to(after_s, trials) - _TIME_TOLERANCE_S)
 
 
 def command_energy(command: ArrayLike, period_s: float) -> FloatArray:

@@ -16,9 +16,9 @@ from vergence.triangulation import triangulate_gaze
 
 BAND_PX: Final = ONE_PX.px
 """Default band of settling, px."""
-_ROUNDING_S: Final = 1e-9
+_TIME_TOLERANCE_S: Final = 1e-9
 """Tolerance within which two times count as equal, s (numerical)."""
-_ROUNDING_PX: Final = 1e-6
+_ZERO_RESIDUAL_PX: Final = 1e-6
 """Residual below which it counts as zero, px (numerical)."""
 
 
@@ -106,7 +106,7 @@ class Trials:
         if self.target_moves or self.head.actuation.direct:
             return np.full(self.num, np.nan)
         worse = np.linalg.norm(self.residual, axis=-1).max(axis=-1)
-        return np.where(worse < _ROUNDING_PX, 0.0, worse)
+        return np.where(worse < _ZERO_RESIDUAL_PX, 0.0, worse)
 
     def settle_s(self, band_px: float = BAND_PX) -> FloatArray:
         """(n,) settle time: both eyes enter a band about their residuals and stay in it, s.
@@ -174,7 +174,7 @@ class Trials:
     def overshoot(self) -> FloatArray:
         """(n,) see `metrics.overshoot`: beyond the residual."""
         return metrics.overshoot(
-            self.reducible_error, np.searchsorted(self.time_s, self.onset_s - _ROUNDING_S)
+            self.reducible_error, np.searchsorted(self.time_s, self.onset_s - _TIME_TOLERANCE_S)
         )
 
     @cached_property

@@ -41,10 +41,10 @@ __all__ = ["BATCH", "Trials", "headline_metric", "run_trials"]
 
 BATCH: Final = 1000
 """Default number of trials in a batch; more only cost memory (chosen)."""
-_SIMULATED: Final = ("visible", "positions", "command")
+_SIMULATED_READING_FIELDS: Final = ("visible", "positions", "command")
 """Fields of readings to record in simulated trials: few, as there are many trials and errors come
 from the ground truth."""
-_TRUTH: Final = ("pixel_error", "target", "motors")
+_TRUTH_FIELDS: Final = ("pixel_error", "target", "motors")
 
 
 def run_trials(
@@ -205,7 +205,10 @@ def run_trials_in(
     simulated = isinstance(task.plant, Simulation)
     steps, all_steps = evaluated_and_run_periods(scenario, task.head, simulated=simulated)
     record = Recorder(
-        task, all_steps, reading=_SIMULATED if simulated else Reading._fields, truth=_TRUTH
+        task,
+        all_steps,
+        reading=_SIMULATED_READING_FIELDS if simulated else Reading._fields,
+        truth=_TRUTH_FIELDS,
     )
     known: dict[str, Any] = {}
 

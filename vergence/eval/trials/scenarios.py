@@ -28,9 +28,9 @@ from vergence.models.head import HeadModel
 
 SPLITS: Final = ("train", "validation", "test")
 """Purposes of trials, each with seeds of its own."""
-_BETWEEN_SPLITS: Final = 2**40
+_SPLIT_SEED_STRIDE: Final = 2**40
 """Distance between the first seeds of two splits (numerical)."""
-_BETWEEN_SEEDS: Final = 2**20
+_VECTOR_SEED_STRIDE: Final = 2**20
 """Distance between two seeds of a split: the greatest size of a vector (numerical)."""
 
 
@@ -68,9 +68,9 @@ class Assignment:
         """
         if split not in SPLITS:
             raise UnknownNameError("split", split, list(SPLITS))
-        if not 0 <= seed < _BETWEEN_SPLITS // _BETWEEN_SEEDS:
+        if not 0 <= seed < _SPLIT_SEED_STRIDE // _VECTOR_SEED_STRIDE:
             raise ConfigurationError(f"seed: expected 0 to 2**20 - 1, got {seed}")
-        return (1 + SPLITS.index(split)) * _BETWEEN_SPLITS + seed * _BETWEEN_SEEDS
+        return (1 + SPLITS.index(split)) * _SPLIT_SEED_STRIDE + seed * _VECTOR_SEED_STRIDE
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -75,7 +75,7 @@ class Band:
 
 ONE_PX: Final = Band(1.0)
 """Band of one pixel (chosen)."""
-_ALWAYS: Final = (ONE_PX, Band(2.0))
+_STANDARD_BANDS: Final = (ONE_PX, Band(2.0))
 """Bands of every table (chosen): 2 px leads in scenarios whose backlash and quantisation of
 commands and encoders are as large as a pixel."""
 HALF_PX: Final = Band(0.5)
@@ -88,7 +88,7 @@ def bounded_bands(leading_px: float) -> list[Band]:
     Args:
         leading_px: the scenario's leading band, px.
     """
-    return sorted({*_ALWAYS, Band(leading_px)})
+    return sorted({*_STANDARD_BANDS, Band(leading_px)})
 
 
 def timed_bands(leading_px: float) -> list[Band]:

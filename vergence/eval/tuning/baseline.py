@@ -22,7 +22,7 @@ from vergence.models.head import HeadModel
 
 EPISODES: Final = TuneConfig.episodes
 """Number of training trials that judge a gain."""
-_COARSE: Final = 10
+_COARSE_STRIDE: Final = 10
 """Stride of the coarse search, in steps of the gain (chosen: speed against the risk of missing the
 best gain)."""
 
@@ -77,10 +77,10 @@ def best_gain(scenario: Scenario, head: HeadModel, mapper: Mapper) -> float:
             search, beyond which a better one may lie. Neither would represent the law's best.
     """
     gains = SEARCH_SPACES["ibvs"]["gain"].points()
-    coarse = range(0, len(gains), _COARSE)
+    coarse = range(0, len(gains), _COARSE_STRIDE)
     tried = _try([gains[place] for place in coarse], scenario, head, mapper)
     best = gains.index(min(tried, key=lambda one: one.rank).options["gain"])
-    fine = range(max(0, best - _COARSE + 1), min(len(gains), best + _COARSE))
+    fine = range(max(0, best - _COARSE_STRIDE + 1), min(len(gains), best + _COARSE_STRIDE))
     tried += _try([gains[place] for place in fine if place != best], scenario, head, mapper)
     found = min(tried, key=lambda one: one.rank)
     gain = found.options["gain"]

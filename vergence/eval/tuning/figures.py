@@ -9,7 +9,7 @@ from vergence.eval.reporting.style import BLUE, GREY, ORANGE, figure_style, new_
 from vergence.eval.tuning.objective import Attempt
 from vergence.eval.tuning.spaces import SearchRange
 
-_METRIC = {"s": "settle time (s)", "px": "tracking RMS (px)"}
+_METRIC_LABELS = {"s": "settle time (s)", "px": "tracking RMS (px)"}
 
 
 def draw_search(
@@ -58,7 +58,7 @@ def _curve(attempts: Sequence[Attempt], best: Attempt, name: str, unit: str) -> 
         color=ORANGE,
     )
     axes.margins(y=0.12)
-    axes.set(xlabel=f"{name} (1/s)" if "gain" in name else name, ylabel=_METRIC[unit])
+    axes.set(xlabel=f"{name} (1/s)" if "gain" in name else name, ylabel=_METRIC_LABELS[unit])
     axes.legend()
     return figure
 
@@ -90,6 +90,6 @@ def _slices(
         axes.set(xlabel=name, title=f"best: {best.options[name]:.4g}")
         axes.title.set_color(ORANGE)
     for row in panels:
-        row[0].set_ylabel(_METRIC[unit])
+        row[0].set_ylabel(_METRIC_LABELS[unit])
     figure.colorbar(dots, ax=panels, label="attempt")
     return figure

@@ -24,10 +24,10 @@ Objective = Callable[[Options], Mapping[str, float]]
 
 LEAST_SETTLED: Final = 0.99
 """Fraction of settled trials below which the loss exceeds the headline metric (chosen)."""
-_FAILURE_COSTS: Final = 10.0
+_FAILURE_PENALTY: Final = 10.0
 """Relative increase of the loss per fraction of settled trials that is missing: 10 % per percentage
 point (chosen: failures against speed)."""
-_LEAST: Final = 25
+_LEAST_JOB_TRIALS: Final = 25
 """Least number of trials in a job (chosen: balance of load against overhead)."""
 
 
@@ -54,7 +54,7 @@ def loss(results: Mapping[str, float]) -> float:
     with their whole duration.
     """
     short = max(0.0, LEAST_SETTLED - results.get("settled_fraction", 1.0))
-    return results["headline"] * (1.0 + _FAILURE_COSTS * short)
+    return results["headline"] * (1.0 + _FAILURE_PENALTY * short)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +110,7 @@ def controller_objective(
     mapper = mapper or SerialMapper()
 
     def judge(options: Options) -> dict[str, float]:
-        parts = max(1, min(mapper.workers, config.episodes // _LEAST))
+        parts = max(1, min(mapper.workers, config.episodes // _LEAST_JOB_TRIALS))
         ends = [config.episodes * part // parts for part in range(parts + 1)]
         jobs = [
             TrialsJob(

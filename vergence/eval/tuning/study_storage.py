@@ -18,8 +18,13 @@ from vergence.errors import ConfigurationError
 
 _CONNECT_TIMEOUT_S: Final = 10
 """Time limit for connecting to a PostgreSQL server, s (chosen: slow networks against waiting)."""
-_MADE_BY_ANOTHER: Final = ("already exists", "UniqueViolation", "UNIQUE constraint", "is locked")
-_PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, None)
+_CREATION_RACE_ERRORS: Final = (
+    "already exists",
+    "UniqueViolation",
+    "UNIQUE constraint",
+    "is locked",
+)
+_RETRY_PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, None)
 
 
 @contextmanager
@@ -64,7 +69,7 @@ def _create(place: str, name: str, sampler: BaseSampler) -> tuple[Study, RDBStor
     # without a timeout, a server that accepts the connection but never answers would block forever
     patient = url.startswith("sqlite") or "connect_timeout=" in url
     connect = {} if patient else {"connect_timeout": _CONNECT_TIMEOUT_S}
-    for pause_s in _PAUSES_S:
+    for pause_s in _RETRY_PAUSES_S:
         try:
             storage = RDBStorage(url, engine_kwargs={"connect_args": connect})
             study = optuna.create_study(
@@ -76,7 +81,7 @@ def _create(place: str, name: str, sampler: BaseSampler) -> tuple[Study, RDBStor
             )
             return study, storage
         except DBAPIError as error:
-            if pause_s is None or not any(word in str(error) for word in _MADE_BY_ANOTHER):
+            if pause_s is None or not any(word in str(error) for word in _CREATION_RACE_ERRORS):
                 raise
             time.sleep(pause_s)
     raise AssertionError("the last pause is None")

@@ -21,7 +21,7 @@ from vergence.vision.video import EXPOSURE_STEP_S, MANUAL_EXPOSURE, is_local_cam
 
 PATIENCE_S: Final = 5.0
 """Longest wait for the first image, s (chosen)."""
-_LEAST_SHARE: Final = 0.8
+_MIN_RATE_RATIO: Final = 0.8
 """Least measured frame rate as a fraction of the requested one (chosen)."""
 _WARM_UP_S: Final = 0.5
 """Time after the first image in which buffers empty and the exposure settles, s (chosen)."""
@@ -85,12 +85,14 @@ class CameraState:
     @property
     def too_slow(self) -> bool:
         """True if the frame rate was well below the requested one, or no images arrived."""
-        return self.rate_hz < _LEAST_SHARE * (self.request.frame_rate_hz or 1e-9)
+        return self.rate_hz < _MIN_RATE_RATIO * (self.request.frame_rate_hz or 1e-9)
 
     @property
     def slowed_by_others(self) -> bool:
         """True if it was too slow, but fast enough while the others were closed."""
-        return self.too_slow and self.alone_hz >= _LEAST_SHARE * (self.request.frame_rate_hz or 0.0)
+        return self.too_slow and self.alone_hz >= _MIN_RATE_RATIO * (
+            self.request.frame_rate_hz or 0.0
+        )
 
 
 def camera_requests(config: HardwareConfig) -> tuple[CameraRequest, ...]:

@@ -20,10 +20,10 @@ from vergence.vision.video import is_local_camera, open_capture
 
 __all__ = ["CameraRequest", "CameraState", "camera_requests", "check_cameras", "check_devices"]
 
-_EXPOSURE_SHARE: Final = 0.2
+_EXPOSURE_TOLERANCE: Final = 0.2
 """Tolerance of the exposure as a fraction of the requested one: cameras have coarse steps
 (chosen)."""
-_RATE_SHARE: Final = 0.01
+_RATE_TOLERANCE: Final = 0.01
 """Tolerance of the reported frame rate as a fraction of the requested one: 30 may be 29.97
 (chosen)."""
 
@@ -114,7 +114,7 @@ def _judge_rate(state: CameraState) -> Iterator[Finding]:
             problem=f"expected {asked_hz:g} images a second, got {state.rate_hz:.3g}",
             cure=f'{dark}pixel_format = "MJPG", or a lower frame_rate_hz in the head file',
         )
-    elif asked_hz is not None and abs(state.reported_hz - asked_hz) > _RATE_SHARE * asked_hz:
+    elif asked_hz is not None and abs(state.reported_hz - asked_hz) > _RATE_TOLERANCE * asked_hz:
         yield Finding(
             part=state.request.name,
             problem=f"expected the setting of {asked_hz:g} images a second to be kept, got "
@@ -129,7 +129,7 @@ def _judge_exposure(state: CameraState) -> Iterator[Finding]:
     request, asked_s = state.request, state.request.exposure_s
     if asked_s is not None and is_local_camera(request.source):
         apart = abs(state.exposure_s - asked_s)
-        kept = apart <= _EXPOSURE_SHARE * asked_s or np.isnan(apart)
+        kept = apart <= _EXPOSURE_TOLERANCE * asked_s or np.isnan(apart)
         if not state.locked or not kept:
             how = "locked" if state.locked else "automatic" if state.locked is False else "unknown"
             yield Finding(

@@ -26,12 +26,12 @@ _GOAL_BYTES: Final = 5
 """Bytes of a sync write per servo: id and GOAL_VELOCITY (physical: Protocol 2.0)."""
 _ANSWER_BYTES: Final = 11 + 8
 """Bytes of an answer: frame, velocity and position (physical: Protocol 2.0)."""
-_MOST_SHARE: Final = 0.6
+_MAX_EXCHANGE_FRACTION: Final = 0.6
 """Greatest exchange time as a fraction of the period; the rest is for computing and jitter
 (chosen)."""
-_DELAY_SHARE: Final = 0.1
+_DELAY_WARNING_FRACTION: Final = 0.1
 """Return delays above this fraction of a period give a warning (chosen)."""
-_LATENCY_MS: Final = 1
+_MIN_LATENCY_TIMER_MS: Final = 1
 """Least latency timer of FTDI adapters, ms; the factory default is 16 (physical: FTDI)."""
 
 
@@ -83,13 +83,15 @@ def check_latency_timer(port: str, sysfs: str = "/sys") -> Finding | None:
     """
     name = os.path.basename(os.path.realpath(port))
     latency_ms = latency_timer_ms(port, sysfs)
-    if latency_ms <= _LATENCY_MS:
+    if latency_ms <= _MIN_LATENCY_TIMER_MS:
         return None
     return Finding(
         part="bus",
-        problem=f"expected a latency timer of {_LATENCY_MS} ms of {name}, got {latency_ms} ms, "
+        problem=f"expected a latency timer of {_MIN_LATENCY_TIMER_MS} ms of {name}, got "
+        f"{latency_ms} ms, "
         "which every answer waits for",
-        cure=f"echo {_LATENCY_MS} | sudo tee /sys/bus/usb-serial/devices/{name}/latency_timer",
+        cure=f"echo {_MIN_LATENCY_TIMER_MS} | sudo tee "
+        f"/sys/bus/usb-serial/devices/{name}/latency_timer",
         warning=True,
     )
 
@@ -133,11 +135,12 @@ def check_exchange_fits_period(
     taken_s = exchange_time_s(len(config.servos), config.bus.baud_rate, delays_s, latency_s)
     slow = ", ".join(f"{name} {delay}" for name, delay in delays.items() if delay)
     findings = []
-    if taken_s > _MOST_SHARE * period_s:
+    if taken_s > _MAX_EXCHANGE_FRACTION * period_s:
         findings.append(
             Finding(
                 part="bus",
-                problem=f"expected an exchange within {_MOST_SHARE:.0%} of the control period of "
+                problem=f"expected an exchange within {_MAX_EXCHANGE_FRACTION:.0%} of the "
+                "control period of "
                 f"{1e3 * period_s:.3g} ms, got {1e3 * taken_s:.3g} ms at {config.bus.baud_rate} "
                 f"baud, of which {1e3 * delays_s:.3g} ms are return delays and "
                 f"{1e3 * latency_s:.3g} ms the adapter's latency",
@@ -145,7 +148,7 @@ def check_exchange_fits_period(
                 "latency timer of 1 ms, or a lower control rate of the head",
             )
         )
-    elif delays_s > _DELAY_SHARE * period_s:
+    elif delays_s > _DELAY_WARNING_FRACTION * period_s:
         findings.append(
             Finding(
                 part="bus",

@@ -12,17 +12,17 @@ from vergence.hardware.servo_memory import ServoMemory, describe_fault_bits, mod
 
 _WATCHDOG_FIRMWARE: Final = 38
 """First firmware with BUS_WATCHDOG (physical: X series, and MX with Protocol 2.0)."""
-_WEAK_WATCHDOG: Final = frozenset((1190, 1200, 1210, 1220, 1230, 1240))
+_UNRELIABLE_WATCHDOG_MODELS: Final = frozenset((1190, 1200, 1210, 1220, 1230, 1240))
 """MODEL_NUMBER of servos whose watchdog may fail (physical: XL330 and XC330)."""
-_WEAK_FIRMWARE: Final = 51
+_UNRELIABLE_WATCHDOG_FIRMWARE: Final = 51
 """Latest firmware of these with reports of a watchdog that does not stop the motor (physical:
 forum.robotis.com/t/4814)."""
-_COOL_K: Final = 10
+_START_TEMPERATURE_MARGIN_K: Final = 10
 """Least margin to the temperature limit at the start, K (chosen)."""
-_POSTURE_RAD: Final = 0.02
+_JOINT_LIMIT_TOLERANCE_RAD: Final = 0.02
 """Tolerance of a joint's limits, rad, for sagging and backlash of the gears (chosen)."""
 WIZARD: Final = "with ROBOTIS's Dynamixel Wizard"
-_OFF_AND_ON: Final = "switch its power off and on"
+_POWER_CYCLE_CURE: Final = "switch its power off and on"
 _DRIVE_MODES: Final = {
     0: "reverse direction, which `sign` in the configuration is for",
     2: "profiles by time",
@@ -85,9 +85,10 @@ def _firmware(one: _Asked) -> Iterator[Finding]:
             f"nobody speaks, got {firmware}",
             f"renew it {WIZARD}",
         )
-    elif model in _WEAK_WATCHDOG and firmware <= _WEAK_FIRMWARE:
+    elif model in _UNRELIABLE_WATCHDOG_MODELS and firmware <= _UNRELIABLE_WATCHDOG_FIRMWARE:
         yield one.finding(
-            f"expected firmware later than {_WEAK_FIRMWARE} of {model_name(model)}, got "
+            f"expected firmware later than {_UNRELIABLE_WATCHDOG_FIRMWARE} of "
+            f"{model_name(model)}, got "
             f"{firmware}, of which users report that its watchdog does not stop the motor",
             f"renew it {WIZARD}, or keep a switch of the power at hand",
             warning=True,
@@ -119,7 +120,7 @@ def _mode(one: _Asked) -> Iterator[Finding]:
         yield one.finding(
             f"expected velocity mode ({table.VELOCITY_MODE}) or no torque, got torque in mode "
             f"{mode}: to change the mode would drop the joint",
-            f"hold the head, and {_OFF_AND_ON}",
+            f"hold the head, and {_POWER_CYCLE_CURE}",
         )
 
 
@@ -160,7 +161,10 @@ def _voltage(one: _Asked) -> Iterator[Finding]:
 
 
 def _temperature(one: _Asked) -> Iterator[Finding]:
-    below, got = one.get(table.TEMPERATURE_LIMIT) - _COOL_K, one.get(table.PRESENT_TEMPERATURE)
+    below, got = (
+        one.get(table.TEMPERATURE_LIMIT) - _START_TEMPERATURE_MARGIN_K,
+        one.get(table.PRESENT_TEMPERATURE),
+    )
     if got >= below:
         yield one.finding(f"expected below {below} C, got {got} C", "let it cool down")
 
@@ -171,7 +175,7 @@ def _faults(one: _Asked) -> Iterator[Finding]:
         yield one.finding(
             f"expected no latched fault, got one of {describe_fault_bits(errors)} (hardware error "
             f"status 0b{errors:08b})",
-            f"remove the cause, then {_OFF_AND_ON}",
+            f"remove the cause, then {_POWER_CYCLE_CURE}",
         )
 
 
@@ -188,7 +192,11 @@ def joint_angle_from_registers(
 def _posture(one: _Asked) -> Iterator[Finding]:
     servo, ticks = one.servo, one.get(table.PRESENT_POSITION)
     angle_rad = joint_angle_from_registers(one.config, servo, one.memory)
-    if not servo.lower_rad - _POSTURE_RAD <= angle_rad <= servo.upper_rad + _POSTURE_RAD:
+    if (
+        not servo.lower_rad - _JOINT_LIMIT_TOLERANCE_RAD
+        <= angle_rad
+        <= servo.upper_rad + _JOINT_LIMIT_TOLERANCE_RAD
+    ):
         yield one.finding(
             f"expected an angle of {servo.lower_rad:.3f} to {servo.upper_rad:.3f} rad, got "
             f"{angle_rad:.3f} rad (position {ticks})",

@@ -24,7 +24,7 @@ from vergence.hardware.servo_memory import read_memory
 from vergence.models.parts import FloatArray
 
 _LOG: Final = logging.getLogger(__name__)
-_LOOKED_AT: Final = range(1, 21)
+_PROBED_IDS: Final = range(1, 21)
 """Ids to ping if a configured id does not answer, to help find a typing error (chosen)."""
 
 
@@ -118,7 +118,7 @@ def _missing(config: HardwareConfig, bus: Bus, missing: list[ServoConfig]) -> It
     if not missing:
         return
     absent = {servo.id for servo in missing}
-    asked = sorted({*_LOOKED_AT, *(servo.id for servo in config.servos)} - absent)
+    asked = sorted({*_PROBED_IDS, *(servo.id for servo in config.servos)} - absent)
     there = ", ".join(str(one) for one in asked if bus.ping(one) is not None)
     for servo in missing:
         yield servo_finding(

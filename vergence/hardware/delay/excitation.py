@@ -14,18 +14,18 @@ CHIRP_RAD_S: Final = 0.8
 QUICK_RAD_S: Final = 2.5
 """Greatest speed of the reversals, which images need not resolve, rad/s: at twice this a weak joint
 would hardly move, and the supervisor would stop it as stuck (chosen)."""
-_SLOW_RAD: Final = 0.06
+_SLOW_AMPLITUDE_RAD: Final = 0.06
 """Amplitude of the slow part, rad (chosen)."""
 _CHIRP_HZ: Final = (0.4, 4.0)
 """First and last frequency of the chirp, Hz (chosen)."""
 # Durations of the slow part, the chirp and the reversals, s (chosen: precision against time).
-_SLOW_S: Final = 4.8
-_CHIRP_S: Final = 9.0
-_QUICK_S: Final = 3.0
+_SLOW_DURATION_S: Final = 4.8
+_CHIRP_DURATION_S: Final = 9.0
+_REVERSALS_DURATION_S: Final = 3.0
 
-_BACK: Final = 1.0
+_DRIFT_GAIN: Final = 1.0
 """Gain of the correction towards the planned angle, 1/s (chosen)."""
-_LATE: Final = 3
+_DELAY_PERIODS: Final = 3
 """Rough delay of a joint behind its commands, control periods (chosen)."""
 
 
@@ -41,14 +41,17 @@ def excitation_speeds(reach_rad: float, max_speed_rad_s: float, period_s: float)
         (n,) speeds, rad/s.
     """
     slow = _to_and_fro(
-        min(_SLOW_RAD, reach_rad), min(SLOW_RAD_S, max_speed_rad_s), _SLOW_S, period_s
+        min(_SLOW_AMPLITUDE_RAD, reach_rad),
+        min(SLOW_RAD_S, max_speed_rad_s),
+        _SLOW_DURATION_S,
+        period_s,
     )
     quick = min(QUICK_RAD_S, max_speed_rad_s)
     return np.concatenate(
         [
             slow,
             _chirp(reach_rad, min(CHIRP_RAD_S, max_speed_rad_s), period_s),
-            _to_and_fro(reach_rad, quick, _QUICK_S, period_s),
+            _to_and_fro(reach_rad, quick, _REVERSALS_DURATION_S, period_s),
             slow,
         ]
     )
@@ -65,8 +68,8 @@ def _to_and_fro(way_rad: float, speed_rad_s: float, length_s: float, period_s: f
 def _chirp(reach_rad: float, speed_rad_s: float, period_s: float) -> FloatArray:
     """Speeds of a sinusoidal motion with growing frequency."""
     first, last = _CHIRP_HZ
-    t = period_s * np.arange(round(_CHIRP_S / period_s))
-    rate = (last / first) ** (1.0 / _CHIRP_S)
+    t = period_s * np.arange(round(_CHIRP_DURATION_S / period_s))
+    rate = (last / first) ** (1.0 / _CHIRP_DURATION_S)
     frequency = first * rate**t
     phase = 2.0 * np.pi * (frequency - first) / np.log(rate)
     most = np.minimum(speed_rad_s, 2.0 * np.pi * frequency * reach_rad)
@@ -88,8 +91,10 @@ def requested_velocities(
         (7,) velocities, rad/s.
     """
     middle = read_angle()
-    places = middle + period_s * np.concatenate([np.zeros(_LATE + 1), np.cumsum(speeds_rad_s)])
+    places = middle + period_s * np.concatenate(
+        [np.zeros(_DELAY_PERIODS + 1), np.cumsum(speeds_rad_s)]
+    )
     for speed, place in zip(speeds_rad_s, places, strict=False):
         requested = np.zeros(7)
-        requested[slot] = speed + _BACK * (place - read_angle())
+        requested[slot] = speed + _DRIFT_GAIN * (place - read_angle())
         yield requested

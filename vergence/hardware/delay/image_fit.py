@@ -16,19 +16,19 @@ from vergence.hardware.delay.joint_fit import CLUSTER_S, jackknife_covariance
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-_GRID_S: Final = 0.002
+_TIME_STEP_S: Final = 0.002
 """Time step of the motion with which images are compared, s (numerical)."""
-_MOST_S: Final = 0.4
+_MAX_LATENCY_S: Final = 0.4
 """Longest latency of the search, s (chosen)."""
-_DEPTH: Final = 0.2
+_POSITION_PRIOR_FRACTION: Final = 0.2
 """Prior standard deviation of the target's position, as a fraction of its distance (chosen)."""
-_SCALE: Final = 0.2
+_SCALE_PRIOR_SIGMA: Final = 0.2
 """Prior standard deviation of the image scale, for uncalibrated cameras (chosen)."""
-_SOFT: Final = 2.0
+_LOSS_SCALE: Final = 2.0
 """Scale of the robust loss, in standard deviations: larger residuals count linearly (chosen)."""
-_LEAST_PX: Final = 0.05
+_MIN_SIGMA_PX: Final = 0.05
 """Least standard deviation of a detection that is assumed, px (chosen)."""
-_FAST_PX_S: Final = 150.0
+_MIN_DELAY_SPEED_PX_S: Final = 150.0
 """Image speed of the target above which an image's residual shows its delay, px/s (chosen)."""
 
 
@@ -95,9 +95,9 @@ def fit_images(
     Returns:
         The robust least-squares fit; None if too few images show the target.
     """
-    grid = np.arange(*span_s, _GRID_S)
+    grid = np.arange(*span_s, _TIME_STEP_S)
     angles = angle_at(grid)
-    speeds = np.gradient(angles, _GRID_S)
+    speeds = np.gradient(angles, _TIME_STEP_S)
 
     centre = head.cameras.principal[eye]
 
@@ -110,7 +110,7 @@ def fit_images(
         found = head.project(head.actuation.joints_of(motors), at)[:, eye]
         return np.asarray(centre + scale * (found - centre))
 
-    whole = (received_s - _MOST_S > span_s[0]) & (received_s < span_s[1])
+    whole = (received_s - _MAX_LATENCY_S > span_s[0]) & (received_s < span_s[1])
     seen = np.flatnonzero(whole & np.isfinite(pixels).all(axis=-1))
     if len(seen) < 30:
         return None
@@ -120,7 +120,7 @@ def fit_images(
         residual -= np.median(residual, axis=0)
         return float(np.abs(residual).sum())
 
-    coarse = min(np.arange(0.0, _MOST_S, 0.01), key=spread)
+    coarse = min(np.arange(0.0, _MAX_LATENCY_S, 0.01), key=spread)
     slow = np.abs(np.interp(received_s[seen] - coarse, grid, speeds)) < max_speed_rad_s
     seen = seen[slow]
     if len(seen) < 30:
@@ -133,19 +133,30 @@ def fit_images(
         return np.concatenate([residual.ravel() / noise, values[2:] / before])
 
     noise = 0.3
-    before = np.array([_DEPTH, _DEPTH, _DEPTH, _SCALE])
+    before = np.array(
+        [
+            _POSITION_PRIOR_FRACTION,
+            _POSITION_PRIOR_FRACTION,
+            _POSITION_PRIOR_FRACTION,
+            _SCALE_PRIOR_SIGMA,
+        ]
+    )
     start = np.array([coarse, 1e-3, 0.0, 0.0, 0.0, 0.0])
     for _ in range(2):  # again with the estimated noise
         found = least_squares(
             weighted_residual, start, x_scale=[0.01, 1e-3, *[0.01] * 4], loss="soft_l1",
-            f_scale=_SOFT, jac="3-point", diff_step=[1e-3] * 6,
+            f_scale=_LOSS_SCALE, jac="3-point", diff_step=[1e-3] * 6,
         )  # fmt: skip
         start = found.x
         residual = noise * weighted_residual(found.x)[: -len(before)].reshape(-1, 2)
-        noise = max(1.4826 * float(np.median(np.abs(residual))), _LEAST_PX)
+        noise = max(1.4826 * float(np.median(np.abs(residual))), _MIN_SIGMA_PX)
     clusters = ((received_s[seen] - received_s[seen][0]) / CLUSTER_S).astype(np.int64)
     covariance = jackknife_covariance(
-        np.asarray(found.jac), found.fun, np.repeat(clusters, 2), _SOFT, prior_count=len(before)
+        np.asarray(found.jac),
+        found.fun,
+        np.repeat(clusters, 2),
+        _LOSS_SCALE,
+        prior_count=len(before),
     )
     sigma = np.sqrt(np.diagonal(covariance))
     at, scale = target_guess + away * found.x[2:5], 1.0 + float(found.x[5])
@@ -188,11 +199,11 @@ def _jitter(
         clusters: (n,) index of the cluster in which residuals are dependent.
     """
     speed = np.linalg.norm(velocity, axis=-1)
-    fast = speed > _FAST_PX_S
+    fast = speed > _MIN_DELAY_SPEED_PX_S
     if fast.sum() < 10:
         return None, np.inf
     along = np.sum(residual * velocity, axis=-1)[fast] / speed[fast]
-    slow = np.abs(residual[speed < 0.5 * _FAST_PX_S])
+    slow = np.abs(residual[speed < 0.5 * _MIN_DELAY_SPEED_PX_S])
     noise_px = 1.4826 * float(np.median(slow)) if len(slow) else 0.0
     late_s = along / speed[fast]
     late_s = late_s - np.median(late_s)

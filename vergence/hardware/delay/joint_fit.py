@@ -19,20 +19,20 @@ from vergence.models.parts import FloatArray
 
 CLUSTER_S: Final = 1.0
 """Length of clusters in which drift is removed and residuals count as dependent, s (chosen)."""
-_ROUNDED: Final = 12.0**-0.5
+_QUANTISATION_SIGMA: Final = 12.0**-0.5
 """Standard deviation of a quantised number per quantisation step (numerical)."""
-_LATENCIES_S: Final = (0.0, 0.02, 0.05, 0.1)
+_START_LATENCIES_S: Final = (0.0, 0.02, 0.05, 0.1)
 """Start values of the latency, s (numerical)."""
-_FAST_RAD_S: Final = 0.5
+_MIN_DELAY_SPEED_RAD_S: Final = 0.5
 """Speed above which an angle's residual shows the error of its time, rad/s (chosen)."""
-_SOFT: Final = 3.0
+_LOSS_SCALE: Final = 3.0
 """Scale of the robust loss, in standard deviations: larger residuals count linearly (chosen)."""
-_SEEN: Final = 0.15
+_MAX_RELATIVE_SIGMA: Final = 0.15
 """Greatest relative standard deviation of an acceleration limit that is reported (chosen)."""
-_WORSE: Final = 50.0
+_MIN_CHI2_INCREASE: Final = 50.0
 """Least increase of the sum of squared residuals without an acceleration limit, in mean squares,
 for which a limit is accepted (chosen)."""
-_NO_LIMIT: Final = 1e-4
+_NO_LIMIT_INVERSE: Final = 1e-4
 """Inverse acceleration that stands for no limit, s^2/rad (numerical)."""
 
 _follow = getattr(follow_joint, "py_func", follow_joint)
@@ -70,7 +70,9 @@ class JointFit:
     @property
     def acceleration_rad_s2(self) -> float | None:
         """Acceleration limit of the motor, rad/s^2; None if it was not reached."""
-        certain = self.sigma.inverse_acceleration < _SEEN * self.motor.inverse_acceleration
+        certain = (
+            self.sigma.inverse_acceleration < _MAX_RELATIVE_SIGMA * self.motor.inverse_acceleration
+        )
         return 1.0 / self.motor.inverse_acceleration if self.limited and certain else None
 
     @property
@@ -139,36 +141,36 @@ def fit_joint(
     """
     clusters = ((joints_s - joints_s[0]) / CLUSTER_S).astype(np.int64)
     detrender = _Detrender(joints_s, clusters)
-    rounded = max(_ROUNDED * encoder_step_rad, 1e-5)
+    rounded = max(_QUANTISATION_SIGMA * encoder_step_rad, 1e-5)
     sigma = np.full(len(angles), rounded)
 
     def weighted_residual(values: FloatArray) -> FloatArray:
         residual = angles - simulate_motor(FittedMotor(*values), sent_s, commands, joints_s)[0]
         return np.asarray(detrender.detrended(residual) / sigma)
 
-    starts = [np.array(guess._replace(latency_s=latency)) for latency in _LATENCIES_S]
+    starts = [np.array(guess._replace(latency_s=latency)) for latency in _START_LATENCIES_S]
     start = min(starts, key=lambda values: float(np.abs(weighted_residual(values)).sum()))
     for _ in range(2):  # again with the estimated timing error of the readings
         found = least_squares(
             weighted_residual,
             start,
-            bounds=([-0.05, 1e-3, 0.01, _NO_LIMIT], [0.5, 1.0, 3.0, 10.0]),
+            bounds=([-0.05, 1e-3, 0.01, _NO_LIMIT_INVERSE], [0.5, 1.0, 3.0, 10.0]),
             x_scale=[0.01, 0.01, 0.1, 0.01],
             loss="soft_l1",
-            f_scale=_SOFT,
+            f_scale=_LOSS_SCALE,
             jac="3-point",
             diff_step=[1e-4] * 4,
         )
         start, motor = found.x, FittedMotor(*found.x.tolist())
         speed = np.abs(simulate_motor(motor, sent_s, commands, joints_s)[1])
-        fast = speed > _FAST_RAD_S
+        fast = speed > _MIN_DELAY_SPEED_RAD_S
         late_s = np.abs(sigma * weighted_residual(found.x))[fast] / speed[fast]
         timestamp_sigma_s = 1.4826 * float(np.median(late_s)) if fast.any() else 0.0
         sigma = np.hypot(rounded, timestamp_sigma_s * speed)
-    without = weighted_residual(np.array(motor._replace(inverse_acceleration=_NO_LIMIT)))
+    without = weighted_residual(np.array(motor._replace(inverse_acceleration=_NO_LIMIT_INVERSE)))
     square = float(np.mean(weighted_residual(found.x) ** 2))
-    worse = (float(np.sum(without**2)) / square - len(without)) > _WORSE
-    covariance = jackknife_covariance(np.asarray(found.jac), found.fun, clusters, _SOFT)
+    worse = (float(np.sum(without**2)) / square - len(without)) > _MIN_CHI2_INCREASE
+    covariance = jackknife_covariance(np.asarray(found.jac), found.fun, clusters, _LOSS_SCALE)
     times = np.arange(joints_s[0], joints_s[-1], 0.002)
     speeds = simulate_motor(motor, sent_s, commands, times)[1]
     deviations = np.sqrt(np.diagonal(covariance))

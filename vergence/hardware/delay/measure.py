@@ -24,23 +24,23 @@ from vergence.models.joints import EYE_NAMES, NECK
 from vergence.models.parts import FloatArray
 from vergence.triangulation import triangulate_views
 
-_LOOK_S: Final = 2.5
+_CENTRING_S: Final = 2.5
 """Time in which a slow controller turns the eyes to the target, s (chosen)."""
-_LOOK_GAIN: Final = 1.5
+_CENTRING_GAIN: Final = 1.5
 """Gain of that controller, 1/s: stable with any plausible loop (chosen)."""
-_MOST_RAD: Final = 0.22
+_MAX_AMPLITUDE_RAD: Final = 0.22
 """Greatest amplitude of the excitation, rad (chosen)."""
-_EDGE_PX: Final = 90.0
+_EDGE_MARGIN_PX: Final = 90.0
 """Margin of the target's centre to the image's edge, px: half a tag (chosen)."""
-_LEAST_RAD: Final = 0.04
+_MIN_AMPLITUDE_RAD: Final = 0.04
 """Least amplitude with which a measurement is possible, rad (chosen)."""
-_QUIET_S: Final = 0.3
+_LATE_IMAGES_S: Final = 0.3
 """Time after the last command in which late images still arrive, s (chosen)."""
-_TURNING: Final = 0.9
+_TURNING_PROGRESS: Final = 0.9
 """Fraction of the progress that the turning takes; fits take the rest (chosen)."""
-_TURNED_RAD: Final = 1e-3
+_ANGLE_STEP_RAD: Final = 1e-3
 """Finite-difference step of an actuator's angle, rad (numerical)."""
-_MOVES: Final = 0.2
+_MIN_RELATIVE_MOTION: Final = 0.2
 """Least image motion of a usable actuator, as a fraction of the best one's (chosen)."""
 
 
@@ -67,14 +67,14 @@ def measure_loop(
     target = {"kind": "static", "point": (0.0, 0.0, 1.0)}
     options = {"config": config, "log": collector}
     task = GazeTask(1, head=head, plant="hardware", target=target, plant_options=options)
-    look = make_controller("ibvs", head, task.layout, gain=_LOOK_GAIN)
+    look = make_controller("ibvs", head, task.layout, gain=_CENTRING_GAIN)
     turns = []
     with closing(task):
         task.prepare(look)
         for place, name in enumerate(eyes):
 
             def done(fraction: float, place: int = place) -> None:
-                progress(_TURNING * (place + fraction) / len(eyes))
+                progress(_TURNING_PROGRESS * (place + fraction) / len(eyes))
 
             eye = EYE_NAMES.index(name)
             turns.append(_turn(config, task, look, collector, eye, slots[name], done))
@@ -82,7 +82,7 @@ def measure_loop(
     # only now: a fit and its compilation would delay the thread that holds the joints
     for place, turn in enumerate(turns, 1):
         found.append(_fitted(config, turn))
-        progress(_TURNING + (1.0 - _TURNING) * place / len(turns))
+        progress(_TURNING_PROGRESS + (1.0 - _TURNING_PROGRESS) * place / len(turns))
     return LoopMeasurement(eyes=tuple(found))
 
 
@@ -112,7 +112,7 @@ def _turn(
     period_s = head.timing.period_s
     read_s: list[float] = []
     collector.clear()
-    steps = round(_LOOK_S / period_s)
+    steps = round(_CENTRING_S / period_s)
     run_trial(task, look, steps, lambda step: read_s.append(time.monotonic()))
     reply_s = float(np.median(collector.reply_times_s(read_s)))
     reading = task.reading
@@ -134,7 +134,7 @@ def _turn(
 
     max_speed = min(float(head.actuation.velocity[slot]), config.safety.speed_rad_s)
     way = excitation_speeds(reach, max_speed, period_s)
-    quiet = round(_QUIET_S / period_s)
+    quiet = round(_LATE_IMAGES_S / period_s)
     collector.clear()
 
     def all_of_them() -> Iterator[FloatArray]:
@@ -208,12 +208,12 @@ def actuator_slot(head: HeadModel, eye: int, actuator: str | None = None) -> int
 
     def moved_px(slot: int) -> float:
         turned = base.copy()
-        turned[slot] += _TURNED_RAD
+        turned[slot] += _ANGLE_STEP_RAD
         after = head.project(head.actuation.joints_of(turned), point[:3], distorted=False)[eye]
         return float(np.linalg.norm(after - before))
 
     moved = {name: moved_px(NECK.stop + i) for i, name in enumerate(head.actuation.names)}
-    able = [name for name in moved if moved[name] > _MOVES * max(moved.values())]
+    able = [name for name in moved if moved[name] > _MIN_RELATIVE_MOTION * max(moved.values())]
     if actuator is not None and actuator not in able:
         raise ConfigurationError(
             f"actuator: expected one that turns the {EYE_NAMES[eye]} eye, {' or '.join(able)}, "
@@ -239,15 +239,16 @@ def _reach(
     """Greatest amplitude about the present angle within the image and the joint's limits, rad."""
     head = config.head
     size = head.cameras.size[eye]
-    room_px = float(np.minimum(pixel, size - 1 - pixel).min()) - _EDGE_PX
+    room_px = float(np.minimum(pixel, size - 1 - pixel).min()) - _EDGE_MARGIN_PX
     focal_px = float(head.cameras.focal[eye].mean())
     servo = next(one for one in config.servos if one.slot == slot)
     angle = float(head.actuation.actuators_of(positions)[slot])
     room = min(servo.upper_rad - angle, angle - servo.lower_rad) - 0.05
-    reach = min(_MOST_RAD, room_px / focal_px, room)
-    if reach < _LEAST_RAD:
+    reach = min(_MAX_AMPLITUDE_RAD, room_px / focal_px, room)
+    if reach < _MIN_AMPLITUDE_RAD:
         raise ConfigurationError(
-            f"servos.{servo.name}: expected {_LEAST_RAD:g} rad to either side in which the target "
+            f"servos.{servo.name}: expected {_MIN_AMPLITUDE_RAD:g} rad to either side in which "
+            "the target "
             f"stays in view and the joint within its limits, got {max(reach, 0.0):.3f} rad; cure: "
             "put the target ahead of the head at rest"
         )

@@ -26,8 +26,8 @@ The 147 bytes of an X-series servo's own registers fit in, and a sync write of 8
 The protocol allows 65,535, but a damaged header with such a length would hold back later packets.
 """
 
-_SHORTEST: Final = 3  # least length field: instruction and CRC (physical: Protocol 2.0)
-_FRAME: Final = 7  # bytes of header, id and length (physical: Protocol 2.0)
+_MIN_LENGTH_FIELD: Final = 3  # least length field: instruction and CRC (physical: Protocol 2.0)
+_FRAME_BYTES: Final = 7  # bytes of header, id and length (physical: Protocol 2.0)
 _UNSTUFFED: Final = b"\xff\xff\xfd"
 _STUFFED: Final = b"\xff\xff\xfd\xfd"
 
@@ -188,13 +188,13 @@ class Parser:
     def _packets(self) -> Iterator[Packet]:
         buffer = self._buffer
         while self._seek():
-            if len(buffer) < _FRAME:
+            if len(buffer) < _FRAME_BYTES:
                 return
             length = int.from_bytes(buffer[5:7], "little")
-            end = _FRAME + length
+            end = _FRAME_BYTES + length
             if (
                 not _is_id(buffer[4])
-                or not _SHORTEST <= length <= MOST_LENGTH
+                or not _MIN_LENGTH_FIELD <= length <= MOST_LENGTH
                 # a header before the CRC is a fault; the CRC itself may complete one
                 or buffer.find(HEADER, len(HEADER), end - 2) >= 0
             ):
@@ -204,7 +204,7 @@ class Parser:
             elif crc16(buffer[: end - 2]) != int.from_bytes(buffer[end - 2 : end], "little"):
                 self._reject()
             else:
-                body = bytes(buffer[_FRAME : end - 2]).replace(_STUFFED, _UNSTUFFED)
+                body = bytes(buffer[_FRAME_BYTES : end - 2]).replace(_STUFFED, _UNSTUFFED)
                 packet = Packet(buffer[4], body[0], body[1:])
                 del buffer[:end]
                 yield packet

@@ -12,14 +12,14 @@ from typing import Any, Final
 from vergence.errors import HardwareError, how_to_install
 
 _LOG: Final = logging.getLogger(__name__)
-_GONE: Final = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF)
-_AT_ONCE: Final = 4096
+_LINE_LOST_ERRNOS: Final = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF)
+_MAX_READ_BYTES: Final = 4096
 """Most bytes of one read: more than the answers to one request (numerical)."""
-_DRAINED: Final = 1 << 16
+_MAX_DRAIN_BYTES: Final = 1 << 16
 """Most bytes that `drain` reads, so that it ends on a line that is never silent (chosen)."""
 _ASYNC_LOW_LATENCY: Final = 0x2000  # flag of linux/tty_flags.h (physical: Linux)
-_FLAGS_AT: Final = 16  # offset of `flags` in serial_struct of linux/serial.h (physical: Linux)
-_SERIAL_STRUCT: Final = 128  # bytes, no fewer than serial_struct has (numerical)
+_FLAGS_OFFSET: Final = 16  # offset of `flags` in serial_struct of linux/serial.h (physical: Linux)
+_SERIAL_STRUCT_BYTES: Final = 128  # bytes, no fewer than serial_struct has (numerical)
 
 
 class SerialLine:
@@ -99,7 +99,7 @@ class SerialLine:
         if not self._ready(until_s):
             return b""
         try:
-            data = os.read(self._descriptor(), _AT_ONCE)
+            data = os.read(self._descriptor(), _MAX_READ_BYTES)
         except BlockingIOError:  # another reader has taken the bytes
             return b""
         except OSError as error:
@@ -111,7 +111,7 @@ class SerialLine:
     def drain(self) -> bytes:
         """Read all bytes that have arrived, without waiting."""
         drained = b""
-        while len(drained) < _DRAINED and (data := self.receive(0.0)):
+        while len(drained) < _MAX_DRAIN_BYTES and (data := self.receive(0.0)):
             drained += data
         return drained
 
@@ -151,7 +151,11 @@ class SerialLine:
         return bool(readable or writable)
 
     def _fault(self, error: OSError) -> HardwareError:
-        return self._gone() if error.errno in _GONE else HardwareError(f"{self.port}: {error}")
+        return (
+            self._gone()
+            if error.errno in _LINE_LOST_ERRNOS
+            else HardwareError(f"{self.port}: {error}")
+        )
 
     def _gone(self) -> HardwareError:
         return HardwareError(f"{self.port}: the serial line is gone (was the cable pulled?)")
@@ -212,12 +216,12 @@ class SerialLine:
         ask, tell = (getattr(termios, name, None) for name in ("TIOCGSERIAL", "TIOCSSERIAL"))
         if ask is None or tell is None:  # only Linux has them
             return
-        state = bytearray(_SERIAL_STRUCT)
+        state = bytearray(_SERIAL_STRUCT_BYTES)
         with suppress(OSError):  # not all drivers support it, not all users may
             fcntl.ioctl(self._fd, ask, state)
-            flags = int.from_bytes(state[_FLAGS_AT : _FLAGS_AT + 4], sys.byteorder)
+            flags = int.from_bytes(state[_FLAGS_OFFSET : _FLAGS_OFFSET + 4], sys.byteorder)
             flags |= _ASYNC_LOW_LATENCY
-            state[_FLAGS_AT : _FLAGS_AT + 4] = flags.to_bytes(4, sys.byteorder)
+            state[_FLAGS_OFFSET : _FLAGS_OFFSET + 4] = flags.to_bytes(4, sys.byteorder)
             fcntl.ioctl(self._fd, tell, state)
 
 

@@ -11,7 +11,7 @@ from vergence.models.boards import PlanarTarget, TagFamily
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-_ASIDE_M: Final = (0.03, -0.02)
+_BOARD_OFFSET_M: Final = (0.03, -0.02)
 """Offset of its centre from the line straight ahead, right and down, m (chosen)."""
 _TILT_RAD: Final = (0.25, -0.3, 0.05)
 """Rotation vector away from facing the head, rad: a tilted board makes focal lengths observable
@@ -50,5 +50,5 @@ def standing_board_pose(head: HeadModel, target: PlanarTarget, distance_m: float
     T_N_T = np.eye(4)
     T_N_T[:3, :3] = Rotation.from_rotvec(_TILT_RAD).as_matrix()
     middle = T_N_T[:3, :2] @ target.corners_m.mean(axis=0)
-    T_N_T[:3, 3] = np.array([*_ASIDE_M, distance_m]) - middle
+    T_N_T[:3, 3] = np.array([*_BOARD_OFFSET_M, distance_m]) - middle
     return np.asarray(head.base_pose(head.rest()) @ T_N_T)

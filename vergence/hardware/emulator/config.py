@@ -9,7 +9,7 @@ import tyro
 
 from vergence.errors import ConfigurationError
 
-_MOST_S: Final = 10.0
+_MAX_TIME_S: Final = 10.0
 """Greatest value of options that are times, s (chosen)."""
 
 
@@ -75,13 +75,13 @@ class EmulatorConfig:
         times = ("latency_s", "jitter_s", "right_late_s", "speed_filter_s", "lag_s")
         for name in (*times, "command_latency_s", "feedback_latency_s"):
             value = getattr(self, name)
-            if value is not None and not 0.0 <= value < _MOST_S:
+            if value is not None and not 0.0 <= value < _MAX_TIME_S:
                 raise ConfigurationError(
                     f"{name.removesuffix('_s').replace('_', '-')}: expected seconds, 0 to "
-                    f"{_MOST_S:g}, got {value}"
+                    f"{_MAX_TIME_S:g}, got {value}"
                 )
         for name, least, most in (
-            ("lag_s", 1e-3, _MOST_S),
+            ("lag_s", 1e-3, _MAX_TIME_S),
             ("acceleration_rad_s2", 0.1, 1e4),
             ("speed_gain", 0.01, 2.0),
             ("backlash_rad", 0.0, 0.2),

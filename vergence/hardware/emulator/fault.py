@@ -21,13 +21,19 @@ from vergence.models.joints import EYE_NAMES
 Place = Literal["line", "servo", "cable", "camera"]
 
 BOTH: Final = "both"
-_FOR: Final[Rule] = (lambda x: 0.0 < x <= 3600.0, "seconds, 0 to 3600")
-_AT: Final[Rule] = (lambda x: 0.0 <= x <= 3600.0, "seconds since torque was switched on, 0 to 3600")
-_PROBABILITY: Final[Rule] = (lambda x: 0.0 < x <= 1.0, "a probability, more than 0 to 1")
-_LATE: Final[Rule] = (lambda x: 0.0 < x <= 10.0, "seconds, 0 to 10")
-_VOLTAGE: Final[Rule] = (lambda x: 0.0 <= x <= 60.0, "V, 0 to 60")
-_TEMPERATURE: Final[Rule] = (lambda x: 0.0 <= x <= 255.0, "degrees Celsius, 0 to 255")
-_LOAD: Final[Rule] = (lambda x: -100.0 <= x <= 100.0, "percent of the greatest load, -100 to 100")
+_DURATION_RULE: Final[Rule] = (lambda x: 0.0 < x <= 3600.0, "seconds, 0 to 3600")
+_START_RULE: Final[Rule] = (
+    lambda x: 0.0 <= x <= 3600.0,
+    "seconds since torque was switched on, 0 to 3600",
+)
+_PROBABILITY_RULE: Final[Rule] = (lambda x: 0.0 < x <= 1.0, "a probability, more than 0 to 1")
+_DELAY_RULE: Final[Rule] = (lambda x: 0.0 < x <= 10.0, "seconds, 0 to 10")
+_VOLTAGE_RULE: Final[Rule] = (lambda x: 0.0 <= x <= 60.0, "V, 0 to 60")
+_TEMPERATURE_RULE: Final[Rule] = (lambda x: 0.0 <= x <= 255.0, "degrees Celsius, 0 to 255")
+_LOAD_RULE: Final[Rule] = (
+    lambda x: -100.0 <= x <= 100.0,
+    "percent of the greatest load, -100 to 100",
+)
 
 
 class _Kind(NamedTuple):
@@ -41,37 +47,37 @@ class _Kind(NamedTuple):
     """Default of its value; None if a value has to be given."""
 
 
-_ON_LINE: Final = ("ids", "for_s", "probability")
-_OF_SERVO: Final = ("ids", "for_s")
-_OF_CAMERA: Final = ("eye", "for_s")
+_LINE_FAULT_KEYS: Final = ("ids", "for_s", "probability")
+_SERVO_FAULT_KEYS: Final = ("ids", "for_s")
+_CAMERA_FAULT_KEYS: Final = ("eye", "for_s")
 
 _KINDS: Final = {
-    "bad-crc": _Kind("line", _ON_LINE),
-    "short": _Kind("line", _ON_LINE),
-    "late": _Kind("line", (*_ON_LINE, "value"), _LATE, 0.012),
-    "lost": _Kind("line", _ON_LINE),
-    "doubled": _Kind("line", _ON_LINE),
+    "bad-crc": _Kind("line", _LINE_FAULT_KEYS),
+    "short": _Kind("line", _LINE_FAULT_KEYS),
+    "late": _Kind("line", (*_LINE_FAULT_KEYS, "value"), _DELAY_RULE, 0.012),
+    "lost": _Kind("line", _LINE_FAULT_KEYS),
+    "doubled": _Kind("line", _LINE_FAULT_KEYS),
     "overload": _Kind("servo", ("ids",)),
     "reboot": _Kind("servo", ("ids",)),
-    "voltage": _Kind("servo", (*_OF_SERVO, "value"), _VOLTAGE),
-    "temperature": _Kind("servo", (*_OF_SERVO, "value"), _TEMPERATURE),
-    "load": _Kind("servo", (*_OF_SERVO, "value"), _LOAD),
-    "silent": _Kind("servo", _OF_SERVO),
-    "frozen": _Kind("servo", _OF_SERVO),
-    "stuck": _Kind("servo", _OF_SERVO),
-    "wrong-way": _Kind("servo", _OF_SERVO),
+    "voltage": _Kind("servo", (*_SERVO_FAULT_KEYS, "value"), _VOLTAGE_RULE),
+    "temperature": _Kind("servo", (*_SERVO_FAULT_KEYS, "value"), _TEMPERATURE_RULE),
+    "load": _Kind("servo", (*_SERVO_FAULT_KEYS, "value"), _LOAD_RULE),
+    "silent": _Kind("servo", _SERVO_FAULT_KEYS),
+    "frozen": _Kind("servo", _SERVO_FAULT_KEYS),
+    "stuck": _Kind("servo", _SERVO_FAULT_KEYS),
+    "wrong-way": _Kind("servo", _SERVO_FAULT_KEYS),
     "unplug": _Kind("cable", ()),
 }
 """Faults of servos, line and cable by name."""
 
 _CAMERA_KINDS: Final = {
-    "frozen": _Kind("camera", _OF_CAMERA),
-    "torn": _Kind("camera", (*_OF_CAMERA, "probability")),
-    "late": _Kind("camera", (*_OF_CAMERA, "value"), _LATE, 0.1),
-    "dropped": _Kind("camera", (*_OF_CAMERA, "probability")),
-    "ended": _Kind("camera", _OF_CAMERA),
-    "stalled": _Kind("camera", _OF_CAMERA),
-    "out-of-step": _Kind("camera", ("for_s", "value"), _LATE, 0.0167),
+    "frozen": _Kind("camera", _CAMERA_FAULT_KEYS),
+    "torn": _Kind("camera", (*_CAMERA_FAULT_KEYS, "probability")),
+    "late": _Kind("camera", (*_CAMERA_FAULT_KEYS, "value"), _DELAY_RULE, 0.1),
+    "dropped": _Kind("camera", (*_CAMERA_FAULT_KEYS, "probability")),
+    "ended": _Kind("camera", _CAMERA_FAULT_KEYS),
+    "stalled": _Kind("camera", _CAMERA_FAULT_KEYS),
+    "out-of-step": _Kind("camera", ("for_s", "value"), _DELAY_RULE, 0.0167),
 }
 """Faults of cameras by name."""
 
@@ -152,11 +158,11 @@ def parse_fault(values: object, ids: Collection[int], path: str = "fault", *, ti
             raise HeadFileError(table.key(name), table.peek(name), expected)
     given: dict[str, Any] = {}
     if timed:
-        given["at_s"] = table.number("at_s", _AT)
+        given["at_s"] = table.number("at_s", _START_RULE)
     if table.has("for_s"):
-        given["for_s"] = table.number("for_s", _FOR)
+        given["for_s"] = table.number("for_s", _DURATION_RULE)
     if table.has("probability"):
-        given["probability"] = table.number("probability", _PROBABILITY)
+        given["probability"] = table.number("probability", _PROBABILITY_RULE)
     if has_eye:
         given["eye"] = table.choice("eye", (*EYE_NAMES, BOTH))
     if kind.rule is not None:

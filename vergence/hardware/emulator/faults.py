@@ -10,7 +10,7 @@ from vergence.hardware.emulator.fault import Fault, Place
 from vergence.hardware.emulator.servo import LOAD_ERROR, EmulatedServo
 
 _LOG: Final = logging.getLogger(__name__)
-_MEASURED: Final = {
+_FAULT_REGISTERS: Final = {
     "voltage": (table.PRESENT_INPUT_VOLTAGE, 10.0),
     "temperature": (table.PRESENT_TEMPERATURE, 1.0),
     "load": (table.PRESENT_LOAD, 10.0),
@@ -32,7 +32,7 @@ class ActiveFaults:
         self.unplugged = False
         self._servos = tuple(servos)
         self._healthy = [
-            {name: servo.get(register) for name, (register, _) in _MEASURED.items()}
+            {name: servo.get(register) for name, (register, _) in _FAULT_REGISTERS.items()}
             for servo in self._servos
         ]
         self._on: list[tuple[float, Fault]] = []  # with their end times, s
@@ -102,7 +102,7 @@ class ActiveFaults:
             servo.stuck = "stuck" in own
             servo.wrong_way = "wrong-way" in own
             servo.freeze("frozen" in own)
-            for name, (register, units) in _MEASURED.items():
+            for name, (register, units) in _FAULT_REGISTERS.items():
                 measured = round(own[name].value * units) if name in own else healthy[name]
                 servo.set(register, measured)
 

@@ -24,7 +24,7 @@ from vergence.hardware.dynamixel.packets import (
 from vergence.hardware.emulator.servo import EmulatedServo
 from vergence.models.parts import FloatArray
 
-_DELAY_S: Final = 2e-6
+_RETURN_DELAY_UNIT_S: Final = 2e-6
 """Unit of RETURN_DELAY_TIME, s (physical: Dynamixel X series)."""
 
 
@@ -153,7 +153,7 @@ def _sync_write(servos: list[EmulatedServo], packet: Packet) -> None:
 
 def _status(servo: EmulatedServo, id: int, data: bytes, error: int) -> TimedAnswer:
     alert = ALERT if servo.get(table.HARDWARE_ERROR_STATUS) else 0
-    delay_s = _DELAY_S * servo.get(table.RETURN_DELAY_TIME)
+    delay_s = _RETURN_DELAY_UNIT_S * servo.get(table.RETURN_DELAY_TIME)
     return TimedAnswer(id, delay_s, status_packet(id, data, error | alert))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from vergence.hardware.emulator.fault import Fault
 from vergence.hardware.emulator.line import TimedAnswer
 
-_KEPT: Final = 6
+_SHORT_ANSWER_BYTES: Final = 6
 """Bytes left of an answer that is cut short: header, id, and half of the length (chosen)."""
 _CRC_FLIPPED: Final = 0x01
 """Bits of the checksum's last byte that are flipped (chosen)."""
@@ -49,5 +49,5 @@ def _damaged(fault_name: str, data: bytes) -> bytes:
     if fault_name == "bad-crc":
         return data[:-1] + bytes(byte ^ _CRC_FLIPPED for byte in data[-1:])
     if fault_name == "short":
-        return data[:_KEPT]
+        return data[:_SHORT_ANSWER_BYTES]
     return data + data if fault_name == "doubled" else b""

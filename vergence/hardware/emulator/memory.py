@@ -9,17 +9,17 @@ from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.control_table import Register
 from vergence.hardware.dynamixel.packets import ErrorNumber
 
-_END: Final = 661
+_TABLE_END: Final = 661
 """Address after the last register (physical: XL430-W250)."""
-_MOST_READ: Final = 256
+_MAX_READ_BYTES: Final = 256
 """Most bytes per read: their status fits into a packet with any byte stuffing (chosen)."""
-_REPORT: Final = slice(120, 147)
+_MEASUREMENT_ADDRESSES: Final = slice(120, 147)
 """Addresses of measurements, which nobody writes: REALTIME_TICK to PRESENT_TEMPERATURE (physical:
 Dynamixel X series)."""
-_EXTENDED: Final = 1_048_575
+_MAX_EXTENDED_POSITION: Final = 1_048_575
 """Greatest position in extended position mode, ticks: 256 turns (physical: XL430-W250)."""
 
-_FACTORY: Final = {
+_FACTORY_VALUES: Final = {
     table.MODEL_NUMBER: 1060,
     table.FIRMWARE_VERSION: 45,
     table.ID: 1,
@@ -72,8 +72,8 @@ class ControlTable:
     """
 
     def __init__(self, id: int) -> None:
-        self.bytes = bytearray(_END)
-        for register, value in _FACTORY.items():
+        self.bytes = bytearray(_TABLE_END)
+        for register, value in _FACTORY_VALUES.items():
             self.set(register, value)
         self.set(table.ID, id)
 
@@ -87,28 +87,28 @@ class ControlTable:
 
     def reboot(self) -> None:
         """Reset all registers but the EEPROM and the measurements."""
-        measured = self.bytes[_REPORT]
-        self.bytes[table.EEPROM_END :] = bytes(_END - table.EEPROM_END)
-        for register, value in _FACTORY.items():
+        measured = self.bytes[_MEASUREMENT_ADDRESSES]
+        self.bytes[table.EEPROM_END :] = bytes(_TABLE_END - table.EEPROM_END)
+        for register, value in _FACTORY_VALUES.items():
             if register.address >= table.EEPROM_END:
                 self.set(register, value)
-        self.bytes[_REPORT] = measured
+        self.bytes[_MEASUREMENT_ADDRESSES] = measured
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Error number and bytes of the answer to a read instruction."""
-        if not 0 < length <= _MOST_READ or address + length > _END:
+        if not 0 < length <= _MAX_READ_BYTES or address + length > _TABLE_END:
             return ErrorNumber.DATA_RANGE, b""
         return 0, bytes(self.bytes[address : address + length])
 
     def refusal(self, address: int, data: bytes) -> int:
         """Error number of an instruction to write these bytes; 0 for none."""
         end = address + len(data)
-        if end > _END:
+        if end > _TABLE_END:
             return ErrorNumber.DATA_RANGE
         if not data:
             return ErrorNumber.DATA_LENGTH
         locked = address < table.EEPROM_END and self.get(table.TORQUE_ENABLE)
-        if locked or (address < _REPORT.stop and end > _REPORT.start):
+        if locked or (address < _MEASUREMENT_ADDRESSES.stop and end > _MEASUREMENT_ADDRESSES.start):
             return ErrorNumber.ACCESS
         for register in table.REGISTERS:
             if register.end <= address or end <= register.address:
@@ -141,7 +141,7 @@ class ControlTable:
             if mode == table.POSITION_MODE:
                 return self.get(table.MIN_POSITION_LIMIT), self.get(table.MAX_POSITION_LIMIT)
             if mode == table.EXTENDED_POSITION_MODE:
-                return -_EXTENDED, _EXTENDED
+                return -_MAX_EXTENDED_POSITION, _MAX_EXTENDED_POSITION
         return register.least, register.most
 
 

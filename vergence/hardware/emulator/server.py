@@ -31,13 +31,13 @@ from vergence.hardware.emulator.terminal import Terminal
 from vergence.hardware.emulator.world import World
 
 _LOG: Final = logging.getLogger(__name__)
-_BITS: Final = 10
+_BITS_PER_BYTE: Final = 10
 """Bits of a byte on the line, with start and stop bit (physical: 8N1 serial)."""
-_SOON_S: Final = 0.005
+_MAX_SEND_WAIT_S: Final = 0.005
 """Answers due sooner than this are sent before the next request is served, s (chosen)."""
-_EXPOSURES: Final = 1024
+_KEPT_EXPOSURES: Final = 1024
 """Number of exposure times that are kept (numerical)."""
-_GARBAGE: Final = (
+_REQUEST_ERRORS: Final = (
     ValueError,
     TypeError,
     KeyError,
@@ -74,7 +74,7 @@ class WorldServer:
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
         self.streams = ""
-        self._exposed_s: deque[float] = deque(maxlen=_EXPOSURES)
+        self._exposed_s: deque[float] = deque(maxlen=_KEPT_EXPOSURES)
         # not epoll, whose timeout has a resolution of 1 ms
         self._selector = selectors.SelectSelector()
         self._selector.register(self._terminal.fd, selectors.EVENT_READ, self._answer_line)
@@ -98,7 +98,7 @@ class WorldServer:
             self._unplug()
         # answers due soon are sent before the next request is served, which may take longer
         left_s = self._terminal.due_s - now_s
-        if 0.0 < left_s < _SOON_S:
+        if 0.0 < left_s < _MAX_SEND_WAIT_S:
             time.sleep(left_s)
         self._terminal.flush(self._clock())
 
@@ -112,7 +112,7 @@ class WorldServer:
             # request and answer take time on the line
             count = len(data) + sum(len(answer) for _, answer in sent)
             for delay_s, answer in sent:
-                self._terminal.send(answer, now_s + delay_s + _BITS * count / rate)
+                self._terminal.send(answer, now_s + delay_s + _BITS_PER_BYTE * count / rate)
 
     def _accept(self) -> None:
         connection, (host, port) = self._listener.accept()
@@ -127,7 +127,7 @@ class WorldServer:
             answer = self._do(request)
         except HeadFileError as error:
             answer = {"error": str(error)}
-        except _GARBAGE as error:
+        except _REQUEST_ERRORS as error:
             answer = {"error": f"expected a request, got {line[:80]!r}: {error}"}
         return json.dumps(answer).encode() + b"\n"
 

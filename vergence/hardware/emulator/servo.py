@@ -35,9 +35,9 @@ HEAT_ERROR: Final = 1 << 2
 LOAD_ERROR: Final = 1 << 5
 """Bit of these registers: the load was too great for too long (physical: as above)."""
 
-_STILL: Final = 1e-12
+_STEADY_CHANGE: Final = 1e-12
 """Change per step below which a state counts as steady, rad and rad/s (numerical)."""
-_GOALS: Final = (table.GOAL_PWM, table.GOAL_VELOCITY, table.GOAL_POSITION)
+_GOAL_REGISTERS: Final = (table.GOAL_PWM, table.GOAL_VELOCITY, table.GOAL_POSITION)
 
 _follow = getattr(follow_joint, "py_func", follow_joint)
 
@@ -285,11 +285,11 @@ class EmulatedServo:
             self._keep(end_s - max(time_s, 0.0))
             now = self.q, self.v, self._reported
             change = [abs(new - old) for new, old in zip(now, before, strict=True)]
-            if max(change) < _STILL:
+            if max(change) < _STEADY_CHANGE:
                 break
             # at a steady velocity one step is enough, up to the end stop
             step_s = STEP_S
-            if max(change[1:]) < _STILL and abs(self._command() - self.v) < _STILL:
+            if max(change[1:]) < _STEADY_CHANGE and abs(self._command() - self.v) < _STEADY_CHANGE:
                 stop = self.upper if self.v > 0.0 else self.lower
                 step_s = max(STEP_S, (stop - self.q) / self.v)
         if time_s > 0.0:
@@ -321,7 +321,7 @@ class EmulatedServo:
             # by the manual only a reboot ends a shutdown; the error number here is a guess
             return ErrorNumber.RESULT_FAIL
         if self._tripped:
-            goals = any(written_value(goal, address, data) is not None for goal in _GOALS)
+            goals = any(written_value(goal, address, data) is not None for goal in _GOAL_REGISTERS)
             if goals or written_value(table.BUS_WATCHDOG, address, data):
                 # by the manual a tripped watchdog answers goals with a range error
                 return ErrorNumber.DATA_RANGE

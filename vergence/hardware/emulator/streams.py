@@ -30,11 +30,11 @@ from vergence.models.boards import make_planar_target
 from vergence.models.files.head_toml import parse_head
 from vergence.models.joints import EYE_NAMES
 
-_QUALITY: Final = 92
+_JPEG_QUALITY: Final = 92
 """JPEG quality, as for webcams (chosen)."""
-_NOISY_PX: Final = 16
+_NOISE_EDGE_PX: Final = 16
 """Edge of the square of noise in a corner of every image, px: two JPEG blocks (chosen)."""
-_NOISY_GREY: Final = 32
+_NOISE_AMPLITUDE: Final = 32
 """Amplitude of this noise, grey levels: enough to survive JPEG (chosen)."""
 _BOUNDARY: Final = b"frame"
 
@@ -132,8 +132,10 @@ class EmulatedCameras:
         )
         for image in images:
             # a plain background would make successive images identical, as no sensor does
-            corner = self._rng.integers(_NOISY_GREY, size=(_NOISY_PX, _NOISY_PX), dtype=np.uint8)
-            image[-_NOISY_PX:, :_NOISY_PX] ^= corner
+            corner = self._rng.integers(
+                _NOISE_AMPLITUDE, size=(_NOISE_EDGE_PX, _NOISE_EDGE_PX), dtype=np.uint8
+            )
+            image[-_NOISE_EDGE_PX:, :_NOISE_EDGE_PX] ^= corner
         return images
 
     def run(self) -> None:
@@ -172,7 +174,7 @@ class EmulatedCameras:
 
 
 def _jpeg(image: Image) -> bytes:
-    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
 
 
 def make_stream_server(cameras: EmulatedCameras, port: int) -> ThreadingHTTPServer:

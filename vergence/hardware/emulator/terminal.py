@@ -9,7 +9,7 @@ from typing import Final
 from vergence.errors import ConfigurationError
 from vergence.hardware.dynamixel.control_table import BAUD_RATES
 
-_AT_ONCE: Final = 4096
+_MAX_READ_BYTES: Final = 4096
 """Most bytes of one read (numerical)."""
 
 
@@ -44,7 +44,7 @@ class Terminal:
 
     def read(self) -> bytes:
         """Read the bytes that have arrived."""
-        return os.read(self.fd, _AT_ONCE)
+        return os.read(self.fd, _MAX_READ_BYTES)
 
     def send(self, data: bytes, at_s: float) -> None:
         """Queue bytes to be sent at a time, see `flush`."""

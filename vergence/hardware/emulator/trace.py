@@ -9,7 +9,7 @@ from vergence.hardware.dynamixel.control_table import TICK_RAD_S
 
 REST_RAD_S: Final = TICK_RAD_S
 """Greatest speed at rest: one unit of the servos' speed, 0.024 rad/s (physical: X series)."""
-_KEPT: Final = 16_384
+_MIN_KEPT_SAMPLES: Final = 16_384
 """Least number of samples kept: 20 s of a joint whose speed always changes (numerical)."""
 
 
@@ -37,8 +37,12 @@ class MotionTrace:
         if len(times) >= 2 and velocities[-2] == velocities[-1] == velocity_rad_s:
             times[-1], positions[-1] = time_s, position_rad
             return
-        if len(times) >= 2 * _KEPT:
-            del times[:_KEPT], positions[:_KEPT], velocities[:_KEPT]
+        if len(times) >= 2 * _MIN_KEPT_SAMPLES:
+            del (
+                times[:_MIN_KEPT_SAMPLES],
+                positions[:_MIN_KEPT_SAMPLES],
+                velocities[:_MIN_KEPT_SAMPLES],
+            )
         times.append(time_s)
         positions.append(position_rad)
         velocities.append(velocity_rad_s)

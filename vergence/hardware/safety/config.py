@@ -29,17 +29,17 @@ from vergence.errors import HeadFileError
 from vergence.models.files.toml_table import Rule, Table
 from vergence.models.parts import FloatArray
 
-_SPEED: Final[Rule] = (lambda x: 0.05 <= x <= 100.0, "rad/s, 0.05 to 100 (is it in degrees?)")
-_ACCELERATION: Final[Rule] = (
+_SPEED_RULE: Final[Rule] = (lambda x: 0.05 <= x <= 100.0, "rad/s, 0.05 to 100 (is it in degrees?)")
+_ACCELERATION_RULE: Final[Rule] = (
     lambda x: 0.1 <= x <= 1e4,
     "rad/s^2, 0.1 to 10000 (is it in degrees?)",
 )
-_SECONDS: Final[Rule] = (
+_SECONDS_RULE: Final[Rule] = (
     lambda x: 0.05 <= x <= 60.0,
     "seconds, 0.05 to 60 (is it in milliseconds?)",
 )
-_SHARE: Final[Rule] = (lambda x: 0.0 < x <= 1.0, "a share of the periods, above 0 to 1")
-_ANGLE: Final[Rule] = (lambda x: -10.0 <= x <= 10.0, "an angle, rad (is it in degrees?)")
+_SHARE_RULE: Final[Rule] = (lambda x: 0.0 < x <= 1.0, "a share of the periods, above 0 to 1")
+_ANGLE_RULE: Final[Rule] = (lambda x: -10.0 <= x <= 10.0, "an angle, rad (is it in degrees?)")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,11 +106,11 @@ def parse_safety(table: Table, slots: Mapping[str, int]) -> SafetyConfig:
     values: dict[str, float] = {
         name: table.number(name, rule)
         for name, rule in (
-            ("speed_rad_s", _SPEED),
-            ("acceleration_rad_s2", _ACCELERATION),
-            ("image_age_s", _SECONDS),
-            ("lost_s", _SECONDS),
-            ("overruns", _SHARE),
+            ("speed_rad_s", _SPEED_RULE),
+            ("acceleration_rad_s2", _ACCELERATION_RULE),
+            ("image_age_s", _SECONDS_RULE),
+            ("lost_s", _SECONDS_RULE),
+            ("overruns", _SHARE_RULE),
         )
         if table.has(name)
     }
@@ -127,7 +127,7 @@ def _forbidden(table: Table, slots: Mapping[str, int]) -> ForbiddenPosture:
     ranges: dict[int, FloatArray] = {}
     for joint, slot in slots.items():
         if table.has(joint):
-            ends = table.numbers(joint, (2,), _ANGLE)
+            ends = table.numbers(joint, (2,), _ANGLE_RULE)
             if not ends[0] < ends[1]:
                 raise HeadFileError(
                     table.key(joint), ends.tolist(), "a lower and a greater angle, rad"

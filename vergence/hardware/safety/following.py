@@ -15,18 +15,18 @@ import numpy as np
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-_LAGS: Final = 5.0
+_MAX_DELAY_LAGS: Final = 5.0
 """Longest delay D, in lags of the joint: an exponential lag has 1 % left then (chosen)."""
-_SPARE_S: Final = 0.1
+_EXTRA_DELAY_S: Final = 0.1
 """Further delay, s, for lost commands and answers on a busy line (chosen)."""
-_SHARE: Final = 0.3
+_MOTION_TOLERANCE: Final = 0.3
 """Tolerance as a fraction of the commanded motion: a loaded servo is slower than its data sheet
 (chosen)."""
-_TURNED_RAD: Final = 0.1
+_MIN_TESTED_RANGE_RAD: Final = 0.1
 """Range of C above which the range of the motion is tested, rad (chosen)."""
-_STILL: Final = 0.1
+_MIN_RANGE_RATIO: Final = 0.1
 """Least range of a joint's motion as a fraction of the range of C (chosen)."""
-_STILL_SHARE: Final = 0.8
+_RANGE_WINDOW_FRACTION: Final = 0.8
 """Part of a window over which the ranges are compared, as a fraction (chosen)."""
 _PROVED_RAD: Final = 0.05
 """Commanded and measured motion that proves that a joint follows, rad (chosen)."""
@@ -63,8 +63,8 @@ class FollowingMonitor:
     def __init__(self, head: HeadModel, max_speed: FloatArray) -> None:
         timing, actuation = head.timing, head.actuation
         ramp_s = max_speed / np.clip(actuation.acceleration, 1.0, None)
-        late_s = _LAGS * timing.lag_s * actuation.lag_ratio + ramp_s
-        delay_s = float(late_s.max()) + timing.command_latency_s + _SPARE_S
+        late_s = _MAX_DELAY_LAGS * timing.lag_s * actuation.lag_ratio + ramp_s
+        delay_s = float(late_s.max()) + timing.command_latency_s + _EXTRA_DELAY_S
         self._comparisons = [_Comparison(window, delay_s) for window in _WINDOWS]
         self._sum = np.zeros(7)
         self._last_s = np.nan
@@ -125,7 +125,9 @@ class _Comparison:
         turned = np.array([row[2] for row in rows])
         moved = angles - _at(times, turned, np.array([now_s - length_s]))[0]
         least, greatest = commanded.min(axis=0), commanded.max(axis=0)
-        spare = self._window.least_rad + _SHARE * np.maximum(np.abs(least), np.abs(greatest))
+        spare = self._window.least_rad + _MOTION_TOLERANCE * np.maximum(
+            np.abs(least), np.abs(greatest)
+        )
         self.last = commanded[-1], moved
         off = np.maximum(least - moved, moved - greatest) - spare
         return np.asarray(np.maximum(off, self._stillness(now_s, times, totals, turned)))
@@ -134,13 +136,17 @@ class _Comparison:
         self, now_s: float, times: FloatArray, totals: FloatArray, turned: FloatArray
     ) -> FloatArray:
         """(7,) required minus measured range of each joint's motion, rad; -inf if not tested."""
-        begin_s = now_s - self._delay_s - _STILL_SHARE * self._window.length_s
+        begin_s = now_s - self._delay_s - _RANGE_WINDOW_FRACTION * self._window.length_s
         angles = turned[times >= begin_s]
         commanded = totals[(times >= begin_s) & (times <= now_s - self._delay_s)]
         if len(commanded) == 0:
             return np.full(7, -np.inf)
         wanted = np.ptp(commanded, axis=0)
-        return np.where(wanted > _TURNED_RAD, _STILL * wanted - np.ptp(angles, axis=0), -np.inf)
+        return np.where(
+            wanted > _MIN_TESTED_RANGE_RAD,
+            _MIN_RANGE_RATIO * wanted - np.ptp(angles, axis=0),
+            -np.inf,
+        )
 
 
 def _at(times: FloatArray, values: FloatArray, when: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
 
-_AWAY_M: Final = 1.0
+_ASSUMED_DISTANCE_M: Final = 1.0
 """Assumed distance of the target from each camera, m: a turning camera moves near and far targets
 alike in the image (chosen: a usual working distance)."""
 
@@ -25,7 +25,7 @@ def joint_goals(head: HeadModel, q: FloatArray, pixels: FloatArray) -> FloatArra
         (4,) goal angles, rad; nan for the joints of an eye to which it is not visible.
     """
     ideal = head.undistort(pixels)
-    jacobian = head.image_jacobian(q, ideal, np.full(2, _AWAY_M))
+    jacobian = head.image_jacobian(q, ideal, np.full(2, _ASSUMED_DISTANCE_M))
     goals = np.full(4, np.nan)
     for eye in range(2):
         own = slice(EYES.start + 2 * eye, EYES.start + 2 * eye + 2)

@@ -30,16 +30,16 @@ from vergence.models.head import HeadModel
 from vergence.models.joint_response import follow_joint
 from vergence.models.parts import FloatArray
 
-_MOST_RAD_S2: Final = 1e3
+_MAX_ACCELERATION_RAD_S2: Final = 1e3
 """Acceleration limit of joints without one, rad/s^2 (numerical)."""
-_LEAST_RAD_S2: Final = 1e-3
+_MIN_ACCELERATION_RAD_S2: Final = 1e-3
 """Least acceleration limit, rad/s^2: heads give 0 for joints that do not exist (numerical)."""
-_BRAKING: Final = 0.5
+_BRAKE_RATIO: Final = 0.5
 """Braking deceleration per greatest acceleration of a joint: a loaded servo has less (chosen)."""
-_SPARE: Final = 0.7
+_BRAKE_COMMAND_RATIO: Final = 0.7
 """Braking deceleration as a fraction of the greatest commanded acceleration: the sum above is
 rounded up, so braking begins a little late (numerical)."""
-_QUICK: Final = 0.25
+_MIN_LAG_PERIODS: Final = 0.25
 """Least lag that braking assumes, control periods (numerical)."""
 _LIMIT_MARGIN_RAD: Final = 0.005
 """Margin to a joint limit, rad: three steps of an encoder of 4,096 (chosen)."""
@@ -49,7 +49,7 @@ _NO_LAG_S: Final = 1e-12
 """Lag in place of none, s (numerical)."""
 HOLD_PERIODS: Final = 1.5
 """Control periods for which a command may be held, as the next one may be late (chosen)."""
-_LATE: Final = 1e-9
+_ROUNDING_TOLERANCE: Final = 1e-9
 """Tolerance, in control periods, for the rounding up of latencies to whole periods (numerical)."""
 
 _follow = getattr(follow_joint, "py_func", follow_joint)
@@ -95,21 +95,23 @@ class JointMotionLimiter:
         self._lower, self._upper = lower + _LIMIT_MARGIN_RAD, upper - _LIMIT_MARGIN_RAD
         self._forbidden = config.forbidden
         self.max_speed = np.minimum(actuation.velocity, config.speed_rad_s)
-        own = np.clip(actuation.acceleration, _LEAST_RAD_S2, _MOST_RAD_S2)
+        own = np.clip(actuation.acceleration, _MIN_ACCELERATION_RAD_S2, _MAX_ACCELERATION_RAD_S2)
         self._own_acceleration = own
         self.acceleration = np.minimum(own, config.acceleration_rad_s2)
         self._lag_s = timing.lag_s * actuation.lag_ratio
         # a joint with a lag much shorter than the period still takes time to brake
-        planned_s = np.maximum(self._lag_s, _QUICK * self._period_s)
+        planned_s = np.maximum(self._lag_s, _MIN_LAG_PERIODS * self._period_s)
         self._lag_fraction = 1.0 - np.exp(-self._period_s / planned_s)
         self._held_lag_fraction = 1.0 - np.exp(-HOLD_PERIODS * self._period_s / planned_s)
-        late = ceil(timing.command_latency_s / self._period_s - _LATE)
+        late = ceil(timing.command_latency_s / self._period_s - _ROUNDING_TOLERANCE)
         self._longest_hold = max(HOLD_PERIODS, last_s / self._period_s + late)
         self._longest_lag_fraction = 1.0 - np.exp(-self._longest_hold * self._period_s / planned_s)
         self._planned_s = planned_s
         self._model_lag_fraction = -np.expm1(-self._period_s / np.maximum(self._lag_s, _NO_LAG_S))
-        brake = np.minimum(_BRAKING * own, own * planned_s * self._lag_fraction / self._period_s)
-        self._brake = np.minimum(brake, _SPARE * self.acceleration)
+        brake = np.minimum(
+            _BRAKE_RATIO * own, own * planned_s * self._lag_fraction / self._period_s
+        )
+        self._brake = np.minimum(brake, _BRAKE_COMMAND_RATIO * self.acceleration)
         # change of the command that changes the speed at the acceleration limit for a period; a
         # joint that saturates at its own limit needs more
         self._change = np.where(

@@ -13,11 +13,11 @@ import numpy as np
 
 from vergence.models.parts import FloatArray
 
-_LEAST_RAD: Final = 0.02
+_MIN_HALF_SWING_RAD: Final = 0.02
 """Least half swing, rad: a target that jitters by 10 px moves a webcam's eye less (chosen)."""
-_LEAST_RAD_S: Final = 0.3
+_MIN_PEAK_SPEED_RAD_S: Final = 0.3
 """Least peak speed of a half swing, taken as a sinusoid, rad/s (chosen)."""
-_MANY: Final = 8
+_OSCILLATION_HALF_SWINGS: Final = 8
 """Half swings of one joint in the window that count as an oscillation: four cycles (chosen)."""
 _WINDOW_S: Final = 4.0
 """Length of the window, s (chosen)."""
@@ -57,7 +57,7 @@ class OscillationDetector:
             counted = self._counted[joint]
             while counted and now_s - counted[0] > _WINDOW_S:
                 counted.popleft()
-            if len(counted) >= _MANY:
+            if len(counted) >= _OSCILLATION_HALF_SWINGS:
                 return joint
         return None
 
@@ -67,18 +67,18 @@ class OscillationDetector:
             self._turned[joint] = self._farthest[joint] = angle
             return
         if side == 0.0:
-            if abs(angle - farthest) > _LEAST_RAD:
+            if abs(angle - farthest) > _MIN_HALF_SWING_RAD:
                 self._side[joint] = np.sign(angle - farthest)
                 self._farthest[joint], self._turned_s[joint] = angle, now_s
             return
         if side * (angle - farthest) >= 0.0:
             self._farthest[joint] = angle
             return
-        if side * (farthest - angle) < _LEAST_RAD:
+        if side * (farthest - angle) < _MIN_HALF_SWING_RAD:
             return
         half, time_s = abs(farthest - self._turned[joint]), now_s - self._turned_s[joint]
         went = max(self._most_goal[joint] - self._least_goal[joint], 0.0)
-        if 0.5 * pi * half > _LEAST_RAD_S * time_s and went < 0.5 * half:
+        if 0.5 * pi * half > _MIN_PEAK_SPEED_RAD_S * time_s and went < 0.5 * half:
             self._counted[joint].append(now_s)
         self._side[joint] = -side
         self._turned[joint], self._turned_s[joint] = farthest, now_s

@@ -9,13 +9,13 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
 
-_AWAY_M: Final = 1.0
+_FIXATION_DISTANCE_M: Final = 1.0
 """Distance of the fixation point along z, m (chosen)."""
-_TURN_RAD: Final = 0.15
+_SPIRAL_PITCH_RAD: Final = 0.15
 """Distance between two turns of the spiral, rad: a quarter of a webcam's height (chosen)."""
-_MOST_RAD: Final = 0.7
+_MAX_RADIUS_RAD: Final = 0.7
 """Radius at which the spiral restarts at its centre, rad (chosen)."""
-_SLOW_RAD_S: Final = 0.4
+_SPIRAL_SPEED_RAD_S: Final = 0.4
 """Speed along the spiral, rad/s: a short exposure still shows the target (chosen)."""
 _GAIN: Final = 4.0
 """Gain of the joints towards the point of the spiral, 1/s (chosen)."""
@@ -44,13 +44,15 @@ class SpiralSearch:
             (7,) requested velocities, rad/s.
         """
         # an Archimedean spiral r = c phi: its arc is about c phi^2 / 2
-        pitch = _TURN_RAD / (2.0 * pi)
-        phi = sqrt(2.0 * _SLOW_RAD_S * time_s / pitch) % (_MOST_RAD / pitch)
+        pitch = _SPIRAL_PITCH_RAD / (2.0 * pi)
+        phi = sqrt(2.0 * _SPIRAL_SPEED_RAD_S * time_s / pitch) % (_MAX_RADIUS_RAD / pitch)
         across, along = pitch * phi * cos(phi), pitch * phi * sin(phi)
-        point = _AWAY_M * np.array([tan(across), tan(along), 1.0])
+        point = _FIXATION_DISTANCE_M * np.array([tan(across), tan(along), 1.0])
         goal = self._head.fixate(point, joints[NECK], warn=False)
         if np.isfinite(goal).all():
             self._goal = self._head.actuation.actuators_of(goal)
-        requested = np.clip(_GAIN * (self._goal - angles), -2.0 * _SLOW_RAD_S, 2.0 * _SLOW_RAD_S)
+        requested = np.clip(
+            _GAIN * (self._goal - angles), -2.0 * _SPIRAL_SPEED_RAD_S, 2.0 * _SPIRAL_SPEED_RAD_S
+        )
         requested[NECK] = 0.0
         return np.asarray(requested)

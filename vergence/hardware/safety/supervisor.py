@@ -25,13 +25,13 @@ SWINGING: Final = "policy: expected joints that come to rest at a target that re
 """Beginning of the stop's reason if the policy makes the head oscillate."""
 JOINTS_AGE_S: Final = 0.15
 """Age of the joint angles above which the head stops, s (chosen)."""
-_FIRST: Final = 0.1
+_UNPROVED_SPEED_RATIO: Final = 0.1
 """Greatest speed of a joint not yet proved to follow, as a fraction of its limit (chosen)."""
-_FIRST_RAD_S: Final = 0.2
+_MIN_UNPROVED_SPEED_RAD_S: Final = 0.2
 """Least value of that speed, rad/s: slow enough for any joint (chosen)."""
-_SEEN: Final = 2.0
+_MAX_AGE_PERIODS: Final = 2.0
 """Greatest age of an angle that is compared with the limits, control periods (chosen)."""
-_BEYOND_RAD: Final = 0.05
+_LIMIT_VIOLATION_RAD: Final = 0.05
 """Distance beyond a limit that no command can cause, rad: the joint was pushed (chosen)."""
 _OVERRUN_WINDOW_S: Final = 2.0
 """Time over which missed periods are counted, s (chosen)."""
@@ -142,7 +142,10 @@ class Supervisor:
             requested, self.verdict = np.zeros(7), Verdict.STOP
         else:
             requested = self._while_lost(state, requested)
-        first = np.minimum(np.maximum(_FIRST * self.max_speed, _FIRST_RAD_S), self.max_speed)
+        first = np.minimum(
+            np.maximum(_UNPROVED_SPEED_RATIO * self.max_speed, _MIN_UNPROVED_SPEED_RAD_S),
+            self.max_speed,
+        )
         max_speed = np.where(self._following.proved_joints, self.max_speed, first)
         return self._motion.limit_velocities(
             state.actuator_angles, state.actuator_speeds, requested, max_speed
@@ -184,8 +187,8 @@ class Supervisor:
         for name, slot in self._names.items():
             angle = state.actuator_angles[slot]
             beyond = max(self._lower[slot] - angle, angle - self._upper[slot])
-            seen = state.reading_age_s[slot] <= _SEEN * self._head.timing.period_s
-            if beyond > _BEYOND_RAD and seen:
+            seen = state.reading_age_s[slot] <= _MAX_AGE_PERIODS * self._head.timing.period_s
+            if beyond > _LIMIT_VIOLATION_RAD and seen:
                 self.stop(
                     f"servos: {name}: expected {self._lower[slot]:.3f} to {self._upper[slot]:.3f} "
                     f"rad, got {angle:.3f} rad: it was pushed, or commands came late; cure: turn "

@@ -19,7 +19,7 @@ _UNITS: Final[tuple[tuple[str, float, str], ...]] = (
     ("_m", 1e3, "mm"),
 )
 """Suffix of a key, factor from its SI unit to the unit shown, and the name of the unit shown."""
-_MOST: Final = 3
+_MAX_SHOWN_VALUES: Final = 3
 """Most different values of several tables that are written out (chosen: keeps the text short)."""
 
 
@@ -59,8 +59,8 @@ def _value(document: dict[str, Any], key: str) -> str:
         ]
         values = list(_step(tables, key))
     texts = list(dict.fromkeys(_text(parts[-1], value) for value in values))
-    if len(texts) > _MOST:
-        return f"{'; '.join(texts[:_MOST])}; ..."
+    if len(texts) > _MAX_SHOWN_VALUES:
+        return f"{'; '.join(texts[:_MAX_SHOWN_VALUES])}; ..."
     return "; ".join(texts)
 
 

@@ -18,9 +18,9 @@ import numpy as np
 from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
 
-_LARGEST_BYTES: Final = 50_000_000
+_MAX_FILE_BYTES: Final = 50_000_000
 """Largest size of a calibration file; a file with every image point has a few million (chosen)."""
-_DEEPEST: Final = 100
+_MAX_DEPTH: Final = 100
 """Deepest nesting of values; the parsers would overflow the stack somewhere beyond (chosen)."""
 _JSON_PART: Final = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
 """A string of JSON, or a bracket."""
@@ -42,7 +42,7 @@ def read_calibration(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     """
     name = os.fspath(path)
     try:
-        if os.path.getsize(name) > _LARGEST_BYTES:
+        if os.path.getsize(name) > _MAX_FILE_BYTES:
             raise ConfigurationError(f"{name}: expected a calibration file, got one above 50 MB")
         text = Path(name).read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
@@ -76,8 +76,8 @@ def _kind_of(parsed: object) -> str:
 
 def _refuse_deep(steps: Iterable[int]) -> None:
     """Refuse values nested too deep; a step is 1 into a level and -1 out of it."""
-    if any(depth > _DEEPEST for depth in accumulate(steps)):
-        raise ValueError(f"values nested more than {_DEEPEST} deep")
+    if any(depth > _MAX_DEPTH for depth in accumulate(steps)):
+        raise ValueError(f"values nested more than {_MAX_DEPTH} deep")
 
 
 def _parse_json(text: str) -> Any:

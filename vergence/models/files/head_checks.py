@@ -16,9 +16,9 @@ _LEAST_CONDITION: Final = 0.05
 
 Below it an actuator hardly moves the images (chosen: higher values would refuse usable heads).
 """
-_FAR_M: Final = 100.0
+_TEST_POINT_DISTANCE_M: Final = 100.0
 """Distance of the point ahead; eye translation is negligible there (chosen)."""
-_TURN_RAD: Final = 1e-5
+_ANGLE_STEP_RAD: Final = 1e-5
 """Step of central differences; keeps derivatives exact to ten digits, rad (numerical)."""
 
 
@@ -95,12 +95,12 @@ def _image_jacobians(head: HeadModel, poses: FloatArray) -> FloatArray:
     """(2, 2, m) Jacobians of a far point ahead, by eye, image axis, actuator; focal lengths/rad."""
     count = head.actuation.count
     # central differences, since compiling `image_jacobian` would add a second to the first call
-    turns = _TURN_RAD * np.array([[[1.0]], [[-1.0]]]) * np.eye(7)[3 : 3 + count]
+    turns = _ANGLE_STEP_RAD * np.array([[[1.0]], [[-1.0]]]) * np.eye(7)[3 : 3 + count]
     turned = head.actuation.joints_of(head.actuation.actuators_of(head.rest()) + turns)
     # far away, so that an eye that translates without turning hardly moves its image
-    ahead = poses[:, :3, 3] + _FAR_M * poses[:, :3, 2]
+    ahead = poses[:, :3, 3] + _TEST_POINT_DISTANCE_M * poses[:, :3, 2]
     own = np.empty((2, 2, count))
     for eye in range(2):
         plus, minus = head.project(turned, ahead[eye], distorted=False)[..., eye, :]
-        own[eye] = ((plus - minus) / (2.0 * _TURN_RAD * head.cameras.focal[eye])).T
+        own[eye] = ((plus - minus) / (2.0 * _ANGLE_STEP_RAD * head.cameras.focal[eye])).T
     return own

@@ -13,7 +13,7 @@ from vergence.models.head import HeadModel
 _PRESETS = resources.files("vergence.models.files") / "presets"
 
 _STEREO = "vergence import stereo makes of a calibrated pair"
-_MAKERS = {
+_CONVERTERS = {
     ".yml": _STEREO,
     ".yaml": _STEREO,
     ".json": _STEREO,
@@ -58,7 +58,7 @@ def load_head(source: str | os.PathLike[str]) -> HeadModel:
     text = os.fspath(source)
     if text in presets():
         return parse_head((_PRESETS / f"{text}.toml").read_text(encoding="utf-8"))
-    maker = _MAKERS.get(Path(text).suffix.lower())
+    maker = _CONVERTERS.get(Path(text).suffix.lower())
     if maker is not None:
         raise UnreadableFileError(text, "no head file", f"a TOML file, which {maker}")
     if not text.endswith(".toml") and os.sep not in text:

@@ -28,9 +28,9 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.links import multiply_poses
 from vergence.models.parts import FloatArray, JointLimits
 
-_MOST: Final = {"neck": 3, "eye": 2}
+_MAX_JOINTS: Final = {"neck": 3, "eye": 2}
 """Largest number of joints in the neck and in an eye's chain."""
-_LIMITS: Final = tuple(JOINT_LIMITS)
+_LIMIT_KEYS: Final = tuple(JOINT_LIMITS)
 
 
 class ParsedJoints(NamedTuple):
@@ -91,11 +91,11 @@ def _refuse_order(table: Table, parts: Sequence[str], part: str) -> None:
 
 
 def _refuse_crowd(parts: Sequence[str]) -> None:
-    if parts.count("neck") > _MOST["neck"]:
+    if parts.count("neck") > _MAX_JOINTS["neck"]:
         raise HeadFileError("joints", f"{parts.count('neck')} of the neck", "at most 3")
     for eye in EYE_NAMES:
         own = parts.count("both") + parts.count(eye)
-        if own > _MOST["eye"]:
+        if own > _MAX_JOINTS["eye"]:
             raise HeadFileError("joints", f"{own} of the {eye} eye", "at most 2 in an eye's chain")
 
 
@@ -168,7 +168,7 @@ def parse_rotation(table: Table, name: str) -> FloatArray:
 
 
 def _parse_limits(table: Table, name: str) -> FloatArray | None:
-    if not any(table.has(field) for field in _LIMITS):
+    if not any(table.has(field) for field in _LIMIT_KEYS):
         return None
     values = np.array([table.number(field, rule) for field, rule in JOINT_LIMITS.items()])
     refuse_empty_range(name, values)

@@ -32,10 +32,10 @@ METRES: Final[dict[Unit, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 LEAST_BASELINE_M: Final = 0.01
 GREATEST_BASELINE_M: Final = 1.0
 
-_MIDDLE: Final = 0.2
+_MAX_CENTRE_OFFSET: Final = 0.2
 """Distance of a principal point from the image centre, as a fraction of the image side, above
 which it is doubted (chosen: false doubts against missed wrong image sizes)."""
-_ORTHONORMAL: Final = 1e-3
+_ROTATION_TOLERANCE: Final = 1e-3
 """Tolerance on the singular values of a rotation; files have as few as four decimals (chosen)."""
 
 
@@ -77,7 +77,7 @@ class StereoPair:
 def _far_from_middle(camera: Intrinsics) -> str:
     """Doubt about the image size if the principal point is far from the image centre."""
     size = np.array([camera.width, camera.height])
-    if (np.abs(camera.principal - (size - 1.0) / 2.0) <= _MIDDLE * size).all():
+    if (np.abs(camera.principal - (size - 1.0) / 2.0) <= _MAX_CENTRE_OFFSET * size).all():
         return ""
     u, v = camera.principal
     return (
@@ -234,9 +234,9 @@ def _rotation(matrix: FloatArray, label: str) -> FloatArray:
     """Orthonormal rotation nearest to a rounded one."""
     u, scales, vt = np.linalg.svd(matrix)
     nearest: FloatArray = u @ vt
-    if np.abs(scales - 1.0).max() > _ORTHONORMAL or np.linalg.det(nearest) < 0.0:
+    if np.abs(scales - 1.0).max() > _ROTATION_TOLERANCE or np.linalg.det(nearest) < 0.0:
         raise ConfigurationError(
-            f"{label}: expected a rotation matrix, orthonormal to {_ORTHONORMAL:g} with "
+            f"{label}: expected a rotation matrix, orthonormal to {_ROTATION_TOLERANCE:g} with "
             f"determinant 1, got {matrix.tolist()!r:.120}"
         )
     return nearest

@@ -14,11 +14,11 @@ Rule = tuple[Callable[[float], bool], str]
 """Predicate that accepts a number, and the description of accepted numbers for messages."""
 
 
-_ALIKE: Final = 0.6
+_MIN_KEY_SIMILARITY: Final = 0.6
 """Similarity ratio above which a key is suggested as the one meant (chosen: difflib's default)."""
-_HINT: Final = re.compile(r" \(is it in (\w+)\?\)$")
+_UNIT_QUESTION: Final = re.compile(r" \(is it in (\w+)\?\)$")
 """Question about the unit at the end of a rule's description."""
-_UNITS: Final = {"degrees": np.pi / 180.0, "millimetres": 1e-3, "milliseconds": 1e-3}
+_UNIT_FACTORS: Final = {"degrees": np.pi / 180.0, "millimetres": 1e-3, "milliseconds": 1e-3}
 """Factor from the unit that a question asks about to the rule's own unit."""
 
 
@@ -58,12 +58,12 @@ class Table:
         """Consume a key and return its value, of any type."""
         self._asked.add(name)
         if name not in self._values:
-            near = get_close_matches(name, self._values, n=1, cutoff=_ALIKE)
+            near = get_close_matches(name, self._values, n=1, cutoff=_MIN_KEY_SIMILARITY)
             meant = f"; is it meant by {self.key(near[0])}?" if near else ""
             raise HeadFileError(
                 self.key(name),
                 UnquotedText("nothing"),
-                f"{_HINT.sub('', expected)} (the key is missing{meant})",
+                f"{_UNIT_QUESTION.sub('', expected)} (the key is missing{meant})",
             )
         return self._values.pop(name)
 
@@ -139,7 +139,9 @@ class Table:
         """
         for name, value in self._values.items():
             if name not in known:
-                near = get_close_matches(name, {*self._asked, *known}, n=1, cutoff=_ALIKE)
+                near = get_close_matches(
+                    name, {*self._asked, *known}, n=1, cutoff=_MIN_KEY_SIMILARITY
+                )
                 meant = f" (is {self.key(near[0])} meant?)" if near else ""
                 raise HeadFileError(self.key(name), value, f"no such key{meant}")
 
@@ -147,15 +149,15 @@ class Table:
 def _number(value: object, key: str, rule: Rule) -> float:
     accepted, expected = rule
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise HeadFileError(key, value, _HINT.sub("", expected))
+        raise HeadFileError(key, value, _UNIT_QUESTION.sub("", expected))
     try:
         number = float(value)
     except OverflowError:  # an integer beyond the floating-point range
-        raise HeadFileError(key, value, _HINT.sub("", expected)) from None
+        raise HeadFileError(key, value, _UNIT_QUESTION.sub("", expected)) from None
     if np.isnan(number) or not accepted(number):
-        asked = _HINT.search(expected)
-        if asked and not accepted(number * _UNITS[asked[1]]):
-            expected = _HINT.sub("", expected)
+        asked = _UNIT_QUESTION.search(expected)
+        if asked and not accepted(number * _UNIT_FACTORS[asked[1]]):
+            expected = _UNIT_QUESTION.sub("", expected)
         raise HeadFileError(key, value, expected)
     return number
 
@@ -163,7 +165,7 @@ def _number(value: object, key: str, rule: Rule) -> float:
 def _list_of(shape: tuple[int, ...], rule: Rule) -> str:
     """Description of an expected array, for messages."""
     counts = " lists of ".join(map(str, shape))
-    return f"a list of {counts} numbers, each {_HINT.sub('', rule[1])}"
+    return f"a list of {counts} numbers, each {_UNIT_QUESTION.sub('', rule[1])}"
 
 
 def _number_array(value: object, key: str, shape: tuple[int, ...], rule: Rule) -> FloatArray:

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import tomli_w
 
-_LONGEST: Final = 80
+_MAX_LIST_CHARACTERS: Final = 80
 """Most characters of a list on one line (chosen: compact text against long lines)."""
 _NUMBERS: Final = re.compile(r"\[\n((?:[ ]+[-+.\w]+,\n)+)[ ]*\]")
 """A list of numbers, one per line; strings contain no raw line breaks, so none matches."""
@@ -23,4 +23,4 @@ def toml_text(document: Mapping[str, Any]) -> str:
 
 def _on_one_line(found: re.Match[str]) -> str:
     line = f"[{', '.join(found[1].replace(',', ' ').split())}]"
-    return line if len(line) <= _LONGEST else found[0]
+    return line if len(line) <= _MAX_LIST_CHARACTERS else found[0]

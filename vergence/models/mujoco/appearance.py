@@ -32,16 +32,16 @@ _SKULL_BEHIND_M: Final = (0.0, -0.030, -0.080)
 looks only)."""
 _SKULL_AXES_IN_N_M: Final = (0.074, 0.082, 0.062)
 """Semi-axes of any other head's skull, along N's axes, m (chosen: looks only)."""
-_WIDEST_SKULL_M: Final = 0.16
+_MAX_SKULL_BASELINE_M: Final = 0.16
 """Largest baseline for a skull, m; the eyes of a wider head are on a bar (chosen: looks only)."""
 IRIS_RADIUS_M: Final = 0.009
 """Radius of the iris in an eyeball of full size, m (chosen: looks only)."""
-_CENTRED_M: Final = 0.004
+_MAX_CENTRED_OFFSET_M: Final = 0.004
 """Distance of a camera from its last joint's origin below which the eyeball is centred on the
 joint, m (chosen: looks only)."""
-_FOOT_M: Final = 0.25
+_STAND_BELOW_HEAD_M: Final = 0.25
 """Length of the stand below the lowest joint, m (chosen: looks only)."""
-_NOSE_M: Final = 0.05
+_MIN_MOTOR_DISTANCE_M: Final = 0.05
 """Least distance of the neck's first motor from the midpoint between the cameras for it to be
 drawn, m (chosen: a nearer one would hide the eyes)."""
 
@@ -65,7 +65,7 @@ def add_appearance(spec: mujoco.MjSpec, bodies: Bodies, head: HeadModel) -> None
             first = link.parent == -1
             rod = 0.007 if place == skull else 0.011 if first else 0.009
             to_eyes = posture.links[place, :3, 3] - posture.cameras[:, :3, 3].mean(axis=0)
-            if first and np.linalg.norm(to_eyes) > _NOSE_M * size:
+            if first and np.linalg.norm(to_eyes) > _MIN_MOTOR_DISTANCE_M * size:
                 bottom, top = [0.0, 0.0, -0.03 * size], [0.0, 0.0, 0.018 * size]
                 add_segment(body, DARK, bottom, top, 0.03 * size)
             elif not first and place != skull:
@@ -83,13 +83,13 @@ def add_appearance(spec: mujoco.MjSpec, bodies: Bodies, head: HeadModel) -> None
 
 def _on_bar(posture: RestPoses) -> bool:
     """True if the eyes are on a bar instead of in a skull."""
-    return not posture.is_article and posture.baseline_m > _WIDEST_SKULL_M
+    return not posture.is_article and posture.baseline_m > _MAX_SKULL_BASELINE_M
 
 
 def _add_stand(world: Any, posture: RestPoses) -> None:
     """Add a stand from the floor to the first joint of the neck, or to the bar of the eyes."""
     top, up = posture.stand_top, posture.upright[:3, 2]
-    height = up @ (top - posture.upright[:3, 3]) - (posture.lowest_m - _FOOT_M)
+    height = up @ (top - posture.upright[:3, 3]) - (posture.lowest_m - _STAND_BELOW_HEAD_M)
     add_segment(world, METAL, top - height * up, top, 0.022 * posture.scale)
 
 
@@ -126,7 +126,7 @@ def _add_eye(body: Any, camera: FloatArray, posture: RestPoses, moves: bool) -> 
     radius, forward = posture.eye_radius_m, camera[:3, 2]
     small = radius / EYE_RADIUS_M
     centre = camera[:3, 3]
-    if moves and np.linalg.norm(centre) < _CENTRED_M:
+    if moves and np.linalg.norm(centre) < _MAX_CENTRED_OFFSET_M:
         centre = np.zeros(3)
     elif moves:
         _add_rod(body, centre, 0.006 * posture.scale)

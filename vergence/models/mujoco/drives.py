@@ -15,7 +15,7 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import EYES, NECK
 from vergence.models.parts import FloatArray
 
-_DIGITS: Final = 12
+_FACTOR_DECIMALS: Final = 12
 """Decimals to which factors are rounded (numerical)."""
 
 
@@ -76,7 +76,7 @@ def transmissions_of(head: HeadModel) -> tuple[Transmission, ...]:
             if joint:
                 factors[joint] += float(factor)
         slot = NECK.stop + k
-        row = np.round(list(factors.values()), _DIGITS)
+        row = np.round(list(factors.values()), _FACTOR_DECIMALS)
         shift = float(row @ offset)
         lower, upper = own.lower[slot] + shift, own.upper[slot] + shift
         turned = [(name, float(f)) for name, f in zip(names, row, strict=True) if f]
@@ -105,7 +105,7 @@ def couplings_of(head: HeadModel) -> tuple[JointCoupling, ...]:
     out = []
     for joint in sorted(set(range(len(names))) - set(leading)):
         solved = np.linalg.lstsq(matrix[leading].T, matrix[joint], rcond=None)[0]
-        factors = np.asarray(np.round(solved, _DIGITS))
+        factors = np.asarray(np.round(solved, _FACTOR_DECIMALS))
         follows = [(names[i], float(f)) for i, f in zip(leading, factors, strict=True) if f]
         rest = float(offset[joint] - factors @ offset[leading])
         out.append(JointCoupling(names[joint], tuple(follows), rest))

@@ -29,7 +29,7 @@ EYE_ARMATURE: Final = 0.045
 ROBOTIS OP3 and its Dynamixel XM430). Smaller servos have less, but then joints that accelerate as
 fast as these would disturb one another by more than the encoders' quantisation."""
 
-_LEAST_RATIO: Final = 19.0
+_MIN_ROTOR_RATIO: Final = 19.0
 """Least ratio of a rotor's inertia to that of its links: 95 % of the load is rotor (chosen:
 constant gains against realistic rotors)."""
 
@@ -53,7 +53,7 @@ def load_inertias(head: HeadModel) -> LoadInertias:
     links = _links_inertia(head)
     own = np.diag(links)
     least = np.array([NECK_ARMATURE if place < NECK.stop else EYE_ARMATURE for place in places])
-    armature = np.maximum(least, _LEAST_RATIO * own)
+    armature = np.maximum(least, _MIN_ROTOR_RATIO * own)
     eyes = np.array(places) >= EYES.start if places else np.zeros(0, dtype=bool)
     if not head.actuation.direct:
         divided = decoupling_rotor_inertias(head, armature[eyes])
@@ -62,7 +62,7 @@ def load_inertias(head: HeadModel) -> LoadInertias:
     seven = np.zeros((3, len(JOINTS)))
     if needs_rotor_bodies(head):
         used = turned[:, EYES].any(axis=0)
-        least = _LEAST_RATIO * np.diag(turned.T @ links @ turned)[EYES]
+        least = _MIN_ROTOR_RATIO * np.diag(turned.T @ links @ turned)[EYES]
         seven[2, EYES] = np.where(used, np.maximum(EYE_ARMATURE, least), 0.0)
     back = np.linalg.pinv(turned)
     total = links + np.diag(armature)

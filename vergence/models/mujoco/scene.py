@@ -32,10 +32,10 @@ _GEOM: Final = mujoco.mjtGeom
 MAST_Y_M: Final = 0.075
 """y of the fixed pair's mast, behind the skull, in the upright frame, m (chosen: clear of the
 skull)."""
-_TEXELS: Final = 32
+_TEXELS_PER_CELL: Final = 32
 """Texture pixels along a cell of a board (chosen: sharp edges under OpenGL's interpolation against
 memory)."""
-_TOWARDS_HEAD: Final = (0.0, 0.0, 0.5**0.5, -(0.5**0.5))
+_FACING_HEAD_QUAT: Final = (0.0, 0.0, 0.5**0.5, -(0.5**0.5))
 """Quaternion (w, x, y, z) of an upright board in front of the head at rest: x_T = -x_0, y_T = -z_0,
 z_T = -y_0 (numerical)."""
 
@@ -124,12 +124,12 @@ def add_target(
     size = board.cell_m * np.array([columns, rows])
     centre = size / 2.0 - board.cell_m * np.array(board.origin_cells)
     file = f"assets/{name}.png"
-    spec.assets = {**spec.assets, file: _png(texture(board, _TEXELS))}
+    spec.assets = {**spec.assets, file: _png(texture(board, _TEXELS_PER_CELL))}
     # textures are upside down on the face of a box that looks along -z
     spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file, vflip=True)
     material = spec.add_material(name=name, specular=0.0, shininess=0.0, emission=0.4)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
-    place = surroundings.pos_and_quat([-0.011, -1.064, 0.1], _TOWARDS_HEAD)
+    place = surroundings.pos_and_quat([-0.011, -1.064, 0.1], _FACING_HEAD_QUAT)
     body = spec.worldbody.add_body(name=name, mocap=True, **place)
     body.add_geom(
         name=name,
@@ -149,7 +149,7 @@ def add_observer_cameras(
     spec: mujoco.MjSpec, surroundings: Surroundings, cameras: ObserverCameras = OBSERVER_CAMERAS
 ) -> None:
     """Add the body `fixed_pair`: x right, y down, z forward, origin midway between its cameras."""
-    place = surroundings.pos_and_quat(cameras.position_m, _TOWARDS_HEAD)
+    place = surroundings.pos_and_quat(cameras.position_m, _FACING_HEAD_QUAT)
     body = spec.worldbody.add_body(name="fixed_pair", **place)
     size = np.array([cameras.width, cameras.height])
     buffer = spec.visual.global_

@@ -27,7 +27,7 @@ from vergence.models.mujoco.bodies import stiff_solref
 from vergence.models.mujoco.drives import JointCoupling, Transmission
 from vergence.models.parts import FloatArray
 
-_RIGID: Final = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+_RIGID_SOLIMP: Final = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 """`solimp` of a coupling: as stiff as MuJoCo's solver allows (numerical)."""
 
 # MuJoCo requires a mass and an inertia of a rotor's body; only its armature matters (numerical).
@@ -143,5 +143,5 @@ def add_couplings(spec: mujoco.MjSpec, couplings: Sequence[JointCoupling]) -> No
             name2=second,
             data=polynomial,
             solref=stiff_solref(spec.option.timestep),
-            solimp=_RIGID,
+            solimp=_RIGID_SOLIMP,
         )

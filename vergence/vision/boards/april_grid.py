@@ -22,24 +22,24 @@ from vergence.vision.detection import Detection, Detector
 _QUICK_METHODS: Final = (0, 1, 2)
 """Search methods of `SEARCH_SCALES` that are fast enough for a loop at camera rate (numerical:
 indices)."""
-_WHOLE: Final = 1
+_FIRST_PARTIAL_METHOD: Final = 1
 """First search method after which a partial board suffices (numerical: index)."""
-_ENOUGH: Final = 0.97
+_SUFFICIENT_FRACTION: Final = 0.97
 """Fraction of a board's corners that ends the search (chosen: completeness against time)."""
-_LEAST_FOUND: Final = 0.5
+_LEAST_ARRANGED_FRACTION: Final = 0.5
 """Least fraction of the tags with the board's numbers that must be arranged as on the board
 (chosen)."""
 _LEAST_TAGS: Final = 2
 """Least number of tags whose print must be confirmed (chosen)."""
-_LEAST_READ: Final = 0.5
+_LEAST_CONFIRMED_FRACTION: Final = 0.5
 """Least fraction of the tags beside the corners whose print must be confirmed (chosen)."""
-_TRACKED_STEP: Final = 0.3
+_MAX_TRACKED_MOVE: Final = 0.3
 """Largest move of a tracked corner, as a fraction of the distance to the next edge (chosen)."""
-_FAR_PX: Final = 1e5
+_OFF_IMAGE_PX: Final = 1e5
 """Coordinate beyond all images and within single precision, px (numerical)."""
-_MOST_OFF: Final = 0.02
+_SPACING_TOLERANCE: Final = 0.02
 """Tolerance of the ratio of gap to tag edge against the stated spacing (chosen: print errors)."""
-_MOST_OFF_PX: Final = 0.5
+_GAP_TOLERANCE_PX: Final = 0.5
 """Tolerance of the gap for small tags, px; the larger one holds (chosen: detection errors)."""
 _DEFAULT_SIGMA_PX: Final = 0.1
 """Standard deviation of corners too few to estimate their noise, px (chosen)."""
@@ -74,7 +74,7 @@ class AprilGridDetector(Detector[AprilGrid]):
         return self._search(image, part, np.array([x0, y0], float), _QUICK_METHODS)
 
     def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
-        return self._at(image, predicted.corners_px.reshape(-1, 4, 2), _TRACKED_STEP)
+        return self._at(image, predicted.corners_px.reshape(-1, 4, 2), _MAX_TRACKED_MOVE)
 
     def _search(
         self,
@@ -94,7 +94,8 @@ class AprilGridDetector(Detector[AprilGrid]):
                 if seen > most:
                     best, most = found, seen
             if best is not None and (
-                most >= _ENOUGH * len(best.corners_px) or method_index >= _WHOLE
+                most >= _SUFFICIENT_FRACTION * len(best.corners_px)
+                or method_index >= _FIRST_PARTIAL_METHOD
             ):
                 break
         return [] if best is None else [best]
@@ -106,7 +107,9 @@ class AprilGridDetector(Detector[AprilGrid]):
         found = find_grid_tags(image, method_index)
         placed = largest_consistent_group(found, board.columns, board.spacing)
         own = sum(each.id < count for each in found)
-        if len(placed) < max(_LEAST_FOUND * own, 1) or any(each.id >= count for each, *_ in placed):
+        if len(placed) < max(_LEAST_ARRANGED_FRACTION * own, 1) or any(
+            each.id >= count for each, *_ in placed
+        ):
             return None  # another layout, or a part of a larger board
         tags = np.full((count, 4, 2), np.nan)
         for each, _row, _column in placed:
@@ -118,7 +121,7 @@ class AprilGridDetector(Detector[AprilGrid]):
     ) -> Detection | None:
         """Refine given corners and find the others; None if there is no board."""
         board = self.target
-        tags = np.where(np.abs(tags) < _FAR_PX, tags, np.nan)
+        tags = np.where(np.abs(tags) < _OFF_IMAGE_PX, tags, np.nan)
         # only complete tags; the corners of others are predicted from these
         there = np.repeat(known_corner_mask(tags).all(axis=1, keepdims=True), 4, axis=1)
         if not there.any():
@@ -138,12 +141,12 @@ class AprilGridDetector(Detector[AprilGrid]):
         own = np.unique(known // 4)
         read = search.tags_matching_print(own)
         least = min(_LEAST_TAGS, board.columns * board.rows)
-        if len(known) < 4 or read.sum() < max(least, _LEAST_READ * len(own)):
+        if len(known) < 4 or read.sum() < max(least, _LEAST_CONFIRMED_FRACTION * len(own)):
             return None
         out, sigmas = np.full((2, len(board.corners_m), 2), np.nan)
         out[known] = corners
         ratio, edge = estimate_gap_ratio_and_edge_px(out.reshape(-1, 4, 2), board)
-        if abs(ratio - board.spacing) > max(_MOST_OFF, _MOST_OFF_PX / edge):
+        if abs(ratio - board.spacing) > max(_SPACING_TOLERANCE, _GAP_TOLERANCE_PX / edge):
             return None
         grid_sigma_px = fit.residual_sigma_px or _DEFAULT_SIGMA_PX
         sigmas[known] = np.maximum(search.sigmas(known, corners, own), grid_sigma_px)

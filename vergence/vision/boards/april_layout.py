@@ -17,15 +17,15 @@ from vergence.vision.boards.april_tags import (
 )
 from vergence.vision.tags.library import FoundSquare
 
-_METHODS: Final = (1, 3)
+_SEARCH_METHODS: Final = (1, 3)
 """Search methods of `SEARCH_SCALES` that are tried (numerical: indices)."""
 _MOST_COLUMNS: Final = 24
 """Largest number of columns that is tried (chosen: search time)."""
 _LEAST_TAGS: Final = 3
 """Least number of tags of a board (chosen)."""
-_LEAST_SHARE: Final = 0.6
+_LEAST_ARRANGED_FRACTION: Final = 0.6
 """Least fraction of the tags in the image that must be arranged as on one board (chosen)."""
-_STEP: Final = 0.01
+_SPACING_STEP: Final = 0.01
 """Resolution of estimated spacings (chosen: spacings are round numbers)."""
 
 
@@ -42,7 +42,7 @@ def plausible_grids(image: NDArray[np.uint8], requested: AprilGrid | None) -> It
     """
     given = requested is not None
     requested = requested or AprilGrid()
-    for method_index in _METHODS:
+    for method_index in _SEARCH_METHODS:
         found = find_grid_tags(image, method_index)
         if len(found) < _LEAST_TAGS:
             continue
@@ -55,7 +55,7 @@ def plausible_grids(image: NDArray[np.uint8], requested: AprilGrid | None) -> It
             placed = largest_consistent_group(found, count, spacing)
             if len(placed) > len(best):
                 best, columns = placed, count
-        if len(best) < max(_LEAST_TAGS, _LEAST_SHARE * len(found)):
+        if len(best) < max(_LEAST_TAGS, _LEAST_ARRANGED_FRACTION * len(found)):
             continue
         rows = 1 + max(row for _, row, _ in best)
         if given and rows < requested.rows and columns == requested.columns:
@@ -68,8 +68,8 @@ def plausible_grids(image: NDArray[np.uint8], requested: AprilGrid | None) -> It
         for each, _row, _column in best:
             tags[each.id] = each.corners
         seen, _edge = estimate_gap_ratio_and_edge_px(tags, other)
-        seen = round(round(seen / _STEP) * _STEP, 6) if np.isfinite(seen) else 0.0
-        if abs(seen - requested.spacing) < 2.0 * _STEP:
+        seen = round(round(seen / _SPACING_STEP) * _SPACING_STEP, 6) if np.isfinite(seen) else 0.0
+        if abs(seen - requested.spacing) < 2.0 * _SPACING_STEP:
             seen = requested.spacing
         if seen > 0.0:
             other = replace(other, spacing=seen)

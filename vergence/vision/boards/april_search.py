@@ -17,25 +17,25 @@ from vergence.vision.boards.homographies import fit_homography
 from vergence.vision.boards.markers import grey_at_pixels
 from vergence.vision.optics import FlatView, IdentityView
 
-_WINDOW: Final = 0.6
+_WINDOW_FRACTION: Final = 0.6
 """Half side of the refinement window, as a fraction of the distance to the next edge (chosen: more
 pixels against disturbance by that edge)."""
 _WINDOW_PX: Final = (2, 5)
 """Range of the half side of the refinement window, px (chosen)."""
-_MOST_MOVE_PX: Final = 0.5
+_MAX_REMAINING_MOVE_PX: Final = 0.5
 """Largest remaining move of a corner that counts as refined, px (chosen)."""
-_PROBE: Final = 0.45
+_PROBE_FRACTION: Final = 0.45
 """Distance of grey samples from a corner along both axes, as a fraction of the distance to the next
 edge (chosen)."""
 _LEAST_CONTRAST_GREY: Final = 5.0
 """Least contrast at a corner, grey levels (chosen: above noise)."""
-_LEAST_CONTRAST: Final = 0.25
+_LEAST_RELATIVE_CONTRAST: Final = 0.25
 """Least contrast at a corner, as a fraction of the median of all corners (chosen)."""
-_LEAST_ALIKE: Final = 0.6
+_LEAST_CORRELATION: Final = 0.6
 """Least correlation of a tag's bits with its print; another tag has at most 0.4 (chosen)."""
-_MOST_BESIDE: Final = 12
+_MAX_PREDICTING_CORNERS: Final = 12
 """Most corners that predict a neighbouring tag (chosen: averaging against lens distortion)."""
-_SQUARE: Final = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+_UNIT_SQUARE: Final = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 """Corners of a tag in units of its edge (numerical)."""
 
 Tags = NDArray[np.float64]
@@ -91,7 +91,7 @@ class CornerSearch:
         height, width = self._image.shape
         lengths = np.linalg.norm(predicted - np.roll(predicted, 1, axis=1), axis=-1)[numbers]
         free = self._free * np.nan_to_num(np.nanmin(lengths, axis=1))
-        half_sides_px = np.clip(np.rint(_WINDOW * free), *_WINDOW_PX).astype(int)
+        half_sides_px = np.clip(np.rint(_WINDOW_FRACTION * free), *_WINDOW_PX).astype(int)
         self._half_sides_px[numbers] = half_sides_px
         start = predicted[corner_mask]
         places = np.full(start.shape, np.nan)
@@ -107,7 +107,7 @@ class CornerSearch:
                 else np.maximum(max_move_fraction * free[chosen], 1.0)
             )
             good = (moved <= most) & (
-                remaining_move_px(self._image, refined, half_side_px) <= _MOST_MOVE_PX
+                remaining_move_px(self._image, refined, half_side_px) <= _MAX_REMAINING_MOVE_PX
             )
             good &= ((refined > 0.0) & (refined < end)).all(axis=1)
             places[chosen[good]] = refined[good]
@@ -117,7 +117,9 @@ class CornerSearch:
         contrast[tags] = self._alternation(tags)
         seen = contrast[corner_mask & np.isfinite(contrast)]
         if np.isnan(self._contrast) and len(seen):
-            self._contrast = max(_LEAST_CONTRAST * float(np.median(seen)), _LEAST_CONTRAST_GREY)
+            self._contrast = max(
+                _LEAST_RELATIVE_CONTRAST * float(np.median(seen)), _LEAST_CONTRAST_GREY
+            )
         plain = np.asarray(corner_mask & ~(contrast > self._contrast))
         self.found[plain] = np.nan
 
@@ -154,7 +156,7 @@ class CornerSearch:
         for number in numbers.tolist():
             corners_m = self._corners_m[number]
             away = np.linalg.norm(known_m - corners_m.mean(axis=0), axis=1)
-            used = np.argsort(away)[:_MOST_BESIDE]
+            used = np.argsort(away)[:_MAX_PREDICTING_CORNERS]
             used = used[away[used] < away[used[0]] + 1.5 * self._board.tag_m]
             transform = fit_homography(known_m[used], known[used]) if len(used) > 3 else None
             if transform is None:
@@ -191,7 +193,9 @@ class CornerSearch:
         grey = grey - grey.mean(axis=1, keepdims=True)
         wanted = wanted - wanted.mean(axis=1, keepdims=True)
         scale = np.sqrt((grey**2).sum(axis=1) * (wanted**2).sum(axis=1))
-        return np.asarray((grey * wanted).sum(axis=1) > _LEAST_ALIKE * np.maximum(scale, 1e-6))
+        return np.asarray(
+            (grey * wanted).sum(axis=1) > _LEAST_CORRELATION * np.maximum(scale, 1e-6)
+        )
 
     def sigmas(
         self,
@@ -218,9 +222,9 @@ class CornerSearch:
 
     def _alternation(self, numbers: NDArray[np.intp]) -> NDArray[np.float64]:
         """Contrast of white to black around each corner, (tags, 4) grey levels."""
-        away = _PROBE * self._free
+        away = _PROBE_FRACTION * self._free
         steps = away * np.array([[-1.0, -1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0]])
-        grey = self._grey(numbers, (_SQUARE[:, None] + steps).reshape(-1, 2)).reshape(-1, 4, 4)
+        grey = self._grey(numbers, (_UNIT_SQUARE[:, None] + steps).reshape(-1, 2)).reshape(-1, 4, 4)
         falling = 0.5 * (grey[..., 2] + grey[..., 3] - grey[..., 0] - grey[..., 1])
         contrast = falling * np.array([1.0, -1.0, 1.0, -1.0])
         missing = ~known_corner_mask(self.found[numbers])
@@ -239,7 +243,7 @@ class CornerSearch:
             refined = np.isfinite(self.found[number])
             corners = np.where(refined, self.found[number], self.predicted[number])
             transform = cv2.getPerspectiveTransform(
-                _SQUARE.astype(np.float32), corners.astype(np.float32)
+                _UNIT_SQUARE.astype(np.float32), corners.astype(np.float32)
             )
             out[i] = cv2.perspectiveTransform(places[None], transform)[0]
         return out

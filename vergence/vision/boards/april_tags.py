@@ -20,16 +20,16 @@ _DILATIONS: Final = {
     2: np.ones((2, 2), np.uint8),
 }
 """Kernel that dilates white, by search method; the first for all others."""
-_MOVED_PX: Final = (1.0, 1.0, 0.5, 1.0)
+_DILATION_SHIFT_PX: Final = (1.0, 1.0, 0.5, 1.0)
 """Inward move of a tag's edges by that dilation, by search method, px (numerical)."""
-_ENLARGED_PIXELS: Final = 2_000_000
+_MAX_ENLARGED_PIXELS: Final = 2_000_000
 """Largest image that is enlarged, pixels (chosen: search time)."""
 _LEAST_SIDE_PX: Final = 24
 """Smallest side of a scaled image that is searched, px (chosen)."""
-_BESIDE: Final = 0.35
+_MAX_NEIGHBOUR_ERROR: Final = 0.35
 """Largest distance of a tag from its neighbour's prediction, in tag edges per row or column between
 them (chosen: allows for lens distortion)."""
-_NEAR: Final = 2
+_MAX_NEIGHBOUR_STEPS: Final = 2
 """Most rows and columns between a tag and one that it predicts (chosen)."""
 
 
@@ -57,7 +57,9 @@ def find_grid_tags(image: NDArray[np.uint8], method_index: int) -> list[FoundSqu
         Tags that the AprilTag library reads, with corners accurate to a pixel or two.
     """
     scale = SEARCH_SCALES[method_index]
-    if min(image.shape) * scale < _LEAST_SIDE_PX or (scale > 1.0 and image.size > _ENLARGED_PIXELS):
+    if min(image.shape) * scale < _LEAST_SIDE_PX or (
+        scale > 1.0 and image.size > _MAX_ENLARGED_PIXELS
+    ):
         return []
     method = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
     sized = image if scale == 1.0 else cv2.resize(image, None, None, scale, scale, method)
@@ -68,7 +70,9 @@ def find_grid_tags(image: NDArray[np.uint8], method_index: int) -> list[FoundSqu
     for each in _DETECTORS.made.detect(np.ascontiguousarray(wide)):
         # the library has pixel edges at integers, and counts corners from the lower left
         corners = (
-            _widened(np.asarray(each.corners, float)[::-1], _MOVED_PX[method_index]) / scale - 0.5
+            _widened(np.asarray(each.corners, float)[::-1], _DILATION_SHIFT_PX[method_index])
+            / scale
+            - 0.5
         )
         found.append(FoundSquare(each.tag_id, each.hamming, corners))
     return found
@@ -122,7 +126,9 @@ def largest_consistent_group(
     corners = np.stack([each.corners for each in tags])
     edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).mean(axis=1)
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
-    near = (np.abs(row[:, None] - row) <= _NEAR) & (np.abs(column[:, None] - column) <= _NEAR)
+    near = (np.abs(row[:, None] - row) <= _MAX_NEIGHBOUR_STEPS) & (
+        np.abs(column[:, None] - column) <= _MAX_NEIGHBOUR_STEPS
+    )
     fits = np.zeros((len(tags), len(tags)), bool)
     for i in range(len(tags)):
         others = np.flatnonzero(near[i])
@@ -131,7 +137,7 @@ def largest_consistent_group(
         predicted = cv2.perspectiveTransform(away[None] + 0.5, transform)[0]
         beside = np.linalg.norm(predicted - corners[others].mean(axis=1), axis=1)
         steps = np.maximum(np.abs(row[others] - row[i]), np.abs(column[others] - column[i]))
-        fits[i, others] = beside < _BESIDE * np.maximum(steps, 1) * edge[others]
+        fits[i, others] = beside < _MAX_NEIGHBOUR_ERROR * np.maximum(steps, 1) * edge[others]
     fits &= fits.T
     numbers = np.array([each.id for each in tags])
     fits &= (numbers[:, None] != numbers) | np.eye(len(tags), dtype=bool)

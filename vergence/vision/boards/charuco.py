@@ -36,12 +36,12 @@ _WINDOW_PX: Final = (2, 5)
 """Range of the half side of the refinement window, px (chosen)."""
 _LEAST_CORNERS: Final = 4
 """Least number of corners, as a homography needs (numerical)."""
-_MOST_BESIDE: Final = 0.3
+_MAX_RESIDUAL_SQUARES: Final = 0.3
 """Largest residual of a corner from the homography of all, in squares (chosen: outliers against
 lens distortion)."""
-_MOST_MOVE_PX: Final = 0.5
+_MAX_REMAINING_MOVE_PX: Final = 0.5
 """Largest remaining move of a corner that counts as refined, px (chosen)."""
-_TRACKED_STEP: Final = 0.35
+_MAX_TRACKED_MOVE: Final = 0.35
 """Largest move of a tracked corner, in squares (chosen)."""
 _LEAST_PERIMETER: Final = 0.01
 """Least perimeter of a marker, as a fraction of the longer side of the searched image (chosen:
@@ -49,13 +49,13 @@ small markers against time)."""
 _LEAST_PERIMETER_PX: Final = 24.0
 """Least perimeter of a marker, px: one pixel per bit of the smallest markers with their borders,
 the least that can be read (chosen)."""
-_QUICK_PX: Final = 1280
+_QUICK_SEARCH_SIDE_PX: Final = 1280
 """Longer side to which larger images are first reduced in loops at camera rate, px (chosen: time
 against small markers)."""
-_ENLARGED_PIXELS: Final = 2_000_000
+_MAX_ENLARGED_PIXELS: Final = 2_000_000
 """Largest image that is enlarged if nothing is found, for markers of 2 px per bit, pixels (chosen:
 search time)."""
-_LEAST_READ: Final = 0.5
+_LEAST_CONFIRMED_FRACTION: Final = 0.5
 """Least fraction of the markers beside the corners whose print must be confirmed (chosen)."""
 _DEFAULT_SIGMA_PX: Final = 0.1
 """Standard deviation of corners too few to estimate their noise, px (chosen)."""
@@ -83,7 +83,7 @@ class CharucoDetector(Detector[CharucoBoard]):
 
         An odd `way` skips the first step; an even one stops after it if nothing is found.
         """
-        scale = min(_QUICK_PX / max(image.shape), 1.0)
+        scale = min(_QUICK_SEARCH_SIDE_PX / max(image.shape), 1.0)
         if scale == 1.0 or (way is not None and way % 2):
             return self._scaled(image, 1.0)
         found = self._scaled(image, scale)
@@ -96,7 +96,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         return self._detect_some(image) or self._detect_rest(image)
 
     def _detect_rest(self, image: NDArray[np.uint8]) -> list[Detection]:
-        return self._scaled(image, 2.0) if image.size <= _ENLARGED_PIXELS else []
+        return self._scaled(image, 2.0) if image.size <= _MAX_ENLARGED_PIXELS else []
 
     def _scaled(self, image: NDArray[np.uint8], scale: float) -> list[Detection]:
         """Search the image at another scale."""
@@ -141,7 +141,7 @@ class CharucoDetector(Detector[CharucoBoard]):
 
     def _refined(self, image: NDArray[np.uint8], predicted: Detection) -> Detection | None:
         assert isinstance(predicted.target, CharucoBoard)
-        return self._at(image, predicted.target, predicted.corners_px, _TRACKED_STEP)
+        return self._at(image, predicted.target, predicted.corners_px, _MAX_TRACKED_MOVE)
 
     def _at(
         self,
@@ -165,20 +165,22 @@ class CharucoDetector(Detector[CharucoBoard]):
         refined = refine_corners(image, corners, half_side_px)
         moved = np.abs(refined - corners).max(axis=1)
         limit = half_side_px + 1.0 if step_squares is None else step_squares * square
-        good = (moved <= limit) & (remaining_move_px(image, refined, half_side_px) <= _MOST_MOVE_PX)
+        good = (moved <= limit) & (
+            remaining_move_px(image, refined, half_side_px) <= _MAX_REMAINING_MOVE_PX
+        )
         ideal = flat.to_plane(refined)
         transform = fit_homography(board_m[good], ideal[good]) if good.sum() >= 4 else None
         if transform is None:
             return None
         beside = cv2.perspectiveTransform(board_m[None], transform)[0] - ideal
         used = good
-        near = np.linalg.norm(beside, axis=1) <= _MOST_BESIDE * square
+        near = np.linalg.norm(beside, axis=1) <= _MAX_RESIDUAL_SQUARES * square
         project = partial(_project_board, flat, transform)
         good = good & near & mask_alternating_corners(image, board, known, project)
         if good.sum() < max(_LEAST_CORNERS, len(known) // 2):
             return None
         known, refined, ideal = known[good], refined[good], ideal[good]
-        if fraction_of_markers_confirmed(image, board, known, project) < _LEAST_READ:
+        if fraction_of_markers_confirmed(image, board, known, project) < _LEAST_CONFIRMED_FRACTION:
             return None
         out, sigmas = np.full((2, len(board.corners_m), 2), np.nan)
         out[known] = refined

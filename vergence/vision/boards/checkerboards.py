@@ -36,55 +36,55 @@ _WINDOW_SQUARES: Final = 0.6
 edge)."""
 _WINDOW_PX: Final = (2, 5)
 """Least half side of that window, and largest except for large squares, px (chosen)."""
-_WIDER_SQUARES: Final = 0.25
+_LARGE_WINDOW_SQUARES: Final = 0.25
 """Largest half side of that window for large squares, in squares (chosen: out of focus their edges
 are wider than 11 px, and in such a window corners would be off by a pixel)."""
-_WIDER_PX: Final = 24
+_LARGE_WINDOW_PX: Final = 24
 """Largest half side of that window for large squares, px (chosen)."""
 _LEAST_SQUARE_PX: Final = 2.5
 """Shortest edge of a square that is read, px (chosen)."""
-_TRACKED_STEP: Final = 0.35
+_MAX_TRACKED_MOVE: Final = 0.35
 """Largest move of a tracked corner, in squares, before its region is searched again (chosen)."""
 
 # Largest standard deviation of corners about a smooth grid; above both, the image is smeared beyond
 # use or shows no board (chosen).
-_UNEVEN_SQUARES: Final = 0.1  # in squares
-_UNEVEN_PX: Final = 1.0
+_MAX_SCATTER_SQUARES: Final = 0.1  # in squares
+_MAX_SCATTER_PX: Final = 1.0
 
 # Residual of a corner from the prediction by all others above which it is a stray; it exceeds both
 # (chosen: more than noise).
 _STRAY_PX: Final = 0.15
-_STRAY: Final = 4.0  # ratio to the median residual
+_STRAY_RATIO: Final = 4.0  # ratio to the median residual
 
-_MOST_MOVE_PX: Final = 0.5
+_MAX_REMAINING_MOVE_PX: Final = 0.5
 """Largest remaining move of a corner that counts as refined, px (chosen)."""
-_MOST_STRAYS: Final = 0.25
+_MAX_STRAY_FRACTION: Final = 0.25
 """Largest fraction of corners not refined, such as those at the edge of a shadow (chosen)."""
-_ROUNDS: Final = 3
+_MAX_STRAY_ROUNDS: Final = 3
 """Most rounds of refining stray corners again (numerical)."""
 
 # Half side of the window in which a stray corner is refined by the edges that meet at it (chosen).
-_WIDE_SQUARES: Final = 0.45  # in squares
-_WIDE_PX: Final = (2, 12)  # its range
+_STRAY_WINDOW_SQUARES: Final = 0.45  # in squares
+_STRAY_WINDOW_PX: Final = (2, 12)  # its range
 
 # Residual of a corner that is not where squares meet, so that the board is refused; it exceeds all
 # three (chosen).
-_LOST_PX: Final = 0.5
-_LOST_SQUARES: Final = 0.07  # in squares
-_LOST: Final = 7.0  # ratio to the median residual
+_FATAL_RESIDUAL_PX: Final = 0.5
+_FATAL_RESIDUAL_SQUARES: Final = 0.07  # in squares
+_FATAL_RESIDUAL_RATIO: Final = 7.0  # ratio to the median residual
 
-_MOVED_SQUARES: Final = 0.4
+_PREDICTION_ERROR_SQUARES: Final = 0.4
 """Prediction error of a tracked target that the second attempt allows for, in squares (chosen)."""
-_ASTRAY_SQUARES: Final = (0.2, 0.7)
+_CORRECTED_ERROR_SQUARES: Final = (0.2, 0.7)
 """Range of the errors of OpenCV's corners that are corrected where squares run together, in squares
 (chosen)."""
-_SEARCH_PX: Final = 1600
+_SQUARE_SEARCH_SIDE_PX: Final = 1600
 """Longer side to which larger images are reduced for the search for squares, px (chosen: time
 against small squares)."""
-_SEARCHED_PX: Final = (640, 320, _SEARCH_PX)
+_CLUSTER_SEARCH_SIDES_PX: Final = (640, 320, _SQUARE_SEARCH_SIDE_PX)
 """Longer sides to which larger images are reduced for the search for clusters of corners: most
 boards are found at the first, blurred ones at the second, small squares at the last (chosen)."""
-_TURNS_PX: Final = (640, _SEARCH_PX, 640, 320)
+_SIDES_IN_TURN_PX: Final = (640, _SQUARE_SEARCH_SIDE_PX, 640, 320)
 """Longer sides in turn, one per image, if a single search method is asked for (chosen)."""
 
 
@@ -98,7 +98,11 @@ class CheckerboardDetector(Detector[Checkerboard]):
 
     def _detect_some(self, image: NDArray[np.uint8], way: int | None = None) -> list[Detection]:
         """Search clusters of corners in the image at one size after another."""
-        sizes = _SEARCHED_PX if way is None else (_TURNS_PX[way % len(_TURNS_PX)],)
+        sizes = (
+            _CLUSTER_SEARCH_SIDES_PX
+            if way is None
+            else (_SIDES_IN_TURN_PX[way % len(_SIDES_IN_TURN_PX)],)
+        )
         for most_px in sizes:
             found = self._in_clusters(image, most_px)
             if found:
@@ -149,7 +153,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         (n, 2) px, are corners of squares found otherwise, to correct them.
         """
         part = image if part is None else part
-        scale = min(_SEARCH_PX / max(part.shape), 1.0)
+        scale = min(_SQUARE_SEARCH_SIDE_PX / max(part.shape), 1.0)
         small = part
         if scale < 1.0:
             area = cv2.INTER_AREA
@@ -197,9 +201,9 @@ class CheckerboardDetector(Detector[Checkerboard]):
             return None
         grid = corners.reshape(size)
         # a narrow window first: one wide enough for a moved target is less exact
-        for initial_error_px in (0.0, _MOVED_SQUARES * shortest_square_edge_px(grid)):
+        for initial_error_px in (0.0, _PREDICTION_ERROR_SQUARES * shortest_square_edge_px(grid)):
             for dark in (True, False) if self.target.symmetric else (True,):
-                found = self._at(image, grid, initial_error_px, _TRACKED_STEP, first_dark=dark)
+                found = self._at(image, grid, initial_error_px, _MAX_TRACKED_MOVE, first_dark=dark)
                 if found is not None:
                     return found
         return None
@@ -221,7 +225,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         square = shortest_square_edge_px(grid)
         if not square >= _LEAST_SQUARE_PX:
             return None
-        most = min(max(_WIDER_SQUARES * square, _WINDOW_PX[1]), _WIDER_PX)
+        most = min(max(_LARGE_WINDOW_SQUARES * square, _WINDOW_PX[1]), _LARGE_WINDOW_PX)
         half_side_px = int(min(max(round(_WINDOW_SQUARES * square), _WINDOW_PX[0]), round(most)))
         corners = grid.reshape(-1, 2)
         # corners of a reduced image, for example, are too inexact for the small window
@@ -231,8 +235,8 @@ class CheckerboardDetector(Detector[Checkerboard]):
         refined = refine_corners(image, corners, half_side_px)
         if np.abs(refined - corners).max() > min(step_squares * square, half_side_px + 1.0):
             return None
-        stray = remaining_move_px(image, refined, half_side_px) > _MOST_MOVE_PX
-        if stray.mean() > _MOST_STRAYS:
+        stray = remaining_move_px(image, refined, half_side_px) > _MAX_REMAINING_MOVE_PX
+        if stray.mean() > _MAX_STRAY_FRACTION:
             return None
         grid = refined.reshape(grid.shape)
         if not is_regular(grid):
@@ -247,7 +251,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
             return None
         refined, beside = settled
         grid_sigma_px = estimate_corner_scatter_px(flat.to_plane(refined).reshape(grid.shape))
-        if grid_sigma_px > max(_UNEVEN_SQUARES * square, _UNEVEN_PX):
+        if grid_sigma_px > max(_MAX_SCATTER_SQUARES * square, _MAX_SCATTER_PX):
             return None
         noise = estimate_noise_grey(image, square_centres(grid))
         sigmas = np.maximum(corner_sigmas(image, refined, half_side_px, noise), grid_sigma_px)
@@ -286,7 +290,7 @@ def _correct_displaced(grid: Grid, near: NDArray[np.float64]) -> Grid:
     """Replace displaced corners by those of `near` that match them."""
     corners = grid.reshape(-1, 2)
     square = float(np.median(np.linalg.norm(np.diff(grid, axis=1), axis=-1)))
-    least, most = (share * square for share in _ASTRAY_SQUARES)
+    least, most = (share * square for share in _CORRECTED_ERROR_SQUARES)
     away = np.minimum(cdist(corners, near), most)
     which, place = linear_sum_assignment(away**2)
     astray = (away[which, place] > least) & (away[which, place] < most)
@@ -307,20 +311,24 @@ def _refine_strays(
         (n, 2) corners, px. (n,) residuals of those that were or are strays, px; 0 for the others.
     """
     corners, strays = grid.reshape(-1, 2).copy(), np.zeros(grid[..., 0].size, bool)
-    half_side_px = int(min(max(round(_WIDE_SQUARES * square), _WIDE_PX[0]), _WIDE_PX[1]))
-    for last in range(_ROUNDS + 1):
+    half_side_px = int(
+        min(max(round(_STRAY_WINDOW_SQUARES * square), _STRAY_WINDOW_PX[0]), _STRAY_WINDOW_PX[1])
+    )
+    for last in range(_MAX_STRAY_ROUNDS + 1):
         ideal = flat.to_plane(corners)
         left, spread = leave_one_out_residuals(ideal.reshape(grid.shape))
         beside = np.linalg.norm(left, axis=1) / spread
         usual = float(np.median(beside))
-        now = beside > max(_STRAY_PX, _STRAY * usual)
-        if last == _ROUNDS or not now.any():
+        now = beside > max(_STRAY_PX, _STRAY_RATIO * usual)
+        if last == _MAX_STRAY_ROUNDS or not now.any():
             break
         strays |= now
         start = flat.to_pixels((ideal - left)[strays])
         again = refine_corners_robustly(image, start, half_side_px)
         corners[strays] = np.where(np.isfinite(again), again, corners[strays])
-    if beside.max() > max(_LOST_PX, _LOST_SQUARES * square, _LOST * usual):
+    if beside.max() > max(
+        _FATAL_RESIDUAL_PX, _FATAL_RESIDUAL_SQUARES * square, _FATAL_RESIDUAL_RATIO * usual
+    ):
         return None
     return corners, np.where(strays | now, beside * spread, 0.0)
 

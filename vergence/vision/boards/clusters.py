@@ -19,47 +19,47 @@ from scipy.spatial import cKDTree
 _BLUR_PX: Final = 1.2
 """Standard deviation of the smoothing before derivatives, px (chosen: noise against small
 squares)."""
-_APART_PX: Final = 5
+_SADDLE_WINDOW_PX: Final = 5
 """Side of the square in which only the strongest saddle is kept, px (chosen)."""
-_LEAST_SADDLE: Final = 1.5
+_LEAST_SADDLE_STRENGTH: Final = 1.5
 """Least strength of a saddle: minus the determinant of the Hessian, (grey levels / px^2)^2
 (chosen)."""
 _MOST_SADDLES: Final = 4000
 """Most saddles that are kept, the strongest (chosen: time)."""
-_RADIUS_PX: Final = 4.0
+_CIRCLE_RADIUS_PX: Final = 4.0
 """Radius of the circle of samples around a saddle, px (chosen: inside the smallest squares)."""
-_ON_CIRCLE: Final = 16
+_CIRCLE_SAMPLES: Final = 16
 """Samples on the circle (numerical)."""
 _LEAST_RANGE_GREY: Final = 6
 """Least range of the samples on the circle, grey levels (chosen: above noise)."""
-_LEAST_CROSSED: Final = 1.5
+_LEAST_CROSS_RATIO: Final = 1.5
 """Least ratio of the contrast between crossed pairs of quadrants to that between opposite sides,
 which is 0 at an ideal corner (chosen)."""
-_NEIGHBOURS: Final = 8
+_NEIGHBOUR_COUNT: Final = 8
 """Number of nearest saddles that are considered as neighbours (chosen)."""
-_MOST_ALIKE: Final = -0.5
+_MAX_AXIS_COSINE: Final = -0.5
 """Largest cosine of twice the angle between the light axes of neighbours; -1 if perpendicular
 (chosen)."""
-_MOST_ALONG: Final = 0.8
+_MAX_EDGE_AXIS_COSINE: Final = 0.8
 """Largest absolute cosine of twice the angle between a light axis and the edge; 0 at 45 degrees
 (chosen)."""
-_ALONG_EDGE: Final = (0.3, 0.5, 0.7)
+_EDGE_SAMPLE_FRACTIONS: Final = (0.3, 0.5, 0.7)
 """Positions of the samples along an edge, as fractions of its length (chosen)."""
-_ASIDE: Final = 0.2
+_EDGE_SAMPLE_OFFSET: Final = 0.2
 """Distance of the samples from an edge, as a fraction of its length (chosen)."""
-_LEAST_ASIDE_PX: Final = 1.5
+_LEAST_SAMPLE_OFFSET_PX: Final = 1.5
 """Least distance of the samples from an edge, px (chosen)."""
-_LEAST_STEP: Final = 0.25
+_LEAST_EDGE_CONTRAST: Final = 0.25
 """Least contrast across an edge, as a fraction of the range on the circles at its ends (chosen)."""
-_LEAST_LIKE: Final = 0.4
+_LEAST_RANGE_RATIO: Final = 0.4
 """Least ratio of the smaller to the larger range on the circles of neighbours (chosen)."""
-_LEAST_SHARE: Final = 0.7
+_LEAST_SIZE_RATIO: Final = 0.7
 """Least size of a cluster, as a fraction of the board's corners (chosen)."""
-_MOST_TIMES: Final = 4.0
+_MAX_SIZE_RATIO: Final = 4.0
 """Largest size of a cluster, as a ratio to the board's corners (chosen: tiled floors have more)."""
 _MOST_CLUSTERS: Final = 3
 """Most clusters that are returned (chosen: search time)."""
-_MARGIN: Final = 2.0
+_MARGIN_EDGES: Final = 2.0
 """Margin around a cluster in lengths of its edges, for the outermost squares and the light rim
 (chosen)."""
 _MARGIN_PX: Final = 6.0
@@ -99,21 +99,21 @@ def find_corner_clusters(image: NDArray[np.uint8], corner_count: int) -> list[Co
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
     saddles = _crossed(smooth, _saddles(smooth))
     count = len(saddles.places)
-    if count < _LEAST_SHARE * corner_count:
+    if count < _LEAST_SIZE_RATIO * corner_count:
         return []
     first, second = _of_squares(count, *_edges(smooth, saddles))
     links = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
     _number, cluster = connected_components(links, directed=False)
     sizes = np.bincount(cluster)
     alike = np.flatnonzero(
-        (sizes >= _LEAST_SHARE * corner_count) & (sizes <= _MOST_TIMES * corner_count)
+        (sizes >= _LEAST_SIZE_RATIO * corner_count) & (sizes <= _MAX_SIZE_RATIO * corner_count)
     )
     lengths = np.linalg.norm(saddles.places[first] - saddles.places[second], axis=1)
     height, width = image.shape
     out = []
     for k in alike[np.argsort(np.abs(sizes[alike] - corner_count), kind="stable")][:_MOST_CLUSTERS]:
         places = saddles.places[cluster == k]
-        margin = _MARGIN * float(np.median(lengths[cluster[first] == k])) + _MARGIN_PX
+        margin = _MARGIN_EDGES * float(np.median(lengths[cluster[first] == k])) + _MARGIN_PX
         x0, y0 = np.floor(np.maximum(places.min(axis=0) - margin, 0)).astype(int).tolist()
         x1, y1 = np.ceil(np.minimum(places.max(axis=0) + margin + 1, (width, height))).tolist()
         out.append(CornerCluster((x0, y0, int(x1), int(y1)), places.astype(float)))
@@ -128,8 +128,8 @@ def _saddles(smooth: NDArray[np.uint8]) -> _Saddles:
     ]
     uu, uv, vv = second
     strength = uv * uv - uu * vv
-    around = cv2.dilate(strength, np.ones((_APART_PX, _APART_PX), np.uint8))
-    v, u = np.nonzero((strength >= around) & (strength > _LEAST_SADDLE))
+    around = cv2.dilate(strength, np.ones((_SADDLE_WINDOW_PX, _SADDLE_WINDOW_PX), np.uint8))
+    v, u = np.nonzero((strength >= around) & (strength > _LEAST_SADDLE_STRENGTH))
     if len(u) > _MOST_SADDLES:
         strongest = np.argpartition(strength[v, u], -_MOST_SADDLES)[-_MOST_SADDLES:]
         u, v = u[strongest], v[strongest]
@@ -139,21 +139,25 @@ def _saddles(smooth: NDArray[np.uint8]) -> _Saddles:
 
 def _crossed(smooth: NDArray[np.uint8], saddles: _Saddles) -> _Saddles:
     """Select saddles with four changes between light and dark around them."""
-    angles = 2.0 * np.pi * np.arange(_ON_CIRCLE) / _ON_CIRCLE
-    circle = np.rint(_RADIUS_PX * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(int)
+    angles = 2.0 * np.pi * np.arange(_CIRCLE_SAMPLES) / _CIRCLE_SAMPLES
+    circle = np.rint(_CIRCLE_RADIUS_PX * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(
+        int
+    )
     greys = _greys_at(smooth, saddles.places[:, None] + circle)
     high, low = greys.max(axis=1), greys.min(axis=1)
     light = 2 * greys > (high + low)[:, None]
     changes = (light != np.roll(light, 1, axis=1)).sum(axis=1)
-    quarter = _ON_CIRCLE // 4
+    quarter = _CIRCLE_SAMPLES // 4
     both = greys[:, : 2 * quarter] + greys[:, 2 * quarter :]
     crossed = np.abs(both[:, :quarter] - both[:, quarter:]).sum(axis=1)
     opposite = np.abs(greys[:, : 2 * quarter] - greys[:, 2 * quarter :]).sum(axis=1)
     ranges = high - low
-    kept = (changes == 4) & (ranges > _LEAST_RANGE_GREY) & (crossed > _LEAST_CROSSED * opposite)
+    kept = (changes == 4) & (ranges > _LEAST_RANGE_GREY) & (crossed > _LEAST_CROSS_RATIO * opposite)
     numbers = np.flatnonzero(kept)
     # a corner midway between pixels is equally strong in all of them
-    same = cKDTree(saddles.places[numbers]).query_pairs(0.5 * _APART_PX, output_type="ndarray")
+    same = cKDTree(saddles.places[numbers]).query_pairs(
+        0.5 * _SADDLE_WINDOW_PX, output_type="ndarray"
+    )
     numbers = np.delete(numbers, same[:, 1])
     return _Saddles(saddles.places[numbers], saddles.hessians[numbers], ranges[numbers])
 
@@ -163,27 +167,31 @@ def _edges(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pairs of saddles with an edge between them, as (m,) indices of the first and the second."""
     places, (uu, uv, vv) = saddles.places.astype(float), saddles.hessians.T
-    near = min(_NEIGHBOURS + 1, len(places))
+    near = min(_NEIGHBOUR_COUNT + 1, len(places))
     _distances, found = cKDTree(places).query(places, k=near)
     first = np.repeat(np.arange(len(places)), near - 1)
     second = np.reshape(found, (len(places), near))[:, 1:].ravel()
     axis = np.arctan2(2.0 * uv, uu - vv)  # twice the angle of the light axis
     along = places[second] - places[first]
     edge = 2.0 * np.arctan2(along[:, 1], along[:, 0])
-    kept = np.cos(axis[first] - axis[second]) < _MOST_ALIKE
-    kept &= np.abs(np.cos(edge - axis[first])) < _MOST_ALONG
+    kept = np.cos(axis[first] - axis[second]) < _MAX_AXIS_COSINE
+    kept &= np.abs(np.cos(edge - axis[first])) < _MAX_EDGE_AXIS_COSINE
     ranges = saddles.ranges[first], saddles.ranges[second]
-    kept &= np.minimum(*ranges) > _LEAST_LIKE * np.maximum(*ranges)
+    kept &= np.minimum(*ranges) > _LEAST_RANGE_RATIO * np.maximum(*ranges)
     first, second, along = first[kept], second[kept], along[kept]
     length = np.linalg.norm(along, axis=1, keepdims=True)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1) / length
     # the sign of the mixed derivative along and across the edge gives its light side
     bend = along[:, 0] * (uu[first] * across[:, 0] + uv[first] * across[:, 1])
     bend += along[:, 1] * (uv[first] * across[:, 0] + vv[first] * across[:, 1])
-    aside = np.sign(bend)[:, None] * across * np.maximum(_ASIDE * length, _LEAST_ASIDE_PX)
-    least = _LEAST_STEP * np.maximum(saddles.ranges[first], saddles.ranges[second])
+    aside = (
+        np.sign(bend)[:, None]
+        * across
+        * np.maximum(_EDGE_SAMPLE_OFFSET * length, _LEAST_SAMPLE_OFFSET_PX)
+    )
+    least = _LEAST_EDGE_CONTRAST * np.maximum(saddles.ranges[first], saddles.ranges[second])
     kept = np.ones(len(first), np.bool_)
-    for share in _ALONG_EDGE:
+    for share in _EDGE_SAMPLE_FRACTIONS:
         middle = places[first] + share * along
         step = _greys_at(smooth, middle + aside) - _greys_at(smooth, middle - aside)
         kept &= step > least

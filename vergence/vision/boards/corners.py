@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 from vergence._jit import compiled
 from vergence.models.parts import FloatArray
 
-_END: Final = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 3e-3)
+_TERMINATION: Final = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 3e-3)
 """Termination of `cornerSubPix`: iterations, and a step in pixels of the enlarged window
 (numerical)."""
 _BLUR_PX: Final = 0.6
 """Standard deviation of the blur before refinement, px (chosen: less bias by aliasing)."""
-_RIM: Final = 4
+_RIM_PX: Final = 4
 """Rim of pixels around a window for its blur and the moves of a corner, px (numerical)."""
-_BESIDE_PX: Final = 0.8
+_QUARTER_WEIGHT_PX: Final = 0.8
 """Distance of an edge from a corner at which its weight is a quarter, px (chosen)."""
 _ITERATIONS: Final = 40
 """Most iterations (numerical)."""
-_STEP_PX: Final = 2e-3
+_CONVERGED_STEP_PX: Final = 2e-3
 """Convergence tolerance of a step, px (numerical)."""
-_LEAST_STEEP: Final = 1.0
+_LEAST_SQUARED_GRADIENT: Final = 1.0
 """Least squared gradient of a pixel on an edge, (grey levels / px)^2 (chosen: noise)."""
-_LEAST_CROSSED: Final = 0.01
+_LEAST_DETERMINANT_RATIO: Final = 0.01
 """Least ratio of determinant to squared trace of the normal matrix; edges that do not cross have a
 smaller one (numerical)."""
 _LEAST_NOISE_GREY: Final = 0.3
@@ -50,7 +50,7 @@ def refine_corners(
     Returns:
         Refined corners, px, shape (n, 2).
     """
-    rim = half_side_px + _RIM
+    rim = half_side_px + _RIM_PX
     size = 2 * rim + 1
     whole = np.rint(corners).astype(int) - rim
     smooth = cv2.GaussianBlur(_windows(image, whole, size), (3, 3), _BLUR_PX)
@@ -59,7 +59,9 @@ def refine_corners(
     shift = whole.astype(float)
     shift[:, 0] -= size * np.arange(len(corners))
     start = ((corners - shift + 0.5) * 2 - 0.5).astype(np.float32)
-    fine = cv2.cornerSubPix(twice, start, (2 * half_side_px, 2 * half_side_px), (-1, -1), _END)
+    fine = cv2.cornerSubPix(
+        twice, start, (2 * half_side_px, 2 * half_side_px), (-1, -1), _TERMINATION
+    )
     return np.asarray((fine.astype(float) + 0.5) / 2 - 0.5 + shift, float)
 
 
@@ -122,22 +124,22 @@ def _refine_corners_robustly(
                         g += share * (float(right) - float(left))
                         h += share * (float(below) - float(above))
                     steep = g * g + h * h
-                    if steep < _LEAST_STEEP:
+                    if steep < _LEAST_SQUARED_GRADIENT:
                         continue
                     dx, dy = column - u, row - v
                     along = g * dx + h * dy
                     weight = exp(-(dx * dx + dy * dy) / half_side_px**2)
-                    weight /= (1.0 + along * along / steep / _BESIDE_PX**2) ** 2
+                    weight /= (1.0 + along * along / steep / _QUARTER_WEIGHT_PX**2) ** 2
                     a, b, c = a + weight * g * g, b + weight * g * h, c + weight * h * h
                     p, q = p + weight * g * along, q + weight * h * along
             det = a * c - b * b
-            if not det > _LEAST_CROSSED * (a + c) ** 2:
+            if not det > _LEAST_DETERMINANT_RATIO * (a + c) ** 2:
                 break
             du, dv = (c * p - b * q) / det, (a * q - b * p) / det
             u, v = u + du, v + dv
             if max(abs(u - corners[n, 0]), abs(v - corners[n, 1])) > half_side_px:
                 break
-            if du * du + dv * dv < _STEP_PX**2:
+            if du * du + dv * dv < _CONVERGED_STEP_PX**2:
                 out[n, 0], out[n, 1] = u, v
                 break
 

@@ -10,16 +10,19 @@ from numpy.typing import NDArray
 
 from vergence._jit import compiled
 
-_HIGHEST: Final = 5
+_MAX_DIFFERENCE_ORDER: Final = 5
 """Highest order of differences along a row (chosen: removes lens distortion, needs six corners)."""
 _BINOMIALS: Final = np.array(
-    [[(-1.0) ** k * comb(n, k) for k in range(_HIGHEST + 1)] for n in range(_HIGHEST + 1)]
+    [
+        [(-1.0) ** k * comb(n, k) for k in range(_MAX_DIFFERENCE_ORDER + 1)]
+        for n in range(_MAX_DIFFERENCE_ORDER + 1)
+    ]
 )
 """Coefficients of the n-th difference, row n."""
-_BENDS: Final = (3, 6)
+_DISTORTION_DEGREES: Final = (3, 6)
 """Lowest and highest degree of the polynomial that models lens distortion on top of a
 homography (chosen)."""
-_FREE: Final = 1.6
+_CORNERS_PER_COEFFICIENT: Final = 1.6
 """Least number of corners per coefficient of that polynomial (chosen: avoids overfitting)."""
 
 
@@ -40,7 +43,7 @@ def estimate_corner_scatter_px(grid: NDArray[np.float64]) -> float:
     for axis in range(2):
         along = grid if axis == 1 else grid.transpose(1, 0, 2)
         rows, columns, _ = along.shape
-        order = min(columns - 1, _HIGHEST)
+        order = min(columns - 1, _MAX_DIFFERENCE_ORDER)
         if columns < 3 or rows < 2:
             continue
         norm = sum_ = 0.0
@@ -105,13 +108,13 @@ def _polynomials(
     x, y = (each.ravel() for each in grid)
     columns_of: list[NDArray[np.float64]] = []
     counts: list[int] = []
-    for degree in range(_BENDS[1] + 1):
+    for degree in range(_DISTORTION_DEGREES[1] + 1):
         more = [x**i * y ** (degree - i) for i in range(degree + 1)
                 if i < columns and degree - i < rows]  # fmt: skip
-        if degree > 0 and _FREE * (len(columns_of) + len(more)) > len(x):
+        if degree > 0 and _CORNERS_PER_COEFFICIENT * (len(columns_of) + len(more)) > len(x):
             break
         columns_of += more
-        if degree >= _BENDS[0]:
+        if degree >= _DISTORTION_DEGREES[0]:
             counts.append(len(columns_of))
     basis, _ = np.linalg.qr(np.stack(columns_of, axis=1))
     return np.column_stack([x, y]), basis, np.array(counts or [len(columns_of)])

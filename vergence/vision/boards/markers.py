@@ -14,9 +14,9 @@ _PROBE_MARGINS: Final = 0.45
 """Distance of grey samples from a corner along both axes, in margins of a marker (chosen)."""
 _LEAST_CONTRAST_GREY: Final = 5.0
 """Least contrast at a corner, grey levels (chosen: above noise)."""
-_LEAST_CONTRAST: Final = 0.25
+_LEAST_RELATIVE_CONTRAST: Final = 0.25
 """Least contrast at a corner, as a fraction of the median of all corners (chosen)."""
-_LEAST_ALIKE: Final = 0.4
+_LEAST_CORRELATION: Final = 0.4
 """Least correlation of a marker's grey levels with its print (chosen)."""
 
 BoardProjection = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -52,7 +52,9 @@ def mask_alternating_corners(
     row, column = np.divmod(corner_indices, board.columns - 1)
     sign = np.where(((row + column) % 2 == 0) == upper_left_is_dark(board), 1.0, -1.0)
     contrast = 0.5 * sign * (grey[:, 2] + grey[:, 3] - grey[:, 0] - grey[:, 1])
-    return contrast > max(_LEAST_CONTRAST_GREY, _LEAST_CONTRAST * float(np.median(contrast)))
+    return contrast > max(
+        _LEAST_CONTRAST_GREY, _LEAST_RELATIVE_CONTRAST * float(np.median(contrast))
+    )
 
 
 def fraction_of_markers_confirmed(
@@ -84,7 +86,7 @@ def fraction_of_markers_confirmed(
     wanted = printed[chosen]
     scale = np.sqrt((grey**2).sum(axis=1) * (wanted**2).sum(axis=1))
     alike = (grey * wanted).sum(axis=1) / np.maximum(scale, 1e-6)
-    return float((alike > _LEAST_ALIKE).mean())
+    return float((alike > _LEAST_CORRELATION).mean())
 
 
 @lru_cache(maxsize=8)

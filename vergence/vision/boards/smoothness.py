@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from vergence.vision.boards.homographies import fit_homography
 
-_HIGHEST: Final = 8
+_MAX_DISTORTION_DEGREE: Final = 8
 """Highest degree of the polynomial that models lens distortion on top of a homography (chosen)."""
-_COARSE: Final = 3
+_COARSE_DEGREE: Final = 3
 """Highest degree in the first fit, which finds corners mistaken for others (chosen)."""
-_FREE: Final = 2.0
+_CORNERS_PER_COEFFICIENT: Final = 2.0
 """Least number of corners per coefficient of that polynomial (chosen: avoids overfitting)."""
-_OF_HOMOGRAPHY: Final = 4
+_HOMOGRAPHY_PARAMETERS: Final = 4
 """Parameters of a homography per image coordinate (numerical)."""
 
 # Residual of a corner from the fit above which it is an outlier; it exceeds both (chosen).
@@ -56,7 +56,7 @@ def fit_board(
     """
     good = np.ones(len(pixels), bool)
     fit: _Fit | None = None
-    for highest, most_px in ((_COARSE, max_residual_px), (_HIGHEST, None)):
+    for highest, most_px in ((_COARSE_DEGREE, max_residual_px), (_MAX_DISTORTION_DEGREE, None)):
         for _ in range(_MOST_ROUNDS):
             fit = _fit_polynomial(board_m, pixels, good, highest)
             if fit is None:
@@ -94,25 +94,27 @@ def _fit_polynomial(
 ) -> _Fit | None:
     """Fit the polynomial with least generalised cross validation (Golub, Heath and Wahba 1979)."""
     count = int(good.sum())
-    transform = fit_homography(board_m[good], pixels[good]) if count >= _OF_HOMOGRAPHY else None
+    transform = (
+        fit_homography(board_m[good], pixels[good]) if count >= _HOMOGRAPHY_PARAMETERS else None
+    )
     if transform is None:
         return None
     residuals = (pixels - cv2.perspectiveTransform(board_m[None], transform)[0])[good]
     terms, ends = _terms(board_m[good] / np.abs(board_m).max(), highest)
     basis = np.linalg.qr(terms)[0]
     shares = basis.T @ residuals
-    spent = np.array([0, *ends]) + _OF_HOMOGRAPHY
+    spent = np.array([0, *ends]) + _HOMOGRAPHY_PARAMETERS
     explained = np.concatenate([[0.0], np.cumsum((shares**2).sum(axis=1))[ends - 1]])
     unexplained = np.maximum((residuals**2).sum() - explained, 0.0)
     free = np.maximum(count - spent, 1e-9)
     best = int(np.argmin(unexplained / free**2))
-    used = int(spent[best]) - _OF_HOMOGRAPHY
+    used = int(spent[best]) - _HOMOGRAPHY_PARAMETERS
     overdetermined = bool(free[best] >= 1)
     sigma = float(np.sqrt(unexplained[best] / (2.0 * free[best]))) if overdetermined else 0.0
     # all terms but the constant vanish at the origin
     weights = np.linalg.pinv(terms[:, :used])[0] if used else np.zeros(count)
     remaining = residuals - basis[:, :used] @ shares[:used]
-    own = 1.0 - (basis[:, :used] ** 2).sum(axis=1) - _OF_HOMOGRAPHY / count
+    own = 1.0 - (basis[:, :used] ** 2).sum(axis=1) - _HOMOGRAPHY_PARAMETERS / count
     return _Fit(
         transform,
         np.abs(remaining / np.maximum(own, 0.1)[:, None]).max(axis=1),
@@ -135,7 +137,9 @@ def _terms(
     for degree in range(highest + 1):
         more = [x**i * y ** (degree - i) for i in range(degree + 1)
                 if i < columns and degree - i < rows]  # fmt: skip
-        if degree > 0 and _FREE * (len(terms) + len(more)) + _OF_HOMOGRAPHY > len(x):
+        if degree > 0 and _CORNERS_PER_COEFFICIENT * (
+            len(terms) + len(more)
+        ) + _HOMOGRAPHY_PARAMETERS > len(x):
             break
         terms += more
         ends.append(len(terms))

@@ -11,26 +11,26 @@ from vergence.vision.plane import grey_at
 
 _LEAST_CONTRAST_GREY: Final = 5.0
 """Least contrast between light and dark squares around a square, grey levels (chosen)."""
-_LEAST_SHARE: Final = 0.15
+_LEAST_SQUARE_DEVIATION: Final = 0.15
 """Least deviation of a square from the mean of light and dark, as a fraction of the contrast
 (chosen)."""
-_PROBE: Final = 0.2
+_PROBE_SQUARES: Final = 0.2
 """Distance of the samples of a square from its centre, in squares (chosen)."""
-_MOST_WRONG: Final = 0.05
+_MAX_WRONG_FRACTION: Final = 0.05
 """Largest fraction of squares with a wrong colour, such as by glare or dirt (chosen)."""
 _OUTER_SHARE: Final = 0.6
 """Fraction of the outermost squares that is sampled (chosen: some boards print only half of them,
 lenses bend them, and the image may end in them)."""
-_LARGER: Final = 0.75
+_CONTINUING_FRACTION: Final = 0.75
 """Least fraction of the corners on the line beyond a side at which four squares must meet for the
 board to continue there (chosen)."""
-_LEAST_LINE: Final = 2
+_LEAST_LINE_CORNERS: Final = 2
 """Least number of corners of such a line inside the image (chosen)."""
-_LEAST_STEP: Final = 0.4
+_LEAST_OUTER_CONTRAST: Final = 0.4
 """Least contrast between squares beyond the board, as a fraction of the board's own contrast. Of
 4,440 parts of boards in public photographs all continue with 0.45, all but two with 0.5; with 0.35
 one of 12,496 true sides of boards seems to continue (chosen by these counts)."""
-_MOST_BENT: Final = 0.35
+_MAX_SECOND_DIFFERENCE: Final = 0.35
 """Largest second difference of a corner and its two neighbours, as a fraction of the neighbours'
 distance (chosen)."""
 
@@ -63,7 +63,7 @@ def is_regular(grid: Grid) -> bool:
                     continue
                 a, b = grid[j - down, i - across], grid[j + down, i + across]
                 bent = hypot(a[0] + b[0] - 2.0 * grid[j, i, 0], a[1] + b[1] - 2.0 * grid[j, i, 1])
-                if bent > _MOST_BENT * hypot(a[0] - b[0], a[1] - b[1]):
+                if bent > _MAX_SECOND_DIFFERENCE * hypot(a[0] - b[0], a[1] - b[1]):
                     return False
     return True
 
@@ -79,7 +79,7 @@ def squares_alternate(
         upper_left_dark: true if the upper left square is dark.
     """
     right, seen = _read(image, _extended(grid, 1, _OUTER_SHARE), upper_left_dark)
-    return bool((seen & ~right).sum() <= _MOST_WRONG * max(seen.sum(), 1)) and bool(
+    return bool((seen & ~right).sum() <= _MAX_WRONG_FRACTION * max(seen.sum(), 1)) and bool(
         seen[1:-1, 1:-1].all()
     )
 
@@ -166,8 +166,8 @@ def _sample(
             u, v = 0.25 * (a[0] + b[0] + c[0] + d[0]), 0.25 * (a[1] + b[1] + c[1] + d[1])
             seen[j, i] = True
             for probe in range(5):
-                s = _PROBE * (1.0 if probe == 1 else -1.0 if probe == 2 else 0.0)
-                t = _PROBE * (1.0 if probe == 3 else -1.0 if probe == 4 else 0.0)
+                s = _PROBE_SQUARES * (1.0 if probe == 1 else -1.0 if probe == 2 else 0.0)
+                t = _PROBE_SQUARES * (1.0 if probe == 3 else -1.0 if probe == 4 else 0.0)
                 x = u + 0.5 * (s * (b[0] + d[0] - a[0] - c[0]) + t * (c[0] + d[0] - a[0] - b[0]))
                 y = v + 0.5 * (s * (b[1] + d[1] - a[1] - c[1]) + t * (c[1] + d[1] - a[1] - b[1]))
                 if not (-0.5 < x < width - 0.5 and -0.5 < y < height - 0.5):
@@ -215,7 +215,9 @@ def _alternate(
             if ((j + i) % 2 == 1) != first_dark:
                 beyond = -beyond
             contrast = light - dark
-            right[j, i] = contrast >= _LEAST_CONTRAST_GREY and beyond > _LEAST_SHARE * contrast
+            right[j, i] = (
+                contrast >= _LEAST_CONTRAST_GREY and beyond > _LEAST_SQUARE_DEVIATION * contrast
+            )
 
 
 @compiled
@@ -261,8 +263,8 @@ def _continues_beyond(image: NDArray[np.uint8], grid: Grid, first_dark: bool) ->
             corners += 1
             along = min(greys[0, i] + greys[0, i + 1], greys[1, i] + greys[1, i + 1])
             beyond = min(greys[0, i] + greys[1, i], greys[0, i + 1] + greys[1, i + 1])
-            if min(along, beyond) > _LEAST_STEP * own:
+            if min(along, beyond) > _LEAST_OUTER_CONTRAST * own:
                 met += 1
-        if corners >= _LEAST_LINE and met >= _LARGER * corners:
+        if corners >= _LEAST_LINE_CORNERS and met >= _CONTINUING_FRACTION * corners:
             return True
     return False

@@ -13,7 +13,7 @@ from vergence.vision.tags.report import TagFit
 
 LEAST_EDGE_PX: Final = 8.0
 """Shortest edge of a tag that is read, px (chosen: smaller tags against clutter)."""
-_LEAST_EXPLAINED: Final = 0.5
+_LEAST_EXPLAINED_FRACTION: Final = 0.5
 """Smallest fraction of the variance near the edges that the print explains (chosen: tags in bad
 light against false tags)."""
 _LEAST_CONTRAST_GREY: Final = 5.0
@@ -22,21 +22,21 @@ _LEAST_BORDER_STEP: Final = 0.1
 """Smallest mean step of the light across the square's sides, as a fraction of the contrast. It
 rejects the inside of a border two cells wide, as in kalibr's grids, which reads like a tag
 (chosen: blurred tags against such insides)."""
-_MOST_FRAME: Final = 1
+_MAX_WRONG_RIM_CELLS: Final = 1
 """Most wrong cells in the frame around the code (chosen: dirty tags against false ones)."""
-_MOST_UNCLEAR: Final = 0.2
+_MAX_UNCLEAR_FRACTION: Final = 0.2
 """Largest fraction of wrong or unclear cells in any quarter of the tag (measured: none of 789 tags
 in public photographs has more)."""
-_FOUND_SIGMA: Final = (0.3, 0.015)
+_LIBRARY_CORNER_SIGMA: Final = (0.3, 0.015)
 """Standard deviation of the library's own corners of a bent tag: the larger of 0.3 px in the image
 that was searched, and 0.015 of the shortest edge. Drawn tags bent by up to 8 mm in 150 had their
 worst corner 0.6 to 2.5 % of the edge off (measured: tests/vision/tags/test_bent.py)."""
-_BENT_EXPLAINED: Final = 0.9
+_LEAST_BENT_EXPLAINED: Final = 0.9
 """Smallest fraction of the variance that a plane print explains of a tag on bent paper (chosen:
 bent tags against tags with a covered side)."""
-_BENT_WRONG: Final = 5
+_MAX_BENT_WRONG_CELLS: Final = 5
 """Most cells of a bent tag that a plane print reads wrong (chosen: as above)."""
-_BENT_UNCLEAR: Final = 0.25
+_MAX_BENT_UNCLEAR: Final = 0.25
 """Largest fraction of unclear cells in a quarter of a bent tag (chosen: looser bounds would accept
 as many tags with a covered side)."""
 
@@ -52,10 +52,14 @@ def reads_as_tag(fit: TagFit, code: TagFamilyCode) -> bool:
         True if the print explains the light, the cells read as printed and the border is one
         cell wide.
     """
-    if fit.contrast < _LEAST_CONTRAST_GREY or fit.explained_fraction < _LEAST_EXPLAINED:
+    if fit.contrast < _LEAST_CONTRAST_GREY or fit.explained_fraction < _LEAST_EXPLAINED_FRACTION:
         return False
     wrong, frame, unclear = fit.reading
-    if wrong > CORRECTED_BITS[code.name] or frame > _MOST_FRAME or unclear > _MOST_UNCLEAR:
+    if (
+        wrong > CORRECTED_BITS[code.name]
+        or frame > _MAX_WRONG_RIM_CELLS
+        or unclear > _MAX_UNCLEAR_FRACTION
+    ):
         return False
     return fit.border_step >= _LEAST_BORDER_STEP
 
@@ -71,8 +75,12 @@ def may_be_bent(fit: TagFit) -> bool:
         converge, and a converged fit reads cells near the corners wrong.
     """
     wrong, frame, unclear = fit.reading
-    near = wrong <= _BENT_WRONG and frame <= _MOST_FRAME and unclear <= _BENT_UNCLEAR
-    return fit.contrast == 0.0 or (near and fit.explained_fraction >= _BENT_EXPLAINED)
+    near = (
+        wrong <= _MAX_BENT_WRONG_CELLS
+        and frame <= _MAX_WRONG_RIM_CELLS
+        and unclear <= _MAX_BENT_UNCLEAR
+    )
+    return fit.contrast == 0.0 or (near and fit.explained_fraction >= _LEAST_BENT_EXPLAINED)
 
 
 def library_corner_sigma_px(
@@ -101,7 +109,7 @@ def library_corner_sigma_px(
     read = decode_tag(image, corners, code)
     if square.wrong_bits or read is None or read.id != square.id:
         return None
-    sigma = max(_FOUND_SIGMA[0] * upscaling, _FOUND_SIGMA[1] * edge)
+    sigma = max(_LIBRARY_CORNER_SIGMA[0] * upscaling, _LIBRARY_CORNER_SIGMA[1] * edge)
     # an object that covers part of a side would move its corners
     return sigma if read.border_fraction == 1.0 else max(sigma, 0.5 * cell)
 

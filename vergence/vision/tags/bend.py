@@ -14,7 +14,7 @@ from vergence.vision.tags.workspace import BEND_START, SPREAD, UNKNOWNS, FitBuff
 _WEAK_SIGMA: Final = 0.1
 """Standard deviation of a weak prior on the spread, px, and on the bend's coefficients, half edges;
 any evidence in the pixels outweighs it (numerical)."""
-_SURELY: Final = 2.0
+_LEAST_BEND_SIGNIFICANCE: Final = 2.0
 """Ratio to its expectation by noise that the squared Mahalanobis norm of the eight coefficients
 must exceed (chosen: noise alone exceeds it in one flat tag of 25)."""
 
@@ -136,4 +136,8 @@ def estimate_bend_sigma(
             information += matrix[i, j] * matrix[i, j]
         squares += total * total
     chance = (UNKNOWNS - BEND_START) * variance
-    return sqrt((squares - chance) / information) if squares > _SURELY * chance else 0.0
+    return (
+        sqrt((squares - chance) / information)
+        if squares > _LEAST_BEND_SIGNIFICANCE * chance
+        else 0.0
+    )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from vergence.models.tag_families import CORRECTED_BITS, TagFamilyCode
 from vergence.vision.tags.library import FoundSquare
 
-_AROUND: Final = 5
+_THRESHOLD_WINDOW_CELLS: Final = 5
 """Side, in cells, of the window around a cell whose lightest and darkest cell give its threshold
 (chosen: both colours in the window against shadows within it)."""
 _LEAST_CONTRAST_GREY: Final = 8.0
@@ -51,7 +51,7 @@ def decode_tag(
         image, where.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
     grey = grey.reshape(reach, reach, len(probes)).astype(np.float32).mean(axis=-1)
-    kernel = np.ones((_AROUND, _AROUND), np.uint8)
+    kernel = np.ones((_THRESHOLD_WINDOW_CELLS, _THRESHOLD_WINDOW_CELLS), np.uint8)
     light, dark = cv2.dilate(grey, kernel), cv2.erode(grey, kernel)
     if float(np.median(light - dark)) < _LEAST_CONTRAST_GREY:
         return None

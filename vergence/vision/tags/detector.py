@@ -25,42 +25,42 @@ from vergence.vision.tags.fit import fit_tag
 from vergence.vision.tags.library import FoundSquare, find_squares
 from vergence.vision.tags.report import TagFit
 
-_OPENCV: Final = {
+_OPENCV_DICTIONARIES: Final = {
     "36h11": cv2.aruco.DICT_APRILTAG_36h11,
     "36h10": cv2.aruco.DICT_APRILTAG_36h10,
     "25h9": cv2.aruco.DICT_APRILTAG_25h9,
     "16h5": cv2.aruco.DICT_APRILTAG_16h5,
 }
 """Families that OpenCV searches for as well; its adaptive threshold finds other tags."""
-_STEPS: Final = (8, 8, 8)
+_SEARCH_STEPS: Final = (8, 8, 8)
 """Most Gauss-Newton steps in each of the three stages of a fit in a search. More steps do not help
 fits that do not converge: of 59 drawn tags bent by 4 to 7 mm in 150, 55 converge with these, and
 56 with 30 in each stage (measured: tests/vision/tags/test_bent.py)."""
-_PIXELS: Final = (400, 4000)
+_SEARCH_PIXELS: Final = (400, 4000)
 """Most pixels of a fit in a search: in the first stage, and in each later one (chosen: accuracy
 against time)."""
 _TRACKED_STEPS: Final = (3, 5, 5)
 """Most steps in each stage of a tracked tag's fit, at camera rate (chosen: convergence against
 time)."""
 _TRACKED_PIXELS: Final = (120, 240)
-"""Most pixels of a tracked tag's fit, as in `_PIXELS` (chosen: accuracy against time)."""
-_SLOW_STEPS: Final = (3, 8, 8)
+"""Most pixels of a tracked tag's fit, as in `_SEARCH_PIXELS` (chosen: accuracy against time)."""
+_SECOND_FIT_STEPS: Final = (3, 8, 8)
 """Most steps of the second fit of a tracked tag, after a doubtful first one (chosen: as above)."""
-_SLOW_PIXELS: Final = (200, 800)
-"""Most pixels of this second fit, at least, as in `_PIXELS` (chosen: as above)."""
-_NEAR_PX: Final = 1.0
+_SECOND_FIT_PIXELS: Final = (200, 800)
+"""Most pixels of this second fit, at least, as in `_SEARCH_PIXELS` (chosen: as above)."""
+_MAX_PREDICTION_ERROR_PX: Final = 1.0
 """Largest distance of a corner from its prediction, px, at which the first fit of a tracked tag is
 accepted; beyond it a second fit follows, with more pixels (chosen: reliability against time)."""
-_SURE_PX: Final = 0.06
+_MAX_TRACKED_SIGMA_PX: Final = 0.06
 """Largest standard deviation of a point, px, at which this first fit is accepted (chosen: as
 above)."""
-_PIXELS_BY_EDGE: Final = 3.0
+_PIXELS_PER_EDGE_PX: Final = 3.0
 """Pixels of a tracked tag's later stages per pixel of its shortest edge, for large tags (chosen:
 accuracy against time)."""
-_CUT_QUIET: Final = 0.4
+_CUT_MARGIN_CELLS: Final = 0.4
 """Width of the white margin, cells, around a tag cut out close to its border (chosen: closely cut
 tags against clutter beside the border)."""
-_BEYOND_MIDDLE_PX: Final = 48
+_HALVES_OVERLAP_PX: Final = 48
 """Rows by which each half of the image that is searched by turns reaches beyond the middle; larger
 tags are found at half size (chosen: coverage against time)."""
 
@@ -119,7 +119,9 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         found: list[Detection] = []
         for square in self._wanted(squares):
             placed = square._replace(corners=scale * square.corners + shift)
-            each, bent = self._fit_several_ways(image, placed.corners, placed.id, _STEPS, _PIXELS)
+            each, bent = self._fit_several_ways(
+                image, placed.corners, placed.id, _SEARCH_STEPS, _SEARCH_PIXELS
+            )
             if each is None and bent:
                 sigma = library_corner_sigma_px(image, placed, scale, self._code)
                 if sigma is not None:
@@ -149,9 +151,9 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             return self._search_half(image)
         middle, height = len(image) // 2, len(image)
         rows = (
-            (0, middle + _BEYOND_MIDDLE_PX)
+            (0, middle + _HALVES_OVERLAP_PX)
             if way % 4 == 1
-            else (middle - _BEYOND_MIDDLE_PX, height)
+            else (middle - _HALVES_OVERLAP_PX, height)
         )
         return self._search_full(image, (max(rows[0], 0), min(rows[1], height)))
 
@@ -169,14 +171,17 @@ class TagDetector(Detector[AprilTag | TagFamily]):
 
     def _search_opencv(self, image: NDArray[np.uint8], known: list[Detection]) -> list[Detection]:
         """Tags in squares that OpenCV finds, except those that are known."""
-        if self.target.family not in _OPENCV or smooth_for_square_search(image) is None:
+        if (
+            self.target.family not in _OPENCV_DICTIONARIES
+            or smooth_for_square_search(image) is None
+        ):
             return []
         if self._aruco is None:
             parameters = cv2.aruco.DetectorParameters()
             parameters.minMarkerPerimeterRate = 0.01
             # the outline of a tag's paper may lie only a cell from the tag's
             parameters.minMarkerDistanceRate = 0.01
-            dictionary = cv2.aruco.getPredefinedDictionary(_OPENCV[self.target.family])
+            dictionary = cv2.aruco.getPredefinedDictionary(_OPENCV_DICTIONARIES[self.target.family])
             self._aruco = cv2.aruco.ArucoDetector(dictionary, parameters)
         marked, numbers, rejected = self._aruco.detectMarkers(image)
         named = [] if numbers is None else numbers.ravel().tolist()
@@ -213,18 +218,21 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         if not np.isfinite(corners).all():
             return None
         first, second = _TRACKED_PIXELS
-        most = first, min(max(second, int(_PIXELS_BY_EDGE * shortest_edge(corners))), _PIXELS[1])
+        most = (
+            first,
+            min(max(second, int(_PIXELS_PER_EDGE_PX * shortest_edge(corners))), _SEARCH_PIXELS[1]),
+        )
         found, fit = self._fit_once(image, corners, number, (0, 0, _TRACKED_STEPS[2]), most)
         if found is not None:
-            if fit.moved_px < _NEAR_PX and fit.sigma_px < _SURE_PX:
+            if fit.moved_px < _MAX_PREDICTION_ERROR_PX and fit.sigma_px < _MAX_TRACKED_SIGMA_PX:
                 return found
         else:  # the target is not exactly at its prediction
             found = self._fit_near(image, corners, number, _TRACKED_STEPS, most)
         # few pixels may have led the fit astray, or the edge of a shadow lies on the tag
-        most = _SLOW_PIXELS[0], max(_SLOW_PIXELS[1], most[1])
+        most = _SECOND_FIT_PIXELS[0], max(_SECOND_FIT_PIXELS[1], most[1])
         if found is None:
-            return self._fit_once(image, corners, number, _SLOW_STEPS, most)[0]
-        steps = 0, 0, _SLOW_STEPS[2]
+            return self._fit_once(image, corners, number, _SECOND_FIT_STEPS, most)[0]
+        steps = 0, 0, _SECOND_FIT_STEPS[2]
         surer, _ = self._fit_once(image, found.corners_px, number, steps, most)
         return found if surer is None else surer
 
@@ -233,8 +241,8 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         image: NDArray[np.uint8],
         corners: NDArray[np.float64],
         identity: int,
-        steps: tuple[int, int, int] = _STEPS,
-        most: tuple[int, int] = _PIXELS,
+        steps: tuple[int, int, int] = _SEARCH_STEPS,
+        most: tuple[int, int] = _SEARCH_PIXELS,
     ) -> Detection | None:
         """Fit the tag near the given corners; None if it does not read as that tag."""
         return self._fit_several_ways(image, corners, identity, steps, most)[0]
@@ -253,10 +261,10 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         corners astray, and with a narrow quiet zone, for tags cut out closer than a cell.
         """
         ways = [(steps, 1.0)]
-        if steps == _STEPS:
+        if steps == _SEARCH_STEPS:
             ways.append(((0, *steps[1:]), 1.0))
         if self._code.dark_inside:
-            ways.append((steps, _CUT_QUIET))
+            ways.append((steps, _CUT_MARGIN_CELLS))
         bent = True
         for taken, quiet in ways:
             found, fit = self._fit_once(image, corners, identity, taken, most, quiet)
@@ -290,7 +298,9 @@ class TagDetector(Detector[AprilTag | TagFamily]):
 def compile_tag_fit() -> None:
     """Compile the kernels of a tag's detection, on an image without a tag."""
     corners = np.array([[10.0, 10.0], [40.0, 10.0], [40.0, 40.0], [10.0, 40.0]])
-    TagDetector(AprilTag())._fit_once(np.zeros((50, 50), np.uint8), corners, 0, (0, 1, 1), _PIXELS)
+    TagDetector(AprilTag())._fit_once(
+        np.zeros((50, 50), np.uint8), corners, 0, (0, 1, 1), _SEARCH_PIXELS
+    )
 
 
 @lru_cache(maxsize=256)

@@ -61,44 +61,44 @@ from vergence.vision.tags.workspace import (
     side_lengths,
 )
 
-_SMALL_STEP_PX: Final = 0.02
+_LATER_END_STEP_PX: Final = 0.02
 """Corner step, px, below which a later stage ends: the next full step would be a tenth of it
 (numerical)."""
-_SMALL_BLUR_STEP: Final = 0.1
+_LATER_END_BLUR_STEP: Final = 0.1
 """Step of a blur's logarithm below which a later stage may end: residuals of a wrong blur would
 count as noise (numerical)."""
-_FIRST_STEP_PX: Final = 0.15
+_FIRST_END_STEP_PX: Final = 0.15
 """Corner step, px, below which the first stage ends (numerical)."""
 _LATER_BLUR_WEIGHT: Final = 1e-5
 """Weight that holds blurs near their last values in later stages, relative to the first stage
 (numerical)."""
-_BOUNDS_PX: Final = 8.0
+_REGION_MARGIN_PX: Final = 8.0
 """Margin of the searched region around the corners, px, in addition to a cell (chosen: errors of
 the prediction against time)."""
-_CONVERGED_PX: Final = 0.05
+_CONVERGED_STEP_PX: Final = 0.05
 """Largest last corner step of a converged fit, px (numerical)."""
-_SPREAD_PX: Final = 0.1
+_SPREAD_SIGMA_PX: Final = 0.1
 """Prior standard deviation of the spread, px (measured: benchmarks.real_light)."""
-_NO_SPREAD_PX: Final = 1e-6
+_NO_SPREAD_SIGMA_PX: Final = 1e-6
 """Prior standard deviation of the spread, px, in stages with outer edges only: these cannot
 distinguish spread from a smaller tag (numerical)."""
-_FAR_WORSE: Final = 2.5
+_BENT_VARIANCE_RATIO: Final = 2.5
 """Ratio of the residual variance of all edges to the one before, of the outer edges, above which
 the sheet is taken to be bent (chosen: bent tags against flat ones with a poor start)."""
 _LARGE_BEND_SIGMA: Final = 0.03
 """Prior standard deviation of such a bend's coefficients, half edges (chosen: wide enough for
 bends of this size)."""
-_MOST_SHRUNK: Final = 0.06
+_MAX_INNER_SCALING: Final = 0.06
 """Largest size of both coefficients that scale the tag's inside along x and along y, half edges;
 no bend has more. A tag with a border of two cells, taken for one with a border of one, has 0.2
 (chosen: between both)."""
-_BEYOND_BEND: Final = 0.3
+_UNMODELLED_BEND_RATIO: Final = 0.3
 """Standard deviation of the corner error that the bend's polynomials do not model, as a ratio to
 the standard deviation of their coefficients (measured: benchmarks.real_light)."""
 _PRIOR_SQUARES: Final = 4.0
 """Number of squared residuals of single pixels that are added to those of the blocks, which are
 few, in the estimate of the variance (chosen: steadiness against correlated residuals)."""
-_LONG_STEP_PX: Final = 3.0
+_DIVERGED_STEP_PX: Final = 3.0
 """Corner step, px, beyond which, plus half a cell, a fit is given up (chosen: poor starts against
 fits that diverge)."""
 _LEAST_EDGE_PX: Final = 8.0
@@ -183,7 +183,7 @@ def fit_tag(
             worse = (
                 which == ALL
                 and not stage.dropped_clipped
-                and residuals.variance > _FAR_WORSE * before > 0.0
+                and residuals.variance > _BENT_VARIANCE_RATIO * before > 0.0
             )
             if worse and used == BEND_START:
                 # inner edges do not lie where the outer ones predict: the sheet is bent
@@ -191,17 +191,17 @@ def fit_tag(
             # a weak prior holds blurs near their last values
             hold = _LATER_BLUR_WEIGHT if fine else 1.0
             blur_weight = hold * residuals.contrast * residuals.contrast * stage.pixel_count
-            spread_sigma_px = _SPREAD_PX if which >= ALL else _NO_SPREAD_PX
+            spread_sigma_px = _SPREAD_SIGMA_PX if which >= ALL else _NO_SPREAD_SIGMA_PX
             spread_weight = residuals.variance / spread_sigma_px**2
             bend_weight = residuals.variance / max(bend_sigma, 1e-9) ** 2
             corner_step_px, blur_step = gauss_newton_step(
                 state, buffers, stage.pixel_count, block_count, used, blur_weight, spread_weight,
                 bend_weight, scale.max_blur_px,
             )  # fmt: skip
-            if not corner_step_px < _LONG_STEP_PX + 0.5 * scale.cell_px:
+            if not corner_step_px < _DIVERGED_STEP_PX + 0.5 * scale.cell_px:
                 return NO_FIT
-            settled = not fine or blur_step < _SMALL_BLUR_STEP
-            if settled and corner_step_px < (_SMALL_STEP_PX if fine else _FIRST_STEP_PX):
+            settled = not fine or blur_step < _LATER_END_BLUR_STEP
+            if settled and corner_step_px < (_LATER_END_STEP_PX if fine else _FIRST_END_STEP_PX):
                 break
         if which >= ALL:
             squares, independent = block_squares_and_freedom(
@@ -212,14 +212,14 @@ def fit_tag(
             )
         if which == ALL and used == UNKNOWNS:
             bend_sigma = rms_of_bend(state.spread_and_bend)
-        elif which == ALL and corner_step_px < _CONVERGED_PX:
+        elif which == ALL and corner_step_px < _CONVERGED_STEP_PX:
             bend_sigma = estimate_bend_sigma(
                 buffers, stage.pixel_count, block_count, state.spread_and_bend, variance
             )
     shrunk = min(abs(state.spread_and_bend[3]), abs(state.spread_and_bend[8]))
-    if not corner_step_px < _CONVERGED_PX or shrunk > _MOST_SHRUNK:
+    if not corner_step_px < _CONVERGED_STEP_PX or shrunk > _MAX_INNER_SCALING:
         return NO_FIT
-    unmodelled_variance = (_BEYOND_BEND * bend_sigma * 0.5 * scale.shortest_px) ** 2
+    unmodelled_variance = (_UNMODELLED_BEND_RATIO * bend_sigma * 0.5 * scale.shortest_px) ** 2
     return report_fit(
         region, camera, tag, scale, state, buffers, residuals,
         stage.blocks_per_edge * stage.blocks_per_edge, used, variance, unmodelled_variance,
@@ -248,7 +248,7 @@ def _look(
     for k in range(4):
         left, right = min(left, start[k, 0]), max(right, start[k, 0])
         top, bottom = min(top, start[k, 1]), max(bottom, start[k, 1])
-    margin = _BOUNDS_PX + max(right - left, bottom - top) / border
+    margin = _REGION_MARGIN_PX + max(right - left, bottom - top) / border
     return SearchRegion(
         image, light, rays, view,
         int(left - margin), int(right + margin), int(top - margin), int(bottom + margin),

@@ -7,11 +7,11 @@ from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.tags.workspace import Blocks
 
-_LEAST_PIXELS: Final = 6
+_LEAST_BLOCK_PIXELS: Final = 6
 """Fewest pixels of a block that is used (chosen: small tags against noisy levels)."""
 _LEAST_PRINT_VARIANCE: Final = 0.02
 """Variance of the print in a block below which its contrast is undetermined (chosen: as above)."""
-_UNUSUAL: Final = 4.0
+_OUTLIER_VARIANCE_RATIO: Final = 4.0
 """Ratio of a block's residual variance to the usual one above which its weight falls (chosen:
 robustness against efficiency)."""
 
@@ -26,7 +26,7 @@ def estimate_block_levels(blocks: Blocks, block_count: int) -> float:
     for k in range(block_count):
         n, t, tt, i, ti = sums[k]
         levels[k, 0] = levels[k, 1] = 0.0
-        if n < _LEAST_PIXELS:
+        if n < _LEAST_BLOCK_PIXELS:
             continue
         print_squares = tt - t * t / n
         if print_squares < _LEAST_PRINT_VARIANCE * n:
@@ -67,6 +67,10 @@ def update_block_weights(
     for k in range(block_count):
         if levels[k, 1] > 0.0:
             own = weights[k]
-            weights[k] = 1.0 if own < _UNUSUAL * usual else _UNUSUAL * usual / own
+            weights[k] = (
+                1.0
+                if own < _OUTLIER_VARIANCE_RATIO * usual
+                else _OUTLIER_VARIANCE_RATIO * usual / own
+            )
             weighted += weights[k] * own * sums[k, 0]
     return weighted

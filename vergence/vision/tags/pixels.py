@@ -13,13 +13,13 @@ _LEAST_SCALE: Final = 0.4
 shortest edge (chosen: perspective does not reach it)."""
 _CLIPPED_GREY: Final = 254
 """Grey level from which on a pixel may be clipped (chosen: just below 255, the largest level)."""
-_MUCH_CLIPPED: Final = 0.02
+_MAX_CLIPPED_FRACTION: Final = 0.02
 """Fraction of clipped pixels above which white as a whole counts as clipped, not single pixels
 (chosen: bias by clipped white against pixels lost)."""
 _BESIDE_CLIPPED_GREY: Final = 240
 """Grey level from which on pixels are left out if white is clipped (measured:
 benchmarks.real_light)."""
-_LEAST_QUIET: Final = 0.45
+_LEAST_QUIET_FRACTION: Final = 0.45
 """Fraction of the quiet zone's width that is always used (chosen: evidence on the outer edges
 against objects behind the zone)."""
 
@@ -92,9 +92,9 @@ def gather_edge_pixels(
             out_x, out_y = (abs(x) - 1.0) * px_x, (abs(y) - 1.0) * px_y
             out = max(out_x, out_y)
             quiet_x, quiet_y = quiet * px_x / half, quiet * px_y / half
-            if out_x > max(quiet_x - excluded_px, _LEAST_QUIET * quiet_x):
+            if out_x > max(quiet_x - excluded_px, _LEAST_QUIET_FRACTION * quiet_x):
                 continue
-            if out_y > max(quiet_y - excluded_px, _LEAST_QUIET * quiet_y):
+            if out_y > max(quiet_y - excluded_px, _LEAST_QUIET_FRACTION * quiet_y):
                 continue
             if out > reach_px or count == max_pixels:
                 continue
@@ -125,7 +125,9 @@ def drop_clipped_pixels(samples: FloatArray, count: int, light: FloatArray) -> i
     for n in range(count):
         if samples[n, 2] >= light[_CLIPPED_GREY]:
             clipped += 1
-    limit = light[_CLIPPED_GREY if clipped <= _MUCH_CLIPPED * count else _BESIDE_CLIPPED_GREY]
+    limit = light[
+        _CLIPPED_GREY if clipped <= _MAX_CLIPPED_FRACTION * count else _BESIDE_CLIPPED_GREY
+    ]
     left = 0
     for n in range(count):
         if samples[n, 2] < limit:

@@ -18,17 +18,19 @@ from vergence.models.parts import FloatArray
 
 MOST_REACHED: Final = 12
 """Most cells along an axis that a blur covers; cells beyond count as the last one (numerical)."""
-_REACH: Final = 3.0
+_CUTOFF_SIGMAS: Final = 3.0
 """Standard deviations at which the Gaussian is cut off (numerical)."""
-_STEPS: Final = 128
+_STEPS_PER_SIGMA: Final = 128
 """Entries of the tables per standard deviation. Linear interpolation is accurate to 2e-6 and takes
 a fifth of the time of the functions (numerical)."""
-_Z: Final = np.arange(-_REACH, _REACH + 1.5 / _STEPS, 1.0 / _STEPS)
+_TABLE_Z: Final = np.arange(
+    -_CUTOFF_SIGMAS, _CUTOFF_SIGMAS + 1.5 / _STEPS_PER_SIGMA, 1.0 / _STEPS_PER_SIGMA
+)
 """Arguments of the tables, standard deviations (numerical)."""
-_BELOW: Final = np.array([0.5 + 0.5 * erf(z / sqrt(2.0)) for z in _Z.tolist()])
-"""Standard normal distribution function at `_Z` (numerical)."""
-_HEIGHT: Final = np.exp(-0.5 * _Z**2) / sqrt(2.0 * pi)
-"""Standard normal density at `_Z` (numerical)."""
+_NORMAL_CDF: Final = np.array([0.5 + 0.5 * erf(z / sqrt(2.0)) for z in _TABLE_Z.tolist()])
+"""Standard normal distribution function at `_TABLE_Z` (numerical)."""
+_NORMAL_PDF: Final = np.exp(-0.5 * _TABLE_Z**2) / sqrt(2.0 * pi)
+"""Standard normal density at `_TABLE_Z` (numerical)."""
 
 
 class PrintSample(NamedTuple):
@@ -61,18 +63,21 @@ def _weigh(x: float, s: float, weights: FloatArray) -> tuple[int, int]:
     Returns:
         The first cell, and the number of cells.
     """
-    first = floor(x - _REACH * s)
-    count = min(floor(x + _REACH * s) - first + 1, MOST_REACHED)
+    first = floor(x - _CUTOFF_SIGMAS * s)
+    count = min(floor(x + _CUTOFF_SIGMAS * s) - first + 1, MOST_REACHED)
     below, by_x, by_log = 0.0, 0.0, 0.0
     for i in range(count):
         height = 0.0
         if i + 1 < count:
             z = (first + i + 1 - x) / s
-            place = min(max((z + _REACH) * _STEPS, 0.0), 2.0 * _REACH * _STEPS)
+            place = min(
+                max((z + _CUTOFF_SIGMAS) * _STEPS_PER_SIGMA, 0.0),
+                2.0 * _CUTOFF_SIGMAS * _STEPS_PER_SIGMA,
+            )
             k = int(place)
             share = place - k
-            below_next = _BELOW[k] + share * (_BELOW[k + 1] - _BELOW[k])
-            height = _HEIGHT[k] + share * (_HEIGHT[k + 1] - _HEIGHT[k])
+            below_next = _NORMAL_CDF[k] + share * (_NORMAL_CDF[k + 1] - _NORMAL_CDF[k])
+            height = _NORMAL_PDF[k] + share * (_NORMAL_PDF[k + 1] - _NORMAL_PDF[k])
             by_x_next, by_log_next = -height / s, -height * z
         else:
             below_next, by_x_next, by_log_next = 1.0, 0.0, 0.0

@@ -20,7 +20,7 @@ _LEAST_CELL_CONTRAST: Final = 0.1
 their difference (chosen: bad light against wrong cells)."""
 _CLEAR_CELL_CONTRAST: Final = 0.25
 """Smallest such distance of a clear cell (chosen: bad light against covered cells)."""
-_AROUND: Final = 2
+_MAX_LEVEL_RADIUS_CELLS: Final = 2
 """Cells to each side, at most, that give the levels for a cell (chosen: both colours present
 against shadows)."""
 _PROBE_CELLS: Final = (0.22, 0.36)
@@ -118,7 +118,7 @@ def compare_cells(
                 continue
             light = dark = lights = darks = 0.0
             # the smallest neighbourhood with both colours: a shadow may end anywhere
-            for around in range(1, _AROUND + 1):
+            for around in range(1, _MAX_LEVEL_RADIUS_CELLS + 1):
                 light = dark = lights = darks = 0.0
                 for row in range(max(j - around, 0), min(j + around + 1, rows)):
                     for column in range(max(i - around, 0), min(i + around + 1, columns)):

@@ -44,9 +44,9 @@ class TagFit(NamedTuple):
 
 NO_FIT: Final = TagFit(0.0, 0.0, CellReading(0, 0, 0.0), 0.0, 0.0, 0.0)
 """Result of a fit that failed (numerical)."""
-_BEFORE_CELLS: Final = 0.5
+_INSIDE_OFFSET_CELLS: Final = 0.5
 """Distance inside a side at which light is sampled, cells (chosen: the middle of the border)."""
-_BEYOND_CELLS: Final = 0.3
+_OUTSIDE_OFFSET_CELLS: Final = 0.3
 """Distance outside a side at which light is sampled, cells: a quiet zone that is narrower than a
 cell is still white there (chosen: such zones against blur)."""
 
@@ -121,7 +121,7 @@ def _step_across_sides(
 ) -> float:
     """Mean step of the light across the square's sides, positive if its sign is as printed."""
     first, cell = (len(tag.cells) - tag.side_cells) // 2, 2.0 / tag.side_cells
-    before, beyond = 1.0 - _BEFORE_CELLS * cell, 1.0 + _BEYOND_CELLS * cell
+    before, beyond = 1.0 - _INSIDE_OFFSET_CELLS * cell, 1.0 + _OUTSIDE_OFFSET_CELLS * cell
     total = 0.0
     for k in range(tag.side_cells):
         along = (k + 0.5) * cell - 1.0

@@ -17,20 +17,20 @@ from vergence.vision.tags.workspace import (
 WIDE, NARROW, ALL, BEND = range(4)
 """Stages: a wide band along the outer edges, a narrow one, the edges of all cells, and a bend
 (numerical)."""
-_BLOCK_PX: Final = 8.0
+_LEAST_BLOCK_SIDE_PX: Final = 8.0
 """Smallest side of a block, which has one dark level and one contrast, px (chosen: shadows and
 gradients against noise)."""
 _MOST_BLOCKS: Final = 8
 """Most blocks along an edge (chosen: as above)."""
 _PIXELS_PER_BLOCK: Final = 24
 """Pixels that take part per block, from which the number of blocks follows (chosen: as above)."""
-_REACH_PX: Final = 1.0
+_BAND_HALF_WIDTH_PX: Final = 1.0
 """Constant part of the half width of the band along the edges, px (chosen: evidence against time
 and neighbouring edges)."""
-_REACH_BLURS: Final = 2.2
-"""Part of this half width that grows with the blur, in blurs of `_FIRST_BLUR_PX` (chosen: as
+_BAND_HALF_WIDTH_BLURS: Final = 2.2
+"""Part of this half width that grows with the blur, in blurs of `_INITIAL_BLUR_PX` (chosen: as
 above)."""
-_WIDE_PX: Final = 4.0
+_MAX_BAND_HALF_WIDTH_PX: Final = 4.0
 """Largest half width of the band in the first stage, px, for poor initial corners (chosen: reach
 against neighbouring edges)."""
 _WIDE_BLUR_PX: Final = 2.0
@@ -38,13 +38,13 @@ _WIDE_BLUR_PX: Final = 2.0
 carry evidence on it (chosen: reach against accuracy)."""
 _WIDE_BLUR_CELLS: Final = 0.35
 """Initial blur of the print in the first stage, cells (chosen: as above)."""
-_QUIET_BLURS: Final = 1.8
-"""Width of the outer part of the quiet zone that is left out, in blurs of `_FIRST_BLUR_PX`: the
+_EXCLUDED_QUIET_BLURS: Final = 1.8
+"""Width of the outer part of the quiet zone that is left out, in blurs of `_INITIAL_BLUR_PX`: the
 background blurs into it (chosen: evidence against this background)."""
-_FIRST_BLOCKS: Final = 3
+_MAX_FIRST_BLOCKS: Final = 3
 """Most blocks along an edge in the first stage, which has few pixels (chosen: shadows against
 noise)."""
-_FIRST_BLUR_PX: Final = 0.8
+_INITIAL_BLUR_PX: Final = 0.8
 """Initial blur of the print after the first stage, px; the smallest in it (chosen: a typical
 blur)."""
 _MOST_BLUR_PX: Final = 6.0
@@ -77,7 +77,7 @@ def tag_scale(corners: FloatArray, side_cells: int, max_pixels: int) -> TagScale
     cell_px = shortest / side_cells
     # at most one block per cell of the border: a block of one colour has no contrast
     blocks_per_edge = min(
-        max(int(0.5 * (shortest + longest) / _BLOCK_PX), 1), _MOST_BLOCKS, side_cells
+        max(int(0.5 * (shortest + longest) / _LEAST_BLOCK_SIDE_PX), 1), _MOST_BLOCKS, side_cells
     )
     blocks_per_edge = min(blocks_per_edge, 1 + max_pixels // (4 * _PIXELS_PER_BLOCK))
     return TagScale(
@@ -119,16 +119,16 @@ def begin_stage(
         max_pixels: most pixels that take part.
     """
     image_to_square_homography(state.corners, state.G)
-    blocks_per_edge, blur_px = scale.blocks_per_edge, _FIRST_BLUR_PX
-    reach_px = _REACH_PX + _REACH_BLURS * _FIRST_BLUR_PX
+    blocks_per_edge, blur_px = scale.blocks_per_edge, _INITIAL_BLUR_PX
+    reach_px = _BAND_HALF_WIDTH_PX + _BAND_HALF_WIDTH_BLURS * _INITIAL_BLUR_PX
     if stage == WIDE:
-        blocks_per_edge = min(blocks_per_edge, _FIRST_BLOCKS)
-        reach_px = min(_WIDE_PX, max(scale.cell_px, 2.0))
-        blur_px = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * scale.cell_px, _FIRST_BLUR_PX))
+        blocks_per_edge = min(blocks_per_edge, _MAX_FIRST_BLOCKS)
+        reach_px = min(_MAX_BAND_HALF_WIDTH_PX, max(scale.cell_px, 2.0))
+        blur_px = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * scale.cell_px, _INITIAL_BLUR_PX))
     if not blurs_known:
         state.blurs[0] = state.blurs[1] = blur_px
     count = gathered = gather_edge_pixels(
-        region, tag, state, reach_px, _QUIET_BLURS * _FIRST_BLUR_PX,
+        region, tag, state, reach_px, _EXCLUDED_QUIET_BLURS * _INITIAL_BLUR_PX,
         scale.cell_px < reach_px + 2.0 * blur_px, stage == ALL, max_pixels, buffers.samples,
     )  # fmt: skip
     if stage == ALL:

@@ -13,7 +13,7 @@ from vergence.models.parts import FloatArray
 Coupling = Literal["common-tilt", "version-vergence"]
 """Coupling of both eyes: one motor for both tilts, or motors for version and for vergence."""
 
-_NEAREST_M: Final = 0.25
+_NEAREST_FIXATION_M: Final = 0.25
 """Nearest point straight ahead that both eyes must be able to fixate (chosen: near objects
 against the range of version)."""
 
@@ -211,12 +211,13 @@ def _version_vergence(
     low, high = max(l.lower, r.lower), min(l.upper, r.upper)
     # vergence that remains at both ends of the version range
     inward = 2.0 * min(l.upper - high, low - r.lower)
-    near = 2.0 * np.arctan(baseline_m / 2.0 / _NEAREST_M)
+    near = 2.0 * np.arctan(baseline_m / 2.0 / _NEAREST_FIXATION_M)
     vergence = max(inward, near)
     low, high = max(l.lower, r.lower + vergence / 2.0), min(l.upper - vergence / 2.0, r.upper)
     if not low < high:
         raise ConfigurationError(
-            f"actuators: expected for version-vergence pans that can converge on {_NEAREST_M} m, "
+            f"actuators: expected for version-vergence pans that can converge on "
+            f"{_NEAREST_FIXATION_M} m, "
             f"got {left.name} and {right.name} with too little range"
         )
     both = l.intersection(r)

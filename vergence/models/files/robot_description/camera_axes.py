@@ -17,9 +17,9 @@ MUJOCO: Final = "x,-y,-z"
 
 _AXES: Final = {sign + name: s * np.eye(3)[i] for s, sign in ((1.0, ""), (-1.0, "-"))
                 for i, name in enumerate("xyz")}  # fmt: skip
-_ALIGNED: Final = np.cos(np.deg2rad(45.0))
+_ALIGNED_COSINE: Final = np.cos(np.deg2rad(45.0))
 """Cosine of the angle below which an axis counts as aligned with a direction (chosen)."""
-_ROLLED: Final = np.cos(np.deg2rad(25.0))
+_ROLL_AXIS_COSINE: Final = np.cos(np.deg2rad(25.0))
 """Cosine of the angle between optical axis and joint axis below which a joint would roll the
 image (chosen: tilted mounts are accepted, wrong frames refused)."""
 
@@ -93,7 +93,7 @@ def check_camera_axes(eyes: Sequence[EyeAtZeroAngles], up: FloatArray) -> None:
     eye, why = wrong[0]
     exchanged = (
         "; or the left and the right camera are exchanged"
-        if all(e.pose[:3, 0] @ across < -_ALIGNED for e in eyes)
+        if all(e.pose[:3, 0] @ across < -_ALIGNED_COSINE for e in eyes)
         else ""
     )
     if fitting == [OPTICAL, OPTICAL]:
@@ -110,14 +110,14 @@ def check_camera_axes(eyes: Sequence[EyeAtZeroAngles], up: FloatArray) -> None:
 
 def _fault(eye: EyeAtZeroAngles, across: FloatArray, up: FloatArray) -> str:
     right, down, forward = eye.pose[:3, :3].T
-    if right @ across < _ALIGNED:
+    if right @ across < _ALIGNED_COSINE:
         return f"x is {_angle(right @ across)} from the line from the left camera to the right one"
-    if abs(forward @ across) > _ALIGNED:
+    if abs(forward @ across) > _ALIGNED_COSINE:
         return f"z is {_angle(forward @ across)} from the line between the cameras"
-    if down @ up > _ALIGNED:
+    if down @ up > _ALIGNED_COSINE:
         return "y points up"
     for axis in eye.axes:
-        if abs(forward @ axis) > _ROLLED:
+        if abs(forward @ axis) > _ROLL_AXIS_COSINE:
             return "z lies along an axis that the eye turns about"
     return ""
 
@@ -134,10 +134,10 @@ def _fitting(eye: EyeAtZeroAngles, across: FloatArray, up: FloatArray) -> str:
         rolled = max((abs(float(forward @ axis)) for axis in eye.axes), default=0.0)
         return float(-2.0 * (right @ across) + down @ up + 1.5 * rolled)
 
-    return min(_TRIPLES, key=misfit)
+    return min(_RIGHT_HANDED_AXES, key=misfit)
 
 
-_TRIPLES: Final = tuple(
+_RIGHT_HANDED_AXES: Final = tuple(
     triple
     for names in permutations("xyz")
     for signs in product(("", "-"), repeat=3)

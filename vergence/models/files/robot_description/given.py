@@ -11,9 +11,9 @@ from vergence.errors import ConfigurationError
 from vergence.models.files.robot_description.mechanism import Joint, known_names_hint
 
 _NUMBER: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-z]*)\s*")
-_TURNS: Final = {"": np.pi / 180.0, "deg": np.pi / 180.0, "rad": 1.0}
+_RADIANS_PER_UNIT: Final = {"": np.pi / 180.0, "deg": np.pi / 180.0, "rad": 1.0}
 """Radians per unit of an angle."""
-_SLIDES: Final = {"m": 1.0, "mm": 1e-3}
+_METRES_PER_UNIT: Final = {"m": 1.0, "mm": 1e-3}
 """Metres per unit of a length."""
 
 
@@ -42,7 +42,7 @@ def parse_locked_joints(texts: Sequence[str], joints: Mapping[str, Joint]) -> di
         if name in found:
             raise ConfigurationError(f"lock: expected each joint once, got {name} twice")
         slides = joints[name].kind == "slide"
-        units = _SLIDES if slides else _TURNS
+        units = _METRES_PER_UNIT if slides else _RADIANS_PER_UNIT
         parts = _NUMBER.fullmatch(text)
         if parts is None or parts[2] not in units:
             example = f"{name}=0.1m" if slides else f"{name}=10, in degrees"

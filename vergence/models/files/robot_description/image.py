@@ -14,9 +14,9 @@ from vergence.models.files.robot_description.mechanism import MjcfCamera
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 
-_SIZE: Final = (640, 480)
+_ASSUMED_SIZE_PX: Final = (640, 480)
 """Image size of a camera without a given one, px (chosen: common with webcams)."""
-_FIELD_DEG: Final = 60.0
+_ASSUMED_FOV_DEG: Final = 60.0
 """Horizontal field of view of a camera without a given one, degrees (chosen)."""
 _PINHOLE: Final = "brown-conrady"
 
@@ -108,12 +108,12 @@ def _calibrated(cameras: Sequence[Intrinsics]) -> tuple[list[EyeIntrinsics], dic
 
 def _image(camera: MjcfCamera | None) -> tuple[EyeIntrinsics, dict[str, str]]:
     lens = {"distortion": "not in the file: no distortion"}
-    size = _SIZE if camera is None or camera.size is None else camera.size
-    unsaid = f"not in the file: {_SIZE[0]} x {_SIZE[1]}"
+    size = _ASSUMED_SIZE_PX if camera is None or camera.size is None else camera.size
+    unsaid = f"not in the file: {_ASSUMED_SIZE_PX[0]} x {_ASSUMED_SIZE_PX[1]}"
     resolution = {"width_px": unsaid, "height_px": unsaid}
     if camera is None:
-        focal = _SIZE[0] / 2.0 / tan(radians(_FIELD_DEG) / 2.0)
-        field = f"not in the file: a field of view of {_FIELD_DEG:g} degrees horizontally"
+        focal = _ASSUMED_SIZE_PX[0] / 2.0 / tan(radians(_ASSUMED_FOV_DEG) / 2.0)
+        field = f"not in the file: a field of view of {_ASSUMED_FOV_DEG:g} degrees horizontally"
         return _centred(size, focal), {**resolution, "focal_px": field, **lens}
     if camera.focal is not None and camera.principal is not None:
         image = EyeIntrinsics(

@@ -219,7 +219,7 @@ class Mechanism:
         return None if master == joint else MimicJoint(joint, master, factor, offset)
 
 
-_SHOWN: Final = 12
+_MAX_NAMES_SHOWN: Final = 12
 """Most names that a message lists (chosen: short messages)."""
 
 
@@ -231,8 +231,8 @@ def known_names_hint(kind: str, name: str, names: Iterable[str]) -> str:
     lowered = {each.lower(): each for each in known}
     near = [lowered[hit] for hit in get_close_matches(name.lower(), lowered, n=5, cutoff=0.5)]
     contained = [each for each in known if name and name.lower() in each.lower()]
-    nearest = list(dict.fromkeys([*near, *contained]))[:_SHOWN]
+    nearest = list(dict.fromkeys([*near, *contained]))[:_MAX_NAMES_SHOWN]
     if nearest:
         return f"a {kind} of the file (near: {', '.join(nearest)})"
-    more = "" if len(known) <= _SHOWN else f" and {len(known) - _SHOWN} more"
-    return f"a {kind} of the file ({', '.join(known[:_SHOWN])}{more})"
+    more = "" if len(known) <= _MAX_NAMES_SHOWN else f" and {len(known) - _MAX_NAMES_SHOWN} more"
+    return f"a {kind} of the file ({', '.join(known[:_MAX_NAMES_SHOWN])}{more})"

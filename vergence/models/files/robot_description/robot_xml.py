@@ -105,7 +105,7 @@ def urdf_extras(root: ET.Element) -> UrdfExtras:
         elif joint.get("type") == "floating":
             extras.kinds[link] = name, "floating"
         angles = "" if origin is None else origin.get("rpy", "")
-        if any(abs(_number(angle)) > _TURN for angle in angles.split()):
+        if any(abs(_number(angle)) > _MAX_ORIGIN_ANGLE_RAD for angle in angles.split()):
             extras.faults[link] = (
                 f"joint {name}: expected an origin with rpy in radians within one turn, got "
                 f"{angles!r:.80} (is it in degrees?)"
@@ -113,7 +113,7 @@ def urdf_extras(root: ET.Element) -> UrdfExtras:
     return extras
 
 
-_TURN: Final = 6.29
+_MAX_ORIGIN_ANGLE_RAD: Final = 6.29
 """Largest angle of an origin, rad: 2 pi, rounded up; larger angles are taken for degrees
 (chosen: accepts a rounded full turn)."""
 
