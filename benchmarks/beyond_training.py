@@ -22,7 +22,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from vergence.controllers.controller import Controller, make_controller
-from vergence.controllers.tuned import find_tuned
+from vergence.controllers.tuned import find_tuned_or_fallback
 from vergence.envs.plants.variation import Variation
 from vergence.eval.trials.results import Trials
 from vergence.eval.trials.run import run_trials
@@ -85,7 +85,7 @@ def controllers(scenario: Scenario, bundles: Mapping[str, str]) -> dict[str, Con
     """Controllers for a scenario's head: tuned laws, and networks from files or as shipped."""
     head, made = scenario.model(), {}
     for name in CONTROLLERS:
-        entry = find_tuned(name, scenario.name, head)
+        entry = find_tuned_or_fallback(name, scenario.name, head)
         options: dict[str, Any] = {} if entry is None else dict(entry.options)
         if name in bundles:
             options["bundle"] = bundles[name]

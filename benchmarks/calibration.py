@@ -45,14 +45,14 @@ from scipy.spatial.transform import Rotation
 
 from vergence.calibration.adjustment import BoardPoses, CameraRig, cross_matrices, rms_length
 from vergence.calibration.cameras import CameraFit, fit_camera, fit_consistent_views
-from vergence.calibration.observations import Observations
+from vergence.calibration.observations import BoardObservations
 from vergence.calibration.projection import project_with_jacobians
 from vergence.calibration.stereo import fit_camera_pair
 from vergence.calibration.uncertainty import direction_sigma_px, rig_covariance
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
 from vergence.models.parts import FloatArray, Rendering
-from vergence.vision import TargetDrawing, make_detector, parse_target
+from vergence.vision import TargetRenderer, make_detector, parse_target
 from vergence.vision.optics import EyeCamera
 
 SIZE: Final = (640, 480)
@@ -176,18 +176,22 @@ def eye_camera(rig: CameraRig, camera: int) -> EyeCamera:
     )  # fmt: skip
 
 
-def observed(target: PlanarTarget, pixels: FloatArray, sigma: FloatArray) -> Observations:
+def observed(target: PlanarTarget, pixels: FloatArray, sigma: FloatArray) -> BoardObservations:
     """Observations made of given corners."""
     cameras, views = pixels.shape[:2]
     names = tuple(tuple(f"{camera}-{view}.png" for view in range(views)) for camera in "lr")
-    return Observations(
-        target=target, names=names[:cameras], sizes=(SIZE,) * cameras, pixels=pixels, sigma=sigma
+    return BoardObservations(
+        target=target,
+        file_names=names[:cameras],
+        image_sizes=(SIZE,) * cameras,
+        pixels=pixels,
+        sigma=sigma,
     )
 
 
 def photographed(
     target: PlanarTarget, truth: Truth, rng: np.random.Generator, *, noisy: bool = True
-) -> Observations:
+) -> BoardObservations:
     """Draw a pair's photographs and detect the corners in them."""
     true = truth.pixels(target)
     rendering = Rendering(
@@ -197,7 +201,7 @@ def photographed(
     detector = make_detector(target)
     pixels, sigma = np.full_like(true, np.nan), np.full_like(true, np.nan)
     for camera in range(2):
-        drawing = TargetDrawing(eye_camera(truth.rig, camera), target, rendering)
+        drawing = TargetRenderer(eye_camera(truth.rig, camera), target, rendering)
         for view in np.flatnonzero(np.isfinite(true[camera]).all(axis=(1, 2))):
             pose = np.eye(4)
             pose[:3, :3] = truth.poses.rotation[view]
@@ -214,17 +218,20 @@ def photographed(
     return observed(target, pixels, sigma)
 
 
-def noisy_corners(target: PlanarTarget, truth: Truth, rng: np.random.Generator) -> Observations:
+def noisy_corners(
+    target: PlanarTarget, truth: Truth, rng: np.random.Generator
+) -> BoardObservations:
     """True corners with Gaussian noise of known sigma."""
     true = truth.pixels(target)
     pixels = true + CORNER_NOISE_PX * rng.standard_normal(true.shape)
     return observed(target, pixels, np.where(np.isfinite(true), CORNER_NOISE_PX, np.nan))
 
 
-def calibrated(seen: Observations, lens: str) -> CameraFit:
+def calibrated(seen: BoardObservations, lens: str) -> CameraFit:
     """Calibrate the pair as `vergence.calibration.calibrate` does with a given lens model."""
     alone = [
-        fit_camera(seen.camera(i), lens, fit_consistent_views(seen.camera(i))) for i in range(2)
+        fit_camera(seen.select_camera(i), lens, fit_consistent_views(seen.select_camera(i)))
+        for i in range(2)
     ]
     return fit_camera_pair(seen, *alone)[1]
 
@@ -240,7 +247,7 @@ def nees(error: FloatArray, covariance: FloatArray) -> float:
 def likelihood_ratio(fit: CameraFit, truth: Truth) -> float:
     """Excess of the sum of squares at the truth over the least one, relative to its expectation."""
     solution = fit.solution
-    _, linear = solution.problem.fit_poses(truth.rig, truth.poses.of(fit.kept))
+    _, linear = solution.problem.fit_poses(truth.rig, truth.poses.select(fit.kept_views))
     more = float((linear.residuals**2).sum() - (solution.linearisation.residuals**2).sum())
     return more / solution.reduced_chi**2 / len(truth.rig.packed())
 
@@ -283,11 +290,11 @@ def measured(fit: CameraFit, truth: Truth) -> dict[str, float]:
         "baseline_sigma_mm": 1e3 * float(np.sqrt(variance)),
         "noise": fit.solution.reduced_chi,
         "rms_px": rms_length(fit.solution.residuals_px),
-        "dropped": float((~fit.kept).sum()),
+        "dropped": float((~fit.kept_views).sum()),
     }
 
 
-def corner_errors(seen: Observations, true: FloatArray) -> tuple[FloatArray, FloatArray]:
+def corner_errors(seen: BoardObservations, true: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(k) errors of all detected coordinates, px, and their sigmas."""
     there = np.isfinite(seen.pixels) & np.isfinite(true)
     return (seen.pixels - true)[there], seen.sigma[there]
@@ -298,7 +305,7 @@ def row_of(lens: str, count: int, rng: np.random.Generator, look: str) -> dict[s
     target = parse_target(TARGET)
     assert isinstance(target, PlanarTarget)
     results, errors, sigmas, failed = [], [], [], 0
-    see: Callable[..., Observations] = noisy_corners if look == "corners" else photographed
+    see: Callable[..., BoardObservations] = noisy_corners if look == "corners" else photographed
     bias = np.array([0.0])
     started = time.perf_counter()
     for number in track(range(count), f"{lens}, {look}"):

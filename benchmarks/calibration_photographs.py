@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import BundleAdjustment, BundleSolution, CameraRig
 from vergence.calibration.cameras import estimate_board_poses, fit_camera, fit_consistent_views
-from vergence.calibration.observations import Observations, detect_board_corners, parse_board
+from vergence.calibration.observations import BoardObservations, detect_board_corners, parse_board
 from vergence.calibration.stereo import fit_camera_pair
 from vergence.errors import ConfigurationError
 from vergence.models.boards import Checkerboard
@@ -180,11 +180,11 @@ def _opencv_camera(
     return found[1], np.ravel(found[2])[: 8 if rational else 5]
 
 
-def our_calibrated(seen: Observations, lens: str) -> CameraRig:
+def our_calibrated(seen: BoardObservations, lens: str) -> CameraRig:
     """Calibrate a camera or a pair by the package; the fitted curvature of the board is dropped."""
     alone = [
-        fit_camera(seen.camera(i), lens, fit_consistent_views(seen.camera(i)))
-        for i in range(len(seen.sizes))
+        fit_camera(seen.select_camera(i), lens, fit_consistent_views(seen.select_camera(i)))
+        for i in range(len(seen.image_sizes))
     ]
     fit = alone[0] if len(alone) == 1 else fit_camera_pair(seen, *alone)[1]
     return fit.solution.rig._replace(board_curvatures=np.zeros(3))
@@ -201,7 +201,7 @@ def judged(board: FloatArray, rig: CameraRig, corners: Corners, *, bent: bool) -
     """
     problem = BundleAdjustment(board, corners.pixels, np.ones_like(corners.pixels))
     start = estimate_board_poses(
-        problem.of_camera(0),
+        problem.select_camera(0),
         CameraRig.single(rig.lenses[0], rig.camera_parameters[0]),
         corners.sizes[0],
     )
@@ -233,11 +233,11 @@ def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str
     board, files = parse_board(target), files_of(folder)
     points = np.insert(board.corners_m, 2, 0.0, axis=1)
     seen, _ = detect_board_corners(board, files)
-    ours = Corners(np.where(seen.usable[..., None, None], seen.pixels, np.nan), seen.sizes)
+    ours = Corners(np.where(seen.usable[..., None, None], seen.pixels, np.nan), seen.image_sizes)
     corners = {"ours": ours}
     if isinstance(board, Checkerboard):
         theirs = opencv_corners(board, files, ours.pixels, half_window)
-        corners["theirs"] = Corners(theirs, seen.sizes)
+        corners["theirs"] = Corners(theirs, seen.image_sizes)
     # a view is evaluated if both finders found corners in all of its images
     judges = np.logical_and.reduce(
         [
@@ -247,7 +247,7 @@ def compared(folder: Path, target: str, lens: str, half_window: int) -> dict[str
     )
     ways: dict[str, Callable[[NDArray[np.bool_]], CameraRig]] = {
         "opencv_ours": lambda views: opencv_calibrated(points, ours.of(views), lens),
-        "ours": lambda views: our_calibrated(seen.of(views), lens),
+        "ours": lambda views: our_calibrated(seen.select(views), lens),
     }
     if "theirs" in corners:
         ways["opencv"] = lambda views: opencv_calibrated(points, corners["theirs"].of(views), lens)

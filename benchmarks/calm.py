@@ -29,7 +29,7 @@ from rich.table import Table
 
 from vergence.controllers.controller import make_controller
 from vergence.eval.margins.measure import with_imperfection
-from vergence.eval.margins.ranges import SEARCHED, has_effect, search_interval
+from vergence.eval.margins.ranges import IMPERFECTION_RANGES, has_effect, search_interval
 from vergence.eval.trials.results import Trials
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario, load_scenario
@@ -147,7 +147,7 @@ def far_out() -> Iterator[tuple[str, Scenario]]:
     yield from ((name, one) for name, one in SCENARIOS.items() if not one.target_moves)
     hardware = load_scenario("hardware")
     head = hardware.model()
-    for name in SEARCHED:
+    for name in IMPERFECTION_RANGES:
         span = search_interval(name, hardware, head)
         for value in (span.low, span.high) if has_effect(name, hardware) else ():
             if value != span.expected:

@@ -78,7 +78,9 @@ def main(arguments: list[str] | None = None) -> None:
         except VergenceError as error:
             print(f"{one.label}: left out: {error}", file=sys.stderr)
     reference = next(case for case in cases if case.name == REFERENCE)
-    trials = run_trials(reference.controller, scenario, episodes=HEADS, batch=HEADS, observed=HEADS)
+    trials = run_trials(
+        reference.controller, scenario, episodes=HEADS, batch_size=HEADS, observed_trials=HEADS
+    )
     observation = trials.observation[: 30 if options.quick else 120]
     for _ in range(1 if options.quick else 5):
         for case in cases:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence import load_head
-from vergence.vision import TargetDrawing, make_detector, make_planar_target
+from vergence.vision import TargetRenderer, make_detector, make_planar_target
 from vergence.vision.optics import EyeCamera
 
 DEPTHS_M = (0.5, 1.0, 1.5, 2.0, 2.5)
@@ -36,7 +36,7 @@ class Eye:
         head = load_head(rig)
         self.camera = EyeCamera.of(head, 0)
         target = make_planar_target(name)
-        self.drawing = TargetDrawing(self.camera, target, head.rendering)
+        self.drawing = TargetRenderer(self.camera, target, head.rendering)
         self.detector = make_detector(target, self.camera)
 
     def true_px(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -129,7 +129,7 @@ class Mover:
 def rested_s(world: WorldClient, since_s: float, wait_s: float = 0.6) -> float:
     """Time from `since_s` until all joints rested, s; inf if one still turns."""
     time.sleep(wait_s)
-    rested = world.rested_s(since_s)
+    rested = world.rest_start_s(since_s)
     return np.inf if rested is None else rested - since_s
 
 
@@ -140,7 +140,7 @@ def befall(
     wait_s: float = 0.6,
 ) -> tuple[float, str]:
     """Run one trial of an event; return the time until all joints rested, s, and the reason."""
-    world = WorldClient(config.emulator)
+    world = WorldClient(config.emulator_address)
     plant = HardwarePlant(config.head, config=config)
     try:
         mover = Mover(rng)
@@ -152,8 +152,8 @@ def befall(
         return rested_s(world, since_s, wait_s), plant.fault
     finally:
         with suppress(HardwareError):  # the cable may have been pulled
-            world.clear()
-            world.fault(what="reboot")  # clears latched errors
+            world.clear_faults()
+            world.begin_fault(what="reboot")  # clears latched errors
         plant.close()
         world.close()
 
@@ -164,7 +164,7 @@ def fault(
     """Event: a fault of the emulator begins while the policy continues."""
 
     def happen(plant: HardwarePlant, world: WorldClient, mover: Mover) -> float:
-        since_s = world.fault(**request)
+        since_s = world.begin_fault(**request)
         mover.drive(plant, longest_s)
         return since_s
 
@@ -210,7 +210,7 @@ def turn(path: str) -> None:
 
 def kill(config: HardwareConfig, number: int, rng: np.random.Generator) -> tuple[float, str]:
     """Run one trial of a signal to a process that turns the joints."""
-    world = WorldClient(config.emulator)
+    world = WorldClient(config.emulator_address)
     words = [sys.executable, "-m", "benchmarks.faults", "--turn", config.path]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         assert process.stdout is not None

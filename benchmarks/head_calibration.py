@@ -141,7 +141,7 @@ def judge(name: str, seed: int, number: int) -> Judged | str:
         **{key: np.array(values) for key, values in (several | single).items()},
         nees=nees,
         told=told,
-        left_out=int((frames.seen.any(axis=-1) & ~found.views).sum()),
+        left_out=int((frames.seen.any(axis=-1) & ~found.kept_views).sum()),
         seconds=seconds,
     )
 
@@ -150,7 +150,9 @@ def surprise(found: HeadCalibration, true: HeadModel) -> tuple[float, int]:
     """Mean squared normalised error over the directions that are determined; and their number."""
     spreads = found.solution.problem.prior_sigma
     free = spreads > 0.0
-    error = (found.solution.state.values - true.parameters(found.nominal_head).values)[free]
+    error = (found.solution.state.head_parameters - true.parameters(found.nominal_head).values)[
+        free
+    ]
     scale = spreads[free]
     values, vectors = np.linalg.eigh(found.covariance[np.ix_(free, free)] / np.outer(scale, scale))
     squares = (vectors.T @ (error / scale)) ** 2 / values

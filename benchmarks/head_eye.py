@@ -81,7 +81,7 @@ def _nominal(head: HeadModel, frames: HeadFrames) -> Calibrated:
 
 def _whole_head(head: HeadModel, frames: HeadFrames) -> Calibrated:
     found = calibrate_head(head, frames)
-    return Calibrated(found.head, float(found.kept.mean()))
+    return Calibrated(found.head, float(found.kept_corners.mean()))
 
 
 def _head_eye(
@@ -89,7 +89,7 @@ def _head_eye(
 ) -> Callable[[HeadModel, HeadFrames], Calibrated]:
     def calibrated(head: HeadModel, frames: HeadFrames) -> Calibrated:
         found = find(head, frames)
-        return Calibrated(head.replace(head_eye=found.head_eye), float(found.kept.mean()))
+        return Calibrated(head.replace(head_eye=found.head_eye), float(found.kept_views.mean()))
 
     return calibrated
 

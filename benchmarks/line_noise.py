@@ -13,7 +13,7 @@ import random
 from rich.console import Console
 from rich.progress import track
 
-from vergence.hardware.dynamixel.packets import Packet, Parser, status_packet
+from vergence.hardware.dynamixel.packets import Packet, PacketParser, status_packet
 
 BYTES_PER_S = 100_000
 ANSWER_BYTES = 9
@@ -44,7 +44,7 @@ def main() -> None:
     options.add_argument("--seconds", type=float, default=600.0, help="of line time")
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
-    rng, parser = random.Random(given.seed), Parser()
+    rng, parser = random.Random(given.seed), PacketParser()
     whole = broken = found = wrong = as_answers = fed = 0
     chunks = int(given.seconds * BYTES_PER_S / 4096)
     for _ in track(range(chunks), "feeding", console=Console(stderr=True)):

@@ -56,7 +56,7 @@ def main() -> None:
             now_s = killed(config.path, log, rng.uniform(0.0, 2.5))
             found = replay(ReplayConfig(log=log, controller=LAW))
             missing_s.append(now_s - found.log.joints[-1].clock_s)
-            assert found.log.cut_off
+            assert found.log.truncation_reason
             assert found.rerun is not None
             commands += found.rerun.summary()["commands"]
             identical += found.rerun.summary()["identical"]

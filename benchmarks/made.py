@@ -10,7 +10,7 @@ from typing import Final
 
 from benchmarks.marks import text_above
 from vergence.envs.plants.imperfections import IMPERFECTIONS
-from vergence.eval.margins.ranges import SEARCHED
+from vergence.eval.margins.ranges import IMPERFECTION_RANGES
 
 _MARK: Final = re.compile(r"<!-- rows (\w+) -->")
 
@@ -30,7 +30,7 @@ def searched() -> list[str]:
     """Rows of the imperfections whose margins are searched: name, unit, range."""
     return [
         f"| `{name}` | {IMPERFECTIONS[name].unit} | {one.lowest:g} to {one.highest:g} |"
-        for name, one in SEARCHED.items()
+        for name, one in IMPERFECTION_RANGES.items()
     ]
 
 

@@ -153,7 +153,7 @@ def measure(folder: Path, target: str, finder: str = "classic") -> Measured:
 def detected(folder: Path, target: str) -> tuple[int, int]:
     """Number of images of a folder in which the board is found, and of all images."""
     finder, images = TargetFinder([parse_target(target)]), photographs_in_folder(folder)
-    return sum(len(finder.find_in_file(path).found) == 1 for path in images), len(images)
+    return sum(len(finder.find_in_file(path).detections) == 1 for path in images), len(images)
 
 
 def report() -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmarks.detector import RIGS, TARGETS, Row, show
 from vergence import load_head
 from vergence.models.parts import Rendering
-from vergence.vision import EyeCamera, PlanarTarget, TargetDrawing, make_planar_target
+from vergence.vision import EyeCamera, PlanarTarget, TargetRenderer, make_planar_target
 
 RAYS = 16
 """Rays per pixel along each axis in the reference; places an edge to 1/32 px."""
@@ -57,7 +57,7 @@ def steep_row(rig: str, name: str, incidence_deg: float) -> Row:
     camera, target = EyeCamera.of(head, 0), make_planar_target(name)
     rendering = replace(head.rendering, noise_grey=0.0)
     drawing, contrast = (
-        TargetDrawing(camera, target, rendering),
+        TargetRenderer(camera, target, rendering),
         rendering.white_grey - rendering.black_grey,
     )
     rms, most, times = [], [], []

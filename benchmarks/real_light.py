@@ -126,7 +126,7 @@ def light_of(scene: Scene, camera: Camera) -> Floats:
     """(height, width, 3) light in blue, green, red, relative to the light that paper reflects."""
     code = tag_family("36h11")
     cells = np.pad(code.cells(scene.identity) / 255.0, 1, constant_values=1.0)
-    cell_m = _EDGE_M / code.border_cells
+    cell_m = _EDGE_M / code.width_at_border
     half = 0.5 * cell_m * len(cells)
     sheet = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [0.0, 0.0]])
     seen = in_space(scene, sheet)

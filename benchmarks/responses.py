@@ -14,10 +14,15 @@ import cv2
 import numpy as np
 
 from vergence.errors import VergenceError
-from vergence.perception.light import edge_log_ratios
+from vergence.perception.light import srgb_fit_log_ratios
 from vergence.perception.photographs import SUFFIXES
 from vergence.vision import make_detector, parse_target
-from vergence.vision.image import has_colours, measurement_channel, read_pixels, restore_grey
+from vergence.vision.image import (
+    grey_if_channels_equal,
+    has_colour_channels,
+    measurement_channel,
+    read_pixels,
+)
 
 _LARGEST_PX = 2600
 """Largest width or height of a photograph, px; larger ones are left out to save time."""
@@ -46,8 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 seen = detector.detect_all(image)
             except VergenceError:
                 continue
-            ratios = edge_log_ratios(measurement_channel(image), seen)
-            found[has_colours(restore_grey(image))].append(ratios)
+            ratios = srgb_fit_log_ratios(measurement_channel(image), seen)
+            found[has_colour_channels(grey_if_channels_equal(image))].append(ratios)
         for colour, images in found.items():
             every = np.array([ratio for ratios in images for ratio in ratios])
             if len(every) > 1:

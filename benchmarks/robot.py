@@ -54,7 +54,7 @@ def bare(seconds: float) -> tuple[int, int, list[float]]:
 
 def lateness_of(trial: LoggedTrial) -> list[float]:
     """Times from the ticks at which a trial's commands were due to their sending, s."""
-    ticks_s = trial.begun_s + trial.reading.time_s[:-1, 0]
+    ticks_s = trial.begun_s + trial.readings.time_s[:-1, 0]
     sent_s = [one.clock_s for one in trial.commands[1 : trial.steps]]
     return [*(np.array(sent_s) - (ticks_s[:-1] + 1.0 / RATE_HZ))]
 

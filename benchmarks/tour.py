@@ -129,17 +129,17 @@ def gazed(hardware: HardwareConfig, log: Path, console: Console) -> tuple[bool, 
 
 def hurt(hardware: HardwareConfig, log: Path) -> tuple[bool, str]:
     """Pull the cable in the second of three gazes; check that the head stops and reports why."""
-    world = WorldClient(hardware.emulator)
+    world = WorldClient(hardware.emulator_address)
     pulled_s: list[float] = []
 
     def pull(present: GazeState) -> None:
         if present.number == 2 and present.step == 10 and not pulled_s:
-            pulled_s.append(world.fault(what="unplug"))
+            pulled_s.append(world.begin_fault(what="unplug"))
 
     try:
         found = deployed(hardware, 3, log, pull)
         time.sleep(LATEST_S)
-        rested_s = world.rested_s(pulled_s[0]) if pulled_s else None
+        rested_s = world.rest_start_s(pulled_s[0]) if pulled_s else None
     finally:
         world.close()
     if found.error is None or rested_s is None:

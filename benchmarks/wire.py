@@ -130,7 +130,7 @@ def measure(config: HardwareConfig, laws: list[str], gazes: int, duration_s: flo
     """Table with a row for each gaze, on the wire and in simulation."""
     head = config.head
     policies = {name: make_controller(name, head=head) for name in laws}
-    world = WorldClient(config.emulator)
+    world = WorldClient(config.emulator_address)
     options = {"config": config}
     task = GazeTask(1, head=head, plant="hardware", target="random", plant_options=options)
     plant = task.plant

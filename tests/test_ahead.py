@@ -36,9 +36,9 @@ def test_what_judges_a_step_is_compiled_for_the_types_of_a_real_one(monkeypatch)
     def keep_types(*arguments):
         called.append([numba.typeof(argument) for argument in arguments])
 
-    monkeypatch.setattr(reward, "assess", keep_types)
-    monkeypatch.setattr(task, "assess", keep_types)
-    reward.compile_assess()
+    monkeypatch.setattr(reward, "compute_step_result", keep_types)
+    monkeypatch.setattr(task, "compute_step_result", keep_types)
+    reward.compile_step_result()
     trials = task.GazeTask(3, head="physical", plant="kinematic")
     trials.begin(np.arange(3), np.zeros(3, np.uint64), np.arange(3, dtype=np.uint64))
     trials.step(np.zeros((3, 4)))
@@ -46,7 +46,7 @@ def test_what_judges_a_step_is_compiled_for_the_types_of_a_real_one(monkeypatch)
 
 
 def test_an_empty_cache_is_filled_by_two_processes(started):
-    _ahead.compile_ahead(["a:b"])
+    _ahead.compile_in_background(["a:b"])
     assert started == [[sys.executable, "-m", "vergence._ahead", "a:b"]]
 
 
@@ -64,26 +64,26 @@ def test_a_process_that_still_runs_is_kept_for_python_warns_of_one_that_is_not(
         return process
 
     monkeypatch.setattr(_ahead.subprocess, "Popen", start)
-    _ahead.compile_ahead(["a:b"])
+    _ahead.compile_in_background(["a:b"])
     gc.collect()
     assert kept[0]() is not None
 
 
 def test_what_is_cached_is_not_compiled_again(started, tmp_path):
     (tmp_path / "kernel.nbi").touch()
-    _ahead.compile_ahead(["a:b"])
+    _ahead.compile_in_background(["a:b"])
     assert started == []
 
 
 def test_one_processor_compiles_in_one_process(started, monkeypatch):
     monkeypatch.setattr(_ahead, "_processors", lambda: 1)
-    _ahead.compile_ahead(["a:b"])
+    _ahead.compile_in_background(["a:b"])
     assert started == []
 
 
 def test_without_a_place_for_the_cache_there_is_nothing_to_share(started, monkeypatch):
     monkeypatch.setattr(_ahead, "cache_folder", lambda: None)
-    _ahead.compile_ahead(["a:b"])
+    _ahead.compile_in_background(["a:b"])
     assert started == []
 
 
@@ -92,4 +92,4 @@ def test_a_process_that_cannot_be_started_is_done_without(started, monkeypatch):
         raise OSError("no more processes")
 
     monkeypatch.setattr(_ahead.subprocess, "Popen", refuse)
-    _ahead.compile_ahead(["a:b"])
+    _ahead.compile_in_background(["a:b"])

@@ -15,7 +15,7 @@ from vergence.cli import main
 @pytest.fixture
 def restored(monkeypatch):
     """Restore the handler of Ctrl-C after the test."""
-    monkeypatch.setattr(interrupts, "_guards", False)
+    monkeypatch.setattr(interrupts, "_started_as_command", False)
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
@@ -86,7 +86,7 @@ def test_an_error_that_a_library_makes_of_ctrl_c_is_an_interruption(monkeypatch,
         except KeyboardInterrupt:
             raise ImportError("numpy failed to import") from None
 
-    monkeypatch.setattr(interrupts, "_seen", False)
+    monkeypatch.setattr(interrupts, "_interrupted", False)
     monkeypatch.setattr(sys, "argv", ["/usr/bin/vergence"])
     monkeypatch.setattr("vergence.cli._run", interrupted_import)
     interrupts.end_quietly_on_interrupt()

@@ -163,8 +163,8 @@ def test_workers_without_a_voice_are_spoken_for_once(monkeypatch):
     monkeypatch.setattr(_jit, "cache_folder", lambda: None)
     said: list[str] = []
     _jit.set_compile_reporter(said.append)
-    _jit.report_compiling_for_workers()
-    _jit.report_compiling_for_workers()
+    _jit.report_compiling_if_uncached()
+    _jit.report_compiling_if_uncached()
     _jit.set_compile_reporter(None)
     assert len(said) == 1
 

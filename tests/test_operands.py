@@ -11,7 +11,7 @@ import vergence
 from tests.envs.robot import Robot
 from tests.heads import head_of
 from tests.naming import named
-from vergence._jit import Kernel
+from vergence._jit import GufuncKernel
 from vergence.controllers.controller import CONTROLLERS
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.layout import ObservationLayout
@@ -34,7 +34,7 @@ def all_kernels():
             continue  # no kernels there, but torch
         module = importlib.import_module(info.name)
         for name, value in vars(module).items():
-            if isinstance(value, Kernel) and value.__module__ == module.__name__:
+            if isinstance(value, GufuncKernel) and value.__module__ == module.__name__:
                 found[f"{module.__name__.removeprefix('vergence.')}.{name}"] = value
     return found
 
@@ -51,13 +51,15 @@ def fitting(kernel, length=1):
 
     They are truth values, which stand for numbers where a kernel asks for those.
     """
-    return [np.zeros(sizes(core, length), np.bool_) for core in kernel.inputs.values()]
+    return [
+        np.zeros(sizes(core, length), np.bool_) for core in kernel.input_core_dimensions.values()
+    ]
 
 
 def test_a_kernel_refuses_another_length_by_the_name_of_the_argument():
     for label, kernel in KERNELS.items():
         with named(label):
-            for place, (name, core) in enumerate(kernel.inputs.items()):
+            for place, (name, core) in enumerate(kernel.input_core_dimensions.items()):
                 operands = fitting(kernel)
                 for axis, size in enumerate(core):
                     for length in LENGTHS:
@@ -75,7 +77,7 @@ def test_a_kernel_refuses_another_length_by_the_name_of_the_argument():
 def test_a_kernel_refuses_another_rank_and_what_is_no_number():
     for label, kernel in KERNELS.items():
         with named(label):
-            for place, (name, core) in enumerate(kernel.inputs.items()):
+            for place, (name, core) in enumerate(kernel.input_core_dimensions.items()):
                 operands = fitting(kernel)
                 for wrong in (*NO_NUMBERS, *([0.0] if core else [])):
                     operands[place] = wrong
@@ -87,7 +89,7 @@ def test_a_kernel_takes_empty_batches_and_arrays_that_lie_apart():
     for label, kernel in KERNELS.items():
         with named(label):
             operands = fitting(kernel, LAYOUT.size)
-            first = next(iter(kernel.inputs.values()))
+            first = next(iter(kernel.input_core_dimensions.values()))
             with np.errstate(all="ignore"):
                 expected = kernel(*operands)
                 apart = [np.zeros((*one.shape, 2), np.bool_)[..., 0] for one in operands]
@@ -116,7 +118,7 @@ CHECKED = "envs.encoding._decode"
 OPEN = {
     name: kernel
     for name, kernel in KERNELS.items()
-    if name != CHECKED and any(map(is_open, kernel.inputs.values()))
+    if name != CHECKED and any(map(is_open, kernel.input_core_dimensions.values()))
 }
 
 
@@ -135,7 +137,9 @@ def stays_within(kernel, length):
     for filled in (0.0, 7e8):
         operands = [
             in_room(sizes(core, length), filled)[1] if is_open(core) else operand
-            for core, operand in zip(kernel.inputs.values(), fitting(kernel, length), strict=True)
+            for core, operand in zip(
+                kernel.input_core_dimensions.values(), fitting(kernel, length), strict=True
+            )
         ]
         rooms = [in_room(np.shape(result), filled, 0.25) for result in results]
         with np.errstate(all="ignore"):
@@ -186,7 +190,7 @@ CALLS = {
     },
     "EyeCamera.project": (CAMERA.project, [POINT[None]]),
     "EyeCamera.rays": (CAMERA.rays, [PIXELS]),
-    "EyeCamera.flat_about": (CAMERA.flat_about, [PIXELS]),
+    "EyeCamera.flat_view_about": (CAMERA.flat_view_about, [PIXELS]),
     "Adaptive.gains": (LAW.gains, [PIXELS]),
     "Adaptive.command": (LAW.command, [Q, PIXELS]),
     "decode": (LAYOUT.decode, [np.zeros(LAYOUT.size)]),

@@ -11,25 +11,25 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Final
 
-from vergence._jit import Kernel, cache_folder
+from vergence._jit import GufuncKernel, cache_folder
 
 _STARTED_PROCESSES: Final[list["subprocess.Popen[bytes]"]] = []
 """Started processes, kept because Python warns if a running one is garbage-collected."""
 
 
-def compile_ahead(kernels: Sequence[str]) -> None:
+def compile_in_background(kernel_paths: Sequence[str]) -> None:
     """Start a process that compiles kernels; nothing waits for it or depends on it.
 
     Args:
-        kernels: names `module:function` of kernels, or of functions that compile something, in the
-            order in which they are needed.
+        kernel_paths: names `module:function` of kernels, or of functions that compile something, in
+            the order in which they are needed.
     """
     folder = cache_folder()
     if folder is None or any(folder.rglob("*.nbi")) or _processors() < 2:
         return
     try:
         process = subprocess.Popen(
-            [sys.executable, "-m", __name__, *kernels],
+            [sys.executable, "-m", __name__, *kernel_paths],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -45,11 +45,11 @@ def _processors() -> int:
     return os.cpu_count() or 1
 
 
-def compiler_of(name: str) -> Callable[[], None]:
+def compiler_of(kernel_path: str) -> Callable[[], None]:
     """Compile method of the kernel that `module:function` names, or the function it names."""
-    module, _, attribute = name.partition(":")
-    named: Kernel | Callable[[], None] = getattr(import_module(module), attribute)
-    return named.compile if isinstance(named, Kernel) else named
+    module, _, attribute = kernel_path.partition(":")
+    named: GufuncKernel | Callable[[], None] = getattr(import_module(module), attribute)
+    return named.compile if isinstance(named, GufuncKernel) else named
 
 
 if __name__ == "__main__":

@@ -42,7 +42,7 @@ except ImportError:  # Windows: no lock, so the first run there should be a sing
     fcntl = None  # type: ignore[assignment]
 
 __all__ = [
-    "Kernel",
+    "GufuncKernel",
     "cache_folder",
     "compiled",
     "inlined",
@@ -58,7 +58,7 @@ _Group = TypeVar("_Group", bound=tuple[Any, ...])
 _PACKAGE = Path(__file__).resolve().parent
 
 
-class Kernel:
+class GufuncKernel:
     """A broadcasting loop over core dimensions, compiled at its first call.
 
     Args:
@@ -88,7 +88,7 @@ class Kernel:
             raise self._refusal(operands, error) from error
 
     @property
-    def inputs(self) -> dict[str, tuple[int | str, ...]]:
+    def input_core_dimensions(self) -> dict[str, tuple[int | str, ...]]:
         """Core dimensions of each input, numbers or names, by the argument's name."""
         cores = re.findall(r"\(([\w,]*)\)", self.layout.partition("->")[0])
         names = list(inspect.signature(self._function).parameters)
@@ -101,7 +101,9 @@ class Kernel:
         """Error that names the first operand that does not fit; NumPy's error only numbers it."""
         name = self._function.__name__
         leading = []
-        for (argument, core), operand in zip(self.inputs.items(), operands, strict=False):
+        for (argument, core), operand in zip(
+            self.input_core_dimensions.items(), operands, strict=False
+        ):
             try:
                 array = as_operand(f"{name}: {argument}", operand, *core)
             except ConfigurationError as refusal:
@@ -169,7 +171,7 @@ def kernel(
         A decorator. The decorated function is called with the inputs alone, or with ``out=``; it
         is compiled at its first call.
     """
-    return lambda function: Kernel(function, signatures, layout)
+    return lambda function: GufuncKernel(function, signatures, layout)
 
 
 def compiled(function: _Function) -> _Function:
@@ -420,8 +422,11 @@ def set_compile_reporter(report: Callable[[str], None] | None) -> None:
     _REPORTER.start(report)
 
 
-def report_compiling_for_workers() -> None:
-    """Report compilation on behalf of worker processes, which report nothing, if it is needed."""
+def report_compiling_if_uncached() -> None:
+    """Report that kernels will be compiled if the cache holds none yet.
+
+    Called before worker processes start, as these do not report it themselves.
+    """
     folder = cache_folder()
     if folder is None or not any(folder.rglob("*.nbi")):
         _REPORTER.compiling()

@@ -84,7 +84,7 @@ class EntryPoint:
             )
         return found
 
-    def classes(self, method: str) -> list[str]:
+    def class_names_with_method(self, method: str) -> list[str]:
         """Names of the classes defined in the module that have a method.
 
         Raises:
@@ -120,7 +120,7 @@ class EntryPoint:
 
     def _cannot_import(self, error: BaseException) -> ConfigurationError:
         return ConfigurationError(
-            f"{self.kind} {self.spec}: cannot be imported: {describe_user_error(error)}"
+            f"{self.kind} {self.spec}: cannot be imported: {user_error_with_place(error)}"
         )
 
 
@@ -156,7 +156,7 @@ def accepted_arguments(function_or_class: Callable[..., Any]) -> set[str] | None
     return None if hands_on else names
 
 
-def describe_user_error(error: BaseException) -> str:
+def user_error_with_place(error: BaseException) -> str:
     """Describe an error in a user's code, with its place, in one line.
 
     Args:

@@ -125,7 +125,7 @@ class UnreachableTargetError(ConfigurationError):
     """A target that a head cannot look at, or that is not visible at the start of a trial."""
 
 
-class DivergedError(VergenceError):
+class TrainingDivergedError(VergenceError):
     """Training has diverged: the network holds or outputs nan or infinity."""
 
 
@@ -179,7 +179,7 @@ class BundleError(VergenceError):
     """A bundle or network file that is damaged, not allowed, or made for something else."""
 
 
-class ControllerError(VergenceError):
+class UserControllerError(VergenceError):
     """A user's own controller that cannot be created, raises an error, or returns invalid values.
 
     The message names the place in that controller's code.

@@ -12,15 +12,15 @@ from contextlib import suppress
 
 NOTHING_WRITTEN = "interrupted: nothing was written"
 
-_seen = False
-_guards = False  # True if this process was started as the command line
+_interrupted = False
+_started_as_command = False  # True if this process was started as the command line
 
 
 def end_quietly_on_interrupt() -> None:
     """Make Ctrl-C end the command line with one line; called at this module's import, the first."""
-    global _guards
-    _guards = _is_command_line()
-    if _guards and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    global _started_as_command
+    _started_as_command = _is_command_line()
+    if _started_as_command and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         with suppress(ValueError):  # imported by another thread than the main one
             signal.signal(signal.SIGINT, _leave)
 
@@ -33,7 +33,7 @@ def raise_on_interrupt() -> None:
 
 def raise_on_termination() -> None:
     """Make SIGTERM and SIGHUP end the command line like Ctrl-C, so that the robot is stopped."""
-    if _guards:
+    if _started_as_command:
         for number in _enders():
             if signal.getsignal(number) is signal.SIG_DFL:  # `nohup` ignores one of them
                 signal.signal(number, _interrupt)
@@ -58,7 +58,7 @@ def _enders() -> list[signal.Signals]:
 
 def was_interrupted() -> bool:
     """True if Ctrl-C was pressed, even if a library has converted or ignored it."""
-    return _seen
+    return _interrupted
 
 
 def _is_command_line() -> bool:
@@ -75,8 +75,8 @@ def _leave(_number: int, _frame: object) -> None:
 
 
 def _interrupt(number: int, frame: object) -> None:
-    global _seen
-    _seen = True
+    global _interrupted
+    _interrupted = True
     raise KeyboardInterrupt
 
 

@@ -106,9 +106,9 @@ class Seen:
                 "explained": round(fit.explained_fraction, 3),
                 "wrong": fit.reading.wrong_cells,
                 "frame": fit.reading.wrong_rim_cells,
-                "unclear": round(fit.reading.unclear_fraction, 3),
-                "moved_px": round(fit.moved_px, 2),
-                "sigma_px": round(fit.sigma_px, 3),
+                "unclear": round(fit.reading.worst_quarter_unclear, 3),
+                "moved_px": round(fit.max_corner_move_px, 2),
+                "sigma_px": round(fit.max_sigma_px, 3),
             }
         return row
 

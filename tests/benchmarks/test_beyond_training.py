@@ -5,31 +5,33 @@ import pandas as pd
 import pytest
 
 from benchmarks.beyond_training import CONTROLLERS, main, outside
-from vergence.eval.trials.loops import HARDWARE
+from vergence.eval.trials.loops import HARDWARE_LOOP
 
 
 def test_each_imperfection_is_outside_of_what_was_learned_from_and_the_others_are_not() -> None:
-    cases = outside(HARDWARE)
-    assert cases.pop("none") is HARDWARE
+    cases = outside(HARDWARE_LOOP)
+    assert cases.pop("none") is HARDWARE_LOOP
     moved = set()
     for variation in cases.values():
         differ = {
-            name for name in vars(HARDWARE) if getattr(variation, name) != getattr(HARDWARE, name)
+            name
+            for name in vars(HARDWARE_LOOP)
+            if getattr(variation, name) != getattr(HARDWARE_LOOP, name)
         }
         assert differ
         moved |= differ
         for name in differ - {"model_errors"}:
-            low, high = getattr(HARDWARE, name)
+            low, high = getattr(HARDWARE_LOOP, name)
             (value, same) = getattr(variation, name)
             assert value == same
             assert not low <= value <= high
     # when a target appears, where in a period a frame lies and clocks' drift are no faults
-    drawn = {name for name, span in vars(HARDWARE).items() if span is not None}
+    drawn = {name for name, span in vars(HARDWARE_LOOP).items() if span is not None}
     assert drawn - moved == {"onset_s", "frame_phase", "clock_drift"}
 
 
 def test_ratios_go_away_from_one() -> None:
-    cases = outside(HARDWARE)
+    cases = outside(HARDWARE_LOOP)
     assert cases["speed gain, low"].speed_gain == pytest.approx((0.775, 0.775))
     assert cases["speed gain, high"].speed_gain == pytest.approx((1.225, 1.225))
     assert cases["acceleration, low"].acceleration_ratio == pytest.approx((0.4 / 1.5,) * 2)

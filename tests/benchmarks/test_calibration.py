@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import calibration, calibration_photographs
 from vergence.models.parts import Rendering
-from vergence.vision import TargetDrawing
+from vergence.vision import TargetRenderer
 
 
 def test_errors_are_as_large_as_their_sigmas(tmp_path):
@@ -38,7 +38,7 @@ def test_photographs_give_a_row_with_errors_of_every_way(tmp_path, monkeypatch):
         blur_px=0.7, noise_grey=2.0, supersampling=2, black_grey=30.0, white_grey=210.0,
         background_grey=130.0,
     )  # fmt: skip
-    drawing = TargetDrawing(calibration.eye_camera(truth.rig, 0), target, rendering)
+    drawing = TargetRenderer(calibration.eye_camera(truth.rig, 0), target, rendering)
     whole = np.isfinite(truth.pixels(target)[0]).all(axis=(1, 2))
     for view in np.flatnonzero(whole):
         pose = np.eye(4)

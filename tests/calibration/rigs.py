@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from vergence.calibration.adjustment import BoardPoses, BundleAdjustment, BundleSolution, CameraRig
 from vergence.calibration.calibrate import Calibration
 from vergence.calibration.cameras import CameraFit, compute_view_residuals
-from vergence.calibration.observations import Observations
+from vergence.calibration.observations import BoardObservations
 from vergence.calibration.uncertainty import rig_covariance
 from vergence.vision import parse_target
 
@@ -50,10 +50,10 @@ def look(rig, poses, rng, noise_px=0.1, size=SIZE, board=BOARD):
     outside = ~((pixels > 0.0) & (pixels < np.array(size) - 1.0)).all(axis=-1)
     whole = ~outside.any(axis=-1)[..., None, None]  # a checkerboard is found whole or not at all
     names = tuple(tuple(f"{eye}{view}.png" for view in range(views)) for eye in "lr"[:cameras])
-    return Observations(
+    return BoardObservations(
         target=board,
-        names=names,
-        sizes=(size,) * cameras,
+        file_names=names,
+        image_sizes=(size,) * cameras,
         pixels=np.where(whole, pixels, np.nan),
         sigma=np.where(whole, np.full(shape, noise_px), np.nan),
     )
@@ -72,7 +72,9 @@ def as_calibrated(rig, poses, seen, dropped=()):
         if camera:
             turned = rig.rotation @ poses.rotation
             mine = BoardPoses(turned, poses.translation @ rig.rotation.T + rig.translation)
-        alone.append(_fit(seen.problem.of_camera(camera), single, mine, seen.usable[camera] & ~out))
+        alone.append(
+            _fit(seen.problem.select_camera(camera), single, mine, seen.usable[camera] & ~out)
+        )
     fit = alone[0]
     if cameras > 1:
         fit = _fit(seen.problem, rig, poses, seen.usable.any(axis=0) & ~out)
@@ -84,13 +86,15 @@ def as_calibrated(rig, poses, seen, dropped=()):
         held_out_px=fit.solution.residuals_px,
         lens=rig.lenses[0],
         lens_errors={},
-        failures=(),
+        read_errors=(),
     )
 
 
 def _fit(problem, rig, poses, kept):
     views = compute_view_residuals(problem, problem.linearised(rig, poses))
-    one = problem.of(kept)
+    one = problem.select(kept)
     return CameraFit(
-        BundleSolution(one, rig, poses.of(kept), one.linearised(rig, poses.of(kept))), kept, views
+        BundleSolution(one, rig, poses.select(kept), one.linearised(rig, poses.select(kept))),
+        kept,
+        views,
     )

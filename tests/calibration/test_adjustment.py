@@ -50,7 +50,7 @@ def test_errors_are_of_the_size_of_their_covariance(rng):
         poses = make_poses(rng, 14)
         seen = look_at(rig, poses, rng)
         views = seen.usable.any(axis=0)
-        found = seen.problem.of(views).solve(rig, poses.of(views))
+        found = seen.problem.select(views).solve(rig, poses.select(views))
         error = found.rig.packed() - rig.packed()
         squares.append(error @ np.linalg.solve(rig_covariance(found), error) / len(error))
     # 12 draws of 27 numbers: the mean scatters by 0.08
@@ -68,7 +68,7 @@ def test_a_board_that_moved_between_exposures_makes_the_baseline_less_sure(rng):
     sure, unsure = (
         BundleAdjustment(
             still.problem.board_corners, each[:, views], np.full_like(each[:, views], 0.1)
-        ).solve(rig, poses.of(views))
+        ).solve(rig, poses.select(views))
         for each in (still.pixels, pixels)
     )
     between = rig.blocks[-2]

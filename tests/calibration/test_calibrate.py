@@ -39,8 +39,8 @@ def pair():
 
 def picked(seen, views):
     """Some views of observations, in any order and any number of times."""
-    names = tuple(tuple(row[view] for view in views) for row in seen.names)
-    return replace(seen, names=names, pixels=seen.pixels[:, views], sigma=seen.sigma[:, views])
+    names = tuple(tuple(row[view] for view in views) for row in seen.file_names)
+    return replace(seen, file_names=names, pixels=seen.pixels[:, views], sigma=seen.sigma[:, views])
 
 
 def both(seen):
@@ -72,7 +72,7 @@ def test_the_head_file_has_the_cameras_and_their_deviations(pair):
     between = np.column_stack([found.rig.rotation, found.rig.translation])
     np.testing.assert_allclose((np.linalg.inv(right) @ left)[:3], between, atol=1e-9)
     record = head.calibration
-    assert record.views == found.fit.kept.sum()
+    assert record.views == found.fit.kept_views.sum()
     assert record.corners_sha256 == found.observations.digest
     assert record.sigma["left.camera.f_u"] == pytest.approx(found.sigma[0])
     # the position along the baseline is as sure as the baseline, but for their small angle
@@ -104,7 +104,7 @@ def test_the_covariance_of_the_place_follows_small_changes(pair):
 
 
 def test_one_camera_gives_a_file_of_its_own(pair):
-    found = calibrate_views(pair[0].camera(0), LENS)
+    found = calibrate_views(pair[0].select_camera(0), LENS)
     document = ros_camera_document(found)
     assert document["image_width"], document["image_height"] == (640, 480)
     assert document["distortion_model"] == "plumb_bob"
@@ -124,7 +124,7 @@ def test_a_fifth_of_bad_views_changes_nothing(pair, what):
         pixels[1, bad] += (6.0, 0.0)
     good = calibrate_views(picked(seen, np.setdiff1d(np.arange(16), bad)), LENS)
     found = calibrate_views(replace(seen, pixels=pixels), LENS)
-    assert not found.fit.kept[bad].any()
+    assert not found.fit.kept_views[bad].any()
     change = (found.rig.packed() - good.rig.packed()) / good.sigma
     assert np.abs(change).max() < 1.0
     assert {one.view for one in found.dropped} >= {f"l{view}.png" for view in bad}

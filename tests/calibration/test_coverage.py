@@ -14,10 +14,10 @@ from vergence.calibration.coverage import (
     advise_on_bent_board,
     advise_on_distances,
     advise_on_empty_cells,
-    advise_on_focal_lengths,
-    advise_on_image_corners,
     advise_on_pair_motion,
     advise_on_tilts,
+    advise_on_uncertain_corners,
+    advise_on_uncertain_focal_lengths,
     advise_on_view_count,
     board_sag,
     board_tilts,
@@ -40,7 +40,7 @@ def calibrated(poses, rng, rig=None, cameras=2):
     seen = look(rig, poses, rng)
     if cameras == 1:
         rig = rig._replace(lenses=rig.lenses[:1], camera_parameters=rig.camera_parameters[:1])
-        seen = seen.camera(0)
+        seen = seen.select_camera(0)
     return as_calibrated(rig, poses, seen)
 
 
@@ -117,14 +117,14 @@ def test_few_views_and_lost_views_are_said(good):
     rng = np.random.default_rng(0)
     rig, poses = make_rig(), make_poses(rng, 30)
     seen = look(rig, poses, rng)
-    some = as_calibrated(rig, poses.of(np.arange(30) < 9), seen.of(np.arange(30) < 9))
+    some = as_calibrated(rig, poses.select(np.arange(30) < 9), seen.select(np.arange(30) < 9))
     assert (
         advise_on_view_count(some)
-        == f"The calibration has {some.fit.kept.sum()} views: take 20 or more."
+        == f"The calibration has {some.fit.kept_views.sum()} views: take 20 or more."
     )
     lost = as_calibrated(rig, poses, seen, dropped=range(12))
     assert advise_on_view_count(lost).startswith(
-        f"{(~lost.fit.kept).sum()} of 30 views were left out"
+        f"{(~lost.fit.kept_views).sum()} of 30 views were left out"
     )
     assert advise_on_view_count(good) == ""
 
@@ -146,14 +146,14 @@ def test_pairs_that_moved_between_the_exposures_are_said():
 
 def test_a_focal_length_that_is_not_known_well_is_said(good):
     unsure = replace(good, covariance=1e4 * good.covariance)
-    assert advise_on_focal_lengths(good) == ""
-    assert "focal length is known to" in advise_on_focal_lengths(unsure)
+    assert advise_on_uncertain_focal_lengths(good) == ""
+    assert "focal length is known to" in advise_on_uncertain_focal_lengths(unsure)
 
 
 def test_corners_of_an_image_that_no_board_reached_are_said():
     rng = np.random.default_rng(0)
     rotvecs = rng.uniform(-40.0, 40.0, (30, 3))
-    assert "let the board reach" in advise_on_image_corners(
+    assert "let the board reach" in advise_on_uncertain_corners(
         calibrated(held(rotvecs, [0.05, 0, 0.7]), rng)
     )
 
@@ -169,7 +169,7 @@ def test_the_sag_of_a_bent_board_is_that_of_its_farthest_corners():
 
 def test_advice_has_no_more_than_a_person_keeps_in_mind():
     rng = np.random.default_rng(0)
-    found = calibrated(facing(rng).of(np.arange(8)), rng, cameras=1)
+    found = calibrated(facing(rng).select(np.arange(8)), rng, cameras=1)
     assert len(advise_next_photographs(found)) == MOST_SENTENCES
 
 

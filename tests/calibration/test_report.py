@@ -75,7 +75,7 @@ def test_it_says_the_baseline_what_was_left_out_and_what_to_do(pair, tmp_path, u
 def test_one_camera_has_a_report_without_a_baseline(tmp_path, undrawn):
     rng = np.random.default_rng(0)
     rig, poses = make_rig(), make_poses(rng, 12)
-    seen = look(rig, poses, rng).camera(0)
+    seen = look(rig, poses, rng).select_camera(0)
     single = rig._replace(lenses=rig.lenses[:1], camera_parameters=rig.camera_parameters[:1])
     write_run(tmp_path, as_calibrated(single, poses, seen), "", "camera.yaml")
     page = Page((tmp_path / "calibration.html").read_text(encoding="utf-8"))

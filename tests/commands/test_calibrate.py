@@ -12,7 +12,7 @@ from tests.test_cli import call
 from vergence.models import load_head
 from vergence.models.files.intrinsics import read_intrinsics
 from vergence.models.parts import Rendering
-from vergence.vision import EyeCamera, TargetDrawing
+from vergence.vision import EyeCamera, TargetRenderer
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared" / "data" / "stereo_chessboard"
 TARGET = "checkerboard:9x6:24"
@@ -30,7 +30,7 @@ def photographs(tmp_path_factory):
     rng = np.random.default_rng(11)
     rig, poses = make_rig(), make_poses(rng, 5 * VIEWS)
     drawings = [
-        TargetDrawing(
+        TargetRenderer(
             EyeCamera(
                 width=SIZE[0], height=SIZE[1], focal_px=tuple(values[:2]),
                 principal_px=tuple(values[2:4]), distortion=tuple(values[4:]),

@@ -49,7 +49,7 @@ def test_the_table_names_the_head_and_what_it_cannot_do_away_with(capsys, tmp_pa
 
 
 def test_json_alone_on_standard_output(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr("vergence.eval.comparison.folder.draw", lambda _: {})
+    monkeypatch.setattr("vergence.eval.comparison.folder.evaluation_figures", lambda _: {})
     code, out, _err = run(
         capsys, "ibvs", "--episodes", "2", "--workers", "1", "--json", "--scenario", "step",
         "--out", str(tmp_path / "run"),

@@ -28,16 +28,19 @@ def test_the_table_explains_its_methods_and_cuts_no_number(capsys, monkeypatch, 
         assert "gaze: where the optical axes cross" in said
         assert "ITPC (integrated two-pose calibration)" in said
         assert "…" not in out
-        for fix in (result.gaze, result.itpc):
+        for fix in (result.gaze_fix, result.view_fix):
             for value in (*fix.point[0], *fix.sigma[0]):
                 assert re.search(rf"(?<![\d.]){re.escape(f'{1e3 * value:z.3f}')}(?!\d)", out)
 
 
 def test_what_rounds_to_zero_is_printed_without_a_sign(capsys, result):
-    point = result.truth_m + np.array([-1e-9, 1e-9, -1e-8])
-    fix = result.gaze._replace(point=point[None], gap=np.array([-0.0]))
+    point = result.true_target_m + np.array([-1e-9, 1e-9, -1e-8])
+    fix = result.gaze_fix._replace(point=point[None], gap=np.array([-0.0]))
     exact = replace(
-        result, gaze=fix, itpc=fix, truth_m=np.where(result.truth_m, result.truth_m, -0.0)
+        result,
+        gaze_fix=fix,
+        view_fix=fix,
+        true_target_m=np.where(result.true_target_m, result.true_target_m, -0.0),
     )
     show(exact)
     assert not re.search(r"[-+]0\.0+(?!\d)", capsys.readouterr().out)
@@ -96,6 +99,6 @@ def test_the_article_s_heads_are_told_as_ever(capsys, result):
 
 def test_eyes_whose_axes_never_cross_have_settled_all_the_same(capsys, tmp_path):
     gaze = gaze_of("common", tmp_path)
-    assert not gaze.gaze.valid[0]
+    assert not gaze.gaze_fix.valid[0]
     assert verdict(gaze) == 0
     assert "the eyes of this head cannot both look at the target" in capsys.readouterr().err

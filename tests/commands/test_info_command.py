@@ -12,7 +12,7 @@ from tests.heads import MOVING, TEXTS, head_of, text_of
 from tests.models.files.pairs import K_LEFT
 from vergence import Noise, triangulate_gaze, triangulate_views
 from vergence.cli import main
-from vergence.eval.head_summary import summarise
+from vergence.eval.head_summary import summarise_head
 from vergence.models import load_head, parse_head
 from vergence.models.files.assumed_values import assumed_values
 
@@ -139,8 +139,8 @@ def test_what_tied_eyes_cannot_make_zero_is_told(told):
 
 @pytest.mark.parametrize(("least_px", "said"), [(2e-6, False), (0.02, True)])
 def test_what_iterations_leave_is_no_pixel_error(capsys, monkeypatch, least_px, said):
-    found = replace(summarise(load_head("turrets")), least_error_px=least_px)
-    monkeypatch.setattr("vergence.eval.head_summary.summarise", lambda head: found)
+    found = replace(summarise_head(load_head("turrets")), least_error_px=least_px)
+    monkeypatch.setattr("vergence.eval.head_summary.summarise_head", lambda head: found)
     assert run("info", "--head", "turrets") == 0
     assert ("least pixel error" in capsys.readouterr().out) == said
 
@@ -206,11 +206,11 @@ def boxes(figure):
 @pytest.mark.slow
 def test_no_text_of_the_drawing_covers_another():
     from vergence.eval.head_figure import compose_head
-    from vergence.eval.head_summary import summarise
+    from vergence.eval.head_summary import summarise_head
 
     heads = [load_head(name) for name in ("icub", "turrets", "simulated")]
     for head in (*heads, head_of("tied"), head_of("mis"), parse_head(FISHEYE)):
-        found = boxes(compose_head(head, summarise(head)))
+        found = boxes(compose_head(head, summarise_head(head)))
         covered = [
             (one, other)
             for i, (one, a) in enumerate(found)
@@ -226,10 +226,10 @@ def test_a_field_of_view_of_180_degrees_is_shaded():
     from matplotlib.patches import Polygon
 
     from vergence.eval.head_figure import compose_head
-    from vergence.eval.head_summary import summarise
+    from vergence.eval.head_summary import summarise_head
 
     head = parse_head(FISHEYE)
-    above = compose_head(head, summarise(head)).axes[0]
+    above = compose_head(head, summarise_head(head)).axes[0]
     shades = [patch for patch in above.patches if isinstance(patch, Polygon)]
     assert len(shades) == 2
     for shade in shades:

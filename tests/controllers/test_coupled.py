@@ -12,7 +12,7 @@ from vergence.controllers.coupled import reducible_pixel_error
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
-from vergence.eval.trials.goal import least_measured_error
+from vergence.eval.trials.goal import least_reachable_error
 from vergence.models import HeadModel, ModelErrors
 
 LAWS = [name for name in CONTROLLERS if not name.startswith("learned")]
@@ -48,7 +48,7 @@ def distances(
             start[:] = False
             task.step(action)
             seen.append(task.truth().pixel_error.copy())
-    least = least_measured_error(task, task.truth().target)
+    least = least_reachable_error(task, task.truth().target)
     task.close()
     assert in_view.sum() > 8
     return np.linalg.norm(np.array(seen) - least, axis=-1).max(axis=-1)[:, in_view]

@@ -28,9 +28,9 @@ def predicted_unseen(row: np.ndarray) -> np.ndarray:
 
 USED = {
     "pid": lambda row: (
-        np.ascontiguousarray(row[..., : OutlierGate.size]).view(GATE_STATE)["eyes"]["since_s"][
-            ..., 0, 0
-        ]
+        np.ascontiguousarray(row[..., : OutlierGate.size]).view(GATE_STATE)["eyes"][
+            "accepted_since_s"
+        ][..., 0, 0]
         == 0.0
     ),
     "delay-compensated": lambda row: predicted_unseen(row) == 0.0,

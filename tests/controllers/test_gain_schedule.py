@@ -11,10 +11,10 @@ from tests.naming import named
 from vergence.controllers import make_controller
 from vergence.controllers.gain_schedule import (
     GAIN_LIMIT,
-    GAIN_NAMES,
-    ScheduledLaw,
+    TILT_FIRST_GAIN_NAMES,
+    ScheduledIBVS,
     action_from_gains,
-    gain_names,
+    gain_names_of_head,
     gains_from_action,
 )
 from vergence.envs.task import GazeTask
@@ -44,7 +44,7 @@ def test_the_order_is_that_of_the_joints_which_answer() -> None:
 
 
 def test_eyes_that_pan_first_have_their_gains_in_the_order_of_their_joints() -> None:
-    names = gain_names(head_of("panfirst"))
+    names = gain_names_of_head(head_of("panfirst"))
     assert names == ("left_u", "left_v", "right_u", "right_v")
     assert gains_from_action([1, -1, -1, -1], names)[0].tolist() == [20.0, 0.0]
     wanted = [[1.0, 2.0], [3.0, 4.0]]
@@ -55,13 +55,13 @@ def test_eyes_that_pan_first_have_their_gains_in_the_order_of_their_joints() -> 
 
 @pytest.mark.parametrize("name", ["simulated", "physical"])
 def test_eyes_that_tilt_first_keep_their_order(name) -> None:
-    assert gain_names(load_head(name)) == GAIN_NAMES
+    assert gain_names_of_head(load_head(name)) == TILT_FIRST_GAIN_NAMES
 
 
 def test_where_actuators_tie_joints_gains_are_by_eye_and_image_axis_all_the_same() -> None:
     for name in ["tied", "mis", "common", "vergeonly"]:
         with named(name):
-            assert gain_names(head_of(name)) == GAIN_NAMES
+            assert gain_names_of_head(head_of(name)) == TILT_FIRST_GAIN_NAMES
 
 
 def seen(num: int = 50) -> GazeTask:
@@ -74,14 +74,16 @@ def seen(num: int = 50) -> GazeTask:
 
 def test_with_one_gain_it_is_the_articles_law() -> None:
     task = seen()
-    law = ScheduledLaw(task.head, task.layout)
+    law = ScheduledIBVS(task.head, task.layout)
     expected, _state = make_controller("ibvs", task.head, gain=3.0).predict(task.observation)
     assert np.array_equal(law.action(task.observation, np.full((2, 2), 3.0)), expected)
 
 
 def test_without_gains_the_eyes_rest() -> None:
     task = seen()
-    assert not ScheduledLaw(task.head, task.layout).action(task.observation, np.zeros((2, 2))).any()
+    assert (
+        not ScheduledIBVS(task.head, task.layout).action(task.observation, np.zeros((2, 2))).any()
+    )
 
 
 def test_whatever_the_gains_the_image_error_shrinks() -> None:
@@ -89,7 +91,7 @@ def test_whatever_the_gains_the_image_error_shrinks() -> None:
     task = seen()
     truth = task.truth()
     assert truth is not None
-    law = ScheduledLaw(task.head, task.layout)
+    law = ScheduledIBVS(task.head, task.layout)
     gains = np.random.default_rng(0).uniform(0.1, 20.0, (task.num, 2, 2))
     command = law.command(task.layout.decode(task.observation), gains)
     q = truth.positions.copy()

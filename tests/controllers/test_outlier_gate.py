@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from vergence import load_head
-from vergence.controllers.outlier_gate import BRIDGED_S, MOST_HELD, GatedDetections, OutlierGate
+from vergence.controllers.outlier_gate import (
+    MAX_BRIDGED_S,
+    MAX_HELD_DETECTIONS,
+    GatedDetections,
+    OutlierGate,
+)
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.head import HeadModel
 
@@ -99,8 +104,8 @@ def test_detections_that_agree_with_nothing_are_not_held_back_for_ever() -> None
     around = [np.array([np.cos(a), np.sin(a)]) for a in (0.0, 2.1, 4.2, 0.8, 2.9)]
     errors = [HERE, *(HERE + 80.0 * direction for direction in around)]
     found = shown(pass_on(errors))
-    assert (found[1 : 1 + MOST_HELD] == HERE).all()
-    assert np.array_equal(found[1 + MOST_HELD], errors[1 + MOST_HELD])
+    assert (found[1 : 1 + MAX_HELD_DETECTIONS] == HERE).all()
+    assert np.array_equal(found[1 + MAX_HELD_DETECTIONS], errors[1 + MAX_HELD_DETECTIONS])
 
 
 def test_eyes_that_turn_may_move_the_image() -> None:
@@ -120,7 +125,7 @@ def test_what_a_noisy_detector_sees_of_a_target_at_rest_passes() -> None:
 
 
 def test_missed_detections_are_bridged_for_a_twentieth_of_a_second() -> None:
-    bridged = round(BRIDGED_S / PERIOD_S)
+    bridged = round(MAX_BRIDGED_S / PERIOD_S)
     errors = [HERE, *(HERE + MISSED for _ in range(20)), HERE + ASIDE]
     found = pass_on(errors)
     left = shown(found)[:, 0]

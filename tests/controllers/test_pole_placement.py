@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vergence.controllers.pole_placement import pole_placement_command
-from vergence.models.held_response import follow_held, prepare_held_response
+from vergence.models.held_response import follow_held_command, prepare_held_response
 
 LAG_S = 0.03
 PERIOD_S = 1.0 / 240.0
@@ -16,7 +16,9 @@ def angles(build_up, known, rate=30.0):
     way = []
     for _ in range(240):
         u = pole_placement_command(1.0 - q, v, w, rate, LAG_S, known)
-        q, v, w = follow_held(q, v, w, u, prepare_held_response(LAG_S, build_up, np.inf, PERIOD_S))
+        q, v, w = follow_held_command(
+            q, v, w, u, prepare_held_response(LAG_S, build_up, np.inf, PERIOD_S)
+        )
         way.append(q)
     return np.array(way)
 

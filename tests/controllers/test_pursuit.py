@@ -8,7 +8,7 @@ from tests.naming import named
 from vergence import load_head, make_controller
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
-from vergence.eval.trials.metrics import overshoot
+from vergence.eval.trials.metrics import overshoot_fraction
 
 HEAD = load_head("simulated")
 QUIET = HEAD.replace(sensor={"detection_noise_px": 0.0})
@@ -94,7 +94,7 @@ def test_targets_at_rest_are_turned_to_as_soon_as_by_the_law_that_expects_no_oth
         task = GazeTask(40, head=HEAD, plant=plant)
         errors = true_errors(task, make_controller(name, head=HEAD), 1.0)
         times[name] = np.array([settle_time(errors[:, i : i + 1], 1 / 120) for i in range(40)])
-        assert np.median(overshoot(errors)) < 0.02
+        assert np.median(overshoot_fraction(errors)) < 0.02
     assert (times["pursuit"] < 1.0).all()
     assert np.median(times["pursuit"]) < 1.05 * np.median(times["saccade"])
 

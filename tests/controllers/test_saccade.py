@@ -13,7 +13,7 @@ from vergence.controllers.prediction.joints import pack_predictor_parameters
 from vergence.controllers.saccade import saccade_command
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
-from vergence.eval.trials.metrics import overshoot, settle_time
+from vergence.eval.trials.metrics import overshoot_fraction, settle_time
 
 PERIOD_S = 1 / 120
 KNOWN_WELL = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
@@ -94,7 +94,7 @@ def test_saccades_are_within_a_fifth_of_the_bound(plant) -> None:
     assert ratio.min() > 1.0 - 1e-9
     assert np.median(ratio) < 1.1
     assert np.percentile(ratio, 95) < 1.2
-    assert np.median(overshoot(trial.errors)) < 0.02
+    assert np.median(overshoot_fraction(trial.errors)) < 0.02
 
 
 @plants
@@ -104,7 +104,7 @@ def test_the_law_on_predicted_errors_bears_more_than_twice_the_articles_gain(pla
     time = settled(trial)
     assert np.isfinite(time).all()
     assert np.median(time) < 0.42
-    assert np.median(overshoot(trial.errors)) < 0.01
+    assert np.median(overshoot_fraction(trial.errors)) < 0.01
 
 
 @both

@@ -10,7 +10,7 @@ from vergence import load_head, make_controller
 from vergence.controllers.pole_placement import pole_placement_command
 from vergence.controllers.prediction.joints import pack_predictor_parameters
 from vergence.controllers.state_feedback import feedback_command
-from vergence.controllers.tuned import tuned_options
+from vergence.controllers.tuned import tuned_or_fallback_options
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import load_scenario
@@ -91,7 +91,7 @@ def test_with_full_damping_what_is_left_decays_at_the_rate_of_the_gain(gain) -> 
 def test_tuned_it_settles_sooner_than_any_gain_on_the_predicted_error(plant) -> None:
     times = {}
     for name in ("delay-compensated", "state-feedback"):
-        options = tuned_options(name, "workspace", HEAD)
+        options = tuned_or_fallback_options(name, "workspace", HEAD)
         task = GazeTask(40, head=HEAD, plant=plant)
         errors = true_errors(task, make_controller(name, HEAD, **options), 1.0)
         times[name] = np.array([settle_time(errors[:, i : i + 1], PERIOD_S) for i in range(40)])
@@ -102,7 +102,9 @@ def test_tuned_it_settles_sooner_than_any_gain_on_the_predicted_error(plant) -> 
 def test_it_is_tuned_for_the_scenarios_of_the_ladder() -> None:
     for scenario in ["workspace", "robust", "hardware", "webcam"]:
         with named(scenario):
-            options = tuned_options("state-feedback", scenario, load_scenario(scenario).model())
+            options = tuned_or_fallback_options(
+                "state-feedback", scenario, load_scenario(scenario).model()
+            )
             assert options.keys() == {"gain", "damping"}
 
 

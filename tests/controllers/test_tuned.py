@@ -143,7 +143,7 @@ def test_the_tuned_law_is_the_law_with_the_tables_gain() -> None:
         law = make_controller("ibvs-tuned", head=head, scenario=key.scenario)
         assert law.tuned
         assert np.all(law.gain == found.options["gain"])
-        options = tuned.tuned_options("ibvs-tuned", key.scenario, head)
+        options = tuned.tuned_or_fallback_options("ibvs-tuned", key.scenario, head)
         assert np.array_equal(make_controller("ibvs-tuned", head=head, **options).gain, law.gain)
 
 
@@ -152,17 +152,17 @@ def test_the_users_options_come_before_the_packages_and_only_for_their_head(user
     tuned.write_tuned(user_table, own_gain(mine, 3.25))
     tuned.write_tuned(user_table, own_gain(preset, 4.05))
     for head, gain in ((mine, 3.25), (preset, 4.05)):
-        assert tuned.tuned_options("ibvs-tuned", "workspace", head) == {"gain": gain}
+        assert tuned.tuned_or_fallback_options("ibvs-tuned", "workspace", head) == {"gain": gain}
         assert np.all(make_controller("ibvs-tuned", head=head).gain == gain)
     # another name is no other head
-    assert tuned.tuned_options("ibvs-tuned", "workspace", mine.replace(name="twin")) == {
-        "gain": 3.25
-    }
+    assert tuned.tuned_or_fallback_options(
+        "ibvs-tuned", "workspace", mine.replace(name="twin")
+    ) == {"gain": 3.25}
 
 
 def test_a_head_without_options_starts_from_those_of_the_scenarios_head() -> None:
     head = other_head()
-    found = tuned.find_tuned("pid", "workspace", head)
+    found = tuned.find_tuned_or_fallback("pid", "workspace", head)
     assert found is not None
     assert found.head == "simulated"
     assert not tuned.is_tuned_for(found, head)
@@ -196,20 +196,20 @@ def test_an_entry_of_the_users_without_a_gain_is_refused(user_table) -> None:
 
 
 def test_the_articles_law_keeps_its_gain() -> None:
-    assert tuned.tuned_options("ibvs", "workspace", load_head("simulated")) == {}
+    assert tuned.tuned_or_fallback_options("ibvs", "workspace", load_head("simulated")) == {}
 
 
 def test_where_nothing_was_found_there_are_no_options() -> None:
     head = load_head("simulated")
-    assert tuned.tuned_options("ibvs-tuned", "nowhere", head) == {}
-    assert tuned.tuned_options("nobody", "workspace", head) == {}
+    assert tuned.tuned_or_fallback_options("ibvs-tuned", "nowhere", head) == {}
+    assert tuned.tuned_or_fallback_options("nobody", "workspace", head) == {}
 
 
 def test_options_are_a_copy() -> None:
     head = load_head("simulated")
-    first = tuned.tuned_options("ibvs-tuned", "workspace", head)
+    first = tuned.tuned_or_fallback_options("ibvs-tuned", "workspace", head)
     first["gain"] = 0.0
-    assert tuned.tuned_options("ibvs-tuned", "workspace", head)["gain"] > 0.0
+    assert tuned.tuned_or_fallback_options("ibvs-tuned", "workspace", head)["gain"] > 0.0
 
 
 def test_an_unknown_scenario_is_refused_with_the_known_ones() -> None:
@@ -222,7 +222,7 @@ def test_the_tuned_gain_settles_the_step_sooner_than_the_articles() -> None:
     times = []
     for name in ("ibvs", "ibvs-tuned"):
         task = GazeTask(1, head=head, plant="kinematic", target="step")
-        options = tuned.tuned_options(name, "step", load_head("simulated"))
+        options = tuned.tuned_or_fallback_options(name, "step", load_head("simulated"))
         controller = make_controller(name, head=head, layout=task.layout, **options)
         times.append(settle_time(true_errors(task, controller, 2.0), 1 / 120))
     assert times[1] <= times[0]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vergence.envs.outside_view import EYE_COLOURS, OutsideView, outside_camera
+from vergence.envs.outside_view import EYE_COLOURS, OutsideView, place_outside_camera
 from vergence.envs.views import opengl_works
 from vergence.models.files.head_file import load_head
 
@@ -39,7 +39,7 @@ def test_the_view_from_outside_shows_the_target_and_the_head(z, x, y, yaw):
     positions = head.rest()
     positions[0] = yaw
     here, target = head.base_pose(positions), z * np.array([x, y, 1.0])
-    camera = outside_camera(here, target)
+    camera = place_outside_camera(here, target)
     for point in (here[:3, 3], (here @ [*target, 1.0])[:3]):
         assert (np.abs(image_place(camera, point)) < 1.0).all()
 

@@ -9,7 +9,7 @@ from vergence import load_head, make_controller
 from vergence._jit import untyped_tuple
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import Reading
-from vergence.envs.reward import TERMS, StepResult, TimeLimits, TrialProgress, assess
+from vergence.envs.reward import TERMS, StepResult, TimeLimits, TrialProgress, compute_step_result
 from vergence.envs.task import GazeTask
 
 STILL = np.zeros((1, 4))
@@ -184,7 +184,7 @@ def assessed(script, name="simulated", seed=0):
             np.reshape(sees, (2, 1)), rng.uniform(0.0, width_height, (2, 2)), np.nan
         )
         action = rng.uniform(-1.0, 1.0, (1, layout.count))
-        assess(
+        compute_step_result(
             np.arange(1), head.packed, layout.scaling, untyped_tuple(TimeLimits.of(head)),
             untyped_tuple(reading), action, untyped_tuple(progress), untyped_tuple(outcome), tied,
         )  # fmt: skip

@@ -13,7 +13,7 @@ from vergence.envs.rollout import rollout
 from vergence.envs.targets.board import POINT
 from vergence.envs.targets.motion import BEFORE
 from vergence.envs.task import GazeTask
-from vergence.envs.views import eye_images
+from vergence.envs.views import given_or_drawn_eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
 
@@ -119,7 +119,7 @@ def test_the_environment_runs_and_draws_on_it_and_closes_it():
 
 
 def test_nothing_is_drawn_in_place_of_the_images_that_it_has_not(task):
-    assert eye_images(task, 0) is None
+    assert given_or_drawn_eye_images(task, 0) is None
 
 
 def test_its_picture_has_no_circle_for_a_target_that_nobody_knows(monkeypatch):

@@ -42,15 +42,15 @@ def test_without_truth_what_needs_it_is_null(on_robot):
 
 def test_without_truth_the_target_is_found_all_the_same(on_robot):
     # the robot's detections and joints are exact: what is left is how far the eyes have come
-    assert on_robot.gaze.point[0] == pytest.approx(WORLD, abs=2e-3)
-    assert on_robot.itpc.point[0] == pytest.approx(WORLD, abs=1e-6)
+    assert on_robot.gaze_fix.point[0] == pytest.approx(WORLD, abs=2e-3)
+    assert on_robot.view_fix.point[0] == pytest.approx(WORLD, abs=1e-6)
 
 
 def test_a_robot_that_knows_the_truth_is_judged_by_it():
     target = tuple(MM * x for x in WORLD)
     emulated = "tests.envs.robot:Emulated"
     result = run_gaze(GazeConfig(plant=emulated, target_mm=target, duration_s=1.5))
-    assert result.truth_m == pytest.approx(WORLD)
+    assert result.true_target_m == pytest.approx(WORLD)
     assert np.isfinite(result.residual).all()
     assert 0.0 < result.settle_1px_s < 1.5
 
@@ -238,10 +238,10 @@ def test_the_last_image_of_both_eyes_counts_where_one_eyes_comes_alone(monkeypat
     monkeypatch.setitem(PLANTS, "robot", f"{__name__}:LastImageAlone")
     result = run_gaze(GazeConfig(plant="robot", duration_s=1.5))
     assert not result.trajectory["visible_right"].iloc[-1]
-    assert result.itpc.valid[0]
+    assert result.view_fix.valid[0]
     # one that is too old for the present is none
     result = run_gaze(GazeConfig(plant="robot", duration_s=2.0))
-    assert not result.itpc.valid[0]
+    assert not result.view_fix.valid[0]
 
 
 def test_a_gaze_that_ended_early_is_judged_by_what_was_recorded(on_robot, monkeypatch):
@@ -251,7 +251,7 @@ def test_a_gaze_that_ended_early_is_judged_by_what_was_recorded(on_robot, monkey
     rollout(task, make_controller("ibvs", head=task.head, gain=4.0), 60, record)
     result = gaze_result(on_robot.config, task, record)
     assert result.trajectory.equals(on_robot.trajectory.iloc[:61])
-    assert result.gaze.point[0] * MM == pytest.approx(
+    assert result.gaze_fix.point[0] * MM == pytest.approx(
         on_robot.trajectory.iloc[60][["gaze_x_mm", "gaze_y_mm", "gaze_z_mm"]].to_list()
     )
     assert result.images is None

@@ -14,7 +14,7 @@ from tests.heads import text_of
 from tests.recording.logged import log_trials
 from vergence.models.files.head_file import load_head, save_head
 from vergence.models.files.toml_text import toml_text
-from vergence.vision import AprilTag, EyeCamera, TargetDrawing
+from vergence.vision import AprilTag, EyeCamera, TargetRenderer
 
 TRAIN: Final = (
     "--set", "envs=8", "episode_steps=20", "network=[8]", "critic=[8]", "evaluations=3",
@@ -139,7 +139,7 @@ def make_photographs(folder: Path) -> None:
     pose[:3, 3] = (0.0, -0.1, 1.0)
     q = head.fixate(pose[:3, 3])
     for eye, T_N_C in enumerate(head.camera_poses(q)):
-        drawing = TargetDrawing(EyeCamera.of(head, eye), target, head.rendering)
+        drawing = TargetRenderer(EyeCamera.of(head, eye), target, head.rendering)
         drawing.draw(np.linalg.inv(T_N_C) @ pose, np.random.default_rng(eye))
         (folder / f"i{eye}").mkdir()
         cv2.imwrite(str(folder / f"i{eye}" / "a.png"), drawing.frame)

@@ -242,12 +242,12 @@ def _file(
     Header(profile="", library="vergence").write(out)
     for name, text in files.items():
         Attachment(0, 0, name, "application/toml", text.encode("utf-8", "replace")).write(out)
-    Metadata(name=schema.FACTS, metadata=facts).write(out)
+    Metadata(name=schema.FACTS_RECORD_NAME, metadata=facts).write(out)
     inside = RecordBuilder()
     numbers: dict[str, int] = {}
     for number, topic in enumerate(schema.TOPICS, 1):
         numbers[topic.name] = number
-        Schema(number, topic.encoded, "jsonschema", topic.schema_name).write(inside)
+        Schema(number, topic.encoded_schema, "jsonschema", topic.schema_name).write(inside)
         kind = "protobuf" if "encoding" in more else "json"
         Channel(number, topic.name, kind, {}, number).write(inside)
     for place, (topic, message, raw) in enumerate(messages):

@@ -41,7 +41,7 @@ from vergence.hardware.config_parts import actuator_slots
 from vergence.hardware.dynamixel import bus as dynamixel_bus
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.dynamixel.control_table import PRESENT_POSITION
-from vergence.hardware.dynamixel.packets import MOST_LENGTH, Parser, status_packet
+from vergence.hardware.dynamixel.packets import MOST_LENGTH, PacketParser, status_packet
 from vergence.hardware.history import JointHistory
 from vergence.models.files.head_toml import head_to_toml
 from vergence.recording.log import read_log
@@ -246,7 +246,7 @@ class Inputs:
         """Take packets out of bytes, and let a bus ask a line that answers with them."""
         pieces, babbles = case
         with watched(self.folder) as ended:
-            parser = Parser()
+            parser = PacketParser()
             for piece in pieces:
                 parser.feed(piece)
                 if len(parser) > MOST_LENGTH + 6:

@@ -70,14 +70,14 @@ def forged_log(inputs, kind, **numbers):
 def test_a_chunk_that_unpacks_without_end_is_where_a_log_breaks(inputs):
     for value in range(3):
         log = read_log(forged_log(inputs, "bomb", value=value))
-        assert "chunk" in log.cut_off
+        assert "chunk" in log.truncation_reason
         assert len(log.trials) == 2
 
 
 @pytest.mark.slow
 def test_a_chunk_packed_in_an_unknown_way_is_where_a_log_breaks(inputs):
     log = read_log(forged_log(inputs, "compression", value=3))
-    assert "packed by 'gzip'" in log.cut_off
+    assert "packed by 'gzip'" in log.truncation_reason
     assert log.trials == ()
     assert len(read_log(forged_log(inputs, "compression", value=2)).trials) == 2
 

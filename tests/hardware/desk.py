@@ -7,7 +7,7 @@ from tests.hardware.line import ServoLine, make_servo
 from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig, actuator_slots
 from vergence.hardware.dynamixel import bus as bus_module
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.dynamixel.packets import Parser
+from vergence.hardware.dynamixel.packets import PacketParser
 
 
 def ready_servos():
@@ -33,7 +33,7 @@ def desk_config(port, baud_rate=1_000_000, **servo_values):
         servos=tuple(servos),
         cameras=(camera_config(0), camera_config(1, source="8")),
         pairing_tolerance_s=0.6 * HEAD.timing.frame_s,
-        emulator="",
+        emulator_address="",
     )
 
 
@@ -49,7 +49,7 @@ class TimelessLine:
     def __init__(self, servos, clock):
         self.servos = servos
         self._line, self._clock = ServoLine(servos), clock
-        self._parser, self._waiting = Parser(), b""
+        self._parser, self._waiting = PacketParser(), b""
 
     def wire_s(self, count):
         return 0.0

@@ -8,7 +8,7 @@ import time
 import tty
 
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.dynamixel.packets import Parser
+from vergence.hardware.dynamixel.packets import PacketParser
 from vergence.hardware.emulator.line import ServoLine
 from vergence.hardware.emulator.servo import EmulatedServo
 from vergence.hardware.emulator.terminal import baud_rate_of
@@ -67,7 +67,7 @@ class ServedLine:
         os.close(self._waker)
 
     def _serve(self):
-        parser = Parser()
+        parser = PacketParser()
         while True:
             ready, _, _ = select.select([self._master, self._wake], [], [])
             if self._wake in ready:
@@ -78,7 +78,7 @@ class ServedLine:
                 os.write(self._master, data)
             for packet in parser.feed(data):
                 answers = self.line.answer(packet, time.monotonic(), rate)
-                if delay_s := sum(answer.delay_s for answer in answers):
+                if delay_s := sum(answer.return_delay_s for answer in answers):
                     time.sleep(delay_s)
                 if out := self.alter(packet, b"".join(answer.data for answer in answers)):
                     os.write(self._master, out)

@@ -69,7 +69,7 @@ def test_a_complete_file_says_it_all(tmp_path):
     assert (right.source, right.pixel_format) == ("http://127.0.0.1/right", "")
     assert (left.exposure_s, right.exposure_s) == (0.008, None)
     assert config.pairing_tolerance_s == 0.01
-    assert config.emulator == "127.0.0.1:4711"
+    assert config.emulator_address == "127.0.0.1:4711"
     assert config.places_targets
     values["emulator"]["places_targets"] = False
     assert not load(tmp_path, values).places_targets
@@ -84,7 +84,7 @@ def test_what_a_file_leaves_out_is_the_heads(tmp_path):
     assert [servo.upper_rad for servo in config.servos] == head.actuation.upper[3:].tolist()
     # free-running cameras are up to half a frame apart, and jitter
     assert 0.5 < config.pairing_tolerance_s / head.timing.frame_s < 1.0
-    assert not config.emulator
+    assert not config.emulator_address
     assert not config.places_targets
 
 

@@ -105,29 +105,29 @@ def test_a_policy_that_raises_leaves_servos_at_rest_and_names_its_line(
     mine.write_text(BREAKS)
     config = DeployConfig(controller=f"{mine}:Breaks", hardware=desk)
     result = deploy(config, tmp_path / "run.mcap")
-    world = WorldClient(load_hardware(desk).emulator)
+    world = WorldClient(load_hardware(desk).emulator_address)
     try:
         ended_s = time.monotonic()
-        while (rested_s := world.rested_s(ended_s - 1.0)) is None:
+        while (rested_s := world.rest_start_s(ended_s - 1.0)) is None:
             assert time.monotonic() < ended_s + 5.0
         assert rested_s < ended_s + 0.2  # what the joints' lag leaves
     finally:
         world.close()
     assert re.search(r"mine\.py:\d+ in predict: ZeroDivisionError", str(result.error))
     log = read_log(result.log)
-    assert "ZeroDivisionError" in log.faults[0]
+    assert "ZeroDivisionError" in log.stop_reasons[0]
     assert log.trials[0].steps == 19  # of 21 calls one prepared, and the last one raised
-    assert np.abs(log.trials[0].reading.command).max() > 0.1
+    assert np.abs(log.trials[0].readings.command).max() > 0.1
 
 
 def test_a_dry_run_asks_the_policy_and_moves_nothing(desk: Path, tmp_path: Path) -> None:
     config = DeployConfig(controller="ibvs", hardware=desk, duration_s=0.5, dry_run=True)
     result = deploy(config, tmp_path / "run.mcap")
     log = read_log(result.log)
-    positions = log.trials[0].truth.positions if log.trials[0].truth else np.empty(0)
+    positions = log.trials[0].truths.positions if log.trials[0].truths else np.empty(0)
     assert np.ptp(positions, axis=0).max() < 1e-6  # a lag that fades
-    assert np.abs(log.trials[0].requested()).max() > 0.01
-    assert not log.trials[0].reading.command.any()
+    assert np.abs(log.trials[0].requested_velocities()).max() > 0.01
+    assert not log.trials[0].readings.command.any()
     assert result.summary()["settled_fraction"] is None
 
 
@@ -137,8 +137,8 @@ def test_an_evaluation_that_a_pulled_cable_ends_goes_on_where_it_was(tmp_path: P
     def pull(done: int, total: int) -> None:
         ran.append(done)
         if done == 1:
-            with closing(WorldClient(load_hardware(desk).emulator)) as world:
-                world.fault(what="unplug")
+            with closing(WorldClient(load_hardware(desk).emulator_address)) as world:
+                world.begin_fault(what="unplug")
 
     with emulated(tmp_path) as (desk, _process):
         config = EvaluateConfig(

@@ -22,7 +22,7 @@ pytestmark = REAL_TIME
 def head(tmp_path: Path):
     """The configuration of an emulated head, and its world."""
     with emulated(tmp_path) as (desk, _process):
-        world = WorldClient(load_hardware(desk).emulator)
+        world = WorldClient(load_hardware(desk).emulator_address)
         yield desk, world
         world.close()
 

@@ -16,7 +16,9 @@ from vergence.hardware.health import (
     read_limits,
 )
 
-LIMITS = HealthLimits(temperature_c=72.0, least_v=6.0, most_v=14.0, load_scale=1000.0)
+LIMITS = HealthLimits(
+    max_temperature_c=72.0, min_voltage_v=6.0, max_voltage_v=14.0, full_load_reading=1000.0
+)
 FINE = {"temperature_c": 31.0, "voltage_v": 12.0, "load": 0.1, "errors": 0}
 
 
@@ -85,7 +87,7 @@ JUDGED = [
 @pytest.mark.parametrize(("values", "level", "hot"), JUDGED)
 def test_a_reading_is_judged_by_its_limits(values, level, hot):
     verdict = judge(**values)
-    assert (verdict.level, verdict.hot) == (level, hot)
+    assert (verdict.level, verdict.must_release_torque) == (level, hot)
     assert bool(verdict.text) is (level is not HealthLevel.OK)
 
 

@@ -12,7 +12,7 @@ from vergence import load_head
 from vergence.errors import HardwareError
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 from vergence.hardware.config import load_hardware
-from vergence.hardware.emulator.board import parse_sized_board, standing_board_pose
+from vergence.hardware.emulator.board import parse_sized_board, tilted_board_pose
 from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.looker import RobotLooker
 from vergence.recording.looking import Looker
@@ -24,7 +24,7 @@ HEAD = load_head("turrets")
 SEED, SCALE = 4, 0.5
 TRUE = HEAD.perturbed(np.random.default_rng(SEED), TWIN_SPREADS.scaled(SCALE))
 CORNERS = np.column_stack([BOARD.corners_m, np.zeros(len(BOARD.corners_m)), np.ones(54)])
-T_0_T = standing_board_pose(HEAD, BOARD, 0.7)
+T_0_T = tilted_board_pose(HEAD, BOARD, 0.7)
 TURNS = np.array([[0, 0, 0, 0], [0.1, 0.05, 0.1, -0.1], [0.104, 0.046, 0.1, -0.1],
                   [-0.2, 0.1, -0.1, 0.1], [0.1, -0.15, -0.2, -0.1]])  # fmt: skip
 ASIDE = np.array([0, 0, 0, 1.2, 0, 0, 0])
@@ -58,7 +58,7 @@ def unhurried() -> Iterator[None]:
 def test_sights_are_those_of_the_true_head_at_its_angles(desk: Path) -> None:
     with (
         unhurried(),
-        closing(WorldClient(load_hardware(desk).emulator)) as world,
+        closing(WorldClient(load_hardware(desk).emulator_address)) as world,
         closing(RobotLooker(desk, BOARD)) as looker,
     ):
         _known: Looker = looker
@@ -74,7 +74,7 @@ def test_sights_are_those_of_the_true_head_at_its_angles(desk: Path) -> None:
         aside = looker.look(HEAD.rest() + ASIDE)
         assert aside.corners_px[0] is None
         assert aside.corners_px[1] is not None
-        world.fault(what="unplug")
+        world.begin_fault(what="unplug")
         with pytest.raises(HardwareError, match="the serial line is gone"):
             looker.look(HEAD.rest())
         with pytest.raises(HardwareError, match=r"the serial line is gone.* has been stopped"):

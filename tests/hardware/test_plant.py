@@ -39,7 +39,7 @@ def robot(serve, monkeypatch):
         return captures[-1]
 
     monkeypatch.setattr(cameras, "open_capture", open_capture)
-    monkeypatch.setattr(plant_module, "check_devices", lambda _config: [])
+    monkeypatch.setattr(plant_module, "check_local_cameras", lambda _config: [])
 
     def make(own=None, watchdog_s=2.0, **options):
         served = serve(own or servos(), **options)
@@ -57,7 +57,7 @@ def robot(serve, monkeypatch):
             ),
             cameras=(camera_config(0), camera_config(1, source="8")),
             pairing_tolerance_s=0.6 * HEAD.timing.frame_s,
-            emulator="",
+            emulator_address="",
         )  # fmt: skip
         plant = HardwarePlant(HEAD, config=config)
         plants.append(weakref.ref(plant))
@@ -293,7 +293,7 @@ def test_what_is_wrong_with_cameras_and_servos_is_told_at_once(robot, monkeypatc
     own[2].set(table.HOMING_OFFSET, 5)
     plant, served = robot(own)
     dark = Finding(part="cameras.left", problem="expected images, got none")
-    monkeypatch.setattr(plant_module, "check_devices", lambda _config: [dark])
+    monkeypatch.setattr(plant_module, "check_local_cameras", lambda _config: [dark])
     with pytest.raises(ChecksFailedError) as failed:
         plant.prepare()
     assert [one.part for one in failed.value.findings] == ["servos: right_pan", "cameras.left"]

@@ -6,14 +6,14 @@ from tests.hardware.desk import ready_servos
 from vergence.cli import main
 from vergence.hardware import scan as scanning
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.scan import RATES, scan_for_servos
+from vergence.hardware.scan import ALL_BAUD_RATES, scan_for_servos
 
-QUICK = {"wait_per_id_s": 1e-4, "baud_rates": (2_000_000, 1_000_000)}
+QUICK = {"broadcast_wait_per_id_s": 1e-4, "baud_rates": (2_000_000, 1_000_000)}
 
 
 def test_all_rates_are_asked_once_the_likely_ones_first():
-    assert RATES[:2] == (57_600, 1_000_000)
-    assert sorted(RATES) == sorted(table.BAUD_RATES)
+    assert ALL_BAUD_RATES[:2] == (57_600, 1_000_000)
+    assert sorted(ALL_BAUD_RATES) == sorted(table.BAUD_RATES)
 
 
 def test_servos_are_found_at_their_own_rates(serve):
@@ -21,7 +21,7 @@ def test_servos_are_found_at_their_own_rates(serve):
     own[0].set(table.BAUD_RATE, 4)
     own[3].set(table.ID, 200)
     shares = []
-    found = scan_for_servos(serve(own).port, report=shares.append, **QUICK)
+    found = scan_for_servos(serve(own).port, progress=shares.append, **QUICK)
     assert [(one.id, one.baud_rate) for one in found.servos] == [
         (1, 2_000_000), (2, 1_000_000), (3, 1_000_000), (200, 1_000_000),
     ]  # fmt: skip
@@ -30,7 +30,7 @@ def test_servos_are_found_at_their_own_rates(serve):
 
 
 def test_ids_are_asked_one_by_one_where_they_are_given(serve):
-    found = scan_for_servos(serve(ready_servos()).port, ids=range(3, 5), **QUICK)
+    found = scan_for_servos(serve(ready_servos()).port, single_ping_ids=range(3, 5), **QUICK)
     assert [one.id for one in found.servos] == [3, 4]
 
 
@@ -39,18 +39,23 @@ def test_servos_that_tell_only_their_model_are_listed(serve):
     own[0].set(table.MODEL_NUMBER, 12)
     own[1].set(table.STATUS_RETURN_LEVEL, 0)
     found = scan_for_servos(
-        serve(own).port, ids=(1, 2), wait_per_id_s=1e-4, baud_rates=(1_000_000,)
+        serve(own).port,
+        single_ping_ids=(1, 2),
+        broadcast_wait_per_id_s=1e-4,
+        baud_rates=(1_000_000,),
     )
-    assert [(one.model, one.memory) for one in found.servos] == [(12, None), (1060, None)]
+    assert [(one.model_number, one.memory) for one in found.servos] == [(12, None), (1060, None)]
 
 
 def test_a_rate_that_cannot_be_set_is_left_out_with_its_reason(serve, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "serial", None)
     found = scan_for_servos(
-        serve(ready_servos()).port, wait_per_id_s=1e-4, baud_rates=(123_456, 1_000_000)
+        serve(ready_servos()).port,
+        broadcast_wait_per_id_s=1e-4,
+        baud_rates=(123_456, 1_000_000),
     )
     assert len(found.servos) == 4
-    assert "expected pyserial for 123456 baud" in found.left_out[123_456]
+    assert "expected pyserial for 123456 baud" in found.unsupported_rates[123_456]
 
 
 def run(monkeypatch, *words):

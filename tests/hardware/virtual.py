@@ -10,7 +10,7 @@ from vergence.hardware import plant
 from vergence.hardware.config import BusConfig, HardwareConfig, ServoConfig, actuator_slots
 from vergence.hardware.drive import DriveThread
 from vergence.hardware.dynamixel import bus
-from vergence.hardware.dynamixel.packets import Parser
+from vergence.hardware.dynamixel.packets import PacketParser
 from vergence.hardware.emulator.fault import parse_fault
 from vergence.hardware.emulator.world import World
 from vergence.hardware.pairing import SearchedImage
@@ -33,7 +33,7 @@ class VirtualLine:
 
     def __init__(self, world, clock, baud):
         self.port, self._world, self._clock, self._baud = PORT, world, clock, baud
-        self._parser, self._due = Parser(), []
+        self._parser, self._due = PacketParser(), []
 
     def wire_s(self, count):
         return 10.0 * count / self._baud
@@ -153,7 +153,7 @@ def virtual_config(**safety):
         ),
         cameras=(camera_config(0), camera_config(1, source="8")),
         pairing_tolerance_s=0.75 * HEAD.timing.frame_s,
-        emulator="",
+        emulator_address="",
         safety=SafetyConfig(**safety),
     )  # fmt: skip
 
@@ -181,7 +181,7 @@ class VirtualRobot:
         )
         monkeypatch.setattr(DriveThread, "start", lambda drive: setattr(self.clock, "drive", drive))
         monkeypatch.setattr(plant, "compile_loop_kernels", lambda _head, _target: None)
-        monkeypatch.setattr(plant, "check_devices", lambda _config: [])
+        monkeypatch.setattr(plant, "check_local_cameras", lambda _config: [])
         monkeypatch.setattr(self.plant._open.eyes, "open", self._open_cameras)
 
     def _open_cameras(self, _idle):
@@ -201,5 +201,5 @@ class VirtualRobot:
 
     def rested_s(self, since_s):
         """After how long from a time on all joints rested, s; inf if one turns now."""
-        rested_s = self.world.rest(since_s, self.clock())["rested_s"]
+        rested_s = self.world.rest_report(since_s, self.clock())["rested_s"]
         return np.inf if rested_s is None else rested_s - since_s

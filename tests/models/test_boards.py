@@ -101,7 +101,7 @@ def test_boards_of_impossible_sizes_are_refused() -> None:
 
 
 def test_board_without_a_rim_ends_with_its_squares() -> None:
-    board, rimmed = Checkerboard(rim=False), Checkerboard()
+    board, rimmed = Checkerboard(white_rim=False), Checkerboard()
     assert (board.cells == rimmed.cells[1:-1, 1:-1]).all()
     assert board.corners_m == pytest.approx(rimmed.corners_m)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.models.held_response import follow_held, prepare_held_response
+from vergence.models.held_response import follow_held_command, prepare_held_response
 from vergence.models.joint_response import follow_joint, lag_decay
 
 PERIOD_S = 1.0 / 60.0
@@ -21,7 +21,7 @@ def integrate(v, w, u, build_up, a, period=PERIOD_S, count=20000):
 
 @pytest.mark.parametrize("build_up", [0.05, 0.25, 0.9, 2.0])
 def test_it_solves_the_equation_of_motion(build_up) -> None:
-    found = follow_held(
+    found = follow_held_command(
         0.0, 1.0, -30.0, 4.0, prepare_held_response(LAG_S, build_up, np.inf, PERIOD_S)
     )
     assert found == pytest.approx(integrate(1.0, -30.0, 4.0, build_up, np.inf), abs=3e-3)
@@ -30,7 +30,9 @@ def test_it_solves_the_equation_of_motion(build_up) -> None:
 @pytest.mark.parametrize("build_up", [0.05, 0.25, 0.9])
 @pytest.mark.parametrize("u", [6.0, -3.0])
 def test_no_acceleration_passes_its_limit(build_up, u) -> None:
-    q, v, w = follow_held(0.0, 1.0, 10.0, u, prepare_held_response(LAG_S, build_up, 50.0, PERIOD_S))
+    q, v, w = follow_held_command(
+        0.0, 1.0, 10.0, u, prepare_held_response(LAG_S, build_up, 50.0, PERIOD_S)
+    )
     expected = integrate(1.0, 10.0, u, build_up, 50.0)
     assert abs(w) <= 50.0
     assert q == pytest.approx(expected[0], abs=2e-4)  # of 16 mrad
@@ -38,7 +40,9 @@ def test_no_acceleration_passes_its_limit(build_up, u) -> None:
 
 
 def test_without_a_build_up_it_is_the_lag_of_first_order() -> None:
-    q, v, w = follow_held(0.1, 1.0, 5.0, 4.0, prepare_held_response(LAG_S, 0.0, 40.0, PERIOD_S))
+    q, v, w = follow_held_command(
+        0.1, 1.0, 5.0, 4.0, prepare_held_response(LAG_S, 0.0, 40.0, PERIOD_S)
+    )
     expected = follow_joint(0.1, 1.0, 4.0, LAG_S, 40.0, PERIOD_S, lag_decay(PERIOD_S, LAG_S))
     assert (q, v) == expected
     assert w == 40.0

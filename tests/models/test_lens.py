@@ -17,7 +17,7 @@ from tests.models.lenses import (
 )
 from tests.naming import named
 from vergence.models.camera import pixels_to_rays, rays_to_pixels
-from vergence.models.field_of_view import lens_folds_inside_image
+from vergence.models.field_of_view import has_pixels_without_rays
 from vergence.models.lens import distort
 from vergence.models.packed import camera_at, pack_camera, pack_cameras
 
@@ -226,10 +226,10 @@ def test_every_ray_well_inside_the_fold_of_any_lens_is_found_again(drawn, radius
 
 
 def test_a_lens_that_folds_back_inside_its_own_image_is_told_by_eye(physical):
-    assert lens_folds_inside_image(physical.cameras).tolist() == [False, False]
+    assert has_pixels_without_rays(physical.cameras).tolist() == [False, False]
     folding = [[0.0, 0.0, 0.0, 0.0, 0.0], [-0.6, 0.0, 0.0, 0.0, 0.0]]
     head = physical.replace(cameras={"distortion": folding})
-    assert lens_folds_inside_image(head.cameras).tolist() == [False, True]
+    assert has_pixels_without_rays(head.cameras).tolist() == [False, True]
     corner = head.undistort(np.zeros((2, 2)))
     assert np.isfinite(corner[0]).all()
     assert np.isnan(corner[1]).all()
@@ -239,12 +239,12 @@ def test_a_fisheye_with_more_than_a_right_angle_in_its_image_is_told(physical):
     for focal, beyond in ((300.0, False), (200.0, True)):
         cameras = {"lens": ("fisheye", "fisheye"), "focal": np.full((2, 2), focal)}
         head = physical.replace(cameras=cameras | {"distortion": np.zeros((2, 4))})
-        assert lens_folds_inside_image(head.cameras).tolist() == [beyond, beyond]
+        assert has_pixels_without_rays(head.cameras).tolist() == [beyond, beyond]
 
 
 def test_a_population_of_heads_is_told_head_by_head(physical, errors, rng):
     heads = wide("rational", "fisheye").perturbed(rng, errors, (3, 2))
-    assert lens_folds_inside_image(heads.cameras).shape == (3, 2, 2)
+    assert has_pixels_without_rays(heads.cameras).shape == (3, 2, 2)
     for index in np.ndindex(3, 2):
         np.testing.assert_array_equal(heads[index].packed, heads.packed[index])
 

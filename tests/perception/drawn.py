@@ -7,7 +7,7 @@ import numpy as np
 
 from vergence.models import HeadModel
 from vergence.models.boards import PlanarTarget
-from vergence.vision import EyeCamera, TargetDrawing
+from vergence.vision import EyeCamera, TargetRenderer
 
 
 def pose_at(
@@ -40,7 +40,7 @@ class Studio:
         self.target = target
         self.poses = head.camera_poses(head.rest() if q is None else q)
         self.drawings = [
-            TargetDrawing(EyeCamera.of(head, eye), target, head.rendering) for eye in range(2)
+            TargetRenderer(EyeCamera.of(head, eye), target, head.rendering) for eye in range(2)
         ]
 
     def take(self, pose: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:

@@ -9,7 +9,7 @@ import pytest
 from tests.vision.poses import pose
 from tests.vision.scenes import levels, rig, scene
 from vergence.models.response import light_table
-from vergence.perception.light import ResponseCheck
+from vergence.perception.light import LinearResponseCheck
 from vergence.perception.target_finder import TargetFinder
 from vergence.vision import make_planar_target
 
@@ -27,7 +27,7 @@ def image_of(name: str, response: str) -> np.ndarray:
 def test_encoded_levels_that_are_taken_for_light_are_noticed():
     finder = TargetFinder([make_planar_target("checkerboard")], response="linear")
     assert finder.find(image_of("checkerboard", "srgb"))
-    (line,) = finder.check.notes()
+    (line,) = finder.response_check.notes()
     assert "were srgb, not linear" in line
 
 
@@ -44,18 +44,18 @@ def test_a_lens_out_of_focus_is_no_response(radius_px):
     image = levels(cv2.filter2D(drawn.image.astype(np.float32), -1, disk / disk.sum()))
     finder = TargetFinder([target], response="linear")
     assert finder.find(image)
-    assert finder.check.notes() == []
+    assert finder.response_check.notes() == []
 
 
 @pytest.mark.parametrize("response", ["srgb", "linear"])
 def test_nothing_is_said_of_a_response_that_is_stated_rightly(response):
     finder = TargetFinder([make_planar_target("checkerboard")], response=response)
     assert finder.find(image_of("checkerboard", response))
-    assert finder.check.notes() == []
+    assert finder.response_check.notes() == []
 
 
 def test_few_edges_tell_nothing():
-    check = ResponseCheck()
+    check = LinearResponseCheck()
     finder = TargetFinder([make_planar_target("tag")])
     image = image_of("tag", "srgb")
     check.add(image, finder.find(image), "linear")

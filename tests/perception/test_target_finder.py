@@ -51,7 +51,7 @@ def test_tags_are_matched_by_number_and_one_that_is_there_twice_is_not():
     assert len(left) == len(right) == 2
     located, missed = _match(HEAD, HEAD.rest(), "a", left, right)
     assert located == []
-    assert [(str(one.target), one.why) for one in missed] == [("tag:36h11:7:100", "twice")]
+    assert [(str(one.target), one.seen_in) for one in missed] == [("tag:36h11:7:100", "twice")]
 
 
 def test_a_charuco_board_is_one_target():

@@ -29,10 +29,10 @@ def logged(tmp_path_factory):
 def test_readings_and_truth_come_back_to_the_bit(logged):
     path, records = logged
     log = read_log(path)
-    assert log.cut_off == ""
+    assert log.truncation_reason == ""
     for trial, record in zip(log.trials, records, strict=True):
         assert trial.steps == STEPS
-        for kept, part in ((trial.reading, record.reading), (trial.truth, record.truth)):
+        for kept, part in ((trial.readings, record.reading), (trial.truths, record.truth)):
             for name, values in part._asdict().items():
                 read = getattr(kept, name)
                 assert read.dtype == values.dtype, name
@@ -95,11 +95,11 @@ def test_a_log_that_is_cut_off_is_read_up_to_there_and_recovered(logged, tmp_pat
         cut.write_bytes(data[: int(share * len(data))])
         whole.unlink(missing_ok=True)
         log = read_log(cut)
-        assert log.cut_off
+        assert log.truncation_reason
         assert log.head.digest == HEAD.digest
         recover_log(cut, whole)
         again = read_log(whole)
-        assert again.cut_off == ""
+        assert again.truncation_reason == ""
         assert [trial.steps for trial in again.trials] == [trial.steps for trial in log.trials]
 
 
@@ -157,7 +157,7 @@ def test_loggers_faults_detections_and_images_are_kept(tmp_path, caplog):
         log.stopped("bus: gone")
         log.stopped("bus: gone")
     found = read_log(path)
-    assert found.faults == ("bus: gone",)
+    assert found.stop_reasons == ("bus: gone",)
     assert found.detections[0].eye == "left"
     assert np.isnan(found.detections[0].point_px).all()
     assert found.detections[0].corners_px.shape == (0, 2)
@@ -198,8 +198,8 @@ def test_what_was_synced_is_on_disk_while_the_log_is_open(tmp_path):
             log.sync()
             found = read_log(log.path)
             assert len(found.joints) == number + 1
-            assert found.cut_off
-    assert not read_log(log.path).cut_off
+            assert found.truncation_reason
+    assert not read_log(log.path).truncation_reason
 
 
 def test_a_log_that_cannot_even_begin_leaves_nothing(tmp_path, monkeypatch):

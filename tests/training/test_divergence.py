@@ -11,7 +11,7 @@ from tests.test_cli import call
 from tests.training.runs import PPO, SMALL, STEPS, Silent, small
 from tests.training.test_resume import content_of, different
 from vergence import files
-from vergence.errors import ConfigurationError, DivergedError
+from vergence.errors import ConfigurationError, TrainingDivergedError
 from vergence.training.checkpoint import read_checkpoint
 from vergence.training.run import resume, train
 
@@ -21,7 +21,7 @@ from vergence.training.run import resume, train
 @pytest.mark.parametrize(("kind", "rate"), [("gain-schedule", "1e30"), ("policy", "1e6")])
 def test_a_training_that_diverges_says_when_and_what_to_try(kind, rate, tmp_path):
     folder = tmp_path / "run"
-    with pytest.raises(DivergedError) as caught:
+    with pytest.raises(TrainingDivergedError) as caught:
         train(folder, *small(kind, f"algorithm.learning_rate={rate}"), Silent())
     said = str(caught.value)
     assert "became nan" in said
@@ -38,7 +38,7 @@ def test_a_run_that_diverged_does_so_again_when_it_goes_on(tmp_path):
     folder = tmp_path / "run"
     config, head = small("policy", "algorithm.learning_rate=1e30")
     for again in (lambda: train(folder, config, head, Silent()), lambda: resume(folder, Silent())):
-        with pytest.raises(DivergedError, match="after 256 steps"):
+        with pytest.raises(TrainingDivergedError, match="after 256 steps"):
             again()
 
 

@@ -15,7 +15,7 @@ from tests.training.runs import Silent
 from vergence import load_head, make_controller
 from vergence.controllers.gain_schedule import gains_from_action
 from vergence.controllers.networks.bundle import read_bundle
-from vergence.controllers.networks.environments import velocity_action
+from vergence.controllers.networks.environments import decode_velocity_action
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.learned import load_policy
 from vergence.controllers.networks.runtime import Runtime
@@ -77,7 +77,7 @@ def test_onnx_and_torch_agree_on_10000_observations(kind):
     out = Runtime(network)(x)
     assert action.std() > 0.2  # neither rests nor saturates everywhere
     if kind == "policy":
-        assert np.abs(out - velocity_action(action)).max() <= 1e-5
+        assert np.abs(out - decode_velocity_action(action)).max() <= 1e-5
     else:
         # by eye and image axis; in the order of the joints, v comes first
         gains = 10.0 * (1.0 + out.reshape(-1, 2, 2)[..., ::-1])

@@ -8,11 +8,11 @@ from vergence.eval.tuning.config import TuneConfig
 from vergence.eval.tuning.tune import tune
 from vergence.training.choices import resolve_config
 from vergence.training.options import TrainOptions
-from vergence.training.tuning import SPANS, recipe_changes, training_objective
+from vergence.training.tuning import RECIPE_SEARCH_RANGES, recipe_changes, training_objective
 
 
 def test_every_option_of_the_search_is_a_change_of_the_recipe():
-    middle = {name: 0.5 * (span.low + span.high) for name, span in SPANS.items()}
+    middle = {name: 0.5 * (span.low + span.high) for name, span in RECIPE_SEARCH_RANGES.items()}
     config, _ = resolve_config(TrainOptions(kind="policy", set=tuple(recipe_changes(middle))))
     assert config.algorithm["learning_rate"] == middle["learning_rate"]
     assert config.algorithm["clip_range"] == middle["clip_range"]
@@ -42,9 +42,9 @@ def test_recipes_are_judged_by_short_trainings_that_leave_nothing_behind(tmp_pat
 
     objective = training_objective(config, tmp_path, small)
     head = load_scenario("workspace").model()
-    result = tune(tmp_path, config, SPANS, objective, head)
+    result = tune(tmp_path, config, RECIPE_SEARCH_RANGES, objective, head)
     assert len(result.attempts) == 2
-    assert all(set(attempt.options) == set(SPANS) for attempt in result.attempts)
+    assert all(set(attempt.options) == set(RECIPE_SEARCH_RANGES) for attempt in result.attempts)
     assert {path.name for path in tmp_path.iterdir()} == {
         *("config.toml", "head.toml", "history.csv", "study.db"),
         *("tune.json", "tune.png", "tune.svg"),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vergence import load_head
 from vergence.models.boards import PlanarTarget
 from vergence.models.parts import Rendering
-from vergence.vision import EyeCamera, TargetDrawing
+from vergence.vision import EyeCamera, TargetRenderer
 
 Image = NDArray[np.uint8]
 Change = Callable[[Image, np.ndarray], Image]
@@ -43,8 +43,8 @@ def seen_px(camera: EyeCamera, target: PlanarTarget, T_C_T: np.ndarray) -> np.nd
 
 
 @lru_cache(maxsize=16)
-def _drawing(camera: EyeCamera, target: PlanarTarget, rendering: Rendering) -> TargetDrawing:
-    return TargetDrawing(camera, target, rendering)
+def _drawing(camera: EyeCamera, target: PlanarTarget, rendering: Rendering) -> TargetRenderer:
+    return TargetRenderer(camera, target, rendering)
 
 
 def scene(

@@ -17,7 +17,7 @@ from vergence.vision import (
     Checkerboard,
     Detection,
     EyeCamera,
-    TargetDrawing,
+    TargetRenderer,
     make_detector,
     make_planar_target,
     parse_target,
@@ -61,7 +61,7 @@ def test_point_is_the_projection_of_the_targets_origin(
     blur does not pull inwards.
     """
     camera, target = request.getfixturevalue(eye), make_planar_target(name)
-    drawing = TargetDrawing(camera, target, rendering)
+    drawing = TargetRenderer(camera, target, rendering)
     drawing.draw(T_C_T)
     detection = make_detector(target, camera).detect(drawing.frame)
     assert detection is not None
@@ -76,7 +76,7 @@ def test_point_is_the_projection_of_the_targets_origin(
 def test_no_bias_over_sub_pixel_shifts(name: str, pinhole: EyeCamera, rendering: Rendering) -> None:
     """The mean over a pixel's phases is 0.01 px: half a pixel of convention would show."""
     target = make_planar_target(name)
-    drawing, detector = TargetDrawing(pinhole, target, rendering), make_detector(target)
+    drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
     errors = []
     for phase in np.arange(0, 1, 0.125):
         wanted = np.array([505.0 + phase, 415.0 + phase])
@@ -102,7 +102,7 @@ def test_the_response_is_the_stated_one_the_cameras_or_that_of_the_kind_of_image
     pinhole: EyeCamera, rendering: Rendering, of_camera, stated, colour: bool, same_as
 ) -> None:
     target = make_planar_target("tag")
-    drawing = TargetDrawing(pinhole, target, rendering)
+    drawing = TargetRenderer(pinhole, target, rendering)
     drawing.draw(pose(0.0, 0.0, 1.0))
     image = np.repeat(drawing.frame[:, :, None], 3, axis=2) if colour else drawing.frame
     detector = make_detector(target, replace(pinhole, response=of_camera), stated)
@@ -124,7 +124,7 @@ def test_tracked_equals_full_frame(pinhole: EyeCamera, rendering: Rendering) -> 
     for name, miss_px in some_of(TARGETS, [(0, 0), (1.5, -2), (9, 7)]):
         with named(name, miss_px):
             target = make_planar_target(name)
-            drawing, detector = TargetDrawing(pinhole, target, rendering), make_detector(target)
+            drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
             drawing.draw(pose(0, 0, 1.0), np.random.default_rng(0))
             before = detector.detect(drawing.frame)
             assert before is not None
@@ -142,7 +142,7 @@ def test_tracked_equals_full_frame(pinhole: EyeCamera, rendering: Rendering) -> 
 @pytest.mark.parametrize("name", TARGETS)
 def test_target_out_of_sight_is_none(name: str, pinhole: EyeCamera, rendering: Rendering) -> None:
     target = make_planar_target(name)
-    drawing, detector = TargetDrawing(pinhole, target, rendering), make_detector(target)
+    drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
     drawing.draw(pose(0, 0, 1.0))
     before = detector.detect(drawing.frame)
     assert before is not None
@@ -157,7 +157,7 @@ def test_target_partly_outside_is_none(
     name: str, side: tuple[int, int], pinhole: EyeCamera, rendering: Rendering
 ) -> None:
     target = make_planar_target(name)
-    drawing, detector = TargetDrawing(pinhole, target, rendering), make_detector(target)
+    drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
     drawing.draw(pose(0, 0, 1.0))
     before = detector.detect(drawing.frame)
     assert before is not None
@@ -173,7 +173,7 @@ def test_target_partly_outside_is_none(
 @pytest.mark.parametrize("name", TARGETS)
 def test_half_hidden_target_is_none(name: str, pinhole: EyeCamera, rendering: Rendering) -> None:
     target = make_planar_target(name)
-    drawing, detector = TargetDrawing(pinhole, target, rendering), make_detector(target)
+    drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
     drawing.draw(pose(0, 0, 1.0))
     before = detector.detect(drawing.frame)
     assert before is not None
@@ -191,7 +191,7 @@ def test_motion_blinds_before_it_misleads(
 ) -> None:
     """Up to 5 px of smear are seen, and what is seen of longer ones is right."""
     target = make_planar_target(name)
-    drawing, detector = TargetDrawing(pinhole, target, rendering), make_detector(target)
+    drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
     T_C_T = pose(0.0, 0.0, 1.0, (0.1, -0.2, 0.1))
     drawing.draw(T_C_T)
     before = detector.detect(drawing.frame)
@@ -212,7 +212,7 @@ def test_another_tag_is_not_taken_for_this_one(pinhole: EyeCamera, rendering: Re
     detector = make_detector(mine)
     images = []
     for target in (mine, other):
-        drawing = TargetDrawing(pinhole, target, rendering)
+        drawing = TargetRenderer(pinhole, target, rendering)
         drawing.draw(pose(0, 0, 1.0))
         images.append(drawing.frame)
     seen = detector.detect(images[0])
@@ -227,7 +227,7 @@ def test_measured_point_stays_on_the_board_when_the_board_is_rolled(
     for roll, name in some_of([0.0, np.pi / 2, np.pi, -2.0], TARGETS):
         with named(roll, name):
             target = make_planar_target(name)
-            drawing, detector = TargetDrawing(pinhole, target, rendering), make_detector(target)
+            drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
             T_C_T = pose(0.0, 0.0, 1.2, (0, 0, roll))
             drawing.draw(T_C_T)
             seen = detector.detect(drawing.frame)
@@ -240,7 +240,7 @@ def test_noise_lies_in_the_articles_range_on_the_simulated_rig(
 ) -> None:
     """0.006 to 0.057 px, or a little less of a tag, whose cells count; known to 6 %."""
     for target in (AprilTag(), Checkerboard()):
-        drawing, detector = TargetDrawing(pinhole, target, rendering), make_detector(target)
+        drawing, detector = TargetRenderer(pinhole, target, rendering), make_detector(target)
         rng = np.random.default_rng(8)
         T_C_T = pose(0.01, 0.02, 1.5)
         drawing.draw(T_C_T, rng)
@@ -262,7 +262,7 @@ def test_copy_through_pickle_detects_the_same(
     name: str, lens: EyeCamera, rendering: Rendering
 ) -> None:
     target = make_planar_target(name)
-    drawing, detector = TargetDrawing(lens, target, rendering), make_detector(target, lens)
+    drawing, detector = TargetRenderer(lens, target, rendering), make_detector(target, lens)
     for each in (drawing, pickle.loads(pickle.dumps(drawing))):
         each.draw(pose(0, 0, 1.0), np.random.default_rng(0))
         seen = detector.detect(each.frame)

@@ -19,7 +19,7 @@ from vergence.models.response import light_table
 from vergence.vision import (
     AprilTag,
     EyeCamera,
-    TargetDrawing,
+    TargetRenderer,
     make_planar_target,
 )
 
@@ -47,7 +47,7 @@ def test_pixels_equal_a_ray_cast(
 ) -> None:
     """Within 4 % of the contrast everywhere, and 0.5 % rms, a third of it the rounding."""
     camera, target = request.getfixturevalue(eye), make_planar_target(name)
-    drawing = TargetDrawing(camera, target, rendering)
+    drawing = TargetRenderer(camera, target, rendering)
     drawing.draw(T_C_T)
     assert drawing.region is not None
     x0, y0, x1, y1 = drawing.region
@@ -67,7 +67,7 @@ def test_pixels_equal_a_ray_cast_through_a_wide_lens(
     camera, target = EyeCamera.of(wide(lens), 0), make_planar_target("tag")
     side = np.deg2rad(aside_deg)
     T_C_T = board_pose([np.sin(side), 0.05, np.cos(side)])
-    drawing = TargetDrawing(camera, target, rendering)
+    drawing = TargetRenderer(camera, target, rendering)
     drawing.draw(T_C_T)
     assert drawing.region is not None
     x0, y0, x1, y1 = drawing.region
@@ -79,8 +79,8 @@ def test_pixels_equal_a_ray_cast_through_a_wide_lens(
 def test_a_stated_response_encodes_the_light(pinhole: EyeCamera, rendering: Rendering) -> None:
     """Within what levels of 8 bits hold of light: two of 255 where it is bright."""
     light, target, T_C_T = light_table("srgb"), make_planar_target("tag"), pose(0, 0, 0.8)
-    encoded = TargetDrawing(replace(pinhole, response="srgb"), target, rendering)
-    linear = TargetDrawing(
+    encoded = TargetRenderer(replace(pinhole, response="srgb"), target, rendering)
+    linear = TargetRenderer(
         pinhole,
         target,
         replace(rendering, black_grey=light[40], white_grey=light[210], background_grey=light[120]),
@@ -103,7 +103,7 @@ def test_pixels_of_a_steep_board_equal_a_ray_cast(
     camera, target = EyeCamera.of(load_head("physical"), 0), make_planar_target("tag")
     soft, tilt = replace(rendering, blur_px=0.7), np.deg2rad(incidence_deg)
     T_C_T = pose(0.02, 0.03, 0.8, (tilt * np.cos(direction), tilt * np.sin(direction), 0.0))
-    drawing = TargetDrawing(camera, target, soft)
+    drawing = TargetRenderer(camera, target, soft)
     drawing.draw(T_C_T)
     assert drawing.region is not None
     x0, y0, x1, y1 = drawing.region
@@ -126,7 +126,7 @@ def test_one_sample_a_pixel_has_the_blur_that_is_asked_for(
 ) -> None:
     """Half as much blur again would be off by twice as much and more."""
     plain, target = replace(rendering, supersampling=1), make_planar_target("tag")
-    drawing = TargetDrawing(pinhole, target, plain)
+    drawing = TargetRenderer(pinhole, target, plain)
     T_C_T = pose(0.013, 0.02, depth, turn)
     drawing.draw(T_C_T)
     assert drawing.region is not None
@@ -146,7 +146,7 @@ def test_pixel_centres_are_integers(pinhole: EyeCamera, rendering: Rendering) ->
             board = AprilTag()
             object.__setattr__(board, "cells", np.full((10, 10), 255, np.uint8))
             plain = replace(rendering, supersampling=supersampling, background_grey=40.0)
-            drawing = TargetDrawing(pinhole, board, plain)
+            drawing = TargetRenderer(pinhole, board, plain)
             wanted = np.array([505.0 + shift, 410.0 - shift])
             x, y = (wanted - pinhole.principal_px) / pinhole.focal_px
             drawing.draw(pose(x, y, 1.0))
@@ -164,7 +164,7 @@ def test_unseen_target_leaves_plain_background(pinhole: EyeCamera, rendering: Re
         pose(0, 0, 0.01),
     ]:
         with named(T_C_T):
-            drawing = TargetDrawing(pinhole, AprilTag(), rendering)
+            drawing = TargetRenderer(pinhole, AprilTag(), rendering)
             drawing.draw(pose(0, 0, 1.0), np.random.default_rng(0))
             drawing.draw(T_C_T, np.random.default_rng(0))
             assert drawing.region is None
@@ -172,7 +172,7 @@ def test_unseen_target_leaves_plain_background(pinhole: EyeCamera, rendering: Re
 
 
 def test_nothing_of_the_last_frame_remains(pinhole: EyeCamera, rendering: Rendering) -> None:
-    drawing, fresh = (TargetDrawing(pinhole, AprilTag(), rendering) for _ in range(2))
+    drawing, fresh = (TargetRenderer(pinhole, AprilTag(), rendering) for _ in range(2))
     drawing.draw(pose(0.1, 0.1, 0.6), np.random.default_rng(1), smear_px=(20.0, 5.0))
     for each in (drawing, fresh):
         each.draw(pose(-0.1, 0, 1.5), np.random.default_rng(2))
@@ -186,7 +186,7 @@ def test_target_across_the_frames_edge_is_cut_not_moved(
         target, T_C_T = AprilTag(), pose(-0.83, -0.68, 1.0, (0.1, 0.2, 0))
         if camera is lens:
             T_C_T = pose(-0.68, -0.4, 1.0, (0.1, 0.2, 0))
-        drawing = TargetDrawing(camera, target, rendering)
+        drawing = TargetRenderer(camera, target, rendering)
         drawing.draw(T_C_T)
         assert drawing.region is not None
         x0, y0, x1, y1 = drawing.region
@@ -196,7 +196,7 @@ def test_target_across_the_frames_edge_is_cut_not_moved(
 
 
 def test_same_seed_same_image(pinhole: EyeCamera, rendering: Rendering) -> None:
-    drawing = TargetDrawing(pinhole, AprilTag(), rendering)
+    drawing = TargetRenderer(pinhole, AprilTag(), rendering)
     images = []
     for seed in (5, 5, 6):
         drawing.draw(pose(0, 0, 1), np.random.default_rng(seed))
@@ -210,7 +210,7 @@ def test_same_seed_same_image(pinhole: EyeCamera, rendering: Rendering) -> None:
 def test_noise_has_the_stated_deviation_and_is_white(
     pinhole: EyeCamera, rendering: Rendering
 ) -> None:
-    drawing = TargetDrawing(pinhole, AprilTag(), replace(rendering, noise_grey=3.0))
+    drawing = TargetRenderer(pinhole, AprilTag(), replace(rendering, noise_grey=3.0))
     drawing.draw(pose(0, 0, 1))
     still = drawing.frame.astype(float)
     rng, differences = np.random.default_rng(3), []
@@ -230,7 +230,7 @@ def test_noise_has_the_stated_deviation_and_is_white(
 def test_smear_conserves_light_and_lies_along_its_direction(
     pinhole: EyeCamera, rendering: Rendering
 ) -> None:
-    drawing = TargetDrawing(pinhole, AprilTag(), rendering)
+    drawing = TargetRenderer(pinhole, AprilTag(), rendering)
     second_moments = []
     v, u = np.mgrid[: pinhole.height, : pinhole.width]
     sums = []
@@ -260,4 +260,4 @@ def test_impossible_renderings_are_refused(pinhole: EyeCamera, rendering: Render
         {"supersampling": 0},
     ]:
         with named(change), pytest.raises(ConfigurationError, match="rendering"):
-            TargetDrawing(pinhole, AprilTag(), replace(rendering, **change))
+            TargetRenderer(pinhole, AprilTag(), replace(rendering, **change))

@@ -13,7 +13,7 @@ from tests.vision.scenes import rig, scene
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.models.response import light_table
 from vergence.vision import AprilTag, Checkerboard, as_grey, make_detector, read_image
-from vergence.vision.image import restore_grey
+from vergence.vision.image import grey_if_channels_equal
 
 GREY = np.arange(48, dtype=np.uint8).reshape(6, 8) * 5
 """0 to 235 in steps of 5."""
@@ -143,12 +143,12 @@ def test_a_response_is_applied_to_the_depth_that_an_image_has():
 def test_a_frame_of_a_video_has_colours_only_where_its_camera_has():
     grey = np.tile(GREY, (4, 4))
     frame = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
-    np.testing.assert_array_equal(restore_grey(frame), grey)
-    assert restore_grey(grey) is grey
+    np.testing.assert_array_equal(grey_if_channels_equal(frame), grey)
+    assert grey_if_channels_equal(grey) is grey
     frame[16, 24, 2] ^= 2  # as a codec rounds
-    assert restore_grey(frame).ndim == 2
+    assert grey_if_channels_equal(frame).ndim == 2
     frame[16, 24, 2] ^= 8
-    assert restore_grey(frame) is frame
+    assert grey_if_channels_equal(frame) is frame
 
 
 def test_an_image_may_be_a_list():

@@ -5,19 +5,19 @@ import pytest
 
 from tests.vision.poses import pose
 from vergence.models.parts import Rendering
-from vergence.vision import EyeCamera, TargetDrawing, make_detector, make_planar_target
+from vergence.vision import EyeCamera, TargetRenderer, make_detector, make_planar_target
 from vergence.vision.tracking import Tracker
 
 
 @pytest.fixture
-def drawing(pinhole: EyeCamera, rendering: Rendering) -> TargetDrawing:
-    return TargetDrawing(pinhole, make_planar_target("tag"), rendering)
+def drawing(pinhole: EyeCamera, rendering: Rendering) -> TargetRenderer:
+    return TargetRenderer(pinhole, make_planar_target("tag"), rendering)
 
 
 class Watched:
     """A detector that keeps where it was told to look; None for the whole image."""
 
-    def __init__(self, drawing: TargetDrawing) -> None:
+    def __init__(self, drawing: TargetRenderer) -> None:
         self._detector = make_detector(drawing.target, drawing.camera)
         self.camera = drawing.camera
         self.looked = []
@@ -31,7 +31,7 @@ class Watched:
         return self._detector.track(image, predicted)
 
 
-def images(drawing: TargetDrawing, *x: float) -> list[np.ndarray]:
+def images(drawing: TargetRenderer, *x: float) -> list[np.ndarray]:
     """The target at places from left to right, 1 m ahead."""
     out = []
     for where in x:

@@ -68,7 +68,7 @@ class BoardPoses(NamedTuple):
     translation: FloatArray
     """(v, 3) metres."""
 
-    def of(self, views: NDArray[Any]) -> "BoardPoses":
+    def select(self, views: NDArray[Any]) -> "BoardPoses":
         """Select the poses of some views."""
         return BoardPoses(self.rotation[views], self.translation[views])
 
@@ -97,9 +97,9 @@ class CameraRig(NamedTuple):
     """(3,) curvatures b_xx, b_yy, b_xy of the board, 1/m."""
 
     @classmethod
-    def single(cls, lens: str, values: FloatArray) -> "CameraRig":
+    def single(cls, lens: str, camera_parameters: FloatArray) -> "CameraRig":
         """Make a rig of one camera and a flat board."""
-        return cls((lens,), (values,), np.eye(3), np.zeros(3), np.zeros(3))
+        return cls((lens,), (camera_parameters,), np.eye(3), np.zeros(3), np.zeros(3))
 
     @property
     def blocks(self) -> list[slice]:
@@ -194,11 +194,11 @@ class BundleAdjustment:
         """(c, v, n) True for corners that were found."""
         return np.asarray(np.isfinite(self.pixels).all(axis=-1))
 
-    def of(self, views: NDArray[Any]) -> "BundleAdjustment":
+    def select(self, views: NDArray[Any]) -> "BundleAdjustment":
         """Restrict the problem to some views."""
         return BundleAdjustment(self.board_corners, self.pixels[:, views], self.sigma[:, views])
 
-    def of_camera(self, camera: int) -> "BundleAdjustment":
+    def select_camera(self, camera: int) -> "BundleAdjustment":
         """Restrict the problem to one camera."""
         only = slice(camera, camera + 1)
         return BundleAdjustment(self.board_corners, self.pixels[only], self.sigma[only])

@@ -15,12 +15,12 @@ from vergence.calibration.cameras import (
     CameraFit,
     ViewResiduals,
     choose_lens,
-    cross_validation_errors,
+    cross_validation_mean_squares,
     cross_validation_residuals,
     fit_camera,
     fit_consistent_views,
 )
-from vergence.calibration.observations import Observations, detect_board_corners
+from vergence.calibration.observations import BoardObservations, detect_board_corners
 from vergence.calibration.stereo import fit_camera_pair
 from vergence.calibration.uncertainty import rig_covariance
 from vergence.errors import ConfigurationError
@@ -28,7 +28,7 @@ from vergence.models.boards import PlanarTarget
 from vergence.models.cameras import LENSES
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
-from vergence.models.response import Response
+from vergence.models.response import CameraResponse
 from vergence.perception.spacing import MM
 
 _DETECTION_PROGRESS: Final = 0.5
@@ -55,7 +55,7 @@ class DroppedView(NamedTuple):
 class Calibration:
     """Calibration of one camera or of a pair."""
 
-    observations: Observations
+    observations: BoardObservations
     single_fits: tuple[CameraFit, ...]
     """(c) fit of each camera alone."""
     fit: CameraFit
@@ -70,7 +70,7 @@ class Calibration:
     lens_errors: Mapping[str, float]
     """Cross-validation error of each lens model that was tried, in units of sigma: the geometric
     mean over the views of each camera alone of their root mean squares."""
-    failures: tuple[str, ...]
+    read_errors: tuple[str, ...]
     """Files that could not be read, a line each."""
 
     @property
@@ -101,7 +101,7 @@ class Calibration:
     def dropped(self) -> list[DroppedView]:
         """Views and images that were left out, and why."""
         found = []
-        for view, kept in enumerate(self.fit.kept.tolist()):
+        for view, kept in enumerate(self.fit.kept_views.tolist()):
             reasons = [self._reason(camera, view) for camera in range(len(self.single_fits))]
             if not kept:
                 each = zip(EYE_NAMES, reasons, strict=False)
@@ -109,28 +109,28 @@ class Calibration:
                 if len(reasons) == 1:
                     why = reasons[0]
                 elif not why:
-                    misfit = _misfit(self.fit.views, self.fit.kept, view)
+                    misfit = _misfit(self.fit.views, self.fit.kept_views, view)
                     why = f"both images together: {misfit}: did the board or a camera move?"
-                found.append(DroppedView(Path(self.observations.names[0][view]).name, why))
+                found.append(DroppedView(Path(self.observations.file_names[0][view]).name, why))
                 continue
             for camera, reason in enumerate(reasons):
                 if reason:
                     other = EYE_NAMES[1 - camera]
-                    name = Path(self.observations.names[camera][view]).name
+                    name = Path(self.observations.file_names[camera][view]).name
                     found.append(DroppedView(name, f"{reason}; the {other} image went in"))
         return found
 
     def _reason(self, camera: int, view: int) -> str:
         """Explain why a photograph does not fit its own camera; empty if it does."""
         fit = self.single_fits[camera]
-        why = self.observations.excluded.get(self.observations.names[camera][view])
+        why = self.observations.excluded.get(self.observations.file_names[camera][view])
         if why is not None:
             return why
         if not self.observations.usable[camera, view]:
             return "the board was not found"
-        if fit.kept[view]:
+        if fit.kept_views[view]:
             return ""
-        return f"{_misfit(fit.views, fit.kept, view)}: blurred, or corners mistaken?"
+        return f"{_misfit(fit.views, fit.kept_views, view)}: blurred, or corners mistaken?"
 
     def document(self) -> dict[str, Any]:
         """The result as plain values."""
@@ -138,7 +138,7 @@ class Calibration:
         common = {
             "rms_heldout_px": rms_length(self.held_out_px),
             "lens": self.lens,
-            "views": int(self.fit.kept.sum()),
+            "views": int(self.fit.kept_views.sum()),
             "dropped": dropped,
         }
         if len(self.single_fits) == 1:
@@ -166,7 +166,7 @@ def calibrate(
     photographs: Sequence[Sequence[Path]],
     lens: str | None = None,
     progress: Callable[[float], None] | None = None,
-    response: Response | None = None,
+    response: CameraResponse | None = None,
 ) -> Calibration:
     """Calibrate one camera, or two that are fixed to each other.
 
@@ -191,11 +191,11 @@ def calibrate(
     found = calibrate_views(
         seen, lens, lambda done: report(_DETECTION_PROGRESS + (1.0 - _DETECTION_PROGRESS) * done)
     )
-    return replace(found, failures=tuple(failures))
+    return replace(found, read_errors=tuple(failures))
 
 
 def calibrate_views(
-    observations: Observations,
+    observations: BoardObservations,
     lens: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
@@ -210,7 +210,7 @@ def calibrate_views(
         ConfigurationError: see `calibrate`.
     """
     report = progress or _ignore
-    cameras = len(observations.names)
+    cameras = len(observations.file_names)
     lenses = tuple(LENSES) if lens is None else (lens,)
     ticks = 1 + 2 * cameras * len(lenses) + FOLDS
     done = 0
@@ -246,7 +246,7 @@ def calibrate_views(
             lens_errors={
                 each: float(np.exp(0.5 * np.mean(np.log(one)))) for each, one in errors.items()
             },
-            failures=(),
+            read_errors=(),
         )
     except np.linalg.LinAlgError:
         raise ConfigurationError(
@@ -261,15 +261,15 @@ class _Trial(NamedTuple):
 
     fit: CameraFit
     errors: FloatArray
-    """(v) see `cross_validation_errors`."""
+    """(v) see `cross_validation_mean_squares`."""
 
 
 def _trials(
-    observations: Observations, lenses: Sequence[str], tick: Callable[[], None]
+    observations: BoardObservations, lenses: Sequence[str], tick: Callable[[], None]
 ) -> dict[str, list[_Trial]]:
     """Fit each camera alone with each lens model; leave out models that do not fit at all."""
-    cameras = len(observations.names)
-    every = [observations.camera(camera) for camera in range(cameras)]
+    cameras = len(observations.file_names)
+    every = [observations.select_camera(camera) for camera in range(cameras)]
     firsts = [_first(every[camera], camera, cameras) for camera in range(cameras)]
     tick()
     trials: dict[str, list[_Trial]] = {}
@@ -291,14 +291,14 @@ def _trials(
 
 def _errors(trials: Mapping[str, Sequence[_Trial]]) -> dict[str, FloatArray]:
     """Collect, by lens, the errors of all cameras' views that at least one lens fits."""
-    kept = [np.concatenate([one.fit.kept for one in each]) for each in trials.values()]
+    kept = [np.concatenate([one.fit.kept_views for one in each]) for each in trials.values()]
     agreed = np.any(kept, axis=0)
     return {
         lens: np.concatenate([one.errors for one in each])[agreed] for lens, each in trials.items()
     }
 
 
-def _first(observations: Observations, camera: int, cameras: int) -> CameraFit:
+def _first(observations: BoardObservations, camera: int, cameras: int) -> CameraFit:
     """Make the first fit of a camera; report parameters that no view determines."""
     try:
         return fit_consistent_views(observations)
@@ -307,11 +307,11 @@ def _first(observations: Observations, camera: int, cameras: int) -> CameraFit:
 
 
 def _try_lens(
-    lens: str, observations: Observations, first: CameraFit, tick: Callable[[], None]
+    lens: str, observations: BoardObservations, first: CameraFit, tick: Callable[[], None]
 ) -> _Trial:
     fit = fit_camera(observations, lens, first)
     tick()
-    errors = cross_validation_errors(fit, observations.problem)
+    errors = cross_validation_mean_squares(fit, observations.problem)
     tick()
     return _Trial(fit, errors)
 
@@ -333,8 +333,8 @@ def _refuse_unsure(solution: BundleSolution, camera: int, cameras: int) -> None:
 
 def _refuse_moved_cameras(fit: CameraFit, single_fits: Sequence[CameraFit]) -> None:
     """Refuse pairs of images that two cameras fixed to each other cannot have taken."""
-    together = float(np.median(fit.views.rms_px[fit.kept]))
-    apart = float(np.median([np.median(one.views.rms_px[one.kept]) for one in single_fits]))
+    together = float(np.median(fit.views.rms_px[fit.kept_views]))
+    apart = float(np.median([np.median(one.views.rms_px[one.kept_views]) for one in single_fits]))
     changes = [
         float(np.abs(values[:2] / one.solution.rig.camera_parameters[0][:2] - 1.0).max())
         for values, one in zip(fit.solution.rig.camera_parameters, single_fits, strict=True)

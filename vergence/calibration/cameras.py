@@ -17,7 +17,7 @@ from vergence.calibration.adjustment import (
     LinearisedResiduals,
     pixel_residuals,
 )
-from vergence.calibration.observations import Observations
+from vergence.calibration.observations import BoardObservations
 from vergence.errors import ConfigurationError
 from vergence.models.camera import pixels_to_rays
 from vergence.models.cameras import BROWN_CONRADY, LENSES
@@ -91,7 +91,7 @@ class CameraFit:
 
     solution: BundleSolution
     """Solution of the kept views."""
-    kept: NDArray[np.bool_]
+    kept_views: NDArray[np.bool_]
     """(v) True for kept views, the inliers."""
     views: ViewResiduals
     """Residuals of all views."""
@@ -99,7 +99,7 @@ class CameraFit:
     @property
     def median_noise(self) -> float:
         """Median of the kept views' noise."""
-        return float(np.median(self.views.reduced_chi[self.kept]))
+        return float(np.median(self.views.reduced_chi[self.kept_views]))
 
 
 def compute_view_residuals(problem: BundleAdjustment, linear: LinearisedResiduals) -> ViewResiduals:
@@ -117,9 +117,18 @@ def compute_view_residuals(problem: BundleAdjustment, linear: LinearisedResidual
     return ViewResiduals(reduced_chi, np.sqrt(squares_px / np.maximum(count, 1)))
 
 
-def pack_camera_values(lens: str, values: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """Pack a camera's parameters into the array form of the kernels."""
-    return np.asarray(pack_camera(size, values[:2], values[2:4], lens, values[4:]))
+def camera_row_for_kernels(
+    lens: str, camera_parameters: FloatArray, size: tuple[int, int]
+) -> FloatArray:
+    """Convert a camera's parameters to the row that compiled kernels take.
+
+    The parameters are in the order of `camera_parameter_names`; the row is that of `pack_camera`.
+    """
+    return np.asarray(
+        pack_camera(
+            size, camera_parameters[:2], camera_parameters[2:4], lens, camera_parameters[4:]
+        )
+    )
 
 
 def estimate_board_poses(
@@ -134,7 +143,7 @@ def estimate_board_poses(
     """
     rays = np.asarray(
         pixels_to_rays(
-            problem.pixels[0], pack_camera_values(rig.lenses[0], rig.camera_parameters[0], size)
+            problem.pixels[0], camera_row_for_kernels(rig.lenses[0], rig.camera_parameters[0], size)
         )
     )
     rotations, translations = [], []
@@ -156,7 +165,7 @@ def estimate_board_poses(
     return BoardPoses(np.array(rotations), np.array(translations))
 
 
-def initial_camera_values(
+def initial_camera_guesses(
     problem: BundleAdjustment, lens: str, size: tuple[int, int]
 ) -> list[FloatArray]:
     """Find initial parameters of a camera with OpenCV's own calibration.
@@ -226,7 +235,7 @@ def _fisheye_starts(problem: BundleAdjustment, size: tuple[int, int]) -> list[Fl
     return []
 
 
-def fit_consistent_views(observations: Observations) -> CameraFit:
+def fit_consistent_views(observations: BoardObservations) -> CameraFit:
     """Find the photographs of a camera that agree with each other, and fit a camera to them.
 
     Starts come from all views and from random samples of a few; the start that most views fit is
@@ -239,7 +248,7 @@ def fit_consistent_views(observations: Observations) -> CameraFit:
     Raises:
         ConfigurationError: too few views have the board, or they give no camera.
     """
-    problem, size = observations.problem, observations.sizes[0]
+    problem, size = observations.problem, observations.image_sizes[0]
     views = np.flatnonzero(observations.usable[0])
     if len(views) < LEAST_VIEWS:
         raise ConfigurationError(
@@ -251,11 +260,11 @@ def fit_consistent_views(observations: Observations) -> CameraFit:
     samples = [views, *(rng.choice(views, _VIEWS_PER_SAMPLE, replace=False) for _ in range(count))]
     starts: list[tuple[str, FloatArray]] = []
     for sample in samples:
-        for values in initial_camera_values(problem.of(sample), BROWN_CONRADY, size):
+        for values in initial_camera_guesses(problem.select(sample), BROWN_CONRADY, size):
             starts += [(BROWN_CONRADY, values), ("fisheye", _by_angle(values))]
     best = _best_start(problem, views, starts, size)
     if best is None or best.reduced_chi > _POOR_START_CHI:
-        wide = [("fisheye", values) for values in _fisheye_starts(problem.of(views), size)]
+        wide = [("fisheye", values) for values in _fisheye_starts(problem.select(views), size)]
         best = _best_start(problem, views, wide, size, best)
     if best is None:
         raise ConfigurationError(
@@ -272,10 +281,10 @@ def fit_consistent_views(observations: Observations) -> CameraFit:
         if np.array_equal(chosen, kept):
             break
         kept = chosen
-        solution = problem.of(kept).solve(rig, poses.of(kept))
+        solution = problem.select(kept).solve(rig, poses.select(kept))
         rig, poses = solution.rig, estimate_board_poses(problem, solution.rig, size)
         reduced_chi = compute_view_residuals(problem, problem.fit_poses(rig, poses)[1]).reduced_chi
-    return drop_outlier_views(problem, solution, kept, poses)
+    return drop_and_reweight_views(problem, solution, kept, poses)
 
 
 class _Start(NamedTuple):
@@ -308,7 +317,7 @@ def _best_start(
     return best
 
 
-def fit_camera(observations: Observations, lens: str, consistent_fit: CameraFit) -> CameraFit:
+def fit_camera(observations: BoardObservations, lens: str, consistent_fit: CameraFit) -> CameraFit:
     """Find a camera with a given lens from the views that agree.
 
     Args:
@@ -319,28 +328,28 @@ def fit_camera(observations: Observations, lens: str, consistent_fit: CameraFit)
     Raises:
         ConfigurationError: the model does not fit at all.
     """
-    problem, size = observations.problem, observations.sizes[0]
+    problem, size = observations.problem, observations.image_sizes[0]
     mine = consistent_fit.solution.rig
     found = []
     # views that only the first fit's lens excluded are tried again
-    for kept in (consistent_fit.kept, observations.usable[0]):
+    for kept in (consistent_fit.kept_views, observations.usable[0]):
         solutions = _solutions(problem, kept, lens, _turned_into(lens, mine), size)
         enough = _EQUAL_FIT_RATIO * consistent_fit.solution.reduced_chi
         if all(solution.reduced_chi > enough for solution in solutions):
-            starts = initial_camera_values(problem.of(kept), lens, size)
+            starts = initial_camera_guesses(problem.select(kept), lens, size)
             solutions += _solutions(problem, kept, lens, starts, size)
         if solutions:
             best = min(solutions, key=lambda each: each.reduced_chi)
             poses = estimate_board_poses(problem, best.rig, size)
-            found.append(drop_outlier_views(problem, best, kept, poses))
-        if consistent_fit.kept.sum() == observations.usable[0].sum():
+            found.append(drop_and_reweight_views(problem, best, kept, poses))
+        if consistent_fit.kept_views.sum() == observations.usable[0].sum():
             break
     if not found:
         raise ConfigurationError(f"lens: expected one that fits these images, got {lens}")
     least = min(fit.median_noise for fit in found)
     return max(
         (fit for fit in found if fit.median_noise <= _EQUAL_FIT_RATIO * least),
-        key=lambda fit: int(fit.kept.sum()),
+        key=lambda fit: int(fit.kept_views.sum()),
     )
 
 
@@ -367,12 +376,15 @@ def _solutions(
         rig = CameraRig.single(lens, values)
         poses = estimate_board_poses(problem, rig, size)
         with suppress(np.linalg.LinAlgError):
-            found.append(problem.of(kept).solve(rig, poses.of(kept)))
+            found.append(problem.select(kept).solve(rig, poses.select(kept)))
     return found
 
 
-def drop_outlier_views(
-    problem: BundleAdjustment, solution: BundleSolution, kept: NDArray[np.bool_], poses: BoardPoses
+def drop_and_reweight_views(
+    problem: BundleAdjustment,
+    solution: BundleSolution,
+    kept_views: NDArray[np.bool_],
+    poses: BoardPoses,
 ) -> CameraFit:
     """Leave out outlier views, and weight the others by their residuals.
 
@@ -382,28 +394,28 @@ def drop_outlier_views(
     Args:
         problem: problem of all views.
         solution: solution of the kept views.
-        kept: (v) True for the kept views.
+        kept_views: (v) True for the kept views.
         poses: initial poses of the board in all views.
     """
     weighted = problem
     for _ in range(_MOST_FITS):
         poses, linear = problem.fit_poses(solution.rig, poses)
         views = compute_view_residuals(problem, linear)
-        chosen = ~views.outliers(kept)
+        chosen = ~views.outliers(kept_views)
         if chosen.sum() < LEAST_VIEWS:
-            chosen = kept
+            chosen = kept_views
         reduced_chi = views.reduced_chi / np.median(views.reduced_chi[chosen])
         share = np.maximum(reduced_chi / _NOISY_VIEW_RATIO, 1.0) ** 2
-        before = weighted.sigma[:, kept]
+        before = weighted.sigma[:, kept_views]
         weighted = replace(problem, sigma=problem.sigma * share[:, None, None])
-        same = np.array_equal(chosen, kept)
+        same = np.array_equal(chosen, kept_views)
         if same and np.allclose(
-            weighted.sigma[:, kept], before, rtol=_SIGMA_TOLERANCE, equal_nan=True
+            weighted.sigma[:, kept_views], before, rtol=_SIGMA_TOLERANCE, equal_nan=True
         ):
             break
-        kept = chosen
-        solution = weighted.of(kept).solve(solution.rig, poses.of(kept))
-    return CameraFit(solution, kept, views)
+        kept_views = chosen
+        solution = weighted.select(kept_views).solve(solution.rig, poses.select(kept_views))
+    return CameraFit(solution, kept_views, views)
 
 
 def cross_validation_folds(views: int) -> list[NDArray[np.bool_]]:
@@ -427,16 +439,18 @@ def cross_validation_residuals(
     problem = solution.problem
     residuals = np.full(problem.pixels.shape, np.nan)
     for out in cross_validation_folds(problem.pixels.shape[1]):
-        trained = problem.of(~out).solve(solution.rig, solution.poses.of(~out), _FOLD_TOLERANCE)
-        tested = problem.of(out)
-        _, linear = tested.fit_poses(trained.rig, solution.poses.of(out))
+        trained = problem.select(~out).solve(
+            solution.rig, solution.poses.select(~out), _FOLD_TOLERANCE
+        )
+        tested = problem.select(out)
+        _, linear = tested.fit_poses(trained.rig, solution.poses.select(out))
         residuals[:, out] = pixel_residuals(tested, linear)
         if progress is not None:
             progress()
     return residuals
 
 
-def cross_validation_errors(fit: CameraFit, problem: BundleAdjustment) -> FloatArray:
+def cross_validation_mean_squares(fit: CameraFit, problem: BundleAdjustment) -> FloatArray:
     """(v) mean square cross-validation error of each view, in units of sigma^2.
 
     Kept views have the residuals of `cross_validation_residuals`; others have the residuals of the
@@ -448,14 +462,14 @@ def cross_validation_errors(fit: CameraFit, problem: BundleAdjustment) -> FloatA
         problem: problem of all views.
     """
     errors = fit.views.reduced_chi**2
-    sigma = problem.sigma[:, fit.kept]
-    errors[fit.kept] = np.nanmean(
+    sigma = problem.sigma[:, fit.kept_views]
+    errors[fit.kept_views] = np.nanmean(
         (cross_validation_residuals(fit.solution) / sigma) ** 2, axis=(0, 2, 3)
     )
     return np.where(np.isfinite(errors), errors, _UNSEEN_MEAN_SQUARE)
 
 
-def choose_lens(errors: Mapping[str, FloatArray]) -> str:
+def choose_lens(mean_squares_by_lens: Mapping[str, FloatArray]) -> str:
     """Choose the simplest lens model that predicts unseen views as well as the best one.
 
     It is the first model in `_LENS_PREFERENCE` that meets two conditions. The logarithm of the
@@ -463,9 +477,9 @@ def choose_lens(errors: Mapping[str, FloatArray]) -> str:
     standard errors, whichever is larger. And no single view has a ratio that refutes the model.
 
     Args:
-        errors: by lens, (v) see `cross_validation_errors`.
+        mean_squares_by_lens: by lens, (v) see `cross_validation_mean_squares`.
     """
-    logs = {lens: np.log(each) for lens, each in errors.items()}
+    logs = {lens: np.log(each) for lens, each in mean_squares_by_lens.items()}
     best = min(logs, key=lambda lens: float(np.mean(logs[lens])))
     for lens in _LENS_PREFERENCE:
         if lens in logs:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.calibrate import Calibration
-from vergence.calibration.cameras import pack_camera_values
+from vergence.calibration.cameras import camera_row_for_kernels
 from vergence.calibration.uncertainty import board_points_in_camera, direction_sigma_px
 from vergence.models.camera import pixels_to_rays
 from vergence.models.joints import EYE_NAMES
@@ -56,7 +56,10 @@ _BENT_SAG_RATIO: Final = 0.005
 
 
 class BoardSag(NamedTuple):
-    """Height of a bent board's highest corner above its lowest, mm."""
+    """Sag of a bent board, mm, and its standard deviation.
+
+    The sag is the height of the highest corner above the lowest, from the fitted curvatures.
+    """
 
     mm: float
     sigma_mm: float
@@ -105,7 +108,8 @@ def board_tilts(calibration: Calibration, camera: int) -> BoardTilts:
 def views_per_cell(calibration: Calibration, camera: int) -> NDArray[np.intp]:
     """(CELLS, CELLS) number of kept views with a corner in each cell of the image, row by row."""
     return views_in_cells(
-        calibration.fit.solution.problem.pixels[camera], calibration.observations.sizes[camera]
+        calibration.fit.solution.problem.pixels[camera],
+        calibration.observations.image_sizes[camera],
     )
 
 
@@ -129,7 +133,7 @@ def views_in_cells(views: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]
     return cells
 
 
-def direction_sigma_at(calibration: Calibration, camera: int, pixels: FloatArray) -> FloatArray:
+def direction_sigma_px_at(calibration: Calibration, camera: int, pixels: FloatArray) -> FloatArray:
     """Compute the uncertainty of a camera's directions at some pixels.
 
     Args:
@@ -141,8 +145,10 @@ def direction_sigma_at(calibration: Calibration, camera: int, pixels: FloatArray
         (n) standard deviation, px; nan where the lens has no inverse.
     """
     rig = calibration.rig
-    row = pack_camera_values(
-        rig.lenses[camera], rig.camera_parameters[camera], calibration.observations.sizes[camera]
+    row = camera_row_for_kernels(
+        rig.lenses[camera],
+        rig.camera_parameters[camera],
+        calibration.observations.image_sizes[camera],
     )
     rays = np.asarray(pixels_to_rays(pixels, row))
     sigma = np.full(len(pixels), np.nan)
@@ -187,7 +193,7 @@ def advise_on_pair_motion(calibration: Calibration) -> str:
         return ""
     alone = np.stack([fit.views.rms_px for fit in calibration.single_fits])
     judged = np.isfinite([fit.views.reduced_chi for fit in calibration.single_fits]).all(axis=0)
-    usable = judged & np.all([fit.kept for fit in calibration.single_fits], axis=0)
+    usable = judged & np.all([fit.kept_views for fit in calibration.single_fits], axis=0)
     if not usable.any():
         return ""
     by_itself = np.sqrt((alone[:, usable] ** 2).mean(axis=0))
@@ -206,7 +212,7 @@ def advise_on_pair_motion(calibration: Calibration) -> str:
 
 def advise_on_view_count(calibration: Calibration) -> str:
     """Advise on too few views, or too many that were left out."""
-    kept = calibration.fit.kept
+    kept = calibration.fit.kept_views
     count, every = int(kept.sum()), len(kept)
     lost = every - count
     if lost > _MANY_VIEWS_FRACTION * every:
@@ -304,15 +310,17 @@ def median_and_corner_sigma_px(calibration: Calibration, camera: int) -> tuple[f
         calibration: the calibration.
         camera: index of the camera.
     """
-    grid = pixel_grid(calibration.observations.sizes[camera], _SIGMA_GRID_COUNT).reshape(-1, 2)
-    sigma = direction_sigma_at(calibration, camera, grid).reshape(
+    grid = pixel_grid(calibration.observations.image_sizes[camera], _SIGMA_GRID_COUNT).reshape(
+        -1, 2
+    )
+    sigma = direction_sigma_px_at(calibration, camera, grid).reshape(
         _SIGMA_GRID_COUNT, _SIGMA_GRID_COUNT
     )
     sigma = np.where(np.isfinite(sigma), sigma, np.inf)
     return float(np.median(sigma)), float(sigma[[0, 0, -1, -1], [0, -1, 0, -1]].max())
 
 
-def advise_on_image_corners(calibration: Calibration) -> str:
+def advise_on_uncertain_corners(calibration: Calibration) -> str:
     """Advise on image corners with uncertain directions."""
     sigma = [
         median_and_corner_sigma_px(calibration, camera)
@@ -338,7 +346,7 @@ def pixel_grid(size: tuple[int, int], count: int) -> FloatArray:
     return np.stack(np.meshgrid(u, v), axis=-1)
 
 
-def advise_on_focal_lengths(calibration: Calibration) -> str:
+def advise_on_uncertain_focal_lengths(calibration: Calibration) -> str:
     """Advise on focal lengths that the views determine badly."""
     unsure = [
         float((calibration.sigma[block][:2] / values[:2]).max())
@@ -356,7 +364,7 @@ def advise_on_focal_lengths(calibration: Calibration) -> str:
     )
 
 
-def advise_on_stated_size(calibration: Calibration) -> str:
+def advise_on_board_size_unit(calibration: Calibration) -> str:
     """Advise on boards that come out so near that their size was probably not given in mm."""
     far = float(np.median(board_tilts(calibration, 0).distance_m))
     if far > _NEAREST_M or not calibration.observations.target.size_known:
@@ -379,14 +387,14 @@ def advise_on_bent_board(calibration: Calibration) -> str:
 
 
 _RULES: Final[tuple[Callable[[Calibration], str], ...]] = (
-    advise_on_stated_size,
+    advise_on_board_size_unit,
     advise_on_pair_motion,
     advise_on_view_count,
     advise_on_empty_cells,
     advise_on_tilts,
     advise_on_distances,
-    advise_on_image_corners,
-    advise_on_focal_lengths,
+    advise_on_uncertain_corners,
+    advise_on_uncertain_focal_lengths,
     advise_on_bent_board,
 )
 """Rules of advice, the most important first; each gives a sentence, empty if nothing is lacking."""

@@ -80,7 +80,7 @@ def _in_both(calibration: Calibration, points: FloatArray) -> FloatArray:
     """(n) True for points (n, 3) in the left camera's frame that are inside both images."""
     rig = calibration.rig
     inside = np.ones(len(points), bool)
-    for camera, size in enumerate(calibration.observations.sizes):
+    for camera, size in enumerate(calibration.observations.image_sizes):
         mine = points @ rig.rotation.T + rig.translation if camera else points
         pixels = project_with_jacobians(
             rig.lenses[camera], rig.camera_parameters[camera], mine

@@ -14,14 +14,14 @@ from vergence.calibration.calibrate import Calibration
 from vergence.calibration.coverage import (
     board_tilts,
     camera_names,
-    direction_sigma_at,
+    direction_sigma_px_at,
     pixel_grid,
 )
 from vergence.calibration.depth import DepthSigma
 from vergence.calibration.image_figures import (
+    CAMERA_FIGURE_WIDTH,
     EYE_STYLES,
     LEAST_IN_CELL,
-    WIDTH,
     draw_corner_coverage,
     draw_residual_arrows,
     set_image_axes,
@@ -48,7 +48,7 @@ def residual_field(calibration: Calibration, camera: int) -> Figure:
     """Draw residuals over a camera's image as magnified arrows: per corner, and cell means."""
     return draw_residual_arrows(
         *_residuals(calibration, camera),
-        calibration.observations.sizes[camera],
+        calibration.observations.image_sizes[camera],
         camera_names(calibration)[camera],
     )
 
@@ -64,7 +64,7 @@ def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
     edges = np.linspace(0.0, radius.max(), _RINGS + 1)
     ring = np.clip(np.digitize(radius, edges) - 1, 0, _RINGS - 1)
     with figure_style():
-        figure = new_figure(WIDTH, 3.6)
+        figure = new_figure(CAMERA_FIGURE_WIDTH, 3.6)
         panel = figure.add_subplot()
         every = thinning_slice(len(radius))
         panel.plot(
@@ -93,14 +93,14 @@ def residuals_by_radius(calibration: Calibration, camera: int) -> Figure:
 def image_coverage(calibration: Calibration, camera: int) -> Figure:
     """Draw the corners used by the calibration over the image, and the views in each part of it."""
     views = calibration.fit.solution.problem.pixels[camera]
-    size, name = calibration.observations.sizes[camera], camera_names(calibration)[camera]
+    size, name = calibration.observations.image_sizes[camera], camera_names(calibration)[camera]
     return draw_corner_coverage(views, size, name, EYE_STYLES[camera]["color"])
 
 
 def tilt_directions(calibration: Calibration) -> Figure:
     """Plot direction and size of the board's tilts."""
     with figure_style():
-        figure = new_figure(WIDTH, 5.2)
+        figure = new_figure(CAMERA_FIGURE_WIDTH, 5.2)
         panel = figure.add_subplot()
         most = 40.0
         for camera, name in enumerate(camera_names(calibration)):
@@ -127,7 +127,7 @@ def tilt_directions(calibration: Calibration) -> Figure:
 def tilts_by_distance(calibration: Calibration) -> Figure:
     """Plot the tilt of the board in each view against its distance."""
     with figure_style():
-        figure = new_figure(WIDTH, 5.2)
+        figure = new_figure(CAMERA_FIGURE_WIDTH, 5.2)
         panel = figure.add_subplot()
         for camera, name in enumerate(camera_names(calibration)):
             held = board_tilts(calibration, camera)
@@ -157,9 +157,9 @@ def view_residuals(calibration: Calibration) -> Figure:
         name: np.where(np.isfinite(fit.views.reduced_chi), fit.views.rms_px, 0.0)
         for name, fit in fits.items()
     }
-    good = np.concatenate([bars[name][fit.kept] for name, fit in fits.items()])
+    good = np.concatenate([bars[name][fit.kept_views] for name, fit in fits.items()])
     limit = max(1.15 * float(good.max()), _AXIS_LIMIT_MEDIANS * float(np.median(good)))
-    kept = calibration.fit.kept
+    kept = calibration.fit.kept_views
     places, wide = np.arange(len(kept)), 0.8 / len(fits)
     with figure_style():
         figure = new_figure(_PAGE_WIDTH, 4.0)
@@ -168,7 +168,7 @@ def view_residuals(calibration: Calibration) -> Figure:
             at = places + wide * (number - 0.5 * (len(fits) - 1))
             colour = colours[number]
             drawn = panel.bar(at, np.minimum(bars[name], limit), wide, color=colour, label=name)
-            for view in np.flatnonzero(~fit.kept).tolist():
+            for view in np.flatnonzero(~fit.kept_views).tolist():
                 drawn[view].set(facecolor="white", edgecolor=colour, hatch="////", linewidth=0.8)
             for view in np.flatnonzero(bars[name] > limit).tolist():
                 panel.text(
@@ -179,7 +179,7 @@ def view_residuals(calibration: Calibration) -> Figure:
         panel.grid(axis="x", visible=False)
         panel.set_axisbelow(True)
         panel.set(xlim=(-0.7, len(kept) - 0.3), ylim=(0.0, 1.08 * limit), ylabel="rms (px)")
-        labels = short_file_names(calibration.observations.names[0])
+        labels = truncated_file_stems(calibration.observations.file_names[0])
         step = -(-len(kept) // _MOST_NAMED_VIEWS)
         panel.set_xticks(places[::step], labels[::step], rotation=90, fontsize=9)
         panel.tick_params(axis="x", length=0, pad=10)
@@ -191,16 +191,16 @@ def view_residuals(calibration: Calibration) -> Figure:
 
 def direction_sigma(calibration: Calibration, camera: int) -> Figure:
     """Draw the standard deviation of directions over a camera's image, and the hull of corners."""
-    width, height = calibration.observations.sizes[camera]
+    width, height = calibration.observations.image_sizes[camera]
     grid = pixel_grid((width, height), _CONTOUR_GRID_COUNT)
-    sigma = direction_sigma_at(calibration, camera, grid.reshape(-1, 2)).reshape(
+    sigma = direction_sigma_px_at(calibration, camera, grid.reshape(-1, 2)).reshape(
         _CONTOUR_GRID_COUNT, _CONTOUR_GRID_COUNT
     )
     low, high = _LEVELS_PX[0], _LEVELS_PX[-1]
     shown = np.ma.masked_invalid(np.clip(sigma, 1.001 * low, 0.999 * high))
     pixels, _ = _residuals(calibration, camera)
     with figure_style():
-        figure = new_figure(WIDTH, WIDTH * height / width + 0.7)
+        figure = new_figure(CAMERA_FIGURE_WIDTH, CAMERA_FIGURE_WIDTH * height / width + 0.7)
         panel = figure.add_subplot()
         panel.contourf(
             *grid.T.swapaxes(1, 2), shown, _LEVELS_PX, cmap="Blues", norm=LogNorm(low, 10.0 * high)
@@ -226,7 +226,7 @@ def depth_sigma(depth: DepthSigma, in_percent: bool) -> Figure:
     """
     scale = 1e2 / depth.distance_m if in_percent else np.full(len(depth.distance_m), 1e3)
     with figure_style():
-        figure = new_figure(WIDTH, 4.4)
+        figure = new_figure(CAMERA_FIGURE_WIDTH, 4.4)
         panel = figure.add_subplot()
         for values, label, style in (
             (depth.calibration_m, "calibration", {"color": BLUE, "linestyle": "-"}),
@@ -244,7 +244,7 @@ def depth_sigma(depth: DepthSigma, in_percent: bool) -> Figure:
     return figure
 
 
-def short_file_names(names: Sequence[str]) -> list[str]:
+def truncated_file_stems(names: Sequence[str]) -> list[str]:
     """Shorten file names: without folder and suffix, the last 16 characters."""
     return [name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0][-16:] for name in names]
 

@@ -17,7 +17,7 @@ from vergence.models.files.intrinsics import Intrinsics, Lens
 from vergence.models.files.stereo import StereoPair
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
-from vergence.models.response import Response
+from vergence.models.response import CameraResponse
 
 _RECORDED_PACKAGES: Final = ("vergence", "opencv-python-headless", "numpy", "scipy")
 _ROS_LENSES: Final[dict[str, str]] = {
@@ -31,14 +31,16 @@ def intrinsics_of(calibration: Calibration, camera: int) -> Intrinsics:
     """Extract the intrinsics of one camera."""
     values, lens = calibration.rig.camera_parameters[camera], calibration.rig.lenses[camera]
     known: dict[str, Lens] = {name: name for name in ("brown-conrady", "rational", "fisheye")}
-    width, height = calibration.observations.sizes[camera]
+    width, height = calibration.observations.image_sizes[camera]
     return Intrinsics(
         width=width, height=height, focal=values[:2], principal=values[2:4], lens=known[lens],
         distortion=values[4:],
     )  # fmt: skip
 
 
-def head_file_text(calibration: Calibration, name: str, response: Response | None = None) -> str:
+def head_file_text(
+    calibration: Calibration, name: str, response: CameraResponse | None = None
+) -> str:
     """Write the head file of a calibrated pair as TOML text.
 
     Args:
@@ -82,7 +84,7 @@ def calibration_record(calibration: Calibration) -> CalibrationRecord:
     sigma |= {f"right.head_eye.{n}": d for n, d in zip(names, deviations, strict=True)}
     return CalibrationRecord(
         target=str(calibration.observations.target),
-        views=int(calibration.fit.kept.sum()),
+        views=int(calibration.fit.kept_views.sum()),
         rms_px=rms_length(calibration.fit.solution.residuals_px),
         rms_heldout_px=rms_length(calibration.held_out_px),
         corners_sha256=calibration.observations.digest,
@@ -143,7 +145,7 @@ def ros_camera_document(calibration: Calibration) -> dict[str, Any]:
         },
         "calibration": {
             "target": str(calibration.observations.target),
-            "views": int(calibration.fit.kept.sum()),
+            "views": int(calibration.fit.kept_views.sum()),
             "rms_px": calibration.rms_alone_px[0],
             "rms_heldout_px": rms_length(calibration.held_out_px),
             "corners_sha256": calibration.observations.digest,

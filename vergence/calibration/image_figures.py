@@ -11,7 +11,7 @@ from vergence.calibration.coverage import CELLS, views_in_cells
 from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, figure_style, new_figure
 from vergence.models.parts import FloatArray
 
-WIDTH: Final = 5.6
+CAMERA_FIGURE_WIDTH: Final = 5.6
 """Width of a figure of one camera, inches (chosen: two stand side by side, one fills a phone)."""
 EYE_STYLES: Final[tuple[dict[str, Any], ...]] = (
     {"color": BLUE, "marker": "o"},
@@ -54,7 +54,7 @@ def draw_residual_arrows(
     wanted = max(_LONG_ARROW_CELLS * cell / max(long, 1e-6), 1.0)
     factor = max(each for each in _MAGNIFICATIONS if each <= wanted)
     with figure_style():
-        figure = new_figure(WIDTH, WIDTH * height / width + 0.7)
+        figure = new_figure(CAMERA_FIGURE_WIDTH, CAMERA_FIGURE_WIDTH * height / width + 0.7)
         panel = figure.add_subplot()
         every = thinning_slice(len(pixels))
         arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0 / factor}
@@ -87,7 +87,7 @@ def draw_corner_coverage(
     width, height = size
     pixels = views[np.isfinite(views).all(axis=-1)]
     with figure_style():
-        figure = new_figure(WIDTH, WIDTH * height / width + 0.7)
+        figure = new_figure(CAMERA_FIGURE_WIDTH, CAMERA_FIGURE_WIDTH * height / width + 0.7)
         panel = figure.add_subplot()
         panel.plot(
             *pixels[thinning_slice(len(pixels))].T, ".", ms=3.5, mew=0, alpha=0.6, color=colour,

@@ -15,8 +15,8 @@ from vergence.calibration.adjustment import BundleAdjustment
 from vergence.errors import ConfigurationError, VergenceError
 from vergence.models.boards import AprilTag, PlanarTarget, TagFamily
 from vergence.models.parts import FloatArray
-from vergence.models.response import Response
-from vergence.perception.light import ResponseCheck
+from vergence.models.response import CameraResponse
+from vergence.perception.light import LinearResponseCheck
 from vergence.perception.photographs import join_first_names
 from vergence.perception.similar_targets import describe_similar_targets
 from vergence.vision import Detector, make_detector, parse_target, read_image
@@ -58,13 +58,13 @@ def parse_board(text: str, *, accept_single_tag: bool = False) -> PlanarTarget:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Observations:
+class BoardObservations:
     """The corners of a board in the photographs of one camera or of two."""
 
     target: PlanarTarget
-    names: tuple[tuple[str, ...], ...]
+    file_names: tuple[tuple[str, ...], ...]
     """(c, v) file of each photograph."""
-    sizes: tuple[tuple[int, int], ...]
+    image_sizes: tuple[tuple[int, int], ...]
     """(c) width and height of each camera's images, px."""
     pixels: FloatArray
     """(c, v, n, 2) corners, px; nan for those that were not found."""
@@ -93,24 +93,25 @@ class Observations:
             np.where(blank, np.nan, self.sigma),
         )
 
-    def camera(self, camera: int) -> "Observations":
+    def select_camera(self, camera: int) -> "BoardObservations":
         """Select the observations of one camera."""
         only = slice(camera, camera + 1)
-        return Observations(
-            target=self.target, names=self.names[only], sizes=self.sizes[only],
+        return BoardObservations(
+            target=self.target, file_names=self.file_names[only],
+            image_sizes=self.image_sizes[only],
             pixels=self.pixels[only], sigma=self.sigma[only], excluded=self.excluded,
             remarks=self.remarks,
         )  # fmt: skip
 
-    def of(self, views: NDArray[np.bool_]) -> "Observations":
+    def select(self, views: NDArray[np.bool_]) -> "BoardObservations":
         """Select the observations of some views."""
-        return Observations(
+        return BoardObservations(
             target=self.target,
-            names=tuple(
+            file_names=tuple(
                 tuple(name for name, there in zip(names, views, strict=True) if there)
-                for names in self.names
+                for names in self.file_names
             ),
-            sizes=self.sizes,
+            image_sizes=self.image_sizes,
             pixels=self.pixels[:, views],
             sigma=self.sigma[:, views],
             excluded=self.excluded,
@@ -139,8 +140,8 @@ def detect_board_corners(
     target: PlanarTarget,
     photographs: Sequence[Sequence[Path]],
     progress: Callable[[float], None] | None = None,
-    responses: Sequence[Response | None] | None = None,
-) -> tuple[Observations, list[str]]:
+    responses: Sequence[CameraResponse | None] | None = None,
+) -> tuple[BoardObservations, list[str]]:
     """Find a board in photographs.
 
     Args:
@@ -163,7 +164,7 @@ def detect_board_corners(
     ]
     views = len(photographs[0])
     seen: list[_Seen | str] = []
-    check = ResponseCheck()
+    check = LinearResponseCheck()
     for number, path in enumerate(every, 1):
         seen.append(_look(path, detectors[(number - 1) // views], check))
         if number == _MISSES_BEFORE_CHECK:
@@ -193,10 +194,10 @@ def detect_board_corners(
         for camera, files in enumerate(photographs):
             excluded[str(files[view])] = f"it is a copy of {files[first].name}"
             pixels[camera, view] = np.nan
-    found = Observations(
+    found = BoardObservations(
         target=target,
-        names=tuple(tuple(map(str, files)) for files in photographs),
-        sizes=sizes,
+        file_names=tuple(tuple(map(str, files)) for files in photographs),
+        image_sizes=sizes,
         pixels=pixels,
         sigma=sigma,
         excluded=excluded,
@@ -213,7 +214,7 @@ def detect_board_corners(
     return found, failures
 
 
-def _look(path: Path, detector: Detector[Any], check: ResponseCheck) -> _Seen | str:
+def _look(path: Path, detector: Detector[Any], check: LinearResponseCheck) -> _Seen | str:
     """Detect the board in a photograph; a text says why the file cannot be read.
 
     Large photographs are often soft from pixel to pixel. If the board is not found, they are

@@ -48,12 +48,14 @@ class _Bent(NamedTuple):
     """(..., 2, n) Jacobian by the lens's coefficients."""
 
 
-def project_with_jacobians(lens: str, values: FloatArray, points: FloatArray) -> ProjectedPoints:
+def project_with_jacobians(
+    lens: str, camera_parameters: FloatArray, points: FloatArray
+) -> ProjectedPoints:
     """Project points in the camera's frame.
 
     Args:
         lens: the lens model.
-        values: (4 + n,) see `camera_parameter_names`.
+        camera_parameters: (4 + n,) see `camera_parameter_names`.
         points: (..., 3) metres; behind the camera the pixels are nan.
 
     Returns:
@@ -62,14 +64,14 @@ def project_with_jacobians(lens: str, values: FloatArray, points: FloatArray) ->
     z = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
     ideal = points[..., :2] / z
     bend = _bend_by_angle if lens == "fisheye" else _bend_by_radius
-    bent = bend(values[4:], ideal)
-    focal = values[:2]
-    pixels = values[2:4] + focal * bent.xy
+    bent = bend(camera_parameters[4:], ideal)
+    focal = camera_parameters[:2]
+    pixels = camera_parameters[2:4] + focal * bent.xy
     scaled = focal[:, None] * bent.by_ideal
     by_point = np.concatenate(
         [scaled / z[..., None], -(scaled @ ideal[..., None]) / z[..., None]], axis=-1
     )
-    by_camera = np.zeros((*pixels.shape, len(values)))
+    by_camera = np.zeros((*pixels.shape, len(camera_parameters)))
     by_camera[..., 0, 0], by_camera[..., 1, 1] = bent.xy[..., 0], bent.xy[..., 1]
     by_camera[..., 0, 2] = by_camera[..., 1, 3] = 1.0
     by_camera[..., 4:] = focal[:, None] * bent.by_coefficients

@@ -60,12 +60,12 @@ def write_run(folder: Path, calibration: Calibration, file_text: str, file_name:
     with (folder / "views.csv").open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file)
         table.writerow(["view", "kept", "rms_px", "noise"])
-        for view, path in enumerate(calibration.observations.names[0]):
+        for view, path in enumerate(calibration.observations.file_names[0]):
             views = calibration.fit.views
             table.writerow(
                 [
                     Path(path).name,
-                    bool(calibration.fit.kept[view]),
+                    bool(calibration.fit.kept_views[view]),
                     views.rms_px[view],
                     views.reduced_chi[view],
                 ]
@@ -123,9 +123,9 @@ def _values(calibration: Calibration) -> dict[str, Any]:
         "names": names,
         "target": str(calibration.observations.target),
         "lens": calibration.lens,
-        "sizes": calibration.observations.sizes,
-        "kept": int(calibration.fit.kept.sum()),
-        "every": len(calibration.fit.kept),
+        "sizes": calibration.observations.image_sizes,
+        "kept": int(calibration.fit.kept_views.sum()),
+        "every": len(calibration.fit.kept_views),
         "dropped": calibration.dropped,
         "alone_px": calibration.rms_alone_px,
         "together_px": rms_length(calibration.fit.solution.residuals_px),
@@ -140,7 +140,7 @@ def _values(calibration: Calibration) -> dict[str, Any]:
         "lenses": dict(calibration.lens_errors),
         "sag": board_sag(calibration),
         "advice": advise_next_photographs(calibration),
-        "remarks": calibration.failures,
+        "remarks": calibration.read_errors,
         "tilt_deg": np.quantile(held.angle_deg, [0.0, 0.5, 1.0]).tolist(),
         "distance_m": [float(held.distance_m.min()), float(held.distance_m.max())],
         "directions": [

@@ -10,10 +10,10 @@ from vergence.calibration.adjustment import BoardPoses, BundleAdjustment, Camera
 from vergence.calibration.cameras import (
     LEAST_VIEWS,
     CameraFit,
-    drop_outlier_views,
+    drop_and_reweight_views,
     estimate_board_poses,
 )
-from vergence.calibration.observations import Observations
+from vergence.calibration.observations import BoardObservations
 from vergence.errors import ConfigurationError
 from vergence.models.files.stereo import GREATEST_BASELINE_M, LEAST_BASELINE_M
 from vergence.models.parts import FloatArray
@@ -29,8 +29,8 @@ _TRUSTED_ERROR_RATIO: Final = 3.0
 
 
 def fit_camera_pair(
-    observations: Observations, left: CameraFit, right: CameraFit
-) -> tuple[Observations, CameraFit]:
+    observations: BoardObservations, left: CameraFit, right: CameraFit
+) -> tuple[BoardObservations, CameraFit]:
     """Find both cameras and their relative pose from the views that agree.
 
     The relative pose starts from the single pair with which most others agree.
@@ -47,7 +47,7 @@ def fit_camera_pair(
     Raises:
         ConfigurationError: the photographs were not taken by one pair of cameras.
     """
-    both = left.kept & right.kept
+    both = left.kept_views & right.kept_views
     if both.sum() < LEAST_VIEWS:
         raise ConfigurationError(
             f"expected the board in both images of at least {LEAST_VIEWS} pairs, better 20, got "
@@ -55,13 +55,15 @@ def fit_camera_pair(
         )
     alone = [fit.solution.rig for fit in (left, right)]
     by_left = estimate_board_poses(
-        observations.problem.of_camera(0), alone[0], observations.sizes[0]
+        observations.problem.select_camera(0), alone[0], observations.image_sizes[0]
     )
     orders = equivalent_corner_orders(observations.target)
     turned = [_turned(observations, order, both) for order in orders]
     best: tuple[float, CameraRig, FloatArray] | None = None
     for one in turned:
-        by_right = estimate_board_poses(one.problem.of_camera(1), alone[1], observations.sizes[1])
+        by_right = estimate_board_poses(
+            one.problem.select_camera(1), alone[1], observations.image_sizes[1]
+        )
         turns = by_right.rotation @ by_left.rotation.transpose(0, 2, 1)
         shifts = by_right.translation - np.einsum("vij,vj->vi", turns, by_left.translation)
         for view in np.flatnonzero(both):
@@ -78,7 +80,7 @@ def fit_camera_pair(
                 best = score, rig, missed
     assert best is not None
     score, rig, missed = best
-    if not score < _MOST_PAIR_ERROR_WIDTHS * observations.sizes[1][0]:
+    if not score < _MOST_PAIR_ERROR_WIDTHS * observations.image_sizes[1][0]:
         raise ConfigurationError(
             "expected pairs of photographs taken at the same moment by two cameras that are fixed "
             f"to each other, got {both.sum()} pairs of which fewer than half agree on where the "
@@ -87,23 +89,23 @@ def fit_camera_pair(
     for which, order in enumerate(orders):
         observations = _turned(observations, order, both & (missed.argmin(axis=0) == which))
     trusted = both & (missed.min(axis=0) <= _TRUSTED_ERROR_RATIO * score)
-    kept = np.stack([left.kept, right.kept])
+    kept = np.stack([left.kept_views, right.kept_views])
     problem = replace(
         observations.problem,
         pixels=np.where(kept[..., None, None], observations.problem.pixels, np.nan),
     )
-    by_right = estimate_board_poses(problem.of_camera(1), alone[1], observations.sizes[1])
+    by_right = estimate_board_poses(problem.select_camera(1), alone[1], observations.image_sizes[1])
     back = rig.rotation.T
     poses = BoardPoses(
-        np.where(left.kept[:, None, None], by_left.rotation, back @ by_right.rotation),
+        np.where(left.kept_views[:, None, None], by_left.rotation, back @ by_right.rotation),
         np.where(
-            left.kept[:, None],
+            left.kept_views[:, None],
             by_left.translation,
             (by_right.translation - rig.translation) @ back.T,
         ),
     )
-    solution = problem.of(trusted).solve(rig, poses.of(trusted))
-    fit = drop_outlier_views(problem, solution, trusted, poses)
+    solution = problem.select(trusted).solve(rig, poses.select(trusted))
+    fit = drop_and_reweight_views(problem, solution, trusted, poses)
     _check_place(fit.solution.rig)
     return observations, fit
 
@@ -125,8 +127,8 @@ def _check_place(rig: CameraRig) -> None:
 
 
 def _turned(
-    observations: Observations, order: NDArray[np.intp], views: NDArray[np.bool_]
-) -> Observations:
+    observations: BoardObservations, order: NDArray[np.intp], views: NDArray[np.bool_]
+) -> BoardObservations:
     """Reorder the right images' corners in some views."""
     pixels, sigma = observations.pixels.copy(), observations.sigma.copy()
     for values in (pixels, sigma):
@@ -142,7 +144,7 @@ def _missed_px(problem: BundleAdjustment, rig: CameraRig, poses: BoardPoses) -> 
     moved = BoardPoses(
         rig.rotation @ poses.rotation, poses.translation @ rig.rotation.T + rig.translation
     )
-    one = problem.of_camera(1)
+    one = problem.select_camera(1)
     linear = one.linearised(right, moved)
     shape = one.pixels.shape[1:]
     squares = ((linear.residuals.reshape(shape) * one.sigma[0]) ** 2).sum(axis=-1)

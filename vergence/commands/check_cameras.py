@@ -87,7 +87,7 @@ class CheckCameras:
 def _rows(state: "CameraState") -> list[list[str]]:
     """Rows of a camera's table, one for each setting."""
     request = state.request
-    exposure = {True: "locked", False: "automatic", None: "-"}[state.locked]
+    exposure = {True: "locked", False: "automatic", None: "-"}[state.exposure_locked]
     if not isnan(state.exposure_s):
         exposure += f", {1e3 * state.exposure_s:.1f} ms"
     rows = [

@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from vergence.hardware.config import HardwareConfig
 
 
-def check_and_print(hardware: "HardwareConfig") -> None:
-    """List all checks of a robot on standard error.
+def check_robot_and_print(hardware: "HardwareConfig") -> None:
+    """Run all checks of a robot and print their results; raise an error if one has failed.
 
     Raises:
         ChecksFailedError: a check failed, so the robot must not move yet.
@@ -19,11 +19,11 @@ def check_and_print(hardware: "HardwareConfig") -> None:
     from vergence.hardware.checks.servos import raise_errors
 
     parts = check_robot(hardware)
-    width = max(len(one.part) for one in parts)
+    width = max(len(one.name) for one in parts)
     for one in parts:
-        mark = "ok" if one.what else "-"
+        mark = "ok" if one.description else "-"
         if one.findings:
             mark = "!" if one.ready else "x"
-        print(f"{mark:>3} {one.part:<{width}}  {one.what or 'not known'}", file=sys.stderr)
+        print(f"{mark:>3} {one.name:<{width}}  {one.description or 'not known'}", file=sys.stderr)
     for finding in raise_errors([finding for one in parts for finding in one.findings]):
         print_to_stderr(f"warning: {finding}")

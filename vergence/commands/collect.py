@@ -77,7 +77,7 @@ class Collect:
         """Run the command."""
         require_modules("robot", "mcap")
         from vergence.calibration.head.collect import CollectOptions, collect
-        from vergence.calibration.head.logged import LOOKS
+        from vergence.calibration.head.logged import HEAD_IDENTITY
         from vergence.calibration.observations import parse_board
 
         options = CollectOptions(
@@ -86,7 +86,7 @@ class Collect:
         target = parse_board(self.target, accept_single_tag=True)
         looker = self._robot(target) if self.plant == "hardware" else self._simulated(target)
         facts = {"command": "collect", "plant": self.plant, "seed": str(self.seed)}
-        facts[LOOKS] = self.plant if self.plant == "hardware" else self._looks(looker.head)
+        facts[HEAD_IDENTITY] = self.plant if self.plant == "hardware" else self._looks(looker.head)
         try:
             with closing(looker), progress_bar("collect") as report:
                 recording = collect(
@@ -178,12 +178,12 @@ class Collect:
 
 def _evaluated(recording: "CollectedRecording", head: "HeadModel") -> str:
     """Line on the accuracy of depth and the coverage of the images so far."""
-    from vergence.calibration.head.advice import coverage_percent
+    from vergence.calibration.head.advice import image_coverage_percent
 
     known = "not enough for a head yet"
     if recording.preview is not None:
         known = f"depth known to {_depth(recording.preview)}"
-    left, right = coverage_percent(head, recording.frames())
+    left, right = image_coverage_percent(head, recording.frames())
     return f"{recording.poses} poses: {known}; {left:.0f} and {right:.0f} % of both images covered"
 
 

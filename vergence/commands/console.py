@@ -79,12 +79,14 @@ class _Notes(logging.Handler):
             )
 
 
-def print_failures(failures: Sequence[str]) -> None:
+def print_read_errors(read_errors: Sequence[str]) -> None:
     """Print one line per file that could not be read, at most `_MOST_FAILURES`."""
-    for text in failures[:_MOST_FAILURES]:
+    for text in read_errors[:_MOST_FAILURES]:
         print_to_stderr(f"error: {text}")
-    if len(failures) > _MOST_FAILURES:
-        print_to_stderr(f"error: and {len(failures) - _MOST_FAILURES} more that could not be read")
+    if len(read_errors) > _MOST_FAILURES:
+        print_to_stderr(
+            f"error: and {len(read_errors) - _MOST_FAILURES} more that could not be read"
+        )
 
 
 def replace_unprintable() -> None:
@@ -150,7 +152,7 @@ _LINE_INTERVAL_S: Final = 30.0
 """Time between two progress lines if there is no terminal, s (chosen: news against length)."""
 
 
-class ProgressListener:
+class ExperimentProgress:
     """Progress of experiments: a bar for each on a terminal, lines elsewhere."""
 
     def __init__(self) -> None:
@@ -164,7 +166,7 @@ class ProgressListener:
         self._bars = Progress(*columns, console=self._console)
         self._tasks: dict[str, TaskID] = {}
 
-    def __enter__(self) -> "ProgressListener":
+    def __enter__(self) -> "ExperimentProgress":
         if self._console.is_terminal:
             self._bars.start()
         return self

@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.text import Text
 
 from vergence import interrupts
-from vergence.commands.checks import check_and_print
+from vergence.commands.checks import check_robot_and_print
 from vergence.commands.extras import require_modules
 from vergence.commands.gaze_rows import print_gazes
 from vergence.commands.options import Flat, dated_run_folder
@@ -46,7 +46,7 @@ class Deploy:
         interrupts.raise_on_termination()
         log = self.log or dated_run_folder("deploy").with_suffix(".mcap")
         with _StatusPrinter(self.config) as status:
-            result = deploy(self.config, log, check=check_and_print, show=status.show)
+            result = deploy(self.config, log, check=check_robot_and_print, show=status.show)
         if self.json:
             print(json.dumps(result.summary(), indent=2, allow_nan=False))
         elif self.config.dry_run:

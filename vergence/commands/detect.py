@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import tyro
 
-from vergence.commands.console import print_failures, print_to_stderr, progress_bar
+from vergence.commands.console import print_read_errors, print_to_stderr, progress_bar
 from vergence.commands.options import check_figure, parse_size
 from vergence.commands.tables import print_table
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from vergence.models.boards import Target
-    from vergence.models.response import Response
+    from vergence.models.response import CameraResponse
     from vergence.perception.detect import DetectResult
     from vergence.vision import EyeCamera
 
@@ -77,10 +77,15 @@ class Detect:
         camera = load_camera(self.head, self.camera, self.eye, parse_size(self.size))
         response = None if self.response is None else parse_response(self.response)
         if self.live is not None:
-            from vergence.commands.live import run_live
+            from vergence.commands.live import watch_camera
 
-            return run_live(
-                self.live, targets, camera, self.seconds, response=response, as_json=self.json
+            return watch_camera(
+                self.live,
+                targets,
+                camera,
+                self.seconds,
+                camera_response=response,
+                as_json=self.json,
             )
         return self._photographs(targets, camera, response)
 
@@ -102,7 +107,7 @@ class Detect:
             raise ConfigurationError(f"seconds: expected more than 0, got {self.seconds}")
 
     def _photographs(
-        self, targets: "list[Target]", camera: "EyeCamera | None", response: "Response | None"
+        self, targets: "list[Target]", camera: "EyeCamera | None", response: "CameraResponse | None"
     ) -> int:
         from vergence.perception.detect import detect_in_photographs
         from vergence.perception.similar_targets import describe_similar_targets
@@ -113,8 +118,8 @@ class Detect:
 
         def keep(photograph: Photograph) -> None:
             # replaces one without detections
-            if len(shown) == _MOST_PANELS and photograph.found:
-                empty = [place for place, other in enumerate(shown) if not other.found]
+            if len(shown) == _MOST_PANELS and photograph.detections:
+                empty = [place for place, other in enumerate(shown) if not other.detections]
                 if empty:
                     del shown[empty[-1]]
             if len(shown) < _MOST_PANELS:
@@ -138,7 +143,7 @@ class Detect:
             _print(result)
         for text in result.remarks:
             print_to_stderr(text)
-        print_failures(result.failures)
+        print_read_errors(result.failures)
         if not result.sightings:
             count = len(result.images)
             where = f"any of {count} images" if count > 1 else str(result.images[0])

@@ -49,5 +49,5 @@ class Emulate:
             )
 
         errors = TWIN_SPREADS.scaled(self.errors) if self.errors else None
-        emulate(self.config, ready, errors=errors)
+        emulate(self.config, ready, model_errors=errors)
         return 0

@@ -17,8 +17,8 @@ from rich.table import Table
 from tyro.conf import arg
 
 from vergence import interrupts
-from vergence.commands.checks import check_and_print
-from vergence.commands.console import ProgressListener, print_to_stderr
+from vergence.commands.checks import check_robot_and_print
+from vergence.commands.console import ExperimentProgress, print_to_stderr
 from vergence.commands.extras import require_modules
 from vergence.commands.options import (
     Flat,
@@ -83,7 +83,7 @@ class Evaluate:
             # output of a user's own code must not mix with the result
             with (
                 redirect_stdout(sys.stderr),
-                ProgressListener() as bars,
+                ExperimentProgress() as bars,
                 self.machines.open_mapper() as mapper,
             ):
                 if self.config.tune:
@@ -117,13 +117,13 @@ class Evaluate:
         with hold_lock(run), _kept(run):
             with (
                 redirect_stdout(sys.stderr),
-                ProgressListener() as bars,
+                ExperimentProgress() as bars,
                 self.machines.open_mapper() as mapper,
             ):
                 mapper.progress = bars.begin("evaluate")
                 found = evaluate_on_robot(
                     config, run, mapper, bars.begin("robot"), resume=self.resume is not None,
-                    check=check_and_print, keep_going=True,
+                    check=check_robot_and_print, keep_going=True,
                 )  # fmt: skip
             for text in found.notes:
                 print_to_stderr(text)

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 COMPILED_AHEAD: Final = (
     "vergence.vision.tags.detector:compile_tag_fit",
     "vergence.models.fixation:fixate",
-    "vergence.models.kinematics:base_pose",
+    "vergence.models.kinematics:frame_n_in_base",
     "vergence.models.camera:rays_to_pixels",
-    "vergence.envs.reward:compile_assess",
+    "vergence.envs.reward:compile_step_result",
     "vergence.triangulation.rays:triangulate",
     "vergence.controllers.ibvs:ibvs_command",
 )
@@ -45,18 +45,18 @@ class Gaze:
     def run(self) -> int:
         """Run the command."""
         self.tables.check()
-        from vergence._ahead import compile_ahead
+        from vergence._ahead import compile_in_background
 
-        compile_ahead(COMPILED_AHEAD)
+        compile_in_background(COMPILED_AHEAD)
         from vergence.eval.gaze import GazeResult, run_gaze
         from vergence.eval.gaze_figure import draw_gaze
-        from vergence.eval.reporting.runs import write_config, write_json
+        from vergence.eval.reporting.runs import write_config_and_head, write_json
 
         def write(folder: Path) -> None:
             write_json(folder / "result.json", result.summary())
             result.trajectory.to_csv(folder / "trajectory.csv", index=False)
             self.tables.convert(folder / "trajectory.csv")
-            write_config(folder, result.config, result.head)
+            write_config_and_head(folder, result.config, result.head)
             if result.config.hardware is not None:
                 shutil.copyfile(result.config.hardware, folder / "hardware.toml")
             draw_gaze(result, folder / "gaze.png")
@@ -91,14 +91,14 @@ def _print_gaze(result: "GazeResult") -> None:
         )
     rows = []
     if result.has_truth:
-        rows.append(["truth", *(format_fixed(1e3 * v, 3) for v in result.truth_m), ""])
-    for name, fix in (("gaze", result.gaze), ("ITPC", result.itpc)):
+        rows.append(["truth", *(format_fixed(1e3 * v, 3) for v in result.true_target_m), ""])
+    for name, fix in (("gaze", result.gaze_fix), ("ITPC", result.view_fix)):
         point, sigma = 1e3 * fix.point[0], 1e3 * fix.sigma[0]
         gap = format_fixed(1e3 * fix.gap[0], 4)
         rows.append([name, *(format_fixed(v, 3) for v in point), gap])
         rows.append([f"{name}, 1 sigma", *(format_fixed(v, 3) for v in sigma), ""])
         if result.has_truth:
-            error = point - 1e3 * result.truth_m
+            error = point - 1e3 * result.true_target_m
             rows.append([f"{name}, error", *(format_fixed(v, 3, signed=True) for v in error), ""])
     if result.diagnostics:
         print(_describe_loop(result.diagnostics))
@@ -113,13 +113,13 @@ def _describe_loop(counts: dict[str, int]) -> str:
 
 def _describe_joints(head: "HeadModel") -> str:
     """Line that names a head's joints, and its actuators if these couple joints."""
-    from vergence.eval.head_summary import actuator_summaries
+    from vergence.eval.head_summary import coupled_actuator_summaries
 
     names = [name for name in dict.fromkeys(head.joints) if name]
     text = f"head {head.name}: joints {', '.join(names)}"
     if list(head.actuation.names) == names[-head.actuation.count :]:
         return text
-    moved = (f"{one.name} ({one.moves})" for one in actuator_summaries(head))
+    moved = (f"{one.name} ({one.moves})" for one in coupled_actuator_summaries(head))
     return f"{text}; actuators {', '.join(moved)}"
 
 
@@ -135,7 +135,7 @@ def _verdict(result: "GazeResult") -> int:
     if unseen:
         print_to_stderr(f"error: the target was never seen by the {' and the '.join(unseen)} eye")
         return 1
-    for name, fix in (("gaze", result.gaze), ("ITPC", result.itpc)):
+    for name, fix in (("gaze", result.gaze_fix), ("ITPC", result.view_fix)):
         if not fix.valid[0] and name == "gaze" and result.residual_px > 1.0:
             print_to_stderr(
                 "gaze found no point: the eyes of this head cannot both look at the target"

@@ -23,7 +23,7 @@ def print_gazes(rows: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]) -
     """Print a row for each gaze, and a summary line.
 
     Args:
-        rows: results of each gaze, see `vergence.eval.robot.gazes.Gazes.rows`.
+        rows: results of each gaze, see `vergence.eval.robot.gazes.RobotGazes.rows`.
         summary: see `Gazes.summary`; also holds the controller and the faults.
     """
     if rows:

@@ -35,18 +35,18 @@ def print_head_description(source: str, *, as_json: bool, figure: Path | None) -
         VergenceError: there is no such head, or the file is no head file.
         OSError: the figure cannot be written.
     """
-    from vergence.eval.head_summary import summarise
+    from vergence.eval.head_summary import summarise_head
     from vergence.models.files.assumed_values import assumed_values
     from vergence.models.files.head_file import load_head
 
     head = load_head(source)
-    summary = summarise(head)
+    summary = summarise_head(head)
     if figure is not None:  # before the tables: a closed pipe on standard output ends the program
         from vergence.eval.head_figure import draw_head
 
         draw_head(head, figure, summary)
     if as_json:
-        print(json.dumps(summary.document(), indent=2))
+        print(json.dumps(summary.json_document(), indent=2))
     else:
         _print_tables(summary)
         print_assumptions(assumed_values(head))
@@ -71,7 +71,7 @@ def _print_tables(summary: "HeadSummary") -> None:
     print_table(["number", "value"], rows, title=f"head {summary.name}", wrapped=(0, 1))
     print_joints("joints", summary.joints)
     print_joints("actuators of the eyes", summary.actuators)
-    if not summary.moves:
+    if not summary.has_moving_eyes:
         print("The eyes do not move: points are found by triangulate_views alone.\n")
     print_cameras(summary.eyes)
     if summary.calibration is not None:
@@ -82,7 +82,7 @@ def _reach(summary: "HeadSummary") -> list[list[str]]:
     from vergence.eval.head_reach import NEAREST_M
 
     reach = summary.reach
-    exact = summary.moves and summary.least_error_px < _FIXATED_PX
+    exact = summary.has_moving_eyes and summary.least_error_px < _FIXATED_PX
     what = "both eyes fixate" if exact else "both eyes see"
     if not isfinite(reach.nearest_m):
         return [[what, "no point straight ahead"]]
@@ -114,7 +114,7 @@ def _depth_errors(summary: "HeadSummary") -> list[list[str]]:
         for depth, error in summary.depth_error_mm.items()
     ]
     noise = f"{summary.detection_noise_px:g} px of detection noise"
-    if summary.moves:
+    if summary.has_moving_eyes:
         finest, coarsest = (f"{step:.3g}" for step in summary.encoder_steps_deg)
         steps = f"steps of {finest} to" if finest != coarsest else "a step of"
         noise += f", encoders with {steps} {coarsest} deg"

@@ -55,9 +55,9 @@ class Jog:
             for finding in raise_errors(check_servos(config, bus, check_joint_in_limits=False)):
                 print_to_stderr(f"warning: {finding}")
             session = JogSession(Joints(config, bus), self.config, step_rad, _say)
-            session.begin()
+            session.print_introduction()
             _execute_all(session, sys.stdin)
-            session.end()
+            session.warn_if_unwritten()
         except KeyboardInterrupt:
             if session is not None and session.wrote:
                 raise KeyboardInterrupt(f"{self.config} is written") from None
@@ -90,7 +90,7 @@ class JogSession:
         self._jog, self._path, self._step_rad, self._say = jog, path, step_rad, say
         self._written = dict(jog.servos)
 
-    def begin(self) -> None:
+    def print_introduction(self) -> None:
         """Show the joints."""
         self._say("one joint at a time, without limits: keep a hand at the power; help lists words")
         self._list()
@@ -107,7 +107,7 @@ class JogSession:
             self._say(f"error: {error}")
         return True
 
-    def end(self) -> None:
+    def warn_if_unwritten(self) -> None:
         """Warn if signs and zeros were changed but not written."""
         if self._jog.servos != self._written:
             self._say(f"left without write: {self._path} has the signs and zeros that it had")

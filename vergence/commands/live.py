@@ -18,18 +18,18 @@ from vergence.eval.reporting.text import format_fixed
 if TYPE_CHECKING:
     from vergence.models.boards import Target
     from vergence.models.parts import FloatArray
-    from vergence.models.response import Response
+    from vergence.models.response import CameraResponse
     from vergence.perception.live import LiveSummary
     from vergence.vision import EyeCamera
 
 
-def run_live(
+def watch_camera(
     source: str,
     targets: "Sequence[Target]",
     camera: "EyeCamera | None",
     seconds: float | None,
     *,
-    response: "Response | None",
+    camera_response: "CameraResponse | None",
     as_json: bool,
 ) -> int:
     """Watch a camera until Ctrl-C, the end of a video, or a time limit.
@@ -39,7 +39,8 @@ def run_live(
         targets: targets to detect.
         camera: model of the camera; None if it is not known.
         seconds: time limit, s; None for none.
-        response: light as a function of grey level; None for the camera's, see `make_detector`.
+        camera_response: light as a function of grey level; None for the camera's, see
+            `make_detector`.
         as_json: True to print the summary as JSON.
 
     Returns:
@@ -62,7 +63,7 @@ def run_live(
         with open_video(source) as images, shown as live:
             in_time = watch_targets(
                 images,
-                make_live_finders(targets, camera, response),
+                make_live_finders(targets, camera, camera_response),
                 statistics,
                 time.monotonic,
                 time_limit_s=seconds,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 
-from vergence.commands.console import print_failures, print_to_stderr, progress_bar
+from vergence.commands.console import print_read_errors, print_to_stderr, progress_bar
 from vergence.commands.options import Flat, TableOptions, claimed_run_folder, dated_run_folder
 from vergence.perception.locate_config import LocateConfig
 
@@ -30,18 +30,18 @@ class Locate:
     def run(self) -> int:
         """Run the command."""
         self.tables.check()
-        from vergence.commands.located import print_located
+        from vergence.commands.located import print_located_targets
         from vergence.eval.reporting.locate_figure import draw_located
-        from vergence.eval.reporting.runs import write_config, write_json
+        from vergence.eval.reporting.runs import write_config_and_head, write_json
         from vergence.perception.locate import LocateResult, locate
-        from vergence.perception.tables import write_points, write_targets
+        from vergence.perception.tables import write_corner_table, write_target_table
 
         def write(folder: Path) -> None:
             write_json(folder / "result.json", result.summary())
-            write_points(folder / "points.csv", result.located)
-            write_targets(folder / "targets.csv", result.located)
+            write_corner_table(folder / "points.csv", result.located)
+            write_target_table(folder / "targets.csv", result.located)
             self.tables.convert(folder / "points.csv", folder / "targets.csv")
-            write_config(folder, result.config, result.head)
+            write_config_and_head(folder, result.config, result.head)
             draw_located(result, folder / "locate.png")
 
         with claimed_run_folder(self.out or dated_run_folder("locate")) as run:
@@ -49,10 +49,10 @@ class Locate:
                 result: LocateResult = locate(self.config, report)
             if self.config.joints is None:
                 _say_rest(result.head)
-            run.finish(write, result.rows, lambda: print_located(result), as_json=self.json)
+            run.finish(write, result.rows, lambda: print_located_targets(result), as_json=self.json)
         for text in result.notes():  # below the table: some explain its rows
             print_to_stderr(text)
-        print_failures(result.failures)
+        print_read_errors(result.failures)
         if not result.any_triangulated:
             print_to_stderr(f"error: {_nothing(result)}")
         if not run.saved or result.failures:
@@ -72,7 +72,7 @@ def _nothing(result: "LocateResult") -> str:
 
     left = result.shown.left
     there = ""
-    if not left.found:
+    if not left.detections:
         targets = parse_targets(result.config.target)
         there = describe_similar_targets(left.image, targets, EyeCamera.of(result.head, 0))
     return f"expected {names} {pairs}, found none" + (

@@ -11,7 +11,7 @@ from vergence.perception.spacing import MM, measure_spacing
 from vergence.perception.target_finder import tag_number
 
 
-def print_located(result: LocateResult) -> None:
+def print_located_targets(result: LocateResult) -> None:
     """Print a table for each board, and one for all tags of one family and size.
 
     Args:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from vergence import interrupts
-from vergence.commands.checks import check_and_print
+from vergence.commands.checks import check_robot_and_print
 from vergence.commands.console import print_to_stderr, progress_bar
 from vergence.commands.extras import require_modules
 from vergence.commands.tables import print_table
@@ -52,7 +52,7 @@ class MeasureDelay:
         eyes = EYE_NAMES if self.eye == "both" else (self.eye,)
         for eye in eyes:  # refuses a wrong actuator before the robot is checked
             actuator_slot(hardware.head, EYE_NAMES.index(eye), self.actuator)
-        check_and_print(hardware)
+        check_robot_and_print(hardware)
         interrupts.raise_on_termination()
         try:
             with progress_bar("measure") as report:

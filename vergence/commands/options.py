@@ -98,10 +98,10 @@ class RunFolder:
         Returns:
             True if it is written. If not, a command still prints its results.
         """
-        from vergence.eval.reporting.runs import save_run
+        from vergence.eval.reporting.runs import save_run_at_free_path
 
         try:
-            place = save_run(self.folder, write)
+            place = save_run_at_free_path(self.folder, write)
         except ConfigurationError as error:
             print_to_stderr(f"error: {error}")
             return False

@@ -42,7 +42,7 @@ class ReplayLog:
                 print_to_stderr(text)
             if not result.log.trials:
                 print_to_stderr(f"there is no gaze in {result.log.path}")
-            if result.log.cut_off:
+            if result.log.truncation_reason:
                 print_to_stderr(f"{result.log.path} is cut off, as by a crash: read up to there")
 
             def write(folder: Path) -> None:
@@ -50,7 +50,7 @@ class ReplayLog:
                 self.tables.convert(*sorted(folder.glob("*.csv")))
 
             run.finish(write, result.summary, lambda: _print(result), as_json=self.json)
-        for text in result.log.faults:
+        for text in result.log.stop_reasons:
             print_to_stderr(f"the log has a fault: {text}")
         return 0 if run.saved else 2
 

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from vergence.commands.console import ProgressListener
+from vergence.commands.console import ExperimentProgress
 from vergence.commands.options import Flat, JobOptions, TableOptions
 from vergence.commands.tables import print_table
 from vergence.eval.article.config import ReproduceConfig
 
 if TYPE_CHECKING:
-    from vergence.eval.reporting.report import Section
+    from vergence.eval.reporting.report import ReportSection
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class Reproduce:
 
         folder = self.config.folder
         try:
-            with self.machines.open_mapper() as mapper, ProgressListener() as bars:
+            with self.machines.open_mapper() as mapper, ExperimentProgress() as bars:
                 sections = reproduce(self.config, bars, mapper)
             self.tables.convert(*sorted((folder / "tables").glob("*.csv")))
             _print_summary(sections)
@@ -43,7 +43,7 @@ class Reproduce:
         return 0
 
 
-def _print_summary(sections: "list[Section]") -> None:
+def _print_summary(sections: "list[ReportSection]") -> None:
     from vergence.eval.article.criterion import REPRODUCED, VERDICTS
     from vergence.eval.reporting.glossary import METHODS_LEGEND
     from vergence.eval.reporting.report import article_summary_rows, count_verdicts

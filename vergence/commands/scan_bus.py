@@ -44,8 +44,8 @@ class ScanBus:
         # reports a port that cannot be opened once, not for each rate
         open_bus(BusConfig(port=self.port, baud_rate=57_600)).close()
         with progress_bar("scan-bus") as report:
-            found = scan_for_servos(self.port, ids=ids, report=report)
-        for rate, why in found.left_out.items():
+            found = scan_for_servos(self.port, single_ping_ids=ids, progress=report)
+        for rate, why in found.unsupported_rates.items():
             print_to_stderr(f"{rate} baud was left out: {why}")
         latency = check_latency_timer(self.port)
         if latency is not None:
@@ -74,7 +74,7 @@ def _row(servo: "FoundServo") -> list[str]:
     from vergence.hardware.dynamixel import control_table as table
     from vergence.hardware.servo_memory import model_name
 
-    known = [str(servo.id), model_name(servo.model)]
+    known = [str(servo.id), model_name(servo.model_number)]
     memory = servo.memory
     if memory is None:
         return [*known, "", str(servo.baud_rate), "", "", "", "", ""]
@@ -99,9 +99,10 @@ def _mode(mode: int) -> str:
 
 
 def _say_nobody(port: str, found: "ScanResult") -> None:
-    if found.damaged:
+    if found.damaged_packets:
         print_to_stderr(
-            f"error: {port}: expected servos, got {found.damaged} damaged answers: servos with "
+            f"error: {port}: expected servos, got {found.damaged_packets} damaged answers: "
+            "servos with "
             "one id talk at once (plug in one alone and give it another id), or the cable is bad"
         )
         return

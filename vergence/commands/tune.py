@@ -72,9 +72,9 @@ class Tune:
         self._check_tables(head, scenario)
         with self.machines.open_mapper() as mapper, progress_bar(f"tune {config.name}") as report:
             if config.learned:
-                from vergence.training.tuning import SPANS, training_objective
+                from vergence.training.tuning import RECIPE_SEARCH_RANGES, training_objective
 
-                search_ranges, objective = SPANS, training_objective(config, folder)
+                search_ranges, objective = RECIPE_SEARCH_RANGES, training_objective(config, folder)
             else:
                 search_ranges = search_space(config.controller)
                 objective = controller_objective(config, scenario, head, mapper)
@@ -115,7 +115,7 @@ class Tune:
 
     def _check_tables(self, head: "HeadModel", scenario: "Scenario") -> None:
         """Refuse, before any work is done, tables that cannot take the result."""
-        from vergence.controllers.tuned import check_writable, load_tuned
+        from vergence.controllers.tuned import check_table_writable, load_tuned
         from vergence.models.files.head_file import load_head, presets
 
         known = {load_head(name).digest for name in presets()} | {scenario.model().digest}
@@ -128,7 +128,7 @@ class Tune:
         for path in self._tables():
             if path.exists():
                 load_tuned(path)
-            check_writable(path)
+            check_table_writable(path)
 
     def _entry(self, result: "TuneResult", head: "HeadModel") -> "TunedEntry":
         """The result as an entry of a table."""
@@ -142,18 +142,18 @@ class Tune:
             head=head.name,
             digest=head.digest,
             plant=config.plant,
-            command=repeat_command(config, trials=not result.config.grid),
+            command=repeat_command(config, with_trials=not result.config.grid),
             seed=config.seed,
             options={name: float(f"{value:.6g}") for name, value in options.items()},
         )
 
 
-def repeat_command(config: TuneConfig, *, trials: bool) -> str:
+def repeat_command(config: TuneConfig, *, with_trials: bool) -> str:
     """Command line that repeats a search, from any folder.
 
     Args:
         config: options of the search.
-        trials: True to state the number of points; a grid defines it by itself.
+        with_trials: True to state the number of points; a grid defines it by itself.
     """
     from vergence.models.files.head_file import absolute_source
 
@@ -164,7 +164,7 @@ def repeat_command(config: TuneConfig, *, trials: bool) -> str:
         words += ["--plant", config.plant]
     if config.grid:
         words += ["--grid"]
-    if trials:
+    if with_trials:
         words += ["--trials", str(config.trials)]
     words += ["--episodes", str(config.episodes), "--seed", str(config.seed)]
     return shlex.join(words)
@@ -175,8 +175,8 @@ def _print(result: "TuneResult") -> None:
     console = Console(highlight=False)
     shown = sorted(result.attempts, key=lambda attempt: attempt.rank)[:_PRINTED_POINTS]
     rows = [
-        [f"headline ({result.unit})", *(f"{a.results['headline']:z.4f}" for a in shown)],
-        [f"mean ({result.unit})", *(f"{a.results['mean']:z.4f}" for a in shown)],
+        [f"headline ({result.metric_unit})", *(f"{a.results['headline']:z.4f}" for a in shown)],
+        [f"mean ({result.metric_unit})", *(f"{a.results['mean']:z.4f}" for a in shown)],
         ["good", *(f"{a.results['settled_fraction']:.1%}" for a in shown)],
     ]
     rows += [[name, *(f"{a.options[name]:z.4g}" for a in shown)] for name in result.best.options]

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 
 from vergence._jit import kernel
 from vergence.controllers.coupled import reducible_pixel_error
-from vergence.controllers.ibvs import as_depth, ibvs_velocities, speed_limits
-from vergence.controllers.image_law import ImageLaw
+from vergence.controllers.ibvs import depth_or_nan, ibvs_velocities, speed_limits
+from vergence.controllers.image_law import GatedImageController
 from vergence.controllers.outlier_gate import GatedDetections
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.validation import check_at_least_zero
@@ -30,7 +30,7 @@ from vergence.models.parts import FloatArray
 from vergence.operands import as_operand
 
 
-class AdaptiveIBVS(ImageLaw):
+class AdaptiveIBVS(GatedImageController):
     """IBVS whose gain depends on the size of each eye's error.
 
     Args:
@@ -61,7 +61,7 @@ class AdaptiveIBVS(ImageLaw):
         for name, value in values.items():
             check_at_least_zero(name, value)
         super().__init__(head=head, layout=layout)
-        self._depth = as_depth(depth)
+        self._depth = depth_or_nan(depth)
         self._limit = speed_limits(layout, speed_limit)
         self._constants = np.array([lambda_zero, lambda_inf, slope_zero])
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import inlined, kernel, subroutine
-from vergence.envs.reducible import image_jacobians, reducible_part
+from vergence.envs.reducible import image_jacobians, reducible_error_by_jacobian
 from vergence.models.actuator_projection import actuator_least_squares
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead
@@ -46,13 +46,13 @@ def reducible_pixel_error(
 
 
 @subroutine
-def actuator_velocities(
+def limited_actuator_velocities(
     p: PackedHead,
     q: FloatArray,
     error: FloatArray,
     depth_m: float,
     limit: FloatArray,
-    out: FloatArray,
+    velocities_in_out: FloatArray,
 ) -> float:
     """Compute actuator velocities that move both images as nearly as possible as wanted.
 
@@ -64,8 +64,8 @@ def actuator_velocities(
         depth_m: the target's depth, m; nan to triangulate it.
         limit: (4,) largest speeds of the actuators, rad/s; a command beyond them is scaled down,
             keeping its direction.
-        out: (4,) wanted image velocities (u, v) of the left, then the right eye, px/s, replaced by
-            the velocities of the actuators, rad/s.
+        velocities_in_out: (4,) wanted image velocities (u, v) of the left, then the right eye,
+            px/s, replaced by the velocities of the actuators, rad/s.
 
     Returns:
         Factor by which the command exceeded the limits; 1 for not at all.
@@ -74,9 +74,9 @@ def actuator_velocities(
     left, right = _sees(error, 0), _sees(error, 1)
     image_jacobians(p, q, error, depth_m, left, right, jacobian)
     for k in range(4):
-        wanted[k // 2, k % 2] = out[k]
-    actuator_least_squares(p, jacobian, wanted, left, right, out)
-    return _limited(limit, out)
+        wanted[k // 2, k % 2] = velocities_in_out[k]
+    actuator_least_squares(p, jacobian, wanted, left, right, velocities_in_out)
+    return _limited(limit, velocities_in_out)
 
 
 @inlined
@@ -104,7 +104,7 @@ def reducible_errors(
     jacobian = np.zeros((2, 2, 2))
     left, right = _sees(pixel_error, 0), _sees(pixel_error, 1)
     image_jacobians(p, q, pixel_error, depth_m[0], left, right, jacobian)
-    reducible_part(p, jacobian, pixel_error, left, right, out)
+    reducible_error_by_jacobian(p, jacobian, pixel_error, left, right, out)
 
 
 @kernel(
@@ -124,7 +124,7 @@ def coupled_command(
     jacobian, wanted = np.zeros((2, 2, 2)), np.zeros((2, 2))
     left, right = _sees(pixel_error, 0), _sees(pixel_error, 1)
     image_jacobians(p, q, pixel_error, depth_m[0], left, right, jacobian)
-    reducible_part(p, jacobian, pixel_error, left, right, wanted)
+    reducible_error_by_jacobian(p, jacobian, pixel_error, left, right, wanted)
     for eye in range(2):
         for axis in range(2):
             wanted[eye, axis] *= -gain[eye, axis]

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from vergence.controllers.command_steps import CommandQuantiser
 from vergence.controllers.ibvs import IBVS
-from vergence.controllers.prediction.oscillation import MANY_HALF_SWINGS
-from vergence.controllers.prediction.predictor import Predictor
+from vergence.controllers.prediction.oscillation import OSCILLATING_HALF_SWINGS
+from vergence.controllers.prediction.predictor import SmithPredictor
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import Observation, ObservationLayout
 from vergence.models.actuation import SLOTS
@@ -36,7 +36,7 @@ class DelayCompensatedIBVS(StatefulController):
         depth: see `IBVS`.
         speed_limit: see `IBVS`.
         delay: `estimated` on line or `nominal`, for both the images' delay and the actuators'
-            response, see `Predictor`.
+            response, see `SmithPredictor`.
 
     Raises:
         ConfigurationError: an option has an invalid value.
@@ -54,7 +54,7 @@ class DelayCompensatedIBVS(StatefulController):
     ) -> None:
         super().__init__(head=head, layout=layout)
         self.law = IBVS(head=head, layout=layout, gain=gain, depth=depth, speed_limit=speed_limit)
-        self.predictor = Predictor(head=head, layout=layout, delay=delay, lag=delay)
+        self.predictor = SmithPredictor(head=head, layout=layout, delay=delay, lag=delay)
         self._quantiser = CommandQuantiser(head, self.layout.action_limits)
 
     def _initial(self) -> FloatArray:
@@ -66,6 +66,6 @@ class DelayCompensatedIBVS(StatefulController):
         q[..., EYES] = present.positions
         command = self.law.command(q, present.pixel_error)
         # the law is linear: scaling its command scales its gain
-        excess = np.maximum(present.half_swings - MANY_HALF_SWINGS, 0.0)
+        excess = np.maximum(present.half_swing_count - OSCILLATING_HALF_SWINGS, 0.0)
         command = command * np.exp2(-excess)[..., None]
         return self._quantiser.quantise(command, state[..., -SLOTS:])

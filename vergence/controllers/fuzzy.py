@@ -52,7 +52,7 @@ from vergence.controllers.pid import (
 )
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
 from vergence.envs.layout import ObservationLayout
-from vergence.envs.validation import check_above_zero, check_number
+from vergence.envs.validation import check_above_zero, check_finite_number
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED, PackedHead
@@ -156,7 +156,7 @@ class FuzzyPID(PID):
             head=head, layout=layout, kp=kp, ki=ki, kd=kd, filter_s=filter_s, depth=depth
         )
         for name, value in {"span_p": span_p, "span_i": span_i, "span_d": span_d}.items():
-            if not 0.0 <= check_number(name, value) <= 1.0:
+            if not 0.0 <= check_finite_number(name, value) <= 1.0:
                 raise ConfigurationError(f"{name}: expected 0 to 1, got {value!r}")
         check_above_zero("error_px", error_px)
         check_above_zero("rate_px_s", rate_px_s)

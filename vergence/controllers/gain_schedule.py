@@ -7,7 +7,7 @@ newest image, and they rest where that error is zero.
 
 An action of a schedule is four numbers in [-1, 1], whatever moves the head's eyes: for left v, left
 u, right v and right u, in the order of the joints that move these axes (a tilt moves v, a pan u).
-For eyes that pan first, the order is u, v, see `gain_names`.
+For eyes that pan first, the order is u, v, see `gain_names_of_head`.
 
     gain = 5 (1 + action)^2 per second
 
@@ -28,13 +28,13 @@ from vergence.models.parts import FloatArray
 
 GAIN_LIMIT: Final = 20.0
 """Largest gain, 1/s; the least is 0 (chosen)."""
-GAIN_NAMES: Final = ("left_v", "left_u", "right_v", "right_u")
+TILT_FIRST_GAIN_NAMES: Final = ("left_v", "left_u", "right_v", "right_u")
 """Gains of the four numbers of a schedule's action, for eyes that tilt first."""
 _TRIANGULATED: Final = np.nan
 
 
-def gain_names(head: HeadModel) -> tuple[str, ...]:
-    """Name the gains of the four numbers of a schedule's action.
+def gain_names_of_head(head: HeadModel) -> tuple[str, ...]:
+    """Name the four gains of a schedule's action in its order: eye, image axis (`left_v`).
 
     Args:
         head: the model of the head.
@@ -42,10 +42,10 @@ def gain_names(head: HeadModel) -> tuple[str, ...]:
     Returns:
         For a head whose four eye joints each have their own motor, the image axis that each joint
         moves most at rest, in joint order, so that the gains have the order of the actuators; for
-        any other head `GAIN_NAMES`.
+        any other head `TILT_FIRST_GAIN_NAMES`.
     """
     if not head.actuation.direct:
-        return GAIN_NAMES
+        return TILT_FIRST_GAIN_NAMES
     moved = np.abs(head.image_jacobian(head.rest(), head.cameras.principal, np.ones(2)))
     names: list[str] = []
     for eye, name in enumerate(EYE_NAMES):
@@ -55,43 +55,47 @@ def gain_names(head: HeadModel) -> tuple[str, ...]:
     return tuple(names)
 
 
-def gain_order(names: Sequence[str] = GAIN_NAMES) -> list[int]:
-    """Return the index in `gain_names` of the gain of each eye and image axis (u, v)."""
-    return [names.index(f"{eye}_{axis}") for eye in EYE_NAMES for axis in "uv"]
+def gain_indices_by_axis(gain_names: Sequence[str] = TILT_FIRST_GAIN_NAMES) -> list[int]:
+    """Return the index in `gain_names_of_head` of the gain of each eye and image axis (u, v)."""
+    return [gain_names.index(f"{eye}_{axis}") for eye in EYE_NAMES for axis in "uv"]
 
 
-def gains_from_action(action: ArrayLike, names: Sequence[str] = GAIN_NAMES) -> FloatArray:
+def gains_from_action(
+    action: ArrayLike, names: Sequence[str] = TILT_FIRST_GAIN_NAMES
+) -> FloatArray:
     """Compute the gains that a schedule's action asks for.
 
     Args:
         action: (..., 4) in the order of `names`; limited to [-1, 1].
-        names: the head's `gain_names`.
+        names: the head's `gain_names_of_head`.
 
     Returns:
         (..., 2, 2) gains in 1/s, 0 to 20, by eye and image axis (u, v).
     """
     share = 0.5 * (1.0 + np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0))
-    gains = GAIN_LIMIT * share[..., gain_order(names)] ** 2
+    gains = GAIN_LIMIT * share[..., gain_indices_by_axis(names)] ** 2
     return np.ascontiguousarray(gains).reshape(*share.shape[:-1], 2, 2)
 
 
-def action_from_gains(gains: ArrayLike, names: Sequence[str] = GAIN_NAMES) -> NDArray[np.float32]:
+def action_from_gains(
+    gains: ArrayLike, names: Sequence[str] = TILT_FIRST_GAIN_NAMES
+) -> NDArray[np.float32]:
     """Compute the schedule's action that asks for given gains, the inverse of `gains_from_action`.
 
     Args:
         gains: (..., 2, 2) by eye and image axis, 1/s; limited to 0 to 20.
-        names: the head's `gain_names`.
+        names: the head's `gain_names_of_head`.
 
     Returns:
         (..., 4) actions.
     """
     share = np.sqrt(np.clip(np.asarray(gains, dtype=np.float64), 0.0, GAIN_LIMIT) / GAIN_LIMIT)
     by_axis = (2.0 * share - 1.0).reshape(*share.shape[:-2], 4)
-    return by_axis[..., np.argsort(gain_order(names))].astype(np.float32)
+    return by_axis[..., np.argsort(gain_indices_by_axis(names))].astype(np.float32)
 
 
-class ScheduledLaw:
-    """The article's law with gains given from outside.
+class ScheduledIBVS:
+    """Image-based visual servoing with gains that the caller gives in each period.
 
     Args:
         head: the model of the head.
@@ -101,7 +105,7 @@ class ScheduledLaw:
     def __init__(self, head: HeadModel, layout: ObservationLayout) -> None:
         self.head = head
         self.layout = layout
-        self.names = gain_names(head)
+        self.names = gain_names_of_head(head)
         """Gains of the four numbers of an action."""
 
     def action(self, observation: ArrayLike, gains: ArrayLike) -> NDArray[np.float32]:

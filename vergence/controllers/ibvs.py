@@ -22,7 +22,7 @@ from vergence._jit import inlined, kernel
 from vergence.controllers.coupled import coupled_command
 from vergence.controllers.fitting import checked_layout
 from vergence.envs.layout import ObservationLayout
-from vergence.envs.validation import check_number, float_array
+from vergence.envs.validation import check_finite_number, real_number_array
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.jacobian import eye_jacobian
@@ -59,7 +59,7 @@ class IBVS:
         self.head = head
         self.layout = checked_layout(head, layout)
         self.gain = as_gains("gain", gain)
-        self._depth = as_depth(depth)
+        self._depth = depth_or_nan(depth)
         self._limit = speed_limits(layout, speed_limit)
 
     def predict(
@@ -127,7 +127,7 @@ def as_gains(name: str, gain: ArrayLike) -> FloatArray:
         ConfigurationError: the value has another form, is negative or not finite.
     """
     try:
-        gains = np.broadcast_to(float_array(gain), (2, 2)).copy()
+        gains = np.broadcast_to(real_number_array(gain), (2, 2)).copy()
     except (TypeError, ValueError) as error:
         raise ConfigurationError(
             f"{name}: expected a number, (k1, k2) or a (2, 2) array, got {gain!r}"
@@ -137,7 +137,7 @@ def as_gains(name: str, gain: ArrayLike) -> FloatArray:
     return gains
 
 
-def as_depth(depth: str | float) -> float:
+def depth_or_nan(depth: str | float) -> float:
     """Return the law's depth in metres; nan for `triangulated`.
 
     Raises:
@@ -147,7 +147,7 @@ def as_depth(depth: str | float) -> float:
         if depth != "triangulated":
             raise ConfigurationError(f"depth: expected 'triangulated' or metres, got {depth!r}")
         return nan
-    if check_number("depth", depth) <= 0.0:
+    if check_finite_number("depth", depth) <= 0.0:
         raise ConfigurationError(f"depth: expected metres above 0, got {depth!r}")
     return float(depth)
 
@@ -168,24 +168,24 @@ def speed_limits(layout: ObservationLayout, speed_limit: float | None) -> FloatA
     limit = np.array(layout.action_limits)
     if speed_limit is None:
         return limit
-    if check_number("speed_limit", speed_limit) <= 0.0:
+    if check_finite_number("speed_limit", speed_limit) <= 0.0:
         raise ConfigurationError(f"speed_limit: expected rad/s above 0, got {speed_limit!r}")
     return np.minimum(limit, speed_limit)
 
 
 @inlined
-def joint_velocities(
+def limited_joint_velocities(
     p: PackedHead,
     q: FloatArray,
     error: FloatArray,
     depth_m: float,
     limit: FloatArray,
-    out: FloatArray,
+    velocities_in_out: FloatArray,
 ) -> tuple[float, float]:
     """Compute joint velocities that move the images as wanted, within the joints' speed limits.
 
-    For a head whose four eye joints each have their own motor; see `actuator_velocities` for other
-    heads.
+    For a head whose four eye joints each have their own motor; see `limited_actuator_velocities`
+    for other heads.
 
     Args:
         p: a packed head.
@@ -193,9 +193,9 @@ def joint_velocities(
         error: (2, 2) pixel errors by eye and image axis, px; nan where not visible.
         depth_m: the target's depth, m; nan to triangulate it.
         limit: (4,) largest joint speeds, rad/s; a command beyond them is scaled down.
-        out: (4,) wanted image velocities (u, v) of the left, then the right eye, px/s, replaced by
-            the velocities of each eye's joints, rad/s; zero for an eye that does not see the
-            target.
+        velocities_in_out: (4,) wanted image velocities (u, v) of the left, then the right eye,
+            px/s, replaced by the velocities of each eye's joints, rad/s; zero for an eye that does
+            not see the target.
 
     Returns:
         Factor by which each eye's command exceeded the limits; 1 for not at all.
@@ -208,8 +208,8 @@ def joint_velocities(
     excess_l = excess_r = 1.0
     for eye in range(2):
         du, dv = error[eye, 0], error[eye, 1]
-        ru, rv = out[2 * eye], out[2 * eye + 1]
-        out[2 * eye] = out[2 * eye + 1] = 0.0
+        ru, rv = velocities_in_out[2 * eye], velocities_in_out[2 * eye + 1]
+        velocities_in_out[2 * eye] = velocities_in_out[2 * eye + 1] = 0.0
         if not (isfinite(du) and isfinite(dv)):
             continue
         camera = camera_of(p, eye)
@@ -222,7 +222,7 @@ def joint_velocities(
             continue
         first, second = (v2 * ru - u2 * rv) / det, (u1 * rv - v1 * ru) / det
         excess = max(1.0, abs(first) / limit[2 * eye], abs(second) / limit[2 * eye + 1])
-        out[2 * eye], out[2 * eye + 1] = first / excess, second / excess
+        velocities_in_out[2 * eye], velocities_in_out[2 * eye + 1] = first / excess, second / excess
         if eye == 0:
             excess_l = excess
         else:
@@ -247,4 +247,4 @@ def ibvs_command(
     for eye in range(2):
         for axis in range(2):
             out[2 * eye + axis] = -gain[eye, axis] * pixel_error[eye, axis]
-    joint_velocities(p, q, pixel_error, depth_m[0], limit, out)
+    limited_joint_velocities(p, q, pixel_error, depth_m[0], limit, out)

@@ -17,8 +17,10 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 
-class ImageLaw(StatefulController):
-    """A law on pixel errors between an `OutlierGate` and `CommandQuantiser`.
+class GatedImageController(StatefulController):
+    """Base of controllers with a law on pixel errors.
+
+    Detections pass an `OutlierGate` before the law, and its commands a `CommandQuantiser`.
 
     The state is that of the gate, then the law's own, then the rounding errors of the commands.
 

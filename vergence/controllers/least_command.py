@@ -5,15 +5,15 @@ from vergence.controllers.prediction.joints import PredictorParameters
 
 
 @inlined
-def least_command(
-    u: float, resting_error: float, params: PredictorParameters, gain: float
+def compensate_dead_zone(
+    u: float, error_after_coasting: float, params: PredictorParameters, gain: float
 ) -> float:
     """Replace a command too small to move the motor by the smallest effective pulse, or by zero.
 
     Args:
         u: the command, rad/s.
-        resting_error: distance from the goal at which the actuator would come to rest under zero
-            command, rad.
+        error_after_coasting: distance from the goal at which the actuator would come to rest under
+            zero command, rad.
         params: the head's parameters.
         gain: ratio of the actuator's velocity to its command.
     """
@@ -21,6 +21,6 @@ def least_command(
     if step == 0.0 or abs(u) >= 1.5 * step:
         return u
     push = 2.0 * step
-    if abs(u) > 0.3 * step and abs(resting_error) > 0.6 * push * gain * params.period_s:
+    if abs(u) > 0.3 * step and abs(error_after_coasting) > 0.6 * push * gain * params.period_s:
         return push if u > 0.0 else -push
     return 0.0

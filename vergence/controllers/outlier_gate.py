@@ -11,7 +11,7 @@ it confirms a jump of the target; one on the line from p_0 through it confirms t
 started to move. After several inconsistent detections in a row one is accepted, so that nothing is
 held for ever.
 
-A missed detection counts as a dropped frame too: a single one always, several for `BRIDGED_S`.
+A missed detection counts as a dropped frame too: a single one always, several for `MAX_BRIDGED_S`.
 After that, or at once if the image moves so fast that motion blur may hide the target, the eye
 counts as not seeing its target: it has to come to rest to see it again.
 """
@@ -29,9 +29,9 @@ from vergence.models.parts import FloatArray
 TOLERANCE_PX: Final = 6.0
 """Largest distance between detections of a resting target, px, in addition to six standard
 deviations of noise (chosen)."""
-BRIDGED_S: Final = 0.05
+MAX_BRIDGED_S: Final = 0.05
 """Time for which several missed detections count as dropped frames, s (chosen)."""
-MOST_HELD: Final = 3
+MAX_HELD_DETECTIONS: Final = 3
 """Largest number of detections in a row that are held back (chosen: outliers against reaction
 time)."""
 _SPEED_MARGIN: Final = 2.0
@@ -67,14 +67,14 @@ class GatedDetections(NamedTuple):
     """(..., 2) 1 for an eye whose fresh detection shows a jump of its target; otherwise 0."""
 
 
-class EyeGate:
+class EyeGateState:
     """State of the gate for one eye."""
 
-    error: Annotated[FloatArray, 2]
+    accepted_error: Annotated[FloatArray, 2]
     """Last accepted detection, px."""
-    angles: Annotated[FloatArray, 2]
+    accepted_angles: Annotated[FloatArray, 2]
     """Angles of the eye's joints at its exposure, rad."""
-    since_s: float
+    accepted_since_s: float
     """Time since it arrived, s."""
     held_error: Annotated[FloatArray, 2]
     """Last detection that was held back, px."""
@@ -93,13 +93,13 @@ class EyeGate:
 class GateState:
     """State of the gate for one head."""
 
-    eyes: Annotated[list[EyeGate], 2]
+    eyes: Annotated[list[EyeGateState], 2]
     image_age_s: float
     """Age of the newest image, s."""
 
 
 class GateLaw:
-    """Constants of the gate."""
+    """Constants of the outlier gate."""
 
     tolerance_px: float
     focal_px: Annotated[FloatArray, 2]
@@ -162,25 +162,25 @@ class OutlierGate:
 
 
 @inlined
-def _classify(g: EyeGate, law: GateLaw, u: float, v: float) -> int:
+def _classify(g: EyeGateState, law: GateLaw, u: float, v: float) -> int:
     """Classify a detection as held back, accepted or a jump; consistent motion raises the speed."""
     if g.sees_target < 0.5:
         return _ACCEPTED
-    off = hypot(u - g.error[0], v - g.error[1])
-    if off <= law.tolerance_px + _SPEED_MARGIN * g.speed_px_s * g.since_s:
+    off = hypot(u - g.accepted_error[0], v - g.accepted_error[1])
+    if off <= law.tolerance_px + _SPEED_MARGIN * g.speed_px_s * g.accepted_since_s:
         if off > 0.5 * law.tolerance_px:
-            g.speed_px_s = max(g.speed_px_s, off / g.since_s)
+            g.speed_px_s = max(g.speed_px_s, off / g.accepted_since_s)
         return _ACCEPTED
     if g.held_count < 0.5:
         return _HELD
-    if g.held_count > MOST_HELD - 0.5:
+    if g.held_count > MAX_HELD_DETECTIONS - 0.5:
         return _JUMPED
     room = law.tolerance_px + _SPEED_MARGIN * g.speed_px_s * g.held_since_s
     beside = hypot(u - g.held_error[0], v - g.held_error[1])
     if beside <= room:
         return _JUMPED
-    du, dv = g.held_error[0] - g.error[0], g.held_error[1] - g.error[1]
-    on = g.held_since_s / (g.since_s - g.held_since_s)
+    du, dv = g.held_error[0] - g.accepted_error[0], g.held_error[1] - g.accepted_error[1]
+    on = g.held_since_s / (g.accepted_since_s - g.held_since_s)
     swerve = hypot(u - g.held_error[0] - on * du, v - g.held_error[1] - on * dv)
     if swerve <= room + _MAX_SWERVE_RATIO * hypot(du, dv):
         g.speed_px_s = max(g.speed_px_s, beside / g.held_since_s)
@@ -219,7 +219,7 @@ def update_gate(
         first = 3 + 2 * eye
         turning = law.focal_px[eye] * hypot(velocities[first], velocities[first + 1])
         g.speed_px_s = max(law.speed_decay * g.speed_px_s, turning)
-        g.since_s += law.period_s
+        g.accepted_since_s += law.period_s
         g.held_since_s += law.period_s
         u, v = error[eye, 0], error[eye, 1]
         fresh[eye] = jumped[eye] = 0.0
@@ -229,9 +229,9 @@ def update_gate(
             g.missed_count = 0.0
             verdict = _classify(g, law, u, v)
             if verdict != _HELD:
-                g.error[0], g.error[1] = u, v
-                g.angles[0], g.angles[1] = q[first], q[first + 1]
-                g.since_s = g.held_count = 0.0
+                g.accepted_error[0], g.accepted_error[1] = u, v
+                g.accepted_angles[0], g.accepted_angles[1] = q[first], q[first + 1]
+                g.accepted_since_s = g.held_count = 0.0
                 g.sees_target = fresh[eye] = 1.0
                 jumped[eye] = 1.0 if verdict == _JUMPED else 0.0
             else:
@@ -240,11 +240,14 @@ def update_gate(
                 g.held_count += 1.0
         else:
             g.missed_count += 1.0
-            late = g.missed_count > 1.5 and g.since_s > BRIDGED_S
+            late = g.missed_count > 1.5 and g.accepted_since_s > MAX_BRIDGED_S
             if g.sees_target < 0.5 or late or g.speed_px_s > law.smearing_px_s:
                 g.sees_target = g.held_count = 0.0
                 fresh[eye] = 1.0
         accepted[eye, 0] = accepted[eye, 1] = nan
         if g.sees_target > 0.5:
-            accepted[eye, 0], accepted[eye, 1] = g.error[0], g.error[1]
-            angles_at_exposure[first], angles_at_exposure[first + 1] = g.angles[0], g.angles[1]
+            accepted[eye, 0], accepted[eye, 1] = g.accepted_error[0], g.accepted_error[1]
+            angles_at_exposure[first], angles_at_exposure[first + 1] = (
+                g.accepted_angles[0],
+                g.accepted_angles[1],
+            )

@@ -28,9 +28,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence._jit import inlined, kernel
-from vergence.controllers.coupled import actuator_velocities, reducible_pixel_error
-from vergence.controllers.ibvs import as_depth, as_gains, joint_velocities
-from vergence.controllers.image_law import ImageLaw
+from vergence.controllers.coupled import limited_actuator_velocities, reducible_pixel_error
+from vergence.controllers.ibvs import as_gains, depth_or_nan, limited_joint_velocities
+from vergence.controllers.image_law import GatedImageController
 from vergence.controllers.outlier_gate import GatedDetections
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
 from vergence.envs.layout import ObservationLayout
@@ -78,7 +78,7 @@ _SIZE: Final = row_size(PID_STATE)
 PID_LAW: Final = row_layout(PIDLaw)
 
 
-class PID(ImageLaw):
+class PID(GatedImageController):
     """PID on pixel errors, by eye and image axis.
 
     Args:
@@ -113,9 +113,9 @@ class PID(ImageLaw):
             gains=gains,
             filter_s=filter_s,
             period_s=layout.period_s,
-            depth_m=as_depth(depth),
+            depth_m=depth_or_nan(depth),
         )
-        self._depth = as_depth(depth)
+        self._depth = depth_or_nan(depth)
         self._limit = np.array(layout.action_limits)
 
     @property
@@ -209,7 +209,7 @@ def pid_velocities(
     gains: Gains,
     error: FloatArray,
     q: FloatArray,
-    elapsed: tuple[float, float],
+    elapsed_s: tuple[float, float],
     limit: FloatArray,
     p: PackedHead,
     out: FloatArray,
@@ -222,7 +222,7 @@ def pid_velocities(
         gains: the present gains.
         error: (2, 2) pixel errors by eye and image axis, px; nan where not visible.
         q: (7,) joint angles at the exposure, rad.
-        elapsed: times returned by `update_error_rates`, s.
+        elapsed_s: times returned by `update_error_rates`, s.
         limit: (4,) largest speeds of the actuators, rad/s.
         p: a packed head.
         out: (4,) result: the velocities, rad/s.
@@ -231,11 +231,11 @@ def pid_velocities(
         for axis in range(2):
             out[2 * eye + axis] = _asked(s, gains, eye, axis)
     if has_motor_per_joint(p):
-        excess_l, excess_r = joint_velocities(p, q, error, law.depth_m, limit, out)
+        excess_l, excess_r = limited_joint_velocities(p, q, error, law.depth_m, limit, out)
     else:
-        excess_l = excess_r = actuator_velocities(p, q, error, law.depth_m, limit, out)
+        excess_l = excess_r = limited_actuator_velocities(p, q, error, law.depth_m, limit, out)
     for eye in range(2):
-        dt = elapsed[0] if eye == 0 else elapsed[1]
+        dt = elapsed_s[0] if eye == 0 else elapsed_s[1]
         limited = (excess_l if eye == 0 else excess_r) > 1.0
         for axis in range(2):
             e = s.error[eye, axis]

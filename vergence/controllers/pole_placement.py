@@ -21,7 +21,7 @@ _DAMPING: Final = 0.8
 
 @inlined
 def pole_placement_command(
-    angle_error: float, v: float, w: float, rate: float, lag: float, build_up: float
+    angle_error: float, v: float, w: float, pole_rate: float, lag_s: float, build_up: float
 ) -> float:
     """Compute the command of the law, rad/s.
 
@@ -29,9 +29,11 @@ def pole_placement_command(
         angle_error: angle to the goal, rad.
         v: velocity, rad/s.
         w: acceleration, rad/s^2.
-        rate: k, 1/s.
-        lag: l, s.
+        pole_rate: k, 1/s.
+        lag_s: l, s.
         build_up: m.
     """
-    damped = max(lag, 2.0 * _DAMPING * sqrt(build_up) * lag)
-    return rate * (angle_error - damped * v - build_up * lag * lag * w) - (damped - lag) * w
+    damped = max(lag_s, 2.0 * _DAMPING * sqrt(build_up) * lag_s)
+    return (
+        pole_rate * (angle_error - damped * v - build_up * lag_s * lag_s * w) - (damped - lag_s) * w
+    )

@@ -2,7 +2,7 @@
 
 from typing import ClassVar, Literal
 
-from vergence.controllers.prediction.predictor import Predictor
+from vergence.controllers.prediction.predictor import SmithPredictor
 from vergence.controllers.stateful import StatefulController
 from vergence.envs.layout import ObservationLayout
 from vergence.models.head import HeadModel
@@ -10,13 +10,13 @@ from vergence.models.parts import FloatArray
 
 
 class PredictiveController(StatefulController):
-    """A controller whose state is that of a `Predictor`.
+    """A controller whose state is that of a `SmithPredictor`.
 
     Args:
         head: the model of the head.
         layout: the layout of observations and actions.
-        delay: `estimated` on line or `nominal`, see `Predictor`.
-        lag: `estimated` on line or `nominal` response of the actuators, see `Predictor`.
+        delay: `estimated` on line or `nominal`, see `SmithPredictor`.
+        lag: `estimated` on line or `nominal` response of the actuators, see `SmithPredictor`.
 
     Raises:
         ConfigurationError: an option has an invalid value.
@@ -34,8 +34,8 @@ class PredictiveController(StatefulController):
         lag: Literal["estimated", "nominal"] = "estimated",
     ) -> None:
         super().__init__(head=head, layout=layout)
-        self.predictor = Predictor(
-            head=head, layout=layout, delay=delay, lag=lag, moving=self._targets_move
+        self.predictor = SmithPredictor(
+            head=head, layout=layout, delay=delay, lag=lag, targets_move=self._targets_move
         )
 
     def _initial(self) -> FloatArray:

@@ -24,18 +24,18 @@ Layout: TypeAlias = np.dtype[np.void]
 """Offsets of the fields of a row."""
 
 
-def row_layout(fields: type) -> Layout:
+def row_layout(record_class: type) -> Layout:
     """Build the layout of a row from the annotations of a class.
 
     Args:
-        fields: a class whose annotations are `float`, `Annotated[FloatArray, *shape]`, another
-            such class, or `Annotated[list[another], number]`.
+        record_class: a class whose annotations are `float`, `Annotated[FloatArray, *shape]`,
+            another such class, or `Annotated[list[another], number]`.
 
     Returns:
         A dtype of float64 only, in the order of the annotations.
     """
     layout: list[tuple[str, Any, tuple[int, ...]]] = []
-    for name, hint in get_type_hints(fields, include_extras=True).items():
+    for name, hint in get_type_hints(record_class, include_extras=True).items():
         shape: tuple[int, ...] = getattr(hint, "__metadata__", ())
         kind = hint.__origin__ if shape else hint
         if get_origin(kind) is list:

@@ -1,9 +1,9 @@
 r"""Saccade and trim: the eyes turn to the predicted goal in the shortest time and stay there.
 
 In each period every actuator takes the fastest command that still lets it stop at the goal
-(`vergence.controllers.time_optimal`). There is no ballistic phase: the goal of `Predictor` is read
-anew in each period, so an error of the head's model or its joints is corrected as soon as an image
-shows it. Close to the goal, where the time-optimal law would follow the noise of pixels and
+(`vergence.controllers.time_optimal`). There is no ballistic phase: the goal of `SmithPredictor` is
+read anew in each period, so an error of the head's model or its joints is corrected as soon as an
+image shows it. Close to the goal, where the time-optimal law would follow the noise of pixels and
 encoders, a soft law takes over, `u = k (goal - q - lag v)`, which approaches the goal without
 overshoot at the rate k.
 
@@ -24,19 +24,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence._jit import kernel
-from vergence.controllers.least_command import least_command
+from vergence.controllers.least_command import compensate_dead_zone
 from vergence.controllers.pole_placement import pole_placement_command
 from vergence.controllers.prediction.joints import (
     PREDICTOR_PARAMETERS,
     PREDICTOR_PARAMETERS_SIZE,
     PredictorParameters,
 )
-from vergence.controllers.prediction.oscillation import MANY_HALF_SWINGS, calmed_rate
+from vergence.controllers.prediction.oscillation import (
+    OSCILLATING_HALF_SWINGS,
+    oscillation_reduced_rate,
+)
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import record_view
-from vergence.controllers.time_optimal import fastest_command, joint_timing
+from vergence.controllers.time_optimal import joint_timing, time_optimal_command
 from vergence.envs.layout import Observation, ObservationLayout
-from vergence.envs.validation import check_above_zero, check_at_least_zero, check_number
+from vergence.envs.validation import check_above_zero, check_at_least_zero, check_finite_number
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -59,8 +62,8 @@ _MAX_BLIND_SACCADE_S: Final = 0.12
 _LEAST_LAG_S: Final = 0.004
 """Lower bound of the lag in the soft law's rate, s (numerical)."""
 MODEL_QUALITY_FIELDS: Final = (
-    "acceleration_ratio", "acceleration_sd", "latency_sd_s", "noise_rad", "misfit",
-    "half_swings", "build_up",
+    "acceleration_ratio", "acceleration_sd", "response_latency_sd_s", "noise_rad",
+    "response_misfit", "half_swing_count", "build_up",
 )  # fmt: skip
 """Fields of a `Prediction` that determine how fast the law may be."""
 _MAX_MISFIT: Final = 4.0
@@ -86,8 +89,8 @@ class Saccade(PredictiveController):
         trim_px: least distance from the goal within which the soft law trims, in pixels at the
             principal point; with noisy detections the distance is four standard deviations.
         trim_gain: rate k of the soft law, 1/s.
-        delay: `estimated` on line or `nominal`, see `Predictor`.
-        lag: `estimated` on line or `nominal` response of the actuators, see `Predictor`.
+        delay: `estimated` on line or `nominal`, see `SmithPredictor`.
+        lag: `estimated` on line or `nominal` response of the actuators, see `SmithPredictor`.
 
     Raises:
         ConfigurationError: an option has an invalid value.
@@ -106,7 +109,7 @@ class Saccade(PredictiveController):
         lag: Literal["estimated", "nominal"] = "estimated",
     ) -> None:
         super().__init__(head=head, layout=layout, delay=delay, lag=lag)
-        if not 0.0 < check_number("braking", braking) <= 1.0:
+        if not 0.0 < check_finite_number("braking", braking) <= 1.0:
             raise ConfigurationError(f"braking: expected a share above 0 up to 1, got {braking!r}")
         check_at_least_zero("caution", caution)
         check_at_least_zero("trim_px", trim_px)
@@ -122,8 +125,8 @@ class Saccade(PredictiveController):
             now.angle_error,
             now.velocities,
             now.accelerations,
-            now.rates,
-            now.later_rates,
+            now.goal_rates,
+            now.goal_rates_at_effect,
             now.known,
             now.lag_s,
             now.speed_gain,
@@ -174,7 +177,7 @@ def saccade_command(
     params: PredictorParameters = record_view(params_row, PREDICTOR_PARAMETERS)
     period = params.period_s
     unsure = min(model_quality[1] + model_quality[2] / period, 1.0)
-    oscillates = model_quality[5] > MANY_HALF_SWINGS
+    oscillates = model_quality[5] > OSCILLATING_HALF_SWINGS
     unexplained, builds_up = model_quality[4] > _MAX_MISFIT, model_quality[6] > 0.0
     for j in range(4):
         out[j] = 0.0
@@ -191,18 +194,20 @@ def saccade_command(
         )
         if goal_velocity[j] != 0.0:  # lose sight only briefly of a target that may reverse
             visible_speed = max(
-                _JOINT_BLUR_FRACTION * params.max_slip_rad_s / params.leverage[j],
+                _JOINT_BLUR_FRACTION * params.max_slip_rad_s / params.max_joint_per_actuator[j],
                 abs(angle_error[j]) / _MAX_BLIND_SACCADE_S,
             )
             speed = min(speed, visible_speed)
         a = model_quality[0] * params.acceleration_limit[j]
         # uncertain part of the angle turned in a period at full acceleration
         wide = law_row[2] if goal_velocity[j] == 0.0 else _MOVING_TRIM_FACTOR * law_row[2]
-        soft = max(wide, _ZONE_SIGMAS * model_quality[3]) / params.leverage[j]
+        soft = max(wide, _ZONE_SIGMAS * model_quality[3]) / params.max_joint_per_actuator[j]
         near = max(soft, _ZONE_ANGLES * min(a, _MAX_ZONE_ACCELERATION) * period**2 * unsure)
         calm = oscillates or (unexplained and goal_velocity[j] == 0.0)
         if calm or builds_up:
-            linear_rate = calmed_rate(_CALM_RATE, model_quality[5]) if calm else _LINEAR_RATE
+            linear_rate = (
+                oscillation_reduced_rate(_CALM_RATE, model_quality[5]) if calm else _LINEAR_RATE
+            )
             u = pole_placement_command(
                 angle_error[j], v, acceleration[j], linear_rate, lag, model_quality[6]
             )
@@ -213,7 +218,7 @@ def saccade_command(
         else:
             braking = law_row[0] * exp(-min(law_row[1] * model_quality[1], 1.0)) * a
             trusted = joint_timing(lag, speed, braking, period)
-            u = fastest_command(angle_error[j], v, a, trusted)
+            u = time_optimal_command(angle_error[j], v, a, trusted)
         u = (min(max(u, -speed), speed) + goal_velocity_at_effect[j]) / speed_gain[j]
         resting_error = angle_error[j] - lag * (v + model_quality[6] * lag * acceleration[j])
-        out[j] = least_command(u, resting_error, params, speed_gain[j])
+        out[j] = compensate_dead_zone(u, resting_error, params, speed_gain[j])

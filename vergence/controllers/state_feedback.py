@@ -19,14 +19,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import kernel
-from vergence.controllers.least_command import least_command
+from vergence.controllers.least_command import compensate_dead_zone
 from vergence.controllers.pole_placement import pole_placement_command
 from vergence.controllers.prediction.joints import (
     PREDICTOR_PARAMETERS,
     PREDICTOR_PARAMETERS_SIZE,
     PredictorParameters,
 )
-from vergence.controllers.prediction.oscillation import calmed_rate
+from vergence.controllers.prediction.oscillation import oscillation_reduced_rate
 from vergence.controllers.prediction.predictor import Prediction
 from vergence.controllers.predictive import PredictiveController
 from vergence.controllers.rows import record_view
@@ -47,8 +47,8 @@ class StateFeedback(PredictiveController):
         layout: the layout of observations and actions.
         gain: k, 1/s.
         damping: c, fraction of the coasting distance lag*v subtracted from the error.
-        delay: `estimated` on line or `nominal`, see `Predictor`.
-        lag: `estimated` on line or `nominal` response of the actuators, see `Predictor`.
+        delay: `estimated` on line or `nominal`, see `SmithPredictor`.
+        lag: `estimated` on line or `nominal` response of the actuators, see `SmithPredictor`.
 
     Raises:
         ConfigurationError: an option has an invalid value.
@@ -87,7 +87,7 @@ def linear_command(prediction: Prediction, params_row: FloatArray, law: ArrayLik
     lag_values = np.stack([prediction.lag_s, prediction.build_up], axis=-1)
     command = feedback_command(
         prediction.angle_error, prediction.velocities, prediction.accelerations, prediction.known,
-        lag_values, prediction.speed_gain, prediction.half_swings, params_row, law,
+        lag_values, prediction.speed_gain, prediction.half_swing_count, params_row, law,
     )  # fmt: skip
     return np.asarray(command)
 
@@ -101,9 +101,9 @@ def feedback_command(
     velocity: FloatArray,
     acceleration: FloatArray,
     known: NDArray[np.bool_],
-    lag_values: FloatArray,
+    lag_and_build_up: FloatArray,
     gain: FloatArray,
-    half_swings: FloatArray,
+    half_swing_count: FloatArray,
     params_row: FloatArray,
     law: FloatArray,
     out: FloatArray,
@@ -115,15 +115,15 @@ def feedback_command(
         velocity: (4,) velocities of the actuators, rad/s.
         acceleration: (4,) accelerations of the actuators, rad/s^2.
         known: (2,) True if an eye has a goal; an actuator that moves no such eye is held still.
-        lag_values: (2,) lag in the head's timing, s, and its build-up.
+        lag_and_build_up: (2,) lag in the head's timing, s, and its build-up.
         gain: (4,) ratios of velocity to command.
-        half_swings: () decayed count of half swings of oscillation.
+        half_swing_count: () decayed count of half swings of oscillation.
         params_row: a row of `vergence.controllers.prediction.joints.PredictorParameters`.
         law: the options `gain` and `damping`.
         out: (4,) result: the commands, rad/s.
     """
     params: PredictorParameters = record_view(params_row, PREDICTOR_PARAMETERS)
-    k = calmed_rate(law[0], half_swings[0])
+    k = oscillation_reduced_rate(law[0], half_swing_count[0])
     for j in range(4):
         out[j] = 0.0
         if not (
@@ -131,10 +131,10 @@ def feedback_command(
             or (known[1] and params.moves_eye[j, 1] > 0.5)
         ):
             continue
-        v, w, lag = velocity[j], acceleration[j], params.lag_ratio[j] * lag_values[0]
+        v, w, lag = velocity[j], acceleration[j], params.lag_ratio[j] * lag_and_build_up[0]
         limit = gain[j] * params.speed_limit[j]
-        damping = law[1] if lag_values[1] == 0.0 else 1.0
-        u = pole_placement_command(angle_error[j], v, w, k, damping * lag, lag_values[1])
+        damping = law[1] if lag_and_build_up[1] == 0.0 else 1.0
+        u = pole_placement_command(angle_error[j], v, w, k, damping * lag, lag_and_build_up[1])
         u = min(max(u, -limit), limit)
-        resting_error = angle_error[j] - lag * (v + lag_values[1] * lag * w)
-        out[j] = least_command(u / gain[j], resting_error, params, gain[j])
+        resting_error = angle_error[j] - lag * (v + lag_and_build_up[1] * lag * w)
+        out[j] = compensate_dead_zone(u / gain[j], resting_error, params, gain[j])

@@ -34,9 +34,9 @@ class JointTiming(NamedTuple):
 
     lag: float
     """Time constant, s."""
-    u_max: float
+    max_command: float
     """Largest command, rad/s."""
-    a: float
+    max_acceleration: float
     """Largest acceleration, rad/s^2, inf for none."""
     period: float
     """The control period, s."""
@@ -47,7 +47,7 @@ class JointTiming(NamedTuple):
     """Largest speed that a last period can stop within the acceleration limit, rad/s."""
     last_stop_speed: float
     """Largest speed that a last period can stop at all, rad/s."""
-    distance_per_speed: float
+    last_distance_per_speed: float
     """Distance moved in a last period per unit of its initial speed, up to `smooth_stop_speed`,
     s."""
     last_distance: float
@@ -55,36 +55,61 @@ class JointTiming(NamedTuple):
 
 
 @inlined
-def joint_timing(lag: float, u_max: float, a: float, period: float) -> JointTiming:
+def joint_timing(
+    lag: float, max_command: float, max_acceleration: float, period: float
+) -> JointTiming:
     """Compute the timing of one joint from its lag, its limits and the control period."""
     lag = max(lag, _LEAST_LAG_S)
     e = exp(-period / lag)
     per_speed = lag - period * e / (1.0 - e)
-    smooth_stop_speed = min(a * lag * (1.0 - e), u_max * (1.0 - e) / e if e > 0.0 else inf)
+    smooth_stop_speed = min(
+        max_acceleration * lag * (1.0 - e), max_command * (1.0 - e) / e if e > 0.0 else inf
+    )
     last_stop_speed, distance = smooth_stop_speed, per_speed * smooth_stop_speed
-    if a * lag <= u_max and a * period > smooth_stop_speed:
-        last_stop_speed, distance = a * period, 0.5 * a * period * period
+    if max_acceleration * lag <= max_command and max_acceleration * period > smooth_stop_speed:
+        last_stop_speed, distance = (
+            max_acceleration * period,
+            0.5 * max_acceleration * period * period,
+        )
     return JointTiming(
-        lag, u_max, a, period, e, smooth_stop_speed, last_stop_speed, per_speed, distance
+        lag,
+        max_command,
+        max_acceleration,
+        period,
+        e,
+        smooth_stop_speed,
+        last_stop_speed,
+        per_speed,
+        distance,
     )
 
 
 @inlined
-def stopping_distance(v: float, joint: JointTiming) -> float:
+def signed_stopping_distance(velocity: float, joint: JointTiming) -> float:
     """Shortest signed distance that a joint moves until it rests, in the direction of v, rad."""
-    side = 1.0 if v >= 0.0 else -1.0
-    v = abs(v)
+    side = 1.0 if velocity >= 0.0 else -1.0
+    velocity = abs(velocity)
     distance: float = 0.0
     for _ in range(_MAX_BRAKING_PERIODS):  # a joint that needs longer cannot be stopped
-        if not v > joint.last_stop_speed:
+        if not velocity > joint.last_stop_speed:
             break
-        dq, v = follow_joint(0.0, v, -joint.u_max, joint.lag, joint.a, joint.period, joint.decay)
+        dq, velocity = follow_joint(
+            0.0,
+            velocity,
+            -joint.max_command,
+            joint.lag,
+            joint.max_acceleration,
+            joint.period,
+            joint.decay,
+        )
         distance += dq
-    if v <= joint.smooth_stop_speed:
-        distance += joint.distance_per_speed * v
+    if velocity <= joint.smooth_stop_speed:
+        distance += joint.last_distance_per_speed * velocity
     else:
-        smooth_distance = joint.distance_per_speed * joint.smooth_stop_speed
-        share = (v - joint.smooth_stop_speed) / (joint.last_stop_speed - joint.smooth_stop_speed)
+        smooth_distance = joint.last_distance_per_speed * joint.smooth_stop_speed
+        share = (velocity - joint.smooth_stop_speed) / (
+            joint.last_stop_speed - joint.smooth_stop_speed
+        )
         distance += smooth_distance + share * (joint.last_distance - smooth_distance)
     return side * distance
 
@@ -93,46 +118,55 @@ def stopping_distance(v: float, joint: JointTiming) -> float:
 def _overrun(u: float, angle_error: float, v: float, a: float, trusted: JointTiming) -> float:
     """Compute how far beyond the goal the joint stops after a period of command u, rad."""
     q, after = follow_joint(0.0, v, u, trusted.lag, a, trusted.period, trusted.decay)
-    return q + stopping_distance(after, trusted) - angle_error
+    return q + signed_stopping_distance(after, trusted) - angle_error
 
 
 @inlined
-def fastest_command(angle_error: float, v: float, a: float, trusted: JointTiming) -> float:
+def time_optimal_command(
+    angle_error: float,
+    velocity: float,
+    present_max_acceleration: float,
+    braking_timing: JointTiming,
+) -> float:
     """Compute this period's command of the time-optimal motion.
 
     Args:
         angle_error: angle to the goal, rad.
-        v: velocity, rad/s.
-        a: acceleration limit in this period, rad/s^2, at least that of `trusted`.
-        trusted: timing from `joint_timing`, with the acceleration that is trusted for later
+        velocity: velocity, rad/s.
+        present_max_acceleration: acceleration limit in this period, rad/s^2, at least that of
+            `braking_timing`.
+        braking_timing: timing from `joint_timing`, with the acceleration that is trusted for later
             braking.
 
     Returns:
         The command, rad/s.
     """
-    e, u_max, period = trusted.decay, trusted.u_max, trusted.period
-    u = (angle_error - trusted.lag * v + v * period * e * e / (1.0 - e)) / (period * (1.0 - e))
+    e, u_max, period = braking_timing.decay, braking_timing.max_command, braking_timing.period
+    u = (angle_error - braking_timing.lag * velocity + velocity * period * e * e / (1.0 - e)) / (
+        period * (1.0 - e)
+    )
     calm = (
-        abs(u - v) <= trusted.a * trusted.lag and abs(u + (v - u) * e) <= trusted.smooth_stop_speed
+        abs(u - velocity) <= braking_timing.max_acceleration * braking_timing.lag
+        and abs(u + (velocity - u) * e) <= braking_timing.smooth_stop_speed
     )
     if abs(u) <= u_max and calm:
         return u
-    below = _overrun(-u_max, angle_error, v, a, trusted)
+    below = _overrun(-u_max, angle_error, velocity, present_max_acceleration, braking_timing)
     if below >= 0.0:
         return -u_max
-    above = _overrun(u_max, angle_error, v, a, trusted)
+    above = _overrun(u_max, angle_error, velocity, present_max_acceleration, braking_timing)
     if above <= 0.0:
         return u_max
     # beyond these the acceleration limit holds all period, and u changes nothing
-    widest = a * (trusted.lag + period)
-    low, high = max(-u_max, v - widest), min(u_max, v + widest)
+    widest = present_max_acceleration * (braking_timing.lag + period)
+    low, high = max(-u_max, velocity - widest), min(u_max, velocity + widest)
     # regula falsi, Illinois variant
     kept = 0
     for _ in range(_MAX_ROOT_ITERATIONS):
         if not above > below:  # converged to rounding
             break
         u = (low * above - high * below) / (above - below)
-        overrun = _overrun(u, angle_error, v, a, trusted)
+        overrun = _overrun(u, angle_error, velocity, present_max_acceleration, braking_timing)
         if abs(overrun) < _TOLERANCE_RAD:
             break
         if overrun > 0.0:

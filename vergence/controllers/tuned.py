@@ -48,7 +48,7 @@ class TunedKey(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class TunedEntry:
-    """One entry of a table."""
+    """Options tuned for one controller, scenario and head, with the run that found them."""
 
     controller: str
     scenario: str
@@ -77,13 +77,13 @@ Table = dict[TunedKey, TunedEntry]
 """Entries by their keys."""
 
 
-def tuned_controller(controller: str) -> str:
-    """Return the controller whose options are tuned: `ibvs` for `ibvs-tuned`."""
+def name_in_tuned_table(controller: str) -> str:
+    """Return the name under which tables store a controller's options: `ibvs` for `ibvs-tuned`."""
     return "ibvs" if controller == "ibvs-tuned" else controller
 
 
-def evaluated_controller(controller: str) -> str:
-    """Return the controller that evaluates options of a law: `ibvs-tuned` for gains of `ibvs`."""
+def name_for_evaluation(controller: str) -> str:
+    """Return the name of the controller that uses tuned options: `ibvs-tuned` for `ibvs`."""
     return "ibvs-tuned" if controller == "ibvs" else controller
 
 
@@ -157,7 +157,7 @@ def user_table() -> Table:
     return load_tuned(path) if os.path.lexists(path) else {}
 
 
-def check_writable(path: Path) -> None:
+def check_table_writable(path: Path) -> None:
     """Raise an error, before any work is done, for a table that could not be written at the end.
 
     Raises:
@@ -177,12 +177,12 @@ def _unwritable(path: Path, error: OSError) -> ConfigurationError:
     )
 
 
-def find_tuned(name: str, scenario: str, head: HeadModel) -> TunedEntry | None:
+def find_tuned_or_fallback(controller: str, scenario: str, head: HeadModel) -> TunedEntry | None:
     """Find the best known options of a controller in a scenario.
 
     Args:
-        name: the controller. `ibvs` has no entry: it stands for the article's constant gain, and
-            `ibvs-tuned` for the best one.
+        controller: the controller. `ibvs` has no entry: it stands for the article's constant gain,
+            and `ibvs-tuned` for the best one.
         scenario: the scenario's name.
         head: the head.
 
@@ -194,9 +194,9 @@ def find_tuned(name: str, scenario: str, head: HeadModel) -> TunedEntry | None:
     Raises:
         ConfigurationError: the user's table cannot be read.
     """
-    if name == "ibvs":
+    if controller == "ibvs":
         return None
-    key = TunedKey(tuned_controller(name), scenario, head.digest)
+    key = TunedKey(name_in_tuned_table(controller), scenario, head.digest)
     own = user_table().get(key) or shipped_table().get(key)
     if own is not None:
         return own
@@ -209,9 +209,9 @@ def is_tuned_for(entry: TunedEntry | None, head: HeadModel) -> bool:
     return entry is not None and entry.digest == head.digest
 
 
-def tuned_options(name: str, scenario: str, head: HeadModel) -> dict[str, Any]:
-    """Return the options of `find_tuned`, for `make_controller`; empty if there are none."""
-    entry = find_tuned(name, scenario, head)
+def tuned_or_fallback_options(controller: str, scenario: str, head: HeadModel) -> dict[str, Any]:
+    """Return the options of `find_tuned_or_fallback` for `make_controller`; may be empty."""
+    entry = find_tuned_or_fallback(controller, scenario, head)
     return {} if entry is None else dict(entry.options)
 
 
@@ -229,7 +229,7 @@ def write_tuned(path: Path, entry: TunedEntry) -> None:
         ConfigurationError: an option has another type, or the file cannot be read or written; the
             file then stays as it was.
     """
-    law = tuned_controller(entry.controller)
+    law = name_in_tuned_table(entry.controller)
     where = f"{law}.{entry.scenario}"
     options = {key: _toml_value(f"{where}.{key}", value) for key, value in entry.options.items()}
     entry = dataclasses.replace(entry, controller=law, seed=int(entry.seed), options=options)

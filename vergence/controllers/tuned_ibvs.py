@@ -6,17 +6,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.controllers.ibvs import IBVS
-from vergence.controllers.image_law import ImageLaw
+from vergence.controllers.image_law import GatedImageController
 from vergence.controllers.outlier_gate import GatedDetections
-from vergence.controllers.tuned import find_tuned, is_tuned_for, shipped_table
+from vergence.controllers.tuned import find_tuned_or_fallback, is_tuned_for, shipped_table
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import UnknownNameError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 
-class TunedIBVS(ImageLaw):
-    """The law of `IBVS` with the best fixed gain of a scenario, as an `ImageLaw`.
+class TunedIBVS(GatedImageController):
+    """The law of `IBVS` with the best fixed gain of a scenario, as an `GatedImageController`.
 
     Args:
         head: the model of the head.
@@ -49,7 +49,7 @@ class TunedIBVS(ImageLaw):
         self.scenario = scenario
         self.tuned = False
         if gain is None:
-            entry = find_tuned("ibvs-tuned", scenario, head)
+            entry = find_tuned_or_fallback("ibvs-tuned", scenario, head)
             if entry is None:
                 known = {key.scenario for key in shipped_table() if key.controller == "ibvs"}
                 raise UnknownNameError("scenario", scenario, sorted(known))

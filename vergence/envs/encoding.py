@@ -60,7 +60,7 @@ FIELDS: Final = observation_slices(SLOTS)
 # actuator slot
 WIDTH: Final = 0
 CENTRE: Final = 1
-HALF: Final = 5
+HALF_RANGE: Final = 5
 SPEED: Final = 9
 LIMIT: Final = 13
 RESTING_NECK: Final = 17
@@ -73,13 +73,13 @@ SCALING: Final = 58
 """Length of the scaling array."""
 
 
-def observation_scaling(head: HeadModel) -> FloatArray:
+def packed_observation_scaling(head: HeadModel) -> FloatArray:
     """(SCALING,) packed scale factors of a head's observations, with its neck held at rest."""
     row = np.zeros(SCALING)
     own = head.actuation
     row[WIDTH], row[RIGHT_WIDTH] = head.cameras.size[:, 0]
-    row[CENTRE:HALF] = 0.5 * (own.lower + own.upper)[EYES]
-    row[HALF:SPEED] = 0.5 * (own.upper - own.lower)[EYES] + ANGLE_MARGIN_RAD
+    row[CENTRE:HALF_RANGE] = 0.5 * (own.lower + own.upper)[EYES]
+    row[HALF_RANGE:SPEED] = 0.5 * (own.upper - own.lower)[EYES] + ANGLE_MARGIN_RAD
     row[SPEED:LIMIT] = SPEED_MARGIN * own.velocity[EYES]
     row[LIMIT:RESTING_NECK] = own.velocity[EYES]
     row[RESTING_NECK:RIGHT_WIDTH] = head.rest()[NECK]
@@ -158,7 +158,7 @@ def encode_observation(
 
     Args:
         out: (11 + 4 m,) result.
-        scaling: (SCALING,) see `observation_scaling`.
+        scaling: (SCALING,) see `packed_observation_scaling`.
         error: (2, 2) measured pixel errors, px.
         reading: readings of the batch.
         n: environment index.
@@ -183,7 +183,7 @@ def encode_observation(
             angle = _actuators(scaling, k, reading.positions[n], 1.0)
             at_exposure = _actuators(scaling, k, reading.positions_at_exposure[n], 1.0)
             rate = _actuators(scaling, k, reading.velocities[n], 0.0)
-        centre, half = scaling[CENTRE + k], scaling[HALF + k]
+        centre, half = scaling[CENTRE + k], scaling[HALF_RANGE + k]
         i = ACTUATORS + k
         out[i] = _clip((angle - centre) / half)
         out[i + m] = _clip((at_exposure - centre) / half)
@@ -203,7 +203,7 @@ def decode_observation(
     Args:
         observation: (..., size).
         size: length of one observation.
-        scaling: (SCALING,) see `observation_scaling`.
+        scaling: (SCALING,) see `packed_observation_scaling`.
 
     Returns:
         The fields of `vergence.envs.layout.Observation`.
@@ -234,10 +234,10 @@ def _decode(
     velocities: FloatArray,
     command: FloatArray,
 ) -> None:
-    """Compute the fields of `Observation`; the three arguments after `scaling` are
-    `_DIMENSION_DUMMIES`.
+    """Compute the fields of `Observation`.
 
-    At least `ACTUATORS` numbers are read, so callers must have checked the length.
+    The three arguments after `scaling` are `_DIMENSION_DUMMIES`, which only set sizes. At
+    least `ACTUATORS` numbers are read, so callers must have checked the length.
     """
     for eye in range(2):
         seen = obs[VISIBLE + eye] > 0.5
@@ -258,7 +258,7 @@ def _decode(
         velocities[3 + j] = command[j] = 0.0
     m = min((len(obs) - ACTUATORS) // 4, SLOTS)
     for k in range(m):
-        i, centre, half = ACTUATORS + k, scaling[CENTRE + k], scaling[HALF + k]
+        i, centre, half = ACTUATORS + k, scaling[CENTRE + k], scaling[HALF_RANGE + k]
         angle, then = centre + half * obs[i], centre + half * obs[i + m]
         rate = scaling[SPEED + k] * obs[i + 2 * m]
         command[k] = scaling[LIMIT + k] * obs[i + 3 * m]

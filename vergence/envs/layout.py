@@ -20,8 +20,8 @@ from vergence.envs.encoding import (
     VISIBLE,
     WIDTH,
     decode_observation,
-    observation_scaling,
     observation_slices,
+    packed_observation_scaling,
 )
 from vergence.envs.reading import BoolArray
 from vergence.models.actuation import SLOTS
@@ -88,7 +88,7 @@ class ObservationLayout:
     def of(cls, head: HeadModel) -> "ObservationLayout":
         """The layout for a head, its neck held at rest."""
         return cls(
-            scaling=observation_scaling(head),
+            scaling=packed_observation_scaling(head),
             action_names=head.actuation.names,
             latency_s=head.timing.latency_s,
             period_s=head.timing.period_s,

@@ -32,7 +32,7 @@ class OutsideView:
         self._head = head
         self._places = find_model_indices(self._model, head).joint_of_qpos
         posture = rest_poses(head)
-        self._upright, self._width_m = posture.upright, posture.baseline_m
+        self._upright, self._width_m = posture.upright_frame, posture.baseline_m
         self._renderer: mujoco.Renderer | None = None
 
     def draw(
@@ -69,7 +69,9 @@ class OutsideView:
             mujoco.mju_mat2Quat(self._data.mocap_quat[0], pose[:3, :3].ravel())
         mujoco.mj_forward(self._model, self._data)
         base_pose = self._head.base_pose(positions)
-        seen_from = outside_camera(inverse_pose(self._upright) @ base_pose, target, self._width_m)
+        seen_from = place_outside_camera(
+            inverse_pose(self._upright) @ base_pose, target, self._width_m
+        )
         self._renderer.update_scene(self._data, seen_from)
         self._turn_upright()
         self._add_axes(base_pose, positions, target)
@@ -111,20 +113,20 @@ class OutsideView:
             self._renderer = None
 
 
-def outside_camera(
-    base_pose: FloatArray, target: FloatArray, width_m: float = 0.0
+def place_outside_camera(
+    base_pose: FloatArray, target: FloatArray, baseline_m: float = 0.0
 ) -> mujoco.MjvCamera:
     """Place a camera behind the right shoulder, with both the head and the target in view.
 
     Args:
         base_pose: (4, 4) present pose of N, which the neck moves, in the head's upright frame.
         target: (3,) in N, m; nan for none.
-        width_m: baseline of the eyes, m.
+        baseline_m: baseline of the eyes, m.
     """
     camera, reach = mujoco.MjvCamera(), _reach(target)
     towards = target if np.isfinite(target).all() else np.array([0.0, 0.0, reach])
     camera.lookat = (base_pose @ [*(0.5 * towards), 1.0])[:3]
-    camera.distance = 0.35 + 1.35 * reach + 1.5 * max(0.0, width_m - _MAX_NARROW_BASELINE_M)
+    camera.distance = 0.35 + 1.35 * reach + 1.5 * max(0.0, baseline_m - _MAX_NARROW_BASELINE_M)
     camera.azimuth, camera.elevation = -145.0, -22.0
     return camera
 

@@ -26,8 +26,8 @@ def image_jacobians(
     q: FloatArray,
     error: FloatArray,
     depth_m: float,
-    left: bool,
-    right: bool,
+    left_visible: bool,
+    right_visible: bool,
     jacobian: FloatArray,
 ) -> None:
     """Compute the image Jacobians of the eyes that see the target, at its pixels.
@@ -37,8 +37,8 @@ def image_jacobians(
         q: (7,) joint angles at the exposure, rad.
         error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
         depth_m: the target's depth, m; nan to triangulate it.
-        left: True if the left eye sees the target.
-        right: True if the right eye sees the target.
+        left_visible: True if the left eye sees the target.
+        right_visible: True if the right eye sees the target.
         jacobian: (2, 2, 2) result by eye, image axis and joint of this eye, px/rad; unchanged for
             an eye that does not see the target.
     """
@@ -48,7 +48,7 @@ def image_jacobians(
         ray_l, ray_r = rays_from_pixel_errors(p, eyes[0].camera, eyes[1].camera, error)
         depth_l, depth_r, _found = depths_on_rays(ray_l, ray_r)
     for eye in range(2):
-        if right if eye else left:
+        if right_visible if eye else left_visible:
             camera = camera_of(p, eye)
             u, v = camera.centre_u + error[eye, 0], camera.centre_v + error[eye, 1]
             depth = depth_r if eye else depth_l
@@ -58,12 +58,12 @@ def image_jacobians(
 
 
 @subroutine
-def reducible_part(
+def reducible_error_by_jacobian(
     p: PackedHead,
     jacobian: FloatArray,
     error: FloatArray,
-    left: bool,
-    right: bool,
+    left_visible: bool,
+    right_visible: bool,
     out: FloatArray,
 ) -> None:
     """Compute the reducible part of pixel errors from given image Jacobians.
@@ -72,14 +72,14 @@ def reducible_part(
         p: a packed head.
         jacobian: (2, 2, 2) by eye, image axis and joint of this eye, px/rad.
         error: (2, 2) undistorted pixel errors by eye and image axis, px; nan if not visible.
-        left: True if the left eye sees the target; else its errors are ignored.
-        right: True if the right eye sees the target; else its errors are ignored.
+        left_visible: True if the left eye sees the target; else its errors are ignored.
+        right_visible: True if the right eye sees the target; else its errors are ignored.
         out: (2, 2) result, px; nan for an eye that does not see the target.
     """
     share = np.zeros(SLOTS)
-    actuator_least_squares(p, jacobian, error, left, right, share)
+    actuator_least_squares(p, jacobian, error, left_visible, right_visible, share)
     for eye in range(2):
-        seen = right if eye else left
+        seen = right_visible if eye else left_visible
         for axis in range(2):
             out[eye, axis] = image_rate(p, jacobian, eye, axis, share) if seen else nan
 
@@ -105,4 +105,4 @@ def reducible_error(
     """
     jacobian = np.zeros((2, 2, 2))
     image_jacobians(p, q, error, nan, left_visible, right_visible, jacobian)
-    reducible_part(p, jacobian, error, left_visible, right_visible, out)
+    reducible_error_by_jacobian(p, jacobian, error, left_visible, right_visible, out)

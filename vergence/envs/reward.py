@@ -144,11 +144,11 @@ def _norm(u: float, v: float) -> float:
 
 
 @compiled
-def assess(
+def compute_step_result(
     ids: IntArray,
     head: PackedHead,
     scaling: FloatArray,
-    rules: TimeLimits,
+    time_limits: TimeLimits,
     reading: Reading,
     action: FloatArray,
     progress: TrialProgress,
@@ -161,7 +161,7 @@ def assess(
         ids: (m,) environment indices.
         head: (PACKED,) the head that the controller knows.
         scaling: (SCALING,) see `vergence.envs.encoding`.
-        rules: time limits; `untyped_tuple`, as are all named tuples here.
+        time_limits: time limits; `untyped_tuple`, as are all named tuples here.
         reading: sensor readings.
         action: (n, m) the actions applied.
         progress: updated in place.
@@ -169,7 +169,7 @@ def assess(
         coupled_head: the packed head again if its eye joints are coupled, else None; code for
             coupled joints is then not compiled.
     """
-    rules, reading = TimeLimits(*rules), Reading(*reading)
+    time_limits, reading = TimeLimits(*time_limits), Reading(*reading)
     progress, result = TrialProgress(*progress), StepResult(*result)
     error, terms = result.error, result.terms
     m = action.shape[1]
@@ -207,26 +207,26 @@ def assess(
         first = (left or right) and not progress.seen[n]
         progress.seen[n] = progress.seen[n] or first
         # half a period of tolerance, so that rounding of the times does not matter
-        now_s, later_s = reading.time_s[n], reading.time_s[n] + 0.5 * rules.period_s
+        now_s, later_s = reading.time_s[n], reading.time_s[n] + 0.5 * time_limits.period_s
         if both:
             progress.seen_s[n] = now_s
         elif first:
-            progress.seen_s[n] = now_s - rules.period_s
+            progress.seen_s[n] = now_s - time_limits.period_s
         if not settled:
             progress.unsettled_s[n] = now_s
         if progress.seen[n]:
-            result.lost[n] = later_s - progress.seen_s[n] >= rules.lost_after_s
+            result.lost[n] = later_s - progress.seen_s[n] >= time_limits.lost_after_s
         else:
-            result.lost[n] = later_s >= rules.first_seen_within_s
-        result.success[n] = later_s - progress.unsettled_s[n] >= rules.success_after_s
+            result.lost[n] = later_s >= time_limits.first_seen_within_s
+        result.success[n] = later_s - progress.unsettled_s[n] >= time_limits.success_after_s
         terms[n, 0], terms[n, 1] = tracking, precision
         terms[n, 2] = -_EFFORT_WEIGHT * (tracking + precision) * square / m
         terms[n, 3] = -_LOST_COST if result.lost[n] else 0.0
         result.reward[n] = terms[n, 0] + terms[n, 1] + terms[n, 2] + terms[n, 3]
 
 
-def compile_assess() -> None:
-    """Compile `assess` for heads with one motor per eye joint, by a call for no environment."""
+def compile_step_result() -> None:
+    """Compile `compute_step_result` for heads with one motor per eye joint."""
     head = load_head("simulated")
     layout, reading = ObservationLayout.of(head), untyped_tuple(Reading.empty(1))
     progress, result = (
@@ -235,4 +235,4 @@ def compile_assess() -> None:
     )
     action = np.zeros((1, layout.count))
     judged = (head.packed, layout.scaling, untyped_tuple(TimeLimits.of(head)))
-    assess(np.arange(0), *judged, reading, action, progress, result, None)
+    compute_step_result(np.arange(0), *judged, reading, action, progress, result, None)

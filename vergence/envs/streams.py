@@ -41,7 +41,7 @@ class StreamPurpose(IntEnum):
 
     TASK = 0
     SENSOR = 1
-    BEFORE = 2
+    SENSOR_BEFORE_START = 2
     IMAGE = 3
     VARIATION = 4
     FEEDBACK = 5

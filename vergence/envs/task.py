@@ -14,12 +14,12 @@ from vergence.envs.plants.simulation import Simulation, TrialStart, simulation_o
 from vergence.envs.plants.variation import Variation, make_variation
 from vergence.envs.policy import Policy
 from vergence.envs.reading import Reading, Truth
-from vergence.envs.reward import TERMS, StepResult, TimeLimits, TrialProgress, assess
+from vergence.envs.reward import TERMS, StepResult, TimeLimits, TrialProgress, compute_step_result
 from vergence.envs.saved_state import Arrays, SavedState, copy_arrays, join_parts, restore_arrays
 from vergence.envs.streams import IntArray, KeyArray, RandomStreams, as_seed
 from vergence.envs.targets.registry import make_target
 from vergence.envs.targets.target import Target
-from vergence.envs.validation import as_action_array, refuse_fixed_pair
+from vergence.envs.validation import as_action_array, refuse_immobile_eyes
 from vergence.errors import ConfigurationError
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
@@ -88,7 +88,7 @@ class GazeTask:
         plant_options: Mapping[str, Any] | None = None,
     ) -> None:
         self.head = head if isinstance(head, HeadModel) else load_head(head)
-        refuse_fixed_pair(self.head)
+        refuse_immobile_eyes(self.head)
         self.target = make_target(target)
         """Target that draws the trials' motions and starts."""
         self.layout = ObservationLayout.of(self.head)
@@ -101,7 +101,7 @@ class GazeTask:
                 f"plant_options: expected options by name, got {plant_options!r:.80}"
             )
         options = dict(plant_options or {})
-        if self.target.anywhere:
+        if self.target.drawn_in_workspace:
             fit = getattr(plant_type(plant), "workspace_options", {})
             options = {**fit, **options}
         if model_errors is not None:
@@ -210,7 +210,9 @@ class GazeTask:
             self.reading = Reading.of(reading, self.num)
 
     def _assess(self, ids: IntArray) -> None:
-        assess(ids, *self._judged, untyped_tuple(self.reading), *self._result, self._coupled_head)
+        compute_step_result(
+            ids, *self._judged, untyped_tuple(self.reading), *self._result, self._coupled_head
+        )
 
     def state(self) -> SavedState:
         """Copy the complete state of the running trials.

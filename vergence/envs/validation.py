@@ -12,24 +12,28 @@ from vergence.models.parts import FloatArray
 from vergence.operands import as_operand
 
 
-def check_numbers(name: str, value: object, size: int, above_zero: bool = False) -> object:
-    """Check finite numbers and return them: a tuple, or a single one that is not negative.
+def check_tuple_or_nonnegative(
+    name: str, value: object, tuple_length: int, positive: bool = False
+) -> object:
+    """Check `size` finite numbers and return them as a tuple.
+
+    With size 0, check one number of at least 0.
 
     Args:
         name: name for error messages.
         value: the user's value.
-        size: number of elements; 0 for a single number instead of a tuple.
-        above_zero: True if the single number must not be zero.
+        tuple_length: number of elements; 0 for a single number instead of a tuple.
+        positive: True if the single number must not be zero.
 
     Raises:
         ConfigurationError: the value is something else.
     """
-    if size:
-        if not isinstance(value, list | tuple | np.ndarray) or len(value) != size:
-            raise ConfigurationError(f"{name}: expected {size} numbers, got {value!r}")
-        return tuple(check_number(name, item) for item in value)
-    (check_above_zero if above_zero else check_at_least_zero)(name, value)
-    return check_number(name, value)
+    if tuple_length:
+        if not isinstance(value, list | tuple | np.ndarray) or len(value) != tuple_length:
+            raise ConfigurationError(f"{name}: expected {tuple_length} numbers, got {value!r}")
+        return tuple(check_finite_number(name, item) for item in value)
+    (check_above_zero if positive else check_at_least_zero)(name, value)
+    return check_finite_number(name, value)
 
 
 def check_above_zero(name: str, value: object) -> None:
@@ -42,13 +46,13 @@ def check_above_zero(name: str, value: object) -> None:
     Raises:
         ConfigurationError: it is not.
     """
-    if check_number(name, value) <= 0.0:
+    if check_finite_number(name, value) <= 0.0:
         raise ConfigurationError(f"{name}: expected a finite number above 0, got {value!r}")
 
 
 def check_at_least_zero(name: str, value: object) -> None:
     """Refuse a value that is not a finite number of at least zero; see `check_above_zero`."""
-    if check_number(name, value) < 0.0:
+    if check_finite_number(name, value) < 0.0:
         raise ConfigurationError(f"{name}: expected a number of at least 0, got {value!r}")
 
 
@@ -69,8 +73,8 @@ def check_count(name: str, value: object, *, minimum: int = 1) -> int:
     return int(value)
 
 
-def check_number(name: str, value: object) -> float:
-    """Check one finite number and return it, see `check_numbers`."""
+def check_finite_number(name: str, value: object) -> float:
+    """Check one finite number and return it, see `check_tuple_or_nonnegative`."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         raise ConfigurationError(f"{name}: expected a number, got {value!r}")
     one = float(value)
@@ -79,7 +83,7 @@ def check_number(name: str, value: object) -> float:
     return one
 
 
-def float_array(value: ArrayLike) -> FloatArray:
+def real_number_array(value: ArrayLike) -> FloatArray:
     """Convert real numbers to an array; unlike NumPy, refuse text and booleans.
 
     Args:
@@ -110,7 +114,7 @@ def as_action_array(action: ArrayLike) -> NDArray[Any]:
     return as_operand("action", action)
 
 
-def refuse_fixed_pair(head: HeadModel) -> None:
+def refuse_immobile_eyes(head: HeadModel) -> None:
     """Refuse a head whose eyes do not move.
 
     Raises:

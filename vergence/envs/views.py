@@ -9,7 +9,7 @@ import numpy as np
 
 from vergence.envs.opengl import opengl_failure
 from vergence.envs.outside_view import EYE_COLOURS, OutsideView
-from vergence.envs.plants.eye_views import EyeViews
+from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.envs.plants.simulation import Simulation
 from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
@@ -33,7 +33,7 @@ def opengl_works() -> bool:
     return opengl_failure() is None
 
 
-def angles_and_target(task: GazeTask, n: int) -> tuple[FloatArray, FloatArray]:
+def best_known_angles_and_target(task: GazeTask, n: int) -> tuple[FloatArray, FloatArray]:
     """Best known joint angles and target position of one head.
 
     Args:
@@ -51,7 +51,7 @@ def angles_and_target(task: GazeTask, n: int) -> tuple[FloatArray, FloatArray]:
     return task.reading.positions[n], gaze.point[n]
 
 
-def eye_images(task: GazeTask, n: int) -> tuple[Image, Image] | None:
+def given_or_drawn_eye_images(task: GazeTask, n: int) -> tuple[Image, Image] | None:
     """Present images of one head's eyes.
 
     Args:
@@ -68,14 +68,14 @@ def eye_images(task: GazeTask, n: int) -> tuple[Image, Image] | None:
         return left.copy(), right.copy()
     if not isinstance(task.plant, Simulation):
         return None
-    positions, target = angles_and_target(task, n)
+    positions, target = best_known_angles_and_target(task, n)
     left, right = _views(task.head).draw(positions, np.zeros(7), target)
     return left.copy(), right.copy()
 
 
 @functools.lru_cache(maxsize=4)
-def _views(head: HeadModel) -> EyeViews:
-    return EyeViews(head, make_planar_target("tag"))
+def _views(head: HeadModel) -> BoardImageRenderer:
+    return BoardImageRenderer(head, make_planar_target("tag"))
 
 
 class Viewer:
@@ -111,14 +111,16 @@ class Viewer:
         Returns:
             (height, width, 3) RGB.
         """
-        images = eye_images(self._task, n) or (None, None)
+        images = given_or_drawn_eye_images(self._task, n) or (None, None)
         eyes = [self._eye(n, eye, image) for eye, image in enumerate(images)]
         highest = max(len(eye) for eye in eyes)
         top = np.concatenate([_padded(eye, highest) for eye in eyes], axis=1)
-        positions, target = angles_and_target(self._task, n)
+        positions, target = best_known_angles_and_target(self._task, n)
         width, known = top.shape[1], self._task.truth() is not None
         if self._scene is None:
-            below = schematic(self._task.head, positions, target, width, VIEW_HEIGHT, known=known)
+            below = draw_optical_axes(
+                self._task.head, positions, target, width, VIEW_HEIGHT, target_is_truth=known
+            )
         else:
             below = self._scene.draw(positions, target, width, VIEW_HEIGHT, board=known)
         return np.concatenate([top, below], axis=0)
@@ -156,14 +158,14 @@ class Viewer:
             self._scene.close()
 
 
-def schematic(
+def draw_optical_axes(
     head: HeadModel,
     positions: FloatArray,
     target: FloatArray,
     width: int,
     height: int,
     *,
-    known: bool = True,
+    target_is_truth: bool = True,
 ) -> Image:
     """The optical axes from above and from the left, drawn without OpenGL.
 
@@ -173,7 +175,8 @@ def schematic(
         target: (3,) in N, m.
         width: px.
         height: px.
-        known: True to draw the target as ground truth, a circle; else as a fix by gaze, a cross.
+        target_is_truth: True to draw the target as ground truth, a circle; else as a fix by gaze, a
+            cross.
 
     Returns:
         (height, width, 3) RGB.
@@ -183,7 +186,9 @@ def schematic(
     anywhere = bool(np.isfinite(target).all())
     depth = max(1.2 * float(target[2]), 0.5) if anywhere else 1.0
     half = width // 2
-    tail = f"{depth:.1f} m deep" + (", cross: fix by gaze" if anywhere and not known else "")
+    tail = f"{depth:.1f} m deep" + (
+        ", cross: fix by gaze" if anywhere and not target_is_truth else ""
+    )
     for panel, (axis, sign, title) in enumerate(
         (
             (0, 1.0, f"from above, {tail}"),
@@ -207,7 +212,7 @@ def schematic(
             a, b = pixel_of(origin), pixel_of(origin + 1.5 * depth * direction)
             cv2.line(view, (a[0] - left, a[1]), (b[0] - left, b[1]), colour, 2, cv2.LINE_AA)
             cv2.circle(view, (a[0] - left, a[1]), 8, colour, -1, cv2.LINE_AA)
-        if anywhere and known:
+        if anywhere and target_is_truth:
             cv2.circle(out, pixel_of(target), 6, _TARGET_COLOUR, 2, cv2.LINE_AA)
         elif anywhere:
             _cross(out, np.array(pixel_of(target)), _TARGET_COLOUR, 9)

@@ -15,13 +15,18 @@ from vergence.envs.policy import Policy
 from vergence.envs.reading import Image
 from vergence.envs.rollout import rollout
 from vergence.envs.task import GazeTask
-from vergence.envs.validation import refuse_fixed_pair
-from vergence.envs.views import eye_images
+from vergence.envs.validation import refuse_immobile_eyes
+from vergence.envs.views import given_or_drawn_eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.gaze_config import GazeConfig
-from vergence.eval.gaze_trajectory import MM, recorded_fixes, trajectory_table, truth_of_first_head
+from vergence.eval.gaze_trajectory import (
+    MM,
+    gaze_and_view_fixes,
+    trajectory_table,
+    truth_of_first_head,
+)
 from vergence.eval.head_summary import LEAST_RESIDUAL_PX
-from vergence.eval.trials.goal import least_measured_error
+from vergence.eval.trials.goal import least_reachable_error
 from vergence.eval.trials.metrics import settle_time
 from vergence.hardware.config import load_hardware
 from vergence.json_values import null_nonfinite_elements
@@ -53,11 +58,11 @@ class GazeResult:
     residual: FloatArray
     """(2, 2) the least error that the head's actuators can reach at the target, by eye and image
     axis, px: zero if each eye joint has a motor of its own; nan without ground truth."""
-    truth_m: FloatArray
+    true_target_m: FloatArray
     """(3,) true position of the target in N, m; nan without ground truth, as on a real head."""
-    gaze: Fix
+    gaze_fix: Fix
     """Fix by gaze from the last joint angles, one element."""
-    itpc: Fix
+    view_fix: Fix
     """Fix from the last image, not older than 0.2 s, with the target visible in both eyes, and from
     the joint angles of its exposure; one element."""
     positions: FloatArray
@@ -66,13 +71,13 @@ class GazeResult:
     """The eyes' last images; None for a robot that has none."""
     diagnostics: dict[str, int]
     """Counts of faults in a robot's loop, by name; empty for a simulation."""
-    drawn: bool
+    images_are_drawings: bool
     """True if `images` were drawn for the last posture, as the simulation has no images."""
 
     @property
     def has_truth(self) -> bool:
         """True if the plant provides the ground truth."""
-        return bool(np.isfinite(self.truth_m).all())
+        return bool(np.isfinite(self.true_target_m).all())
 
     @property
     def residual_px(self) -> float:
@@ -96,10 +101,10 @@ class GazeResult:
             "settle_1px_s": null_nonfinite_elements(self.settle_1px_s),
             "settle_05px_s": null_nonfinite_elements(self.settle_05px_s),
             "residual_px": null_nonfinite_elements(self.residual_px),
-            "truth_mm": null_nonfinite_elements(MM * self.truth_m),
-            "gaze": self._method(self.gaze),
-            "itpc": self._method(self.itpc),
-            "gap_mm": null_nonfinite_elements(MM * self.gaze.gap[0]),
+            "truth_mm": null_nonfinite_elements(MM * self.true_target_m),
+            "gaze": self._method(self.gaze_fix),
+            "itpc": self._method(self.view_fix),
+            "gap_mm": null_nonfinite_elements(MM * self.gaze_fix.gap[0]),
             "controller": self.config.controller,
             "gain": self.config.gain,
             "plant": self.config.plant,
@@ -110,7 +115,7 @@ class GazeResult:
         }
 
     def _method(self, fix: Fix) -> dict[str, Any]:
-        error = fix.point[0] - self.truth_m
+        error = fix.point[0] - self.true_target_m
         return {
             "point_mm": null_nonfinite_elements(MM * fix.point[0]),
             "sigma_mm": null_nonfinite_elements(MM * fix.sigma[0]),
@@ -136,7 +141,7 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
             fixate the target.
     """
     config, head, plant_options = _hardware(config)
-    refuse_fixed_pair(head)
+    refuse_immobile_eyes(head)
     point = np.asarray(config.target_mm) / MM
     refused = _why_unreachable(head, point, config.target_mm)
     if refused and is_simulated(config.plant):  # a robot looks at the target that it detects
@@ -196,19 +201,19 @@ class FinalState(NamedTuple):
     """Last images and fault counts of a plant, taken before it closes; see `GazeResult`."""
 
     images: tuple[Image, Image] | None
-    drawn: bool
+    images_are_drawings: bool
     diagnostics: dict[str, int]
 
     @classmethod
     def of(cls, task: GazeTask) -> "FinalState":
         """Take the present images and counts of a task's first head."""
-        images = eye_images(task, 0)
+        images = given_or_drawn_eye_images(task, 0)
         drawn = images is not None and task.plant.frames(0) is None
         return cls(images, drawn, task.plant.diagnostics())
 
 
 def gaze_result(
-    config: GazeConfig, task: GazeTask, record: Recorder, ending: FinalState | None = None
+    config: GazeConfig, task: GazeTask, record: Recorder, final_state: FinalState | None = None
 ) -> GazeResult:
     """Evaluate a recorded gaze.
 
@@ -216,7 +221,7 @@ def gaze_result(
         config: the gaze.
         task: a task with one head, open or closed.
         record: the recording, with all fields; it may have ended early.
-        ending: images and counts at the end; None if there are none, as after a replay.
+        final_state: images and counts at the end; None if there are none, as after a replay.
 
     Returns:
         The result.
@@ -225,10 +230,10 @@ def gaze_result(
     trajectory = trajectory_table(head, record)
     residual = np.full((2, 2), np.nan)
     if record.truth is not None:
-        residual = least_measured_error(task, truth.target[:1])[0]
+        residual = least_reachable_error(task, truth.target[:1])[0]
     errors = truth.pixel_error - residual
-    gaze, itpc = (Fix._make(part[-1:] for part in fix) for fix in recorded_fixes(head, record))
-    images, drawn, diagnostics = ending or (None, False, {})
+    gaze, itpc = (Fix._make(part[-1:] for part in fix) for fix in gaze_and_view_fixes(head, record))
+    images, drawn, diagnostics = final_state or (None, False, {})
     return GazeResult(
         config=config,
         head=head,
@@ -236,13 +241,13 @@ def gaze_result(
         settle_1px_s=float(settle_time(trajectory["time_s"], errors, 1.0)),
         settle_05px_s=float(settle_time(trajectory["time_s"], errors, 0.5)),
         residual=residual,
-        truth_m=truth.target[-1],
-        gaze=gaze,
-        itpc=itpc,
+        true_target_m=truth.target[-1],
+        gaze_fix=gaze,
+        view_fix=itpc,
         positions=record.reading.positions[-1, 0],
         images=images,
         diagnostics=diagnostics,
-        drawn=drawn,
+        images_are_drawings=drawn,
     )
 
 

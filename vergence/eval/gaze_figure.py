@@ -133,7 +133,7 @@ def _draw_eye(axes: Axes, result: GazeResult, eye: int) -> None:
 def _what_is_shown(result: GazeResult) -> str:
     if result.images is None:
         return "detections (no images)"
-    return "drawn for the last posture (no camera)" if result.drawn else "last image"
+    return "drawn for the last posture (no camera)" if result.images_are_drawings else "last image"
 
 
 def _draw_errors(axes: Axes, result: GazeResult) -> None:
@@ -211,9 +211,9 @@ def _say(axes: Axes, text: str, top: float) -> None:
 def _draw_axes(axes: Axes, result: GazeResult) -> None:
     """Draw the two optical axes from above, z upwards, with the target and the fix by gaze."""
     poses = result.head.camera_poses(result.positions)
-    fix = result.gaze
+    fix = result.gaze_fix
     # without ground truth the view reaches as far as the fix, or 1 m if there is none
-    target = MM * (result.truth_m if result.has_truth else fix.point[0])
+    target = MM * (result.true_target_m if result.has_truth else fix.point[0])
     if not np.isfinite(target).all():
         target = np.array([0.0, 0.0, MM])
     for eye, name in enumerate(EYE_NAMES):
@@ -246,12 +246,12 @@ def _draw_axes(axes: Axes, result: GazeResult) -> None:
 
 def _fix_text(result: GazeResult) -> str:
     parts = []
-    for name, fix in (("gaze", result.gaze), ("ITPC", result.itpc)):
+    for name, fix in (("gaze", result.gaze_fix), ("ITPC", result.view_fix)):
         if fix.valid[0] and not result.has_truth:
             x, y, z = MM * fix.point[0]
             parts.append(f"{name} at ({x:z.1f}, {y:z.1f}, {z:z.1f}) mm")
         elif fix.valid[0]:
-            distance = MM * float(np.linalg.norm(fix.point[0] - result.truth_m))
+            distance = MM * float(np.linalg.norm(fix.point[0] - result.true_target_m))
             parts.append(f"{name} {distance:.3f} mm off")
         else:
             parts.append(f"{name} found no point")

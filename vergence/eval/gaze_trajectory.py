@@ -32,7 +32,7 @@ def truth_of_first_head(record: Recorder) -> Truth:
     return Truth._make(part[:, 0] for part in record.truth)
 
 
-def recorded_fixes(head: HeadModel, record: Recorder) -> tuple[Fix, Fix]:
+def gaze_and_view_fixes(head: HeadModel, record: Recorder) -> tuple[Fix, Fix]:
     """Triangulate the target of a recording's first head in each control period.
 
     Args:
@@ -91,7 +91,7 @@ def trajectory_table(head: HeadModel, record: Recorder) -> pd.DataFrame:
             columns[f"velocity_{name}_rad_s"] = reading.velocities[:, joint]
     for name, velocity in zip(head.actuation.names, reading.command[:, EYES].T, strict=False):
         columns[f"command_{name}_rad_s"] = velocity
-    for method, fix in zip(("gaze", "itpc"), recorded_fixes(head, record), strict=True):
+    for method, fix in zip(("gaze", "itpc"), gaze_and_view_fixes(head, record), strict=True):
         for axis, name in enumerate("xyz"):
             columns[f"{method}_{name}_mm"] = MM * fix.point[:, axis]
         columns[f"{method}_gap_mm"] = MM * fix.gap

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from vergence.eval.head_summary import HeadSummary, edge_rays, summarise
-from vergence.eval.image_figure import draw_image
+from vergence.eval.head_summary import HeadSummary, edge_rays, summarise_head
+from vergence.eval.image_figure import draw_field_of_view
 from vergence.eval.reporting.labels import Labels, as_float_pair
 from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, figure_style, new_figure
 from vergence.files import atomic_file
@@ -44,7 +44,7 @@ class _Geometry:
 
     def __init__(self, head: HeadModel) -> None:
         posture = rest_poses(head)
-        from_base = np.linalg.inv(posture.base)
+        from_base = np.linalg.inv(posture.frame_n)
         poses = head.camera_poses(head.rest())
         self.eyes = _MM * poses[:, :3, 3]
         self.turns = poses[:, :3, :3]
@@ -93,7 +93,7 @@ def draw_head(head: HeadModel, path: Path, summary: HeadSummary | None = None) -
         OSError: the file cannot be written.
     """
     with figure_style():
-        figure = compose_head(head, summary or summarise(head))
+        figure = compose_head(head, summary or summarise_head(head))
         with atomic_file(path) as partial:
             figure.savefig(partial, format="png", dpi=110, metadata={"Software": None})
 
@@ -118,7 +118,9 @@ def compose_head(head: HeadModel, summary: HeadSummary) -> Figure:
             panel.set(title=title, xlabel=xlabel, ylabel=ylabel)
         right = grid[1, 1].subgridspec(2, 2, height_ratios=(1.0, 1.05))
         for eye in range(2):
-            draw_image(figure.add_subplot(right[0, eye]), shown.cameras[eye], eye, _COLOURS[eye])
+            draw_field_of_view(
+                figure.add_subplot(right[0, eye]), shown.cameras[eye], eye, _COLOURS[eye]
+            )
         _write_joints(figure.add_subplot(right[1, :]), summary)
         figure.suptitle(
             f"{head.name}: baseline {summary.baseline_mm:.1f} mm, at rest, in frame N", fontsize=14

@@ -95,11 +95,11 @@ class HeadSummary:
     """Record of the cameras' calibration, if the file has one."""
 
     @property
-    def moves(self) -> bool:
+    def has_moving_eyes(self) -> bool:
         """True if the eyes move."""
         return bool(self.actuators) or any(joint.moves != "neck" for joint in self.joints)
 
-    def document(self) -> dict[str, Any]:
+    def json_document(self) -> dict[str, Any]:
         """The summary for JSON: null for missing values, "inf" for infinite ones."""
         document: dict[str, Any] = _json_value(asdict(self))
         return document
@@ -117,7 +117,7 @@ def _json_value(value: Any) -> Any:
     return value
 
 
-def summarise(head: HeadModel) -> HeadSummary:
+def summarise_head(head: HeadModel) -> HeadSummary:
     """Summarise a head.
 
     The depth error of one fixation includes the head's sensor noise: the noise of detected pixels,
@@ -144,7 +144,7 @@ def summarise(head: HeadModel) -> HeadSummary:
         name=head.name,
         digest=head.digest,
         joints=joint_summaries(head),
-        actuators=actuator_summaries(head),
+        actuators=coupled_actuator_summaries(head),
         eyes=eye_summaries(head),
         baseline_mm=baseline_mm(head),
         control_rate_hz=head.timing.control_rate_hz,
@@ -198,7 +198,7 @@ def joint_summaries(head: HeadModel) -> tuple[JointSummary, ...]:
     )
 
 
-def actuator_summaries(head: HeadModel) -> tuple[JointSummary, ...]:
+def coupled_actuator_summaries(head: HeadModel) -> tuple[JointSummary, ...]:
     """Actuators of the eyes, unless each joint has its own motor; empty otherwise."""
     if head.actuators is None:
         return ()

@@ -17,7 +17,7 @@ _MOST_RINGS: Final = 4.5
 """Most rings between the principal point and the farther edge (chosen: room for their labels)."""
 
 
-def draw_image(panel: Axes, camera: EyeCamera, eye: int, colour: str) -> None:
+def draw_field_of_view(panel: Axes, camera: EyeCamera, eye: int, colour: str) -> None:
     """Draw an image's outline with its principal point and rings of equal angle through the lens.
 
     Args:

@@ -18,7 +18,7 @@ from multiprocessing import resource_tracker
 from types import ModuleType
 from typing import Any, Final, TypeVar
 
-from vergence._jit import report_compiling_for_workers
+from vergence._jit import report_compiling_if_uncached
 from vergence.errors import ConfigurationError, VergenceError, how_to_install
 from vergence.eval.reporting.runs import package_versions
 
@@ -97,7 +97,7 @@ class ProcessMapper(Mapper):
     def _results(self, jobs: Sequence[Callable[[], T]]) -> Generator[tuple[int, T]]:
         from joblib import Parallel, delayed
 
-        report_compiling_for_workers()
+        report_compiling_if_uncached()
         # loky replaces a process whose memory has grown while it compiled kernels, without losing
         # jobs. If warnings are errors, its warning would end the thread that distributes jobs, and
         # the call would hang.

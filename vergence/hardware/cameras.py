@@ -27,7 +27,7 @@ from vergence.hardware.pairing import SearchedImage
 from vergence.models.boards import Target
 from vergence.models.head import HeadModel
 from vergence.vision.detectors import make_detector
-from vergence.vision.image import as_grey, restore_grey
+from vergence.vision.image import as_grey, grey_if_channels_equal
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
 from vergence.vision.video import is_local_camera, open_capture
@@ -148,7 +148,7 @@ class EyeThread(threading.Thread):
             )
             self._ended = True
             return
-        image = restore_grey(image)
+        image = grey_if_channels_equal(image)
         grey = as_grey(image)
         exposed_s = received_s - self.config.latency_s
         q = self._history.at(exposed_s)

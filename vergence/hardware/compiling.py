@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence.envs.plants.eye_views import EyeViews
+from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.hardware.common_time import pixels_at_common_time
 from vergence.models.boards import TagFamily, Target
 from vergence.models.head import HeadModel
@@ -25,7 +25,7 @@ def compile_loop_kernels(head: HeadModel, target: Target) -> None:
     """
     q, still = head.rest(), np.zeros(7)
     board = target.tag(0) if isinstance(target, TagFamily) else target
-    views = EyeViews(head, board)
+    views = BoardImageRenderer(head, board)
     poses = head.base_pose(q) @ head.camera_poses(q)
     for eye, T_N_C in enumerate(head.camera_poses(q)):
         away_m = float(head.cameras.focal[eye].mean()) * board.cell_m / _CELL_PX

@@ -99,7 +99,7 @@ class HardwareConfig:
     """Left and right camera."""
     pairing_tolerance_s: float
     """Greatest time between the exposures of two images of a pair, s."""
-    emulator: str
+    emulator_address: str
     """HOST:PORT of the emulated head behind this hardware; empty for a robot."""
     places_targets: bool = False
     """True if trials place their targets: for an emulated head, unless its board is fixed. Before a
@@ -207,7 +207,7 @@ def _parse(table: Table, path: str) -> HardwareConfig:
         servos=servos,
         cameras=(left, right),
         pairing_tolerance_s=tolerance_s,
-        emulator=emulator,
+        emulator_address=emulator,
         places_targets=places_targets,
         safety=safety,
         loop=loop,

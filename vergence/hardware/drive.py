@@ -38,12 +38,12 @@ _JOIN_S: Final = 1.0
 
 
 class RunningTrial(NamedTuple):
-    """State of the running trial for the supervisor, see `RobotState`."""
+    """State of the running trial as the supervisor needs it; see `RobotState`."""
 
-    images_s: FloatArray
-    seen: bool
-    goals: FloatArray
-    missed: int
+    images_received_s: FloatArray
+    target_visible: bool
+    target_eye_angles: FloatArray
+    missed_periods: int
 
 
 class DriveThread(threading.Thread):
@@ -83,9 +83,9 @@ class DriveThread(threading.Thread):
         self._requested_s = self._sent_s = self._repeated_s = -np.inf
 
     @property
-    def misses(self) -> int:
+    def missed_answers(self) -> int:
         """Number of answers that did not arrive."""
-        return self._servos.misses
+        return self._servos.missed_answers
 
     @contextmanager
     def exclusive(self) -> Iterator[HeadServos]:
@@ -146,10 +146,10 @@ class DriveThread(threading.Thread):
             actuator_speeds=servos.angles.speeds,
             joint_angles=joints,
             reading_age_s=servos.angles.reading_ages_s(now),
-            images_received_s=None if trial is None else trial.images_s,
-            target_visible=trial is not None and trial.seen,
-            target_eye_angles=None if trial is None else trial.goals,
-            missed_periods=0 if trial is None else trial.missed,
+            images_received_s=None if trial is None else trial.images_received_s,
+            target_visible=trial is not None and trial.target_visible,
+            target_eye_angles=None if trial is None else trial.target_eye_angles,
+            missed_periods=0 if trial is None else trial.missed_periods,
         )
         sent = servos.send(self._supervisor.command(state, requested))
         if self._log is not None:

@@ -15,7 +15,12 @@ import numpy as np
 from vergence.errors import HardwareError
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.servo_memory import PRESENT, ServoMemory, describe_fault_bits, read_memory
+from vergence.hardware.servo_memory import (
+    PRESENT_VALUES_SPAN,
+    ServoMemory,
+    describe_fault_bits,
+    read_memory,
+)
 
 _CURRENT_LIMIT: Final = table.Register("CURRENT_LIMIT", 38, 2)
 _MODELS_WITHOUT_CURRENT: Final = frozenset((30, 1060, 1070, 1080, 1090, 1160))
@@ -66,13 +71,13 @@ class Health:
 class HealthLimits:
     """Limits stored in a servo's EEPROM."""
 
-    temperature_c: float
+    max_temperature_c: float
     """Greatest temperature, degrees Celsius."""
-    least_v: float
+    min_voltage_v: float
     """Least voltage, V."""
-    most_v: float
+    max_voltage_v: float
     """Greatest voltage, V."""
-    load_scale: float
+    full_load_reading: float
     """PRESENT_LOAD at full torque or at the current limit; nan if unknown."""
 
 
@@ -84,8 +89,8 @@ class HealthJudgement:
     """Worst level of temperature, voltage, load and faults."""
     text: str
     """Expected and actual value of each that is not ok; empty if all are."""
-    hot: bool = False
-    """True if torque has to go off, as holding still heats the servo too."""
+    must_release_torque: bool = False
+    """True if the servo is so hot that its torque has to go off, as holding still heats it too."""
 
 
 def read_limits(bus: Bus, id: int) -> HealthLimits:
@@ -102,10 +107,10 @@ def read_limits(bus: Bus, id: int) -> HealthLimits:
         with suppress(HardwareError):
             full = float(bus.read(id, _CURRENT_LIMIT)) or np.nan
     return HealthLimits(
-        temperature_c=float(memory.get(table.TEMPERATURE_LIMIT)),
-        least_v=0.1 * memory.get(table.MIN_VOLTAGE_LIMIT),
-        most_v=0.1 * memory.get(table.MAX_VOLTAGE_LIMIT),
-        load_scale=full,
+        max_temperature_c=float(memory.get(table.TEMPERATURE_LIMIT)),
+        min_voltage_v=0.1 * memory.get(table.MIN_VOLTAGE_LIMIT),
+        max_voltage_v=0.1 * memory.get(table.MAX_VOLTAGE_LIMIT),
+        full_load_reading=full,
     )
 
 
@@ -123,8 +128,8 @@ def read_health(bus: Bus, limits: Mapping[int, HealthLimits]) -> dict[int, Healt
         HardwareError: the line is gone.
     """
     found = {}
-    for id, data in bus.sync_read(limits, *PRESENT).items():
-        memory = ServoMemory({PRESENT[0]: data})
+    for id, data in bus.sync_read(limits, *PRESENT_VALUES_SPAN).items():
+        memory = ServoMemory({PRESENT_VALUES_SPAN[0]: data})
         errors = 0
         if id in bus.alerts:
             errors = _UNKNOWN_FAULT
@@ -133,7 +138,7 @@ def read_health(bus: Bus, limits: Mapping[int, HealthLimits]) -> dict[int, Healt
         found[id] = Health(
             temperature_c=float(memory.get(table.PRESENT_TEMPERATURE)),
             voltage_v=0.1 * memory.get(table.PRESENT_INPUT_VOLTAGE),
-            load=memory.get(table.PRESENT_LOAD) / limits[id].load_scale,
+            load=memory.get(table.PRESENT_LOAD) / limits[id].full_load_reading,
             errors=errors,
         )
     return found
@@ -164,11 +169,11 @@ class HealthWatch:
         order = list(HealthLevel)
         level = max((one for one, _ in judged), key=order.index)
         return HealthJudgement(
-            level=level, text="; ".join(text for _, text in judged if text), hot=hot
+            level=level, text="; ".join(text for _, text in judged if text), must_release_torque=hot
         )
 
     def _temperature(self, temperature_c: float) -> tuple[bool, tuple[HealthLevel, str]]:
-        limit_c = self.limits.temperature_c
+        limit_c = self.limits.max_temperature_c
         if temperature_c < limit_c - WARM_K:
             return False, _NO_PROBLEM
         hot = temperature_c >= limit_c - HOT_K
@@ -179,7 +184,7 @@ class HealthWatch:
         return hot, (HealthLevel.STOP if hot else HealthLevel.WARN, text)
 
     def _voltage(self, voltage_v: float) -> tuple[HealthLevel, str]:
-        least, most = self.limits.least_v, self.limits.most_v
+        least, most = self.limits.min_voltage_v, self.limits.max_voltage_v
         text = f"voltage: expected {least:.1f} to {most:.1f} V, got {voltage_v:.1f} V"
         # voltages come in steps of 0.1 V: allow half a step
         if not least - 0.05 < voltage_v < most + 0.05:

@@ -17,7 +17,7 @@ from vergence.errors import HardwareError
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.resting import broadcast_zero_speed, stop_and_disarm
+from vergence.hardware.resting import broadcast_zero_speed, stop_and_disable_watchdog
 from vergence.hardware.servo_angles import SILENT_S, ServoAngles
 
 MOST_STEP_RAD: Final = 0.5
@@ -136,7 +136,7 @@ class Jogger:
         """Stop the servo, with the watchdog off, as it would trip before the next step."""
         with suppress(HardwareError):
             broadcast_zero_speed(self._bus, [servo.id])
-            stop_and_disarm(self._bus, servo.id)
+            stop_and_disable_watchdog(self._bus, servo.id)
 
     def _drive(self, servo: ServoConfig, way_rad: float) -> float:
         timing, speed_rad_s = self._config.head.timing, self._speed(servo)

@@ -16,12 +16,12 @@ from typing import Final
 import numpy as np
 
 from vergence.envs.plant import Plant
-from vergence.envs.plants.eye_views import EyeViews
+from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.envs.reading import Image, Reading, Truth
 from vergence.envs.streams import IntArray
 from vergence.envs.targets.board import POINT, Board
 from vergence.errors import ChecksFailedError, ConfigurationError, HardwareError, VergenceWarning
-from vergence.hardware.checks.cameras import check_devices
+from vergence.hardware.checks.cameras import check_local_cameras
 from vergence.hardware.checks.servos import raise_errors
 from vergence.hardware.common_time import merge_pair
 from vergence.hardware.compiling import compile_loop_kernels
@@ -38,7 +38,7 @@ from vergence.hardware.eyes import HeadEyes
 from vergence.hardware.history import JointHistory
 from vergence.hardware.opened import OpenedHead
 from vergence.hardware.pairing import SearchedPair
-from vergence.hardware.safety.goals import joint_goals
+from vergence.hardware.safety.goals import target_eye_angles
 from vergence.hardware.safety.motion import HOLD_PERIODS
 from vergence.hardware.safety.supervisor import Supervisor
 from vergence.hardware.servo_angles import ServoAngles
@@ -104,7 +104,7 @@ class HardwarePlant(Plant):
         refuse_other_head(self.config, head)
         self.head, self.num = head, num
         self.places_targets = self.config.places_targets
-        self.overruns = self.trips = 0
+        self.overruns = self.watchdog_trips = 0
         self._log, self._moves, self._appears = log, moves, appears
         self._clock, self._sleep = clock, sleep
         self._period_s = head.timing.period_s
@@ -165,7 +165,7 @@ class HardwarePlant(Plant):
         begun_s = self._clock()
         compile_loop_kernels(self.head, self.config.target)
         try:
-            cameras = check_devices(self.config)
+            cameras = check_local_cameras(self.config)
             try:
                 make = HeadServos if self._moves else ReadOnlyServos
                 servos = make(self.config, self._clock)
@@ -185,8 +185,8 @@ class HardwarePlant(Plant):
             self._sense()
             self._open.drive.start()
             self._open.eyes.open(self._idle)
-            if self.config.emulator:
-                self._open.world = WorldClient(self.config.emulator)
+            if self.config.emulator_address:
+                self._open.world = WorldClient(self.config.emulator_address)
         except BaseException:
             self.close()
             raise
@@ -204,7 +204,7 @@ class HardwarePlant(Plant):
         target = self.config.target
         if not self.places_targets or not isinstance(target, AprilTag):
             return POINT
-        return EyeViews(self.head, target, width_rad="fit").board
+        return BoardImageRenderer(self.head, target, width_rad="fit").board
 
     def look_for(self, target: Target) -> None:
         """Detect another target from the next images on.
@@ -219,7 +219,7 @@ class HardwarePlant(Plant):
         """Place the target before an emulated head, see `Plant.show`."""
         self.prepare()
         if self._open.world is not None:
-            self._open.world.show(motions[0])
+            self._open.world.place_target(motions[0])
 
     def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
         """Drive the joints to the start of a trial, and begin it; see `Plant.reset`.
@@ -247,7 +247,7 @@ class HardwarePlant(Plant):
         pair = self._first_images(rested_s)
         self.begun_s, self._tick = self._clock(), 0
         if self._open.world is not None:
-            self._open.world.begin(self.begun_s)
+            self._open.world.start_target_motion(self.begun_s)
         self._report(pair)
         self._reading.frame[0] = 0
         self._reading.command[:] = 0.0
@@ -280,10 +280,10 @@ class HardwarePlant(Plant):
             missed = self.overruns - self._reported_overruns
             self._reported_overruns = self.overruns
             trial = RunningTrial(
-                images_s=self._open.eyes.newest_s,
-                seen=bool(self._reading.visible[0].any()),
-                goals=self._goals,
-                missed=missed,
+                images_received_s=self._open.eyes.newest_s,
+                target_visible=bool(self._reading.visible[0].any()),
+                target_eye_angles=self._goals,
+                missed_periods=missed,
             )
             self._reading.command[0] = self._drive.send(command[0], trial)
             self._warn_of_limiting_posture()
@@ -327,7 +327,7 @@ class HardwarePlant(Plant):
             "images_alone_left": counts.unpaired_left,
             "images_alone_right": counts.unpaired_right,
             "late_periods": self.overruns,
-            "missed_answers": 0 if self._open.drive is None else self._open.drive.misses,
+            "missed_answers": 0 if self._open.drive is None else self._open.drive.missed_answers,
         }
 
     def close(self) -> None:
@@ -401,7 +401,7 @@ class HardwarePlant(Plant):
         if self._open.drive is not None:
             self._open.drive.brake()
             with suppress(HardwareError), self._open.drive.exclusive() as servos:
-                servos.release_if_hot()
+                servos.release_torque_if_hot()
         _LOG.error("stopped: %s", self._supervisor.fault)
 
     def _warn_of_limiting_posture(self) -> None:
@@ -420,9 +420,9 @@ class HardwarePlant(Plant):
     def _check_watchdog(self) -> None:
         """Raise an error if the servos' watchdog has stopped them."""
         with self._drive.exclusive() as servos:
-            paused_s = servos.longest_pause_s()
+            paused_s = servos.watchdog_trip_pause_s()
         if paused_s:
-            self.trips += 1
+            self.watchdog_trips += 1
             raise HardwareError(
                 f"bus: expected the servos to hear something every {self.config.bus.watchdog_s:g} "
                 f"s, got {paused_s:.2f} s of silence, in which their watchdog has stopped them: "
@@ -432,7 +432,7 @@ class HardwarePlant(Plant):
     def _begin(self) -> None:
         """Start the trial's time at its first command, as nothing has moved until then."""
         with self._drive.exclusive() as servos:
-            if servos.longest_pause_s():
+            if servos.watchdog_trip_pause_s():
                 servos.switch_on()
         now = self._clock()
         self._supervisor.begin(now)
@@ -442,7 +442,7 @@ class HardwarePlant(Plant):
         for times in (self._reading.exposure_s, self._reading.received_s, self._reading.joints_s):
             times -= later
         if self._open.world is not None:
-            self._open.world.begin(now)
+            self._open.world.start_target_motion(now)
 
     def _wait(self) -> None:
         """Wait for the schedule's next tick; ticks that are a period late are skipped."""
@@ -495,7 +495,7 @@ class HardwarePlant(Plant):
         reading.exposure_s[0] = exposed_s - self.begun_s
         reading.received_s[0] = pair.ready_s - self.begun_s
         reading.positions_at_exposure[0] = self._history.at(exposed_s)
-        self._goals = joint_goals(self.head, reading.positions_at_exposure[0], pixels)
+        self._goals = target_eye_angles(self.head, reading.positions_at_exposure[0], pixels)
         reading.pixels[0] = pixels
         reading.visible[0] = np.isfinite(pixels).all(axis=-1)
 

@@ -22,8 +22,10 @@ def broadcast_zero_speed(bus: Bus, ids: Iterable[int]) -> None:
         bus.sync_write(table.GOAL_VELOCITY, goals)
 
 
-def stop_and_disarm(bus: Bus, id: int) -> None:
-    """Bring a servo to rest and switch its watchdog off; without a confirmation it stays on.
+def stop_and_disable_watchdog(bus: Bus, id: int) -> None:
+    """Bring a servo to rest and switch its watchdog off.
+
+    The watchdog stays on if the servo does not confirm zero velocity. The torque is not changed.
 
     Raises:
         HardwareError: the servo does not confirm that it is at rest.

@@ -17,12 +17,12 @@ from vergence.hardware.dynamixel.packets import (
     BROADCAST,
     MOST_ID,
     Instruction,
-    Parser,
+    PacketParser,
     instruction_packet,
 )
 from vergence.hardware.servo_memory import ServoMemory, read_memory
 
-RATES: Final = (57_600, 1_000_000, *(set(table.BAUD_RATES) - {57_600, 1_000_000}))
+ALL_BAUD_RATES: Final = (57_600, 1_000_000, *(set(table.BAUD_RATES) - {57_600, 1_000_000}))
 """All baud rates, first the factory default and the usual one (physical: Dynamixel X series)."""
 _WAIT_PER_ID_S: Final = 3e-3
 """Longest wait of a servo per lower id, s (physical: ROBOTIS's SDK)."""
@@ -38,7 +38,7 @@ class FoundServo:
     """Id on the line."""
     baud_rate: int
     """Baud rate at which it answered, bit/s."""
-    model: int
+    model_number: int
     """MODEL_NUMBER."""
     memory: ServoMemory | None
     """Its registers; None if it does not return them, or its model is not supported."""
@@ -50,28 +50,28 @@ class ScanResult:
 
     servos: list[FoundServo] = field(default_factory=list)
     """Servos by rate, then by id."""
-    left_out: dict[int, str] = field(default_factory=dict)
+    unsupported_rates: dict[int, str] = field(default_factory=dict)
     """Rates that this system cannot set, with the reason."""
-    damaged: int = 0
+    damaged_packets: int = 0
     """Number of damaged packets: from two servos with one id, or noise."""
 
 
 def scan_for_servos(
     port: str,
     *,
-    baud_rates: Sequence[int] = RATES,
-    ids: Iterable[int] | None = None,
-    wait_per_id_s: float = _WAIT_PER_ID_S,
-    report: Callable[[float], None] = lambda _done: None,
+    baud_rates: Sequence[int] = ALL_BAUD_RATES,
+    single_ping_ids: Iterable[int] | None = None,
+    broadcast_wait_per_id_s: float = _WAIT_PER_ID_S,
+    progress: Callable[[float], None] = lambda _done: None,
 ) -> ScanResult:
     """Ping for servos at each baud rate.
 
     Args:
         port: device file of the line.
         baud_rates: baud rates, bit/s.
-        ids: ids to ping one by one; None pings all at once.
-        wait_per_id_s: wait per id if all are pinged at once, s.
-        report: progress callback, called with the fraction that is done.
+        single_ping_ids: ids to ping one by one; None pings all at once.
+        broadcast_wait_per_id_s: wait per id if all are pinged at once, s.
+        progress: progress callback, called with the fraction that is done.
 
     Raises:
         HardwareError: the line is gone.
@@ -79,9 +79,9 @@ def scan_for_servos(
     found: list[FoundServo] = []
     left_out: dict[int, str] = {}
     damaged = 0
-    asked = None if ids is None else list(ids)
+    asked = None if single_ping_ids is None else list(single_ping_ids)
     for place, rate in enumerate(baud_rates):
-        report(place / len(baud_rates))
+        progress(place / len(baud_rates))
         try:
             bus = Bus(port, rate)
         except HardwareError as error:
@@ -90,14 +90,14 @@ def scan_for_servos(
         try:
             answered = asked or []
             if asked is None:
-                answered, rejected = _everybody(bus, wait_per_id_s)
+                answered, rejected = _everybody(bus, broadcast_wait_per_id_s)
                 damaged += rejected
             servos = [_found(bus, ident, rate) for ident in answered]
             found += [servo for servo in servos if servo is not None]
-            damaged += bus.damaged
+            damaged += bus.damaged_packets
         finally:
             bus.close()
-    return ScanResult(servos=found, left_out=left_out, damaged=damaged)
+    return ScanResult(servos=found, unsupported_rates=left_out, damaged_packets=damaged)
 
 
 def _everybody(bus: Bus, wait_per_id_s: float) -> tuple[list[int], int]:
@@ -106,7 +106,7 @@ def _everybody(bus: Bus, wait_per_id_s: float) -> tuple[list[int], int]:
     bus.line.send(instruction_packet(BROADCAST, Instruction.PING))
     wait_s = (MOST_ID + 1) * (wait_per_id_s + bus.line.wire_s(_STATUS_BYTES))
     until_s = time.monotonic() + wait_s
-    parser = Parser()
+    parser = PacketParser()
     ids: set[int] = set()
     while data := bus.line.receive(until_s):
         ids |= {packet.id for packet in parser.feed(data) if packet.status is not None}
@@ -125,7 +125,7 @@ def _found(bus: Bus, ident: int, rate: int) -> FoundServo | None:
             memory = None
     if memory is not None and not _has_rate(memory, rate):
         return None
-    return FoundServo(id=ident, baud_rate=rate, model=model, memory=memory)
+    return FoundServo(id=ident, baud_rate=rate, model_number=model, memory=memory)
 
 
 def _has_rate(memory: ServoMemory, rate: int) -> bool:

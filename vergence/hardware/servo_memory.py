@@ -7,10 +7,10 @@ from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.dynamixel.control_table import Register
 
-SPANS: Final = ((0, 14), (20, 4), (31, 5), (44, 4), (64, 1), (68, 3), (126, 21))
+REGISTER_SPANS: Final = ((0, 14), (20, 4), (31, 5), (44, 4), (64, 1), (68, 3), (126, 21))
 """Addresses and lengths of the spans that are read; their registers exist without gaps in all
 models (physical: Dynamixel X series)."""
-PRESENT: Final = SPANS[-1]
+PRESENT_VALUES_SPAN: Final = REGISTER_SPANS[-1]
 """Span of present load, velocity, position, voltage and temperature."""
 _MAX_READS: Final = 2
 """Reads per span: even on a good line one packet in a thousand may be damaged (chosen)."""
@@ -42,7 +42,9 @@ class ServoMemory:
         raise KeyError(register.name)
 
 
-def read_memory(bus: Bus, id: int, spans: tuple[tuple[int, int], ...] = SPANS) -> ServoMemory:
+def read_memory(
+    bus: Bus, id: int, spans: tuple[tuple[int, int], ...] = REGISTER_SPANS
+) -> ServoMemory:
     """Read a servo's registers.
 
     Args:

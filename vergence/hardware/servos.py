@@ -13,7 +13,7 @@ from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.count_log import CountLog
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.health import HealthLevel, HealthWatch, read_health, read_limits
-from vergence.hardware.resting import broadcast_zero_speed, stop_and_disarm
+from vergence.hardware.resting import broadcast_zero_speed, stop_and_disable_watchdog
 from vergence.hardware.servo_angles import SILENT_S, ServoAngles
 from vergence.hardware.servo_memory import describe_fault_bits
 from vergence.models.parts import FloatArray
@@ -80,9 +80,9 @@ class HeadServos:
             raise
 
     @property
-    def misses(self) -> int:
+    def missed_answers(self) -> int:
         """Number of answers that did not arrive."""
-        return self._bus.misses
+        return self._bus.missed_answers
 
     def _stand_still(self) -> None:
         broadcast_zero_speed(self._bus, self.angles.ids)
@@ -220,7 +220,7 @@ class HeadServos:
                 continue
             verdict = self._watches[servo.id].judge(found[servo.id])
             text = f"servos: {servo.name}: {verdict.text}"
-            if verdict.hot:
+            if verdict.must_release_torque:
                 self._hot.add(servo.id)
             if verdict.level is HealthLevel.STOP:
                 stop = stop or text
@@ -233,7 +233,7 @@ class HeadServos:
             raise HardwareError(stop)
         return said
 
-    def release_if_hot(self) -> None:
+    def release_torque_if_hot(self) -> None:
         """Switch the torque of hot servos off, as holding still heats them too."""
         for ident in self._hot:
             with suppress(HardwareError):
@@ -252,8 +252,8 @@ class HeadServos:
         self._pause_s = max(self._pause_s, now - self._fed_s)
         self._fed_s = now
 
-    def longest_pause_s(self) -> float:
-        """Longest time without a packet since the last call; 0 if no watchdog has tripped."""
+    def watchdog_trip_pause_s(self) -> float:
+        """Longest pause between packets since the last call if a watchdog tripped, else 0, s."""
         pause_s = max(self._pause_s, self._clock() - self._fed_s)
         self._pause_s = 0.0
         if pause_s < _PAUSE_FRACTION * self._config.bus.watchdog_s:
@@ -275,5 +275,5 @@ class HeadServos:
             self._stand_still()
         for ident in self.angles.ids:
             with suppress(HardwareError):
-                stop_and_disarm(self._bus, ident)
+                stop_and_disable_watchdog(self._bus, ident)
         self._bus.close()

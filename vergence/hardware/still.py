@@ -24,11 +24,11 @@ class ReadOnlyServos(HeadServos):
         """Send nothing; return (7,) zeros."""
         return np.zeros(7)
 
-    def longest_pause_s(self) -> float:
+    def watchdog_trip_pause_s(self) -> float:
         """Return 0, as no watchdog is armed."""
         return 0.0
 
-    def release_if_hot(self) -> None:
+    def release_torque_if_hot(self) -> None:
         """Leave the torque as it is."""
 
     def close(self) -> None:

@@ -28,7 +28,7 @@ _INHERITED_FIELDS: Final = ("lag_s", "encoder_resolution_rad", "velocity_resolut
 """Fields of an actuator that default to the head's own value; nan stands for the default."""
 
 
-def _unsaid() -> FloatArray:
+def _unset_array() -> FloatArray:
     return np.empty(0)
 
 
@@ -42,7 +42,8 @@ class Actuators(FrozenArrays):
     names: tuple[str, ...]
     """(m,) names of the actuators."""
     matrix: FloatArray
-    """(4, m) joint angles per actuator angle, in joint order."""
+    """(4, m) rotation of each joint per rotation of each actuator: joints = matrix @ actuators +
+    offset; rows in joint order."""
     offset: FloatArray
     """(4,) joint angles with all actuators at zero, rad."""
     lower: FloatArray
@@ -53,15 +54,15 @@ class Actuators(FrozenArrays):
     """Greatest commanded speed, rad/s."""
     acceleration: FloatArray
     """Greatest acceleration, rad/s^2; inf for no limit."""
-    lag_s: FloatArray = field(default_factory=_unsaid)
+    lag_s: FloatArray = field(default_factory=_unset_array)
     """Time constants, s; nan (or empty) for the value in the head's `timing`."""
-    encoder_resolution_rad: FloatArray = field(default_factory=_unsaid)
+    encoder_resolution_rad: FloatArray = field(default_factory=_unset_array)
     """Quantisation of the angle feedback, rad; nan (or empty) for the value in the head's
     `sensor`."""
-    velocity_resolution_rad_s: FloatArray = field(default_factory=_unsaid)
+    velocity_resolution_rad_s: FloatArray = field(default_factory=_unset_array)
     """Quantisation of the velocity feedback, rad/s; nan (or empty) for the value in the head's
     `sensor`."""
-    backlash_rad: FloatArray = field(default_factory=_unsaid)
+    backlash_rad: FloatArray = field(default_factory=_unset_array)
     """Backlash between the motor and its load, whole width, rad; 0 (or empty) for the value in the
     head's `sensor`."""
 

@@ -15,7 +15,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.tag_families import TagFamilyCode, tag_family
 
 GRID_FAMILY: Final = "36h11"
-GRID_BORDER: Final = 2
+GRID_BORDER_BITS: Final = 2
 """Width of each tag's black border, bits; the AprilTag library's own tags have 1 (physical:
 Kalibr's boards)."""
 _CODE_BITS: Final = 6
@@ -81,7 +81,7 @@ class AprilGrid:
     @property
     def bit_m(self) -> float:
         """Edge of one bit of a tag in metres."""
-        return self.tag_m / (_CODE_BITS + 2 * GRID_BORDER)
+        return self.tag_m / (_CODE_BITS + 2 * GRID_BORDER_BITS)
 
     @property
     def cell_m(self) -> float:
@@ -100,7 +100,7 @@ class AprilGrid:
 
         If no number up to the limit does, the one with the least error.
         """
-        bits = _CODE_BITS + 2 * GRID_BORDER
+        bits = _CODE_BITS + 2 * GRID_BORDER_BITS
         gaps = [self.spacing * bits * cells for cells in range(1, _MOST_CELLS_PER_BIT + 1)]
         off = [abs(max(round(gap), 1) - gap) / cells for cells, gap in enumerate(gaps, 1)]
         best = next((i for i, each in enumerate(off) if each < _ROUNDING_BITS), int(np.argmin(off)))
@@ -108,15 +108,15 @@ class AprilGrid:
 
     def tag_bits(self, identity: int) -> NDArray[np.uint8]:
         """One tag without the squares at its corners, 0 black, 255 white, shape (10, 10)."""
-        start = (self.code.total_cells - _CODE_BITS) // 2
+        start = (self.code.total_width - _CODE_BITS) // 2
         bits = self.code.cells(identity)[start : start + _CODE_BITS, start : start + _CODE_BITS]
-        return np.pad(bits, GRID_BORDER)
+        return np.pad(bits, GRID_BORDER_BITS)
 
     @cached_property
     def cells(self) -> NDArray[np.uint8]:
         """The board with a white margin as wide as a gap; one byte a cell, 0 black, 255 white."""
         fine, gap = self._cells_per_bit
-        size = fine * (_CODE_BITS + 2 * GRID_BORDER)
+        size = fine * (_CODE_BITS + 2 * GRID_BORDER_BITS)
         pitch = size + gap
         out = np.full((self.rows * pitch + 3 * gap, self.columns * pitch + 3 * gap), 255, np.uint8)
         for identity, (row, column) in enumerate(self.tag_cells.tolist()):

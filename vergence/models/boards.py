@@ -68,12 +68,12 @@ class AprilTag:
     @property
     def cell_m(self) -> float:
         """Edge of one cell in metres."""
-        return self.edge_m / self.code.border_cells
+        return self.edge_m / self.code.width_at_border
 
     @property
     def origin_cells(self) -> tuple[float, float]:
         """The origin of T, in cells from the board's upper left corner, (x, y)."""
-        return (0.5 * self.code.total_cells, 0.5 * self.code.total_cells)
+        return (0.5 * self.code.total_width, 0.5 * self.code.total_width)
 
     @cached_property
     def cells(self) -> NDArray[np.uint8]:
@@ -138,7 +138,7 @@ class Checkerboard:
     """Inner corners along y."""
     square_m: float = 0.04
     """Edge of one square, m."""
-    rim: bool = True
+    white_rim: bool = True
     """True if a white rim of one square surrounds the board. Detectors need none."""
     size_known: bool = field(default=True, compare=False)
     """True if the square's edge was stated."""
@@ -174,7 +174,7 @@ class Checkerboard:
     @property
     def origin_cells(self) -> tuple[float, float]:
         """The origin of T, in cells from the board's upper left corner, (x, y)."""
-        rim = 1.0 if self.rim else 0.0
+        rim = 1.0 if self.white_rim else 0.0
         if self.symmetric:
             return (0.5 * (self.columns + 1) + rim, 0.5 * (self.rows + 1) + rim)
         return (self.columns + rim, 1.0 + rim)
@@ -187,12 +187,12 @@ class Checkerboard:
         """
         y, x = np.mgrid[: self.rows + 1, : self.columns + 1]
         squares = np.where((x + y) % 2 == 0, 0, 255)
-        return np.asarray(np.pad(squares, int(self.rim), constant_values=255), np.uint8)
+        return np.asarray(np.pad(squares, int(self.white_rim), constant_values=255), np.uint8)
 
     @cached_property
     def corners_m(self) -> NDArray[np.float64]:
         """Inner corners in T, metres, shape (rows * columns, 2), row by row from the upper left."""
-        y, x = np.mgrid[1 : self.rows + 1, 1 : self.columns + 1].astype(float) + int(self.rim)
+        y, x = np.mgrid[1 : self.rows + 1, 1 : self.columns + 1].astype(float) + int(self.white_rim)
         places = np.stack([x.ravel(), y.ravel()], axis=-1)
         return self.square_m * (places - self.origin_cells)
 

@@ -14,8 +14,10 @@ _DROPPED_KEY_PREFIXES: Final = ("links", "eyes")
 """Prefixes of assumption keys whose numbers a file of a head by `JointAxes` does not have."""
 
 
-def to_joint_axes(head: HeadModel) -> HeadModel:
-    """Describe the same head by one free axis per joint instead of Denavit-Hartenberg numbers.
+def dh_to_joint_axes(head: HeadModel) -> HeadModel:
+    """Convert a head with Denavit-Hartenberg links to one with a free axis per joint.
+
+    Its geometry does not change; a head that has such axes is returned as it is.
 
     D-H numbers cannot rotate a joint about the y axis, nor shift it along y, if the joint is
     parallel to the one before it, as the article's tilts are to its neck's pitch.
@@ -30,7 +32,7 @@ def to_joint_axes(head: HeadModel) -> HeadModel:
         names=tuple(body.name for body in bodies),
         parts=tuple(_part(body.joints) for body in bodies),
         pose=np.array([body.pose for body in bodies]),
-        frame=head.links.base_frame(),
+        frame=head.links.frame_n_pose(),
     )
     mounts = np.array([head.links.camera_mount(eye) for eye in range(2)])
     record = head.calibration

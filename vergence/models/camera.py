@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vergence._jit import inlined, kernel
 from vergence.models.kinematics import point_in_eye
 from vergence.models.lens import CameraRow, distort, is_distorted, is_invertible_at, undistort_ray
-from vergence.models.packed import CAMERA, PACKED, PackedHead, camera_at, camera_of
+from vergence.models.packed import CAMERA_LENGTH, PACKED, PackedHead, camera_at, camera_of
 from vergence.models.parts import FloatArray
 
 
@@ -106,13 +106,13 @@ def undistort(pixels: FloatArray, p: PackedHead, out: FloatArray) -> None:
         out[eye, 0], out[eye, 1] = undistort_pixel(p, eye, pixels[eye, 0], pixels[eye, 1])
 
 
-@kernel(["(f8[:],f8[:],f8[:])"], f"(2),({CAMERA})->(2)")
+@kernel(["(f8[:],f8[:],f8[:])"], f"(2),({CAMERA_LENGTH})->(2)")
 def rays_to_pixels(ray: FloatArray, row: FloatArray, out: FloatArray) -> None:
     """Pixels (u, v) of rays (X / Z, Y / Z) in one camera, nan beyond the lens model."""
     out[0], out[1] = ray_to_pixel(camera_at(row, 0), ray[0], ray[1])
 
 
-@kernel(["(f8[:],f8[:],f8[:])"], f"(2),({CAMERA})->(2)")
+@kernel(["(f8[:],f8[:],f8[:])"], f"(2),({CAMERA_LENGTH})->(2)")
 def pixels_to_rays(pixel: FloatArray, row: FloatArray, out: FloatArray) -> None:
     """Rays (X / Z, Y / Z) of pixels (u, v) in one camera, nan if the lens has no inverse there."""
     camera = camera_at(row, 0)

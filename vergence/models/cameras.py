@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence.errors import ConfigurationError
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray, Parameter, readonly_array
-from vergence.models.response import Response, parse_response
+from vergence.models.response import CameraResponse, parse_response
 
 BROWN_CONRADY: Final = "brown-conrady"
 PINHOLE: Final = "pinhole"
@@ -42,7 +42,7 @@ class Cameras:
     two Brown-Conrady lenses, else 8; a lens with fewer coefficients is padded with zeros."""
     lens: tuple[str, str] = (BROWN_CONRADY, BROWN_CONRADY)
     """The lens model of each eye, a key of `LENSES`; one name applies to both eyes."""
-    response: tuple[Response | None, Response | None] = (None, None)
+    response: tuple[CameraResponse | None, CameraResponse | None] = (None, None)
     """Response of each eye's camera, from grey level to light, see `parse_response`; None if
     unknown. A value that is not a tuple of two applies to both eyes."""
 
@@ -65,14 +65,17 @@ class Cameras:
         return _camera_parameters(self.lens)
 
 
-def coefficient_count(lens: tuple[str, str]) -> int:
-    """Number of columns of `Cameras.distortion`."""
+def padded_coefficient_count(lens: tuple[str, str]) -> int:
+    """Number of coefficients to which the distortions of both eyes are padded.
+
+    5 for two Brown-Conrady lenses, else 8.
+    """
     return 5 if lens == (BROWN_CONRADY, BROWN_CONRADY) else 8
 
 
 @lru_cache(maxsize=16)
 def _camera_parameters(lens: tuple[str, str]) -> tuple[Parameter, ...]:
-    slots = {"focal": 2, "principal": 2, "distortion": coefficient_count(lens)}
+    slots = {"focal": 2, "principal": 2, "distortion": padded_coefficient_count(lens)}
     return tuple(
         Parameter(f"{eye}.camera.{name}", unit, field, slots[field] * i + j)
         for i, eye in enumerate(EYE_NAMES)
@@ -95,12 +98,12 @@ def _pair_of_lenses(lens: object) -> tuple[str, str]:
     return pair[0], pair[1]
 
 
-def _pair_of_responses(given: Any) -> tuple[Response | None, Response | None]:
+def _pair_of_responses(given: Any) -> tuple[CameraResponse | None, CameraResponse | None]:
     left, right = given if isinstance(given, tuple) and len(given) == 2 else (given, given)
     return _response_or_none(left), _response_or_none(right)
 
 
-def _response_or_none(given: Any) -> Response | None:
+def _response_or_none(given: Any) -> CameraResponse | None:
     return None if given is None else parse_response(given)
 
 
@@ -122,7 +125,7 @@ def _pair_of_sizes(size: ArrayLike) -> NDArray[np.int64]:
 def _coefficients(distortion: ArrayLike, lens: tuple[str, str]) -> FloatArray:
     """Check the coefficients, and pad or trim them to the columns that the lenses need."""
     values = np.asarray(distortion, dtype=np.float64)
-    slots, count = coefficient_count(lens), values.shape[-1] if values.ndim else 0
+    slots, count = padded_coefficient_count(lens), values.shape[-1] if values.ndim else 0
     if values.ndim < 2 or values.shape[-2] != 2 or not 4 <= count <= 8:
         raise ConfigurationError(
             f"distortion: expected shape (..., 2, {slots}), got {values.shape}"

@@ -8,7 +8,7 @@ from vergence.models.cameras import Cameras
 from vergence.models.packed import pack_cameras
 
 
-def lens_folds_inside_image(cameras: Cameras) -> NDArray[np.bool_]:
+def has_pixels_without_rays(cameras: Cameras) -> NDArray[np.bool_]:
     """True for each camera whose lens model leaves a part of its image without rays.
 
     This happens if the model folds the image back on itself inside the image, or if a fisheye

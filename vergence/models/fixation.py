@@ -16,7 +16,7 @@ from vergence.models.actuator_projection import actuator_least_squares
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import PACKED, PackedHead, camera_of, eye_joint_angle
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Vector, point_rate, point_to_local
+from vergence.models.pose import Vector, point_rate_in_camera, point_to_local
 
 _MAX_ITERATIONS: Final = 60
 """Iteration limit of Newton's method, and half that of Gauss-Newton (numerical)."""
@@ -33,10 +33,12 @@ _ACCEPTED_STEP_RAD: Final = 1e-7
 
 
 @inlined
-def fixate_step(
+def fixation_newton_step(
     p: PackedHead, eye: int, q1: float, q2: float, x: float, y: float, z: float
 ) -> tuple[float, float]:
-    """One Newton step of an eye's two joints towards a point, rad; nan if there is none.
+    """Changes of an eye's joint angles in one Newton step towards a point of N, rad.
+
+    They are nan if there is no step.
 
     The step acts on the bearing (atan2(x, z), atan2(y, |x, z|)). Unlike the pixel, the bearing
     stays smooth for a point behind the camera, so limited steps converge from any direction.
@@ -49,8 +51,8 @@ def fixate_step(
     r = sqrt(r2)
     d2 = r2 + cy * cy
     a, b = atan2(cx, cz), atan2(cy, r)
-    t = point_rate(frames.after_first_joint, frames.camera, x, y, z)
-    s = point_rate(frames.after_second_joint, frames.camera, x, y, z)
+    t = point_rate_in_camera(frames.after_first_joint, frames.camera, x, y, z)
+    s = point_rate_in_camera(frames.after_second_joint, frames.camera, x, y, z)
     at, ap = (cz * t[0] - cx * t[2]) / r2, (cz * s[0] - cx * s[2]) / r2
     bt = (r * t[1] - cy * (cx * t[0] + cz * t[2]) / r) / d2
     bp = (r * s[1] - cy * (cx * s[0] + cz * s[2]) / r) / d2
@@ -69,7 +71,7 @@ def fixate_eye(p: PackedHead, eye: int, x: float, y: float, z: float) -> tuple[f
     """
     tilt, pan = 0.0, 0.0
     for _ in range(_MAX_ITERATIONS):
-        dt, dp = fixate_step(p, eye, tilt, pan, x, y, z)
+        dt, dp = fixation_newton_step(p, eye, tilt, pan, x, y, z)
         step = hypot(dt, dp)
         if not isfinite(step):
             return nan, nan
@@ -121,7 +123,7 @@ def _aim_error(
     error[eye, 0], error[eye, 1] = -camera.focal_u * a, -camera.focal_v * b
     for joint in range(2):
         axis = frames.after_first_joint if joint == 0 else frames.after_second_joint
-        t = point_rate(axis, frames.camera, point[0], point[1], point[2])
+        t = point_rate_in_camera(axis, frames.camera, point[0], point[1], point[2])
         if bearings:
             across = (cz * t[0] - cx * t[2]) / r2
             along = (r * t[1] - cy * (cx * t[0] + cz * t[2]) / r) / d2
@@ -179,7 +181,7 @@ def fixate_coupled(p: PackedHead, x: float, y: float, z: float, joints: FloatArr
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], f"(3),(3),(7),({PACKED})->(7)")
 def fixate(
-    points: FloatArray, neck: FloatArray, shape: FloatArray, p: PackedHead, out: FloatArray
+    points: FloatArray, neck: FloatArray, _seven: FloatArray, p: PackedHead, out: FloatArray
 ) -> None:
     """Joint angles that fixate a point of N; nan for an eye without a solution."""
     for j in range(3):
@@ -190,8 +192,8 @@ def fixate(
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:],f8[:])"], f"(3),(3),(7),({PACKED})->(7)")
-def fixate_best(
-    points: FloatArray, neck: FloatArray, shape: FloatArray, p: PackedHead, out: FloatArray
+def fixate_least_squares(
+    points: FloatArray, neck: FloatArray, _seven: FloatArray, p: PackedHead, out: FloatArray
 ) -> None:
     """`fixate` for coupled joints: the least-squares solution; nan if there is none."""
     for j in range(3):

@@ -187,7 +187,9 @@ class HeadModel:
         Returns:
             (..., 4, 4) T_0_N, metres.
         """
-        return np.asarray(kinematics.base_pose(self._held(q), self.packed, kinematics.QUAD))
+        return np.asarray(
+            kinematics.frame_n_in_base(self._held(q), self.packed, kinematics.FOUR_ELEMENTS)
+        )
 
     def camera_poses(self, q: ArrayLike) -> FloatArray:
         """Poses of both cameras in N (Eqs. 14 to 17).
@@ -199,7 +201,11 @@ class HeadModel:
             (..., 2, 4, 4) T_N_Cl and T_N_Cr, metres.
         """
         q = self._held(q)
-        return np.asarray(kinematics.camera_poses(q, self.packed, kinematics.PAIR, kinematics.QUAD))
+        return np.asarray(
+            kinematics.camera_poses(
+                q, self.packed, kinematics.TWO_ELEMENTS, kinematics.FOUR_ELEMENTS
+            )
+        )
 
     def link_poses(self, q: ArrayLike) -> FloatArray:
         """Poses in N of the last links of both eyes, which carry the cameras.
@@ -212,7 +218,7 @@ class HeadModel:
         Returns:
             (..., 2, 4, 4) T_N_6 and T_N_9, metres.
         """
-        return np.asarray(kinematics.link_poses(self._held(q), self.packed, self.head_eye))
+        return np.asarray(kinematics.last_eye_link_poses(self._held(q), self.packed, self.head_eye))
 
     def project(self, q: ArrayLike, points: ArrayLike, distorted: bool = True) -> FloatArray:
         """Project points into both images.
@@ -227,7 +233,9 @@ class HeadModel:
             radius at which the lens model folds back on itself.
         """
         return np.asarray(
-            camera.project(self._held(q), points, np.bool_(distorted), self.packed, kinematics.PAIR)
+            camera.project(
+                self._held(q), points, np.bool_(distorted), self.packed, kinematics.TWO_ELEMENTS
+            )
         )
 
     def undistort(self, pixels: ArrayLike) -> FloatArray:
@@ -283,7 +291,7 @@ class HeadModel:
         neck = as_operand("fixate: neck", neck)
         neck = np.broadcast_to(neck, (3,)) if neck.ndim == 0 else neck
         with np.errstate(invalid="ignore"):  # a point at infinity has no solution: not an error
-            kernel = fixation.fixate if self.actuation.direct else fixation.fixate_best
+            kernel = fixation.fixate if self.actuation.direct else fixation.fixate_least_squares
             q = np.asarray(kernel(points, neck, np.zeros(7), self.packed))
         if warn and q.ndim == 1:  # a program that asks for many points checks the angles itself
             warn_of_point(self._bounds, points, q)

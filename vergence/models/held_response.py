@@ -5,7 +5,7 @@ A joint follows its velocity command u with a lag l, whose acceleration may take
     m l^2 dw/dt + l w + v = u,   dv/dt = w,   dq/dt = v,   |w| <= a
 
 For a build-up m of zero this is `vergence.models.joint_response.follow_joint`. Otherwise it is the
-second-order lag of `follow_second_order_joint` there, with the part_s constant `sqrt(m) l` and the
+second-order lag of `follow_second_order_joint` there, with the time constant `sqrt(m) l` and the
 damping ratio `1 / (2 sqrt(m))`: it overshoots for m above 1/4.
 """
 
@@ -41,15 +41,15 @@ class HeldResponse(NamedTuple):
     """Greatest acceleration, rad/s^2, inf for none."""
     part_s: float
     """Duration of one part, s."""
-    parts: int
+    part_count: int
     """Number of parts of the hold time."""
-    gap_gap: float
+    gap_factor: float
     """Factor from the gap to the gap after a part."""
-    gap_w: float
+    gap_from_acceleration: float
     """Factor from the acceleration to the gap after a part, s."""
-    w_w: float
+    acceleration_factor: float
     """Factor from the acceleration to the acceleration after a part."""
-    w_gap: float
+    acceleration_from_gap: float
     """Factor from the gap to the acceleration after a part, 1/s."""
 
 
@@ -69,40 +69,46 @@ def _transition(lag: float, square: float, t: float) -> tuple[float, float, floa
 
 
 @inlined
-def prepare_held_response(lag: float, build_up: float, a: float, time: float) -> HeldResponse:
-    """Prepare the coefficients.
+def prepare_held_response(
+    lag_s: float, build_up_ratio: float, max_acceleration: float, hold_s: float
+) -> HeldResponse:
+    """Prepare the coefficients of the response to a command that is held for a time.
 
     Args:
-        lag: l, s, above 0.
-        build_up: build-up m.
-        a: greatest acceleration, rad/s^2, inf for none.
-        time: hold time of a command, s.
+        lag_s: l, s, above 0.
+        build_up_ratio: build-up m.
+        max_acceleration: greatest acceleration, rad/s^2, inf for none.
+        hold_s: hold time of a command, s.
     """
-    if build_up < _MIN_BUILD_UP or time <= 0.0:
-        return HeldResponse(lag, 0.0, a, time, 1, lag_decay(time, lag), 0.0, 0.0, 0.0)
-    square, parts = build_up * lag * lag, 1
-    if a < inf:
-        parts = min(int(time / (_MAX_PART_LENGTH * sqrt(square))) + 1, _MAX_PARTS)
-    gap_gap, gap_w, w_w, w_gap = _transition(lag, square, time / parts)
-    return HeldResponse(lag, square, a, time / parts, parts, gap_gap, gap_w, w_w, w_gap)
+    if build_up_ratio < _MIN_BUILD_UP or hold_s <= 0.0:
+        return HeldResponse(
+            lag_s, 0.0, max_acceleration, hold_s, 1, lag_decay(hold_s, lag_s), 0.0, 0.0, 0.0
+        )
+    square, parts = build_up_ratio * lag_s * lag_s, 1
+    if max_acceleration < inf:
+        parts = min(int(hold_s / (_MAX_PART_LENGTH * sqrt(square))) + 1, _MAX_PARTS)
+    gap_gap, gap_w, w_w, w_gap = _transition(lag_s, square, hold_s / parts)
+    return HeldResponse(
+        lag_s, square, max_acceleration, hold_s / parts, parts, gap_gap, gap_w, w_w, w_gap
+    )
 
 
 @inlined
 def _unlimited(
-    q: float, v: float, w: float, u: float, response: HeldResponse, t: float
+    q: float, v: float, acceleration: float, u: float, response: HeldResponse, t: float
 ) -> tuple[float, float, float]:
     """State after the time t, without a limit on the acceleration."""
     gap_gap, gap_w, w_w, w_gap = _transition(response.lag_s, response.build_up_s2, t)
     gap = v - u
-    after, then = gap * gap_gap + w * gap_w, w * w_w + gap * w_gap
+    after, then = gap * gap_gap + acceleration * gap_w, acceleration * w_w + gap * w_gap
     # integral of the equation of motion
-    q += u * t - response.build_up_s2 * (then - w) - response.lag_s * (after - gap)
+    q += u * t - response.build_up_s2 * (then - acceleration) - response.lag_s * (after - gap)
     return q, u + after, then
 
 
 @inlined
-def follow_held(
-    q: float, v: float, w: float, u: float, response: HeldResponse
+def follow_held_command(
+    q: float, v: float, acceleration: float, u: float, response: HeldResponse
 ) -> tuple[float, float, float]:
     """Move a joint by the hold time of a response, without position limits.
 
@@ -112,7 +118,7 @@ def follow_held(
     Args:
         q: angle, rad.
         v: velocity, rad/s.
-        w: acceleration, rad/s^2; ignored by a first-order lag.
+        acceleration: acceleration, rad/s^2; ignored by a first-order lag.
         u: velocity command, rad/s.
         response: coefficients from `prepare_held_response`.
 
@@ -121,37 +127,41 @@ def follow_held(
     """
     a = response.max_acceleration
     if response.build_up_s2 == 0.0:
-        q, v = follow_joint(q, v, u, response.lag_s, a, response.part_s, response.gap_gap)
+        q, v = follow_joint(q, v, u, response.lag_s, a, response.part_s, response.gap_factor)
         return q, v, min(max((u - v) / response.lag_s, -a), a)
-    for _ in range(response.parts):
+    for _ in range(response.part_count):
         t = response.part_s
-        w = min(max(w, -a), a)
+        acceleration = min(max(acceleration, -a), a)
         # at the limit until the equation demands a smaller |w|
         held = 0.0
-        if abs(w) == a:
-            held = min(max((u - v - response.lag_s * w) / w, 0.0), t)
-            q, v, t = q + (v + 0.5 * w * held) * held, v + w * held, t - held
+        if abs(acceleration) == a:
+            held = min(max((u - v - response.lag_s * acceleration) / acceleration, 0.0), t)
+            q, v, t = q + (v + 0.5 * acceleration * held) * held, v + acceleration * held, t - held
             if t <= 0.0:
                 continue
         gap = v - u
         after, then = (
-            gap * response.gap_gap + w * response.gap_w,
-            w * response.w_w + gap * response.w_gap,
+            gap * response.gap_factor + acceleration * response.gap_from_acceleration,
+            acceleration * response.acceleration_factor + gap * response.acceleration_from_gap,
         )
         if held > 0.0:
-            q, v, w = _unlimited(q, v, w, u, response, t)
+            q, v, acceleration = _unlimited(q, v, acceleration, u, response, t)
         elif abs(then) <= a:
-            q += u * t - response.build_up_s2 * (then - w) - response.lag_s * (after - gap)
-            v, w = u + after, then
+            q += (
+                u * t
+                - response.build_up_s2 * (then - acceleration)
+                - response.lag_s * (after - gap)
+            )
+            v, acceleration = u + after, then
         else:
             # time until the limit: linear extrapolation, then one secant step
             limit = a if then > 0.0 else -a
-            slope = -(gap + response.lag_s * w) / response.build_up_s2
-            meets = min(max((limit - w) / slope, 0.0), t) if slope != 0.0 else 0.0
-            came = _unlimited(q, v, w, u, response, meets)[2]
-            if came != w:
-                meets = min(max(meets * (limit - w) / (came - w), 0.0), t)
-            q, v, w = _unlimited(q, v, w, u, response, meets)
-            w, t = limit, t - meets
-            q, v = q + (v + 0.5 * w * t) * t, v + w * t
-    return q, v, w
+            slope = -(gap + response.lag_s * acceleration) / response.build_up_s2
+            meets = min(max((limit - acceleration) / slope, 0.0), t) if slope != 0.0 else 0.0
+            came = _unlimited(q, v, acceleration, u, response, meets)[2]
+            if came != acceleration:
+                meets = min(max(meets * (limit - acceleration) / (came - acceleration), 0.0), t)
+            q, v, acceleration = _unlimited(q, v, acceleration, u, response, meets)
+            acceleration, t = limit, t - meets
+            q, v = q + (v + 0.5 * acceleration * t) * t, v + acceleration * t
+    return q, v, acceleration

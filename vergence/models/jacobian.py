@@ -14,19 +14,26 @@ from vergence._jit import inlined, kernel
 from vergence.models.camera import pinhole_ray
 from vergence.models.kinematics import EyeFrames, eye_frames
 from vergence.models.lens import CameraRow
-from vergence.models.packed import PACKED, PackedHead, camera_of, neck_link
+from vergence.models.packed import PACKED, PackedHead, camera_of, neck_constant_pose
 from vergence.models.parts import FloatArray
-from vergence.models.pose import Vector, compose, inverse, point_rate, point_to_outer, rotate_z
+from vergence.models.pose import (
+    Vector,
+    compose,
+    inverse,
+    point_rate_in_camera,
+    point_to_outer,
+    rotate_z,
+)
 
 
 @inlined
 def pixel_rate(
-    camera: CameraRow, x: float, y: float, depth: float, rate: Vector
+    camera: CameraRow, x: float, y: float, depth: float, point_velocity: Vector
 ) -> tuple[float, float]:
     """Velocity of the ideal pixel at normalised (x, y) from the point's velocity in the camera."""
     return (
-        camera.focal_u * (rate[0] - x * rate[2]) / depth,
-        camera.focal_v * (rate[1] - y * rate[2]) / depth,
+        camera.focal_u * (point_velocity[0] - x * point_velocity[2]) / depth,
+        camera.focal_v * (point_velocity[1] - y * point_velocity[2]) / depth,
     )
 
 
@@ -50,8 +57,8 @@ def eye_jacobian(
     camera = camera_of(p, eye)
     x, y = pinhole_ray(camera, ideal_u, ideal_v)
     px, py, pz = point_to_outer(frames.camera, x * depth, y * depth, depth)
-    tilting = point_rate(frames.after_first_joint, frames.camera, px, py, pz)
-    panning = point_rate(frames.after_second_joint, frames.camera, px, py, pz)
+    tilting = point_rate_in_camera(frames.after_first_joint, frames.camera, px, py, pz)
+    panning = point_rate_in_camera(frames.after_second_joint, frames.camera, px, py, pz)
     ut, vt = pixel_rate(camera, x, y, depth, tilting)
     up, vp = pixel_rate(camera, x, y, depth, panning)
     return ut, up, vt, vp
@@ -66,9 +73,9 @@ def image_jacobian(
 ) -> None:
     """Pixel velocity per joint velocity of a target at rest in frame 0, both eyes."""
     # the neck's axes seen from N: walk the chain backwards from N to joint 1
-    after_pitch = neck_link(p, 3)
-    after_roll = compose(rotate_z(neck_link(p, 2), q[2]), after_pitch)
-    after_yaw = compose(rotate_z(neck_link(p, 1), q[1]), after_roll)
+    after_pitch = neck_constant_pose(p, 3)
+    after_roll = compose(rotate_z(neck_constant_pose(p, 2), q[2]), after_pitch)
+    after_yaw = compose(rotate_z(neck_constant_pose(p, 1), q[1]), after_roll)
     yaw, roll, pitch = inverse(after_yaw), inverse(after_roll), inverse(after_pitch)
     for eye in range(2):
         camera = camera_of(p, eye)
@@ -85,5 +92,5 @@ def image_jacobian(
             (3 + 2 * eye, frames.after_first_joint),
             (4 + 2 * eye, frames.after_second_joint),
         ):
-            rate = point_rate(axis, frames.camera, px, py, pz)
+            rate = point_rate_in_camera(axis, frames.camera, px, py, pz)
             out[eye, 0, j], out[eye, 1, j] = pixel_rate(camera, x, y, z, rate)

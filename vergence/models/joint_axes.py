@@ -146,8 +146,8 @@ class JointAxes(FrozenArrays):
             last |= dict.fromkeys(carried, joint)
         return tuple(out)
 
-    def base_frame(self) -> FloatArray:
-        """See `Links.base_frame`."""
+    def frame_n_pose(self) -> FloatArray:
+        """See `Links.frame_n_pose`."""
         return self.frame
 
     def camera_mount(self, eye: int) -> FloatArray:

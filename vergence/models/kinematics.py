@@ -18,7 +18,13 @@ from vergence._jit import inlined, kernel
 from vergence.models.actuation import Actuation
 from vergence.models.cameras import Cameras
 from vergence.models.links import Links
-from vergence.models.packed import PACKED, PackedHead, eye_link, neck_link, pack_constants
+from vergence.models.packed import (
+    PACKED,
+    PackedHead,
+    eye_constant_pose,
+    neck_constant_pose,
+    pack_constants,
+)
 from vergence.models.parts import FloatArray
 from vergence.models.pose import (
     Pose,
@@ -31,10 +37,10 @@ from vergence.models.pose import (
     store_pose,
 )
 
-PAIR: Final = np.zeros(2)
+TWO_ELEMENTS: Final = np.zeros(2)
 """Operand of the dimension "two eyes" (or "u and v"), for kernels with this dimension only in a
 result (numerical)."""
-QUAD: Final = np.zeros(4)
+FOUR_ELEMENTS: Final = np.zeros(4)
 """Operand of the dimension of a homogeneous vector, for kernels with it only in a result
 (numerical)."""
 
@@ -68,7 +74,7 @@ def pack_head(
 
 
 class EyeFrames(NamedTuple):
-    """The frames of one eye in N; the z axes of `first` and `second` are its joints' axes."""
+    """Frames of one eye in N: after each joint, whose axis is that frame's z axis, and camera."""
 
     after_first_joint: Pose
     after_second_joint: Pose
@@ -78,9 +84,9 @@ class EyeFrames(NamedTuple):
 @inlined
 def eye_frames(p: PackedHead, eye: int, q1: float, q2: float) -> EyeFrames:
     """The frames of one eye in N: after its first joint, after its second, and its camera."""
-    first = rotate_z(eye_link(p, eye, 0), q1)
-    second = rotate_z(compose(first, eye_link(p, eye, 1)), q2)
-    return EyeFrames(first, second, compose(second, eye_link(p, eye, 2)))
+    first = rotate_z(eye_constant_pose(p, eye, 0), q1)
+    second = rotate_z(compose(first, eye_constant_pose(p, eye, 1)), q2)
+    return EyeFrames(first, second, compose(second, eye_constant_pose(p, eye, 2)))
 
 
 @inlined
@@ -94,25 +100,28 @@ def point_in_eye(
     p: PackedHead, eye: int, q1: float, q2: float, x: float, y: float, z: float
 ) -> Vector:
     """Transform a point from N to one eye's camera frame, link by link."""
-    x, y, z = point_to_local(eye_link(p, eye, 0), x, y, z)
+    x, y, z = point_to_local(eye_constant_pose(p, eye, 0), x, y, z)
     x, y = _unrotate_z(x, y, q1)
-    x, y, z = point_to_local(eye_link(p, eye, 1), x, y, z)
+    x, y, z = point_to_local(eye_constant_pose(p, eye, 1), x, y, z)
     x, y = _unrotate_z(x, y, q2)
-    return point_to_local(eye_link(p, eye, 2), x, y, z)
+    return point_to_local(eye_constant_pose(p, eye, 2), x, y, z)
 
 
 @inlined
 def neck_frame(p: PackedHead, q1: float, q2: float, q3: float) -> Pose:
-    """T_0_N."""
-    m = rotate_z(neck_link(p, 0), q1)
-    m = rotate_z(compose(m, neck_link(p, 1)), q2)
-    m = rotate_z(compose(m, neck_link(p, 2)), q3)
-    return compose(m, neck_link(p, 3))
+    """T_0_N: pose of frame N in the base, at the neck's joint angles, rad."""
+    m = rotate_z(neck_constant_pose(p, 0), q1)
+    m = rotate_z(compose(m, neck_constant_pose(p, 1)), q2)
+    m = rotate_z(compose(m, neck_constant_pose(p, 2)), q3)
+    return compose(m, neck_constant_pose(p, 3))
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:,:])"], f"(7),({PACKED}),(4)->(4,4)")
-def base_pose(q: FloatArray, p: PackedHead, _four: FloatArray, out: FloatArray) -> None:
-    """T_0_N of a packed head."""
+def frame_n_in_base(q: FloatArray, p: PackedHead, _four: FloatArray, out: FloatArray) -> None:
+    """T_0_N of a packed head: pose of frame N in the base frame 0.
+
+    `_four` only sets the result's dimension.
+    """
     store_pose(out, neck_frame(p, q[0], q[1], q[2]))
 
 
@@ -126,7 +135,9 @@ def camera_poses(
 
 
 @kernel(["(f8[:],f8[:],f8[:,:,:],f8[:,:,:])"], f"(7),({PACKED}),(2,4,4)->(2,4,4)")
-def link_poses(q: FloatArray, p: PackedHead, head_eye: FloatArray, out: FloatArray) -> None:
+def last_eye_link_poses(
+    q: FloatArray, p: PackedHead, head_eye: FloatArray, out: FloatArray
+) -> None:
     """Poses in N of the eyes' last links, of a packed head and its head-eye transforms."""
     for eye in range(2):
         camera = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye]).camera

@@ -75,7 +75,7 @@ class Links(Protocol):
     def bodies(self) -> tuple[Body, ...]:
         """The bodies that the joints carry, parents first; for one head, not for a population."""
 
-    def base_frame(self) -> FloatArray:
+    def frame_n_pose(self) -> FloatArray:
         """(4, 4) pose of frame N in the body that carries it: the neck's last body or the base."""
 
     def camera_mount(self, eye: int) -> FloatArray:
@@ -179,8 +179,8 @@ class DenavitHartenberg(FrozenArrays):
                 places[frame] = len(bodies) - 1
         return tuple(bodies)
 
-    def base_frame(self) -> FloatArray:
-        """See `Links.base_frame`."""
+    def frame_n_pose(self) -> FloatArray:
+        """See `Links.frame_n_pose`."""
         return T_3_N
 
     def camera_mount(self, eye: int) -> FloatArray:
@@ -240,15 +240,13 @@ def twist_vector(matrix: FloatArray) -> FloatArray:
     )  # fmt: skip
 
 
-def pose_parameter_twists(
-    reference_rotation: FloatArray, rotation_vector: FloatArray
-) -> FloatArray:
+def pose_parameter_twists(reference_pose: FloatArray, rotation_vector: FloatArray) -> FloatArray:
     """Body twists `inv(T) dT/dx` of a pose T by each component x of its parameters r and p.
 
     T has the rotation `R exp([r])` and the position p; the twists are in its own frame.
 
     Args:
-        reference_rotation: (4, 4) pose with the rotation R.
+        reference_pose: (4, 4) pose with the rotation R.
         rotation_vector: (3,) the rotation vector r.
 
     Returns:
@@ -265,7 +263,7 @@ def pose_parameter_twists(
     turn = np.eye(3) + (1.0 - angle**2 * two) * cross + one * cross @ cross
     out = np.zeros((6, 6))
     out[:3, :3] = jacobian.T
-    out[3:, 3:] = reference_rotation[:3, :3] @ turn
+    out[3:, 3:] = reference_pose[:3, :3] @ turn
     return out
 
 

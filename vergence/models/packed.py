@@ -2,8 +2,8 @@
 
 A row holds ten poses, which are the constants between the joints (see `kinematics`), two cameras,
 and the linear map between the eyes' actuators and joints. Operands of kernels stay flat rows of
-floats. Inside a kernel, `camera_of`, `neck_link` and `eye_link` return the parts as tuples with
-named fields, at no cost in time.
+floats. Inside a kernel, `camera_of`, `neck_constant_pose` and `eye_constant_pose` return the parts
+as tuples with named fields, at no cost in time.
 """
 
 from collections.abc import Sequence
@@ -30,9 +30,9 @@ _NECK_START: Final = 0
 _EYES_START: Final = 4 * _POSE_LENGTH
 _EYE_LENGTH: Final = 3 * _POSE_LENGTH
 _CAMERAS_START: Final = _EYES_START + 2 * _EYE_LENGTH
-CAMERA: Final = 17
+CAMERA_LENGTH: Final = 17
 """Length of a packed camera (numerical)."""
-_DIRECT: Final = _CAMERAS_START + 2 * CAMERA
+_DIRECT: Final = _CAMERAS_START + 2 * CAMERA_LENGTH
 _TO_JOINTS: Final = _DIRECT + 1
 _OFFSET: Final = _TO_JOINTS + SLOTS * SLOTS
 _TO_ACTUATORS: Final = _OFFSET + SLOTS
@@ -49,8 +49,8 @@ def pack_constants(
     """Pack heads into one row of numbers each.
 
     Args:
-        poses: (..., 4, 4) each: the four constants of the neck, the three of the left eye, and
-            the three of the right eye, in the order of `neck_link` and `eye_link`.
+        poses: (..., 4, 4) each: the four constants of the neck, the three of the left eye, and the
+            three of the right eye, in the order of `neck_constant_pose` and `eye_constant_pose`.
         cameras: the two cameras, batched or not.
         actuation: the head's actuators.
         batch_shape: the leading shape; all parts broadcast to it.
@@ -65,7 +65,7 @@ def pack_constants(
             *rows.shape[:-2], _POSE_LENGTH
         )
     pair = pack_cameras(cameras)
-    packed[..., _CAMERAS_START:_DIRECT] = pair.reshape(*pair.shape[:-2], 2 * CAMERA)
+    packed[..., _CAMERAS_START:_DIRECT] = pair.reshape(*pair.shape[:-2], 2 * CAMERA_LENGTH)
     packed[..., _DIRECT] = actuation.direct
     packed[..., _TO_JOINTS:_OFFSET] = actuation.to_joints.ravel()
     packed[..., _OFFSET:_TO_ACTUATORS] = actuation.offset
@@ -109,14 +109,14 @@ def pack_camera(
         (..., 17); the leading shape is the broadcast shape of all arguments except the size.
     """
     batch = np.broadcast_shapes(focal.shape[:-1], principal.shape[:-1], distortion.shape[:-1])
-    rows = np.empty((*batch, CAMERA))
+    rows = np.empty((*batch, CAMERA_LENGTH))
     numbers = pack_lens(lens, distortion)
     rows[..., 0:2], rows[..., 2:4], rows[..., 4:12] = focal, principal, numbers[..., :8]
     rows[..., 12:14], rows[..., 14:] = size, numbers[..., 8:]
     return rows
 
 
-_camera_run = make_tuple_reader(CAMERA)
+_camera_run = make_tuple_reader(CAMERA_LENGTH)
 
 
 @inlined
@@ -128,19 +128,19 @@ def camera_at(row: FloatArray, i: int) -> CameraRow:
 @inlined
 def camera_of(p: PackedHead, eye: int) -> CameraRow:
     """The camera of an eye, 0 for left, 1 for right."""
-    return camera_at(p, _CAMERAS_START + eye * CAMERA)
+    return camera_at(p, _CAMERAS_START + eye * CAMERA_LENGTH)
 
 
 @inlined
-def neck_link(p: PackedHead, link: int) -> Pose:
+def neck_constant_pose(p: PackedHead, index: int) -> Pose:
     """One of the neck's four constants B_0 (before its first joint) to B_3 (after its third)."""
-    return pose_at(p, _NECK_START + link * _POSE_LENGTH)
+    return pose_at(p, _NECK_START + index * _POSE_LENGTH)
 
 
 @inlined
-def eye_link(p: PackedHead, eye: int, link: int) -> Pose:
+def eye_constant_pose(p: PackedHead, eye: int, index: int) -> Pose:
     """One of an eye's three constants M_0 (before its first joint) to M_2 (after its second)."""
-    return pose_at(p, _EYES_START + eye * _EYE_LENGTH + link * _POSE_LENGTH)
+    return pose_at(p, _EYES_START + eye * _EYE_LENGTH + index * _POSE_LENGTH)
 
 
 @inlined

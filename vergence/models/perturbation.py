@@ -253,7 +253,7 @@ def _lowered(nominal: Geometry) -> dict[str, float]:
     links = nominal.links
     bodies = links.bodies()
     in_n: list[FloatArray] = []
-    into_n = inverse_pose(links.base_frame())
+    into_n = inverse_pose(links.frame_n_pose())
     carrier = chain_end(bodies, None)
     for i, body in enumerate(bodies):
         before = np.eye(4) if body.parent < 0 else in_n[body.parent]

@@ -28,15 +28,15 @@ class FixationBounds(NamedTuple):
     They are Python floats: comparing eight of these takes less time than one NumPy call.
     """
 
-    far_m: float
+    zero_disparity_m: float
     """Distance from which the disparity does not distinguish a point from one at infinity, m."""
     actuation: Actuation
     limits: JointLimits
     joints: tuple[str, ...]
     """(7,) names."""
-    lower: list[float]
+    eye_lower_rad: list[float]
     """(8,) least angles of the eyes' four joints, then of their four actuators, rad."""
-    upper: list[float]
+    eye_upper_rad: list[float]
     """(8,) greatest angles, in the same order, rad."""
 
     @classmethod
@@ -72,16 +72,19 @@ def warn_of_point(bounds: FixationBounds, point: ArrayLike, q: FloatArray) -> No
     """
     x, y, z = np.asarray(point, dtype=np.float64).tolist()
     distance = hypot(x, y, z)
-    if bounds.far_m < distance < _MM_PER_M * bounds.far_m:
+    if bounds.zero_disparity_m < distance < _MM_PER_M * bounds.zero_disparity_m:
         said = (
             f"metres, got {_formatted(x, y, z)}, which is {distance:.3g} m away, where no eye of "
-            f"this head tells how far (from {bounds.far_m:.0f} m on): is it in millimetres?"
+            f"this head tells how far (from {bounds.zero_disparity_m:.0f} m on): is it in "
+            "millimetres?"
         )
     else:
         angles = q.tolist()[EYES]
         if not bounds.actuation.direct:
             angles += bounds.actuation.actuators_of(q).tolist()[EYES]
-        if all(map(le, bounds.lower, angles)) and all(map(le, angles, bounds.upper)):
+        if all(map(le, bounds.eye_lower_rad, angles)) and all(
+            map(le, angles, bounds.eye_upper_rad)
+        ):
             return
         beyond = describe_beyond_limits(bounds.joints, bounds.limits, bounds.actuation, q)
         if not beyond:

@@ -14,17 +14,17 @@ from vergence.models.parts import FloatArray, replace_fields
 _CAMERA_FIELDS: Final = ("focal", "principal", "distortion")
 
 
-def pick_geometry(geometry: Geometry, batch: tuple[int, ...], index: Any) -> Geometry:
+def pick_geometry(geometry: Geometry, batch_shape: tuple[int, ...], index: Any) -> Geometry:
     """Select one geometry, or several, of a population.
 
     Args:
         geometry: geometry of the population.
-        batch: shape of the population.
+        batch_shape: shape of the population.
         index: NumPy index for an array of that shape.
     """
 
     def taken(values: FloatArray, own: int) -> FloatArray:
-        full = np.broadcast_to(values, (*batch, *values.shape[values.ndim - own :]))
+        full = np.broadcast_to(values, (*batch_shape, *values.shape[values.ndim - own :]))
         return np.asarray(full[index])
 
     cameras: Any = {name: taken(getattr(geometry.cameras, name), 2) for name in _CAMERA_FIELDS}

@@ -131,13 +131,17 @@ def point_to_outer(m: Pose, x: float, y: float, z: float) -> Vector:
 
 
 @inlined
-def point_rate(axis: Pose, camera: Pose, x: float, y: float, z: float) -> Vector:
-    """Motion of a fixed point in the camera's frame, per radian about another frame's z axis.
+def point_rate_in_camera(
+    joint_frame: Pose, camera_pose: Pose, x: float, y: float, z: float
+) -> Vector:
+    """Motion of a point in the camera's frame per radian of a joint that turns the camera.
+
+    The point and both poses are given in one outer frame, in which the point is fixed.
 
     `-R_C_N (z_i x (P - o_i))`: the camera turns about the axis, the point stays.
     """
-    rx, ry, rz = x - axis.x, y - axis.y, z - axis.z
-    wx = axis.zz * ry - axis.yz * rz
-    wy = axis.xz * rz - axis.zz * rx
-    wz = axis.yz * rx - axis.xz * ry
-    return direction_to_local(camera, wx, wy, wz)
+    rx, ry, rz = x - joint_frame.x, y - joint_frame.y, z - joint_frame.z
+    wx = joint_frame.zz * ry - joint_frame.yz * rz
+    wy = joint_frame.xz * rz - joint_frame.zz * rx
+    wz = joint_frame.yz * rx - joint_frame.xz * ry
+    return direction_to_local(camera_pose, wx, wy, wz)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
 
-Response = str | float | tuple[float, ...]
+CameraResponse = str | float | tuple[float, ...]
 """Response: ``"linear"``, ``"srgb"``, a gamma, or a table, see `parse_response`."""
 LINEAR: Final = "linear"
 SRGB: Final = "srgb"
@@ -28,7 +28,7 @@ _MOST_ENTRIES: Final = 65536
 """Most entries of a table, one for each level of 16 bits (numerical)."""
 
 
-def parse_response(value: Any, name: str = "response") -> Response:
+def parse_response(value: Any, name: str = "response") -> CameraResponse:
     """Parse a response from a file, an option or a caller.
 
     Args:
@@ -67,7 +67,7 @@ def parse_response(value: Any, name: str = "response") -> Response:
     return tuple(table.tolist())
 
 
-def default_response(*, colour: bool) -> Response:
+def default_response(*, colour: bool) -> CameraResponse:
     """Default response of an image from a camera without a stated response.
 
     Nearly all colour cameras, and the files saved from them, follow sRGB. Most grey images come
@@ -79,7 +79,7 @@ def default_response(*, colour: bool) -> Response:
     return SRGB if colour else LINEAR
 
 
-def to_light(grey_fraction: ArrayLike, response: Response) -> FloatArray:
+def to_light(grey_fraction: ArrayLike, response: CameraResponse) -> FloatArray:
     """Convert grey levels to light.
 
     Args:
@@ -104,7 +104,7 @@ def to_light(grey_fraction: ArrayLike, response: Response) -> FloatArray:
 
 
 @lru_cache(maxsize=32)
-def light_table(response: Response) -> FloatArray:
+def light_table(response: CameraResponse) -> FloatArray:
     """Light of each grey level of 8 bits.
 
     Args:

@@ -57,21 +57,22 @@ class TagFamilyCode:
     name: str
     code_words: NDArray[np.uint64]
     bit_cells: NDArray[np.int_]
-    border_cells: int
-    total_cells: int
+    width_at_border: int
+    total_width: int
     dark_inside: bool
 
     @cached_property
     def _blank(self) -> NDArray[np.uint8]:
         """The tag without bits: both rings of the border; all other cells are `UNPRINTED`."""
-        cells = np.full((self.total_cells, self.total_cells), UNPRINTED, np.uint8)
-        start = (self.total_cells - self.border_cells) // 2
+        cells = np.full((self.total_width, self.total_width), UNPRINTED, np.uint8)
+        start = (self.total_width - self.width_at_border) // 2
         inner, outer = (0, 255) if self.dark_inside else (255, 0)
         cells[
-            start - 1 : start + self.border_cells + 1, start - 1 : start + self.border_cells + 1
+            start - 1 : start + self.width_at_border + 1,
+            start - 1 : start + self.width_at_border + 1,
         ] = outer
-        cells[start : start + self.border_cells, start : start + self.border_cells] = inner
-        core = slice(start + 1, start + self.border_cells - 1)
+        cells[start : start + self.width_at_border, start : start + self.width_at_border] = inner
+        core = slice(start + 1, start + self.width_at_border - 1)
         cells[core, core] = UNPRINTED
         return cells
 
@@ -93,7 +94,7 @@ class TagFamilyCode:
                 f"got {identity}"
             )
         cells = self._blank.copy()
-        start = (self.total_cells - self.border_cells) // 2
+        start = (self.total_width - self.width_at_border) // 2
         bits = len(self.bit_cells)
         word = int(self.code_words[identity])
         for i, (x, y) in enumerate(self.bit_cells.tolist()):
@@ -127,8 +128,8 @@ def tag_family(name: str) -> TagFamilyCode:
         name=proper,
         code_words=words,
         bit_cells=np.stack([x, y], axis=-1),
-        border_cells=int(code.width_at_border),
-        total_cells=int(code.total_width),
+        width_at_border=int(code.width_at_border),
+        total_width=int(code.total_width),
         dark_inside=not code.reversed_border,
     )
     getattr(library, f"tag{proper}_destroy")(family)

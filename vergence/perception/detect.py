@@ -10,7 +10,7 @@ from vergence.json_values import null_nonfinite_rows
 from vergence.models.parts import FloatArray
 from vergence.perception.board_centre import target_centre_px
 from vergence.perception.photographs import list_photographs
-from vergence.perception.target_finder import Photograph, TargetFinder, UnseenTargets, tag_number
+from vergence.perception.target_finder import Photograph, PhotographNotes, TargetFinder, tag_number
 from vergence.vision import Detection
 
 
@@ -82,7 +82,7 @@ def detect_in_photographs(
     read: list[Path] = []
     sightings: list[Sighting] = []
     failures: list[str] = []
-    unseen = UnseenTargets(finder.targets)
+    unseen = PhotographNotes(finder.targets)
     for number, path in enumerate(every, 1):
         try:
             photograph = finder.find_in_file(path)
@@ -94,7 +94,8 @@ def detect_in_photographs(
         read.append(path)
         unseen.add(photograph)
         sightings += [
-            Sighting(str(path), d, *target_centre_px(d, finder.camera)) for d in photograph.found
+            Sighting(str(path), d, *target_centre_px(d, finder.camera))
+            for d in photograph.detections
         ]
         if on_photograph is not None:
             on_photograph(photograph)
@@ -107,6 +108,6 @@ def detect_in_photographs(
     return DetectResult(
         images=tuple(read),
         sightings=tuple(sightings),
-        remarks=(*unseen.notes(), *finder.check.notes()),
+        remarks=(*unseen.notes(), *finder.response_check.notes()),
         failures=tuple(failures),
     )

@@ -61,7 +61,7 @@ def mean_edge_sigma(
     target: PlanarTarget,
     pixels: FloatArray,
     points: FloatArray,
-    point_covariances: FloatArray,
+    pixel_noise_covariances: FloatArray,
 ) -> float:
     """Standard deviation of the mean distance between neighbouring corners.
 
@@ -74,7 +74,7 @@ def mean_edge_sigma(
         target: the board.
         pixels: (n, 2, 2) its corners, by corner and eye.
         points: (n, 3) its corners in space, metres; nan for corners without a solution.
-        point_covariances: (n, 3, 3) their covariance from pixel noise alone, m^2.
+        pixel_noise_covariances: (n, 3, 3) their covariance from pixel noise alone, m^2.
 
     Returns:
         Metres; nan if no two neighbours have a solution.
@@ -91,7 +91,9 @@ def mean_edge_sigma(
     np.add.at(slopes, first, along)
     np.subtract.at(slopes, second, along)
     used = slopes.any(axis=1)
-    variance = float(np.einsum("ni,nij,nj->", slopes[used], point_covariances[used], slopes[used]))
+    variance = float(
+        np.einsum("ni,nij,nj->", slopes[used], pixel_noise_covariances[used], slopes[used])
+    )
     sure = Noise()
     for turn in np.diag(np.asarray(Noise.of(head).joint_rad))[EYES]:
         if turn.any():

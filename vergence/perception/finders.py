@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.boards import TagFamily, Target
-from vergence.models.response import Response
+from vergence.models.response import CameraResponse
 from vergence.perception.target_finder import target_key
 from vergence.vision import Detection, Detector, EyeCamera, Tracker, make_detector
 
@@ -26,7 +26,7 @@ class LiveFinder(Protocol):
 def make_live_finders(
     targets: Sequence[Target],
     camera: EyeCamera | None = None,
-    response: Response | None = None,
+    response: CameraResponse | None = None,
 ) -> list[LiveFinder]:
     """Make a finder for each target in live images.
 

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from vergence.models.parts import FloatArray
-from vergence.models.response import LINEAR, SRGB, Response, light_table
+from vergence.models.response import LINEAR, SRGB, CameraResponse, light_table
 from vergence.perception.spacing import neighbour_pairs
 from vergence.vision import Detection
 from vergence.vision.image import measurement_channel
@@ -46,7 +46,7 @@ _MIN_MEAN_LOG_RATIO: Final = 0.03
 a lens out of focus (measured: benchmarks.responses)."""
 
 
-class ResponseCheck:
+class LinearResponseCheck:
     """Checks by the edges of found targets if levels stated as linear look encoded as sRGB.
 
     The reverse is not checked: cameras that encode also sharpen, which changes edges as well.
@@ -56,7 +56,7 @@ class ResponseCheck:
         self._ratios: list[float] = []
 
     def add(
-        self, image: ArrayLike, detections: Iterable[Detection], stated_response: Response
+        self, image: ArrayLike, detections: Iterable[Detection], stated_response: CameraResponse
     ) -> None:
         """Add the edges of an image, until there are enough.
 
@@ -66,7 +66,7 @@ class ResponseCheck:
             stated_response: response with which it was read.
         """
         if stated_response == LINEAR and len(self._ratios) < _MAX_EDGES_IN_TOTAL:
-            self._ratios += edge_log_ratios(measurement_channel(image), detections)
+            self._ratios += srgb_fit_log_ratios(measurement_channel(image), detections)
 
     def notes(self) -> list[str]:
         """One line if the edges contradict a linear response, else none."""
@@ -82,8 +82,8 @@ class ResponseCheck:
         ]
 
 
-def edge_log_ratios(image: NDArray[np.uint8], detections: Iterable[Detection]) -> list[float]:
-    """Compare the responses "linear" and "srgb" by the edges of targets.
+def srgb_fit_log_ratios(image: NDArray[np.uint8], detections: Iterable[Detection]) -> list[float]:
+    """Compare how well the responses "linear" and "srgb" fit the edges of targets.
 
     Args:
         image: (height, width) levels.
@@ -145,7 +145,7 @@ def _strip(
     return away, level
 
 
-def _residual_squares(away: FloatArray, level: FloatArray, response: Response) -> float:
+def _residual_squares(away: FloatArray, level: FloatArray, response: CameraResponse) -> float:
     """Residual sum of squares of levels after the fit of a blurred step; 0 if it does not fit."""
     light = light_table(response)
     dark, bright = np.interp(np.percentile(level, (10, 90)), np.arange(256), light)

@@ -18,7 +18,7 @@ from vergence.vision import Detection
 
 WINDOW_S: Final = 3.0
 """Time window of rates and noise, s (chosen: steady values against fast changes)."""
-SHOWN_EVERY_S: Final = 1.0
+UPDATE_INTERVAL_S: Final = 1.0
 """Interval between reports, s (chosen: up to date against readable)."""
 
 
@@ -210,7 +210,7 @@ def watch_targets(
         found = [one for finder in finders for one in finder(image)]
         now = clock()
         statistics.add(now, now - before, found)
-        if on_update is not None and now - shown >= SHOWN_EVERY_S:
+        if on_update is not None and now - shown >= UPDATE_INTERVAL_S:
             on_update(statistics.window_summary())
             shown = now
         if time_limit_s is not None and now - begun >= time_limit_s:

@@ -24,25 +24,25 @@ from vergence.perception.photographs import join_first_names
 from vergence.perception.spacing import EdgeSpacing, measure_spacing
 from vergence.perception.target_finder import (
     Photograph,
+    PhotographNotes,
     TargetFinder,
-    UnseenTargets,
     parse_targets,
     target_key,
 )
 from vergence.triangulation import Noise
 from vergence.vision import Detection, EyeCamera
 
-GAP_PX: Final = 2.0
+MAX_GAP_PX: Final = 2.0
 """Largest distance between the lines of sight of a calibrated pair, px (chosen: false against
 missed remarks)."""
 
 
 class MissedTarget(NamedTuple):
-    """A target of a pair that could not be triangulated."""
+    """A target that could not be triangulated: one image lacks it, or shows it twice."""
 
     pair: str
     target: PlanarTarget
-    why: str
+    seen_in: str
     """`left` or `right` if only that image has the target; `twice` if one has it more than once."""
 
 
@@ -134,8 +134,8 @@ class LocateResult:
                 f"{join_first_names(path.name for path in self.unpaired)}"
             )
         for key, group in groupby(
-            sorted(self.missed, key=lambda one: (str(one.target), one.why)),
-            key=lambda one: (str(one.target), one.why),
+            sorted(self.missed, key=lambda one: (str(one.target), one.seen_in)),
+            key=lambda one: (str(one.target), one.seen_in),
         ):
             name, why = key
             names = [one.pair for one in group]
@@ -156,7 +156,7 @@ class LocateResult:
             )
         # coarse encoders separate the lines of sight by as much as their error turns an eye
         blur_rad = float(np.max(np.asarray(Noise.of(self.head).joint_rad)[EYES]))
-        most = max(GAP_PX, 4.0 * blur_rad * float(self.head.cameras.focal.max()))
+        most = max(MAX_GAP_PX, 4.0 * blur_rad * float(self.head.cameras.focal.max()))
         apart = [one for one in crossed if one.gap_px > most]
         if apart:
             worst = max(apart, key=lambda one: one.gap_px)
@@ -199,7 +199,7 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
     located: list[LocatedTarget] = []
     missed: list[MissedTarget] = []
     failures: list[str] = []
-    unseen = UnseenTargets(targets)
+    unseen = PhotographNotes(targets)
     shown: ShownPair | None = None
     rank = -1
     for number, pair in enumerate(pairs, 1):
@@ -215,10 +215,12 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
         read.append(pair.name)
         for photograph in (left, right):
             unseen.add(photograph)
-        here, not_here = _match(head, angles[pair.name], pair.name, left.found, right.found)
+        here, not_here = _match(
+            head, angles[pair.name], pair.name, left.detections, right.detections
+        )
         located += here
         missed += not_here
-        worth = 2 * bool(here) + bool(left.found or right.found)
+        worth = 2 * bool(here) + bool(left.detections or right.detections)
         if worth > rank:
             shown, rank = ShownPair(left, right), worth
         if progress is not None:
@@ -237,7 +239,7 @@ def locate(config: LocateConfig, progress: Callable[[float], None] | None = None
         missed=tuple(missed),
         remarks=(
             *unseen.notes(),
-            *dict.fromkeys(line for finder in finders for line in finder.check.notes()),
+            *dict.fromkeys(line for finder in finders for line in finder.response_check.notes()),
         ),
         unpaired=tuple(unpaired),
         failures=tuple(failures),

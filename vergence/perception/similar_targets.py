@@ -12,7 +12,7 @@ from vergence.errors import ConfigurationError
 from vergence.models.april_grid import AprilGrid
 from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
 from vergence.vision import EyeCamera, make_detector
-from vergence.vision.boards.april_layout import plausible_grids
+from vergence.vision.boards.april_layout import alternative_grids
 from vergence.vision.tags.library import families_in
 
 _SIZE_OFFSETS: Final = ((-1, -1), (-1, 0), (0, -1), (1, 0), (0, 1), (1, 1), (-2, -2))
@@ -111,7 +111,7 @@ def _grids(
     image: NDArray[np.uint8], target: AprilGrid | None, camera: EyeCamera | None
 ) -> list[str]:
     """Grid with other counts or another spacing; any grid if no target is given."""
-    for other in plausible_grids(image, target):
+    for other in alternative_grids(image, target):
         if make_detector(other, camera).detect(image) is not None:
             size = "" if target is None else f"{1000 * target.tag_m:g}"
             name = f"aprilgrid:{other.columns}x{other.rows}:{size or 'TAG'}:{other.spacing:g}"

@@ -14,7 +14,7 @@ from vergence.perception.target_finder import tag_number
 _AXES = ("x", "y", "z")
 
 
-def write_points(path: Path, located: Sequence[LocatedTarget]) -> None:
+def write_corner_table(path: Path, located: Sequence[LocatedTarget]) -> None:
     """Write one row per corner of each target; cells without a solution are empty."""
     head = ["pair", "target", "id", "point"]
     head += [f"{axis}_mm" for axis in _AXES] + [f"sigma_{axis}_mm" for axis in _AXES] + ["gap_mm"]
@@ -37,7 +37,7 @@ def _points(one: LocatedTarget) -> Iterable[list[object]]:
         yield [one.pair, one.target, tag_number(one.target), point, *map(_cell, row.tolist())]
 
 
-def write_targets(path: Path, located: Sequence[LocatedTarget]) -> None:
+def write_target_table(path: Path, located: Sequence[LocatedTarget]) -> None:
     """Write one row per target of each pair."""
     head = ["pair", "target", "id", "points"]
     head += [f"{axis}_mm" for axis in _AXES] + [f"sigma_{axis}_mm" for axis in _AXES]

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.models.boards import AprilTag, CharucoBoard, PlanarTarget, TagFamily, Target
-from vergence.models.response import Response
-from vergence.perception.light import ResponseCheck
+from vergence.models.response import CameraResponse
+from vergence.perception.light import LinearResponseCheck
 from vergence.vision import Detection, EyeCamera, as_grey, make_detector, parse_target
 from vergence.vision.image import read_pixels
 
@@ -22,7 +22,7 @@ class Photograph(NamedTuple):
     path: Path
     image: NDArray[np.uint8]
     """(height, width) grey levels."""
-    found: list[Detection]
+    detections: list[Detection]
 
 
 def parse_targets(texts: Sequence[str]) -> list[Target]:
@@ -81,7 +81,7 @@ def is_white_clipped(image: NDArray[np.uint8], detection: Detection) -> bool:
     return bool((image[v0:v1, u0:u1] >= _CLIPPED_GREY).mean() > _MAX_CLIPPED_FRACTION)
 
 
-class UnseenTargets:
+class PhotographNotes:
     """Keeps track of targets that no image has shown so far, and of images with clipped white.
 
     Args:
@@ -96,7 +96,7 @@ class UnseenTargets:
     def add(self, photograph: Photograph) -> None:
         """Add an image."""
         self._images += 1
-        found = photograph.found
+        found = photograph.detections
         self._unseen = [t for t in self._unseen if not any(is_of_target(d, t) for d in found)]
         self._clipped += any(is_white_clipped(photograph.image, each) for each in found)
 
@@ -127,11 +127,11 @@ class TargetFinder:
         self,
         targets: Sequence[Target],
         camera: EyeCamera | None = None,
-        response: Response | None = None,
+        response: CameraResponse | None = None,
     ) -> None:
         self.targets = targets
         self.camera = camera
-        self.check = ResponseCheck()
+        self.response_check = LinearResponseCheck()
         self._detectors = [make_detector(target, camera, response) for target in targets]
 
     def find(self, image: ArrayLike) -> list[Detection]:
@@ -147,7 +147,7 @@ class TargetFinder:
         for detector in self._detectors:
             known = {target_key(one.target) for one in found}
             new = [d for d in detector.detect_all(image) if target_key(d.target) not in known]
-            self.check.add(image, new, detector.response_of(image))
+            self.response_check.add(image, new, detector.response_of(image))
             found += sorted(new, key=lambda one: tag_number(one.target) or 0)
         return found
 

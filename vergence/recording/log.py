@@ -19,7 +19,7 @@ from vergence.models.parts import FloatArray
 from vergence.recording import schema
 from vergence.recording.jpeg import read_jpeg
 from vergence.recording.messages import decode_message, escape_control_characters
-from vergence.recording.records import EXPECTED, read_records
+from vergence.recording.records import EXPECTED_FILE, read_records
 from vergence.recording.schema import (
     CommandOrigin,
     LoggedCommand,
@@ -44,9 +44,9 @@ class LoggedTrial:
     number: int
     begun_s: float
     """Time of the trial's start, s of the robot's clock."""
-    reading: Reading
+    readings: Reading
     """Readings of shape (steps + 1, 1, ...), from time zero."""
-    truth: Truth | None
+    truths: Truth | None
     """Ground truth at the times of the readings; nan if not logged then, None if never logged."""
     commands: tuple[LoggedCommand, ...]
     """The policy's commands, one before each reading but the first; one more if a fault prevented
@@ -57,15 +57,15 @@ class LoggedTrial:
     @property
     def steps(self) -> int:
         """Number of control periods with a reading at their end."""
-        return len(self.reading.time_s) - 1
+        return len(self.readings.time_s) - 1
 
-    def requested(self) -> FloatArray:
+    def requested_velocities(self) -> FloatArray:
         """(steps, 7) velocities that the policy asked for, rad/s."""
         return np.array([one.asked for one in self.commands[: self.steps]]).reshape(-1, 7)
 
     def frames(self, step: int) -> tuple[Image, Image] | None:
         """Newest images of both eyes at a step, grey levels; None if one is missing or broken."""
-        now_s = self.begun_s + float(self.reading.time_s[step, 0])
+        now_s = self.begun_s + float(self.readings.time_s[step, 0])
         found = []
         for images in self.images:
             jpeg = next((data for at, data in reversed(images) if at <= now_s), None)
@@ -91,8 +91,9 @@ class Log:
     trials: tuple[LoggedTrial, ...]
     joints: tuple[LoggedJoints, ...]
     detections: tuple[LoggedDetection, ...]
-    faults: tuple[str, ...]
-    cut_off: str
+    stop_reasons: tuple[str, ...]
+    """Reasons for stops of the head, in order."""
+    truncation_reason: str
     """Reason for a truncated log; empty for one that was closed."""
 
 
@@ -115,7 +116,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
             raise ConfigurationError(f"{path}: {error}") from error
     if schema.HEAD_FILE not in parts.files or not parts.facts:
         reason = "it is cut off before its head" if parts.cut_off else "it has no head"
-        raise UnreadableFileError(os.fspath(path), reason, EXPECTED)
+        raise UnreadableFileError(os.fspath(path), reason, EXPECTED_FILE)
     if parts.facts.get("schema") != schema.SCHEMA_VERSION:
         raise UnreadableFileError(
             os.fspath(path),
@@ -138,8 +139,8 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         trials=trials,
         joints=tuple(parts.joints),
         detections=tuple(parts.detections),
-        faults=tuple(parts.faults),
-        cut_off=parts.cut_off,
+        stop_reasons=tuple(parts.faults),
+        truncation_reason=parts.cut_off,
     )
 
 
@@ -176,8 +177,8 @@ class _OpenTrial:
         return LoggedTrial(
             number=self.number,
             begun_s=self.begun_s,
-            reading=reading,
-            truth=Truth._make(_columns(truths)) if self.truths else None,
+            readings=reading,
+            truths=Truth._make(_columns(truths)) if self.truths else None,
             commands=tuple(self.commands),
             images=self.images,
         )
@@ -215,7 +216,7 @@ class _LogBuilder:
         elif isinstance(record, Message) and record.channel_id in self._topics:
             topic = self._topics[record.channel_id]
             self._add_message(topic, decode_message(topic, record.data))
-        elif isinstance(record, Metadata) and record.name == schema.FACTS:
+        elif isinstance(record, Metadata) and record.name == schema.FACTS_RECORD_NAME:
             self.facts = {
                 name: escape_control_characters(text) for name, text in record.metadata.items()
             }

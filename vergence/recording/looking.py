@@ -22,7 +22,10 @@ class BoardView(NamedTuple):
 
 
 class Looker(Protocol):
-    """A head before a board."""
+    """A head that can be turned, with a calibration board in front of it.
+
+    Simulated, rendered or real.
+    """
 
     head: HeadModel
     """The known model of the head."""

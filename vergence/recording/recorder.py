@@ -20,7 +20,10 @@ _Part = TypeVar("_Part", Reading, Truth)
 
 
 class Recorder:
-    """Records the readings of a task's sensors and the ground truth in every control period.
+    """Recorder of one run of a task: call it after every control period.
+
+    It then holds the readings of the sensors and the ground truth of all periods, one row each, see
+    `reading`, `truth`, `pixel_error` and `lost`.
 
     All arrays have leading axes (rows, n) for n heads: one row for the start and one for each
     recorded control period, so a trial that ended as planned has steps + 1 rows.

@@ -10,7 +10,7 @@ from vergence.errors import ConfigurationError, UnreadableFileError, how_to_inst
 if TYPE_CHECKING:
     from mcap.records import Chunk, McapRecord
 
-EXPECTED: Final = "a log of a robot in MCAP, as vergence deploy writes it"
+EXPECTED_FILE: Final = "a log of a robot in MCAP, as vergence deploy writes it"
 _MAX_CHUNK_BYTES: Final = 64 * 2**20
 """Largest size of an unpacked chunk, bytes (chosen: far above a log's, whose chunks span 50 ms)."""
 _MAX_UNPACKING_RATIO: Final = 200
@@ -56,7 +56,7 @@ def read_records(
             except (Exception, MemoryError) as error:  # damage can make the library raise anything
                 if not begun:
                     reason = "it is no MCAP file" if size else "it is empty"
-                    raise UnreadableFileError(os.fspath(path), reason, EXPECTED) from error
+                    raise UnreadableFileError(os.fspath(path), reason, EXPECTED_FILE) from error
                 on_truncation(f"{type(error).__name__} {error}".strip())
                 return
             begun = True
@@ -100,9 +100,9 @@ def _whole(data: bytes, size: int) -> bytes:
 
 def _opened(path: str | os.PathLike[str]) -> BinaryIO:
     if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
-        raise UnreadableFileError(os.fspath(path), "no regular file", EXPECTED)
+        raise UnreadableFileError(os.fspath(path), "no regular file", EXPECTED_FILE)
     try:
         return open(path, "rb")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise UnreadableFileError(os.fspath(path), reason, EXPECTED) from error
+        raise UnreadableFileError(os.fspath(path), reason, EXPECTED_FILE) from error

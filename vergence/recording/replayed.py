@@ -13,7 +13,7 @@ from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording.log import LoggedTrial
 
-REPLAYED: Final = f"{__name__}:ReplayedPlant"
+REPLAYED_ENTRY_POINT: Final = f"{__name__}:ReplayedPlant"
 """Entry point of the plant."""
 
 
@@ -72,7 +72,7 @@ class ReplayedPlant(Plant):
         return self._trials[self._place]
 
     def _reading(self) -> Reading:
-        return Reading._make(values[self._step] for values in self._trial.reading)
+        return Reading._make(values[self._step] for values in self._trial.readings)
 
     def frames(self, place: int = 0) -> tuple[Image, Image] | None:
         """See `Plant.frames`."""
@@ -80,9 +80,9 @@ class ReplayedPlant(Plant):
 
     def truth(self) -> Truth | None:
         """Logged ground truth of the present; None if none is logged."""
-        if self._trial.truth is None:
+        if self._trial.truths is None:
             return None
-        return Truth._make(values[self._step] for values in self._trial.truth)
+        return Truth._make(values[self._step] for values in self._trial.truths)
 
     def close(self) -> None:
         """Do nothing: no resource is held."""

@@ -24,7 +24,7 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 
 SCHEMA_VERSION: Final = "1"
-FACTS: Final = "vergence"
+FACTS_RECORD_NAME: Final = "vergence"
 """Name of the metadata record with the facts of a log."""
 HEAD_FILE: Final = "head.toml"
 CONFIG_FILE: Final = "hardware.toml"
@@ -95,7 +95,7 @@ length; text; bytes in base64; or a time of day, as seconds and nanoseconds."""
 
 @dataclass(frozen=True, kw_only=True)
 class Topic:
-    """One kind of message."""
+    """A topic of the log: the name and the fields of one kind of message."""
 
     name: str
     schema_name: str
@@ -108,8 +108,8 @@ class Topic:
         return {"title": self.schema_name, "type": "object", "properties": properties}
 
     @property
-    def encoded(self) -> bytes:
-        """The JSON schema as text."""
+    def encoded_schema(self) -> bytes:
+        """The JSON schema of the topic as bytes, for the MCAP file (not a message)."""
         return json.dumps(self.schema).encode()
 
 

@@ -118,7 +118,7 @@ class LogWriter(RobotListener):
         """Write the facts, the attachments and the schemas."""
         self._mcap.start(library="vergence")
         self._mcap.add_metadata(
-            schema.FACTS,
+            schema.FACTS_RECORD_NAME,
             {
                 "schema": schema.SCHEMA_VERSION,
                 "head": head.name,
@@ -133,7 +133,7 @@ class LogWriter(RobotListener):
             topic.name: self._mcap.register_channel(
                 topic.name,
                 "json",
-                self._mcap.register_schema(topic.schema_name, "jsonschema", topic.encoded),
+                self._mcap.register_schema(topic.schema_name, "jsonschema", topic.encoded_schema),
             )
             for topic in schema.TOPICS
         }

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from vergence.errors import ConfigurationError, refuse_unknown
 
-LARGEST: Final = 1e30
+MAX_OPTION_VALUE: Final = 1e30
 """Largest value of an option, well within float32 (numerical)."""
 
 
@@ -15,7 +15,7 @@ class OptionRange:
     """Bounds of a numeric option."""
 
     low: float = 0.0
-    high: float = LARGEST
+    high: float = MAX_OPTION_VALUE
     excludes_low: bool = False
     """True if `low` itself is excluded."""
     integer: bool = False

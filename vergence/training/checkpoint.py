@@ -18,7 +18,7 @@ import torch
 from vergence.errors import ConfigurationError
 from vergence.files import write_atomic
 
-FORMAT: Final = 4
+FORMAT_VERSION: Final = 4
 """Version of a checkpoint's content (numerical)."""
 _SHA256_HEX_DIGITS: Final = 64
 """Hexadecimal digits of a SHA-256 (physical: the standard FIPS 180-4)."""
@@ -39,7 +39,7 @@ def checkpoint_bytes(content: Mapping[str, Any]) -> bytes:
     """Serialise a checkpoint to the bytes of its file, see `write_checkpoint`."""
     # in memory, since `torch.save` raises no OSError on a full disk
     archive = io.BytesIO()
-    torch.save({"format": FORMAT, **content}, archive)
+    torch.save({"format": FORMAT_VERSION, **content}, archive)
     # an archive ends with the length of its comment, which is 0 so far
     archive.seek(-2, io.SEEK_END)
     archive.write(_SHA256_HEX_DIGITS.to_bytes(2, "little"))
@@ -66,8 +66,8 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         content: Any = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except (RuntimeError, UnpicklingError, EOFError, ValueError, KeyError) as error:
         raise ConfigurationError(f"expected a checkpoint, got another file: {path}") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise ConfigurationError(f"expected a checkpoint of format {FORMAT}, got {path}")
+    if not isinstance(content, dict) or content.get("format") != FORMAT_VERSION:
+        raise ConfigurationError(f"expected a checkpoint of format {FORMAT_VERSION}, got {path}")
     return content
 
 

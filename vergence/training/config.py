@@ -15,7 +15,7 @@ from vergence.eval.reporting.runs import (
     check_folder_free,
     run_folder,
     run_folder_command,
-    write_config,
+    write_config_and_head,
 )
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
@@ -164,7 +164,7 @@ def begin_run(folder: Path, config: TrainConfig, head: HeadModel) -> None:
         ConfigurationError: the folder cannot be created or is not empty.
     """
     with run_folder(folder) as partial:
-        write_config(partial, config, head, PACKAGES)
+        write_config_and_head(partial, config, head, PACKAGES)
 
 
 def check_empty(folder: Path) -> None:

@@ -11,19 +11,19 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
-from vergence.controllers.gain_schedule import gain_names, gains_from_action
-from vergence.controllers.networks.acting import NetworkLoop
-from vergence.controllers.networks.environments import training_env, velocity_action
+from vergence.controllers.gain_schedule import gain_names_of_head, gains_from_action
+from vergence.controllers.networks.acting import NetworkPrePostProcessor
+from vergence.controllers.networks.environments import decode_velocity_action, training_env
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.networks.manifest import GAIN_SCHEDULE
 from vergence.controllers.stateful import continued_state
-from vergence.errors import ConfigurationError, DivergedError
+from vergence.errors import ConfigurationError, TrainingDivergedError
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.models.head import HeadModel
 from vergence.training.config import TrainConfig, load_run
 from vergence.training.learner_state import restore_learner, restore_running_episodes
 from vergence.training.networks import JointwisePolicy
-from vergence.training.run_checkpoints import RUNNING_EPISODES, RunCheckpoints
+from vergence.training.run_checkpoints import RUNNING_EPISODES_KEY, RunCheckpoints
 from vergence.training.vec_env import VectorEnvAdapter
 
 Actor = Callable[[NDArray[np.float32]], NDArray[np.float32]]
@@ -109,8 +109,8 @@ class Learner:
             ConfigurationError: the checkpoint belongs to another learner.
         """
         restore_learner(content, self.model, self.normalisation)
-        if RUNNING_EPISODES in content:
-            restore_running_episodes(content[RUNNING_EPISODES], self.model, self.normalisation)
+        if RUNNING_EPISODES_KEY in content:
+            restore_running_episodes(content[RUNNING_EPISODES_KEY], self.model, self.normalisation)
 
     def check_finite(self) -> None:
         """Raise an error if networks or optimisers hold nan or infinity.
@@ -120,7 +120,7 @@ class Learner:
         """
         name = _not_finite(self.model.get_parameters())
         if name is not None:
-            raise DivergedError(f"{name} became nan or infinite")
+            raise TrainingDivergedError(f"{name} became nan or infinite")
 
     def controller(self) -> "LearnerPolicy":
         """The network as a controller; it keeps changing as the learner trains."""
@@ -134,7 +134,7 @@ class Learner:
         with torch.no_grad():
             action: torch.Tensor = policy._predict(torch.as_tensor(seen), deterministic=True)
         if action.isnan().any():
-            raise DivergedError("the network's actions became nan")
+            raise TrainingDivergedError("the network's actions became nan")
         return action.clamp(-1.0, 1.0).numpy()
 
     def close(self) -> None:
@@ -154,8 +154,8 @@ class LearnerPolicy:
     def __init__(self, kind: str, inputs: Inputs, act: Actor) -> None:
         self.inputs = inputs
         self._act = act
-        self._names = gain_names(inputs.head) if kind == GAIN_SCHEDULE else None
-        self._acting = NetworkLoop(inputs, kind == GAIN_SCHEDULE)
+        self._names = gain_names_of_head(inputs.head) if kind == GAIN_SCHEDULE else None
+        self._acting = NetworkPrePostProcessor(inputs, kind == GAIN_SCHEDULE)
 
     def predict(
         self,
@@ -171,7 +171,9 @@ class LearnerPolicy:
         seen = self._acting.network_inputs(observation, memory)
         action = self._act(seen.reshape(-1, self.inputs.size)).reshape(*shape, -1)
         if self._names is None:
-            return self._acting.policy_action(seen, velocity_action(action), memory), (memory,)
+            return self._acting.policy_action(seen, decode_velocity_action(action), memory), (
+                memory,
+            )
         gains = gains_from_action(action, self._names)
         return self._acting.schedule_action(observation, gains, memory), (memory,)
 

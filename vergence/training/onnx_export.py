@@ -20,15 +20,15 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_order, gains_from_action
-from vergence.controllers.networks.environments import VELOCITY_POWER, velocity_action
+from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_indices_by_axis, gains_from_action
+from vergence.controllers.networks.environments import VELOCITY_POWER, decode_velocity_action
 from vergence.controllers.networks.manifest import POLICY
 from vergence.controllers.networks.onnx_graph import Network, read_network
 from vergence.controllers.networks.runtime import Runtime
 from vergence.errors import BundleError, ConfigurationError
 from vergence.training.networks import JointwisePolicy
 
-CHECKED: Final = 10_000
+CHECK_INPUT_COUNT: Final = 10_000
 """Random inputs on which ONNX and torch must agree (numerical)."""
 TOLERANCE: Final = 1e-5
 """Largest difference between their outputs: 84 machine epsilons of float32 (numerical)."""
@@ -143,7 +143,7 @@ def check_agreement(
         BundleError: the difference exceeds `TOLERANCE`.
     """
     rng = np.random.default_rng(seed)
-    inputs = rng.uniform(-1.0, 1.0, (CHECKED, network.input_size)).astype(np.float32)
+    inputs = rng.uniform(-1.0, 1.0, (CHECK_INPUT_COUNT, network.input_size)).astype(np.float32)
     difference = float(np.abs(Runtime(network)(inputs) - reference(inputs)).max())
     if not difference <= TOLERANCE:
         raise BundleError(
@@ -263,9 +263,9 @@ def bundle_outputs(kind: str, action: NDArray[Any]) -> NDArray[Any]:
         (n, actions) in [-1, 1], linear in gains or velocities.
     """
     if kind == POLICY:
-        return velocity_action(action)
+        return decode_velocity_action(action)
     outputs = np.empty(action.shape)
-    outputs[:, gain_order()] = (
+    outputs[:, gain_indices_by_axis()] = (
         2.0 / GAIN_LIMIT * gains_from_action(action).reshape(action.shape) - 1.0
     )
     return outputs

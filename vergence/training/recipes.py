@@ -26,7 +26,9 @@ class Recipe:
     critic: tuple[int, ...] = (64, 64)
     """Widths of the critic's hidden layers."""
     shared: bool = True
-    """True if the joints share one network as actor (`networks.JointwisePolicy`)."""
+    """True if the actor is one network applied to each joint in turn with the same weights
+    (`networks.JointwisePolicy`); False for one network of all inputs. The critic always has all
+    inputs."""
     activation: str = "tanh"
     """Activation of the hidden layers: `tanh`, `relu`, `elu` or `silu`."""
     algorithm: dict[str, Any] = field(default_factory=dict)

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
-from vergence.errors import ConfigurationError, DivergedError
-from vergence.eval.reporting.runs import write_config
+from vergence.errors import ConfigurationError, TrainingDivergedError
+from vergence.eval.reporting.runs import write_config_and_head
 from vergence.files import atomic_files, remove_partial
 from vergence.models.head import HeadModel
 from vergence.training.config import PACKAGES, TrainConfig, begin_run, check_empty, load_run
@@ -102,7 +102,7 @@ def resume(
         with _writing(folder):
             if steps is not None:
                 with atomic_files(folder, moved_last="config.toml") as beside:
-                    write_config(beside, config, head, PACKAGES)
+                    write_config_and_head(beside, config, head, PACKAGES)
             return _Run(folder, learner, listener, clock, rows).go_on()
     finally:
         learner.close()
@@ -176,7 +176,7 @@ class _Run(BaseCallback):
                     self._learn(total - done)
         except _Stopped:
             finished = False
-        except DivergedError as error:
+        except TrainingDivergedError as error:
             raise self._diverged(error) from error
         finally:
             logger.close()
@@ -227,7 +227,7 @@ class _Run(BaseCallback):
         now, (step, then) = self._clock(), self._since
         speed = (model.num_timesteps - step) / max(now - then, 1e-9)
         score = self._validation.score(self._learner.controller())
-        baseline = self._validation.best_baseline
+        baseline = self._validation.best_baseline_score
         rank = list(score.rank(baseline))
         best = not self._rows or rank < min(row["rank"] for row in self._rows)
         row = {
@@ -259,10 +259,10 @@ class _Run(BaseCallback):
         self._rewards, self._lengths = [], []
         self._since = (model.num_timesteps, self._clock())
 
-    def _diverged(self, error: DivergedError) -> DivergedError:
+    def _diverged(self, error: TrainingDivergedError) -> TrainingDivergedError:
         rate = self._learner.config.algorithm.get("learning_rate")
         kept = f"{self._rows[-1]['step']} steps is kept" if self._rows else "0 steps was not saved"
-        return DivergedError(
+        return TrainingDivergedError(
             f"training diverged: {error} after {self.model.num_timesteps} steps; the checkpoint "
             f"of {kept} in {self._folder}; begin a new run with a smaller --set "
             f"algorithm.learning_rate (here {rate}), as this one would end so again"

@@ -13,8 +13,8 @@ from vergence.models.head import HeadModel
 from vergence.training.checkpoint import checkpoint_bytes, read_checkpoint, write_checkpoint
 from vergence.training.config import TrainConfig
 
-CHECKPOINTS: Final = ("best", "last")
-RUNNING_EPISODES: Final = "surroundings"
+CHECKPOINT_NAMES: Final = ("best", "last")
+RUNNING_EPISODES_KEY: Final = "surroundings"
 """Key of the state of running episodes, which only the last checkpoint holds."""
 _CHANGEABLE_FIELDS: Final = ("steps",)
 """Fields of the configuration that may change if a run is resumed."""
@@ -48,7 +48,7 @@ class RunCheckpoints:
         Raises:
             ConfigurationError: the checkpoint is missing, damaged, or of another run.
         """
-        if checkpoint not in CHECKPOINTS:
+        if checkpoint not in CHECKPOINT_NAMES:
             raise ConfigurationError(f"checkpoint: expected best or last, got {checkpoint!r}")
         path = self.path(checkpoint)
         content = read_checkpoint(path)
@@ -77,7 +77,7 @@ class RunCheckpoints:
             best: True if this is the best evaluation so far.
         """
         marked = {**content, "run": self._run()}
-        full = {**marked, RUNNING_EPISODES: running_episodes}
+        full = {**marked, RUNNING_EPISODES_KEY: running_episodes}
         folder = self.path("last").parent
         folder.mkdir(exist_ok=True)
         # last.pt comes first: if the process is killed in between, `latest` makes best.pt from it
@@ -111,7 +111,7 @@ class RunCheckpoints:
                 f"resume: expected {best}, of {kept} steps, beside last.pt, "
                 f"got {'another' if best.exists() else 'no such file'} (put it back)"
             )
-        write_checkpoint(best, {k: v for k, v in content.items() if k != RUNNING_EPISODES})
+        write_checkpoint(best, {k: v for k, v in content.items() if k != RUNNING_EPISODES_KEY})
         return content
 
     def _run(self) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from vergence.training.choices import resolve_config
 from vergence.training.options import TrainingPlant, TrainOptions
 from vergence.training.run import train
 
-SPANS: Final = {
+RECIPE_SEARCH_RANGES: Final = {
     "learning_rate": SearchRange(1e-4, 5e-3, "log"),
     "discount_time_steps": SearchRange(10.0, 200.0, "log"),
     "clip_range": SearchRange(0.1, 0.4),

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from vergence.controllers.controller import Controller, make_controller
-from vergence.controllers.tuned import find_tuned, is_tuned_for
+from vergence.controllers.tuned import find_tuned_or_fallback, is_tuned_for
 from vergence.eval.trials.run import Trials, headline_metric, run_trials
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
@@ -14,7 +14,7 @@ from vergence.models.head import HeadModel
 BASELINES: Final = ("ibvs-tuned", "state-feedback", "saccade")
 """Controllers that a learned one is compared with during training: the article's law with the best
 constant gain, and the laws that use the predictor of the learned one's inputs."""
-OF_MOVING: Final = ("ibvs-tuned", "pursuit")
+MOVING_TARGET_BASELINES: Final = ("ibvs-tuned", "pursuit")
 """Controllers for this comparison if targets move."""
 
 
@@ -82,8 +82,8 @@ class Validation:
             "split": "validation",
         }
         self.baselines: dict[str, ValidationScore] = {}
-        for name in OF_MOVING if scenario.target_moves else BASELINES:
-            entry = find_tuned(name, scenario.name, head)
+        for name in MOVING_TARGET_BASELINES if scenario.target_moves else BASELINES:
+            entry = find_tuned_or_fallback(name, scenario.name, head)
             if entry is not None:
                 label = name if is_tuned_for(entry, head) else f"{name} (untuned for this head)"
                 self.baselines[label] = self.score(make_controller(name, head, **entry.options))
@@ -92,7 +92,7 @@ class Validation:
                 self.baselines[name] = self.score(make_controller(name, head))
 
     @property
-    def best_baseline(self) -> ValidationScore:
+    def best_baseline_score(self) -> ValidationScore:
         """Baseline with the best headline metric."""
         return min(self.baselines.values(), key=lambda score: score.headline)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from vergence.envs.saved_state import SavedState, copy_arrays, restore_arrays
-from vergence.errors import ConfigurationError, DivergedError
+from vergence.errors import ConfigurationError, TrainingDivergedError
 
 
 class VectorEnvAdapter(VecEnv):
@@ -74,7 +74,7 @@ class VectorEnvAdapter(VecEnv):
             DivergedError: an action is nan.
         """
         if np.isnan(actions).any():
-            raise DivergedError("the network's actions became nan")
+            raise TrainingDivergedError("the network's actions became nan")
         self._actions = actions
 
     def step_wait(

@@ -197,7 +197,7 @@ def triangulate(
     pixel_sigma: FloatArray,
     joint_sigma: FloatArray,
     p: PackedHead,
-    shape: FloatArray,
+    _three: FloatArray,
     point: FloatArray,
     gap: FloatArray,
     covariance: FloatArray,

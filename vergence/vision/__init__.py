@@ -13,7 +13,7 @@ from vergence.models.boards import (
 )
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.detectors import make_detector
-from vergence.vision.drawing import TargetDrawing
+from vergence.vision.drawing import TargetRenderer
 from vergence.vision.image import as_grey, read_image
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tags.detector import TagDetector
@@ -31,7 +31,7 @@ __all__ = [
     "TagDetector",
     "TagFamily",
     "Target",
-    "TargetDrawing",
+    "TargetRenderer",
     "Tracker",
     "as_grey",
     "make_detector",

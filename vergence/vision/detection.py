@@ -19,12 +19,12 @@ from vergence.models.boards import AprilTag, PlanarTarget, TagFamily, Target
 from vergence.models.cameras import BROWN_CONRADY
 from vergence.models.packed import pack_camera
 from vergence.models.response import (
-    Response,
+    CameraResponse,
     default_response,
     light_table,
     parse_response,
 )
-from vergence.vision.image import has_colours, measurement_channel
+from vergence.vision.image import has_colour_channels, measurement_channel
 from vergence.vision.optics import EyeCamera, FlatView, IdentityView, ray_table
 
 _REGION_MARGIN_SHARE: Final = 0.5
@@ -74,7 +74,7 @@ class Detector(ABC, Generic[TargetT]):
         self,
         target: TargetT,
         camera: EyeCamera | None = None,
-        response: Response | None = None,
+        response: CameraResponse | None = None,
     ) -> None:
         self.target = target
         self.camera = camera
@@ -85,7 +85,7 @@ class Detector(ABC, Generic[TargetT]):
         lens = camera if camera is not None and camera.distorts else None
         self._lens = lens
         self._rays = _NO_RAYS if lens is None else ray_table(lens, 1, 0)
-        self._row = _NO_CAMERA if lens is None else lens.row
+        self._row = _NO_CAMERA if lens is None else lens.packed_camera
         self._size = None if camera is None else (camera.width, camera.height)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -184,11 +184,11 @@ class Detector(ABC, Generic[TargetT]):
             return None
         return _choose(self._detect_in(grey, (x0, y0, x1, y1), predicted), predicted.point_px)
 
-    def response_of(self, image: ArrayLike) -> Response:
+    def response_of(self, image: ArrayLike) -> CameraResponse:
         """Response used for an image: the stated one, or the default for grey or colour images."""
         if self.response is not None:
             return self.response
-        return default_response(colour=has_colours(image))
+        return default_response(colour=has_colour_channels(image))
 
     def _grey(self, image: ArrayLike) -> NDArray[np.uint8]:
         """Grey levels of an image; also keeps the light by level for fits in this image."""
@@ -210,7 +210,7 @@ class Detector(ABC, Generic[TargetT]):
 
     def _flat(self, pixels: NDArray[np.float64]) -> FlatView | IdentityView:
         """Undistorted plane around some pixels."""
-        return _NO_LENS if self._lens is None else self._lens.flat_about(pixels)
+        return _NO_LENS if self._lens is None else self._lens.flat_view_about(pixels)
 
     @abstractmethod
     def _detect_all(self, image: NDArray[np.uint8]) -> list[Detection]:

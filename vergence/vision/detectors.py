@@ -5,7 +5,7 @@ from typing import Any
 from vergence.errors import ConfigurationError
 from vergence.models.april_grid import AprilGrid
 from vergence.models.boards import AprilTag, CharucoBoard, Checkerboard, TagFamily, Target
-from vergence.models.response import Response
+from vergence.models.response import CameraResponse
 from vergence.vision.boards.april_grid import AprilGridDetector
 from vergence.vision.boards.charuco import CharucoDetector
 from vergence.vision.boards.checkerboards import CheckerboardDetector
@@ -15,7 +15,7 @@ from vergence.vision.tags.detector import TagDetector
 
 
 def make_detector(
-    target: Target, camera: EyeCamera | None = None, response: Response | None = None
+    target: Target, camera: EyeCamera | None = None, response: CameraResponse | None = None
 ) -> Detector[Any]:
     """Make the detector of a target.
 

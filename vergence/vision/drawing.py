@@ -74,8 +74,8 @@ Region = tuple[int, int, int, int]
 """Region of the pixels x0 <= u < x1, y0 <= v < y1 as (x0, y0, x1, y1)."""
 
 
-class TargetDrawing:
-    """One eye's frame with the target in it.
+class TargetRenderer:
+    """Renders one eye's frames of a planar target, with blur, contrast and noise.
 
     Attributes:
         camera: the eye's intrinsics, and the response that maps light to grey levels; linear if

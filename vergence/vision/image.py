@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError, UnreadableFileError
-from vergence.models.response import Response, light_table, parse_response, to_light
+from vergence.models.response import CameraResponse, light_table, parse_response, to_light
 
 _EXPECTED_IMAGE: Final = (
     "expected an array (height, width), or (height, width, 3 or 4) in OpenCV's order BGR(A), of "
@@ -49,10 +49,10 @@ def as_grey(
 ) -> NDArray[np.uint8]: ...
 @overload
 def as_grey(
-    image: ArrayLike, size: tuple[int, int] | None = None, *, response: Response
+    image: ArrayLike, size: tuple[int, int] | None = None, *, response: CameraResponse
 ) -> NDArray[np.float32]: ...
 def as_grey(
-    image: ArrayLike, size: tuple[int, int] | None = None, *, response: Response | None = None
+    image: ArrayLike, size: tuple[int, int] | None = None, *, response: CameraResponse | None = None
 ) -> NDArray[Any]:
     """Convert an image to 8-bit grey levels, or to light.
 
@@ -83,7 +83,7 @@ def as_grey(
         raise ConfigurationError(f"image: {_EXPECTED_IMAGE}; got {type(image).__name__}") from error
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
-    colour = has_colours(array)
+    colour = has_colour_channels(array)
     if array.dtype.kind not in "buif" or not (colour or array.ndim == 2):
         what = f"shape {array.shape} of {array.dtype}" if array.shape else _in_a_line(image)
         raise ConfigurationError(f"image: {_EXPECTED_IMAGE}; got {what}")
@@ -106,7 +106,7 @@ def as_grey(
     return grey if grey.flags.writeable else grey.copy()
 
 
-def has_colours(image: ArrayLike) -> bool:
+def has_colour_channels(image: ArrayLike) -> bool:
     """True if an image has colour channels."""
     shape = np.shape(image)
     return len(shape) == 3 and shape[2] in (3, 4)
@@ -125,10 +125,10 @@ def measurement_channel(image: ArrayLike, size: tuple[int, int] | None = None) -
     Raises:
         ConfigurationError: see `as_grey`.
     """
-    return as_grey(np.asarray(image)[..., 1] if has_colours(image) else image, size)
+    return as_grey(np.asarray(image)[..., 1] if has_colour_channels(image) else image, size)
 
 
-def restore_grey(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def grey_if_channels_equal(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Convert a video frame of a grey camera back to grey: OpenCV decodes grey as BGR.
 
     Args:
@@ -137,7 +137,7 @@ def restore_grey(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     Returns:
         The frame, or its grey levels if all channels are equal up to the rounding of codecs.
     """
-    if not has_colours(frame):
+    if not has_colour_channels(frame):
         return frame
     some = frame[::_COLOURS_EVERY_PX, ::_COLOURS_EVERY_PX]
     return frame if np.ptp(some, axis=2).max() > _MAX_CHANNEL_DIFFERENCE else as_grey(frame)
@@ -147,7 +147,7 @@ def _in_a_line(image: object) -> str:
     return " ".join(repr(image).split())[:80]
 
 
-def _light(array: NDArray[Any], response: Response) -> NDArray[np.float32]:
+def _light(array: NDArray[Any], response: CameraResponse) -> NDArray[np.float32]:
     """Convert levels of any depth to light, 0 to 255."""
     if array.dtype == np.uint8:
         light = light_table(response)[array]

@@ -20,7 +20,7 @@ _ROTATION_TOLERANCE: Final = 1e-3
 
 
 @compiled
-def is_pose(pose: FloatArray) -> bool:
+def is_rigid_transform(pose: FloatArray) -> bool:
     """True if a (4, 4) matrix has a rotation at its upper left and a finite translation."""
     for i in range(3):
         for j in range(3):

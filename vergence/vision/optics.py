@@ -17,7 +17,7 @@ from vergence.models.cameras import BROWN_CONRADY, LENSES
 from vergence.models.head import HeadModel
 from vergence.models.lens import distort, is_distorted
 from vergence.models.packed import camera_at, pack_camera
-from vergence.models.response import Response, parse_response
+from vergence.models.response import CameraResponse, parse_response
 from vergence.operands import as_operand
 from vergence.vision.plane import view_along
 
@@ -44,7 +44,7 @@ class EyeCamera:
     zeros."""
     lens: str = BROWN_CONRADY
     """The lens model."""
-    response: Response | None = None
+    response: CameraResponse | None = None
     """Light by grey level, see `parse_response`; None if unknown."""
 
     def __post_init__(self) -> None:
@@ -94,7 +94,7 @@ class EyeCamera:
         )
 
     @cached_property
-    def row(self) -> NDArray[np.float64]:
+    def packed_camera(self) -> NDArray[np.float64]:
         """Packed camera for kernels, see `pack_camera`."""
         return pack_camera(
             (self.width, self.height),
@@ -107,7 +107,7 @@ class EyeCamera:
     @cached_property
     def distorts(self) -> bool:
         """True if the lens distorts."""
-        return is_distorted(camera_at(self.row, 0))
+        return is_distorted(camera_at(self.packed_camera, 0))
 
     @cached_property
     def bends_boards(self) -> bool:
@@ -130,10 +130,10 @@ class EyeCamera:
         (f_u, f_v), (u_0, v_0) = self.focal_px, self.principal_px
         return np.array([[1 / f_u, 0, -u_0 / f_u], [0, 1 / f_v, -v_0 / f_v], [0, 0, 1]])
 
-    def flat_about(self, pixels: ArrayLike) -> "FlatView":
+    def flat_view_about(self, pixels: ArrayLike) -> "FlatView":
         """View of a pinhole camera that looks at the mean of some pixels, (n, 2)."""
         x, y = self.rays(as_operand("pixels", pixels, "n", 2).mean(axis=0)[None])[0].tolist()
-        view = view_along(self.row, x, y)
+        view = view_along(self.packed_camera, x, y)
         return FlatView(self, view.plane_from_ray, view.ray_from_plane)
 
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
@@ -146,7 +146,7 @@ class EyeCamera:
             Pixels, shape (n, 2); nan beyond the radius at which the lens model folds back.
         """
         array = as_operand("points", points, "n", 3)
-        return np.asarray(rays_to_pixels(array[:, :2] / array[:, 2:], self.row))
+        return np.asarray(rays_to_pixels(array[:, :2] / array[:, 2:], self.packed_camera))
 
     def distortion_jacobian(self, x: float, y: float) -> NDArray[np.float64]:
         """Jacobian of the lens distortion at a ray.
@@ -158,7 +158,7 @@ class EyeCamera:
         Returns:
             The derivative of distorted with respect to ideal normalised coordinates, shape (2, 2).
         """
-        distorted = distort(camera_at(self.row, 0), x, y)
+        distorted = distort(camera_at(self.packed_camera, 0), x, y)
         return np.array([[distorted.dxx, distorted.dxy], [distorted.dxy, distorted.dyy]])
 
     def rays(self, pixels: ArrayLike) -> NDArray[np.float64]:
@@ -166,7 +166,7 @@ class EyeCamera:
 
         Rays are nan where the lens model has no inverse.
         """
-        return np.asarray(pixels_to_rays(pixels, self.row))
+        return np.asarray(pixels_to_rays(pixels, self.packed_camera))
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ class FlatView:
     def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels of the image for points of the plane, the inverse of `to_plane`, shape (n, 2)."""
         rays = _transformed(points, self.ray_from_plane)
-        return np.asarray(rays_to_pixels(rays, self.camera.row))
+        return np.asarray(rays_to_pixels(rays, self.camera.packed_camera))
 
 
 def _transformed(points: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -208,20 +208,22 @@ class IdentityView:
 
 
 @lru_cache(maxsize=4)
-def ray_table(camera: EyeCamera, supersampling: int, margin: int) -> NDArray[np.float32]:
+def ray_table(camera: EyeCamera, supersampling: int, margin_px: int) -> NDArray[np.float32]:
     """Rays of every sample of a frame with a margin around it.
 
     Args:
         camera: the eye.
         supersampling: samples per pixel along each axis.
-        margin: pixels added on each side of the frame.
+        margin_px: pixels added on each side of the frame.
 
     Returns:
         (x / z, y / z) of each sample, shape ((height + 2 margin) * supersampling,
         (width + 2 margin) * supersampling, 2).
     """
     u, v = (
-        (np.arange((length + 2 * margin) * supersampling) + 0.5) / supersampling - 0.5 - margin
+        (np.arange((length + 2 * margin_px) * supersampling) + 0.5) / supersampling
+        - 0.5
+        - margin_px
         for length in (camera.width, camera.height)
     )
     pixels = np.stack(np.meshgrid(u, v), axis=-1)

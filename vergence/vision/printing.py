@@ -18,7 +18,7 @@ from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget, TagFami
 
 RULER_MM: Final = 100.0
 """Length of the ruler beside the board (chosen: long enough to check the scale, fits on A5)."""
-STRIP_MM: Final = 17.0
+RULER_STRIP_MM: Final = 17.0
 """Width of the strip for the ruler and its two lines of text, up to the sheet's edge (chosen)."""
 _UNPRINTED_MARGIN_MM: Final = 5.0
 """Unprinted margin along the edges of a sheet (chosen: office printers need up to 4.3 mm)."""
@@ -164,8 +164,8 @@ def lay_out_sheet(target: PlanarTarget, paper: Paper) -> PrintSheet:
     width, height = place.width_mm, place.height_mm
     # lengths along the direction from the board to the ruler: to the right or down
     sheet, board = (width, frame.width_mm) if place.upright else (height, frame.height_mm)
-    spare = max(0.0, sheet - board - STRIP_MM)
-    ruler = sheet - STRIP_MM - min(spare / 3.0, _MAX_EXTRA_MARGIN_MM)
+    spare = max(0.0, sheet - board - RULER_STRIP_MM)
+    ruler = sheet - RULER_STRIP_MM - min(spare / 3.0, _MAX_EXTRA_MARGIN_MM)
     if place.upright:
         left, top = 0.5 * (ruler - frame.width_mm), 0.5 * (height - frame.height_mm)
         zero = (ruler, 0.5 * (height + RULER_MM))
@@ -224,8 +224,8 @@ def _needs_mm(frame: _Frame, upright: bool) -> tuple[float, float]:
     """Width and height of the smallest sheet for a frame and a ruler."""
     ruler = RULER_MM + 2.0 * _UNPRINTED_MARGIN_MM
     if upright:
-        return frame.width_mm + STRIP_MM, max(frame.height_mm, ruler)
-    return max(frame.width_mm, ruler), frame.height_mm + STRIP_MM
+        return frame.width_mm + RULER_STRIP_MM, max(frame.height_mm, ruler)
+    return max(frame.width_mm, ruler), frame.height_mm + RULER_STRIP_MM
 
 
 def _places(paper: Paper) -> Iterator[_Place]:

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.errors import ConfigurationError
 from vergence.vision.detection import Detection, Detector, as_pixel
-from vergence.vision.motion_prediction import is_pose, predict_target_pixels
+from vergence.vision.motion_prediction import is_rigid_transform, predict_target_pixels
 
 _NO_CORNERS_M: Final = np.empty((0, 2))
 """Corners of a target of unknown size (numerical)."""
@@ -99,7 +99,7 @@ class Tracker:
         out = np.empty(pixels.shape)
         return (
             out
-            if predict_target_pixels(pixels, camera.row, self._pose, pose, corners_m, out)
+            if predict_target_pixels(pixels, camera.packed_camera, self._pose, pose, corners_m, out)
             else pixels
         )
 
@@ -109,7 +109,7 @@ def _pose(value: ArrayLike) -> NDArray[np.float64]:
         pose = np.array(value, float, order="C")
     except (TypeError, ValueError):
         pose = np.empty(0)
-    if pose.shape != (4, 4) or not is_pose(pose):
+    if pose.shape != (4, 4) or not is_rigid_transform(pose):
         raise ConfigurationError(
             f"T_0_C: expected a pose (4, 4) with a rotation, got {_in_a_line(value)}"
         )

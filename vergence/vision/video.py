@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.errors import ConfigurationError
-from vergence.vision.image import restore_grey, suppress_opencv_log
+from vergence.vision.image import grey_if_channels_equal, suppress_opencv_log
 
 MANUAL_EXPOSURE: Final = 1
 """Value of CAP_PROP_AUTO_EXPOSURE for a locked exposure (physical: V4L2_EXPOSURE_MANUAL of
@@ -152,4 +152,4 @@ def _images(capture: cv2.VideoCapture, misses: int) -> Iterator[NDArray[np.uint8
             missed += 1
             continue
         missed = 0
-        yield restore_grey(np.asarray(image, np.uint8))
+        yield grey_if_channels_equal(np.asarray(image, np.uint8))

@@ -35,7 +35,7 @@ def log_view(log, frames, eye, frame, time_s):
             eye=EYE_NAMES[eye],
             exposed_s=time_s,
             ready_s=time_s + 0.01,
-            positions=frames.positions[frame],
+            positions=frames.joint_positions[frame],
             point_px=missing,
             sigma_px=missing,
             corners_px=frames.pixels[eye, frame] if seen else nothing,

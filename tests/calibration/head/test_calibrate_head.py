@@ -7,7 +7,7 @@ import pytest
 
 import vergence
 from vergence.calibration.head.calibrate_head import calibrate_head
-from vergence.calibration.head.chain import ParametricHead, board_points
+from vergence.calibration.head.chain import ParametricHead, board_points_and_offsets
 from vergence.calibration.head.observability import unobservable_directions
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.errors import ConfigurationError
@@ -47,7 +47,9 @@ def depth_error(head, true):
 def surprise(found, true):
     """Mean square, in deviations, of the errors along what the frames tell."""
     spreads = found.solution.problem.prior_sigma
-    error = (found.solution.state.values - true.parameters(found.nominal_head).values) / spreads
+    error = (
+        found.solution.state.head_parameters - true.parameters(found.nominal_head).values
+    ) / spreads
     values, vectors = np.linalg.eigh(found.covariance / np.outer(spreads, spreads))
     told = values < 0.1
     return np.mean(((vectors.T @ error) ** 2 / values)[told])
@@ -66,11 +68,11 @@ def assert_right(found, true):
 def test_a_head_is_found_with_errors_as_large_as_are_said(usual):
     _, true, frames, found = usual
     assert_right(found, true)
-    assert found.views.all()
+    assert found.kept_views.all()
     assert not found.remarks
     assert found.solution.reduced_chi == pytest.approx(1.0, abs=0.05)
     assert found.rms_px == pytest.approx(0.05 * np.sqrt(2.0), rel=0.1)
-    assert np.nanmean(found.held_out) == pytest.approx(1.0, abs=0.1)
+    assert np.nanmean(found.held_out_mean_squares) == pytest.approx(1.0, abs=0.1)
     assert len(frames.time_s) == 96
 
 
@@ -86,7 +88,10 @@ def test_true_angles_are_told_better_than_they_were_read(usual):
     true = head.perturbed(rng, TWIN_SPREADS)
     seen = simulate_recording(head, true, rng, **SMALL)
     solution = calibrate_head(head, seen.frames).solution
-    read, told = seen.frames.positions - seen.true_q, solution.problem.angles(solution.state)
+    read, told = (
+        seen.frames.joint_positions - seen.true_q,
+        solution.problem.joint_angles(solution.state),
+    )
     # what both pans have in common with the neck is told least
     apart = (told - seen.true_q)[:, 4] - (told - seen.true_q)[:, 6]
     assert np.std(apart) < 0.5 * np.std(read[:, 4] - read[:, 6])
@@ -95,8 +100,10 @@ def test_true_angles_are_told_better_than_they_were_read(usual):
 def test_frames_may_come_in_any_order_and_twice(usual):
     head, _, frames, found = usual
     order = np.random.default_rng(1).permutation(np.repeat(np.arange(len(frames.time_s)), 2))
-    again = calibrate_head(head, frames.of(order))
-    np.testing.assert_allclose(again.solution.state.values, found.solution.state.values, atol=1e-9)
+    again = calibrate_head(head, frames.select(order))
+    np.testing.assert_allclose(
+        again.solution.state.head_parameters, found.solution.state.head_parameters, atol=1e-9
+    )
 
 
 def test_eyes_and_corners_may_be_missing(usual):
@@ -123,14 +130,16 @@ def test_wrong_detections_are_left_out(usual):
         )[rng.integers(4)]
     pixels[rng.random(pixels.shape[:3]) < 0.03] += 15.0
     found = calibrate_head(head, replace(frames, pixels=pixels))
-    assert not found.views[wrong].any()
-    assert found.views[~wrong].mean() > 0.98
+    assert not found.kept_views[wrong].any()
+    assert found.kept_views[~wrong].mean() > 0.98
     assert_right(found, true)
 
 
 def test_angles_that_belong_to_other_frames_count_for_what_they_are_worth(usual):
     head, true, frames, _ = usual
-    found = calibrate_head(head, replace(frames, positions=np.roll(frames.positions, 1, axis=0)))
+    found = calibrate_head(
+        head, replace(frames, joint_positions=np.roll(frames.joint_positions, 1, axis=0))
+    )
     assert surprise(found, true) < 1.9
     assert any("scatter more than their quantisation" in line for line in found.remarks)
 
@@ -139,7 +148,7 @@ def test_a_board_that_was_moved_meanwhile_is_another_place(usual):
     head, true, frames, _ = usual
     found = calibrate_head(head, replace(frames, placement=np.zeros_like(frames.placement)))
     assert "the board stands elsewhere in 48 frames" in found.remarks[0]
-    assert found.views.all()
+    assert found.kept_views.all()
     assert_right(found, true)
 
 
@@ -150,7 +159,9 @@ def test_a_board_that_was_moved_by_two_millimetres_is_another_place():
     frames, q = seen.frames, seen.true_q
     later = np.arange(len(q)) >= len(q) // 2
     boards = seen.boards.moved(np.array([[0.0, 0.0, 0.0, 0.001, -0.001, 0.0014]]))
-    points, turned = board_points(frames.corners, boards, np.zeros(later.sum(), dtype=int))
+    points, turned = board_points_and_offsets(
+        frames.corners, boards, np.zeros(later.sum(), dtype=int)
+    )
     pixels, chain = frames.pixels.copy(), ParametricHead(true, true.parameters().values)
     for eye in range(2):
         there = chain.project_board(eye, q[later], points, turned).pixels
@@ -171,7 +182,7 @@ def test_a_sigma_that_is_too_small_makes_no_head_too_sure(usual):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda frames: frames.of(np.arange(4)), "at least 6 poses .*, got 1"),
+        (lambda frames: frames.select(np.arange(4)), "at least 6 poses .*, got 1"),
         (
             lambda frames: replace(
                 frames, pixels=frames.pixels[::-1], sigma=frames.sigma[::-1]
@@ -183,12 +194,12 @@ def test_a_sigma_that_is_too_small_makes_no_head_too_sure(usual):
             "eyes about 92 mm apart, .* is the board of the stated size",
         ),
         (
-            lambda frames: replace(frames, positions=np.rad2deg(frames.positions)),
+            lambda frames: replace(frames, joint_positions=np.rad2deg(frames.joint_positions)),
             "agree on where the board is",
         ),
         (
             lambda frames: replace(
-                frames, positions=frames.positions * [1, 1, 1, 1, -1, 1, 1]
+                frames, joint_positions=frames.joint_positions * [1, 1, 1, 1, -1, 1, 1]
             ),
             "views that agree with each other",
         ),
@@ -226,6 +237,6 @@ def test_without_the_neck_the_eyes_place_in_it_is_not_told():
 
 def test_cameras_that_are_held_stay_as_the_file_has_them(usual):
     head, _, frames, _ = usual
-    found = calibrate_head(head, frames, cameras=False)
+    found = calibrate_head(head, frames, estimate_cameras=False)
     np.testing.assert_array_equal(found.head.cameras.focal, head.cameras.focal)
     np.testing.assert_allclose(found.head.cameras.distortion, head.cameras.distortion, atol=1e-9)

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import vergence
 from vergence.calibration.adjustment import BoardPoses
-from vergence.calibration.head.chain import ParametricHead, board_points
+from vergence.calibration.head.chain import ParametricHead, board_points_and_offsets
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
 
 FRAMES = 4
@@ -31,7 +31,7 @@ def case(request):
 
 def pixels(about, values, q, corners, boards):
     """(f, n, 2, 2) by the head's own kernels."""
-    points, _ = board_points(corners, boards, np.zeros(len(q), dtype=int))
+    points, _ = board_points_and_offsets(corners, boards, np.zeros(len(q), dtype=int))
     T_0_N = about.base_pose(q)
     inside = np.einsum("fji,fnj->fni", T_0_N[:, :3, :3], points - T_0_N[:, None, :3, 3])
     return about.with_parameters(values).project(q[:, None], inside)
@@ -52,7 +52,7 @@ def assert_derivative(exact, differences):
 def test_pixels_and_derivatives_are_those_of_the_head(case, eye):
     about, values, q, corners, boards = case
     chain = ParametricHead(about, values)
-    points, turned = board_points(corners, boards, np.zeros(len(q), dtype=int))
+    points, turned = board_points_and_offsets(corners, boards, np.zeros(len(q), dtype=int))
     seen = chain.project_board(eye, q, points, turned)
     np.testing.assert_allclose(
         seen.pixels, pixels(about, values, q, corners, boards)[:, :, eye], atol=1e-9

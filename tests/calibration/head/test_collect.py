@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import vergence
-from vergence.calibration.head.advice import advise_recording, coverage_percent
+from vergence.calibration.head.advice import advise_recording, image_coverage_percent
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.collect import CollectOptions, collect
 from vergence.calibration.head.preview import DEPTHS_M, depth_sigma_m, preview_calibration
@@ -76,13 +76,13 @@ def test_a_recording_holds_so_many_poses_and_frames_all_of_which_both_eyes_see(c
 
 def test_boards_are_spread_over_the_images_and_all_joints_move(collected):
     frames = read_recording(collected[0], HEAD).frames
-    assert (coverage_percent(HEAD, frames) >= 80.0).all()
-    assert (np.ptp(frames.positions, axis=0) > np.deg2rad(25.0)).all()
+    assert (image_coverage_percent(HEAD, frames) >= 80.0).all()
+    assert (np.ptp(frames.joint_positions, axis=0) > np.deg2rad(25.0)).all()
 
 
 def test_frames_of_a_pose_differ_by_some_steps_of_the_encoders(collected):
     frames = read_recording(collected[0], HEAD).frames
-    within = [np.ptp(frames.positions[frames.pose == pose], axis=0) for pose in range(12)]
+    within = [np.ptp(frames.joint_positions[frames.pose == pose], axis=0) for pose in range(12)]
     assert np.max(within) < np.deg2rad(0.7)
     assert (np.mean(within, axis=0) > HEAD.sensor.encoder_resolution_rad).all()
 
@@ -94,7 +94,7 @@ def test_joints_stay_within_their_limits(collected):
 def test_a_recording_makes_a_calibration(collected):
     found = calibrate_head(HEAD, read_recording(collected[0], HEAD).frames)
     assert 0.8 < found.solution.reduced_chi < 1.2
-    assert found.kept.all()
+    assert found.kept_corners.all()
 
 
 @pytest.mark.parametrize("name", ["turrets", "icub"])
@@ -125,7 +125,7 @@ def test_a_later_run_goes_on_with_other_postures(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["0001.mcap", "0002.mcap"]
     frames = read_recording(tmp_path, HEAD).frames
     assert frames.pose.max() == 4
-    first = [frames.positions[frames.pose == pose][0] for pose in range(5)]
+    first = [frames.joint_positions[frames.pose == pose][0] for pose in range(5)]
     apart = [np.abs(a - b).max() for k, a in enumerate(first) for b in first[:k]]
     assert min(apart) > np.deg2rad(3.0)
     looker = Counted()
@@ -206,7 +206,7 @@ def test_the_predicted_deviation_of_depth_is_that_of_heads_drawn_from_the_covari
         # of 2000 draws the deviation is known to 1.6 %; at 2.5 m depth is not quite linear
         middle = 0.5 * np.ptp(np.quantile(depths, [0.1587, 0.8413]))
         assert middle == pytest.approx(sigma, rel=0.15)
-    few = preview_calibration(HEAD, frames.of(frames.pose < 6)).depth_percent
+    few = preview_calibration(HEAD, frames.select(frames.pose < 6)).depth_percent
     assert (preview_calibration(HEAD, frames).depth_percent < few).all()
 
 
@@ -229,11 +229,11 @@ def test_advice_says_what_would_tell_more(collected):
         "the board stood in one place", "the board was never farther than 0.7 m"
     ]  # fmt: skip
     frames = found.frames()
-    still = frames.positions.copy()
+    still = frames.joint_positions.copy()
     still[:, :3] = 0.0
-    assert advise_recording(looker.head, found, replace(frames, positions=still))[0].startswith(
-        "the neck has not moved"
-    )
+    assert advise_recording(looker.head, found, replace(frames, joint_positions=still))[
+        0
+    ].startswith("the neck has not moved")
 
 
 def test_what_cannot_be_is_refused_in_one_line(tmp_path):

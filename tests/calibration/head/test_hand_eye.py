@@ -32,7 +32,7 @@ def seen_by(name, *, distances_m=(0.7,), poses=20, **options):
         distances_m=distances_m, **options,
     )  # fmt: skip
     frames = dataclasses.replace(
-        seen.frames, positions=seen.true_q, sigma=np.full_like(seen.frames.sigma, SIGMA_PX)
+        seen.frames, joint_positions=seen.true_q, sigma=np.full_like(seen.frames.sigma, SIGMA_PX)
     )
     return true, true.replace(head_eye=head_eye), frames
 
@@ -47,7 +47,7 @@ def test_each_eye_is_found_exactly_however_far_its_camera_is_from_the_model(name
     found = solve_each_eye(head, frames)
     assert_found(found, true)
     assert found.rms_px < EXACT
-    assert found.kept.all()
+    assert found.kept_views.all()
 
 
 @pytest.mark.parametrize("name", ["simulated", "physical", "turrets"])
@@ -72,9 +72,9 @@ def test_a_board_may_move(find):
 
 def test_both_eyes_at_once_need_neither_the_neck_nor_the_boards_place():
     true, head, frames = seen_by("physical")
-    wrong = frames.positions.copy()
+    wrong = frames.joint_positions.copy()
     wrong[:, :3] += np.random.default_rng(0).uniform(-0.3, 0.3, (len(wrong), 3))
-    found = solve_both_eyes(head, dataclasses.replace(frames, positions=wrong))
+    found = solve_both_eyes(head, dataclasses.replace(frames, joint_positions=wrong))
     assert_found(found, true)
 
 
@@ -91,7 +91,7 @@ def test_views_that_show_something_else_do_not_count(find):
         pixels[eye, moved[6:]] += rng.uniform(8.0, 20.0, (6, 1, 2))
     found = find(head, dataclasses.replace(frames, pixels=pixels))
     assert_found(found, true)
-    assert not found.kept[bad].any()
+    assert not found.kept_views[bad].any()
 
 
 @pytest.mark.parametrize("find", [solve_each_eye, solve_both_eyes])
@@ -101,7 +101,7 @@ def test_views_without_the_board_do_not_count(find):
     pixels[0, :10] = pixels[1, 5:15] = np.nan
     found = find(head, dataclasses.replace(frames, pixels=pixels))
     assert_found(found, true)
-    assert not found.kept[0, :10].any()
+    assert not found.kept_views[0, :10].any()
 
 
 def test_noise_of_corners_and_encoders_leaves_a_tenth_of_a_degree():
@@ -139,15 +139,15 @@ def test_motions_about_one_axis_are_refused(find):
 def test_too_few_views_are_refused(find):
     _true, head, frames = seen_by("physical")
     with pytest.raises(ConfigurationError, match=r"expected at least 3 poses of the .*, got 2"):
-        find(head, frames.of(np.array([0, 4])))
+        find(head, frames.select(np.array([0, 4])))
 
 
 @pytest.mark.parametrize("find", [solve_each_eye, solve_both_eyes])
 def test_joint_angles_of_other_images_are_refused(find):
     _true, head, frames = seen_by("physical")
-    positions = np.random.default_rng(4).uniform(-0.8, 0.8, frames.positions.shape)
+    positions = np.random.default_rng(4).uniform(-0.8, 0.8, frames.joint_positions.shape)
     with pytest.raises(ConfigurationError, match="joint angles that belong to the images"):
-        find(head, dataclasses.replace(frames, positions=positions))
+        find(head, dataclasses.replace(frames, joint_positions=positions))
 
 
 MOTIONS = {

@@ -9,7 +9,7 @@ largest.
 import numpy as np
 
 import vergence
-from vergence.calibration.head.adjust import HeadAdjustment, Weights
+from vergence.calibration.head.adjust import HeadAdjustment, MeasurementWeights
 from vergence.calibration.head.chain import ParametricHead
 from vergence.calibration.head.simulated import simulate_recording
 from vergence.eval.trials.twin_errors import TWIN_SPREADS
@@ -39,7 +39,7 @@ def recorded(seed, **options):
     """(44, 44) what a recording tells of the numbers."""
     seen = simulate_recording(HEAD, HEAD, np.random.default_rng(seed), frames_per_pose=2, **options)
     problem = HeadAdjustment(HEAD, np.full(len(SPREADS), np.inf), seen.frames)
-    normal = problem.linearised(problem.start(seen.boards), Weights.of(seen.frames.seen))
+    normal = problem.linearised(problem.start(seen.boards), MeasurementWeights.of(seen.frames.seen))
     p = len(SPREADS)
     rest, across = normal.matrix[p:, p:], normal.matrix[:p, p:]
     S = scaled_columns()

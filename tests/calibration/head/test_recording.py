@@ -32,7 +32,7 @@ def frames():
 
 
 def assert_same(read, frames):
-    np.testing.assert_array_equal(read.positions, frames.positions)
+    np.testing.assert_array_equal(read.joint_positions, frames.joint_positions)
     np.testing.assert_array_equal(read.pixels, frames.pixels)
     np.testing.assert_array_equal(read.sigma, frames.sigma)
     np.testing.assert_array_equal(read.placement, frames.placement)
@@ -42,7 +42,7 @@ def assert_same(read, frames):
 def test_a_log_gives_the_frames_that_were_written_to_the_bit(tmp_path, frames):
     found = read_recording(log_frames(tmp_path / "a.mcap", HEAD, frames), HEAD)
     assert_same(found.frames, frames)
-    assert (found.files, found.remarks, found.failures) == (("a.mcap",), (), ())
+    assert (found.files, found.remarks, found.read_errors) == (("a.mcap",), (), ())
 
 
 def test_order_and_repetition_in_a_log_do_not_matter(tmp_path, frames):
@@ -55,9 +55,9 @@ def test_order_and_repetition_in_a_log_do_not_matter(tmp_path, frames):
 
 def test_the_digest_tells_other_corners_and_other_angles(tmp_path, frames):
     digests = set()
-    for number, part in enumerate(("pixels", "positions", "")):
+    for number, part in enumerate(("pixels", "joint_positions", "")):
         values = {"target": frames.target, **{name: getattr(frames, name).copy() for name in
-                  ("time_s", "positions", "pixels", "sigma", "placement")}}  # fmt: skip
+                  ("time_s", "joint_positions", "pixels", "sigma", "placement")}}  # fmt: skip
         if part:
             values[part].flat[0] += 1e-4
         path = log_frames(tmp_path / f"{number}.mcap", HEAD, type(frames)(**values))
@@ -76,8 +76,8 @@ def test_logs_of_a_folder_follow_each_other_and_their_places_are_numbered(tmp_pa
 
 
 def test_places_of_the_board_have_numbers_without_gaps(tmp_path, frames):
-    log_frames(tmp_path / "1.mcap", HEAD, frames.of(np.arange(12)), placement="2")
-    log_frames(tmp_path / "2.mcap", HEAD, frames.of(np.arange(12, 24)), placement="5")
+    log_frames(tmp_path / "1.mcap", HEAD, frames.select(np.arange(12)), placement="2")
+    log_frames(tmp_path / "2.mcap", HEAD, frames.select(np.arange(12, 24)), placement="5")
     found = read_recording(tmp_path, HEAD).frames
     assert found.placement.tolist() == [0] * 12 + [1] * 12
 
@@ -88,7 +88,8 @@ def test_an_eye_that_does_not_see_the_board_is_nan_and_a_frame_without_it_is_lef
     pixels = frames.pixels.copy()
     pixels[1, 0] = pixels[:, 1] = np.nan
     half = type(frames)(
-        target=frames.target, time_s=frames.time_s, positions=frames.positions, pixels=pixels,
+        target=frames.target, time_s=frames.time_s, joint_positions=frames.joint_positions,
+        pixels=pixels,
         sigma=frames.sigma, placement=frames.placement,
     )  # fmt: skip
     found = read_recording(log_frames(tmp_path / "a.mcap", HEAD, half), HEAD).frames
@@ -133,7 +134,7 @@ def test_a_log_that_is_cut_off_is_read_as_far_as_it_goes(tmp_path, frames):
     found = read_recording(tmp_path, HEAD)
     assert 0 < len(found.frames.time_s) <= 24
     assert found.remarks == ("1 of 1 logs are cut off: read up to there",)
-    assert "it is empty" in found.failures[0]
+    assert "it is empty" in found.read_errors[0]
     with pytest.raises(UnreadableFileError, match="it is empty"):
         read_recording(tmp_path / "b.mcap", HEAD)
 
@@ -145,7 +146,7 @@ def test_another_geometry_of_the_logs_head_is_a_remark(tmp_path, frames):
 
 
 def test_logs_that_do_not_fit_are_refused_in_one_line(tmp_path, frames):
-    none = frames.of(np.zeros(24, dtype=bool))
+    none = frames.select(np.zeros(24, dtype=bool))
     cases = [
         ({"target": ""}, None, "expected the board among the log's facts, or as --target"),
         ({}, parse_target("checkerboard:9x6:25"), "expected checkerboard:9x6:25, got a log of"),
@@ -220,7 +221,7 @@ def test_photographs_and_their_table_are_frames_in_the_order_of_their_times(phot
     # the last photograph has the first time
     with (photographs / "joints.csv").open() as file:
         yaws = [float(row["neck_yaw_deg"]) for row in csv.DictReader(file)]
-    np.testing.assert_allclose(np.rad2deg(found.frames.positions[::-1, 0]), yaws)
+    np.testing.assert_allclose(np.rad2deg(found.frames.joint_positions[::-1, 0]), yaws)
     assert fractions[-1] == 1.0
     assert found.files[-1] == "joints.csv"
     assert found.files[:2] == ("left/0.png", "right/0.png")
@@ -245,8 +246,8 @@ def test_a_photograph_of_nothing_and_one_without_a_partner_are_told(photographs,
     found = read_recording(tmp_path, HEAD, BOARD)
     assert found.frames.seen.all(axis=-1).tolist() == [[False, True], [True, False]]
     assert found.remarks == ("1 images without a partner left out: 2.png",)
-    assert len(found.failures) == 1
-    assert "1.png" in found.failures[0]
+    assert len(found.read_errors) == 1
+    assert "1.png" in found.read_errors[0]
 
 
 def test_a_tag_is_a_board_of_photographs_too(tmp_path):

@@ -61,7 +61,7 @@ def test_depth_sigma_is_the_scatter_of_heads_drawn_from_the_covariance(found):
     points = midpoint_between_cameras(found.head) + from_eyes
     q = found.head.fixate(points)
     free = found.sigma > 1e-8
-    values = np.tile(found.solution.state.values, (4000, 1, 1))
+    values = np.tile(found.solution.state.head_parameters, (4000, 1, 1))
     # a pan's zero and the camera's turn are each unsure by degrees, which only together mean
     # nothing; by a tenth of that they are linear
     values[:, 0, free] += 0.1 * np.random.default_rng(0).multivariate_normal(

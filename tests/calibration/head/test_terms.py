@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 import vergence
-from vergence.calibration.head.adjust import HeadAdjustment, Weights
+from vergence.calibration.head.adjust import HeadAdjustment, MeasurementWeights
 from vergence.calibration.head.backlash import with_backlash
 from vergence.calibration.head.calibrate_head import calibrate_head
 from vergence.calibration.head.files import head_file_text
 from vergence.calibration.head.prior import parameter_prior_sigma
-from vergence.calibration.head.reading_terms import ReadingTerms
+from vergence.calibration.head.reading_terms import ReadingErrorTerms
 from vergence.calibration.head.simulated import JointReadingErrors, simulate_recording
 from vergence.calibration.head.terms import AUTO, parse_terms
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
-from vergence.models.by_axes import to_joint_axes
+from vergence.models.by_axes import dh_to_joint_axes
 from vergence.models.files.head_toml import parse_head
 from vergence.models.joint_axes import JointAxes
 from vergence.triangulation import triangulate_views
@@ -47,7 +47,7 @@ def recorded(true=TRUE, faults=None):
 
 def turned():
     """The true head with one tilt axis 0.3 degrees about the vertical beside where it may be."""
-    true = to_joint_axes(TRUE)
+    true = dh_to_joint_axes(TRUE)
     names, _, values = true.parameters()
     aside = np.deg2rad(0.3) * (np.array(names) == "left.1.ry")
     return true.with_parameters(values + aside)
@@ -60,10 +60,12 @@ def depth_error(found, true=TRUE, faults=None):
     for _ in range(20 if faults is not None else 0):  # until the faults make q of it
         read = q - faults.output_angles(read, read[0])[0] + read
     reading_terms = found.solution.problem.terms
-    here = replace(reading_terms, readings=read, frames=np.arange(len(read)))
+    here = replace(reading_terms, actuator_readings=read, frame_index=np.arange(len(read)))
     mine = (
         read
-        + here.evaluate(np.where(reading_terms.is_backlash, 0.0, found.solution.state.terms))[0]
+        + here.evaluate(
+            np.where(reading_terms.is_backlash, 0.0, found.solution.state.term_parameters)
+        )[0]
     )
     points = triangulate_views(found.head, mine, true.project(q, POINTS)).point
     return np.sqrt(np.mean((points - POINTS)[:, 2] ** 2))
@@ -89,14 +91,14 @@ def test_derivatives_by_the_rules_numbers_are_those_of_differences(name):
     if head.actuators is not None:
         head = head.replace(actuators={"encoder_resolution_rad": np.zeros(head.actuation.count)})
     seen = simulate_recording(head, head, np.random.default_rng(1), poses=6, frames_per_pose=2)
-    terms = ReadingTerms.of_frames(head, seen.frames, ("play", "harmonics"))
+    terms = ReadingErrorTerms.of_frames(head, seen.frames, ("play", "harmonics"))
     problem = HeadAdjustment(head, parameter_prior_sigma(head), seen.frames, terms=terms)
-    assert not problem.joint_errors.is_single.any()  # so that no errors follow
+    assert not problem.reading_error_unknowns.has_frame_error.any()  # so that no errors follow
     values = np.random.default_rng(2).uniform(0.001, 0.01, len(terms.names))
-    start, weights = problem.start(seen.boards), Weights.of(seen.frames.seen)
+    start, weights = problem.start(seen.boards), MeasurementWeights.of(seen.frames.seen)
 
     def normal(values):
-        return problem.linearised(start._replace(terms=values), weights)
+        return problem.linearised(start._replace(term_parameters=values), weights)
 
     p = problem.common_count - len(values)
     slope = normal(values).gradient[p : problem.common_count]
@@ -163,7 +165,7 @@ def test_nothing_is_chosen_for_a_head_that_its_numbers_describe():
 
 
 def test_terms_that_are_asked_for_are_there_whether_they_help_or_not():
-    found = calibrate_head(HEAD, recorded(), terms=("play", "axes"), cameras=False)
+    found = calibrate_head(HEAD, recorded(), terms=("play", "axes"), estimate_cameras=False)
     assert len(found.terms) == 7
     assert all(abs(each.value) < 3.0 * each.sigma for each in found.terms)
     assert isinstance(found.head.links, JointAxes)
@@ -172,7 +174,7 @@ def test_terms_that_are_asked_for_are_there_whether_they_help_or_not():
 def test_play_goes_into_the_file_and_the_rest_is_said(with_and_without):
     found = with_and_without["play"][0]
     head = parse_head(head_file_text(found, "0" * 64, "mine"))
-    eyes = found.solution.state.terms[3:]
+    eyes = found.solution.state.term_parameters[3:]
     assert head.sensor.backlash_rad == pytest.approx(eyes.max())
     assert head.sensor.encoder_side == "motor"
     said = "; ".join(found.remarks)

@@ -7,7 +7,7 @@ from tests.controllers.loops import begin
 from tests.grids import some_of
 from tests.naming import named
 from vergence import load_head
-from vergence.controllers.networks.acting import NetworkLoop
+from vergence.controllers.networks.acting import NetworkPrePostProcessor
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.scenarios import load_scenario
@@ -17,7 +17,7 @@ STEPPED = load_scenario("hardware").model()
 GAINS = np.full((2, 2), 10.0)
 
 
-def rows(acting: NetworkLoop, num: int) -> np.ndarray:
+def rows(acting: NetworkPrePostProcessor, num: int) -> np.ndarray:
     return np.tile(acting.initial(), (num, 1))
 
 
@@ -37,7 +37,7 @@ def test_an_outlier_of_100_px_in_one_image_moves_no_schedule() -> None:
             with named(kind, head):
                 task = GazeTask(20, head=head, plant="kinematic")
                 begin(task, 3)
-                acting = NetworkLoop(Inputs.of(kind, head), schedule=True)
+                acting = NetworkPrePostProcessor(Inputs.of(kind, head), schedule=True)
                 plain, other = rows(acting, 20), rows(acting, 20)
                 for step in range(20):
                     image = with_outlier(task, eye=step % 2) if step == 15 else task.encoded
@@ -58,7 +58,7 @@ def test_an_outlier_of_100_px_in_one_image_is_not_what_a_network_sees(kind) -> N
     head = load_head("simulated")
     task = GazeTask(20, head=head, plant="kinematic")
     begin(task, 3)
-    acting = NetworkLoop(Inputs.of(kind, head), schedule=False)
+    acting = NetworkPrePostProcessor(Inputs.of(kind, head), schedule=False)
     turns = [i for i, name in enumerate(acting.inputs.names) if name.startswith("asked")]
     assert turns
     plain, other = rows(acting, 20), rows(acting, 20)
@@ -72,7 +72,7 @@ def test_an_outlier_of_100_px_in_one_image_is_not_what_a_network_sees(kind) -> N
 def test_commands_are_whole_steps_and_on_average_what_was_asked_for() -> None:
     for share in [0.002, -0.011, 0.3]:
         with named(share):
-            acting = NetworkLoop(Inputs.of("observation", STEPPED), schedule=False)
+            acting = NetworkPrePostProcessor(Inputs.of("observation", STEPPED), schedule=False)
             state, asked = rows(acting, 3), np.full((3, 4), share, dtype=np.float32)
             seen = np.ones((3, acting.inputs.size), dtype=np.float32)
             sent = np.array([acting.policy_action(seen, asked, state) for _ in range(400)])
@@ -92,7 +92,7 @@ def test_commands_are_whole_steps_and_on_average_what_was_asked_for() -> None:
 
 
 def test_a_head_without_steps_takes_the_actions_as_they_are() -> None:
-    acting = NetworkLoop(Inputs.of("to_go", load_head("simulated")), schedule=False)
+    acting = NetworkPrePostProcessor(Inputs.of("to_go", load_head("simulated")), schedule=False)
     state = rows(acting, 5)
     share = np.random.default_rng(0).uniform(-1, 1, (5, 4)).astype(np.float32)
     seen = np.ones((5, acting.inputs.size), dtype=np.float32)
@@ -108,7 +108,7 @@ def test_eyes_that_wait_for_their_target_do_not_creep() -> None:
         with named(kind, head):
             task = GazeTask(4, head=head, plant="kinematic", variation={"onset_s": (0.2, 0.2)})
             begin(task, 3)
-            acting = NetworkLoop(Inputs.of(kind, head), schedule=False)
+            acting = NetworkPrePostProcessor(Inputs.of(kind, head), schedule=False)
             state, asked = rows(acting, 4), np.full((4, 4), 0.1, dtype=np.float32)
             turned, visible = [], []
             for _ in range(60):
@@ -128,7 +128,7 @@ def test_eyes_that_wait_for_their_target_do_not_creep() -> None:
 def test_one_head_is_a_row_of_a_batch(schedule) -> None:
     task = GazeTask(4, head=STEPPED, plant="kinematic")
     begin(task, 3)
-    acting = NetworkLoop(Inputs.of("history", STEPPED), schedule)
+    acting = NetworkPrePostProcessor(Inputs.of("history", STEPPED), schedule)
     many, one = rows(acting, 4), acting.initial()
 
     def act(observation: np.ndarray, state: np.ndarray) -> np.ndarray:

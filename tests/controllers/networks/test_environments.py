@@ -18,8 +18,8 @@ from vergence.controllers.networks.environments import (
     GainScheduleEnv,
     PolicyEnv,
     PolicyVectorEnv,
+    decode_velocity_action,
     training_env,
-    velocity_action,
 )
 from vergence.controllers.networks.inputs import KINDS
 from vergence.envs.plants.kinematic import KinematicPlant
@@ -71,7 +71,7 @@ def test_a_policys_action_is_a_velocity() -> None:
         env.step(np.zeros(4))
     env.step(np.array([0.5, -0.5, 1.0, 2.0]))
     assert env.task.encoded[0, 23:].tolist() == [0.125, -0.125, 1.0, 1.0]
-    assert velocity_action([0.0, -2.0]).tolist() == [0.0, -1.0]
+    assert decode_velocity_action([0.0, -2.0]).tolist() == [0.0, -1.0]
 
 
 @pytest.mark.parametrize("info", [(), ("truth",)])

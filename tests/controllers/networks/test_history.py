@@ -6,7 +6,11 @@ import pytest
 from tests.controllers.loops import begin
 from tests.heads import head_of
 from tests.naming import named
-from vergence.controllers.networks.history import BEYOND_S, IMAGES, MOMENTS
+from vergence.controllers.networks.history import (
+    MIN_REACH_BEYOND_LATENCY_S,
+    STORED_IMAGES,
+    STORED_MOMENTS,
+)
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs.encoding import AGE_S
 from vergence.envs.task import GazeTask
@@ -58,8 +62,10 @@ def test_an_image_enters_once_whatever_the_rates() -> None:
                 np.repeat(new.sum(axis=0)[:, None], 4, axis=1)
             )
             # each is older than the next by the time between their exposures
-            at = [np.unique(exposures[come[:, i], i])[-IMAGES:][::-1] for i in range(5)]
-            ages = np.array([loop.channel(f"age_{k}")[-1, :, 0] * AGE_S for k in range(IMAGES)])
+            at = [np.unique(exposures[come[:, i], i])[-STORED_IMAGES:][::-1] for i in range(5)]
+            ages = np.array(
+                [loop.channel(f"age_{k}")[-1, :, 0] * AGE_S for k in range(STORED_IMAGES)]
+            )
             # images are dated to a period, and float32 rounds their age
             assert ages - ages[0] == pytest.approx(
                 at[0][0] - np.array(at).T, abs=1.01 * loop.period_s
@@ -89,7 +95,7 @@ def test_commands_and_velocities_are_those_of_the_last_periods() -> None:
     loop = Loop(load_head("simulated"), 60)
     speeds = np.array([seen.velocities[:, 3:] for seen in loop.seen])
     limits = loop.inputs.layout.action_limits
-    for k in range(MOMENTS):
+    for k in range(STORED_MOMENTS):
         sent = loop.channel(f"command_{k}")[k + 1 :]
         assert sent == pytest.approx(loop.actions[: len(sent)], abs=1e-4)
         read = loop.channel(f"speed_{k}")[k:]
@@ -103,8 +109,13 @@ def test_moments_reach_back_beyond_the_delay_of_an_image_at_any_rate() -> None:
             inputs = Inputs.of("history", head)
             assert inputs._history is not None
             moment_s = inputs._history.moment_s
-            assert moment_s * MOMENTS >= head.timing.latency_s + BEYOND_S - 1e-9
-            assert moment_s <= max(head.timing.period_s, (head.timing.latency_s + 0.1) / MOMENTS)
+            assert (
+                moment_s * STORED_MOMENTS
+                >= head.timing.latency_s + MIN_REACH_BEYOND_LATENCY_S - 1e-9
+            )
+            assert moment_s <= max(
+                head.timing.period_s, (head.timing.latency_s + 0.1) / STORED_MOMENTS
+            )
 
 
 def test_a_moment_of_several_periods_is_their_mean() -> None:

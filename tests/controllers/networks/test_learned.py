@@ -15,7 +15,7 @@ from tests.controllers.networks.graphs import KINDS, bundle_of, perceptron, weig
 from tests.grids import some_of
 from tests.naming import named
 from vergence import load_head, make_controller
-from vergence.controllers.gain_schedule import ScheduledLaw
+from vergence.controllers.gain_schedule import ScheduledIBVS
 from vergence.controllers.networks import learned
 from vergence.controllers.networks.bundle import pretrained_bundles, read_bundle
 from vergence.controllers.networks.learned import LearnedGain, LearnedPolicy, load_policy
@@ -77,7 +77,7 @@ def test_a_gain_schedule_puts_out_the_gains_of_the_law(bundles):
     gains = np.array(
         [[by_name["left_u"], by_name["left_v"]], [by_name["right_u"], by_name["right_v"]]]
     )
-    law = ScheduledLaw(head, controller.layout)
+    law = ScheduledIBVS(head, controller.layout)
     expected = law.action(seen, np.moveaxis(gains, -1, 0))
     assert controller.predict(seen)[0] == pytest.approx(expected, abs=1e-5)
 

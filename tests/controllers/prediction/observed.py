@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.joint_motion import respond
-from vergence.controllers.prediction.predictor import Prediction, Predictor
+from vergence.controllers.prediction.predictor import Prediction, SmithPredictor
 from vergence.envs.layout import AGE_S, Observation, ObservationLayout
 from vergence.models.head import HeadModel
 
@@ -123,15 +123,15 @@ def record(
     return Recording(observations, np.array(positions))
 
 
-def predict(predictor: Predictor, recording: Recording) -> list[Prediction]:
+def predict(predictor: SmithPredictor, recording: Recording) -> list[Prediction]:
     """Predictions from a recording, one per period."""
     state = predictor.initial()
     return [predictor.update(seen, state) for seen in recording.observations]
 
 
-def predictor_of(head: HeadModel, *, moving: bool = False) -> Predictor:
+def predictor_of(head: HeadModel, *, moving: bool = False) -> SmithPredictor:
     """A predictor that learns all it can."""
-    return Predictor(head=head, layout=ObservationLayout.of(head), moving=moving)
+    return SmithPredictor(head=head, layout=ObservationLayout.of(head), targets_move=moving)
 
 
 def turns(head: HeadModel, steps: int, *, speed: float = inf, time_s: float = 0.06) -> Array:

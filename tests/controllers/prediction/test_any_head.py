@@ -35,9 +35,11 @@ def skewed():
 @pytest.mark.parametrize("name", ["panfirst", "simulated"])
 def test_axes_at_right_angles_are_told_from_others(name) -> None:
     head = load_head(name) if name == "simulated" else head_of(name)
-    assert (pack_predictor_parameters(head).view(PREDICTOR_PARAMETERS)["orthogonal"] == 1.0).all()
     assert (
-        pack_predictor_parameters(skewed()).view(PREDICTOR_PARAMETERS)["orthogonal"] == 0.0
+        pack_predictor_parameters(head).view(PREDICTOR_PARAMETERS)["orthogonal_axes"] == 1.0
+    ).all()
+    assert (
+        pack_predictor_parameters(skewed()).view(PREDICTOR_PARAMETERS)["orthogonal_axes"] == 0.0
     ).all()
 
 
@@ -48,7 +50,7 @@ def test_axes_at_right_angles_are_told_from_others(name) -> None:
 def test_one_saccade_tells_the_delay_on_any_head(head, delay) -> None:
     task = GazeTask(8, plant="kinematic", head=head, plant_options={"latency_s": delay / 120.0})
     trial = run(task, "saccade", 60)
-    found = trial.predicted[-1].delay_s
+    found = trial.predicted[-1].image_delay_s
     assert np.abs(np.median(found) - delay / 120.0) < 0.005
 
 

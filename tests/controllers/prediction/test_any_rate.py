@@ -6,7 +6,7 @@ import pytest
 from tests.controllers.reaching import run
 from tests.grids import some_of
 from vergence import load_head
-from vergence.controllers.prediction.predictor import Predictor
+from vergence.controllers.prediction.predictor import SmithPredictor
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
@@ -54,5 +54,5 @@ def test_longer_ones_are_refused_in_one_line(latency_s) -> None:
     head = HEAD.replace(timing={"latency_s": latency_s})
     message = rf"head: expected a latency of at most 0\.25 s, got {latency_s:g} s"
     with pytest.raises(ConfigurationError, match=message) as caught:
-        Predictor(head=head, layout=ObservationLayout.of(head))
+        SmithPredictor(head=head, layout=ObservationLayout.of(head))
     assert "\n" not in str(caught.value)

@@ -25,10 +25,10 @@ def seen(target, steps=120, spoil=None, noise_px=0.02):
     way = record(HEAD, np.zeros((steps, 4)), target=target, noise_px=noise_px, spoil=spoil)
     every = predict(predictor_of(HEAD, moving=True), way)
     # a little late, so that a response that is later than likely is none that oscillates
-    ahead = np.array([one.latency_s + 0.5 * one.latency_sd_s for one in every])
+    ahead = np.array([one.response_latency_s + 0.5 * one.response_latency_sd_s for one in every])
     return (
         np.array([one.positions + one.angle_error for one in every]),
-        np.array([one.rates for one in every]),
+        np.array([one.goal_rates for one in every]),
         np.arange(steps) * PERIOD_S + ahead,
     )
 
@@ -124,4 +124,4 @@ def test_one_eye_tells_the_other_where_a_moving_target_is() -> None:
 
 def test_a_predictor_of_targets_at_rest_knows_no_rates() -> None:
     way = record(HEAD, np.zeros((90, 4)), target=moving)
-    assert not np.array([one.rates for one in predict(predictor_of(HEAD), way)]).any()
+    assert not np.array([one.goal_rates for one in predict(predictor_of(HEAD), way)]).any()

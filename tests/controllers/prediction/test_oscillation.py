@@ -6,10 +6,10 @@ import pytest
 from vergence import load_head
 from vergence.controllers.prediction.joints import PREDICTOR_PARAMETERS, pack_predictor_parameters
 from vergence.controllers.prediction.oscillation import (
-    MANY_HALF_SWINGS,
-    Oscillation,
-    begin_oscillation,
+    OSCILLATING_HALF_SWINGS,
+    OscillationState,
     decay_count,
+    reset_oscillation,
     update_oscillation,
 )
 from vergence.controllers.rows import row_layout
@@ -22,22 +22,22 @@ NOISE = 1e-8
 
 def swings(angle, aim=None):
     """The greatest number of swings of a joint at some angles, its goal at others."""
-    record = np.zeros(1, dtype=row_layout(Oscillation))[0]
-    record["patience_s"] = 1.0
+    record = np.zeros(1, dtype=row_layout(OscillationState))[0]
+    record["decay_time_s"] = 1.0
     params = pack_predictor_parameters(HEAD).view(PREDICTOR_PARAMETERS)[0]
-    begin_oscillation(record, 0, 1, float(angle[0]))
+    reset_oscillation(record, 0, 1, float(angle[0]))
     most = 0.0
     for one, goal in zip(angle, np.zeros_like(angle) if aim is None else aim, strict=True):
         decay_count(record, params.period_s)
         update_oscillation(record, params, 0, 1, float(one), float(goal), NOISE)
-        most = max(most, float(record["count"]))
+        most = max(most, float(record["half_swing_count"]))
     return most
 
 
 @pytest.mark.parametrize("hz", [2.0, 5.0])
 def test_an_eye_that_swings_about_a_goal_at_rest_is_found_within_a_second(hz) -> None:
     lasting = 0.02 * np.sin(2.0 * np.pi * hz * TIME_S)
-    assert swings(lasting[max(1.0, 3.0 / hz) > TIME_S]) > MANY_HALF_SWINGS
+    assert swings(lasting[max(1.0, 3.0 / hz) > TIME_S]) > OSCILLATING_HALF_SWINGS
 
 
 def dying(time_s):

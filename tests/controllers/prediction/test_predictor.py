@@ -9,7 +9,7 @@ from tests.controllers.loops import begin
 from tests.controllers.prediction.observed import predict, predictor_of, record, turns
 from tests.controllers.reaching import run
 from vergence import load_head
-from vergence.controllers.prediction.predictor import HOLD_S, Predictor, _update
+from vergence.controllers.prediction.predictor import MAX_UNSEEN_S, SmithPredictor, _update
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
@@ -28,7 +28,10 @@ def test_the_prediction_is_the_truth_when_the_command_begins_to_act() -> None:
     every = predict(predictor_of(head), way)
     # by the second turn the response is known, to a fraction of a millisecond
     joints = np.array([one.positions for one in every])
-    ahead = np.array([one.latency_s + 0.5 * one.latency_sd_s for one in every]) * 120.0
+    ahead = (
+        np.array([one.response_latency_s + 0.5 * one.response_latency_sd_s for one in every])
+        * 120.0
+    )
     at = np.arange(len(joints)) + ahead
     true = np.array([np.interp(at, np.arange(len(joints)), column) for column in way.positions.T]).T
     # between two periods the truth is not straight, which 0.2 mrad or 0.1 px allow for
@@ -85,7 +88,7 @@ def test_angles_between_the_steps_of_the_encoders_are_followed() -> None:
 def test_a_target_that_is_lost_is_held_for_a_while_then_forgotten() -> None:
     head = quiet_head()
     layout = ObservationLayout.of(head)
-    predictor = Predictor(head=head, layout=layout, moving=False)
+    predictor = SmithPredictor(head=head, layout=layout, targets_move=False)
     task = GazeTask(1, head=head, plant="kinematic")
     begin(task)
     state = np.tile(predictor.initial(), (1, 1))
@@ -95,7 +98,7 @@ def test_a_target_that_is_lost_is_held_for_a_while_then_forgotten() -> None:
     assert seen.known.all()
     blind = layout.decode(task.observation)
     blind = blind._replace(pixel_error=np.full((1, 2, 2), np.nan))
-    hold = round(HOLD_S * 120)
+    hold = round(MAX_UNSEEN_S * 120)
     for _ in range(hold):
         held = predictor.update(blind, state)
     np.testing.assert_allclose(held.angle_error, seen.angle_error)
@@ -121,4 +124,4 @@ def test_a_state_may_have_rows_of_the_callers_behind_it() -> None:
 def test_options_that_cannot_be_are_refused(name) -> None:
     head = load_head("simulated")
     with pytest.raises(ConfigurationError, match=f"{name}: expected 'estimated' or 'nominal'"):
-        Predictor(head=head, layout=ObservationLayout.of(head), **{name: "known"})
+        SmithPredictor(head=head, layout=ObservationLayout.of(head), **{name: "known"})

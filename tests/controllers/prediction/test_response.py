@@ -6,7 +6,7 @@ import pytest
 from tests.controllers.prediction.observed import predict, predictor_of, record, turns
 from tests.controllers.reaching import run
 from vergence import load_head
-from vergence.controllers.prediction.predictor import Predictor
+from vergence.controllers.prediction.predictor import SmithPredictor
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
 
@@ -32,11 +32,11 @@ def test_one_turn_there_and_back_tells_how_the_actuators_answer(
     commands = turns(HEAD, 75, speed=speed, time_s=0.1)
     way = record(HEAD, commands, latency_s=latency_s, lag_s=lag_s, ratio=ratio, gain=gain)
     last = predict(predictor_of(HEAD), way)[-1]
-    assert last.latency_s == pytest.approx(latency_s, abs=0.0015)
+    assert last.response_latency_s == pytest.approx(latency_s, abs=0.0015)
     assert last.lag_s == pytest.approx(lag_s, rel=0.05)
     assert last.acceleration_ratio == pytest.approx(ratio, rel=0.05)
     assert last.speed_gain[[1, 3]] == pytest.approx(gain, rel=0.02)
-    assert last.latency_sd_s < 0.003
+    assert last.response_latency_sd_s < 0.003
     assert last.acceleration_sd < 0.1
     assert last.build_up == 0.0
 
@@ -47,7 +47,7 @@ def test_two_turns_tell_a_servo_whose_own_loop_swings(build_up, lag_s) -> None:
     last = predict(predictor_of(HEAD), way)[-1]
     assert last.build_up == pytest.approx(build_up, rel=0.15)
     assert last.lag_s == pytest.approx(lag_s, rel=0.1)
-    assert last.latency_s == pytest.approx(0.017, abs=0.003)
+    assert last.response_latency_s == pytest.approx(0.017, abs=0.003)
 
 
 @pytest.mark.parametrize("rate_hz", [50.0, 90.0, 250.0])
@@ -55,27 +55,30 @@ def test_the_latency_is_found_in_seconds_at_any_control_rate(rate_hz) -> None:
     head = HEAD.replace(timing={"control_rate_hz": rate_hz, "frame_rate_hz": 50.0})
     way = record(head, turns(head, round(0.5 * rate_hz)), latency_s=0.017, ratio=0.6)
     last = predict(predictor_of(head), way)[-1]
-    assert last.latency_s == pytest.approx(0.017, abs=0.002)
+    assert last.response_latency_s == pytest.approx(0.017, abs=0.002)
     assert last.acceleration_ratio == pytest.approx(0.6, rel=0.1)
 
 
 def test_nothing_is_learned_while_nothing_moves() -> None:
     every = predict(predictor_of(HEAD), record(HEAD, np.zeros((60, 4)), noise_px=0.3))
-    for name in ("latency_s", "lag_s", "acceleration_ratio", "latency_sd_s", "acceleration_sd"):
+    for name in (
+        "response_latency_s", "lag_s", "acceleration_ratio", "response_latency_sd_s",
+        "acceleration_sd",
+    ):  # fmt: skip
         assert len({float(getattr(one, name)) for one in every}) == 1
 
 
 def test_what_is_known_is_less_sure_before_the_first_turn() -> None:
     every = predict(predictor_of(HEAD), record(HEAD, turns(HEAD, 60), ratio=0.5))
     assert every[0].acceleration_sd > 5.0 * every[-1].acceleration_sd
-    assert every[0].latency_sd_s > 5.0 * every[-1].latency_sd_s
+    assert every[0].response_latency_sd_s > 5.0 * every[-1].response_latency_sd_s
 
 
 def test_a_nominal_response_is_that_of_the_heads_model() -> None:
     head = HEAD.replace(timing={"command_latency_s": 0.012})
-    predictor = Predictor(head=head, layout=ObservationLayout.of(head), lag="nominal")
+    predictor = SmithPredictor(head=head, layout=ObservationLayout.of(head), lag="nominal")
     last = predict(predictor, record(head, turns(head, 60), latency_s=0.03, ratio=0.5))[-1]
-    assert last.latency_s == 0.012
+    assert last.response_latency_s == 0.012
     assert last.lag_s == pytest.approx(head.timing.lag_s)
     assert last.acceleration_ratio == 1.0
 
@@ -88,8 +91,8 @@ def test_a_saccade_on_a_simulated_robot_tells_command_and_feedback_latency_toget
     task = GazeTask(12, head=HEAD, plant="kinematic", plant_options=options)
     last = run(task, "saccade", 70).predicted[-1]
     # a build-up that hardly overshoots may stand for some of it
-    assert np.abs(last.latency_s - latency_s).max() < 0.008
-    assert np.abs(np.median(last.latency_s) - latency_s) < 0.0025
+    assert np.abs(last.response_latency_s - latency_s).max() < 0.008
+    assert np.abs(np.median(last.response_latency_s) - latency_s) < 0.0025
 
 
 @pytest.mark.parametrize("lag_s", [0.015, 0.03, 0.06])

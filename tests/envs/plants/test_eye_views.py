@@ -5,7 +5,7 @@ import pytest
 
 from tests.envs.trials import begin, start_of
 from vergence.envs.plant import make_plant
-from vergence.envs.plants.eye_views import EyeViews
+from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.envs.streams import RandomStreams, StreamPurpose
 from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError
@@ -25,9 +25,9 @@ def frame_noise(period: int) -> np.random.Generator:
     return streams.generator_at(0, StreamPurpose.IMAGE, 2 * period)
 
 
-def views_of(head) -> EyeViews:
+def views_of(head) -> BoardImageRenderer:
     own = {name: value for name, value in VIEW.items() if name != "board"}
-    return EyeViews(head, make_planar_target("tag"), **own)
+    return BoardImageRenderer(head, make_planar_target("tag"), **own)
 
 
 def worst_grey(ours, theirs) -> int:
@@ -75,10 +75,10 @@ def test_eyes_in_motion_see_what_the_rendered_plant_shows(physical, seen):
 def test_where_there_is_no_target_the_background_is_plain(physical):
     views = views_of(physical)
     views.draw(np.zeros(7), np.zeros(7), POINT)
-    assert views.shown == (True, True)
+    assert views.board_in_image == (True, True)
     for image in views.draw(np.zeros(7), np.ones(7), [np.nan] * 3):
         assert np.ptp(image) == 0
-    assert views.shown == (False, False)
+    assert views.board_in_image == (False, False)
 
 
 def test_a_board_that_fits_looks_equally_large_near_and_far(physical):
@@ -93,14 +93,15 @@ def test_a_board_that_fits_looks_equally_large_near_and_far(physical):
 def test_the_true_eyes_see_a_board_that_fits_the_model(physical):
     true = physical.replace(cameras={"focal": 1.1 * physical.cameras.focal})
     target = make_planar_target("tag")
-    of_model = EyeViews(physical, target, width_rad="fit").board.natural_distance_m
+    of_model = BoardImageRenderer(physical, target, width_rad="fit").board.true_size_distance_m
     assert (
-        EyeViews(true, target, width_rad="fit", model=physical).board.natural_distance_m == of_model
+        BoardImageRenderer(true, target, width_rad="fit", model=physical).board.true_size_distance_m
+        == of_model
     )
 
 
 def test_a_board_with_axes_of_its_own_is_drawn_by_them(physical):
-    views = EyeViews(physical, make_planar_target("checkerboard"), facing="forward")
+    views = BoardImageRenderer(physical, make_planar_target("checkerboard"), facing="forward")
     level = [image.copy() for image in views.draw(np.zeros(7), np.zeros(7), POINT)]
     rolled = np.diag([-1.0, -1.0, 1.0])
     same = [image.copy() for image in views.draw(np.zeros(7), np.zeros(7), POINT, axes=np.eye(3))]
@@ -111,4 +112,4 @@ def test_a_board_with_axes_of_its_own_is_drawn_by_them(physical):
 
 def test_an_unknown_facing_is_refused(physical):
     with pytest.raises(ConfigurationError, match="facing: expected 'head' or 'forward', got 'up'"):
-        EyeViews(physical, make_planar_target("tag"), facing="up")
+        BoardImageRenderer(physical, make_planar_target("tag"), facing="up")

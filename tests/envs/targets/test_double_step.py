@@ -7,9 +7,9 @@ from scipy import stats
 from tests.envs.drawn import draw, eccentricity, inside
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
-from vergence.envs.targets.board import is_in_view
+from vergence.envs.targets.board import is_detectable_by_both_eyes
 from vergence.envs.targets.double_step import DoubleStepTarget
-from vergence.envs.targets.motion import last_jump, target_position
+from vergence.envs.targets.motion import last_jump_time, target_position
 from vergence.errors import ConfigurationError
 
 
@@ -24,7 +24,7 @@ def test_both_points_keep_the_promises(name, start, request) -> None:
     head: HeadModel = request.getfixturevalue(name)
     target = DoubleStepTarget(start=start)
     rows, q = draw(head, target, 500)
-    jump = last_jump(rows)
+    jump = last_jump_time(rows)
     first, second = target_position(rows, 0.0), target_position(rows, jump)
     goals = head.fixate(first), head.fixate(second)
     for points, goal in zip((first, second), goals, strict=True):
@@ -50,7 +50,7 @@ def test_the_second_point_is_seen_on_the_way_to_the_first(simulated: HeadModel) 
 
 def test_the_second_jump_comes_when_the_trial_has_drawn_it(simulated: HeadModel) -> None:
     rows, _q = draw(simulated, {"kind": "double-step", "second_after": (0.05, 0.3)}, 1000)
-    jump = last_jump(rows)
+    jump = last_jump_time(rows)
     # far below what chance gives once in a thousand, and far above a wrong distribution's
     assert stats.kstest((jump - 0.05) / 0.25, "uniform").pvalue > 1e-3
     first, second = target_position(rows, 0.0), target_position(rows, 1e3)
@@ -73,9 +73,9 @@ def test_the_whole_board_is_seen_at_both_points(simulated: HeadModel) -> None:
     first, second = target_position(rows, 0.0), target_position(rows, 1.0)
     goal = simulated.fixate(first)
     for begin, there, one, two in zip(q[:, 3:], goal[:, 3:], first, second, strict=True):
-        assert is_in_view(simulated.packed, begin, tuple(one), 0.0, board)
-        assert is_in_view(simulated.packed, begin, tuple(two), 0.0, board)
-        assert is_in_view(simulated.packed, there, tuple(two), 0.0, board)
+        assert is_detectable_by_both_eyes(simulated.packed, begin, tuple(one), 0.0, board)
+        assert is_detectable_by_both_eyes(simulated.packed, begin, tuple(two), 0.0, board)
+        assert is_detectable_by_both_eyes(simulated.packed, there, tuple(two), 0.0, board)
 
 
 def test_a_workspace_without_a_second_point_is_refused(simulated: HeadModel) -> None:

@@ -9,7 +9,7 @@ import pytest
 from vergence.envs.targets.motion import (
     MOTION,
     is_shown,
-    last_jump,
+    last_jump_time,
     motion_rows,
     target_position,
     unpack_motion,
@@ -23,7 +23,7 @@ def shown(row, times: list[float]) -> list[bool]:
 
 
 def test_a_target_jumps_a_second_time_exactly_when_said() -> None:
-    rows = motion_rows([FIRST], before=[BEFORE], second_jump=0.15, second_anchor=[SECOND])
+    rows = motion_rows([FIRST], before=[BEFORE], second_jump_time=0.15, second_anchor=[SECOND])
     for t, expected in ((-1e-9, BEFORE), (0.0, FIRST), (0.15 - 1e-9, FIRST), (0.15, SECOND)):
         assert np.array_equal(target_position(rows[0], t), expected)
     assert np.array_equal(target_position(rows[0], 1e6), SECOND)
@@ -34,7 +34,7 @@ def test_a_moving_target_goes_on_after_its_second_jump() -> None:
     line = {"velocity": (0.3, 0.0, 0.0), "duration": 2.0}
     for motion in (circle, line):
         once = motion_rows([FIRST], **motion)
-        twice = motion_rows([FIRST], **motion, second_jump=0.5, second_anchor=[SECOND])
+        twice = motion_rows([FIRST], **motion, second_jump_time=0.5, second_anchor=[SECOND])
         t = np.linspace(0.0, 4.0, 41)
         moved = target_position(twice[0], t) - target_position(once[0], t)
         expected = np.where(t[:, None] < 0.5, 0.0, np.subtract(SECOND, FIRST))
@@ -45,13 +45,13 @@ def test_the_last_jump_is_the_second_where_there_is_one() -> None:
     rows = np.concatenate(
         [
             motion_rows([FIRST]),
-            motion_rows([FIRST], jump=0.1),
-            motion_rows([FIRST], second_jump=0.15, second_anchor=[SECOND]),
+            motion_rows([FIRST], jump_time=0.1),
+            motion_rows([FIRST], second_jump_time=0.15, second_anchor=[SECOND]),
         ]
     )
-    assert np.array_equal(last_jump(rows), [0.0, 0.1, 0.15])
-    assert last_jump(rows[2]) == 0.15
-    t = last_jump(rows) + np.array([[0.0], [1.0], [100.0]])
+    assert np.array_equal(last_jump_time(rows), [0.0, 0.1, 0.15])
+    assert last_jump_time(rows[2]) == 0.15
+    t = last_jump_time(rows) + np.array([[0.0], [1.0], [100.0]])
     assert (np.ptp(target_position(rows, t), axis=0) == 0.0).all()
 
 

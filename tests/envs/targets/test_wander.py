@@ -8,7 +8,7 @@ from tests.envs.drawn import Array, draw, eccentricity, midpoint_between_eyes
 from tests.heads import MOVING, text_of
 from vergence import HeadModel
 from vergence.envs.plant import make_plant
-from vergence.envs.targets.board import is_in_view
+from vergence.envs.targets.board import is_detectable_by_both_eyes
 from vergence.envs.targets.motion import MOTION, target_position
 from vergence.envs.targets.wander import WanderTarget
 from vergence.errors import ConfigurationError
@@ -129,7 +129,7 @@ def test_the_whole_board_is_seen_all_the_way(simulated: HeadModel) -> None:
     points = target_position(rows[:, None], t).reshape(-1, 3)
     angles = simulated.fixate(points)[:, 3:]
     for q, point in zip(angles, points, strict=True):
-        assert is_in_view(simulated.packed, q, tuple(point), 0.0, board)
+        assert is_detectable_by_both_eyes(simulated.packed, q, tuple(point), 0.0, board)
 
 
 def test_a_head_that_is_too_slow_for_it_is_told_so(simulated: HeadModel) -> None:

@@ -23,7 +23,7 @@ from vergence.eval.article.reported import reported_results
 from vergence.eval.article.reproduce import reproduce
 from vergence.eval.jobs import ProcessMapper, SerialMapper
 from vergence.eval.reporting.parquet import write_parquet
-from vergence.eval.reporting.report import Section, count_verdicts
+from vergence.eval.reporting.report import ReportSection, count_verdicts
 from vergence.eval.reporting.text import format_number
 from vergence.locks import hold_lock
 
@@ -386,7 +386,7 @@ def test_the_tally_counts_each_result_of_the_article_once():
         for n, r in enumerate(reported_results())
     ]  # fmt: skip
     other = {**rows[0], "quantity": "another case"}
-    section = Section(
+    section = ReportSection(
         name="all", title="", article="", what="", conclusion="", summary=[*rows, other],
         figures=[], rows=0, config={}, seed=0,
     )  # fmt: skip

@@ -6,4 +6,4 @@ import pytest
 @pytest.fixture
 def undrawn(monkeypatch):
     """Run folders of evaluations without figures, which take longer than the rest."""
-    monkeypatch.setattr("vergence.eval.comparison.folder.draw", lambda _: {})
+    monkeypatch.setattr("vergence.eval.comparison.folder.evaluation_figures", lambda _: {})

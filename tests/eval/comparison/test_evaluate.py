@@ -22,7 +22,7 @@ from vergence.eval.comparison.evaluate import (
     row_fields,
 )
 from vergence.eval.comparison.folder import write_evaluation
-from vergence.eval.comparison.summary import bound_trials, fill_missing
+from vergence.eval.comparison.summary import bound_trials, imputed_trial_values
 from vergence.eval.comparison.tables import describe_evaluation, report_tables
 from vergence.eval.jobs import ProcessMapper
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
@@ -118,7 +118,7 @@ def test_the_rows_are_those_of_the_controllers_and_the_bound_with_exactly_the_ag
 @pytest.mark.slow
 def test_the_bound_of_a_target_is_the_least_of_its_trials(few):
     tables = [one.trials for one in few.outcomes]
-    name = ONE_PX.bound_s
+    name = ONE_PX.bound_s_column
     later = tables[1].assign(**{name: tables[1][name] + [0.1, *[-0.01] * (len(tables[1]) - 1)]})
     least = bound_trials([tables[0], later], few.outcomes[0].band_px)[name].to_numpy()
     assert least == pytest.approx([tables[0][name].iloc[0], *later[name].iloc[1:]])
@@ -142,7 +142,7 @@ def test_the_whole_ladder_runs_by_default_and_never_beats_the_bound():
     for name in set(CONTROLLERS) - there:
         assert any(note.startswith(f"{name} is left out") for note in evaluation.notes)
     for one in evaluation.outcomes:
-        ratio = fill_missing(one.trials, one.band_px)["ratio_to_bound"]
+        ratio = imputed_trial_values(one.trials, one.band_px)["ratio_to_bound"]
         assert (ratio >= 1.0 - 1e-9).all(), one.controller
 
 

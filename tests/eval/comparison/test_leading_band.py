@@ -16,7 +16,7 @@ from vergence.eval.comparison.evaluate import (
 from vergence.eval.comparison.folder import write_evaluation
 from vergence.eval.comparison.summary import speed_up
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
-from vergence.eval.trials.settling import Band
+from vergence.eval.trials.settling import SettlingBand
 from vergence.models.files.head_file import save_head
 
 NEAR = InTwoTurns(20, 50, 1.5)
@@ -116,12 +116,12 @@ def test_the_leading_band_decides_who_is_faster(run, band_px, faster) -> None:
 def test_any_band_may_lead(run, band_px, tmp_path) -> None:
     evaluation = run(band_px, near=InTwoTurns(20, 50, 0.8 * band_px))
     write_evaluation(tmp_path, evaluation)
-    band = Band(band_px)
+    band = SettlingBand(band_px)
     row, bound = row_of(evaluation, "near"), row_of(evaluation, BOUND)
-    assert row[band.settled_fraction] == 1.0
-    assert row[band.settle_median_s] == pytest.approx(21 * PERIOD_S, abs=1e-12)
-    assert row[band.ratio_median] == pytest.approx(
-        row[band.settle_median_s] / bound[band.settle_median_s]
+    assert row[band.settled_fraction_column] == 1.0
+    assert row[band.settle_median_s_column] == pytest.approx(21 * PERIOD_S, abs=1e-12)
+    assert row[band.ratio_median_column] == pytest.approx(
+        row[band.settle_median_s_column] / bound[band.settle_median_s_column]
     )
     report = (tmp_path / "report.html").read_text()
     assert f"median settle time to {band_px:g} px" in " ".join(report.split())

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from vergence.cli import main
-from vergence.controllers.tuned import TunedEntry, find_tuned, load_tuned, write_tuned
+from vergence.controllers.tuned import TunedEntry, find_tuned_or_fallback, load_tuned, write_tuned
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.evaluate import BASELINE, EvaluateConfig, evaluate
 from vergence.eval.comparison.folder import write_evaluation
@@ -222,7 +222,7 @@ def test_a_file_gives_options_by_controller_and_by_scenario(tmp_path, mine):
     assert found["step", BASELINE]["options"] == {"gain": 3.6}
     assert found["step", BASELINE]["tuned"] is None
     feedback = found["workspace", "state-feedback"]
-    own = find_tuned("state-feedback", "workspace", load_head("simulated"))
+    own = find_tuned_or_fallback("state-feedback", "workspace", load_head("simulated"))
     assert feedback["options"] == {**own.options, "delay": "nominal"}  # over the tuned ones
     assert feedback["tuned"] is True
     pursuit = found["workspace", "pursuit"]
@@ -281,6 +281,6 @@ def test_a_law_with_one_set_of_options_is_never_untuned(name, mine):
 
 def test_another_heads_options_are_values_to_begin_with(mine):
     head = load_head(mine)
-    entry = find_tuned("state-feedback", "workspace", head)
+    entry = find_tuned_or_fallback("state-feedback", "workspace", head)
     found = resolve_options("state-feedback", head, "workspace", {})
     assert (found.options, found.tuned, found.tuned_for) == (entry.options, False, "simulated")

@@ -10,7 +10,7 @@ import pytest
 
 from tests.naming import named
 from vergence.cli import main
-from vergence.errors import ConfigurationError, ControllerError, HardwareError, VergenceError
+from vergence.errors import ConfigurationError, HardwareError, UserControllerError, VergenceError
 from vergence.eval.comparison.contestants import make_contestants
 from vergence.eval.comparison.evaluate import EvaluateConfig, evaluate
 from vergence.eval.comparison.user_code import GuardedController
@@ -86,7 +86,7 @@ def test_a_file_that_was_edited_is_read_anew(tmp_path):
     write(tmp_path / "mine_c.py")
     compared("mine_c.py:Gentle")
     write(tmp_path / "mine_c.py", making="raise RuntimeError('edited')")
-    with pytest.raises(ControllerError, match="edited"):
+    with pytest.raises(UserControllerError, match="edited"):
         compared("mine_c.py:Gentle")
 
 
@@ -205,7 +205,7 @@ def test_where_nothing_but_the_baseline_is_left_nothing_is_written(tmp_path, cap
 def test_an_exception_that_cannot_leave_a_worker_process_is_said_as_well(tmp_path, keep_going):
     write(tmp_path / "mine_j.py", first=TWO, acting=LATER)
     config = EvaluateConfig(controllers=("mine_j.py:Gentle",), episodes=2)
-    with pytest.raises(ControllerError, match=r"mine_j\.py:16 in predict: Two: late"):
+    with pytest.raises(UserControllerError, match=r"mine_j\.py:16 in predict: Two: late"):
         evaluate(config, mapper=ProcessMapper(2), keep_going=keep_going)
 
 
@@ -219,7 +219,7 @@ def test_a_robots_fault_is_not_blamed_on_the_controller():
     with pytest.raises(HardwareError, match=r"^the line is gone$"), watched.attributing_errors():
         raise HardwareError("the line is gone")
     with (
-        pytest.raises(ControllerError, match=r"controller mine: .*got nan"),
+        pytest.raises(UserControllerError, match=r"controller mine: .*got nan"),
         watched.attributing_errors(),
     ):
         raise ConfigurationError("action: got nan")
@@ -231,7 +231,7 @@ def test_an_object_that_raises_is_told_by_its_place_and_keeps_its_error():
             raise OSError(5, "no camera")
 
     with pytest.raises(
-        ControllerError, match=r"test_user_code\.py:\d+ in predict: OSError"
+        UserControllerError, match=r"test_user_code\.py:\d+ in predict: OSError"
     ) as caught:
         evaluate(EvaluateConfig(episodes=2), {"mine": Rash()})
     assert isinstance(caught.value.__cause__, OSError)

@@ -10,14 +10,14 @@ import pytest
 from tests.eval.refusals import not_refused
 from tests.eval.trials.toys import AFTER, BEFORE, PERIOD_S, STEP, KnowsTheWay, ideal_head
 from vergence.envs.plants.imperfections import IMPERFECTIONS
-from vergence.errors import ConfigurationError, ControllerError
+from vergence.errors import ConfigurationError, UserControllerError
 from vergence.eval.jobs import SerialMapper
 from vergence.eval.margins.config import MarginsConfig
 from vergence.eval.margins.folder import write_margins
-from vergence.eval.margins.margins import ROW, Margins
-from vergence.eval.margins.ranges import SEARCHED
+from vergence.eval.margins.margins import MARGIN_ROW_FIELDS, Margins
+from vergence.eval.margins.ranges import IMPERFECTION_RANGES
 from vergence.eval.margins.run import measure_margins
-from vergence.eval.margins.search import GRID, HALVINGS
+from vergence.eval.margins.search import BISECTIONS, GRID_FRACTIONS
 from vergence.eval.margins.tables import report_tables
 from vergence.eval.reporting.section import SECTION_FILE, read_section
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
@@ -48,9 +48,13 @@ def known(monkeypatch, tmp_path):
 
 def fineness(name: str, share: float) -> float:
     """Largest shortfall of a search from the limit, on one side of the expected value."""
-    following = min(one for one in GRID if one > share)
-    last = max((0.0, *(one for one in GRID if one <= share)))
-    return (following - last) / 2**HALVINGS * (SEARCHED[name].highest - SEARCHED[name].lowest)
+    following = min(one for one in GRID_FRACTIONS if one > share)
+    last = max((0.0, *(one for one in GRID_FRACTIONS if one <= share)))
+    return (
+        (following - last)
+        / 2**BISECTIONS
+        * (IMPERFECTION_RANGES[name].highest - IMPERFECTION_RANGES[name].lowest)
+    )
 
 
 def test_the_range_of_a_gain_is_what_the_band_allows(known):
@@ -73,13 +77,13 @@ def test_the_median_has_doubled_once_the_commands_are_as_late_as_the_trial_was_l
     limit = 5 * PERIOD_S
     assert 0.0 <= limit - row["doubles_high"] <= fineness("command_latency_s", limit / 0.1)
     assert row["doubles_low"] == 0.0
-    assert row["settles_high"] == SEARCHED["command_latency_s"].highest
+    assert row["settles_high"] == IMPERFECTION_RANGES["command_latency_s"].highest
 
 
 def test_a_controller_that_settles_nowhere_has_no_range(known):
     margins = known("command_latency_s", toy=KnowsTheWay(5, never=tuple(range(8))))
     (row,) = margins.rows()
-    assert all(row[end] is None for end in ROW[4:])
+    assert all(row[end] is None for end in MARGIN_ROW_FIELDS[4:])
     (table,) = report_tables(margins)
     assert table.rows[0][-2:] == ["nowhere", "nowhere"]
     assert "0 of 8 trials settle untouched" in table.title
@@ -106,7 +110,7 @@ def test_who_was_not_asked_for_does_not_run(known):
 def test_every_imperfection_is_moved_by_default_but_sizes_of_what_never_happens(known):
     margins = known(toy=KnowsTheWay(5), episodes=1)
     assert [row["imperfection"] for row in margins.rows()] == [
-        name for name in SEARCHED if not IMPERFECTIONS[name].probability
+        name for name in IMPERFECTION_RANGES if not IMPERFECTIONS[name].probability
     ]
     for one in margins.margins:
         low, high = one.settles_low, one.settles_high
@@ -201,9 +205,9 @@ def test_a_controller_that_raises_is_left_out_and_named(known):
     (failure,) = margins.failures
     assert "controller mine: predict, call 300" in failure
     assert "tired" in failure
-    with pytest.raises(ControllerError, match="tired"):
+    with pytest.raises(UserControllerError, match="tired"):
         known("frame_phase", mine=Tires(5))
-    with pytest.raises(ControllerError, match="tired"):
+    with pytest.raises(UserControllerError, match="tired"):
         known("frame_phase", keep_going=True, mine=Tires(5))
 
 

@@ -11,10 +11,10 @@ from vergence import make_controller
 from vergence.eval.margins.measure import (
     MarginMeasurement,
     MarginPoint,
-    margin_band_px,
+    noise_widened_band_px,
     with_imperfection,
 )
-from vergence.eval.margins.ranges import SEARCHED, search_interval
+from vergence.eval.margins.ranges import IMPERFECTION_RANGES, search_interval
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario, load_scenario
 
@@ -36,7 +36,7 @@ def test_at_the_expected_value_nothing_has_changed():
     head = scenario.model()
     controller = make_controller("ibvs", head)
     untouched = run_trials(controller, scenario, episodes=3)
-    for name in SEARCHED:
+    for name in IMPERFECTION_RANGES:
         expected = search_interval(name, scenario, head).expected
         trials = run_trials(controller, with_imperfection(scenario, name, expected), episodes=3)
         np.testing.assert_array_equal(trials.error, untouched.error, err_msg=name)
@@ -104,8 +104,8 @@ def test_a_late_command_adds_to_the_settling_time():
 
 
 def test_noise_widens_the_band_to_three_deviations_for_both_sides_of_the_comparison():
-    assert margin_band_px(KNOWN, "detection_noise_px", 0.2) == 1.0
-    assert margin_band_px(KNOWN, "detection_noise_px", 1.0) == 3.0
+    assert noise_widened_band_px(KNOWN, "detection_noise_px", 0.2) == 1.0
+    assert noise_widened_band_px(KNOWN, "detection_noise_px", 1.0) == 3.0
     # within 1.5 px after 21 periods, within 1 px after 31
     near = InTwoTurns(20, 30, 1.5)
     quiet = measured(near, "detection_noise_px", 0.2)
@@ -116,7 +116,10 @@ def test_noise_widens_the_band_to_three_deviations_for_both_sides_of_the_compari
 
 
 def test_nothing_else_widens_the_band():
-    bands = {name: margin_band_px(KNOWN, name, one.highest) for name, one in SEARCHED.items()}
+    bands = {
+        name: noise_widened_band_px(KNOWN, name, one.highest)
+        for name, one in IMPERFECTION_RANGES.items()
+    }
     del bands["detection_noise_px"]
     assert bands == dict.fromkeys(bands, KNOWN.band_px)
 

@@ -4,23 +4,23 @@ import dataclasses
 
 import numpy as np
 
-from vergence.envs.plants.imperfections import IMPERFECTIONS, PARTS, is_valid_range
+from vergence.envs.plants.imperfections import IMPERFECTIONS, LOOP_PARTS, is_valid_range
 from vergence.envs.plants.variation import RANGES
-from vergence.eval.margins.ranges import SEARCHED, has_effect, search_interval
+from vergence.eval.margins.ranges import IMPERFECTION_RANGES, has_effect, search_interval
 from vergence.eval.trials.scenarios import load_scenario
 
 WORKSPACE, HARDWARE = load_scenario("workspace"), load_scenario("hardware")
 
 
 def test_every_imperfection_is_searched_within_what_it_may_be():
-    assert SEARCHED.keys() == set(RANGES)
-    for name, one in SEARCHED.items():
+    assert IMPERFECTION_RANGES.keys() == set(RANGES)
+    for name, one in IMPERFECTION_RANGES.items():
         assert is_valid_range(name, one.lowest, one.highest), name
 
 
 def test_margins_are_shown_part_by_part_of_the_loop():
-    parts = [IMPERFECTIONS[name].part for name in SEARCHED]
-    assert parts == sorted(parts, key=PARTS.index)
+    parts = [IMPERFECTIONS[name].part for name in IMPERFECTION_RANGES]
+    assert parts == sorted(parts, key=LOOP_PARTS.index)
 
 
 def test_what_robots_do_lies_within_what_is_searched():
@@ -48,7 +48,7 @@ def test_the_search_begins_at_what_the_model_says():
 
 def test_the_search_begins_within_what_a_scenario_draws():
     head = HARDWARE.model()
-    for name in SEARCHED:
+    for name in IMPERFECTION_RANGES:
         drawn = getattr(HARDWARE.variation, name)
         if drawn is not None:
             assert drawn[0] <= search_interval(name, HARDWARE, head).expected <= drawn[1], name

@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from vergence.eval.margins.search import GRID, HALVINGS, last_holding_value
+from vergence.eval.margins.search import BISECTIONS, GRID_FRACTIONS, last_holding_value
 
 
 def steps_of(limit: float, begin: float, end: float) -> tuple[float, list[float]]:
@@ -25,15 +25,18 @@ def test_the_limit_is_found_from_the_good_side():
         limit = begin + share * (end - begin)
         found, asked = steps_of(limit, begin, end)
         assert found in asked
-        last = max((0.0, *(one for one in GRID if one <= share)))
-        following = min(one for one in GRID if one > share)
-        fineness = abs(end - begin) * (following - last) / 2**HALVINGS
+        last = max((0.0, *(one for one in GRID_FRACTIONS if one <= share)))
+        following = min(one for one in GRID_FRACTIONS if one > share)
+        fineness = abs(end - begin) * (following - last) / 2**BISECTIONS
         # six digits of the values' own
         assert 0.0 <= abs(limit - begin) - abs(found - begin) <= fineness + 1e-4 * abs(end - begin)
 
 
 def test_where_all_of_it_is_good_the_end_itself_is_found():
-    assert steps_of(1.0, 0.1, 0.3) == (0.3, pytest.approx([0.1, *(0.1 + 0.2 * s for s in GRID)]))
+    assert steps_of(1.0, 0.1, 0.3) == (
+        0.3,
+        pytest.approx([0.1, *(0.1 + 0.2 * s for s in GRID_FRACTIONS)]),
+    )
 
 
 def test_a_gap_ends_the_range_whatever_is_beyond_it():

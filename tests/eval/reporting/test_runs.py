@@ -10,7 +10,7 @@ from vergence.eval.reporting.runs import (
     check_folder_free,
     locked_run_folder,
     run_folder,
-    save_run,
+    save_run_at_free_path,
     write_json,
 )
 
@@ -63,7 +63,7 @@ def test_a_folder_is_held_from_before_the_work_to_its_end(tmp_path):
     with locked_run_folder(tmp_path / "run"):
         with pytest.raises(ConfigurationError, match="is writing"):
             claim(tmp_path / "run")
-        save_run(tmp_path / "run", lambda folder: (folder / "x").touch())
+        save_run_at_free_path(tmp_path / "run", lambda folder: (folder / "x").touch())
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
@@ -79,7 +79,7 @@ def test_a_result_that_cannot_be_written_is_called_lost_with_its_place_and_the_r
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with pytest.raises(ConfigurationError, match=r"lost.*run.*No space left") as lost:
-        save_run(tmp_path / "run", write)
+        save_run_at_free_path(tmp_path / "run", write)
     assert "\n" not in str(lost.value)
     assert list(tmp_path.iterdir()) == []
 

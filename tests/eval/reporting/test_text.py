@@ -5,7 +5,7 @@ import pytest
 
 from vergence.eval.reporting.text import (
     format_fixed,
-    format_given,
+    format_input_value,
     format_number,
     format_range,
     render_text,
@@ -43,7 +43,7 @@ def test_what_rounds_to_zero_has_no_sign():
     for value in (-0.0, -1e-9, -0.0004, 0.0004):
         assert format_fixed(value, 3) == "0.000"
         assert format_fixed(value, 3, signed=True) == "0.000"
-    assert format_given(-0.0) == format_number(-0.0) == "0"
+    assert format_input_value(-0.0) == format_number(-0.0) == "0"
 
 
 def test_a_sign_is_shown_on_request():
@@ -59,7 +59,7 @@ def test_a_template_may_have_a_headline_and_captions():
 
 
 def test_a_given_number_keeps_its_digits():
-    assert [format_given(value) for value in (0.3, 4.0, 650.0, 0.057)] == [
+    assert [format_input_value(value) for value in (0.3, 4.0, 650.0, 0.057)] == [
         "0.3",
         "4",
         "650",

@@ -10,7 +10,7 @@ from vergence.controllers import make_controller
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.evaluate import evaluate
-from vergence.eval.comparison.lineup import line_up
+from vergence.eval.comparison.lineup import resolve_lineup
 from vergence.eval.jobs import SerialMapper
 from vergence.eval.robot.judge import robot_settle_bounds
 from vergence.eval.trials.run import run_trials
@@ -39,7 +39,7 @@ def desk(tmp_path):
 
 def test_simulation_has_the_robots_head_and_its_loop(desk):
     config = EvaluateConfig(controllers=("ibvs-tuned",), hardware=desk, episodes=3)
-    lineup = line_up(config, None, SerialMapper())
+    lineup = resolve_lineup(config, None, SerialMapper())
     (scenario, plant), head = lineup.scenario_plant_pairs[0], load_hardware(desk).head
     assert (scenario.name, plant, lineup.head.digest) == ("webcam", "kinematic", head.digest)
     assert all(
@@ -89,7 +89,7 @@ def test_what_a_robot_cannot_have_is_refused(desk, changes, said):
     config = EvaluateConfig(**{"controllers": ("ibvs",), "hardware": desk, **changes})
 
     def ask():
-        line_up(config, None, SerialMapper())
+        resolve_lineup(config, None, SerialMapper())
         evaluate(config)
 
     with pytest.raises(ConfigurationError, match=said):

@@ -8,11 +8,11 @@ import pytest
 from tests.hardware.desk import desk_config
 from tests.recording.logged import log_trials
 from vergence.eval.comparison.config import ROBOT
-from vergence.eval.comparison.contestant_job import Failure
+from vergence.eval.comparison.contestant_job import ControllerFailure
 from vergence.eval.comparison.contestants import make_contestants
 from vergence.eval.comparison.options import GivenOptions
 from vergence.eval.robot.evaluation_record import JournalEntry, RecordedTrial
-from vergence.eval.robot.judge import RobotJob
+from vergence.eval.robot.judge import RecordedTrialsJob
 from vergence.eval.trials.run import evaluated_and_run_periods
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.recording.log import read_log
@@ -43,7 +43,7 @@ class Forgetful:
 def outcome(*recorded, controller="state-feedback"):
     contestant = make_contestants((controller,), given=GivenOptions())[0]
     resolved = contestant.resolve_options(DESK.head, SCENARIO.name)
-    job = RobotJob(
+    job = RecordedTrialsJob(
         contestant=contestant, resolved=resolved, scenario=SCENARIO, plant=ROBOT, head=DESK.head,
         episodes=len(recorded), seed=0, keep_going=True, hardware=DESK, recorded=recorded,
     )  # fmt: skip
@@ -60,9 +60,9 @@ def as_recorded(trial, stopped=""):
 
 def first(trial, steps):
     reading, truth = (
-        type(one)._make(rows[: steps + 1] for rows in one) for one in (trial.reading, trial.truth)
+        type(one)._make(rows[: steps + 1] for rows in one) for one in (trial.readings, trial.truths)
     )
-    return replace(trial, reading=reading, truth=truth)
+    return replace(trial, readings=reading, truths=truth)
 
 
 def test_a_trial_in_which_the_head_was_stopped_as_it_swung_counts_and_never_settles(logged):
@@ -79,5 +79,5 @@ def test_a_trial_in_which_the_head_was_stopped_as_it_swung_counts_and_never_sett
 
 def test_a_controller_that_fails_when_it_is_asked_again_is_left_out(logged):
     found = outcome(as_recorded(logged[0]), controller=f"{__name__}:Forgetful")
-    assert isinstance(found, Failure)
+    assert isinstance(found, ControllerFailure)
     assert "its own device is gone" in found.message

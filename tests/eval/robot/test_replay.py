@@ -43,7 +43,7 @@ def test_metrics_are_those_of_what_was_true(logged):
     found = replay(ReplayConfig(log=logged[0]))
     assert found.rerun is None
     for result, record in zip(found.results, logged[1], strict=True):
-        assert (result.truth_m == record.truth.target[-1, 0]).all()
+        assert (result.true_target_m == record.truth.target[-1, 0]).all()
     rows = found.gazes.rows()
     assert [row["gaze"] for row in rows] == [1, 2]
     assert np.isfinite([row["point_error_mm"] for row in rows]).all()
@@ -73,7 +73,7 @@ def test_a_log_without_gazes_tells_its_faults_and_is_written_whole(tmp_path):
     assert found.summary()["faults"] == ["bus: gone"]
     out.mkdir()
     write_replay_folder(out, found)
-    assert not read_log(out / "recovered.mcap").cut_off
+    assert not read_log(out / "recovered.mcap").truncation_reason
 
 
 OWN = """

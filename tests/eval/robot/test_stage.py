@@ -26,9 +26,9 @@ DESK = desk_config("/dev/null")
 def test_the_first_stage_that_is_there_is_chosen(monkeypatch):
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
     placed = dataclasses.replace(DESK, measured_targets=PLACES)
-    emulated = dataclasses.replace(placed, emulator="127.0.0.1:1", places_targets=True)
+    emulated = dataclasses.replace(placed, emulator_address="127.0.0.1:1", places_targets=True)
     names = [type(make_stage(None, one)).__name__ for one in (emulated, placed, DESK)]
-    assert names == ["EmulatorStage", "PlacesStage", "HandStage"]
+    assert names == ["EmulatorStage", "MeasuredTagsStage", "HandPlacedStage"]
 
 
 def test_a_robot_that_nobody_watches_needs_to_be_told(monkeypatch):

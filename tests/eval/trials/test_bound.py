@@ -15,8 +15,8 @@ from vergence.envs.targets.motion import motion_rows
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
-from vergence.eval.trials.entry import fastest_entry
-from vergence.eval.trials.goal import least_measured_error
+from vergence.eval.trials.entry import least_entry_time
+from vergence.eval.trials.goal import least_reachable_error
 from vergence.eval.trials.metrics import settle_time
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
@@ -36,9 +36,9 @@ def begin(task: GazeTask, seed: int) -> GazeTask:
 def test_a_joint_of_the_default_rig_stops_on_its_target_in_these_times():
     for degrees, milliseconds in {5: 54.0, 10: 77.0, 20: 113.0, 30: 145.0}.items():
         angle = np.deg2rad(degrees)
-        stop = fastest_entry(angle - 1e-9, angle, 0.03, 120.0, 6.0, 0.0)
+        stop = least_entry_time(angle - 1e-9, angle, 0.03, 120.0, 6.0, 0.0)
         assert 1e3 * stop == pytest.approx(milliseconds, abs=0.5)
-        enter = fastest_entry(angle - BAND_RAD, angle + BAND_RAD, 0.03, 120.0, 6.0, 0.0)
+        enter = least_entry_time(angle - BAND_RAD, angle + BAND_RAD, 0.03, 120.0, 6.0, 0.0)
         assert 5.0 <= 1e3 * (stop - enter) <= 7.1
 
 
@@ -75,7 +75,7 @@ def test_brute_force_over_all_switch_times_finds_nothing_faster(angle, lag, acce
             break
     assert stopped.all()
     best = entered[furthest <= far].min()
-    got = fastest_entry(near, far, lag, acceleration, 6.0, 0.0)
+    got = least_entry_time(near, far, lag, acceleration, 6.0, 0.0)
     # the best switch lies between two of the grid, one of which stops short of the far edge and
     # the other beyond it, by no more than a step at full speed there and back
     too_late = entered[furthest <= far + 2 * 6.0 * step].min()
@@ -176,7 +176,7 @@ def test_no_controller_beats_the_bound_of_any_head(shape: str, name: str, scenar
 def test_an_oracle_meets_the_bound_of_any_head(shape: str, scenario: str) -> None:
     described = load_scenario(scenario)
     task = begin(described.task(60, head=head_of(shape)), described.seed("validation"))
-    bound, least = settle_bound(task), least_measured_error(task, task.truth().target)
+    bound, least = settle_bound(task), least_reachable_error(task, task.truth().target)
     time, error = oracle.run(task, 80, 0.5)
     late = np.round((settle_time(time, error - least, 1.0) - bound) / PERIOD)
     assert (late >= 0).all()
@@ -211,8 +211,8 @@ def test_a_band_beyond_a_joints_range_cannot_be_entered() -> None:
 def test_the_end_of_a_joints_range_brakes_it_for_nothing() -> None:
     # a joint that need not stop by itself enters as if nothing came behind
     near = 0.3
-    free = fastest_entry(near, np.inf, 0.03, 120.0, 6.0, 0.0)
-    assert free < fastest_entry(near, near + 2 * BAND_RAD, 0.03, 120.0, 6.0, 0.0) - 0.01
+    free = least_entry_time(near, np.inf, 0.03, 120.0, 6.0, 0.0)
+    assert free < least_entry_time(near, near + 2 * BAND_RAD, 0.03, 120.0, 6.0, 0.0) - 0.01
     # 20 ms at the limit, then the exponential: q + lag v advances at 6 rad/s once unclamped
     q, _v = respond(0.0, 0.0, 6.0, 0.03, 120.0, free)
     assert q == pytest.approx(near, abs=1e-9)

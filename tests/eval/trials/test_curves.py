@@ -9,7 +9,7 @@ import pytest
 
 from tests.eval.trials.toys import PERIOD_S, STEP, KnowsTheWay, ToyScenario
 from vergence.envs.task import GazeTask
-from vergence.eval.trials.curves import error_curves
+from vergence.eval.trials.curves import error_quantile_table
 from vergence.eval.trials.run import run_trials
 
 
@@ -28,7 +28,7 @@ LATE = dataclasses.replace(LATE, duration_s=1.0)
 
 def test_without_an_onset_the_curve_is_the_trial() -> None:
     trials = run_trials(KnowsTheWay(5), STEP, episodes=3)
-    curves = error_curves(trials)
+    curves = error_quantile_table(trials)
     assert np.array_equal(curves["time_s"], trials.time_s)
     worse = np.linalg.norm(trials.error, axis=-1).max(axis=-1)
     assert np.array_equal(curves["error_p95_px"], worse.max(axis=-1))
@@ -36,7 +36,7 @@ def test_without_an_onset_the_curve_is_the_trial() -> None:
 
 def test_time_counts_from_each_trials_onset() -> None:
     trials = run_trials(KnowsTheWay(60), LATE, episodes=40)
-    curves = error_curves(trials)
+    curves = error_quantile_table(trials)
     assert np.ptp(trials.onset_s) > 0.15
     assert curves["time_s"][0] == 0.0
     # as far as the trial goes on whose target appeared last, to a period

@@ -10,11 +10,11 @@ from tests.eval.trials.toys import PERIOD_S, STEP, KnowsTheWay, Shaking, ideal_h
 from vergence.envs.plant import PLANTS
 from vergence.eval.margins.measure import MarginMeasurement
 from vergence.eval.trials.fixation import (
-    fixation_start,
-    left_again,
-    speed_peak_to_peak,
-    speed_rms,
-    swings,
+    detect_band_exits,
+    detect_oscillation,
+    fixation_window_start,
+    worst_joint_speed_range,
+    worst_joint_speed_rms,
 )
 from vergence.eval.trials.run import headline_metric, run_trials
 from vergence.eval.trials.scenarios import Scenario, load_scenario
@@ -48,54 +48,58 @@ def error(px) -> np.ndarray:
 
 
 def test_a_long_trial_is_judged_by_its_last_five_seconds():
-    assert fixation_start([0.0, 0.6], 8.0) == pytest.approx([3.0, 3.0])
+    assert fixation_window_start([0.0, 0.6], 8.0) == pytest.approx([3.0, 3.0])
 
 
 def test_a_short_trial_is_judged_by_the_second_half_since_its_onset():
-    assert fixation_start([0.0, 0.6], 3.0) == pytest.approx([1.5, 1.8])
+    assert fixation_window_start([0.0, 0.6], 3.0) == pytest.approx([1.5, 1.8])
 
 
 def test_eyes_have_two_seconds_to_approach_where_there_is_time():
-    assert fixation_start(0.0, 6.0) == pytest.approx(2.0)
+    assert fixation_window_start(0.0, 6.0) == pytest.approx(2.0)
 
 
 def test_a_sinusoid_has_its_peak_to_peak_and_its_rms():
     swing = sinusoid(10.0, 5.0)
-    assert np.rad2deg(speed_peak_to_peak(TIME, swing, 1.0)) == pytest.approx(10.0, rel=0.01)
-    assert np.rad2deg(speed_rms(TIME, swing, 1.0)) == pytest.approx(5.0 / np.sqrt(2.0), rel=0.01)
+    assert np.rad2deg(worst_joint_speed_range(TIME, swing, 1.0)) == pytest.approx(10.0, rel=0.01)
+    assert np.rad2deg(worst_joint_speed_rms(TIME, swing, 1.0)) == pytest.approx(
+        5.0 / np.sqrt(2.0), rel=0.01
+    )
 
 
 def test_a_drift_has_an_rms_and_no_peak_to_peak():
     drift = speeds(0.7)
-    assert speed_peak_to_peak(TIME, drift, 1.0) == 0.0
-    assert np.rad2deg(speed_rms(TIME, drift, 1.0)) == pytest.approx(0.7)
+    assert worst_joint_speed_range(TIME, drift, 1.0) == 0.0
+    assert np.rad2deg(worst_joint_speed_rms(TIME, drift, 1.0)) == pytest.approx(0.7)
 
 
 def test_speed_counts_from_each_trials_own_time():
     turn = np.stack([pulse(1.0, 0.1), pulse(1.0, 0.1)], axis=1)
-    assert np.rad2deg(speed_peak_to_peak(TIME, turn, [0.9, 1.2])) == pytest.approx([300.0, 0.0])
-    assert speed_rms(TIME, turn, [0.9, 1.2])[1] == 0.0
+    assert np.rad2deg(worst_joint_speed_range(TIME, turn, [0.9, 1.2])) == pytest.approx(
+        [300.0, 0.0]
+    )
+    assert worst_joint_speed_rms(TIME, turn, [0.9, 1.2])[1] == 0.0
 
 
 def test_a_trial_that_is_over_by_then_has_no_speed():
-    assert np.isnan(speed_peak_to_peak(TIME, speeds(1.0), 3.5))
-    assert np.isnan(speed_rms(TIME, speeds(1.0), 3.5))
+    assert np.isnan(worst_joint_speed_range(TIME, speeds(1.0), 3.5))
+    assert np.isnan(worst_joint_speed_rms(TIME, speeds(1.0), 3.5))
 
 
 @pytest.mark.parametrize(
     ("hertz", "least"), [(2.0, 40.0), (3.0, 23.5), (5.0, 20.0), (10.0, 20.0), (30.0, 20.0)]
 )
 def test_a_sinusoid_swings_from_a_peak_to_peak_on(hertz: float, least: float):
-    assert swings(TIME, sinusoid(1.05 * least, hertz), 0.0)
-    assert not swings(TIME, sinusoid(0.95 * min(least, 20.0), hertz), 0.0)
+    assert detect_oscillation(TIME, sinusoid(1.05 * least, hertz), 0.0)
+    assert not detect_oscillation(TIME, sinusoid(0.95 * min(least, 20.0), hertz), 0.0)
 
 
 def test_one_turn_of_half_a_second_is_no_swing():
-    assert not swings(TIME, pulse(1.2, 0.5), 0.0)
+    assert not detect_oscillation(TIME, pulse(1.2, 0.5), 0.0)
 
 
 def test_a_slow_drift_is_no_swing():
-    assert not swings(TIME, speeds(np.linspace(-30.0, 30.0, 360)), 0.0)
+    assert not detect_oscillation(TIME, speeds(np.linspace(-30.0, 30.0, 360)), 0.0)
 
 
 def ringing(until_s: float) -> np.ndarray:
@@ -103,48 +107,50 @@ def ringing(until_s: float) -> np.ndarray:
 
 
 def test_how_the_eyes_get_to_the_target_is_no_swing():
-    assert not swings(TIME, ringing(1.4), 0.0)
-    assert swings(TIME, ringing(1.8), 0.0)
+    assert not detect_oscillation(TIME, ringing(1.4), 0.0)
+    assert detect_oscillation(TIME, ringing(1.8), 0.0)
 
 
 def test_each_trial_has_its_own_onset():
     two = np.stack([ringing(1.8), ringing(1.8)], axis=1)
-    assert swings(TIME, two, [0.0, 0.5]).tolist() == [True, False]
+    assert detect_oscillation(TIME, two, [0.0, 0.5]).tolist() == [True, False]
 
 
 def test_swings_of_two_joints_by_turns_are_one():
     first = sinusoid(200.0, 5.0)
     first[TIME[:-1] % 0.8 < 0.4] = 0.0
     other = np.roll(np.roll(first, 2, axis=-1), 48, axis=0)
-    assert not swings(TIME, first, 0.0)
-    assert swings(TIME, first + other, 0.0)
+    assert not detect_oscillation(TIME, first, 0.0)
+    assert detect_oscillation(TIME, first + other, 0.0)
 
 
 def test_a_trial_too_short_to_tell_does_not_swing():
-    assert not swings(TIME[:100], sinusoid(200.0, 5.0)[:99], 0.0)
+    assert not detect_oscillation(TIME[:100], sinusoid(200.0, 5.0)[:99], 0.0)
 
 
 def test_a_trial_that_leaves_and_returns_has_left_again():
-    assert left_again(TIME, error([9.0] * 20 + [0.5] * 30 + [3.0] * 10 + [0.5]), 1.0, 0.0)
+    assert detect_band_exits(TIME, error([9.0] * 20 + [0.5] * 30 + [3.0] * 10 + [0.5]), 1.0, 0.0)
 
 
 def test_a_trial_that_stays_has_not_left_again():
-    assert not left_again(TIME, error([9.0] * 20 + [0.5]), 1.0, 0.0)
+    assert not detect_band_exits(TIME, error([9.0] * 20 + [0.5]), 1.0, 0.0)
 
 
 def test_crossing_the_band_on_the_way_is_not_to_leave_it():
     # overshoot: ten periods in the band, less than a tenth of a second
-    assert not left_again(TIME, error([9.0] * 20 + [0.5] * 10 + [-3.0] * 10 + [0.5]), 1.0, 0.0)
+    assert not detect_band_exits(
+        TIME, error([9.0] * 20 + [0.5] * 10 + [-3.0] * 10 + [0.5]), 1.0, 0.0
+    )
 
 
 def test_what_was_held_before_the_onset_does_not_count():
     held = error([0.5] * 60 + [9.0] * 20 + [0.5])
-    assert left_again(TIME, held, 1.0, 0.0)
-    assert not left_again(TIME, held, 1.0, 60 * PERIOD_S)
+    assert detect_band_exits(TIME, held, 1.0, 0.0)
+    assert not detect_band_exits(TIME, held, 1.0, 60 * PERIOD_S)
 
 
 def test_to_lose_sight_of_the_target_is_to_leave_it():
-    assert left_again(TIME, error([9.0] * 20 + [0.5] * 30 + [np.nan] * 3 + [0.5]), 1.0, 0.0)
+    assert detect_band_exits(TIME, error([9.0] * 20 + [0.5] * 30 + [np.nan] * 3 + [0.5]), 1.0, 0.0)
 
 
 HELD = dataclasses.replace(STEP, duration_s=2.0, band_px=8.0)
@@ -200,7 +206,7 @@ def test_of_a_target_that_never_rests_there_is_no_fixation():
 def test_trials_in_batches_are_as_those_at_once():
     scenario = load_scenario("hardware")
     law = KnowsTheWay(5)
-    whole, split = (run_trials(law, scenario, episodes=5, batch=batch) for batch in (5, 2))
+    whole, split = (run_trials(law, scenario, episodes=5, batch_size=batch) for batch in (5, 2))
     np.testing.assert_array_equal(whole.speed, split.speed)
 
 

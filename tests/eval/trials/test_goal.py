@@ -6,7 +6,7 @@ import pytest
 from tests.envs.robot import WORLD
 from tests.heads import MOVING, head_of
 from vergence.envs.task import GazeTask
-from vergence.eval.trials.goal import least_measured_error
+from vergence.eval.trials.goal import least_reachable_error
 from vergence.models.head import HeadModel
 
 ERRORS = {"head_eye_rad": 0.005, "joint_offset_rad": 0.005, "focal_relative": 0.01}
@@ -33,14 +33,14 @@ def test_of_a_head_that_is_as_its_model_it_is_the_error_of_its_best_gaze():
     for shape in MOVING:
         task = begun(head_of(shape), 20)
         best = task.head.least_error(task.truth().target)
-        found = least_measured_error(task, task.truth().target)
+        found = least_reachable_error(task, task.truth().target)
         assert found == pytest.approx(best, abs=1e-6), shape
 
 
 @pytest.mark.parametrize("shape", TIED)
 def test_no_other_angles_of_the_actuators_leave_less_of_a_true_head_s_error(shape):
     task = begun(head_of(shape), 20, model_errors=ERRORS)
-    least = np.sum(least_measured_error(task, task.truth().target) ** 2, axis=(-2, -1))
+    least = np.sum(least_reachable_error(task, task.truth().target) ** 2, axis=(-2, -1))
     assert (least > 1e-4).all()  # the cameras are turned against each other
     actuation = task.head.actuation
     true = task.plant.true_head
@@ -57,12 +57,12 @@ def test_no_other_angles_of_the_actuators_leave_less_of_a_true_head_s_error(shap
 
 def test_eyes_with_two_motors_each_have_no_least_error_but_zero():
     task = begun(head_of("panfirst"), 5, model_errors=ERRORS)
-    assert not least_measured_error(task, task.truth().target).any()
+    assert not least_reachable_error(task, task.truth().target).any()
 
 
 def test_where_no_simulation_tells_the_true_head_the_model_stands_for_it():
     head = head_of("mis")
     task = GazeTask(1, head=head, plant="tests.envs.robot:Emulated")
-    found = least_measured_error(task, np.array([WORLD]))
+    found = least_reachable_error(task, np.array([WORLD]))
     assert np.abs(found).max() > 0.1
     assert found[0] == pytest.approx(head.least_error(WORLD), abs=1e-6)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from vergence.eval.trials.metrics import (
+    binocular_rms_error,
     command_energy,
     command_peak,
-    error_norm,
-    overshoot,
+    overshoot_fraction,
     settle_time,
-    steady_state_error,
+    steady_state_rms,
     tracking_lag,
     tracking_rms,
     value_at_time,
@@ -56,33 +56,33 @@ def test_trials_are_judged_one_by_one():
 
 
 def test_overshoot_is_the_largest_excursion_beyond_zero_by_the_initial_error():
-    assert overshoot(both([10, 5, -0.3, -0.2, 0.1, 0])) == pytest.approx(0.03)
+    assert overshoot_fraction(both([10, 5, -0.3, -0.2, 0.1, 0])) == pytest.approx(0.03)
 
 
 def test_an_error_that_only_falls_does_not_overshoot():
-    assert overshoot(both([10, 5, 3, 2, 1, 0.5])) == 0.0
+    assert overshoot_fraction(both([10, 5, 3, 2, 1, 0.5])) == 0.0
 
 
 def test_the_worse_eye_counts_for_overshoot():
     error = both([10, 5, 1, 0, 0, 0])
     error[3, 1, 1] = -1.0
-    assert overshoot(error) == pytest.approx(0.1)
+    assert overshoot_fraction(error) == pytest.approx(0.1)
 
 
 def test_an_eye_without_an_error_to_reduce_cannot_overshoot():
-    assert overshoot(both([0, 5, 1, 0, 0, 0])) == 0.0
+    assert overshoot_fraction(both([0, 5, 1, 0, 0, 0])) == 0.0
 
 
 def test_a_target_behind_the_camera_for_a_while_leaves_the_overshoot_what_it_is():
-    assert overshoot(both([10, np.nan, -1, 0, 0, 0])) == pytest.approx(0.1)
+    assert overshoot_fraction(both([10, np.nan, -1, 0, 0, 0])) == pytest.approx(0.1)
 
 
 def test_overshoot_counts_from_each_trials_own_onset():
     one = both([3, -2, 10, 5, -0.3, 0])  # before its onset the eyes may look anywhere
     other = both([0, 0, 0, 0, 4, -1])
     errors = np.stack([one, other], axis=1)
-    assert overshoot(errors, [2, 4]) == pytest.approx([0.03, 0.25])
-    assert overshoot(errors, 0)[0] == pytest.approx(2 / 3)
+    assert overshoot_fraction(errors, [2, 4]) == pytest.approx([0.03, 0.25])
+    assert overshoot_fraction(errors, 0)[0] == pytest.approx(2 / 3)
 
 
 def test_tracking_counts_from_each_trials_own_time():
@@ -95,13 +95,13 @@ def test_tracking_counts_from_each_trials_own_time():
 
 def test_the_steady_state_error_is_that_of_the_end_alone():
     error = both([9, 9, 9, 9, 0.3, 0.4])
-    assert steady_state_error(TIME, error, 100.0, window_s=0.15) == pytest.approx(np.sqrt(0.125))
+    assert steady_state_rms(TIME, error, 100.0, window_s=0.15) == pytest.approx(np.sqrt(0.125))
 
 
 def test_an_error_that_is_missing_counts_as_the_stated_size():
     error = both([0, 0, 0, 0, 0, np.nan])
     assert tracking_rms(TIME, error, 100.0, after_s=0.45) == pytest.approx(100.0)
-    assert np.isnan(error_norm(error[-1], 100.0)).sum() == 0
+    assert np.isnan(binocular_rms_error(error[-1], 100.0)).sum() == 0
 
 
 def test_tracking_counts_from_the_catch_up_on():

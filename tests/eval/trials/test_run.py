@@ -39,7 +39,7 @@ def test_a_trial_that_never_settles_counts_as_the_whole_trial():
 
 def test_a_trial_is_the_same_alone_and_in_any_batch():
     whole = run_trials(ibvs(), RANDOM, episodes=7)
-    split = run_trials(ibvs(), RANDOM, episodes=7, batch=3)
+    split = run_trials(ibvs(), RANDOM, episodes=7, batch_size=3)
     alone = run_trials(ibvs(), RANDOM, episodes=1, first_trial=5)
     assert np.array_equal(whole.error, split.error)
     assert np.array_equal(whole.command, split.command)
@@ -124,7 +124,7 @@ def test_without_truth_the_residual_is_the_model_s_where_it_sees_the_target(monk
 
 
 def test_a_state_starts_anew_with_every_batch():
-    trials = run_trials(KnowsTheWay(4), STEP, episodes=4, batch=2)
+    trials = run_trials(KnowsTheWay(4), STEP, episodes=4, batch_size=2)
     assert trials.settle_s() == pytest.approx([5 * PERIOD_S] * 4, abs=1e-12)
 
 
@@ -178,7 +178,7 @@ def test_a_target_that_stays_out_of_sight_is_lost():
 
 
 def test_the_observations_of_the_first_trials_are_kept_on_request():
-    trials = run_trials(ibvs(), RANDOM, episodes=5, batch=2, observed=3)
+    trials = run_trials(ibvs(), RANDOM, episodes=5, batch_size=2, observed_trials=3)
     assert trials.observation.shape == (96, 3, 27)
     assert run_trials(ibvs(), RANDOM, episodes=2).observation.shape[1] == 0
 
@@ -191,7 +191,7 @@ def test_predict_is_timed_per_head():
 
 
 def test_an_argument_that_cannot_be_is_refused():
-    for name in ("episodes", "batch"):
+    for name in ("episodes", "batch_size"):
         with pytest.raises(ConfigurationError, match=f"{name}: expected at least 1"):
             run_trials(ibvs(), RANDOM, **{"episodes": 2, name: 0})
 

@@ -10,7 +10,7 @@ from scipy import stats
 from tests.grids import some_of
 from tests.heads import MOVING, head_of, text_of
 from vergence.controllers import make_controller
-from vergence.controllers.tuned import find_tuned, is_tuned_for
+from vergence.controllers.tuned import find_tuned_or_fallback, is_tuned_for
 from vergence.envs.streams import RandomStreams
 from vergence.envs.targets.motion import target_position
 from vergence.envs.targets.registry import make_target
@@ -258,7 +258,7 @@ def test_a_plant_that_looks_at_the_world_cannot_draw_a_scenarios_targets() -> No
 def test_the_tuned_laws_settle_in_two_pixels_through_a_robots_loop(name, law) -> None:
     scenario = load_scenario(name)
     head = scenario.model()
-    entry = find_tuned(law, name, head)
+    entry = find_tuned_or_fallback(law, name, head)
     assert is_tuned_for(entry, head)
     controller = make_controller(law, head, **entry.options)
     trials = run_trials(controller, scenario, episodes=100, split="validation")

@@ -16,7 +16,12 @@ from sqlalchemy.exc import OperationalError
 from tests.test_cli import call
 from vergence.commands.tune import repeat_command
 from vergence.controllers.controller import make_controller
-from vergence.controllers.tuned import TUNED_FILE, find_tuned, load_tuned, tuned_options
+from vergence.controllers.tuned import (
+    TUNED_FILE,
+    find_tuned_or_fallback,
+    load_tuned,
+    tuned_or_fallback_options,
+)
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.run import headline_metric, run_trials
 from vergence.eval.trials.scenarios import load_scenario
@@ -368,17 +373,19 @@ def test_the_result_is_kept_in_the_users_table_for_its_head_and_never_in_the_pac
         "--episodes 4 --seed 2"
     )
     # the package's own head keeps its gain
-    assert tuned_options("ibvs-tuned", "workspace", load_head("simulated")) == {"gain": 4.1}
+    assert tuned_or_fallback_options("ibvs-tuned", "workspace", load_head("simulated")) == {
+        "gain": 4.1
+    }
 
 
 def test_the_recorded_command_names_all_that_changes_the_result():
     full = TuneConfig(controller="pid", head="physical", plant="mujoco", trials=7, seed=5)
-    assert repeat_command(full, trials=True) == (
+    assert repeat_command(full, with_trials=True) == (
         "vergence tune pid --scenario workspace --head physical --plant mujoco --trials 7 "
         "--episodes 400 --seed 5"
     )
     grid = TuneConfig(controller="delay-compensated", grid=True)
-    assert "--grid" in repeat_command(grid, trials=False)
+    assert "--grid" in repeat_command(grid, with_trials=False)
 
 
 @pytest.mark.slow
@@ -415,7 +422,7 @@ def test_options_are_found_for_the_head_of_the_scenario_with_its_own_parts(
     assert entry.key == key
     assert entry.command == f"vergence tune ibvs --scenario {name} --episodes 4 --seed 2"
     assert load_tuned(package_table)[key] == entry
-    assert find_tuned("ibvs-tuned", name, head) == entry
+    assert find_tuned_or_fallback("ibvs-tuned", name, head) == entry
 
 
 def test_a_damaged_table_is_refused_before_the_search_and_kept(tmp_path, user_table, capsys):

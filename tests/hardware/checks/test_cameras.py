@@ -94,7 +94,7 @@ def test_cameras_with_nothing_wrong_have_no_findings():
     states, found = Desk(at0={}, at2={}).check(pixel_format="MJPG", exposure_s=0.008)
     assert found == []
     for state in states:
-        assert (state.size, state.pixel_format, state.locked) == ((640, 480), "MJPG", True)
+        assert (state.size, state.pixel_format, state.exposure_locked) == ((640, 480), "MJPG", True)
         assert (state.rate_hz, state.exposure_s) == pytest.approx((30.0, 0.008))
 
 
@@ -160,7 +160,7 @@ def test_a_streams_settings_are_not_judged():
         [request], open=lambda _source, what, **asked: capture("0", what, **asked), clock=desk.clock
     )
     assert found == []
-    assert (states[0].pixel_format, states[0].locked) == ("", None)
+    assert (states[0].pixel_format, states[0].exposure_locked) == ("", None)
 
 
 def test_a_robots_cameras_are_asked_for_what_the_head_has():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lsim, lti
 
-from vergence.hardware.delay.excitation import excitation_speeds, requested_velocities
-from vergence.hardware.delay.image_fit import fit_images
+from vergence.hardware.delay.excitation import drift_corrected_velocities, excitation_speeds
+from vergence.hardware.delay.image_fit import fit_latency_and_backlash
 from vergence.hardware.delay.joint_fit import (
     FittedMotor,
     fit_joint,
@@ -101,7 +101,7 @@ def test_images_tell_latency_jitter_and_play(latency_s, jitter_s, backlash_rad, 
     pixels[::17] = np.nan  # not found
     pixels[5::41] += 80.0  # another mark
     received_s = exposed_s + latency_s + jitter_s * rng.random(len(exposed_s))
-    found = fit_images(
+    found = fit_latency_and_backlash(
         HEAD, EYE, SLOT, np.zeros(7), path, (told[2][0], told[2][-1]), received_s, pixels,
         1.15 * POINT, 1.2,
     )  # fmt: skip
@@ -114,7 +114,7 @@ def test_images_tell_latency_jitter_and_play(latency_s, jitter_s, backlash_rad, 
 def test_an_eye_that_sees_nothing_tells_nothing():
     nothing = np.full((200, 2), np.nan)
     assert (
-        fit_images(
+        fit_latency_and_backlash(
             HEAD, EYE, SLOT, np.zeros(7), lambda t: 0.0 * t, (0.0, 8.0),
             np.linspace(0.5, 7.5, 200), nothing, POINT, 1.2,
         )
@@ -125,7 +125,7 @@ def test_an_eye_that_sees_nothing_tells_nothing():
 def test_the_way_stays_about_its_middle_and_within_its_reach():
     motor = FittedMotor(latency_s=0.015, lag_s=0.04, gain=0.85, inverse_acceleration=1.0 / 60.0)
     way, sent, angle = excitation_speeds(0.2, 5.0, PERIOD_S), [], [0.3]
-    for requested in requested_velocities(SLOT, way, PERIOD_S, lambda: angle[-1]):
+    for requested in drift_corrected_velocities(SLOT, way, PERIOD_S, lambda: angle[-1]):
         assert np.flatnonzero(requested).tolist() in ([], [SLOT])
         sent.append(requested[SLOT])
         times = PERIOD_S * np.arange(len(sent))

@@ -41,4 +41,6 @@ def test_a_reading_is_dated_to_within_its_exchange():
     for at_s in range(50):  # measured in the middle of 6 ms
         collector.joints(float(at_s), np.zeros(7), np.zeros(7))
     uniform_s = np.random.default_rng(0).uniform(-0.003, 0.003, 10_000).std()
-    assert collector.samples("left", 3, 0.0).timestamp_sigma_s == pytest.approx(uniform_s, rel=0.02)
+    assert collector.samples("left", 3, 0.0).joint_time_sigma_s == pytest.approx(
+        uniform_s, rel=0.02
+    )

@@ -12,14 +12,16 @@ from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
 FIT = JointFit(
     motor=FittedMotor(latency_s=0.01, lag_s=0.03, gain=0.9, inverse_acceleration=1.0 / 20.0),
     sigma=FittedMotor(latency_s=1e-3, lag_s=1e-3, gain=1e-3, inverse_acceleration=1e-4),
-    peak_acceleration_rad_s2=20.0, residual_rad=1e-3, limited=True, correlation=-0.5,
+    peak_acceleration_rad_s2=20.0, residual_rad=1e-3, acceleration_limited=True,
+    latency_lag_correlation=-0.5,
 )  # fmt: skip
 IMAGE = ImageFit(
     latency_s=0.07, latency_sigma_s=1e-4, jitter_s=0.0, jitter_sigma_s=1e-4, backlash_rad=0.0,
     backlash_sigma_rad=1e-5, residual_px=0.2, scale=1.04, scale_sigma=0.003, images=500,
 )  # fmt: skip
 EYE = EyeLoop(
-    eye="left", actuator="left_pan", lag_ratio=1.5, modelled_rad_s2=40.0, joint=FIT, image=IMAGE,
+    eye="left", actuator="left_pan", lag_ratio=1.5, model_acceleration_rad_s2=40.0, joint_fit=FIT,
+    image_fit=IMAGE,
     computing_s=0.003,
 )  # fmt: skip
 
@@ -32,11 +34,11 @@ def test_lag_and_acceleration_are_those_of_the_whole_head():
 
 
 def test_a_jitter_that_was_not_told_is_left_out_and_said():
-    slow = replace(EYE, image=replace(IMAGE, jitter_s=None, jitter_sigma_s=np.inf))
+    slow = replace(EYE, image_fit=replace(IMAGE, jitter_s=None, jitter_sigma_s=np.inf))
     found = LoopMeasurement(eyes=(slow,))
     assert found.loop().jitter_s is None
     assert np.isfinite(list(found.loop().sigma.values())).all()
-    assert any("too slowly to tell the jitter" in line for line in found.undetermined())
+    assert any("too slowly to measure the jitter" in line for line in found.undetermined())
 
 
 def test_what_only_the_prior_knows_has_the_priors_deviation():
@@ -50,10 +52,14 @@ def test_what_only_the_prior_knows_has_the_priors_deviation():
 
 
 def test_a_latency_that_a_lag_may_stand_for_is_said():
-    assert not any("told badly" in line for line in LoopMeasurement(eyes=(EYE,)).undetermined())
-    together = replace(EYE, joint=replace(FIT, correlation=-0.95))
+    assert not any(
+        "poorly separated" in line for line in LoopMeasurement(eyes=(EYE,)).undetermined()
+    )
+    together = replace(EYE, joint_fit=replace(FIT, latency_lag_correlation=-0.95))
     (line,) = (
-        line for line in LoopMeasurement(eyes=(together,)).undetermined() if "told badly" in line
+        line
+        for line in LoopMeasurement(eyes=(together,)).undetermined()
+        if "poorly separated" in line
     )
     assert line.startswith("left_pan: command latency and lag")
     assert "correlation -0.95" in line
@@ -61,9 +67,9 @@ def test_a_latency_that_a_lag_may_stand_for_is_said():
 
 def test_what_the_model_does_not_have_is_said():
     assert LoopMeasurement(eyes=(EYE,)).misfits() == []
-    swinging = replace(EYE, joint=replace(FIT, residual_rad=8e-3))
+    swinging = replace(EYE, joint_fit=replace(FIT, residual_rad=8e-3))
     (line,) = LoopMeasurement(eyes=(swinging,)).misfits()
     assert line.startswith("left_pan: its angles are 8.0 mrad (rms) beside")
-    shorter = replace(EYE, image=replace(IMAGE, scale=0.9))
+    shorter = replace(EYE, image_fit=replace(IMAGE, scale=0.9))
     (line,) = LoopMeasurement(eyes=(shorter,)).misfits()
     assert "the image moves by 10 % less" in line

@@ -63,13 +63,13 @@ def test_a_sync_read_keeps_those_that_answer(serve, connect):
     found = bus.sync_read([1, 2, 3], table.PRESENT_POSITION.address, 4)
     ticks = {id: table.PRESENT_POSITION.decode(data) for id, data in found.items()}
     assert ticks == {1: 2113, 3: 2244}
-    assert bus.misses == 1
+    assert bus.missed_answers == 1
 
 
 def test_a_servo_that_is_asked_twice_is_not_waited_for(serve, connect):
     bus = connect(serve([make_servo(1)]))
     assert bus.sync_read([1, 1], table.PRESENT_POSITION.address, 4).keys() == {1}
-    assert bus.misses == 0
+    assert bus.missed_answers == 0
 
 
 def test_a_servo_that_is_silent_is_named(serve, connect):
@@ -78,7 +78,7 @@ def test_a_servo_that_is_silent_is_named(serve, connect):
     expected = f"id 4 on {served.port}: expected an answer to a read of MODEL_NUMBER within 20 ms"
     with pytest.raises(HardwareError, match=f"^{expected}, got none$"):
         bus.read(4, table.MODEL_NUMBER)
-    assert bus.misses == 1
+    assert bus.missed_answers == 1
 
 
 def test_an_answer_that_came_late_is_not_taken_for_the_next(serve, connect):
@@ -123,7 +123,7 @@ def test_echoes_are_no_answers(serve, connect):
     bus.sync_write(table.GOAL_VELOCITY, {1: 3, 2: 4})
     assert bus.read(2, table.GOAL_VELOCITY) == 4
     assert bus.sync_read([1, 2], table.GOAL_VELOCITY.address, 4).keys() == {1, 2}
-    assert (bus.stale, bus.misses) == (0, 0)
+    assert (bus.stale, bus.missed_answers) == (0, 0)
 
 
 def test_a_refusal_is_told_in_words(serve, connect):
@@ -155,7 +155,7 @@ def test_an_alert_ends_with_the_first_answer_without_it(serve, connect):
 def test_a_sync_read_that_a_servo_refuses_misses_it(serve, connect):
     bus = connect(serve([make_servo(1)]))
     assert bus.sync_read([1], 660, 4) == {}
-    assert bus.misses == 1
+    assert bus.missed_answers == 1
 
 
 def test_numbers_that_a_register_cannot_hold_are_refused(serve, connect):

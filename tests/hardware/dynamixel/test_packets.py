@@ -15,7 +15,7 @@ from vergence.hardware.dynamixel.packets import (
     MOST_LENGTH,
     Instruction,
     Packet,
-    Parser,
+    PacketParser,
     Status,
     crc16,
     instruction_packet,
@@ -35,7 +35,7 @@ def bytes_of(packet):
 
 @given(packet=PACKETS)
 def test_any_parameters_come_back(packet):
-    assert Parser().feed(bytes_of(packet)) == [packet]
+    assert PacketParser().feed(bytes_of(packet)) == [packet]
 
 
 @given(packet=PACKETS)
@@ -47,18 +47,18 @@ def test_no_header_stands_inside_a_packet_before_its_checksum(packet):
 def test_packets_come_whole_whatever_the_pieces(packets, cuts):
     stream = b"".join(bytes_of(packet) for packet in packets)
     edges = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
-    parser = Parser()
+    parser = PacketParser()
     found = [p for a, b in pairwise(edges) for p in parser.feed(stream[a:b])]
     assert found == packets
 
 
 @given(garbage=TROUBLE, packet=PACKETS)
 def test_a_good_packet_is_found_at_once_behind_any_garbage(garbage, packet):
-    assert Parser().feed(garbage + bytes_of(packet)) == [packet]
+    assert PacketParser().feed(garbage + bytes_of(packet)) == [packet]
 
 
 def test_a_header_that_announces_much_holds_nothing_back():
-    parser = Parser()
+    parser = PacketParser()
     bogus = HEADER + bytes((1,)) + MOST_LENGTH.to_bytes(2, "little")
     good = Packet(2, Instruction.PING, b"")
     assert parser.feed(bogus) == []
@@ -73,7 +73,7 @@ def test_a_checksum_that_looks_like_a_header_is_none():
         if sent.endswith(HEADER):
             break
     assert sent.endswith(HEADER)
-    assert [packet.params[2:] for packet in Parser().feed(sent)] == [b"\xff\xff"]
+    assert [packet.params[2:] for packet in PacketParser().feed(sent)] == [b"\xff\xff"]
 
 
 @given(packet=PACKETS, data=st.data())
@@ -82,7 +82,7 @@ def test_a_damaged_packet_does_not_come_and_the_next_one_does(packet, data):
     at = data.draw(st.integers(0, len(sent) - 1))
     sent[at] ^= data.draw(st.integers(1, 255))
     good = Packet(3, Instruction.STATUS, b"\x00\x01\x02\x03\x04")
-    assert Parser().feed(bytes(sent) + bytes_of(good)) == [good]
+    assert PacketParser().feed(bytes(sent) + bytes_of(good)) == [good]
 
 
 @given(packet=PACKETS, data=st.data())
@@ -92,13 +92,13 @@ def test_a_cut_packet_does_not_come_and_the_next_one_does(packet, data):
     good = Packet(3, Instruction.STATUS, b"\x00\x01")
     # a checksum that ends in FF is whole again with the next header's first byte
     assume(not (cut + bytes_of(good)).startswith(sent))
-    assert Parser().feed(cut + bytes_of(good)) == [good]
+    assert PacketParser().feed(cut + bytes_of(good)) == [good]
 
 
 def test_no_packet_comes_out_of_random_bytes_behind_headers_that_fit():
     # the checksum lets one in 65,536 through, so what is drawn is few enough, and fixed
     rng = random.Random(0)
-    parser = Parser()
+    parser = PacketParser()
     for _ in range(8192):
         length = rng.randrange(3, 64)
         frame = bytes((rng.randrange(253),)) + length.to_bytes(2, "little")
@@ -108,13 +108,13 @@ def test_no_packet_comes_out_of_random_bytes_behind_headers_that_fit():
 
 @given(data=st.binary(max_size=2000))
 def test_what_waits_is_bounded(data):
-    parser = Parser()
+    parser = PacketParser()
     parser.feed(HEADER + b"\x01" + MOST_LENGTH.to_bytes(2, "little") + data)
     assert len(parser) <= MOST_LENGTH + 6
 
 
 def test_clear_forgets_a_beginning():
-    parser = Parser()
+    parser = PacketParser()
     sent = instruction_packet(1, Instruction.PING)
     parser.feed(sent[:5])
     parser.clear()
@@ -132,7 +132,7 @@ def test_a_ping_is_that_of_the_manual():
 
 
 def test_a_status_tells_its_error_from_its_alert():
-    (packet,) = Parser().feed(status_packet(7, b"\x2a", error=0x87))
+    (packet,) = PacketParser().feed(status_packet(7, b"\x2a", error=0x87))
     assert packet.status == Status(7, 7, True, b"\x2a")
 
 

@@ -2,15 +2,15 @@
 
 from tests.hardware.line import make_servo
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.dynamixel.packets import Instruction, Parser, instruction_packet
+from vergence.hardware.dynamixel.packets import Instruction, PacketParser, instruction_packet
 from vergence.hardware.emulator.line import ServoLine
 
 
 def ask(line, now_s, sent):
     """The statuses that a packet brings about."""
-    (packet,) = Parser().feed(sent)
+    (packet,) = PacketParser().feed(sent)
     sent = b"".join(answer.data for answer in line.answer(packet, now_s))
-    return [packet.status for packet in Parser().feed(sent)]
+    return [packet.status for packet in PacketParser().feed(sent)]
 
 
 def write(line, now_s, id, register, value):

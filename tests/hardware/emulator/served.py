@@ -7,7 +7,7 @@ import numpy as np
 from tests.hardware.fakes import FakeClock
 from vergence import load_head
 from vergence.hardware.emulator.client import WorldClient
-from vergence.hardware.emulator.server import WorldServer
+from vergence.hardware.emulator.server import EmulatorServer
 from vergence.hardware.emulator.world import World
 
 POINT = np.array([0.0, -0.1, 1.0])
@@ -19,7 +19,7 @@ class Served:
     def __init__(self, name="turrets", clock=None):
         self.clock = clock or FakeClock()
         self.world = World(load_head(name), POINT)
-        self.server = WorldServer(self.world, clock=self.clock)
+        self.server = EmulatorServer(self.world, clock=self.clock)
         self._over = threading.Event()
         self._thread = threading.Thread(
             target=self.server.serve, args=(self._over.is_set,), kwargs={"poll_s": 0.01}

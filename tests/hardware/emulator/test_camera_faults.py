@@ -27,26 +27,26 @@ def faulty(*faults):
     """Faults of cameras that have sent an image of 10 in health."""
     cameras = CameraFaults(np.random.default_rng(0))
     for eye in (0, 1):
-        cameras.image(eye, grey(10))
-    cameras.update(made(*faults))
+        cameras.apply_to_image(eye, grey(10))
+    cameras.set_active(made(*faults))
     return cameras
 
 
 def test_healthy_cameras_send_what_they_see():
-    assert (faulty().image(0, grey(20)) == 20).all()
+    assert (faulty().apply_to_image(0, grey(20)) == 20).all()
 
 
 def test_a_frozen_camera_sends_its_last_image_again():
     cameras = faulty({"what": "frozen", "eye": "left"})
-    assert [int(cameras.image(0, grey(value)).mean()) for value in (20, 30)] == [10, 10]
-    assert (cameras.image(1, grey(20)) == 20).all()
-    cameras.update([])
-    assert (cameras.image(0, grey(40)) == 40).all()
+    assert [int(cameras.apply_to_image(0, grey(value)).mean()) for value in (20, 30)] == [10, 10]
+    assert (cameras.apply_to_image(1, grey(20)) == 20).all()
+    cameras.set_active([])
+    assert (cameras.apply_to_image(0, grey(40)) == 40).all()
 
 
 def test_a_torn_image_is_new_above_and_old_below():
     cameras = faulty({"what": "torn"})
-    image = cameras.image(0, grey(20))
+    image = cameras.apply_to_image(0, grey(20))
     assert (image[:4] == 20).all()
     assert (image[4:] == 10).all()
 
@@ -54,21 +54,21 @@ def test_a_torn_image_is_new_above_and_old_below():
 @pytest.mark.parametrize("what", ["dropped", "stalled"])
 def test_a_camera_without_images_sends_none(what):
     cameras = faulty({"what": what, "eye": "right"})
-    assert cameras.image(0, grey(20)) is not None
-    assert cameras.image(1, grey(20)) is None
+    assert cameras.apply_to_image(0, grey(20)) is not None
+    assert cameras.apply_to_image(1, grey(20)) is None
 
 
 def test_images_are_dropped_with_the_faults_probability():
     cameras = faulty({"what": "dropped", "probability": 0.25})
-    kept = sum(cameras.image(0, grey(20)) is not None for _ in range(1200))
+    kept = sum(cameras.apply_to_image(0, grey(20)) is not None for _ in range(1200))
     # 900 expected, with a standard deviation of 15
     assert 840 < kept < 960
 
 
 def test_cameras_are_late_and_out_of_step_by_the_faults_value():
     cameras = faulty({"what": "late", "eye": "left", "value": 0.2}, {"what": "out-of-step"})
-    assert (cameras.late_s(0), cameras.late_s(1)) == (0.2, 0.0)
-    assert cameras.out_of_step_s == 0.0167
+    assert (cameras.send_delay_s(0), cameras.send_delay_s(1)) == (0.2, 0.0)
+    assert cameras.right_exposure_delay_s == 0.0167
 
 
 class Rig:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vergence.hardware.dynamixel.packets import Parser, status_packet
+from vergence.hardware.dynamixel.packets import PacketParser, status_packet
 from vergence.hardware.emulator.fault import parse_fault
 from vergence.hardware.emulator.line import TimedAnswer
 from vergence.hardware.emulator.line_faults import apply_line_faults
@@ -18,7 +18,7 @@ def sent(*faults, seed=0):
 
 def heard(data):
     """Ids of the answers that a parser finds."""
-    return [packet.id for packet in Parser().feed(data)]
+    return [packet.id for packet in PacketParser().feed(data)]
 
 
 def test_without_faults_all_goes_out_in_one_piece():

@@ -34,7 +34,7 @@ def head(tmp_path):
     script.write_text(SCRIPT)
     with emulated(tmp_path, "--faults", str(script)) as (desk, _process):
         config = load_hardware(desk)
-        bus, world = Bus(config.bus.port, cycle_timeout_s=0.1), WorldClient(config.emulator)
+        bus, world = Bus(config.bus.port, cycle_timeout_s=0.1), WorldClient(config.emulator_address)
         for id in IDS:
             bus.write(id, table.OPERATING_MODE, table.VELOCITY_MODE)
             bus.write(id, table.BUS_WATCHDOG, round(WATCHDOG_S / table.WATCHDOG_S))
@@ -73,5 +73,5 @@ def test_a_script_pulls_the_cable_and_the_watchdogs_bring_the_joints_to_rest(hea
 
 def test_late_answers_of_one_servo_hold_up_no_other(head):
     bus, world = head
-    world.fault(what="late", ids=[2], value=1.0, for_s=0.5)
+    world.begin_fault(what="late", ids=[2], value=1.0, for_s=0.5)
     assert set(bus.sync_read(IDS, table.PRESENT_POSITION.address, 4)) == {1, 3, 4}

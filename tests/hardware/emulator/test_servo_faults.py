@@ -23,7 +23,9 @@ SYNC_READ = Packet(BROADCAST, Instruction.SYNC_READ, bytes((132, 0, 4, 0, 1, 2))
 def test_each_answer_waits_for_its_servos_return_delay():
     line = ServoLine([EmulatedServo(1, lag_s=0.1), make_servo(2)])
     line.servos[1].set(table.RETURN_DELAY_TIME, 50)
-    assert [one.delay_s for one in line.answer(SYNC_READ, 0.0)] == pytest.approx([500e-6, 100e-6])
+    assert [one.return_delay_s for one in line.answer(SYNC_READ, 0.0)] == pytest.approx(
+        [500e-6, 100e-6]
+    )
 
 
 def test_a_servo_hears_its_own_rate_alone():
@@ -38,7 +40,7 @@ def test_what_a_servo_does_not_hear_does_not_feed_its_watchdog():
     write(line, 0.0, 1, table.BUS_WATCHDOG, 1)
     line.answer(SYNC_READ, 0.01, 57_600)
     line.advance_to(0.02)
-    assert line.trips == 1
+    assert line.watchdog_trips == 1
 
 
 def test_a_reboot_forgets_the_turns():

@@ -17,7 +17,7 @@ from vergence.hardware.dynamixel.packets import (
     ErrorNumber,
     Instruction,
     Packet,
-    Parser,
+    PacketParser,
     instruction_packet,
 )
 from vergence.hardware.emulator.line import ServoLine
@@ -76,7 +76,7 @@ def test_the_watchdog_stops_a_servo_at_its_own_instant():
         write(line, 0.0, 1, table.BUS_WATCHDOG, 10)
     late.advance_to(2.0)  # in one go, past the instant
     prompt.advance_to(0.2)
-    assert prompt.trips == late.trips == 1
+    assert prompt.watchdog_trips == late.watchdog_trips == 1
     write(prompt, 0.2, 1, table.GOAL_VELOCITY, 100)
     prompt.advance_to(2.0)
     assert late.velocities() == pytest.approx(0.0, abs=1e-9)
@@ -88,14 +88,14 @@ def test_any_packet_on_the_line_feeds_the_watchdog():
     write(line, 0.0, 1, table.BUS_WATCHDOG, 10)
     for now_s in np.arange(0.1, 1.0, 0.1):
         ask(line, now_s, NOBODY)
-    assert line.trips == 0
+    assert line.watchdog_trips == 0
 
 
 def test_a_watchdog_waits_while_torque_is_off():
     line = ServoLine([make_servo(1)])
     write(line, 0.0, 1, table.BUS_WATCHDOG, 1)
     line.advance_to(10.0)
-    assert line.trips == 0
+    assert line.watchdog_trips == 0
 
 
 def test_a_tripped_watchdog_locks_goals_until_it_is_cleared():
@@ -187,7 +187,7 @@ def test_no_packet_is_too_odd_to_answer(id, instruction, params):
     line = turning()
     answers = line.answer(Packet(id, instruction, params), 0.0)
     line.advance_to(0.01)
-    assert all(Parser().feed(answer.data) for answer in answers)
+    assert all(PacketParser().feed(answer.data) for answer in answers)
 
 
 class Steps(ServoLine):

@@ -6,7 +6,7 @@ import pytest
 
 from tests.hardware.emulator.questions import read, turning, write
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.emulator.trace import REST_RAD_S, find_rest_start
+from vergence.hardware.emulator.trace import REST_RAD_S, rest_start_and_top_speed
 
 
 def stopping():
@@ -18,7 +18,7 @@ def stopping():
 
 
 def rest(line, since_s):
-    return find_rest_start([servo.trace for servo in line.servos], since_s)
+    return rest_start_and_top_speed([servo.trace for servo in line.servos], since_s)
 
 
 def test_a_joint_that_turns_is_not_at_rest():

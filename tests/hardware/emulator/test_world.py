@@ -11,10 +11,10 @@ from vergence import load_head
 from vergence.envs.targets.motion import motion_rows
 from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.config import load_hardware
-from vergence.hardware.emulator.board import parse_sized_board, standing_board_pose
+from vergence.hardware.emulator.board import parse_sized_board, tilted_board_pose
 from vergence.hardware.emulator.client import WorldClient
 from vergence.hardware.emulator.emulator import hardware_config_values
-from vergence.hardware.emulator.server import WorldServer
+from vergence.hardware.emulator.server import EmulatorServer
 from vergence.hardware.emulator.world import World
 from vergence.models.files.toml_text import toml_text
 
@@ -36,10 +36,10 @@ def test_a_target_is_where_it_was_put_until_it_is_placed(served):
 
 def test_a_moving_target_waits_for_the_beginning(served):
     velocity = np.array([0.2, 0.0, 0.0])
-    served.client.show(motion_rows(POINT, before=POINT, velocity=velocity)[0])
+    served.client.place_target(motion_rows(POINT, before=POINT, velocity=velocity)[0])
     served.clock.sleep(5.0)
     assert served.client.ask({"state": None})["target"] == pytest.approx(POINT)
-    served.client.begin(served.clock.now)
+    served.client.start_target_motion(served.clock.now)
     served.clock.sleep(0.5)
     state = served.client.ask({"state": None})
     assert state["target"] == pytest.approx(POINT + 0.5 * velocity)
@@ -49,7 +49,7 @@ def test_a_moving_target_waits_for_the_beginning(served):
 def test_a_board_that_stands_stays_in_the_world_while_the_neck_turns():
     head = load_head("icub")
     board = parse_sized_board("checkerboard:9x6:24")
-    world = World(head, POINT, T_0_T=standing_board_pose(head, board, 0.7))
+    world = World(head, POINT, T_0_T=tilted_board_pose(head, board, 0.7))
     seen = []
     for angle in (0.0, 0.3):
         next(iter(world.servos.values())).q = angle
@@ -64,7 +64,7 @@ def test_a_board_that_stands_stays_in_the_world_while_the_neck_turns():
     middle = seen[0] @ [*board.corners_m.mean(axis=0), 0.0, 1.0]
     assert middle[2] == pytest.approx(0.7, abs=0.01)
     with pytest.raises(ConfigurationError, match="the board stands still"):
-        world.show(motion_rows(POINT, before=POINT)[0].tolist())
+        world.place_target(motion_rows(POINT, before=POINT)[0].tolist())
 
 
 def test_a_board_of_an_unknown_size_does_not_stand_anywhere():
@@ -73,8 +73,8 @@ def test_a_board_of_an_unknown_size_does_not_stand_anywhere():
 
 
 def test_a_hidden_target_is_nowhere(served):
-    served.client.show(motion_rows(POINT, before=POINT, hidden_from=1.0)[0])
-    served.client.begin(served.clock.now)
+    served.client.place_target(motion_rows(POINT, before=POINT, hidden_from=1.0)[0])
+    served.client.start_target_motion(served.clock.now)
     served.clock.sleep(1.5)
     truth = served.client.truth(served.world.head, 1.5)
     assert np.isnan(truth.target).all()
@@ -100,7 +100,7 @@ def test_a_request_that_is_none_is_answered_with_an_error(served, request_line):
 
 def test_an_error_of_the_world_is_raised_before_its_client(served):
     with pytest.raises(HardwareError, match=r"emulator: expected a request, got .*25 numbers or"):
-        served.client.show(np.zeros(3))
+        served.client.place_target(np.zeros(3))
 
 
 def test_a_client_that_has_gone_takes_nobody_with_it(served):
@@ -134,7 +134,7 @@ def test_a_tied_heads_joints_are_its_actuators():
 @pytest.mark.parametrize("name", ["turrets", "icub"])
 def test_a_controller_reads_the_configuration(tmp_path, name):
     world = World(load_head(name), POINT)
-    server = WorldServer(world)
+    server = EmulatorServer(world)
     try:
         server.streams = "http://127.0.0.1:1"
         path = tmp_path / "desk.toml"
@@ -143,7 +143,7 @@ def test_a_controller_reads_the_configuration(tmp_path, name):
         config = load_hardware(path)
         assert config.head.digest == world.head.digest
         assert [one.id for one in config.servos] == [one.id for one in world.servos.values()]
-        assert (config.bus.port, config.emulator) == (server.port, server.address)
+        assert (config.bus.port, config.emulator_address) == (server.port, server.address)
         assert [one.source for one in config.cameras] == [
             "http://127.0.0.1:1/left",
             "http://127.0.0.1:1/right",

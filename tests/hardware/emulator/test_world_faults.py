@@ -139,20 +139,20 @@ def served():
 
 def test_a_client_is_told_when_its_fault_began(served):
     served.clock.now = 120.0
-    assert served.client.fault(what="stuck", ids=[1], for_s=0.4) == 120.0
+    assert served.client.begin_fault(what="stuck", ids=[1], for_s=0.4) == 120.0
 
 
 def test_a_client_is_told_which_faults_there_are(served):
     with pytest.raises(HardwareError, match=r"^emulator: fault\.what: expected one of bad-crc, "):
-        served.client.fault(what="broken")
+        served.client.begin_fault(what="broken")
 
 
 def test_cameras_learn_of_their_faults_with_the_next_exposure_until_they_are_cleared(served):
-    served.client.fault(what="late", eye="right", value=0.5)
-    served.client.fault(what="stuck")
+    served.client.begin_fault(what="late", eye="right", value=0.5)
+    served.client.begin_fault(what="stuck")
     exposure = served.client.ask({"expose": None})
     assert exposure["faults"] == [{"what": "late", "eye": "right", "value": 0.5}]
-    served.client.clear()
+    served.client.clear_faults()
     assert served.client.ask({"expose": None})["faults"] == []
 
 
@@ -164,10 +164,10 @@ def test_a_client_is_told_from_when_on_the_joints_rest(served):
     served.client.ask({"state": None})
     served.world.servos["left_pan"].set(table.GOAL_VELOCITY, 50)
     served.clock.sleep(0.3)
-    assert served.client.rested_s(start_s) is None
-    began_s = served.client.fault(what="overload", ids=[1])
+    assert served.client.rest_start_s(start_s) is None
+    began_s = served.client.begin_fault(what="overload", ids=[1])
     served.clock.sleep(1.0)
-    rested_s = served.client.rested_s(began_s)
+    rested_s = served.client.rest_start_s(began_s)
     assert began_s + 0.03 < rested_s < began_s + 0.5
     assert served.client.ask({"rest": {"since": began_s}})["fastest"] > 1.0
 
@@ -213,17 +213,17 @@ def test_robotis_own_client_hears_a_servo_at_the_rate_that_it_has_given_it(port)
 
 def test_robotis_own_client_refuses_an_answer_with_a_bad_checksum(port):
     port, served = port
-    served.client.fault(what="bad-crc", ids=[1])
+    served.client.begin_fault(what="bad-crc", ids=[1])
     port.setPacketTimeout = lambda _length: port.setPacketTimeoutMillis(20.0)
     assert PACKETS.ping(port, 1)[1] != COMM_SUCCESS
-    served.client.clear()
+    served.client.clear_faults()
     del port.setPacketTimeout
     assert PACKETS.ping(port, 1)[1] == COMM_SUCCESS
 
 
 def test_robotis_own_client_sees_an_overload_until_a_reboot(port):
     port, served = port
-    served.client.fault(what="overload", ids=[1])
+    served.client.begin_fault(what="overload", ids=[1])
     assert PACKETS.read1ByteTxRx(port, 1, 70) == (32, COMM_SUCCESS, 128)
     assert PACKETS.write1ByteTxRx(port, 1, 64, 1)[1] == 128 | 1
     PACKETS.reboot(port, 1)

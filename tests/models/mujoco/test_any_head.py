@@ -173,7 +173,9 @@ class TestTies:
 
     def test_servos_of_a_wide_head_are_stronger(self):
         wide = parse_head(text_of("common").replace("0.05, 0.0, 0.0", "0.5, 0.0, 0.0"))
-        assert (load_inertias(wide).armature >= load_inertias(head_of("common")).armature).all()
+        assert (
+            load_inertias(wide).joint_armature >= load_inertias(head_of("common")).joint_armature
+        ).all()
 
 
 class TestExports:

@@ -33,7 +33,7 @@ SIZES = [(3, 3), (5, 4), (4, 5), (6, 4), (5, 5), (9, 6), (12, 9)]
 
 def board(columns: int, rows: int, *, rim: bool = True) -> Checkerboard:
     """Checkerboard with squares of 20 px at 1 m before the simulated rig."""
-    return Checkerboard(columns=columns, rows=rows, square_m=0.0323, rim=rim)
+    return Checkerboard(columns=columns, rows=rows, square_m=0.0323, white_rim=rim)
 
 
 def drawn(

@@ -129,7 +129,7 @@ def test_a_board_out_of_focus_is_found_in_a_small_image(way):
 def test_corners_that_run_together_are_put_back(surround):
     """Before a wall of the grey of its squares, two of OpenCV's corners lie half a square off."""
     camera, rendering = rig("simulated")
-    target = Checkerboard(columns=9, rows=6, square_m=0.0323, rim=False)
+    target = Checkerboard(columns=9, rows=6, square_m=0.0323, white_rim=False)
     middle = target.corners_m.mean(axis=0)
     for roll in (0.0, 0.5):
         T_C_T = (

@@ -39,7 +39,7 @@ def bent_tag(seed):
 
     code = tag_family(FAMILY.family)
     cells = np.pad(code.cells(number), 1, constant_values=255) / 255.0
-    place = np.floor(paper / (SIZE_M / code.border_cells) + 0.5 * len(cells)).astype(int)
+    place = np.floor(paper / (SIZE_M / code.width_at_border) + 0.5 * len(cells)).astype(int)
     there = ((place >= 0) & (place < len(cells))).all(axis=-1) & hit
     grey = np.full(there.shape, 110.0)
     black, white = GREYS

@@ -20,7 +20,7 @@ CELL_M = 0.016
 
 def tag(family: str, identity: int = 0) -> AprilTag:
     """Tag with cells of 10 px at 1 m before the simulated rig."""
-    return AprilTag(family=family, id=identity, edge_m=CELL_M * tag_family(family).border_cells)
+    return AprilTag(family=family, id=identity, edge_m=CELL_M * tag_family(family).width_at_border)
 
 
 def drawn(target: AprilTag, roll: float = 0.0, turn: tuple[float, float] = (0.0, 0.0)) -> Scene:

@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import BoardPoses
-from vergence.calibration.head.chain import ParametricHead, board_points
-from vergence.calibration.head.frames import HeadFrames, JointErrors
-from vergence.calibration.head.reading_terms import NO_TERMS, ReadingTerms
+from vergence.calibration.head.chain import ParametricHead, board_points_and_offsets
+from vergence.calibration.head.frames import HeadFrames, ReadingErrorUnknowns
+from vergence.calibration.head.reading_terms import NO_TERMS, ReadingErrorTerms
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
 
-BEND: Final = 3
+CURVATURE_COUNT: Final = 3
 """Number of curvatures of the board, see `vergence.calibration.adjustment` (numerical)."""
 _CURVATURE_SIGMA: Final = 0.5
 """Prior standard deviation of a curvature, 1/m (chosen: 0.6 mm at the edge of a 100 mm board)."""
@@ -39,11 +39,11 @@ _CAUCHY_SIGMAS: Final = 3.0
 
 
 class HeadUnknowns(NamedTuple):
-    """Values of all unknowns."""
+    """Values of all unknowns of a head adjustment."""
 
-    values: FloatArray
+    head_parameters: FloatArray
     """(p,) parameters of the head, see `HeadModel.parameters`."""
-    bend: FloatArray
+    board_curvatures: FloatArray
     """(3,) curvatures of the board, 1/m."""
     boards: BoardPoses
     """(b) poses of the board in frame 0, one per placement."""
@@ -51,11 +51,11 @@ class HeadUnknowns(NamedTuple):
     """(r,) reading errors that frames share while joints rest, rad."""
     frame_errors: FloatArray
     """(f, 7) reading errors of single frames, rad."""
-    terms: FloatArray
+    term_parameters: FloatArray
     """(t,) parameters of the reading-error terms, rad."""
 
 
-class Weights(NamedTuple):
+class MeasurementWeights(NamedTuple):
     """Weights of the measurements, 0 to 1."""
 
     corners: FloatArray
@@ -67,13 +67,17 @@ class Weights(NamedTuple):
     inf for least squares."""
 
     @classmethod
-    def of(cls, kept: NDArray[np.bool_]) -> "Weights":
+    def of(cls, kept_corners: NDArray[np.bool_]) -> "MeasurementWeights":
         """Make weights 1 for kept corners (2, f, n) and 0 for others."""
-        return cls(kept.astype(np.float64), np.ones((kept.shape[1], 7)))
+        return cls(kept_corners.astype(np.float64), np.ones((kept_corners.shape[1], 7)))
 
 
-class NormalEquations(NamedTuple):
-    """Normal equations at a state, with the errors of single frames eliminated."""
+class ReducedNormalEquations(NamedTuple):
+    """Normal equations of the shared unknowns, linearised at a state.
+
+    The reading errors of single frames are eliminated (Schur complement) and follow from a step by
+    `frame_error_sensitivity` and `negative_frame_step`.
+    """
 
     cost: float
     """Weighted sum of squares."""
@@ -82,16 +86,16 @@ class NormalEquations(NamedTuple):
     boards, shared errors."""
     gradient: FloatArray
     """(s,) gradient, half of the cost's."""
-    frame_by_shared: FloatArray
+    frame_error_sensitivity: FloatArray
     """(f, 7, s_f) negative derivative of the frames' own errors by the shared unknowns in
     `columns`."""
-    frame_step: FloatArray
+    negative_frame_step: FloatArray
     """(f, 7) negative step of the frames' own errors while the shared unknowns stay."""
-    frame_matrices: FloatArray
+    frame_normal_matrices: FloatArray
     """(f, 7, 7) normal matrix of each frame's own errors."""
     residuals: FloatArray
     """(2, f, n, 2) residuals divided by sigma; 0 for corners that were not found."""
-    by_frame: tuple[FloatArray, FloatArray] | None = None
+    frame_contributions: tuple[FloatArray, FloatArray] | None = None
     """(f, s_f, s_f) and (f, s_f) each frame's parts of matrix and gradient, with `columns`."""
 
 
@@ -111,16 +115,16 @@ class HeadAdjustment:
     scatter_ratio: FloatArray | None = None
     """(7,) ratio of each actuator's reading scatter to its expectation by quantisation and
     backlash; None for 1."""
-    terms: ReadingTerms = NO_TERMS
+    terms: ReadingErrorTerms = NO_TERMS
     """Reading-error terms."""
 
     @cached_property
-    def joint_errors(self) -> JointErrors:
+    def reading_error_unknowns(self) -> ReadingErrorUnknowns:
         """Unknown reading errors of the joints."""
-        found = JointErrors.of(self.nominal_head, self.frames)
+        found = ReadingErrorUnknowns.of(self.nominal_head, self.frames)
         if self.scatter_ratio is None:
             return found
-        return replace(found, sigma=found.sigma * self.scatter_ratio)
+        return replace(found, reading_sigma=found.reading_sigma * self.scatter_ratio)
 
     @cached_property
     def prior_mean(self) -> FloatArray:
@@ -143,12 +147,16 @@ class HeadAdjustment:
     @property
     def shared_count(self) -> int:
         """Number s of shared unknowns."""
-        return self.common_count + 6 * self.placement_count + len(self.joint_errors.shared_actuator)
+        return (
+            self.common_count
+            + 6 * self.placement_count
+            + len(self.reading_error_unknowns.shared_error_actuator)
+        )
 
     @property
     def common_count(self) -> int:
         """Number of leading shared unknowns common to all frames: head, bend, reading terms."""
-        return len(self.prior_mean) + BEND + len(self.terms.names)
+        return len(self.prior_mean) + CURVATURE_COUNT + len(self.terms.names)
 
     @cached_property
     def _heights(self) -> FloatArray:
@@ -165,44 +173,48 @@ class HeadAdjustment:
         known = np.full(self.shared_count, _WEAK_PRIOR_INFORMATION)
         sigma = np.maximum(self.prior_sigma, 1e-9)
         known[: len(sigma)] = 1.0 / sigma**2
-        known[len(sigma) : len(sigma) + BEND] = 1.0 / bend**2
-        known[len(sigma) + BEND : self.common_count] = 1.0 / np.maximum(self.terms.sigma, 1e-9) ** 2
-        if len(self.joint_errors.shared_actuator):
-            shared_sigma = self.joint_errors.sigma[self.joint_errors.shared_actuator]
+        known[len(sigma) : len(sigma) + CURVATURE_COUNT] = 1.0 / bend**2
+        known[len(sigma) + CURVATURE_COUNT : self.common_count] = (
+            1.0 / np.maximum(self.terms.prior_sigma, 1e-9) ** 2
+        )
+        if len(self.reading_error_unknowns.shared_error_actuator):
+            shared_sigma = self.reading_error_unknowns.reading_sigma[
+                self.reading_error_unknowns.shared_error_actuator
+            ]
             known[-len(shared_sigma) :] = 1.0 / shared_sigma**2
         return known
 
     @cached_property
-    def columns(self) -> NDArray[np.intp]:
+    def frame_columns(self) -> NDArray[np.intp]:
         """(f, s_f) indices of each frame's unknowns among the shared ones; -1 for none."""
         common, f = self.common_count, len(self.frames.time_s)
         head = np.broadcast_to(np.arange(common), (f, common))
         board = common + 6 * self.frames.placement[:, None] + np.arange(6)
-        run = self.joint_errors.shared_index
+        run = self.reading_error_unknowns.shared_error_index
         run = np.where(run >= 0, common + 6 * self.placement_count + run, -1)
         return np.concatenate([head, board, run], axis=1)
 
-    def angles(self, state: HeadUnknowns) -> FloatArray:
+    def joint_angles(self, state: HeadUnknowns) -> FloatArray:
         """(f, 7) true joint angles, rad."""
-        own = self.joint_errors
-        errors = np.where(own.is_single, state.frame_errors, 0.0)
-        if len(own.shared_actuator):
+        own = self.reading_error_unknowns
+        errors = np.where(own.has_frame_error, state.frame_errors, 0.0)
+        if len(own.shared_error_actuator):
             errors = errors + np.where(
-                own.shared_index >= 0, state.shared_errors[own.shared_index], 0.0
+                own.shared_error_index >= 0, state.shared_errors[own.shared_error_index], 0.0
             )
         return self.nominal_head.actuation.joints_of(
-            own.angles + errors + self.terms.evaluate(state.terms)[0]
+            own.actuator_readings + errors + self.terms.evaluate(state.term_parameters)[0]
         )
 
     def corners(self, state: HeadUnknowns) -> FloatArray:
         """(n, 3) the bent board's corners, metres."""
         out = self.frames.corners.copy()
-        out[:, 2] += self._heights @ state.bend
+        out[:, 2] += self._heights @ state.board_curvatures
         return out
 
     def linearised(
-        self, state: HeadUnknowns, weights: Weights, *, keep_frame_parts: bool = False
-    ) -> NormalEquations:
+        self, state: HeadUnknowns, weights: MeasurementWeights, *, keep_frame_parts: bool = False
+    ) -> ReducedNormalEquations:
         """Assemble the normal equations at a state.
 
         Args:
@@ -210,15 +222,20 @@ class HeadAdjustment:
             weights: weights of corners and angles.
             keep_frame_parts: True to return each frame's contributions as well.
         """
-        chain, q = ParametricHead(self.nominal_head, state.values), self.angles(state)
-        points, turned = board_points(self.corners(state), state.boards, self.frames.placement)
-        f, own = len(q), self.joint_errors
+        chain, q = (
+            ParametricHead(self.nominal_head, state.head_parameters),
+            self.joint_angles(state),
+        )
+        points, turned = board_points_and_offsets(
+            self.corners(state), state.boards, self.frames.placement
+        )
+        f, own = len(q), self.reading_error_unknowns
         residuals = np.zeros(self.frames.pixels.shape)
         normals = state.boards.rotation[self.frames.placement][:, :, 2]
-        sigma = np.where(own.sigma > 0.0, own.sigma, 1.0)
-        kept = np.where(own.is_single, state.frame_errors / sigma, 0.0)
-        p, width, head = len(self.prior_mean), self.columns.shape[1], self.common_count
-        by_term = self.terms.evaluate(state.terms)[1][:, None, None]
+        sigma = np.where(own.reading_sigma > 0.0, own.reading_sigma, 1.0)
+        kept = np.where(own.has_frame_error, state.frame_errors / sigma, 0.0)
+        p, width, head = len(self.prior_mean), self.frame_columns.shape[1], self.common_count
+        by_term = self.terms.evaluate(state.term_parameters)[1][:, None, None]
         far, cut = _CAUCHY_SIGMAS**2 * np.array([1.0, 2.0 * weights.cauchy_scale])
         far = far if np.isfinite(cut) else np.inf
         trust = weights.angles / (1.0 + kept**2 / far)
@@ -241,9 +258,9 @@ class HeadAdjustment:
             lift = np.einsum("fncj,fj->fnc", seen.board_jacobian[..., 3:], normals)
             by_bend = lift[..., None] * self._heights[None, :, None]
             by_angle = seen.joint_jacobian @ self.joints_from_actuators
-            by_run = np.where((own.shared_index >= 0)[:, None, None], by_angle, 0.0)
-            mine = np.where(own.is_single[:, None, None], by_angle, 0.0)
-            by_terms = by_angle[..., self.terms.actuator] * by_term
+            by_run = np.where((own.shared_error_index >= 0)[:, None, None], by_angle, 0.0)
+            mine = np.where(own.has_frame_error[:, None, None], by_angle, 0.0)
+            by_terms = by_angle[..., self.terms.actuator_index] * by_term
             rows = np.concatenate(
                 [seen.head_jacobian, by_bend, by_terms, seen.board_jacobian, by_run, mine], axis=-1
             )
@@ -273,18 +290,18 @@ class HeadAdjustment:
         others = blocks - gone @ own_by_shared[..., head:]
         parts = (whole - gone @ own_by_shared, frame_gradients) if keep_frame_parts else None
         frame_gradients -= (gone @ own_step[..., None])[..., 0]
-        rest = self.columns[:, head:]
+        rest = self.frame_columns[:, head:]
         rows_of_head = np.arange(head)[None, :, None]
         np.add.at(matrix, (rows_of_head, rest[:, None, :]), others[:, :head])
         np.add.at(matrix, (rest[:, :, None], rest[:, None, :]), others[:, head:])
-        np.add.at(gradient, self.columns, frame_gradients)
+        np.add.at(gradient, self.frame_columns, frame_gradients)
         matrix[head:, :head] = matrix[:head, head:].T
         matrix, gradient = matrix[:-1, :-1], gradient[:-1]
         deviation = self._prior_deviation(state)
         matrix[np.diag_indices(self.shared_count)] += self.prior_information
         gradient = gradient + self.prior_information * deviation
         cost += float((self.prior_information * deviation**2).sum())
-        return NormalEquations(
+        return ReducedNormalEquations(
             cost, matrix, gradient, own_by_shared, own_step, inner, residuals, parts
         )
 
@@ -292,34 +309,45 @@ class HeadAdjustment:
         """(s,) deviation of the shared unknowns from the prior's mean."""
         deviation = np.zeros(self.shared_count)
         p = len(self.prior_mean)
-        deviation[:p], deviation[p : p + BEND] = state.values - self.prior_mean, state.bend
-        deviation[p + BEND : self.common_count] = state.terms - self.terms.prior_mean
-        if len(self.joint_errors.shared_actuator):
-            deviation[-len(self.joint_errors.shared_actuator) :] = state.shared_errors
+        deviation[:p], deviation[p : p + CURVATURE_COUNT] = (
+            state.head_parameters - self.prior_mean,
+            state.board_curvatures,
+        )
+        deviation[p + CURVATURE_COUNT : self.common_count] = (
+            state.term_parameters - self.terms.prior_mean
+        )
+        if len(self.reading_error_unknowns.shared_error_actuator):
+            deviation[-len(self.reading_error_unknowns.shared_error_actuator) :] = (
+                state.shared_errors
+            )
         return deviation
 
-    def moved(self, state: HeadUnknowns, normal: NormalEquations, step: FloatArray) -> HeadUnknowns:
+    def moved(
+        self, state: HeadUnknowns, normal: ReducedNormalEquations, step: FloatArray
+    ) -> HeadUnknowns:
         """Apply a step of the shared unknowns; the frames' own errors follow."""
         p, c, b = len(self.prior_mean), self.common_count, 6 * self.placement_count
         padded = np.append(step, 0.0)
-        follow = normal.frame_step + np.einsum(
-            "fjs,fs->fj", normal.frame_by_shared, padded[self.columns]
+        follow = normal.negative_frame_step + np.einsum(
+            "fjs,fs->fj", normal.frame_error_sensitivity, padded[self.frame_columns]
         )
-        terms = state.terms + step[p + BEND : c]
+        terms = state.term_parameters + step[p + CURVATURE_COUNT : c]
         # the true angles take the linearised step although backlash is not linear
-        follow += self.terms.evaluate(terms)[0] - self.terms.linearised_sum(state.terms, terms)
+        follow += self.terms.evaluate(terms)[0] - self.terms.linearised_sum(
+            state.term_parameters, terms
+        )
         return HeadUnknowns(
-            state.values + step[:p],
-            state.bend + step[p : p + BEND],
+            state.head_parameters + step[:p],
+            state.board_curvatures + step[p : p + CURVATURE_COUNT],
             state.boards.moved(step[c : c + b].reshape(-1, 6)),
             state.shared_errors + step[c + b :],
-            np.where(self.joint_errors.is_single, state.frame_errors - follow, 0.0),
+            np.where(self.reading_error_unknowns.has_frame_error, state.frame_errors - follow, 0.0),
             terms,
         )
 
-    def of(self, frames: NDArray[np.bool_]) -> "HeadAdjustment":
+    def select(self, frames: NDArray[np.bool_]) -> "HeadAdjustment":
         """Restrict the problem to some of the frames."""
-        return replace(self, frames=self.frames.of(frames), terms=self.terms.of(frames))
+        return replace(self, frames=self.frames.select(frames), terms=self.terms.select(frames))
 
     def start(self, boards: BoardPoses) -> HeadUnknowns:
         """Make the initial state: the nominal head in front of given boards.
@@ -329,10 +357,10 @@ class HeadAdjustment:
         """
         return HeadUnknowns(
             self.prior_mean.copy(),
-            np.zeros(BEND),
-            boards.of(np.arange(self.placement_count)),
-            np.zeros(len(self.joint_errors.shared_actuator)),
-            np.zeros(self.joint_errors.angles.shape),
+            np.zeros(CURVATURE_COUNT),
+            boards.select(np.arange(self.placement_count)),
+            np.zeros(len(self.reading_error_unknowns.shared_error_actuator)),
+            np.zeros(self.reading_error_unknowns.actuator_readings.shape),
             self.terms.prior_mean.copy(),
         )
 

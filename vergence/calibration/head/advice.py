@@ -20,7 +20,7 @@ _FAR_M: Final = 1.5
 """Distance of a board that is far enough to calibrate depth far away, m (chosen)."""
 
 
-def coverage_percent(head: HeadModel, frames: HeadFrames) -> FloatArray:
+def image_coverage_percent(head: HeadModel, frames: HeadFrames) -> FloatArray:
     """(2,) by eye, percentage of the cells of the image that have had a corner.
 
     Args:
@@ -47,7 +47,7 @@ def advise_recording(
     """
     lines = []
     there = np.array([bool(name) for name in head.joints[NECK]])
-    ranges = np.ptp(frames.positions[:, NECK], axis=0)
+    ranges = np.ptp(frames.joint_positions[:, NECK], axis=0)
     if there.any() and not (ranges[there] > _UNMOVED_RANGE_RAD).any():
         lines.append(
             "the neck has not moved: where the eyes sit in the neck stays as it was believed"
@@ -65,7 +65,7 @@ def advise_recording(
                 f"the board was never farther than {away.max():.2g} m: one beyond {_FAR_M:g} m "
                 "tells more of depth far away"
             )
-    for eye, percent in zip(EYE_NAMES, coverage_percent(head, frames), strict=True):
+    for eye, percent in zip(EYE_NAMES, image_coverage_percent(head, frames), strict=True):
         if percent < _ENOUGH_COVERAGE_PERCENT:
             lines.append(f"the board was seen in {percent:.0f} % of the {eye} image alone")
     return lines

@@ -14,15 +14,16 @@ def without_backlash(head: HeadModel) -> HeadModel:
     return with_backlash(head, np.zeros(7))
 
 
-def with_backlash(head: HeadModel, backlash_rad: FloatArray) -> HeadModel:
+def with_backlash(head: HeadModel, actuator_backlash_rad: FloatArray) -> HeadModel:
     """Set the backlash between the motors, whose angles are read, and the joints.
 
     Args:
         head: any head.
-        backlash_rad: (7,) whole width of the backlash by actuator. A head model cannot hold the
-            neck's. If each joint of the eyes has its own motor, the largest width applies to all.
+        actuator_backlash_rad: (7,) whole width of the backlash by actuator. A head model cannot
+            hold the neck's. If each joint of the eyes has its own motor, the largest width applies
+            to all.
     """
-    eyes = backlash_rad[EYES][: head.actuation.count]
+    eyes = actuator_backlash_rad[EYES][: head.actuation.count]
     one = head.actuators is None
     sensor: dict[str, float | str] = {"backlash_rad": float(eyes.max(initial=0.0)) if one else 0.0}
     if eyes.any():

@@ -14,10 +14,10 @@ from vergence.calibration.head.backlash import with_backlash
 from vergence.calibration.head.checks import (
     refuse_few_poses,
     refuse_fixed_eyes,
-    refuse_implausible,
+    refuse_implausible_solution,
     refuse_swapped_eyes,
+    remark_on_changed_baseline,
     remark_on_few_views,
-    remark_on_head_size,
 )
 from vergence.calibration.head.fit import fit_robustly
 from vergence.calibration.head.found_terms import (
@@ -28,14 +28,14 @@ from vergence.calibration.head.found_terms import (
     term_remarks,
 )
 from vergence.calibration.head.frames import HeadFrames
-from vergence.calibration.head.held_out import cross_validate
+from vergence.calibration.head.held_out import cross_validate_by_pose
 from vergence.calibration.head.moved import find_new_placement, find_small_board_motion
 from vergence.calibration.head.prior import parameter_prior_sigma
-from vergence.calibration.head.reading_terms import ReadingTerms
+from vergence.calibration.head.reading_terms import ReadingErrorTerms
 from vergence.calibration.head.solution import HeadSolution
 from vergence.calibration.head.start import LEAST_CORNERS, estimate_consensus_board_poses
 from vergence.calibration.head.terms import AUTO, choose_terms, convert_for_terms
-from vergence.calibration.head.uncertainty import head_covariance
+from vergence.calibration.head.uncertainty import head_and_term_covariance
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -57,12 +57,12 @@ class HeadCalibration:
     """Calibration of a head from a recording."""
 
     solution: HeadSolution
-    kept: NDArray[np.bool_]
+    kept_corners: NDArray[np.bool_]
     """(2, f, n) True for kept corners, the inliers."""
-    held_out: FloatArray
+    held_out_mean_squares: FloatArray
     """(2, f) mean squares of views by heads that were calibrated without them, in units of sigma^2;
     nan for views without kept corners."""
-    notes: tuple[str, ...]
+    recording_remarks: tuple[str, ...]
     """Remarks on the recording, a line each."""
 
     @property
@@ -72,9 +72,9 @@ class HeadCalibration:
         said = (
             *term_remarks(solution, self.terms),
             *_noisy(solution),
-            *remark_on_head_size(solution),
+            *remark_on_changed_baseline(solution),
         )
-        return (*self.notes, *said)
+        return (*self.recording_remarks, *said)
 
     @property
     def nominal_head(self) -> HeadModel:
@@ -99,21 +99,25 @@ class HeadCalibration:
         return self.solution.problem.frames
 
     @property
-    def views(self) -> NDArray[np.bool_]:
+    def kept_views(self) -> NDArray[np.bool_]:
         """(2, f) True for kept views, with at least one kept corner."""
-        return np.asarray(self.kept.any(axis=-1))
+        return np.asarray(self.kept_corners.any(axis=-1))
 
     @cached_property
     def rms_px(self) -> float:
         """Root mean square length of the kept corners' residuals, px."""
         left = self.solution.normal.residuals * self.frames.sigma
-        return rms_length(left[self.kept])
+        return rms_length(left[self.kept_corners])
 
     @cached_property
     def rms_heldout_px(self) -> float:
         """Cross-validation counterpart of `rms_px`, by heads calibrated without the view, px."""
-        mean = np.nanmean(self.held_out) if np.isfinite(self.held_out).any() else np.nan
-        sigma = self.frames.sigma[self.kept]
+        mean = (
+            np.nanmean(self.held_out_mean_squares)
+            if np.isfinite(self.held_out_mean_squares).any()
+            else np.nan
+        )
+        sigma = self.frames.sigma[self.kept_corners]
         return float(np.sqrt(2.0 * mean * np.mean(sigma**2)))
 
     @property
@@ -124,7 +128,7 @@ class HeadCalibration:
 
     @cached_property
     def _covariance(self) -> FloatArray:
-        return head_covariance(self.solution)
+        return head_and_term_covariance(self.solution)
 
     @property
     def sigma(self) -> FloatArray:
@@ -136,7 +140,7 @@ def calibrate_head(
     head: HeadModel,
     frames: HeadFrames,
     *,
-    cameras: bool = True,
+    estimate_cameras: bool = True,
     terms: Collection[str] = (),
     progress: Callable[[float], None] | None = None,
 ) -> HeadCalibration:
@@ -145,7 +149,7 @@ def calibrate_head(
     Args:
         head: the nominal head, from its file.
         frames: frames of the board, taken while the head moved.
-        cameras: True to estimate focal lengths, principal points and lenses too.
+        estimate_cameras: True to estimate focal lengths, principal points and lenses too.
         terms: some of `TERMS`, or `AUTO` alone for the terms that the frames call for.
         progress: called with the fraction done.
 
@@ -154,7 +158,7 @@ def calibrate_head(
     """
     report = progress or _ignore
     refuse_fixed_eyes(head)
-    frames = sort_and_drop_frames(frames)
+    frames = sort_and_clean_frames(frames)
     refuse_few_poses(frames)
     file, head = head, convert_for_terms(head, terms)
     remarks: list[str] = []
@@ -162,13 +166,13 @@ def calibrate_head(
         start = estimate_consensus_board_poses(head, frames)
         refuse_swapped_eyes(head, frames, start)
         report(0.1)
-        problem = HeadAdjustment(head, parameter_prior_sigma(head, cameras), start.frames)
-        reading_terms = ReadingTerms.of_frames(head, start.frames, terms)
+        problem = HeadAdjustment(head, parameter_prior_sigma(head, estimate_cameras), start.frames)
+        reading_terms = ReadingErrorTerms.of_frames(head, start.frames, terms)
         problem = replace(problem, terms=reading_terms)
         fit = fit_robustly(problem, start.boards, start.inlier_views)
         for place in range(1, _MOST_PLACEMENTS):
             report(0.1 + 0.6 * place / (place + 1.0))
-            more = find_new_placement(fit.solution, fit.kept)
+            more = find_new_placement(fit.solution, fit.kept_corners)
             near = None if more is None else fit.solution.state
             if more is None:
                 more = find_small_board_motion(fit.solution)
@@ -177,16 +181,16 @@ def calibrate_head(
             remarks.append(more.remark)
             problem = replace(problem, frames=more.frames)
             fit = fit_robustly(problem, more.boards, more.inlier_views, near)
-        refuse_implausible(fit.solution, fit.kept)
+        refuse_implausible_solution(fit.solution, fit.kept_corners)
         report(0.7)
         if tuple(terms) == (AUTO,):
-            fit, suspected = choose_terms(fit, cameras)
+            fit, suspected = choose_terms(fit, estimate_cameras)
             if suspected is not None:
                 remarks.append(harmonics_remark(suspected) + _HARMONICS_HINT)
         if type(fit.solution.head.links) is not type(file.links):
             remarks.append(_JOINT_AXES_REMARK)
         report(0.8)
-        views = cross_validate(fit.solution, fit.kept).views
+        views = cross_validate_by_pose(fit.solution, fit.kept_corners).view_mean_squares
     except np.linalg.LinAlgError:
         raise ConfigurationError(
             "expected frames that agree on where the board is, got some that do not: is the target "
@@ -196,29 +200,32 @@ def calibrate_head(
     report(1.0)
     return HeadCalibration(
         solution=fit.solution,
-        kept=fit.kept,
-        held_out=views,
-        notes=(*remarks, *remark_on_few_views(start.frames, fit.kept)),
+        kept_corners=fit.kept_corners,
+        held_out_mean_squares=views,
+        recording_remarks=(*remarks, *remark_on_few_views(start.frames, fit.kept_corners)),
     )
 
 
-def sort_and_drop_frames(frames: HeadFrames) -> HeadFrames:
+def sort_and_clean_frames(frames: HeadFrames) -> HeadFrames:
     """Sort frames by time; leave out frames that do not show the board, and duplicates."""
     order = np.argsort(frames.time_s, kind="stable")
-    frames = frames.of(order)
+    frames = frames.select(order)
     shown = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).any(axis=0)
     known: set[bytes] = set()
     fresh = []
     for frame in range(len(frames.time_s)):
-        content = frames.pixels[:, frame].tobytes() + frames.positions[frame].tobytes()
+        content = frames.pixels[:, frame].tobytes() + frames.joint_positions[frame].tobytes()
         fresh.append(content not in known)
         known.add(content)
-    return frames.of(shown & np.array(fresh, dtype=bool))
+    return frames.select(shown & np.array(fresh, dtype=bool))
 
 
 def _noisy(solution: HeadSolution) -> list[str]:
     """Report joints whose readings scatter more than quantisation and backlash explain."""
-    scatter_ratio, sigma = solution.problem.scatter_ratio, solution.problem.joint_errors.sigma
+    scatter_ratio, sigma = (
+        solution.problem.scatter_ratio,
+        solution.problem.reading_error_unknowns.reading_sigma,
+    )
     if scatter_ratio is None:
         return []
     names = [

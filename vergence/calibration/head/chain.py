@@ -176,18 +176,18 @@ def adjoint(pose: FloatArray) -> FloatArray:
     return out
 
 
-def board_points(
-    corners: FloatArray, boards: BoardPoses, board: IntArray
+def board_points_and_offsets(
+    corners: FloatArray, boards: BoardPoses, pose_index: IntArray
 ) -> tuple[FloatArray, ...]:
     """Compute the corners of boards in frame 0, and their offsets from each board's origin there.
 
     Args:
         corners: (n, 3) metres.
         boards: (b) poses in frame 0.
-        board: (f,) index of the board pose that each frame shows.
+        pose_index: (f,) index of the board pose that each frame shows.
     """
-    turned = corners @ boards.rotation[board].transpose(0, 2, 1)
-    return turned + boards.translation[board][:, None], turned
+    turned = corners @ boards.rotation[pose_index].transpose(0, 2, 1)
+    return turned + boards.translation[pose_index][:, None], turned
 
 
 def _cross(points: FloatArray, gradients: FloatArray) -> FloatArray:

@@ -60,9 +60,9 @@ def refuse_swapped_eyes(head: HeadModel, frames: HeadFrames, start: InitialBoard
     both = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).all(axis=0)
     if not both.any():
         return
-    some = frames.of(both)
+    some = frames.select(both)
     exchanged = HeadFrames(
-        target=some.target, time_s=some.time_s, positions=some.positions,
+        target=some.target, time_s=some.time_s, joint_positions=some.joint_positions,
         pixels=some.pixels[::-1], sigma=some.sigma[::-1], placement=some.placement,
     )  # fmt: skip
     if (
@@ -75,18 +75,18 @@ def refuse_swapped_eyes(head: HeadModel, frames: HeadFrames, start: InitialBoard
         )
 
 
-def refuse_implausible(solution: HeadSolution, kept: NDArray[np.bool_]) -> None:
-    """Refuse views that do not agree, or a head far from its file."""
+def refuse_implausible_solution(solution: HeadSolution, kept_corners: NDArray[np.bool_]) -> None:
+    """Refuse a fit with mostly outliers or few poses, and a head far from its file."""
     frames = solution.problem.frames
     views = (frames.seen.sum(axis=-1) >= LEAST_CORNERS).sum()
-    fraction = kept.any(axis=-1).sum() / views
+    fraction = kept_corners.any(axis=-1).sum() / views
     if fraction <= _LEAST_AGREEING_FRACTION:
         raise ConfigurationError(
             f"expected views that agree with each other, got {views} of which "
             f"{100.0 * fraction:.0f} % do: do the joint angles belong to the "
             "images, and did the board stand still?"
         )
-    refuse_few_poses(frames.of(np.asarray(kept.any(axis=(0, 2)))))
+    refuse_few_poses(frames.select(np.asarray(kept_corners.any(axis=(0, 2)))))
     was, now = baselines_m(solution)
     if not 1.0 / _MOST_BASELINE_RATIO < now / was < _MOST_BASELINE_RATIO:
         raise ConfigurationError(
@@ -95,13 +95,13 @@ def refuse_implausible(solution: HeadSolution, kept: NDArray[np.bool_]) -> None:
             f"{solution.problem.frames.target}?"
         )
     problem = solution.problem
-    away = (solution.state.values - problem.prior_mean) / np.where(
+    away = (solution.state.head_parameters - problem.prior_mean) / np.where(
         problem.prior_sigma > 0.0, problem.prior_sigma, np.inf
     )
     worst = int(np.abs(away).argmax())
     if abs(away[worst]) > _MOST_PRIOR_SIGMAS:
         names, units, _ = problem.nominal_head.parameters()
-        step = solution.state.values[worst] - problem.prior_mean[worst]
+        step = solution.state.head_parameters[worst] - problem.prior_mean[worst]
         raise ConfigurationError(
             f"expected a head that is like its file, got one whose {names[worst]} is "
             f"{_said(step, units[worst])} off, where "
@@ -118,7 +118,7 @@ def baselines_m(solution: HeadSolution) -> tuple[float, float]:
     return was, now
 
 
-def remark_on_head_size(solution: HeadSolution) -> list[str]:
+def remark_on_changed_baseline(solution: HeadSolution) -> list[str]:
     """Remark on a head that is larger or smaller than its file, as a wrong board size makes it."""
     was, now = (1e3 * each for each in baselines_m(solution))
     if abs(now - was) < max(_SAME_BASELINE_MM, _SAME_BASELINE_FRACTION * was):
@@ -129,12 +129,12 @@ def remark_on_head_size(solution: HeadSolution) -> list[str]:
     ]
 
 
-def remark_on_few_views(frames: HeadFrames, kept: NDArray[np.bool_]) -> list[str]:
+def remark_on_few_views(frames: HeadFrames, kept_corners: NDArray[np.bool_]) -> list[str]:
     """Remark on eyes without views, or with many views left out."""
     lines = []
     for eye, name in enumerate(EYE_NAMES):
         views = int((frames.seen[eye].sum(axis=-1) >= LEAST_CORNERS).sum())
-        out = views - int(kept[eye].any(axis=-1).sum())
+        out = views - int(kept_corners[eye].any(axis=-1).sum())
         if not views:
             lines.append(f"the {name} eye has never seen the board: it stays as its file has it")
         elif out > _MANY_LEFT_OUT_FRACTION * views:

@@ -11,16 +11,16 @@ from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.gathered import RawRecording
 from vergence.calibration.head.logged import (
     AT_REST,
-    LOOKS,
+    HEAD_IDENTITY,
     PLACEMENT,
     SUFFIX,
     TARGET,
     list_logs,
     read_logs,
 )
-from vergence.calibration.head.plan import BoardScene, PosePlanner, estimate_board_scene
+from vergence.calibration.head.plan import EstimatedBoard, PosePlanner, estimate_board_by_last_views
 from vergence.calibration.head.preview import CalibrationPreview, preview_calibration
-from vergence.calibration.head.recording import order_frames
+from vergence.calibration.head.recording import clean_and_renumber_frames
 from vergence.calibration.head.search import count_eyes_seeing_board, find_board
 from vergence.errors import ConfigurationError
 from vergence.locks import hold_lock
@@ -90,7 +90,7 @@ class CollectedRecording:
 
     def frames(self) -> HeadFrames:
         """All frames in the order of time."""
-        return order_frames(
+        return clean_and_renumber_frames(
             RawRecording(self.target, self.sights, self.sight_placements, ()).frames()
         )
 
@@ -128,7 +128,7 @@ def collect(
             f"target: expected a size in mm, which all lengths come from, got {looker.target}"
         )
     with hold_lock(folder):
-        found, number = _earlier(looker, folder, options.moved, log_facts.get(LOOKS, ""))
+        found, number = _earlier(looker, folder, options.moved, log_facts.get(HEAD_IDENTITY, ""))
         if found.poses < options.poses and not _enough(found, options):
             _Run(looker, options, found, number).go(log_facts, progress, on_evaluation)
     return found
@@ -155,7 +155,7 @@ def _earlier(
         found.placement = max(found.sight_placements, default=0) + (
             moved and bool(found.sight_placements)
         )
-        frames = order_frames(before.frames())
+        frames = clean_and_renumber_frames(before.frames())
         here = np.unique(before.placement).tolist()
         if found.placement in here:
             own = frames.placement == here.index(found.placement)
@@ -245,16 +245,16 @@ class _Run:
             self._last = RawRecording(self._looker.target, kept, [0] * len(kept), ()).frames()
         return bool(kept)
 
-    def _scene(self) -> BoardScene:
+    def _scene(self) -> EstimatedBoard:
         """Estimate the board's position by the fit to all frames, or else from the last frames."""
         fitted_board = self._fitted_board()
         return (
-            estimate_board_scene(self._looker.head, self._last)
+            estimate_board_by_last_views(self._looker.head, self._last)
             if fitted_board is None
             else fitted_board
         )
 
-    def _fitted_board(self) -> BoardScene | None:
+    def _fitted_board(self) -> EstimatedBoard | None:
         """Get the board's position by the fit to all frames; None if this placement has none."""
         found = self._found
         here = np.unique(found.sight_placements).tolist()
@@ -265,7 +265,7 @@ class _Run:
             return None
         boards = found.preview.boards
         corners = self._last.corners @ boards.rotation[place].T + boards.translation[place]
-        return BoardScene(found.preview.head, np.stack([corners, corners]), True)
+        return EstimatedBoard(found.preview.head, np.stack([corners, corners]), True)
 
     def _evaluate(self) -> None:
         found = self._found
@@ -277,7 +277,7 @@ class _Run:
         fitted_board, looker = self._fitted_board(), self._looker
         if fitted_board is None:
             return
-        expected, looks = fitted_board.pixels(frame.positions[0]), frame.pixels[:, 0]
+        expected, looks = fitted_board.pixels(frame.joint_positions[0]), frame.pixels[:, 0]
         # a rotationally symmetric board may be detected in any of its corner orders
         orders = equivalent_corner_orders(looker.target)
         away = min(float(np.nanmax(np.abs(looks[:, order] - expected))) for order in orders)

@@ -88,7 +88,7 @@ def predict_depth_errors(
     off = triangulate_views(calibration.nominal_head, q, pixels).point - points
     free = calibration.solution.problem.prior_sigma > 0.0
     steps = _STEP_SIGMAS * np.diag(calibration.solution.problem.prior_sigma)[free]
-    values = calibration.solution.state.values + np.stack([steps, -steps])
+    values = calibration.solution.state.head_parameters + np.stack([steps, -steps])
     moved = triangulate_views(
         calibration.nominal_head.with_parameters(values[:, :, None]), q, pixels
     ).point

@@ -10,7 +10,7 @@ from matplotlib.ticker import LogLocator
 
 from vergence.calibration.head.calibrate_head import HeadCalibration
 from vergence.calibration.head.depth import points_ahead, points_at_angles, predict_depth_errors
-from vergence.calibration.image_figures import WIDTH
+from vergence.calibration.image_figures import CAMERA_FIGURE_WIDTH
 from vergence.eval.reporting.style import BLACK, BLUE, GREY, ORANGE, figure_style, new_figure
 from vergence.eval.reporting.text import format_fixed
 from vergence.models.parts import FloatArray
@@ -23,7 +23,7 @@ _ANGLES_DEG: Final = np.arange(-30.0, 31.0, 10.0)
 """Angles of a map to either side, and up and down, degrees (chosen)."""
 
 
-def depth_by_distance(calibration: HeadCalibration) -> Figure:
+def depth_error_by_distance(calibration: HeadCalibration) -> Figure:
     """Plot depth errors straight ahead: before, after, and the noise of a single fixation."""
     depth = predict_depth_errors(calibration, points_ahead(np.geomspace(*_DISTANCES_M, 60)))
     lines: tuple[tuple[FloatArray, str, dict[str, Any]], ...] = (
@@ -36,7 +36,7 @@ def depth_by_distance(calibration: HeadCalibration) -> Figure:
         (depth.noise_floor_m, "one fixation's own noise", {"color": GREY, "linestyle": ":"}),
     )
     with figure_style():
-        figure = new_figure(WIDTH, 4.4)
+        figure = new_figure(CAMERA_FIGURE_WIDTH, 4.4)
         panel = figure.add_subplot()
         for values, label, style in lines:
             panel.loglog(depth.distance_m, 1e3 * values, label=label, **style)
@@ -51,7 +51,7 @@ def depth_by_distance(calibration: HeadCalibration) -> Figure:
     return figure
 
 
-def map_points(distance_m: float) -> FloatArray:
+def depth_error_map_points(distance_m: float) -> FloatArray:
     """(n, 3) points of a map, m, row by row from above, relative to midway between the eyes.
 
     Args:
@@ -61,14 +61,14 @@ def map_points(distance_m: float) -> FloatArray:
     return points_at_angles(distance_m, right.ravel(), down.ravel())
 
 
-def depth_map(calibration: HeadCalibration, distance_m: float) -> Figure:
+def depth_error_maps(calibration: HeadCalibration, distance_m: float) -> Figure:
     """Draw maps of depth errors by direction, before and after, in percent of the distance.
 
     Args:
         calibration: the calibration.
         distance_m: distance from midway between the eyes.
     """
-    depth = predict_depth_errors(calibration, map_points(distance_m))
+    depth = predict_depth_errors(calibration, depth_error_map_points(distance_m))
     with figure_style():
         figure = new_figure(_PAGE_WIDTH, 5.0)
         before, after = figure.subplots(1, 2)

@@ -46,17 +46,17 @@ _BIN_COUNT_RANGE: Final = (6, 30)
 
 def residuals_over_time(calibration: HeadCalibration) -> Figure:
     """Plot each view's residuals over time, also those by heads calibrated without it."""
-    rms = view_rms(calibration)
-    held_out = np.sqrt(calibration.held_out)
-    usual = rms[calibration.views]
+    rms = normalised_view_rms(calibration)
+    held_out = np.sqrt(calibration.held_out_mean_squares)
+    usual = rms[calibration.kept_views]
     limit = max(1.15 * float(usual.max()), _AXIS_LIMIT_MEDIANS * float(np.median(usual)))
     time = calibration.frames.time_s
     with figure_style():
         figure = new_figure(_PAGE_WIDTH, 4.6)
         for eye, panel in enumerate(figure.subplots(2, 1, sharex=True)):
-            kept = np.flatnonzero(calibration.views[eye])
+            kept = np.flatnonzero(calibration.kept_views[eye])
             kept = kept[thinning_slice(len(kept))]
-            out = ~np.isnan(rms[eye]) & ~calibration.views[eye]
+            out = ~np.isnan(rms[eye]) & ~calibration.kept_views[eye]
             styles: tuple[tuple[NDArray[np.intp], FloatArray, str, dict[str, Any]], ...] = (
                 (kept, held_out, "by heads that did not know it",
                  {"marker": "o", "ms": 6.5, "mfc": "none", "mec": GREY, "mew": 0.8}),
@@ -73,7 +73,7 @@ def residuals_over_time(calibration: HeadCalibration) -> Figure:
     return figure
 
 
-def view_rms(calibration: HeadCalibration) -> FloatArray:
+def normalised_view_rms(calibration: HeadCalibration) -> FloatArray:
     """(2, f) rms residual of each view in units of sigma: of its kept corners, or of all if none.
 
     Args:
@@ -96,7 +96,9 @@ def kept_or_found_corners(calibration: HeadCalibration) -> NDArray[np.bool_]:
     Args:
         calibration: the calibration.
     """
-    return np.where(calibration.views[..., None], calibration.kept, calibration.frames.seen)
+    return np.where(
+        calibration.kept_views[..., None], calibration.kept_corners, calibration.frames.seen
+    )
 
 
 def residuals_px(calibration: HeadCalibration) -> FloatArray:
@@ -106,7 +108,7 @@ def residuals_px(calibration: HeadCalibration) -> FloatArray:
         calibration: the calibration.
     """
     left = calibration.solution.normal.residuals * calibration.frames.sigma
-    return np.where(calibration.kept[..., None], left, np.nan)
+    return np.where(calibration.kept_corners[..., None], left, np.nan)
 
 
 def corner_coverage(calibration: HeadCalibration, eye: int) -> Figure:
@@ -116,7 +118,9 @@ def corner_coverage(calibration: HeadCalibration, eye: int) -> Figure:
         calibration: the calibration.
         eye: 0 for left, 1 for right.
     """
-    views = np.where(calibration.kept[eye][..., None], calibration.frames.pixels[eye], np.nan)
+    views = np.where(
+        calibration.kept_corners[eye][..., None], calibration.frames.pixels[eye], np.nan
+    )
     return draw_corner_coverage(
         views, _size(calibration, eye), EYE_NAMES[eye], EYE_STYLES[eye]["color"]
     )
@@ -129,7 +133,7 @@ def residual_field(calibration: HeadCalibration, eye: int) -> Figure:
         calibration: the calibration.
         eye: 0 for left, 1 for right.
     """
-    kept = calibration.kept[eye]
+    kept = calibration.kept_corners[eye]
     return draw_residual_arrows(
         calibration.frames.pixels[eye][kept], residuals_px(calibration)[eye][kept],
         _size(calibration, eye), EYE_NAMES[eye],
@@ -151,9 +155,9 @@ def actuator_names(calibration: HeadCalibration) -> list[str]:
 def joint_angle_coverage(calibration: HeadCalibration) -> Figure:
     """Plot the angles of all actuators between their limits, and both eyes' joint angles."""
     nominal_head, own = calibration.nominal_head, calibration.nominal_head.actuation
-    used = np.flatnonzero(calibration.views.any(axis=0))
+    used = np.flatnonzero(calibration.kept_views.any(axis=0))
     _, first = np.unique(calibration.frames.pose[used], return_index=True)
-    q = calibration.frames.positions[used[first]]
+    q = calibration.frames.joint_positions[used[first]]
     angles, limits = np.degrees(own.actuators_of(q)), np.degrees([own.lower, own.upper])
     moves = [
         k
@@ -254,17 +258,20 @@ def parameter_correlations(calibration: HeadCalibration) -> Figure:
     return figure
 
 
-def single_reading_errors(calibration: HeadCalibration) -> dict[str, FloatArray]:
-    """(n,) by actuator, errors of single readings that the images determine, rad.
+def determined_reading_errors(calibration: HeadCalibration) -> dict[str, FloatArray]:
+    """Collect the estimated errors (n,) of single readings by actuator name, rad.
+
+    Readings that the images do not determine (posterior variance above half of the prior one) are
+    left out.
 
     Args:
         calibration: the calibration.
     """
-    own = calibration.solution.problem.joint_errors.is_single
+    own = calibration.solution.problem.reading_error_unknowns.has_frame_error
     determined = calibration.solution.reading_variance_ratio < _MOST_VARIANCE_RATIO
     errors = {}
     for k, name in enumerate(actuator_names(calibration)):
-        single = own[:, k] & determined[:, k] & calibration.views.any(axis=0)
+        single = own[:, k] & determined[:, k] & calibration.kept_views.any(axis=0)
         if single.any():
             errors[name] = calibration.solution.state.frame_errors[single, k]
     return errors
@@ -274,9 +281,9 @@ def reading_error_histograms(calibration: HeadCalibration) -> Figure:
     """Draw histograms of reading errors by actuator, with the uniform density of quantisation.
 
     Args:
-        calibration: a calibration with errors of single readings, see `single_reading_errors`.
+        calibration: a calibration with errors of single readings, see `determined_reading_errors`.
     """
-    errors, names = single_reading_errors(calibration), actuator_names(calibration)
+    errors, names = determined_reading_errors(calibration), actuator_names(calibration)
     columns = min(len(errors), 4)
     rows = -(-len(errors) // columns)
     with figure_style():

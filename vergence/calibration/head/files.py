@@ -51,7 +51,7 @@ def calibrated_head(calibration: HeadCalibration, sha256: str, name: str) -> Hea
     }
     record = CalibrationRecord(
         target=str(calibration.frames.target),
-        views=int(calibration.views.sum()),
+        views=int(calibration.kept_views.sum()),
         rms_px=calibration.rms_px,
         rms_heldout_px=calibration.rms_heldout_px,
         corners_sha256=sha256,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.calibration.adjustment import BoardPoses
-from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, Weights
+from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, MeasurementWeights
 from vergence.calibration.head.solution import FIRST_CAUCHY_SCALE, HeadSolution, solve
 from vergence.calibration.head.start import LEAST_CORNERS
 from vergence.models.joints import NECK
@@ -31,7 +31,7 @@ class HeadFit:
     """A head, and its inlier corners."""
 
     solution: HeadSolution
-    kept: NDArray[np.bool_]
+    kept_corners: NDArray[np.bool_]
     """(2, f, n) True for kept corners, the inliers."""
 
 
@@ -55,16 +55,20 @@ def fit_robustly(
     eligible = problem.frames.seen & (problem.frames.seen.sum(axis=-1) >= LEAST_CORNERS)[..., None]
     begin = problem.start(initial_boards)
     if start is not None:
-        begin = begin._replace(values=start.values, bend=start.bend)
-    first = Weights.of(eligible & inlier_views[..., None])
+        begin = begin._replace(
+            head_parameters=start.head_parameters, board_curvatures=start.board_curvatures
+        )
+    first = MeasurementWeights.of(eligible & inlier_views[..., None])
     solution = solve(problem, begin, first, cauchy_scale=FIRST_CAUCHY_SCALE)
     if not inlier_views[eligible.any(axis=-1)].all():  # views that disagreed by the nominal head
         cauchy_scale = solution.weights.cauchy_scale
-        solution = solve(problem, solution.state, Weights.of(eligible), cauchy_scale=cauchy_scale)
-    return refine_inliers(solution)
+        solution = solve(
+            problem, solution.state, MeasurementWeights.of(eligible), cauchy_scale=cauchy_scale
+        )
+    return refit_inliers_and_scatter(solution)
 
 
-def refine_inliers(solution: HeadSolution) -> HeadFit:
+def refit_inliers_and_scatter(solution: HeadSolution) -> HeadFit:
     """Refine a head on its inliers, with readings weighted by their scatter.
 
     Args:
@@ -87,7 +91,7 @@ def refine_inliers(solution: HeadSolution) -> HeadFit:
         ):
             break
         problem = replace(problem, scatter_ratio=scatter_ratio)
-        solution = solve(problem, solution.state, Weights.of(kept))
+        solution = solve(problem, solution.state, MeasurementWeights.of(kept))
     return HeadFit(solution, kept)
 
 
@@ -129,13 +133,13 @@ def reading_scatter_ratio(solution: HeadSolution) -> FloatArray:
 
     The expectation comes from quantisation and backlash.
     """
-    own, already = solution.problem.joint_errors, solution.problem.scatter_ratio
+    own, already = solution.problem.reading_error_unknowns, solution.problem.scatter_ratio
     known = np.ones(7) if already is None else already
     found = np.ones(7)
     counted = np.asarray((solution.weights.corners > 0.0).any(axis=(0, 2)))
     typical_square = _typical_square(solution, solution.problem.frames.seen)
     for joint in range(7):
-        used = own.is_single[:, joint] & counted
+        used = own.has_frame_error[:, joint] & counted
         squares = solution.normalised_reading_errors[used, joint] ** 2
         if len(squares) < _LEAST_READINGS:
             continue

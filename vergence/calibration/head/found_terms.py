@@ -33,11 +33,13 @@ def fitted_terms(solution: HeadSolution, covariance: FloatArray) -> tuple[Fitted
 
     Args:
         solution: solution of a head.
-        covariance: covariance of its parameters, see `head_covariance`.
+        covariance: covariance of its parameters, see `head_and_term_covariance`.
     """
     p = len(solution.problem.prior_mean)
     sigma = np.sqrt(np.diagonal(covariance)[p:]).tolist()
-    numbers = zip(solution.problem.terms.names, solution.state.terms.tolist(), sigma, strict=True)
+    numbers = zip(
+        solution.problem.terms.names, solution.state.term_parameters.tolist(), sigma, strict=True
+    )
     return tuple(FittedTerm(name, value, deviation, "rad") for name, value, deviation in numbers)
 
 
@@ -45,7 +47,10 @@ def significant_backlash(solution: HeadSolution, terms: Sequence[FittedTerm]) ->
     """(7,) backlash by actuator, rad; 0 if not significant."""
     out = np.zeros(7)
     for term, joint, is_backlash in zip(
-        terms, solution.problem.terms.actuator, solution.problem.terms.is_backlash, strict=True
+        terms,
+        solution.problem.terms.actuator_index,
+        solution.problem.terms.is_backlash,
+        strict=True,
     ):
         if is_backlash and term.significant:
             out[joint] = max(term.value, 0.0)
@@ -76,9 +81,9 @@ def term_remarks(solution: HeadSolution, terms: Sequence[FittedTerm]) -> list[st
 def harmonics_remark(solution: HeadSolution) -> str:
     """Remark on the size of the encoder harmonics."""
     reading_terms, nominal_head = solution.problem.terms, solution.problem.nominal_head
-    waves = reading_terms.evaluate(np.where(reading_terms.is_backlash, 0.0, solution.state.terms))[
-        0
-    ]
+    waves = reading_terms.evaluate(
+        np.where(reading_terms.is_backlash, 0.0, solution.state.term_parameters)
+    )[0]
     names = [*nominal_head.joints[:3], *nominal_head.actuation.names]
     return (
         "the encoders' readings are off by harmonics of the angle, in degrees up to: "

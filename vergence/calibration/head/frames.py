@@ -14,7 +14,7 @@ from vergence.models.parts import FloatArray
 from vergence.triangulation import Noise
 
 IntArray = NDArray[np.intp]
-POSE_RAD: Final = 0.026
+SAME_POSE_RAD: Final = 0.026
 """Bound on the difference of frames of one pose in every joint, rad (chosen: 1.5 degrees, between
 the dither of some tenths of a degree and the distance of poses of some degrees)."""
 _STILL_POSE_FRACTION: Final = 0.8
@@ -29,7 +29,7 @@ class HeadFrames:
     target: PlanarTarget
     time_s: FloatArray
     """(f,) times of the exposures, s."""
-    positions: FloatArray
+    joint_positions: FloatArray
     """(f, 7) joint angles that were read, rad."""
     pixels: FloatArray
     """(2, f, n, 2) raw pixels of the board's corners by eye; nan for those that were not found."""
@@ -39,10 +39,11 @@ class HeadFrames:
     """(f,) number of the board's placement in frame 0, from 0 on: a change means that the board was
     moved."""
 
-    def of(self, frames: NDArray[np.bool_] | IntArray) -> "HeadFrames":
+    def select(self, frames: NDArray[np.bool_] | IntArray) -> "HeadFrames":
         """Select some of the frames."""
         return HeadFrames(
-            target=self.target, time_s=self.time_s[frames], positions=self.positions[frames],
+            target=self.target, time_s=self.time_s[frames],
+            joint_positions=self.joint_positions[frames],
             pixels=self.pixels[:, frames], sigma=self.sigma[:, frames],
             placement=self.placement[frames],
         )  # fmt: skip
@@ -60,11 +61,14 @@ class HeadFrames:
 
     @cached_property
     def pose(self) -> IntArray:
-        """(f,) number of the pose that each frame belongs to, see `POSE_RAD`."""
+        """(f,) number of the pose that each frame belongs to, see `SAME_POSE_RAD`."""
         numbers = np.zeros(len(self.time_s), dtype=np.intp)
         first = 0
         for frame in range(1, len(numbers)):
-            near = np.abs(self.positions[frame] - self.positions[first]).max() < POSE_RAD
+            near = (
+                np.abs(self.joint_positions[frame] - self.joint_positions[first]).max()
+                < SAME_POSE_RAD
+            )
             same = near and self.placement[frame] == self.placement[first]
             numbers[frame] = numbers[frame - 1] + (not same)
             if not same:
@@ -73,28 +77,26 @@ class HeadFrames:
 
 
 @dataclass(frozen=True, eq=False)
-class JointErrors:
-    """Unknown reading errors of the joints, for single frames or shared by several.
+class ReadingErrorUnknowns:
+    """Layout of the unknown reading errors.
 
-    An encoder's reading is wrong by up to half a quantisation step. A joint that moves between
-    frames has an independent error in each. A resting joint has the same error while it rests. An
-    error of a neck joint that rests throughout each placement of the board only shifts the board's
-    unknown poses and needs no unknown of its own.
+    It says which actuator angle of which frame has an error of its own, shares one with other
+    frames, or has none. It holds the readings and their sigma, not the values of the errors.
     """
 
-    angles: FloatArray
+    actuator_readings: FloatArray
     """(f, 7) actuator angles that were read, rad; the mean reading for resting joints."""
-    sigma: FloatArray
+    reading_sigma: FloatArray
     """(7,) standard deviation of a reading, rad."""
-    is_single: NDArray[np.bool_]
+    has_frame_error: NDArray[np.bool_]
     """(f, 7) True for angles with an error of the single frame."""
-    shared_index: IntArray
+    shared_error_index: IntArray
     """(f, 7) index of the error that frames share; -1 for none."""
-    shared_actuator: IntArray
+    shared_error_actuator: IntArray
     """(r,) actuator of each shared error."""
 
     @classmethod
-    def of(cls, head: HeadModel, frames: HeadFrames) -> "JointErrors":
+    def of(cls, head: HeadModel, frames: HeadFrames) -> "ReadingErrorUnknowns":
         """Find the unknown reading errors of frames.
 
         Args:
@@ -102,7 +104,7 @@ class JointErrors:
             frames: frames in the order of time.
         """
         own = head.actuation
-        angles = own.actuators_of(frames.positions)
+        angles = own.actuators_of(frames.joint_positions)
         sigma = np.asarray(Noise.of(head).joint_rad)
         step = np.maximum(own.angle_step, own.backlash)
         moves = np.asarray(own.upper > own.lower) & (sigma > 0.0)

@@ -25,7 +25,7 @@ class RawRecording(NamedTuple):
     files: tuple[str, ...]
     """Names of the files that were read."""
     remarks: tuple[str, ...] = ()
-    failures: tuple[str, ...] = ()
+    read_errors: tuple[str, ...] = ()
     head_identity: str = ""
     """Identity of the head that looked, if the logs distinguish heads with the same file."""
 
@@ -44,7 +44,7 @@ class RawRecording(NamedTuple):
         return HeadFrames(
             target=self.target,
             time_s=np.array([sight.time_s for sight in self.sights], dtype=np.float64),
-            positions=np.array([sight.positions for sight in self.sights]).reshape(count, 7),
+            joint_positions=np.array([sight.positions for sight in self.sights]).reshape(count, 7),
             pixels=pixels,
             sigma=sigma,
             placement=np.array(self.placement, dtype=np.intp),

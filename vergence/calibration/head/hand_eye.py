@@ -64,7 +64,7 @@ class HeadEyeFit(NamedTuple):
     """(2, 4, 4) T_6_Cl and T_9_Cr, see `HeadModel.head_eye`."""
     rms_px: float
     """Root mean square reprojection error of the kept views' corners, px."""
-    kept: BoolArray
+    kept_views: BoolArray
     """(2, f) True for kept views, the inliers."""
 
 
@@ -88,7 +88,7 @@ class _Views(NamedTuple):
         boards = np.tile(np.eye(4), (2, len(frames.time_s), 1, 1))
         for eye, poses in enumerate(board_in_cameras(head, frames)):
             boards[eye, :, :3, :3], boards[eye, :, :3, 3] = poses
-        q = frames.positions
+        q = frames.joint_positions
         links = np.moveaxis(head.link_poses(q), -3, 0)
         seen = frames.seen.sum(axis=-1) >= LEAST_CORNERS
         return cls(frames, links, head.base_pose(q), boards, seen)
@@ -126,7 +126,7 @@ def solve_each_eye(head: HeadModel, frames: HeadFrames) -> HeadEyeFit:
         group = np.unique(place[mine], return_inverse=True)[1]
         solved = solve_poses(A, inverse_pose(views.boards[eye, mine]), group, f"the {name} eye")
         found.append(solved.X)
-        kept[eye, mine] = solved.kept
+        kept[eye, mine] = solved.kept_poses
         predicted[eye, mine] = inverse_pose(A @ solved.X) @ solved.Y[group]
     return HeadEyeFit(np.stack(found), views.rms_px(head, predicted, kept), kept)
 
@@ -152,7 +152,7 @@ def solve_both_eyes(head: HeadModel, frames: HeadFrames) -> HeadEyeFit:
     between = inverse_pose(head_eye[0]) @ B @ head_eye[1]
     predicted, kept = np.array(views.boards), np.zeros_like(views.seen)
     predicted[0, both], predicted[1, both] = between @ right, inverse_pose(between) @ left
-    kept[:, both] = solved.kept
+    kept[:, both] = solved.kept_poses
     return HeadEyeFit(head_eye, views.rms_px(head, predicted, kept), kept)
 
 
@@ -181,6 +181,6 @@ def refine_by_reprojection(head: HeadModel, frames: HeadFrames, start: HeadEyeFi
     residuals = fit.solution.normal.residuals * problem.frames.sigma
     return HeadEyeFit(
         np.asarray(fit.solution.head.head_eye),
-        rms_length(residuals[fit.kept]),
-        np.asarray(fit.kept.any(axis=-1)),
+        rms_length(residuals[fit.kept_corners]),
+        np.asarray(fit.kept_corners.any(axis=-1)),
     )

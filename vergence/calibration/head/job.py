@@ -47,7 +47,7 @@ class HeadJob:
 
     head: HeadModel
     recording: HeadRecording
-    cameras: bool
+    estimate_cameras: bool
     terms: tuple[str, ...]
     name: str
     head_file_name: str
@@ -64,7 +64,7 @@ class HeadJob:
             found = calibrate_head(
                 self.head,
                 recorded.frames,
-                cameras=self.cameras,
+                estimate_cameras=self.estimate_cameras,
                 terms=self.terms,
                 progress=progress,
             )
@@ -87,7 +87,7 @@ class HeadJob:
             **result_document(found, dark),
             "recording": self.recording_path,
             "remarks": [*recorded.remarks, *found.remarks],
-            "not_read": list(recorded.failures),
+            "not_read": list(recorded.read_errors),
         }
         return HeadOutcome(
             head_file=text, document=told, unobservable=dark, files=files, refusal=""

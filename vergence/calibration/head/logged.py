@@ -20,7 +20,7 @@ from vergence.recording.schema import LoggedDetection
 
 AT_REST: Final = "at_rest"
 """Name of a log's fact that is `True` if every image was taken at rest."""
-LOOKS: Final = "looks"
+HEAD_IDENTITY: Final = "looks"
 """Name of a log's fact that distinguishes heads with the same file."""
 PLACEMENT: Final = "placement"
 """Name of a log's fact with the number of the board's placement."""
@@ -91,7 +91,7 @@ def read_logs(
             continue
         target = _target_of(log, target)
         _refuse_other_joints(log, head)
-        looked.setdefault(log.facts.get(LOOKS, ""), path.name)
+        looked.setdefault(log.facts.get(HEAD_IDENTITY, ""), path.name)
         if len(looked) > 1:
             first, second = looked.values()
             raise ConfigurationError(
@@ -106,7 +106,7 @@ def read_logs(
             begins_s = sights[-1].time_s + _LOG_GAP_S
         moving += moved
         unlike += log.head.digest != head.digest
-        cut += bool(log.cut_off)
+        cut += bool(log.truncation_reason)
         if progress is not None:
             progress(number / len(paths))
     if target is None or not files:

@@ -61,7 +61,7 @@ def find_new_placement(
     lost = enough.any(axis=0) & ~views.any(axis=0)
     if len(np.unique(frames.pose[lost])) < _LEAST_POSES:
         return None
-    some = frames.of(lost)
+    some = frames.select(lost)
     start = estimate_consensus_board_poses(
         solution.head, replace(some, placement=np.zeros(lost.sum(), dtype=np.intp))
     )
@@ -108,15 +108,15 @@ def find_small_board_motion(solution: HeadSolution) -> FramesWithNewPlacement | 
     problem = solution.problem
     frames = problem.frames
     normal = problem.linearised(solution.state, solution.weights, keep_frame_parts=True)
-    assert normal.by_frame is not None
-    blocks, slopes = normal.by_frame
+    assert normal.frame_contributions is not None
+    blocks, slopes = normal.frame_contributions
     size, six = problem.shared_count, np.arange(6)
     inverse = np.linalg.inv(normal.matrix)
     best, when = 0.0, 0
     board = problem.common_count
     across, own, pull = np.zeros((size + 1, 6)), np.zeros((6, 6)), np.zeros(6)
     for frame in range(len(frames.time_s) - 1, 0, -1):
-        columns = problem.columns[frame]
+        columns = problem.frame_columns[frame]
         np.add.at(across, columns, blocks[frame][:, board + six])
         own += blocks[frame][np.ix_(board + six, board + six)]
         pull += slopes[frame][board + six]

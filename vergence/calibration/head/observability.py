@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence.calibration.adjustment import BoardPoses
-from vergence.calibration.head.chain import ParametricHead, board_points
+from vergence.calibration.head.chain import ParametricHead, board_points_and_offsets
 from vergence.calibration.head.solution import HeadSolution
 from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
@@ -119,7 +119,7 @@ def unobservable_directions(solution: HeadSolution) -> tuple[UnobservableDirecti
 def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
     """Jacobians of pixels at various fixations, by head parameters and by rigid motions in N."""
     head = solution.head
-    chain = ParametricHead(solution.problem.nominal_head, solution.state.values)
+    chain = ParametricHead(solution.problem.nominal_head, solution.state.head_parameters)
     points = np.array(
         [[z * x, z * y, z] for z in _DISTANCES_M for x, y in _FIXATION_SLOPES], dtype=np.float64
     )
@@ -133,13 +133,13 @@ def _effects(solution: HeadSolution) -> tuple[FloatArray, FloatArray]:
     q = own.joints_of(own.actuators_of(np.nan_to_num(q)) + beside * (own.upper > own.lower))
     T = head.base_pose(q[0])
     boards = BoardPoses(np.broadcast_to(T[:3, :3], (len(q), 3, 3)), points @ T[:3, :3].T + T[:3, 3])
-    there, _ = board_points(np.zeros((1, 3)), boards, np.arange(len(q)))
+    there, _ = board_points_and_offsets(np.zeros((1, 3)), boards, np.arange(len(q)))
     turned = there - T[:3, 3]
     moved, rigid = [], []
     into_n = np.kron(np.eye(2), T[:3, :3])
     for eye in range(2):
         seen = chain.project_board(eye, q, there, turned)
-        rows = np.zeros((len(q), 2, len(solution.state.values)))
+        rows = np.zeros((len(q), 2, len(solution.state.head_parameters)))
         rows[:, :, chain.eye_parameter_indices[eye]] = seen.head_jacobian[:, 0]
         visible = np.isfinite(seen.pixels[:, 0]).all(axis=-1)
         moved.append(rows[visible].reshape(-1, rows.shape[-1]))

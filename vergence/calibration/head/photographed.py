@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from vergence.calibration.head.gathered import MOST_PLACES, RawRecording
-from vergence.calibration.observations import Observations, detect_board_corners
+from vergence.calibration.observations import BoardObservations, detect_board_corners
 from vergence.errors import ConfigurationError
 from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
@@ -126,8 +126,8 @@ def _read(head: HeadModel, row: Row, where: str) -> _Taken:
     return _Taken(parse_joint_angles(head, angles, where), int(placement), time_s)
 
 
-def _refuse_other_sizes(path: Path, head: HeadModel, observations: Observations) -> None:
-    for eye, size in zip(EYE_NAMES, observations.sizes, strict=True):
+def _refuse_other_sizes(path: Path, head: HeadModel, observations: BoardObservations) -> None:
+    for eye, size in zip(EYE_NAMES, observations.image_sizes, strict=True):
         own = tuple(head.cameras.size[EYE_NAMES.index(eye)].tolist())
         if own != size:
             raise ConfigurationError(

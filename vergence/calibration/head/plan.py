@@ -29,12 +29,12 @@ _NECK_WEIGHT: Final = 0.5
 """Weight of the neck's whole range relative to the board crossing the whole image (chosen)."""
 
 
-class BoardScene(NamedTuple):
-    """Estimated position of a board."""
+class EstimatedBoard(NamedTuple):
+    """A head model, and the corners of the board in frame 0 as each eye of that head sees them."""
 
     head: HeadModel
     """The estimated head."""
-    corners: FloatArray
+    corners_by_eye: FloatArray
     """(2, n, 3) the board's corners in frame 0, m, as seen by each eye of that head."""
     is_fitted: bool
     """True if head and corners come from a fit to many views."""
@@ -44,12 +44,12 @@ class BoardScene(NamedTuple):
         T_0_N = self.head.base_pose(q)[..., None, :, :]
         found = []
         for eye in range(2):
-            inside = (self.corners[eye] - T_0_N[..., :3, 3]) @ T_0_N[..., 0, :3, :3]
+            inside = (self.corners_by_eye[eye] - T_0_N[..., :3, 3]) @ T_0_N[..., 0, :3, :3]
             found.append(self.head.project(q[..., None, :], inside)[..., eye, :])
         return np.stack(found, axis=-3)
 
 
-def estimate_board_scene(head: HeadModel, frames: HeadFrames) -> BoardScene:
+def estimate_board_by_last_views(head: HeadModel, frames: HeadFrames) -> EstimatedBoard:
     """Estimate the board's position by the last view of each eye, through the nominal head.
 
     An eye's error recurs in its next view. Therefore each eye keeps the position by its own view;
@@ -60,8 +60,8 @@ def estimate_board_scene(head: HeadModel, frames: HeadFrames) -> BoardScene:
         frames: frames with at least one view of four corners.
     """
     enough = frames.seen.sum(axis=-1) >= 4
-    T_0_N = head.base_pose(frames.positions)
-    T_0_C = T_0_N[:, None] @ head.camera_poses(frames.positions)
+    T_0_N = head.base_pose(frames.joint_positions)
+    T_0_C = T_0_N[:, None] @ head.camera_poses(frames.joint_positions)
     corners: list[FloatArray | None] = [None, None]
     for eye, poses in enumerate(board_in_cameras(head, frames)):
         if enough[eye].any():
@@ -71,7 +71,7 @@ def estimate_board_scene(head: HeadModel, frames: HeadFrames) -> BoardScene:
     there = [
         one if one is not None else other for one, other in zip(corners, corners[::-1], strict=True)
     ]
-    return BoardScene(head, np.array(there, dtype=np.float64), False)
+    return EstimatedBoard(head, np.array(there, dtype=np.float64), False)
 
 
 class PosePlanner:
@@ -87,7 +87,7 @@ class PosePlanner:
         self._rng, self._keep = rng, dither_rad + _LIMIT_DISTANCE_RAD
         self._used = list(used)
 
-    def next_pose(self, scene: BoardScene) -> FloatArray:
+    def next_pose(self, scene: EstimatedBoard) -> FloatArray:
         """Choose the posture most different from earlier ones with the board inside both images.
 
         Args:
@@ -115,7 +115,7 @@ class PosePlanner:
             "the head turns: put it farther away, or before the middle of the head"
         )
 
-    def _candidates(self, scene: BoardScene) -> FloatArray:
+    def _candidates(self, scene: EstimatedBoard) -> FloatArray:
         """(k, 7) random joint angles with the board somewhere near both images."""
         rng, head = self._rng, scene.head
         own, rest = head.actuation, head.rest()
@@ -127,7 +127,7 @@ class PosePlanner:
         stretched = np.zeros((_CANDIDATES, 7))
         stretched[:, NECK] = neck
         T_0_N = head.base_pose(stretched)
-        middle = scene.corners.mean(axis=(0, 1))
+        middle = scene.corners_by_eye.mean(axis=(0, 1))
         there = np.einsum("kji,kj->ki", T_0_N[:, :3, :3], middle - T_0_N[:, :3, 3])
         half_view = 0.5 * head.cameras.size.min(axis=0) / head.cameras.focal.max(axis=0)
         aside = rng.uniform(-1.0, 1.0, (_CANDIDATES, 2)) * half_view
@@ -142,7 +142,7 @@ class PosePlanner:
         keep = np.minimum(self._keep, 0.5 * (own.upper - own.lower))
         return own.joints_of(np.clip(actuators, own.lower + keep, own.upper - keep))
 
-    def _farthest(self, scene: BoardScene, q: FloatArray) -> FloatArray:
+    def _farthest(self, scene: EstimatedBoard, q: FloatArray) -> FloatArray:
         """Choose the posture farthest from the nearest used one, by `_features`."""
         if not self._used:
             return np.asarray(q[0])
@@ -151,7 +151,7 @@ class PosePlanner:
         return np.asarray(q[int(nearest.argmax())])
 
 
-def _features(scene: BoardScene, q: FloatArray) -> FloatArray:
+def _features(scene: EstimatedBoard, q: FloatArray) -> FloatArray:
     """(k, 7) features to compare postures: the board's position in both images, and the neck."""
     places = np.nan_to_num(scene.pixels(q).mean(axis=-2) / scene.head.cameras.size)
     neck = _NECK_WEIGHT / (2.0 * _FARTHEST_NECK_RAD) * q[:, NECK]

@@ -50,7 +50,7 @@ class PoseSolution(NamedTuple):
     """(4, 4) X."""
     Y: FloatArray
     """(g, 4, 4) Y of each group."""
-    kept: BoolArray
+    kept_poses: BoolArray
     """(n,) True for kept poses, the inliers."""
 
 

@@ -10,7 +10,7 @@ from vergence.calibration.head.fit import fit_robustly
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.prior import parameter_prior_sigma
 from vergence.calibration.head.start import estimate_consensus_board_poses
-from vergence.calibration.head.uncertainty import head_covariance
+from vergence.calibration.head.uncertainty import head_and_term_covariance
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
@@ -54,13 +54,13 @@ def preview_calibration(
         problem = HeadAdjustment(head, parameter_prior_sigma(head), begin.frames)
         near = problem.start(begin.boards)
         if previous is not None:
-            near = near._replace(values=previous.values)
+            near = near._replace(head_parameters=previous.values)
         found = fit_robustly(problem, begin.boards, begin.inlier_views, near).solution
-        covariance = head_covariance(found)
+        covariance = head_and_term_covariance(found)
     except np.linalg.LinAlgError:
         return None
-    sigma = depth_sigma_m(head, found.state.values, covariance)
-    values = found.state.values
+    sigma = depth_sigma_m(head, found.state.head_parameters, covariance)
+    values = found.state.head_parameters
     if not np.isfinite(sigma).all():
         return None
     return CalibrationPreview(

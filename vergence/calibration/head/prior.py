@@ -29,14 +29,14 @@ _OTHER_COEFFICIENT_SIGMA: Final = 0.1
 """Prior standard deviation of other lens coefficients (chosen)."""
 
 
-def parameter_prior_sigma(head: HeadModel, cameras: bool = True) -> FloatArray:
+def parameter_prior_sigma(head: HeadModel, estimate_cameras: bool = True) -> FloatArray:
     """(p,) prior standard deviations of a head's parameters, see `HeadModel.parameters`.
 
     Camera parameters take them from the head's calibration record, if it has them.
 
     Args:
         head: the nominal head.
-        cameras: True to estimate the cameras too; else their deviations are 0.
+        estimate_cameras: True to estimate the cameras too; else their deviations are 0.
     """
     names = head.parameters().names
     spreads = standard_deviations(head.geometry, PRIOR)
@@ -49,6 +49,6 @@ def parameter_prior_sigma(head: HeadModel, cameras: bool = True) -> FloatArray:
             spreads[place] = _COEFFICIENT_SIGMA.get(own, _OTHER_COEFFICIENT_SIGMA)
         if record is not None and name in record.sigma:
             spreads[place] = record.sigma[name]
-        if not cameras:
+        if not estimate_cameras:
             spreads[place] = 0.0
     return spreads

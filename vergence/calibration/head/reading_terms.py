@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.calibration.head.frames import POSE_RAD, HeadFrames
+from vergence.calibration.head.frames import SAME_POSE_RAD, HeadFrames
 from vergence.models.head import HeadModel
 from vergence.models.joints import NECK
 from vergence.models.parts import FloatArray
@@ -32,20 +32,20 @@ _HARMONICS: Final = {"cos1": (1, np.cos), "sin1": (1, np.sin), "cos2": (2, np.co
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ReadingTerms:
-    """Reading-error terms of some frames, and the prior of their parameters."""
+class ReadingErrorTerms:
+    """Terms that model systematic reading errors: backlash, and harmonics of the encoders."""
 
     names: tuple[str, ...] = ()
     """(t,) names such as `left_pan.play` and `left_pan.cos1`."""
-    actuator: IntArray
+    actuator_index: IntArray
     """(t,) actuator of each term, of the neck's three joints and the eyes' four actuators."""
     prior_mean: FloatArray
     """(t,) prior means of the parameters, rad."""
-    sigma: FloatArray
+    prior_sigma: FloatArray
     """(t,) prior standard deviations of the parameters, rad; 0 for fixed ones."""
-    readings: FloatArray
+    actuator_readings: FloatArray
     """(F, 7) the actuators' angles, rad, in all frames in the order of time."""
-    frames: IntArray
+    frame_index: IntArray
     """(f,) indices of the selected frames."""
     harmonic_mean: FloatArray
     """(t,) mean of each harmonic of the eyes over all frames; 0 for other terms."""
@@ -53,7 +53,7 @@ class ReadingTerms:
     @classmethod
     def of_frames(
         cls, head: HeadModel, frames: HeadFrames, kinds: Collection[str]
-    ) -> "ReadingTerms":
+    ) -> "ReadingErrorTerms":
         """Make terms for all actuators that move.
 
         Args:
@@ -61,14 +61,16 @@ class ReadingTerms:
             frames: frames in the order of time.
             kinds: some of `TERM_KINDS`.
         """
-        readings = head.actuation.actuators_of(frames.positions)
+        readings = head.actuation.actuators_of(frames.joint_positions)
         every = np.arange(len(readings))
-        return replace(NO_TERMS, readings=readings, frames=every).with_terms(head, kinds)
+        return replace(NO_TERMS, actuator_readings=readings, frame_index=every).with_terms(
+            head, kinds
+        )
 
-    def with_terms(self, head: HeadModel, kinds: Collection[str]) -> "ReadingTerms":
+    def with_terms(self, head: HeadModel, kinds: Collection[str]) -> "ReadingErrorTerms":
         """Make other terms for the same readings, see `of_frames`."""
-        own, readings = head.actuation, self.readings
-        moves = (own.upper > own.lower) & (np.ptp(readings, axis=0) > POSE_RAD)
+        own, readings = head.actuation, self.actuator_readings
+        moves = (own.upper > own.lower) & (np.ptp(readings, axis=0) > SAME_POSE_RAD)
         names, joint, sigma = [], [], []
         for kind in TERM_KINDS:
             for each in np.flatnonzero(moves).tolist() if kind in kinds else ():
@@ -80,9 +82,9 @@ class ReadingTerms:
         return replace(
             self,
             names=tuple(names),
-            actuator=np.array(joint, dtype=np.intp),
+            actuator_index=np.array(joint, dtype=np.intp),
             prior_mean=np.zeros(len(names)),
-            sigma=np.array(sigma, dtype=np.float64),
+            prior_sigma=np.array(sigma, dtype=np.float64),
             harmonic_mean=np.array([wave.mean() for wave in waves])
             * (np.array(joint) >= NECK.stop),
         )
@@ -97,13 +99,13 @@ class ReadingTerms:
         """(t,) True for backlash."""
         return np.array([kind == "play" for kind in self.kinds], dtype=np.bool_)
 
-    def of(self, frames: NDArray[np.bool_]) -> "ReadingTerms":
+    def select(self, frames: NDArray[np.bool_]) -> "ReadingErrorTerms":
         """Select some of the frames."""
-        return self if self is NO_TERMS else replace(self, frames=self.frames[frames])
+        return self if self is NO_TERMS else replace(self, frame_index=self.frame_index[frames])
 
-    def fixed_at(self, values: FloatArray) -> "ReadingTerms":
+    def fixed_at(self, values: FloatArray) -> "ReadingErrorTerms":
         """Fix the parameters at values (t,)."""
-        return replace(self, prior_mean=values, sigma=np.zeros(len(values)))
+        return replace(self, prior_mean=values, prior_sigma=np.zeros(len(values)))
 
     def evaluate(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Evaluate the terms, which add to the readings.
@@ -115,7 +117,7 @@ class ReadingTerms:
             (f, 7) sum of the terms by actuator, rad, and (f, t) derivative of each term's actuator
             angle by its parameter.
         """
-        angles = self.readings[:, self.actuator]
+        angles = self.actuator_readings[:, self.actuator_index]
         by = np.zeros_like(angles)
         for column, name in enumerate(self.names):
             by[:, column] = _harmonic(name, angles[:, column]) - self.harmonic_mean[column]
@@ -123,17 +125,18 @@ class ReadingTerms:
         added[:, is_backlash], by[:, is_backlash] = _backlash_offset(
             angles[:, is_backlash], values[is_backlash]
         )
-        return added[self.frames] @ np.eye(7)[self.actuator], by[self.frames]
+        return added[self.frame_index] @ np.eye(7)[self.actuator_index], by[self.frame_index]
 
     def linearised_sum(self, values: FloatArray, other_values: FloatArray) -> FloatArray:
         """(f, 7) sum of the terms with other parameters, linearised at given ones."""
         added, by = self.evaluate(values)
-        return added + (by * (other_values - values)) @ np.eye(7)[self.actuator]
+        return added + (by * (other_values - values)) @ np.eye(7)[self.actuator_index]
 
 
-NO_TERMS: Final = ReadingTerms(
-    actuator=np.zeros(0, dtype=np.intp), prior_mean=np.zeros(0), sigma=np.zeros(0),
-    readings=np.zeros((1, 7)), frames=np.zeros(1, dtype=np.intp), harmonic_mean=np.zeros(0),
+NO_TERMS: Final = ReadingErrorTerms(
+    actuator_index=np.zeros(0, dtype=np.intp), prior_mean=np.zeros(0), prior_sigma=np.zeros(0),
+    actuator_readings=np.zeros((1, 7)), frame_index=np.zeros(1, dtype=np.intp),
+    harmonic_mean=np.zeros(0),
 )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vergence.calibration.head.calibrate_head import sort_and_drop_frames
+from vergence.calibration.head.calibrate_head import sort_and_clean_frames
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.logged import list_logs, read_logs
 from vergence.calibration.head.photographed import holds_photographs, read_photographs
@@ -26,7 +26,7 @@ class HeadRecording:
     """Names of the files that it was read from."""
     remarks: tuple[str, ...]
     """Remarks on data that was left out or does not quite fit, a line each."""
-    failures: tuple[str, ...]
+    read_errors: tuple[str, ...]
     """Files that could not be read, a line each."""
 
     @property
@@ -34,7 +34,7 @@ class HeadRecording:
         """Digest of board, corners, joint angles and placements; rounded to 1e-6 px, 1e-9 rad."""
         frames = self.frames
         sha = hashlib.sha256(str(frames.target).encode())
-        for values, digits in ((frames.pixels, 6), (frames.sigma, 6), (frames.positions, 9)):
+        for values, digits in ((frames.pixels, 6), (frames.sigma, 6), (frames.joint_positions, 9)):
             # adding 0 makes -0 positive
             rounded = np.round(np.nan_to_num(values, nan=-1.0), digits) + 0.0
             sha.update(rounded.astype("<f8").tobytes())
@@ -72,7 +72,7 @@ def read_recording(
             f"target: expected a size in mm, which all lengths come from, got {found.target}"
         )
     every = found.frames()
-    frames = order_frames(every)
+    frames = clean_and_renumber_frames(every)
     if not len(frames.time_s):
         raise ConfigurationError(
             f"{path}: expected frames that show {found.target}, got none in {len(every.time_s)}"
@@ -87,12 +87,12 @@ def read_recording(
         frames=frames,
         files=found.files,
         remarks=tuple(remarks),
-        failures=found.failures,
+        read_errors=found.read_errors,
     )
 
 
-def order_frames(frames: HeadFrames) -> HeadFrames:
-    """Tidy frames, see `sort_and_drop_frames`, and number the board's placements without gaps."""
-    frames = sort_and_drop_frames(frames)
+def clean_and_renumber_frames(frames: HeadFrames) -> HeadFrames:
+    """Tidy frames, see `sort_and_clean_frames`, and number the board's placements without gaps."""
+    frames = sort_and_clean_frames(frames)
     places = np.unique(frames.placement, return_inverse=True)[1]
     return replace(frames, placement=places.astype(np.intp))

@@ -60,7 +60,7 @@ def write_run(
     unobservable: Sequence[UnobservableDirection],
     head_file_text: str,
     head_file_name: str,
-    recording: Mapping[str, str],
+    provenance: Mapping[str, str],
 ) -> None:
     """Write a calibration's head file, its tables and its report.
 
@@ -70,7 +70,7 @@ def write_run(
         unobservable: unobservable directions of the recording.
         head_file_text: content of the head file.
         head_file_name: name of that file.
-        recording: facts on the origin of the frames, by name.
+        provenance: facts on the origin of the frames, by name.
     """
     (folder / head_file_name).write_text(head_file_text, encoding="utf-8")
     names, units, before = calibration.nominal_head.parameters()
@@ -81,7 +81,7 @@ def write_run(
         {
             **result_document(calibration, unobservable),
             "left_out_views": [one._asdict() for one in left_out_views(calibration)],
-            "recording": dict(recording),
+            "recording": dict(provenance),
             "noisier": {
                 each: float(times)
                 for each, times in zip(
@@ -92,7 +92,7 @@ def write_run(
             "names": list(names),
             "units": list(units),
             "before": before.tolist(),
-            "after": calibration.solution.state.values.tolist(),
+            "after": calibration.solution.state.head_parameters.tolist(),
             "sigma": calibration.sigma.tolist(),
             "believed_sigma": own.prior_sigma.tolist(),
             "covariance": calibration.covariance.tolist(),
@@ -100,7 +100,7 @@ def write_run(
         },
     )
     _write_views(folder / "views.csv", calibration)
-    write_report(folder, calibration, unobservable, head_file_name, recording)
+    write_report(folder, calibration, unobservable, head_file_name, provenance)
 
 
 def result_document(
@@ -129,8 +129,8 @@ def result_document(
         "noise": calibration.solution.reduced_chi,
         "rms_px": rms_length(figures.residuals_px(calibration)),
         "rms_heldout_sigma": null_nonfinite_rows(_heldout(calibration)),
-        "views": int(calibration.views.sum()),
-        "left_out": int((views & ~calibration.views).sum()),
+        "views": int(calibration.kept_views.sum()),
+        "left_out": int((views & ~calibration.kept_views).sum()),
         "frames": len(calibration.frames.time_s),
         "poses": int(calibration.frames.pose.max()) + 1,
         "placements": int(calibration.frames.placement.max()) + 1,
@@ -145,8 +145,12 @@ def result_document(
 
 def _heldout(calibration: HeadCalibration) -> float:
     """Root mean square cross-validation error in units of sigma; nan without any view."""
-    known = np.isfinite(calibration.held_out)
-    return float(np.sqrt(np.mean(calibration.held_out[known]))) if known.any() else float("nan")
+    known = np.isfinite(calibration.held_out_mean_squares)
+    return (
+        float(np.sqrt(np.mean(calibration.held_out_mean_squares[known])))
+        if known.any()
+        else float("nan")
+    )
 
 
 def left_out_views(calibration: HeadCalibration) -> list[LeftOutView]:
@@ -155,8 +159,8 @@ def left_out_views(calibration: HeadCalibration) -> list[LeftOutView]:
     Args:
         calibration: the calibration.
     """
-    frames, residuals = calibration.frames, figures.view_rms(calibration)
-    usual = float(np.median(residuals[calibration.views]))
+    frames, residuals = calibration.frames, figures.normalised_view_rms(calibration)
+    usual = float(np.median(residuals[calibration.kept_views]))
     count = frames.seen.sum(axis=-1)
 
     def why(eye: int, frame: int) -> str:
@@ -169,7 +173,7 @@ def left_out_views(calibration: HeadCalibration) -> list[LeftOutView]:
             return f"{left:.3g} times sigma, where others leave {usual:.2g}"
         return "an angle that was read wrong"
 
-    lost = np.argwhere((count > 0).T & ~calibration.views.T)
+    lost = np.argwhere((count > 0).T & ~calibration.kept_views.T)
     return [
         LeftOutView(float(frames.time_s[frame]), EYE_NAMES[eye], why(eye, frame))
         for frame, eye in lost.tolist()
@@ -181,7 +185,7 @@ def _write_views(path: Path, calibration: HeadCalibration) -> None:
     frames = calibration.frames
     residuals = calibration.solution.normal.residuals * frames.sigma
     counted = figures.kept_or_found_corners(calibration)
-    held_out = np.sqrt(calibration.held_out)
+    held_out = np.sqrt(calibration.held_out_mean_squares)
     with path.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file)
         table.writerow(
@@ -198,7 +202,7 @@ def _write_views(path: Path, calibration: HeadCalibration) -> None:
                     int(frames.pose[frame]),
                     int(frames.placement[frame]),
                     EYE_NAMES[eye],
-                    bool(calibration.views[eye, frame]),
+                    bool(calibration.kept_views[eye, frame]),
                     int(mine.sum()),
                     *(repr(each) if np.isfinite(each) else "" for each in numbers),
                 ]
@@ -210,7 +214,7 @@ def write_report(
     calibration: HeadCalibration,
     unobservable: Sequence[UnobservableDirection],
     head_file_name: str,
-    recording: Mapping[str, str],
+    provenance: Mapping[str, str],
 ) -> None:
     """Write calibration.html, which is self-contained.
 
@@ -219,7 +223,7 @@ def write_report(
         calibration: the calibration.
         unobservable: unobservable directions of the recording.
         head_file_name: name of the calibration's head file.
-        recording: facts on the origin of the frames, by name.
+        provenance: facts on the origin of the frames, by name.
     """
     drawn = _figures(calibration).items()
     depth = predict_depth_errors(calibration, points_ahead(np.array(_SUMMARY_DISTANCES_M)))
@@ -229,7 +233,7 @@ def write_report(
         **result_document(calibration, unobservable),
         head=calibration.nominal_head.name,
         name=head_file_name,
-        recording=recording,
+        provenance=provenance,
         headline=_headline(depth),
         eyes=EYE_NAMES,
         maps=[f"{each:g}" for each in _MAP_DISTANCES_M],
@@ -259,15 +263,15 @@ def _headline(depth: DepthErrors) -> list[tuple[str, str, str]]:
 
 def _figures(calibration: HeadCalibration) -> dict[str, Figure]:
     """Draw all figures, by name."""
-    drawn = {"depth": depth_figures.depth_by_distance(calibration)}
+    drawn = {"depth": depth_figures.depth_error_by_distance(calibration)}
     for distance in _MAP_DISTANCES_M:
-        drawn[f"map-{distance:g}"] = depth_figures.depth_map(calibration, distance)
+        drawn[f"map-{distance:g}"] = depth_figures.depth_error_maps(calibration, distance)
     drawn["views"] = figures.residuals_over_time(calibration)
     for eye, name in enumerate(EYE_NAMES):
         drawn[f"residuals-{name}"] = figures.residual_field(calibration, eye)
         drawn[f"coverage-{name}"] = figures.corner_coverage(calibration, eye)
     drawn["joints"] = figures.joint_angle_coverage(calibration)
-    if figures.single_reading_errors(calibration):
+    if figures.determined_reading_errors(calibration):
         drawn["readings"] = figures.reading_error_histograms(calibration)
     if len(figures.correlated_parameters(calibration)):
         drawn["correlations"] = figures.parameter_correlations(calibration)
@@ -279,7 +283,7 @@ def _number_rows(calibration: HeadCalibration) -> list[list[str]]:
     own, rows = calibration.solution.problem, []
     for name, unit, before, after, sigma, spread in zip(
         *calibration.nominal_head.parameters()[:2], own.prior_mean.tolist(),
-        calibration.solution.state.values.tolist(), calibration.sigma.tolist(),
+        calibration.solution.state.head_parameters.tolist(), calibration.sigma.tolist(),
         own.prior_sigma.tolist(), strict=True,
     ):  # fmt: skip
         scale, said, digits = _UNIT_FORMATS[unit]

@@ -8,7 +8,7 @@ import numpy as np
 
 from vergence.calibration.head.frames import HeadFrames
 from vergence.calibration.head.gathered import RawRecording
-from vergence.calibration.head.plan import estimate_board_scene
+from vergence.calibration.head.plan import estimate_board_by_last_views
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -68,10 +68,10 @@ def find_board(looker: Looker, first_guesses: Sequence[FloatArray] = ()) -> Head
 
 def _towards(head: HeadModel, frame: HeadFrames) -> FloatArray:
     """(7,) joint angles that turn both eyes to a board that one of them has seen."""
-    T_0_N = head.base_pose(frame.positions[0])
-    middle = estimate_board_scene(head, frame).corners.mean(axis=(0, 1))
+    T_0_N = head.base_pose(frame.joint_positions[0])
+    middle = estimate_board_by_last_views(head, frame).corners_by_eye.mean(axis=(0, 1))
     inside = T_0_N[:3, :3].T @ (middle - T_0_N[:3, 3])
-    return _within(head, head.fixate(inside, frame.positions[0, :3], warn=False))
+    return _within(head, head.fixate(inside, frame.joint_positions[0, :3], warn=False))
 
 
 def _within(head: HeadModel, q: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.calibration.adjustment import BoardPoses
-from vergence.calibration.head.chain import ParametricHead, board_points
+from vergence.calibration.head.chain import ParametricHead, board_points_and_offsets
 from vergence.calibration.head.frames import HeadFrames
 from vergence.errors import ConfigurationError
 from vergence.models.boards import TagFamily
@@ -146,7 +146,9 @@ def simulate_recording(
         motors = np.clip(q, own.lower, own.upper) + dither
         outputs, then = reading_errors.output_angles(motors, behind)
         turned = own.joints_of(outputs)
-        points, directions = board_points(corners, boards, np.full(frames_per_pose, place))
+        points, directions = board_points_and_offsets(
+            corners, boards, np.full(frames_per_pose, place)
+        )
         seen = np.stack(
             [chain.project_board(eye, turned, points, directions).pixels for eye in range(2)]
         )
@@ -166,7 +168,7 @@ def simulate_recording(
         frames=HeadFrames(
             target=board,
             time_s=0.1 * np.arange(len(true_q), dtype=np.float64),
-            positions=quantised(head, np.concatenate(read)),
+            joint_positions=quantised(head, np.concatenate(read)),
             pixels=np.concatenate(pixels, axis=1),
             sigma=np.full((2, len(true_q), len(corners), 2), noise_px),
             placement=np.array(placement, dtype=np.intp),

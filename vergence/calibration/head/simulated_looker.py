@@ -14,7 +14,7 @@ from vergence.models.boards import PlanarTarget
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording.looking import BoardView
-from vergence.vision import EyeCamera, TargetDrawing, make_detector
+from vergence.vision import EyeCamera, TargetRenderer, make_detector
 
 _LOOK_S: Final = 1.0
 """Simulated time per look, s (chosen)."""
@@ -81,7 +81,7 @@ class SimulatedLooker:
         self._plant = simulation_of(make_plant("kinematic", head, true_head=true_head))
         self._seed = rng.integers(2**63, size=1, dtype=np.uint64)
         self._drawings = [
-            TargetDrawing(EyeCamera.of(self._true, eye), target, head.rendering)
+            TargetRenderer(EyeCamera.of(self._true, eye), target, head.rendering)
             for eye in range(2 if drawn else 0)
         ]
         self._detectors = [

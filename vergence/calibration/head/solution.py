@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, NormalEquations, Weights
+from vergence.calibration.head.adjust import (
+    HeadAdjustment,
+    HeadUnknowns,
+    MeasurementWeights,
+    ReducedNormalEquations,
+)
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -33,17 +38,17 @@ _MOST_DAMPING: Final = 1e9
 
 @dataclass(frozen=True, eq=False)
 class HeadSolution:
-    """The head that fits best, and the normal equations there."""
+    """Unknowns with the least cost, the normal equations there, and the weights used."""
 
     problem: HeadAdjustment
     state: HeadUnknowns
-    normal: NormalEquations
-    weights: Weights
+    normal: ReducedNormalEquations
+    weights: MeasurementWeights
 
     @cached_property
     def head(self) -> HeadModel:
         """The fitted head."""
-        return self.problem.nominal_head.with_parameters(self.state.values)
+        return self.problem.nominal_head.with_parameters(self.state.head_parameters)
 
     @cached_property
     def squares(self) -> FloatArray:
@@ -54,15 +59,18 @@ class HeadSolution:
     @cached_property
     def normalised_reading_errors(self) -> FloatArray:
         """(f, 7) reading errors of single frames over their prior sigma; 0 for shared ones."""
-        own = self.problem.joint_errors
-        sigma = np.where(own.sigma > 0.0, own.sigma, 1.0)
-        return np.where(own.is_single, self.state.frame_errors / sigma, 0.0)
+        own = self.problem.reading_error_unknowns
+        sigma = np.where(own.reading_sigma > 0.0, own.reading_sigma, 1.0)
+        return np.where(own.has_frame_error, self.state.frame_errors / sigma, 0.0)
 
     @cached_property
     def reduced_chi(self) -> float:
         """Ratio of the residuals to sigma, root of the reduced chi-square: 1 if sigma is right."""
         counted: NDArray[np.bool_] = self.problem.frames.seen & (self.weights.corners > 0.0)
-        own = self.problem.joint_errors.is_single & np.asarray(counted.any(axis=(0, 2)))[:, None]
+        own = (
+            self.problem.reading_error_unknowns.has_frame_error
+            & np.asarray(counted.any(axis=(0, 2)))[:, None]
+        )
         # effective number of parameters: a reading error counts by its reduction of variance
         taken = float((own * (1.0 - self.reading_variance_ratio)).sum()) + self.problem.shared_count
         measured = 2.0 * float(counted.sum())
@@ -71,15 +79,15 @@ class HeadSolution:
     @cached_property
     def reading_variance_ratio(self) -> FloatArray:
         """(f, 7) ratio of posterior to prior variance of the reading errors, shared ones fixed."""
-        sigma = self.problem.joint_errors.sigma
-        inner = np.diagonal(np.linalg.inv(self.normal.frame_matrices), axis1=1, axis2=2)
+        sigma = self.problem.reading_error_unknowns.reading_sigma
+        inner = np.diagonal(np.linalg.inv(self.normal.frame_normal_matrices), axis1=1, axis2=2)
         return np.asarray(inner / np.where(sigma > 0.0, sigma, 1.0) ** 2)
 
 
 def solve(
     problem: HeadAdjustment,
     start: HeadUnknowns,
-    weights: Weights,
+    weights: MeasurementWeights,
     *,
     cauchy_scale: float = np.inf,
     tolerance: float = _COST_TOLERANCE,
@@ -133,7 +141,9 @@ def solve(
     return HeadSolution(problem, state, now, weights)
 
 
-def _typical_square(problem: HeadAdjustment, now: NormalEquations, weights: Weights) -> float:
+def _typical_square(
+    problem: HeadAdjustment, now: ReducedNormalEquations, weights: MeasurementWeights
+) -> float:
     """Typical (median) mean square of a corner's residuals, in units of sigma^2; at least 1."""
     counted = problem.frames.seen & (weights.corners > 0.0)
     return max(0.5 * float(np.median((now.residuals[counted] ** 2).sum(axis=-1))), 1.0)

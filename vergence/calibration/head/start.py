@@ -65,7 +65,7 @@ def estimate_consensus_board_poses(head: HeadModel, frames: HeadFrames) -> Initi
     Raises:
         LinAlgError: a placement has no view that determines the board's pose.
     """
-    places, turns, shifts = board_in_base(head, frames)
+    places, turns, shifts = board_corners_and_poses_in_base(head, frames)
     orders = equivalent_corner_orders(frames.target)
     enough = frames.seen.sum(axis=-1) >= LEAST_CORNERS
     enough &= np.isfinite(places).all(axis=(-2, -1))  # pixels outside the lens's range
@@ -93,14 +93,18 @@ def estimate_consensus_board_poses(head: HeadModel, frames: HeadFrames) -> Initi
     )
 
 
-def board_in_base(head: HeadModel, frames: HeadFrames) -> tuple[FloatArray, FloatArray, FloatArray]:
+def board_corners_and_poses_in_base(
+    head: HeadModel, frames: HeadFrames
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compute the board's pose in frame 0 from each single view.
 
     Returns:
         (2, f, n, 3) its corners, m; (2, f, 3, 3) and (2, f, 3) its pose. They are placeholders for
         views without the board.
     """
-    T_0_C = head.base_pose(frames.positions)[:, None] @ head.camera_poses(frames.positions)
+    T_0_C = head.base_pose(frames.joint_positions)[:, None] @ head.camera_poses(
+        frames.joint_positions
+    )
     places, turns, shifts = [], [], []
     for eye, seen in enumerate(board_in_cameras(head, frames)):
         T = T_0_C[:, eye]
@@ -118,7 +122,7 @@ def _medoid(
     """Find the medoid view, the views' distances to it, and their corner orders.
 
     Args:
-        places: (2, f, n, 3) see `board_in_base`.
+        places: (2, f, n, 3) see `board_corners_and_poses_in_base`.
         here: (v, 2) eye and frame of the views to compare.
         orders: possible orders of the corners.
     """

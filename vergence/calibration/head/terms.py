@@ -15,15 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from vergence.calibration.head.adjust import HeadAdjustment, HeadUnknowns, NormalEquations, Weights
+from vergence.calibration.head.adjust import (
+    HeadAdjustment,
+    HeadUnknowns,
+    MeasurementWeights,
+    ReducedNormalEquations,
+)
 from vergence.calibration.head.backlash import without_backlash
-from vergence.calibration.head.fit import HeadFit, refine_inliers
-from vergence.calibration.head.held_out import cross_validate
+from vergence.calibration.head.fit import HeadFit, refit_inliers_and_scatter
+from vergence.calibration.head.held_out import cross_validate_by_pose
 from vergence.calibration.head.prior import parameter_prior_sigma
 from vergence.calibration.head.reading_terms import TERM_KINDS
 from vergence.calibration.head.solution import HeadSolution, solve
 from vergence.errors import ConfigurationError
-from vergence.models.by_axes import to_joint_axes
+from vergence.models.by_axes import dh_to_joint_axes
 from vergence.models.head import HeadModel
 from vergence.models.joint_axes import JointAxes
 from vergence.models.parts import FloatArray
@@ -63,8 +68,12 @@ def parse_terms(text: str) -> tuple[str, ...]:
 
 
 def convert_for_terms(head: HeadModel, terms: Collection[str]) -> HeadModel:
-    """Convert a head to the form that its terms need."""
-    head = to_joint_axes(head) if "axes" in terms else head
+    """Convert a head to the form in which a calibration can estimate some terms.
+
+    `axes` need joint axes instead of D-H links; `play` needs a head without backlash of its own,
+    which is then estimated.
+    """
+    head = dh_to_joint_axes(head) if "axes" in terms else head
     return without_backlash(head) if "play" in terms else head
 
 
@@ -114,11 +123,13 @@ def _thinned(fit: HeadFit) -> HeadFit:
     some = np.arange(frames) % -(-frames // _MOST_FRAMES) == 0
     if some.all():
         return fit
-    problem, kept = own.of(some), fit.kept[:, some]
+    problem, kept = own.select(some), fit.kept_corners[:, some]
     start = problem.start(state.boards)._replace(
-        values=state.values, bend=state.bend, frame_errors=state.frame_errors[some]
+        head_parameters=state.head_parameters,
+        board_curvatures=state.board_curvatures,
+        frame_errors=state.frame_errors[some],
     )
-    return HeadFit(solve(problem, start, Weights.of(kept)), kept)
+    return HeadFit(solve(problem, start, MeasurementWeights.of(kept)), kept)
 
 
 def _richer(fit: HeadFit, terms: Collection[str], cameras: bool) -> HeadFit:
@@ -126,7 +137,7 @@ def _richer(fit: HeadFit, terms: Collection[str], cameras: bool) -> HeadFit:
     problem, start = _extended(fit.solution, terms, cameras)
     # estimate the scatter of the readings again, as a term may explain it
     problem = replace(problem, scatter_ratio=None)
-    return refine_inliers(solve(problem, start, Weights.of(fit.kept)))
+    return refit_inliers_and_scatter(solve(problem, start, MeasurementWeights.of(fit.kept_corners)))
 
 
 def _extended(
@@ -143,12 +154,12 @@ def _extended(
         scatter_ratio=own.scatter_ratio,
         terms=reading_terms,
     )
-    known = dict(zip(own.terms.names, state.terms.tolist(), strict=True))
+    known = dict(zip(own.terms.names, state.term_parameters.tolist(), strict=True))
     start = problem.start(state.boards)._replace(
-        values=convert_for_terms(solution.head, terms).parameters(nominal_head).values,
-        bend=state.bend,
+        head_parameters=convert_for_terms(solution.head, terms).parameters(nominal_head).values,
+        board_curvatures=state.board_curvatures,
         frame_errors=state.frame_errors,
-        terms=np.array([known.get(name, 0.0) for name in reading_terms.names]),
+        term_parameters=np.array([known.get(name, 0.0) for name in reading_terms.names]),
     )
     if len(start.shared_errors) == len(state.shared_errors):
         start = start._replace(shared_errors=state.shared_errors)
@@ -184,7 +195,10 @@ def _gains(
         gains["axes"] = _gain(normal, every, ~every) / chance["axes"]
     noise = max(solution.reduced_chi, 1.0) ** 2
     # while a term is missing, its error enlarges the readings' sigma and so reduces the gain
-    own, scatter_ratio = solution.problem.joint_errors.is_single, solution.problem.scatter_ratio
+    own, scatter_ratio = (
+        solution.problem.reading_error_unknowns.has_frame_error,
+        solution.problem.scatter_ratio,
+    )
     belief = 1.0 if scatter_ratio is None else float(scatter_ratio.max()) ** 2
     worth = _LEAST_TRIAL_FRACTION * 2.0 * own.sum() / belief
     return {
@@ -194,7 +208,9 @@ def _gains(
     }
 
 
-def _gain(normal: NormalEquations, mine: NDArray[np.bool_], others: NDArray[np.bool_]) -> float:
+def _gain(
+    normal: ReducedNormalEquations, mine: NDArray[np.bool_], others: NDArray[np.bool_]
+) -> float:
     """Predict the reduction of the sum of squares if some unknowns move and others follow."""
     M, slope = normal.matrix, normal.gradient
     across = np.linalg.solve(M[np.ix_(others, others)], M[np.ix_(others, mine)])
@@ -213,17 +229,20 @@ def _predicts_better(richer: HeadFit, simpler: HeadFit, least: float) -> bool:
 
     The mean gain in the logarithm of a pose's error has to reach `least`.
     """
-    kept = richer.kept & simpler.kept
+    kept = richer.kept_corners & simpler.kept_corners
     # judge the readings of both heads by the richer head's sigma
     rich, simple = richer.solution.problem, simpler.solution.problem
     scatter_ratio = np.ones(7) if simple.scatter_ratio is None else simple.scatter_ratio
-    known = simple.joint_errors.sigma > 0.0
+    known = simple.reading_error_unknowns.reading_sigma > 0.0
     ratio = np.divide(
-        rich.joint_errors.sigma, simple.joint_errors.sigma, out=np.ones(7), where=known
+        rich.reading_error_unknowns.reading_sigma,
+        simple.reading_error_unknowns.reading_sigma,
+        out=np.ones(7),
+        where=known,
     )
-    less = np.log(cross_validate(simpler.solution, kept, ratio * scatter_ratio).poses) - np.log(
-        cross_validate(richer.solution, kept).poses
-    )
+    less = np.log(
+        cross_validate_by_pose(simpler.solution, kept, ratio * scatter_ratio).pose_mean_squares
+    ) - np.log(cross_validate_by_pose(richer.solution, kept).pose_mean_squares)
     less = less[np.isfinite(less)]
     surely = _SIGNIFICANT_SIGMAS * np.std(less) / np.sqrt(max(len(less), 1))
     return len(less) > 1 and bool(np.mean(less) >= max(surely, least))

@@ -7,13 +7,13 @@ way. Therefore the groups of measurements are poses, as they are views in
 
 import numpy as np
 
-from vergence.calibration.head.adjust import BEND
+from vergence.calibration.head.adjust import CURVATURE_COUNT
 from vergence.calibration.head.solution import HeadSolution
 from vergence.calibration.uncertainty import clustered_covariance
 from vergence.models.parts import FloatArray
 
 
-def head_covariance(solution: HeadSolution) -> FloatArray:
+def head_and_term_covariance(solution: HeadSolution) -> FloatArray:
     """(p + t, p + t) covariance of `HeadModel.parameters`, then of the reading-error terms.
 
     Args:
@@ -21,10 +21,10 @@ def head_covariance(solution: HeadSolution) -> FloatArray:
     """
     problem = solution.problem
     normal = problem.linearised(solution.state, solution.weights, keep_frame_parts=True)
-    assert normal.by_frame is not None
-    blocks, slopes = normal.by_frame
+    assert normal.frame_contributions is not None
+    blocks, slopes = normal.frame_contributions
     p = len(problem.prior_mean)
-    term_indices = np.arange(p + BEND, problem.common_count)
+    term_indices = np.arange(p + CURVATURE_COUNT, problem.common_count)
     kept = np.concatenate([np.arange(p), term_indices])
     rest = np.setdiff1d(np.arange(problem.shared_count), kept)
     # eliminate the boards and the errors of resting joints
@@ -38,7 +38,7 @@ def head_covariance(solution: HeadSolution) -> FloatArray:
     information = np.zeros((len(poses), len(kept), len(kept)))
     gradients = np.zeros((len(poses), len(kept)))
     for frame, number in enumerate(pose):
-        own = reduced[problem.columns[frame]]
+        own = reduced[problem.frame_columns[frame]]
         information[number] += own.T @ blocks[frame] @ own
         gradients[number] += slopes[frame] @ own
     prior = reduced.T @ (known[:, None] * reduced)

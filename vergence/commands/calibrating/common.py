@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-from vergence.commands.console import print_failures, print_to_stderr, progress_bar
+from vergence.commands.console import print_read_errors, print_to_stderr, progress_bar
 from vergence.commands.options import check_writable, claimed_run_folder, dated_run_folder
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from vergence.calibration.calibrate import Calibration
-    from vergence.models.response import Response
+    from vergence.models.response import CameraResponse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +62,7 @@ class CalibrationOptions:
                 f"out: expected no file of that name (--force replaces it), got {out}"
             )
 
-    def parsed_response(self) -> "Response | None":
+    def parsed_response(self) -> "CameraResponse | None":
         """Camera response given by --response; None if it is not given.
 
         Raises:
@@ -111,5 +111,5 @@ class CalibrationOptions:
                 print(f"written to {run.folder}")
         for line in advised:
             print_to_stderr(line)
-        print_failures(found.failures)
-        return 0 if run.saved and not found.failures else 2
+        print_read_errors(found.read_errors)
+        return 0 if run.saved and not found.read_errors else 2

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from vergence.commands.console import print_failures, print_to_stderr, progress_bar
+from vergence.commands.console import print_read_errors, print_to_stderr, progress_bar
 from vergence.commands.options import (
     Flat,
     JobOptions,
@@ -144,7 +144,7 @@ class CalibrateHead:
                     HeadJob(
                         head=head,
                         recording=recorded,
-                        cameras=not self.hold_cameras,
+                        estimate_cameras=not self.hold_cameras,
                         terms=terms,
                         name=name,
                         head_file_name=out.name,
@@ -185,7 +185,7 @@ class CalibrateHead:
                 continue
             for remark in outcome.document["remarks"]:
                 print_to_stderr(f"{before}{remark}")
-            print_failures(outcome.document["not_read"])
+            print_read_errors(outcome.document["not_read"])
 
 
 def _part(report: Callable[[float], None], number: int, count: int, done: float) -> None:

@@ -50,7 +50,7 @@ def print_calibration(calibration: "Calibration", out: Path) -> None:
     if several:
         rows.append(["both together", f"{rms_length(calibration.fit.solution.residuals_px):.3f}"])
     rows.append(["views held out", f"{rms_length(calibration.held_out_px):.3f}"])
-    kept, every = int(calibration.fit.kept.sum()), len(calibration.fit.kept)
+    kept, every = int(calibration.fit.kept_views.sum()), len(calibration.fit.kept_views)
     print_table(["residual", "rms (px)"], rows, title=f"{kept} of {every} views", wrapped=(0,))
     if calibration.dropped:
         print_table(

@@ -15,9 +15,9 @@ RepeatableValues = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAct
 """Values of a repeatable option; each occurrence may have several values."""
 
 
-def join_repeated(words: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+def flatten_repeated_option(occurrences: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
     """All values of a repeatable option, in order."""
-    return tuple(word for group in words for word in group)
+    return tuple(word for group in occurrences for word in group)
 
 
 @dataclass(frozen=True, kw_only=True)

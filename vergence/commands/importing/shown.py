@@ -14,19 +14,19 @@ from vergence.commands.head_tables import (
 from vergence.eval.head_summary import (
     EyeSummary,
     JointSummary,
-    actuator_summaries,
     baseline_mm,
+    coupled_actuator_summaries,
     eye_summaries,
     joint_summaries,
 )
-from vergence.models.files.assumed_values import AssumedValue, assumed_values, key_without_unit
+from vergence.models.files.assumed_values import AssumedValue, assumed_values, label_without_unit
 from vergence.models.files.import_urdf import ImportedHead
 from vergence.models.head import HeadModel
 
 _T = TypeVar("_T")
 
 
-def show_import(imported: ImportedHead, path: Path) -> None:
+def print_imported_head(imported: ImportedHead, path: Path) -> None:
     """Print a short summary of a head imported from a robot's description, and what to check.
 
     Args:
@@ -43,7 +43,7 @@ def show_import(imported: ImportedHead, path: Path) -> None:
         said = [f"{part}: {', '.join(map(_range, parts[part]))}" for part in line if part in parts]
         if said:
             print("; ".join(said))
-    actuators = actuator_summaries(head)
+    actuators = coupled_actuator_summaries(head)
     if actuators:
         print(f"actuators of the eyes: {', '.join(map(_range, actuators))}")
     if chains.fixed_values:
@@ -87,7 +87,7 @@ def _print_assumed(assumptions: Iterable[AssumedValue]) -> None:
     groups = _grouped(assumptions, lambda one: _GROUPS.get(one.keys[0].split(".")[0], "others"))
     for group, members in groups.items():
         count = sum(len(one.keys) for one in members)
-        fields = _grouped(members, lambda one: key_without_unit(one.keys[0].rpartition(".")[2]))
+        fields = _grouped(members, lambda one: label_without_unit(one.keys[0].rpartition(".")[2]))
         print(f"assumed, {group} ({count}): {'; '.join(starmap(_values, fields.items()))}")
 
 
@@ -101,7 +101,7 @@ _MAX_VALUES_LENGTH: Final = 40
 """Longest values that are printed with their field, characters (chosen: detail against length)."""
 
 
-def show_eyes(head: HeadModel) -> None:
+def print_imported_pair(head: HeadModel) -> None:
     """Print the cameras of an imported pair, and what was assumed."""
     eyes = eye_summaries(head)
     print_cameras(eyes)

@@ -41,7 +41,7 @@ class ImportStereo(HeadOutput):
         """Run the command."""
         if not self.files:
             raise ConfigurationError("files: expected calibration files, got none")
-        from vergence.commands.importing.shown import show_eyes
+        from vergence.commands.importing.shown import print_imported_pair
         from vergence.models.files.head_toml import parse_head
         from vergence.models.files.import_stereo import stereo_pair_to_head_toml
         from vergence.models.files.stereo import read_stereo
@@ -55,6 +55,6 @@ class ImportStereo(HeadOutput):
         head = parse_head(text)
         self.check()
         self.write(text, head)
-        show_eyes(head)
+        print_imported_pair(head)
         self.print_paths()
         return 0

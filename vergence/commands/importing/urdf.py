@@ -6,7 +6,11 @@ from typing import Annotated, Literal
 
 import tyro
 
-from vergence.commands.importing.head_output import HeadOutput, RepeatableValues, join_repeated
+from vergence.commands.importing.head_output import (
+    HeadOutput,
+    RepeatableValues,
+    flatten_repeated_option,
+)
 from vergence.errors import ConfigurationError
 
 
@@ -58,7 +62,7 @@ class ImportUrdf(HeadOutput):
                     f"{side}-camera: expected --{side}-camera FRAME, got none: vergence needs two "
                     "cameras (a colour and a depth frame of one device are not two)"
                 )
-        from vergence.commands.importing.shown import show_import
+        from vergence.commands.importing.shown import print_imported_head
         from vergence.models.files.import_urdf import UrdfSource, import_urdf
 
         imported = import_urdf(
@@ -67,10 +71,10 @@ class ImportUrdf(HeadOutput):
                 base=self.base,
                 cameras=(self.left_camera, self.right_camera),
                 neck=self.neck,
-                lock=join_repeated(self.lock),
-                camera_axes=join_repeated(self.camera_axes),
-                speed=join_repeated(self.speed),
-                acceleration=join_repeated(self.acceleration),
+                lock=flatten_repeated_option(self.lock),
+                camera_axes=flatten_repeated_option(self.camera_axes),
+                speed=flatten_repeated_option(self.speed),
+                acceleration=flatten_repeated_option(self.acceleration),
                 couplings=self.actuators,
                 intrinsics=self.intrinsics,
                 name=self.name,
@@ -78,6 +82,6 @@ class ImportUrdf(HeadOutput):
         )
         self.check()
         self.write(imported.text, imported.head)
-        show_import(imported, self.out)
+        print_imported_head(imported, self.out)
         self.print_paths()
         return 0

@@ -20,18 +20,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vergence.controllers.command_steps import CommandQuantiser
-from vergence.controllers.gain_schedule import ScheduledLaw
+from vergence.controllers.gain_schedule import ScheduledIBVS
 from vergence.controllers.networks.inputs import Inputs
 from vergence.controllers.outlier_gate import OutlierGate
-from vergence.controllers.prediction.oscillation import MANY_HALF_SWINGS
+from vergence.controllers.prediction.oscillation import OSCILLATING_HALF_SWINGS
 from vergence.controllers.prediction.predictor import Prediction
 from vergence.controllers.state_feedback import DEFAULT_LAW, linear_command
 from vergence.models.actuation import SLOTS
 from vergence.models.parts import FloatArray
 
 
-class NetworkLoop:
-    """Input and output stages of a network in a loop; their state is one packed row per head.
+class NetworkPrePostProcessor:
+    """Stages before and after a network in the loop.
+
+    They compute its inputs from observations, and actions from its outputs; the caller runs the
+    network. Their state is one packed row per head.
 
     The row holds the state of the inputs, then that of a schedule's gate, the linear law's commands
     if there is a prediction, then the rounding errors of commands.
@@ -44,7 +47,7 @@ class NetworkLoop:
     def __init__(self, inputs: Inputs, schedule: bool) -> None:
         self.inputs = inputs
         self._layout = layout = inputs.layout
-        self._law = ScheduledLaw(inputs.head, layout) if schedule else None
+        self._law = ScheduledIBVS(inputs.head, layout) if schedule else None
         self._gate = OutlierGate(inputs.head, layout) if schedule else None
         self._quantiser = CommandQuantiser(inputs.head, layout.action_limits)
         rows = [inputs.initial()]
@@ -83,10 +86,12 @@ class NetworkLoop:
     def _calm(self, now: Prediction) -> FloatArray:
         """(..., 4) commands of the linear law, rad/s; nan where the network turns the eyes."""
         assert self.inputs.predictor is not None
-        against = now._replace(velocities=now.velocities - now.rates)
+        against = now._replace(velocities=now.velocities - now.goal_rates)
         command = linear_command(against, self.inputs.predictor.params, DEFAULT_LAW)
-        calm = (now.half_swings > MANY_HALF_SWINGS) | (now.build_up > 0.0)
-        return np.where(calm[..., None], command + now.later_rates / now.speed_gain, np.nan)
+        calm = (now.half_swing_count > OSCILLATING_HALF_SWINGS) | (now.build_up > 0.0)
+        return np.where(
+            calm[..., None], command + now.goal_rates_at_effect / now.speed_gain, np.nan
+        )
 
     def policy_action(
         self, seen: NDArray[np.float32], fraction: NDArray[np.float32], state: FloatArray

@@ -79,7 +79,7 @@ def parse_bundle(data: bytes, source: str) -> Bundle:
     Raises:
         BundleError: it is too large, damaged, or not allowed.
     """
-    with naming_source(source):
+    with prefix_bundle_errors(source):
         parts, comment = _unpack(data)
         _check_hash("manifest.json (by the zip's comment)", comment, parts[MANIFEST_PART])
         manifest = Manifest.from_json(parts[MANIFEST_PART])
@@ -98,7 +98,7 @@ def parse_bundle(data: bytes, source: str) -> Bundle:
 
 
 @contextmanager
-def naming_source(source: str) -> Iterator[None]:
+def prefix_bundle_errors(source: str) -> Iterator[None]:
     """Prefix the message of a `BundleError` with the origin of the bytes."""
     try:
         yield

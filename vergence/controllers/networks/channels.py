@@ -17,22 +17,22 @@ from vergence.controllers.networks.resolutions import (
     LOG_RAD,
     LOG_SPEED,
     MIDDLE_RAD,
-    clip,
-    log_scaled,
+    clip_to_unit,
+    symlog_scaled,
 )
 from vergence.models.parts import FloatArray
 
-MOST_SHARE: Final = 2.0
+MAX_TO_GO_SHARE: Final = 2.0
 """Saturation of the ratio `to_go_share` (chosen)."""
-LONGEST_S: Final = 0.1
+MAX_LATENCY_S: Final = 0.1
 """Saturation of lags and latencies, s (chosen)."""
-MOST_LATENCY_SD_S: Final = 0.02
+MAX_LATENCY_SD_S: Final = 0.02
 """Saturation of the latency's standard deviation, s (chosen)."""
-MOST_RATIO: Final = 4.0
+MAX_ACCELERATION_RATIO: Final = 4.0
 """Saturation of the acceleration ratio, and of its inverse (chosen)."""
-MOST_GAIN: Final = 1.5
+MAX_SPEED_GAIN: Final = 1.5
 """Saturation of the speed gain, and of its inverse (chosen)."""
-LEAST_ASKED_RAD: Final = 1e-5
+MIN_REQUESTED_RAD: Final = 1e-5
 """Lower bound of the divisor in `to_go_share`, rad (numerical)."""
 
 
@@ -132,24 +132,24 @@ def _present(
 ) -> _Present:  # fmt: skip
     rest, sees = to_go - _coasting(v, lag, response_estimate[0] * a), 1.0 if known else 0.0
     return _Present(
-        to_go=clip(to_go / COARSE_RAD),
-        to_go_log=log_scaled(to_go, LOG_RAD, COARSE_RAD),
-        to_go_middle=clip(to_go / MIDDLE_RAD),
-        to_go_fine=clip(to_go / FINE_RAD),
-        to_rest_log=log_scaled(rest, LOG_RAD, COARSE_RAD),
-        to_rest_middle=clip(rest / MIDDLE_RAD),
-        to_rest_fine=clip(rest / FINE_RAD),
-        velocity=clip(v / limit),
-        velocity_log=log_scaled(v / limit, LOG_SPEED, 1.0),
-        command=clip(u / limit),
-        lag=min(lag / LONGEST_S, 1.0),
-        acceleration=clip(log(response_estimate[0]) / log(MOST_RATIO)),
+        to_go=clip_to_unit(to_go / COARSE_RAD),
+        to_go_log=symlog_scaled(to_go, LOG_RAD, COARSE_RAD),
+        to_go_middle=clip_to_unit(to_go / MIDDLE_RAD),
+        to_go_fine=clip_to_unit(to_go / FINE_RAD),
+        to_rest_log=symlog_scaled(rest, LOG_RAD, COARSE_RAD),
+        to_rest_middle=clip_to_unit(rest / MIDDLE_RAD),
+        to_rest_fine=clip_to_unit(rest / FINE_RAD),
+        velocity=clip_to_unit(v / limit),
+        velocity_log=symlog_scaled(v / limit, LOG_SPEED, 1.0),
+        command=clip_to_unit(u / limit),
+        lag=min(lag / MAX_LATENCY_S, 1.0),
+        acceleration=clip_to_unit(log(response_estimate[0]) / log(MAX_ACCELERATION_RATIO)),
         acceleration_sd=min(response_estimate[1], 1.0),
-        gain=clip(log(gain) / log(MOST_GAIN)),
-        latency=clip(response_estimate[2] / LONGEST_S),
-        latency_sd=min(response_estimate[3] / MOST_LATENCY_SD_S, 1.0),
-        rate=clip(rate / limit),
-        later_rate=clip(later_rate / limit),
+        gain=clip_to_unit(log(gain) / log(MAX_SPEED_GAIN)),
+        latency=clip_to_unit(response_estimate[2] / MAX_LATENCY_S),
+        latency_sd=min(response_estimate[3] / MAX_LATENCY_SD_S, 1.0),
+        rate=clip_to_unit(rate / limit),
+        later_rate=clip_to_unit(later_rate / limit),
         known=sees,
     )
 
@@ -159,22 +159,22 @@ def _present(
     f"(4),(4),({_ERROR_CHANNELS},4)->({_ERROR_CHANNELS},4)",
 )
 def error_channels(
-    asked: FloatArray, visible: NDArray[np.bool_], shape: FloatArray, out: FloatArray
+    requested_turn: FloatArray, visible: NDArray[np.bool_], shape_only: FloatArray, out: FloatArray
 ) -> None:
     """Compute the channels of `error`.
 
     Args:
-        asked: (..., 4) turns requested by the newest image, rad.
+        requested_turn: (..., 4) turns requested by the newest image, rad.
         visible: (..., 4) True if an eye that the actuator moves sees the target.
-        shape: (channels, 4) array of any values; only its shape counts, which is that of the
+        shape_only: (channels, 4) array of any values; only its shape counts, which is that of the
             result.
         out: (..., channels, 4) result.
     """
     for j in range(4):
-        turn = abs(asked[j])
+        turn = abs(requested_turn[j])
         error = _Error(
-            asked=clip(turn / COARSE_RAD),
-            asked_log=log_scaled(turn, LOG_RAD, COARSE_RAD),
+            asked=clip_to_unit(turn / COARSE_RAD),
+            asked_log=symlog_scaled(turn, LOG_RAD, COARSE_RAD),
             visible=1.0 if visible[j] else 0.0,
         )
         for c in range(len(error)):
@@ -186,52 +186,55 @@ def error_channels(
     "(4),(4),(4),(4),(4),(4),(4),(4),(4),(4),(4),(4),(c,4)->(c,4)",
 )
 def present_channels(
-    asked: FloatArray, to_go: FloatArray, velocity: FloatArray, command: FloatArray,
-    limits: FloatArray, acceleration: FloatArray, lag: FloatArray, rate: FloatArray,
-    later_rate: FloatArray, gain: FloatArray, response_estimate: FloatArray,
-    known: NDArray[np.bool_], shape: FloatArray, out: FloatArray,
+    requested_turn: FloatArray, to_go: FloatArray, velocity: FloatArray, command: FloatArray,
+    command_limits: FloatArray, acceleration_limit: FloatArray, lag: FloatArray,
+    goal_rate: FloatArray,
+    goal_rate_at_effect: FloatArray, speed_gain: FloatArray, response_estimate: FloatArray,
+    known: NDArray[np.bool_], shape_only: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Compute the channels of `to_go` or `predicted`, selected by the length of `shape`.
+    """Compute the channels of `to_go` or `predicted`, selected by the length of `shape_only`.
 
     Args:
-        asked: (..., 4) turns requested by the newest image, rad.
+        requested_turn: (..., 4) turns requested by the newest image, rad.
         to_go: (..., 4) remaining turns, rad.
         velocity: (..., 4) present velocities, rad/s.
         command: (..., 4) present commands, rad/s.
-        limits: (4,) largest commands, rad/s.
-        acceleration: (4,) acceleration limits of the model, rad/s^2.
+        command_limits: (4,) largest commands, rad/s.
+        acceleration_limit: (4,) acceleration limits of the model, rad/s^2.
         lag: (..., 4) lags, s.
-        rate: (..., 4) velocities of the goals, rad/s.
-        later_rate: (..., 4) velocities of the goals when the command shows, rad/s.
-        gain: (..., 4) ratios of velocity to command.
+        goal_rate: (..., 4) velocities of the goals, rad/s.
+        goal_rate_at_effect: (..., 4) velocities of the goals when the command shows, rad/s.
+        speed_gain: (..., 4) ratios of velocity to command.
         response_estimate: (..., 4) ratio of the accelerations to the model's, standard deviation of
             its logarithm, latency of commands plus readings, s, and its standard deviation, s.
         known: (..., 4) True if the target of an eye that the actuator moves is known.
-        shape: (channels, 4) array of any values; only its shape counts, which is that of the
+        shape_only: (channels, 4) array of any values; only its shape counts, which is that of the
             result.
         out: (..., channels, 4) result.
     """
     # with the channels of `_Share`, signs are relative to the direction of the requested turn
     first = max(out.shape[0] - _PRESENT_CHANNELS, 0)
     for j in range(4):
-        if not limits[j] > 0.0:  # no such actuator
+        if not command_limits[j] > 0.0:  # no such actuator
             for c in range(out.shape[0]):
                 out[c, j] = 0.0
             continue
         side = 1.0
         if first > 0:
-            side = 1.0 if asked[j] >= 0.0 else -1.0
-            turn, left = side * asked[j], side * to_go[j]
+            side = 1.0 if requested_turn[j] >= 0.0 else -1.0
+            turn, left = side * requested_turn[j], side * to_go[j]
             share = _Share(
-                asked=clip(turn / COARSE_RAD),
-                asked_log=log_scaled(turn, LOG_RAD, COARSE_RAD),
-                to_go_share=clip(left / max(turn, LEAST_ASKED_RAD) / MOST_SHARE),
+                asked=clip_to_unit(turn / COARSE_RAD),
+                asked_log=symlog_scaled(turn, LOG_RAD, COARSE_RAD),
+                to_go_share=clip_to_unit(left / max(turn, MIN_REQUESTED_RAD) / MAX_TO_GO_SHARE),
             )
             for c in range(min(len(share), first)):
                 out[c, j] = share[c]
         present = _present(
-            side * to_go[j], side * velocity[j], side * command[j], limits[j], acceleration[j],
-            lag[j], side * rate[j], side * later_rate[j], gain[j], response_estimate, known[j],
+            side * to_go[j], side * velocity[j], side * command[j], command_limits[j],
+            acceleration_limit[j],
+            lag[j], side * goal_rate[j], side * goal_rate_at_effect[j], speed_gain[j],
+            response_estimate, known[j],
         )  # fmt: skip
         for c in range(min(len(present), out.shape[0])):
             out[first + c, j] = present[c]

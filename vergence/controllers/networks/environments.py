@@ -19,8 +19,8 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from vergence.controllers.gain_schedule import gain_names, gains_from_action
-from vergence.controllers.networks.acting import NetworkLoop
+from vergence.controllers.gain_schedule import gain_names_of_head, gains_from_action
+from vergence.controllers.networks.acting import NetworkPrePostProcessor
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs import MAX_EPISODE_STEPS
 from vergence.envs.gaze import GazeEnv
@@ -36,7 +36,7 @@ DEFAULT_INPUTS: Final = {"gain-schedule": "predicted", "policy": "to_go"}
 """Default kind of inputs of each kind of network."""
 
 
-def velocity_action(action: ArrayLike) -> NDArray[np.float32]:
+def decode_velocity_action(action: ArrayLike) -> NDArray[np.float32]:
     """Decode a policy's action to an action of the gaze task.
 
     Args:
@@ -58,7 +58,7 @@ class NetworkTask(GazeTask, ABC):
         **options: see `GazeTask`.
     """
 
-    schedule: ClassVar[bool]
+    outputs_gains: ClassVar[bool]
     """True if the network chooses gains, False for velocities."""
 
     def __init__(self, num: int = 1, *, inputs: str, **options: Any) -> None:
@@ -68,7 +68,7 @@ class NetworkTask(GazeTask, ABC):
         except BaseException:
             self.close()
             raise
-        self._acting = NetworkLoop(self.inputs, self.schedule)
+        self._acting = NetworkPrePostProcessor(self.inputs, self.outputs_gains)
         self._memory = np.tile(self._acting.initial(), (num, 1))
         self.observation = np.zeros((num, self.inputs.size), dtype=np.float32)
 
@@ -104,7 +104,7 @@ class NetworkTask(GazeTask, ABC):
 class PolicyTask(NetworkTask):
     """A network that commands the actuators' velocities."""
 
-    schedule = False
+    outputs_gains = False
 
     def __init__(
         self, num: int = 1, *, inputs: str = DEFAULT_INPUTS["policy"], **options: Any
@@ -112,19 +112,21 @@ class PolicyTask(NetworkTask):
         super().__init__(num, inputs=inputs, **options)
 
     def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
-        return self._acting.policy_action(self.observation, velocity_action(action), self._memory)
+        return self._acting.policy_action(
+            self.observation, decode_velocity_action(action), self._memory
+        )
 
 
 class GainScheduleTask(NetworkTask):
     """A network that chooses the gains of the article's law."""
 
-    schedule = True
+    outputs_gains = True
 
     def __init__(
         self, num: int = 1, *, inputs: str = DEFAULT_INPUTS["gain-schedule"], **options: Any
     ) -> None:
         super().__init__(num, inputs=inputs, **options)
-        self._names = gain_names(self.head)
+        self._names = gain_names_of_head(self.head)
         self._gains = np.zeros((num, 2, 2))
 
     @property
@@ -195,7 +197,7 @@ class GainScheduleVectorEnv(GazeVectorEnv):
 
 
 class PolicyEnv(GazeEnv):
-    """The gaze task with a network's inputs and the decoding `velocity_action` of its actions."""
+    """The gaze task with a network's inputs; actions go through `decode_velocity_action`."""
 
     task_type: ClassVar[type[GazeTask]] = PolicyTask
 

@@ -1,14 +1,15 @@
 r"""Inputs of a network that has to identify the loop by itself: past data, and no prediction.
 
-For each actuator: the turns requested by the last `IMAGES` images, the angles turned since their
-exposures (as dated by the observation), and their ages; commands and velocities at the last
-`MOMENTS` moments. Only these numbers carry information on delay, lag, acceleration and gain of the
-loop. Images come from the outlier gate, and each enters once: an observation repeats its newest
-image until the next one arrives.
+For each actuator: the turns requested by the last `STORED_IMAGES` images, the angles turned since
+their exposures (as dated by the observation), and their ages; commands and velocities at the last
+`STORED_MOMENTS` moments. Only these numbers carry information on delay, lag, acceleration and gain
+of the loop. Images come from the outlier gate, and each enters once: an observation repeats its
+newest image until the next one arrives.
 
-A moment is one control period, or the mean of several if the control rate is so high that `MOMENTS`
-periods are shorter than an image's nominal latency plus `BEYOND_S`. The first moment is the present
-one, which may have begun a single period ago.
+A moment is one control period, or the mean of several if the control rate is so high that
+`STORED_MOMENTS` periods are shorter than an image's nominal latency plus
+`MIN_REACH_BEYOND_LATENCY_S`. The first moment is the present one, which may have begun a single
+period ago.
 """
 
 from math import ceil
@@ -23,8 +24,8 @@ from vergence.controllers.networks.resolutions import (
     LOG_RAD,
     LOG_SPEED,
     MIDDLE_RAD,
-    clip,
-    log_scaled,
+    clip_to_unit,
+    symlog_scaled,
 )
 from vergence.controllers.outlier_gate import GatedDetections
 from vergence.controllers.rows import make_row, record_view, row_layout, row_size
@@ -39,11 +40,11 @@ from vergence.models.packed import (
 )
 from vergence.models.parts import FloatArray
 
-IMAGES: Final = 4
+STORED_IMAGES: Final = 4
 """Number of images stored (chosen: information against size of the inputs)."""
-MOMENTS: Final = 16
+STORED_MOMENTS: Final = 16
 """Number of moments for which commands and velocities are stored (chosen: likewise)."""
-BEYOND_S: Final = 0.05
+MIN_REACH_BEYOND_LATENCY_S: Final = 0.05
 """Least time that the moments reach beyond the nominal latency of an image, s (chosen)."""
 
 _OF_IMAGE: Final = (
@@ -52,8 +53,8 @@ _OF_IMAGE: Final = (
 )
 HISTORY_CHANNELS: Final = (
     *("fresh", "velocity", "velocity_log"),
-    *(f"{name}_{k}" for k in range(IMAGES) for name in _OF_IMAGE),
-    *(f"{name}_{k}" for k in range(MOMENTS) for name in ("command", "speed")),
+    *(f"{name}_{k}" for k in range(STORED_IMAGES) for name in _OF_IMAGE),
+    *(f"{name}_{k}" for k in range(STORED_MOMENTS) for name in ("command", "speed")),
 )
 """Channels of `history`; index 0 is the newest.
 
@@ -71,22 +72,22 @@ HISTORY_CHANNELS: Final = (
 """
 
 
-class HistoryState:
+class InputHistoryState:
     """State for one head, (4,) by actuator."""
 
-    asked: Annotated[FloatArray, IMAGES, 4]
+    requested_turns: Annotated[FloatArray, STORED_IMAGES, 4]
     """Turns requested by the last images, rad."""
-    seen: Annotated[FloatArray, IMAGES, 4]
+    shows_target: Annotated[FloatArray, STORED_IMAGES, 4]
     """1 if the image shows the target, otherwise 0."""
-    exposed: Annotated[FloatArray, IMAGES, 4]
+    angles_at_exposure: Annotated[FloatArray, STORED_IMAGES, 4]
     """Actuator angles at their exposures, rad."""
-    age_s: Annotated[FloatArray, IMAGES, 4]
+    age_s: Annotated[FloatArray, STORED_IMAGES, 4]
     """Ages of the images, s."""
-    commands: Annotated[FloatArray, MOMENTS, 4]
+    commands: Annotated[FloatArray, STORED_MOMENTS, 4]
     """Commands at the last moments, rad/s; for the first moment their sum so far."""
-    speeds: Annotated[FloatArray, MOMENTS, 4]
+    speeds: Annotated[FloatArray, STORED_MOMENTS, 4]
     """Measured velocities, rad/s, likewise."""
-    periods: float
+    periods_in_moment: float
     """Number of periods in the first moment so far."""
 
 
@@ -102,14 +103,16 @@ class _Law:
     """1 if an actuator moves an eye, otherwise 0."""
 
 
-_STATE: Final = row_layout(HistoryState)
+_STATE: Final = row_layout(InputHistoryState)
 _SIZE: Final = row_size(_STATE)
 _LAW: Final = row_layout(_Law)
 _COUNT: Final = len(HISTORY_CHANNELS)
 
 
-class History:
-    """The stored images, commands and velocities of a head, with the state in one packed row.
+class InputHistory:
+    """Past images, commands and velocities of a head, as inputs of a network.
+
+    The state is one packed row.
 
     Args:
         head: the model of the head.
@@ -122,11 +125,11 @@ class History:
 
     def __init__(self, head: HeadModel, layout: ObservationLayout, moved: FloatArray) -> None:
         self._head = head
-        kept_s = layout.latency_s + BEYOND_S
+        kept_s = layout.latency_s + MIN_REACH_BEYOND_LATENCY_S
         self._law = make_row(
             _LAW,
             period_s=layout.period_s,
-            every=max(1, ceil(kept_s / (MOMENTS * layout.period_s) - 1e-9)),
+            every=max(1, ceil(kept_s / (STORED_MOMENTS * layout.period_s) - 1e-9)),
             limits=layout.action_limits,
             moved=moved,
         )
@@ -145,26 +148,26 @@ class History:
         self,
         seen: Observation,
         detections: GatedDetections,
-        asked: FloatArray,
+        requested_turn: FloatArray,
         state: FloatArray,
-        shape: FloatArray,
+        shape_only: FloatArray,
     ) -> FloatArray:
         """Update with one control period's observation.
 
         Args:
             seen: the observation.
             detections: detections that passed the outlier gate.
-            asked: (..., 4) turns requested by the images of `detections`, rad.
+            requested_turn: (..., 4) turns requested by the images of `detections`, rad.
             state: (..., S) updated in place.
-            shape: (channels, 4) array of any values; only its shape counts, which is that of the
-                result.
+            shape_only: (channels, 4) array of any values; only its shape counts, which is that of
+                the result.
 
         Returns:
             (..., channels, 4) the channels, in the order of `HISTORY_CHANNELS`.
         """
         state[...], out = history_channels(
             state,
-            asked,
+            requested_turn,
             detections.pixel_error,
             detections.positions_at_exposure,
             detections.fresh,
@@ -174,33 +177,39 @@ class History:
             seen.last_command,
             self._law,
             self._head.packed,
-            shape,
+            shape_only,
         )
         return np.asarray(out)
 
 
 @inlined
 def _enter(
-    s: HistoryState, j: int, asked: float, seen: float, exposed: float, age_s: float
+    s: InputHistoryState, j: int, asked: float, seen: float, exposed: float, age_s: float
 ) -> None:
     """Store a new image of an actuator first, and shift the older ones."""
-    for k in range(IMAGES - 1, 0, -1):
-        s.asked[k, j], s.seen[k, j] = s.asked[k - 1, j], s.seen[k - 1, j]
-        s.exposed[k, j], s.age_s[k, j] = s.exposed[k - 1, j], s.age_s[k - 1, j]
-    s.asked[0, j], s.seen[0, j] = asked, seen
-    s.exposed[0, j], s.age_s[0, j] = exposed, age_s
+    for k in range(STORED_IMAGES - 1, 0, -1):
+        s.requested_turns[k, j], s.shows_target[k, j] = (
+            s.requested_turns[k - 1, j],
+            s.shows_target[k - 1, j],
+        )
+        s.angles_at_exposure[k, j], s.age_s[k, j] = (
+            s.angles_at_exposure[k - 1, j],
+            s.age_s[k - 1, j],
+        )
+    s.requested_turns[0, j], s.shows_target[0, j] = asked, seen
+    s.angles_at_exposure[0, j], s.age_s[0, j] = exposed, age_s
 
 
 @inlined
-def _begin_moment(s: HistoryState) -> None:
+def _begin_moment(s: InputHistoryState) -> None:
     """Replace the sums of the first moment by means, and begin another one."""
     for j in range(4):
-        s.commands[0, j] /= s.periods
-        s.speeds[0, j] /= s.periods
-        for k in range(MOMENTS - 1, 0, -1):
+        s.commands[0, j] /= s.periods_in_moment
+        s.speeds[0, j] /= s.periods_in_moment
+        for k in range(STORED_MOMENTS - 1, 0, -1):
             s.commands[k, j], s.speeds[k, j] = s.commands[k - 1, j], s.speeds[k - 1, j]
         s.commands[0, j] = s.speeds[0, j] = 0.0
-    s.periods = 0.0
+    s.periods_in_moment = 0.0
 
 
 @kernel(
@@ -208,22 +217,22 @@ def _begin_moment(s: HistoryState) -> None:
     f"({_SIZE}),(4),(2,2),(7),(2),(),(7),(7),(4),({row_size(_LAW)}),({PACKED}),({_COUNT},4)->({_SIZE}),({_COUNT},4)",
 )
 def history_channels(
-    state_before: FloatArray, asked: FloatArray, error: FloatArray,
+    state_before: FloatArray, requested_turn: FloatArray, error: FloatArray,
     angles_at_exposure: FloatArray, fresh: FloatArray, age_s: FloatArray, q: FloatArray,
     velocities: FloatArray, command: FloatArray, law_row: FloatArray, p: PackedHead,
-    shape: FloatArray, state_after: FloatArray, out: FloatArray,
+    shape_only: FloatArray, state_after: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
     """Compute the updated state and the channels."""
     for i in range(_SIZE):
         state_after[i] = state_before[i]
-    s: HistoryState = record_view(state_after, _STATE)
+    s: InputHistoryState = record_view(state_after, _STATE)
     law: _Law = record_view(law_row, _LAW)
     direct = has_motor_per_joint(p)
-    if s.periods > law.every - 0.5:
+    if s.periods_in_moment > law.every - 0.5:
         _begin_moment(s)
-    s.periods += 1.0
+    s.periods_in_moment += 1.0
     for j in range(4):
-        for k in range(IMAGES):
+        for k in range(STORED_IMAGES):
             s.age_s[k, j] = min(s.age_s[k, j] + law.period_s, AGE_S)
         limit = law.limits[j]
         if not limit > 0.0:  # no such actuator
@@ -244,28 +253,28 @@ def history_channels(
                 # false for nan
                 seen = max(seen, 1.0 if error[eye, 0] == error[eye, 0] else 0.0)
         if new > 0.5:
-            _enter(s, j, asked[j], seen, exposed, min(age_s[0], AGE_S))
+            _enter(s, j, requested_turn[j], seen, exposed, min(age_s[0], AGE_S))
         s.commands[0, j] += command[j]
         s.speeds[0, j] += speed
         out[0, j] = new
-        out[1, j] = clip(speed / limit)
-        out[2, j] = log_scaled(speed / limit, LOG_SPEED, 1.0)
+        out[1, j] = clip_to_unit(speed / limit)
+        out[2, j] = symlog_scaled(speed / limit, LOG_SPEED, 1.0)
         c = 3
-        for k in range(IMAGES):
-            turn, turned = s.asked[k, j], 0.0
-            if s.seen[k, j] > 0.5:
-                turned = angle - s.exposed[k, j]
-            out[c, j] = clip(turn / COARSE_RAD)
-            out[c + 1, j] = log_scaled(turn, LOG_RAD, COARSE_RAD)
-            out[c + 2, j] = clip(turn / MIDDLE_RAD)
-            out[c + 3, j] = clip(turn / FINE_RAD)
-            out[c + 4, j] = log_scaled(turned, LOG_RAD, COARSE_RAD)
-            out[c + 5, j] = clip(turned / MIDDLE_RAD)
+        for k in range(STORED_IMAGES):
+            turn, turned = s.requested_turns[k, j], 0.0
+            if s.shows_target[k, j] > 0.5:
+                turned = angle - s.angles_at_exposure[k, j]
+            out[c, j] = clip_to_unit(turn / COARSE_RAD)
+            out[c + 1, j] = symlog_scaled(turn, LOG_RAD, COARSE_RAD)
+            out[c + 2, j] = clip_to_unit(turn / MIDDLE_RAD)
+            out[c + 3, j] = clip_to_unit(turn / FINE_RAD)
+            out[c + 4, j] = symlog_scaled(turned, LOG_RAD, COARSE_RAD)
+            out[c + 5, j] = clip_to_unit(turned / MIDDLE_RAD)
             out[c + 6, j] = s.age_s[k, j] / AGE_S
-            out[c + 7, j] = s.seen[k, j]
+            out[c + 7, j] = s.shows_target[k, j]
             c += 8
-        for k in range(MOMENTS):
-            lasted = s.periods if k == 0 else 1.0
-            out[c, j] = clip(s.commands[k, j] / (lasted * limit))
-            out[c + 1, j] = clip(s.speeds[k, j] / (lasted * limit))
+        for k in range(STORED_MOMENTS):
+            lasted = s.periods_in_moment if k == 0 else 1.0
+            out[c, j] = clip_to_unit(s.commands[k, j] / (lasted * limit))
+            out[c + 1, j] = clip_to_unit(s.speeds[k, j] / (lasted * limit))
             c += 2

@@ -28,10 +28,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence.controllers.ibvs import ibvs_velocities
 from vergence.controllers.networks.channels import CHANNELS, error_channels, present_channels
-from vergence.controllers.networks.history import IMAGES, History
+from vergence.controllers.networks.history import STORED_IMAGES, InputHistory
 from vergence.controllers.outlier_gate import OutlierGate
 from vergence.controllers.prediction.joints import actuator_moves_eye
-from vergence.controllers.prediction.predictor import Prediction, Predictor
+from vergence.controllers.prediction.predictor import Prediction, SmithPredictor
 from vergence.envs.encoding import FIELDS, as_observation
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
@@ -90,21 +90,23 @@ class Inputs:
         self.kind = kind
         self.head = head
         self.layout = layout
-        self.predictor = Predictor(head=head, layout=layout) if kind in _PREDICTED_KINDS else None
+        self.predictor = (
+            SmithPredictor(head=head, layout=layout) if kind in _PREDICTED_KINDS else None
+        )
         self._gate = OutlierGate(head, layout) if kind in _GATED_KINDS else None
         actuation = head.actuation
         self._acceleration = np.array(actuation.acceleration[EYES])
         self._lag_ratio = np.array(actuation.lag_ratio[EYES])
         self._moved = actuator_moves_eye(head).T
         moved = np.asarray(self._moved, dtype=np.float64)
-        self._history = History(head, layout, moved) if kind == "history" else None
+        self._history = InputHistory(head, layout, moved) if kind == "history" else None
         # the predictor's state comes first, as it accepts rows with further entries after it
         remembering = (self.predictor, self._gate, self._history)
         rows = [part.initial() for part in remembering if part is not None]
         self._initial = np.concatenate(rows) if rows else np.zeros(0)
         first = 0 if self.predictor is None else self.predictor.size
         self._of_gate = slice(first, first + OutlierGate.size)
-        self._of_history = slice(OutlierGate.size, OutlierGate.size + History.size)
+        self._of_history = slice(OutlierGate.size, OutlierGate.size + InputHistory.size)
 
     @classmethod
     def of(cls, kind: str, head: HeadModel, layout: ObservationLayout | None = None) -> "Inputs":
@@ -192,12 +194,13 @@ class Inputs:
         response_estimate = (
             now.acceleration_ratio,
             now.acceleration_sd,
-            now.latency_s,
-            now.latency_sd_s,
+            now.response_latency_s,
+            now.response_latency_sd_s,
         )
         out = present_channels(
             asked, now.angle_error, now.velocities, seen.last_command, limits, self._acceleration,
-            now.lag_s[..., None] * self._lag_ratio, now.rates, now.later_rates, now.speed_gain,
+            now.lag_s[..., None] * self._lag_ratio, now.goal_rates, now.goal_rates_at_effect,
+            now.speed_gain,
             np.stack(response_estimate, axis=-1), now.known @ self._moved, shape,
         )  # fmt: skip
         return self._flat(out), now
@@ -238,7 +241,7 @@ _PREDICTED_KINDS = ("predicted", "to_go")
 _GATED_KINDS = ("error", "history", "predicted")
 _KNOWN_CHANNELS = {
     "error": ("visible",),
-    "history": tuple(f"seen_{k}" for k in range(IMAGES)),
+    "history": tuple(f"seen_{k}" for k in range(STORED_IMAGES)),
     **dict.fromkeys(_PREDICTED_KINDS, ("known",)),
 }
 _UNIT_GAINS = np.ones((2, 2))

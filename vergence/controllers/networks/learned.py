@@ -15,12 +15,17 @@ from numpy.typing import NDArray
 
 from vergence.controllers.controller import Controller
 from vergence.controllers.fitting import checked_layout
-from vergence.controllers.gain_schedule import GAIN_LIMIT, GAIN_NAMES, gain_names, gain_order
-from vergence.controllers.networks.acting import NetworkLoop
+from vergence.controllers.gain_schedule import (
+    GAIN_LIMIT,
+    TILT_FIRST_GAIN_NAMES,
+    gain_indices_by_axis,
+    gain_names_of_head,
+)
+from vergence.controllers.networks.acting import NetworkPrePostProcessor
 from vergence.controllers.networks.bundle import (
     SUFFIX,
     Bundle,
-    naming_source,
+    prefix_bundle_errors,
     pretrained_bundles,
     read_bundle,
     read_limited,
@@ -44,7 +49,7 @@ class _Learned(ABC):
 
     nan_replacement: ClassVar[float]
     """Output in place of nan, at which the eyes rest: velocity 0, or -1, which is gain 0."""
-    schedule: ClassVar[bool] = False
+    outputs_gains: ClassVar[bool] = False
     """True if the network chooses gains, False for velocities."""
 
     def __init__(self, inputs: Inputs, network: Network, source: str) -> None:
@@ -57,8 +62,8 @@ class _Learned(ABC):
         self.head = inputs.head
         self.layout = inputs.layout
         self.inputs = inputs
-        self._acting = NetworkLoop(inputs, self.schedule)
-        with naming_source(source):
+        self._acting = NetworkPrePostProcessor(inputs, self.outputs_gains)
+        with prefix_bundle_errors(source):
             self._runtime = Runtime(network)
 
     def predict(
@@ -68,7 +73,7 @@ class _Learned(ABC):
         episode_start: NDArray[Any] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Choose actions, see `Controller.predict`; the state is that of `NetworkLoop`."""
+        """Choose actions, see `Controller.predict`; `state` is the pre- and postprocessor's."""
         observation = np.asarray(observation)
         memory = continued_state(
             self._acting.initial(), observation.shape[:-1], state, episode_start
@@ -164,23 +169,23 @@ class LearnedGain(BundledNetwork):
 
     kind = GAIN_SCHEDULE
     nan_replacement = -1.0  # a gain of zero
-    schedule = True
+    outputs_gains = True
 
     @staticmethod
     def _outputs(inputs: Inputs) -> int:
-        return len(GAIN_NAMES)  # by eye and image axis, whatever moves the eyes
+        return len(TILT_FIRST_GAIN_NAMES)  # by eye and image axis, whatever moves the eyes
 
     def _action(
         self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
     ) -> Action:
-        shares = outputs[..., gain_order(gain_names(self.head))]
+        shares = outputs[..., gain_indices_by_axis(gain_names_of_head(self.head))]
         gains = 0.5 * GAIN_LIMIT * (1.0 + shares)
         return self._acting.schedule_action(
             observation, gains.reshape(*gains.shape[:-1], 2, 2), memory
         )
 
 
-class BareNetworkPolicy(_Learned):
+class BareOnnxPolicy(_Learned):
     """A bare ONNX file that maps the numbers of an observation to those of an action.
 
     Such a file does not state which head and layout it was trained with: the caller is responsible
@@ -202,7 +207,7 @@ class BareNetworkPolicy(_Learned):
         self, *, head: HeadModel, layout: ObservationLayout, path: str | os.PathLike[str]
     ) -> None:
         data = read_limited(path, MAX_NETWORK_BYTES)
-        with naming_source(str(path)):
+        with prefix_bundle_errors(str(path)):
             network = read_network(data)
         inputs = Inputs.of("observation", head, checked_layout(head, layout))
         super().__init__(inputs, network, str(path))
@@ -236,7 +241,7 @@ def load_policy(
     """
     layout = checked_layout(head, layout)
     if Path(path).suffix == ".onnx":
-        return BareNetworkPolicy(head=head, layout=layout, path=path)
+        return BareOnnxPolicy(head=head, layout=layout, path=path)
     if Path(path).suffix != SUFFIX:
         raise BundleError(f"{path}: expected a file named *{SUFFIX} or *.onnx, got another name")
     bundle = read_bundle(path)
@@ -299,6 +304,6 @@ def _fitting(
 ) -> tuple[Inputs, Network, str]:
     if bundle.manifest.kind != kind:
         raise BundleError(f"{bundle.source}: kind: expected {kind}, got {bundle.manifest.kind!r}")
-    with naming_source(bundle.source):
+    with prefix_bundle_errors(bundle.source):
         inputs = bundle.manifest.check_fits(head, layout, allow_other_head)
     return inputs, bundle.network, bundle.source

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_names
+from vergence.controllers.gain_schedule import GAIN_LIMIT, gain_names_of_head
 from vergence.controllers.networks.inputs import Inputs
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import BundleError, ConfigurationError, UnknownNameError
@@ -222,7 +222,7 @@ def describe_actions(kind: str, head: HeadModel, layout: ObservationLayout) -> d
         BundleError: there is no such kind.
     """
     if kind == GAIN_SCHEDULE:
-        names = list(gain_names(head))
+        names = list(gain_names_of_head(head))
         low, high = [0.0] * len(names), [GAIN_LIMIT] * len(names)
         return {"names": names, "unit": "1/s", "low": low, "high": high}
     if kind == POLICY:

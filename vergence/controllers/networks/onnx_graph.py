@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 from vergence.controllers.networks.onnx_operators import (
     FLOAT,
     Value,
-    apply_operator,
+    infer_operator,
     read_constant,
 )
 from vergence.errors import BundleError, ConfigurationError, how_to_install
@@ -76,7 +76,7 @@ graphs within attributes (control flow), types other than tensors, and whatever 
 
 @dataclass(frozen=True)
 class Network:
-    """A checked graph.
+    """A checked ONNX network: the bytes of its file, names and sizes of input and output.
 
     Attributes:
         data: bytes of the file.
@@ -178,7 +178,7 @@ def _check_graph(data: bytes, model: "ModelProto") -> Network:
         _define(values, tensor.name, read_constant(tensor))
     products = 0
     for node in graph.node:
-        result, cost = apply_operator(node, values)
+        result, cost = infer_operator(node, values)
         products += cost
         if products > MAX_PRODUCTS:
             raise BundleError(f"network: expected at most {MAX_PRODUCTS} products, got more")

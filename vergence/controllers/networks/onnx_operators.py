@@ -237,7 +237,7 @@ OPERATORS: Final = frozenset({*_ROW_BY_ROW, "Constant"})
 """Allowed operators, all of the default domain."""
 
 
-def apply_operator(node: "NodeProto", values: Mapping[str, Value]) -> tuple[Value, int]:
+def infer_operator(node: "NodeProto", values: Mapping[str, Value]) -> tuple[Value, int]:
     """Check an operator and compute its result from the values so far.
 
     Args:

@@ -25,19 +25,21 @@ LOG_SPEED: Final = 0.005
 
 
 @inlined
-def clip(value: float) -> float:
-    """Compute a linear channel."""
+def clip_to_unit(value: float) -> float:
+    """Clip a scaled value to [-1, 1]: a linear channel, which saturates."""
     return min(max(value, -1.0), 1.0)
 
 
 @inlined
-def log_scaled(value: float, least: float, most: float) -> float:
-    """Compute a logarithmic channel.
+def symlog_scaled(value: float, linear_threshold: float, full_scale: float) -> float:
+    """Scale a value to [-1, 1] logarithmically, with its sign.
+
+    The result is sign(x) ln(1 + |x| / x0) / ln(1 + x_max / x0).
 
     Args:
         value: the quantity.
-        least: x0, in its unit.
-        most: magnitude whose channel is 1, in its unit.
+        linear_threshold: x0, in its unit.
+        full_scale: magnitude whose channel is 1, in its unit.
     """
-    size = min(log1p(abs(value) / least) / log1p(most / least), 1.0)
+    size = min(log1p(abs(value) / linear_threshold) / log1p(full_scale / linear_threshold), 1.0)
     return size if value >= 0.0 else -size

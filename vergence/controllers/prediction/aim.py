@@ -17,7 +17,7 @@ from vergence.models.jacobian import eye_jacobian, pixel_rate
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import PackedHead, camera_of, eye_joint_angle
 from vergence.models.parts import FloatArray
-from vergence.models.pose import point_rate, point_to_local, point_to_outer
+from vergence.models.pose import point_rate_in_camera, point_to_local, point_to_outer
 
 _MAX_ITERATIONS: Final = 12
 """Iteration limit of Gauss-Newton (numerical)."""
@@ -28,15 +28,15 @@ _CONVERGED_STEP_RAD: Final = 1e-6
 
 
 @inlined
-def least_squares_aim(
+def least_squares_actuators(
     p: PackedHead,
     goals: FloatArray,
     depth_left: float,
     depth_right: float,
     left: bool,
     right: bool,
-    present: FloatArray,
-    jacobian: FloatArray,
+    present_actuators: FloatArray,
+    jacobian_out: FloatArray,
     out: FloatArray,
 ) -> None:
     """Find the actuator angles with the least squared pixel error about both eyes' goals.
@@ -48,9 +48,10 @@ def least_squares_aim(
         depth_right: depth of the target in the right eye likewise, m.
         left: True if the left eye has a goal.
         right: True if the right eye has a goal.
-        present: (4,) present actuator angles, rad; actuators that affect no goal keep theirs.
-        jacobian: (2, 2, 2) result: image Jacobians at the solution, by eye, image axis and joint,
-            px/rad.
+        present_actuators: (4,) present actuator angles, rad; actuators that affect no goal keep
+            theirs.
+        jacobian_out: (2, 2, 2) result: image Jacobians at the solution, by eye, image axis and
+            joint, px/rad.
         out: (4,) result: actuator angles, rad, without joint limits.
     """
     wanted, step, points = np.zeros((2, 2)), np.zeros(4), np.zeros((2, 3))
@@ -63,14 +64,14 @@ def least_squares_aim(
             frames.camera, 0.0, 0.0, depth
         )
         u1, u2, v1, v2 = eye_jacobian(p, eye, frames, camera.centre_u, camera.centre_v, depth)
-        jacobian[eye, 0, 0], jacobian[eye, 0, 1] = u1, u2
-        jacobian[eye, 1, 0], jacobian[eye, 1, 1] = v1, v2
-        first = goals[eye, 0] - eye_joint_angle(p, 2 * eye, present)
-        second = goals[eye, 1] - eye_joint_angle(p, 2 * eye + 1, present)
+        jacobian_out[eye, 0, 0], jacobian_out[eye, 0, 1] = u1, u2
+        jacobian_out[eye, 1, 0], jacobian_out[eye, 1, 1] = v1, v2
+        first = goals[eye, 0] - eye_joint_angle(p, 2 * eye, present_actuators)
+        second = goals[eye, 1] - eye_joint_angle(p, 2 * eye + 1, present_actuators)
         wanted[eye, 0], wanted[eye, 1] = u1 * first + u2 * second, v1 * first + v2 * second
-    actuator_least_squares(p, jacobian, wanted, left, right, step)
+    actuator_least_squares(p, jacobian_out, wanted, left, right, step)
     for k in range(4):
-        out[k] = present[k] + step[k]
+        out[k] = present_actuators[k] + step[k]
     for _ in range(_MAX_ITERATIONS):
         for eye in range(2):
             if not (right if eye else left):
@@ -85,10 +86,10 @@ def least_squares_aim(
             wanted[eye, 0], wanted[eye, 1] = -camera.focal_u * a, -camera.focal_v * b
             for joint in range(2):
                 axis = frames.after_first_joint if joint == 0 else frames.after_second_joint
-                rate = point_rate(axis, frames.camera, x, y, z)
+                rate = point_rate_in_camera(axis, frames.camera, x, y, z)
                 u, v = pixel_rate(camera, a, b, cz, rate)
-                jacobian[eye, 0, joint], jacobian[eye, 1, joint] = u, v
-        actuator_least_squares(p, jacobian, wanted, left, right, step)
+                jacobian_out[eye, 0, joint], jacobian_out[eye, 1, joint] = u, v
+        actuator_least_squares(p, jacobian_out, wanted, left, right, step)
         size = 0.0
         for k in range(4):
             size = max(size, abs(step[k]))

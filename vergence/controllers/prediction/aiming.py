@@ -5,7 +5,7 @@ from typing import Final
 
 from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorParameters
-from vergence.controllers.prediction.moving import extrapolate, visible_speed_fraction
+from vergence.controllers.prediction.moving import extrapolate_goal, visible_speed_fraction
 from vergence.controllers.prediction.predictor_state import PredictorState
 from vergence.controllers.prediction.response import selected_model
 from vergence.models.kinematics import eye_frames, point_in_eye
@@ -26,24 +26,27 @@ _LATE_IMAGE_GRACE_S: Final = 0.03
 def extrapolate_targets(state: PredictorState, params: PredictorParameters, tick: float) -> None:
     """Extrapolate the targets to a time in periods: their angles `aims` and angular rates `rates`.
 
-    `later_rates` are the rates when that command shows in the motion, a lag and half a period
-    later.
+    `goal_rates_at_effect` are the rates when that command shows in the motion, a lag and half a
+    period later.
     """
     moves = params.targets_move > 0.5 and state.mode_probabilities[0] < _REST_PROBABILITY
     effect_delay_s = exp(selected_model(state.response).parameters[2]) + 0.5 * params.period_s
     expected_s = (
         state.delay_s
-        + params.frame_s
+        + params.frame_period_s
         + (tick - state.periods) * params.period_s
         + _LATE_IMAGE_GRACE_S
     )
     slow = 1.0
     for eye in range(2):
         for joint in range(2):
-            state.aims[eye, joint], state.rates[eye, joint] = state.goals[eye, joint], 0.0
-            state.later_rates[eye, joint] = 0.0
+            state.goals_at_effect[eye, joint], state.goal_rates[eye, joint] = (
+                state.goals[eye, joint],
+                0.0,
+            )
+            state.goal_rates_at_effect[eye, joint] = 0.0
             if moves and state.known[eye] > 0.5:
-                time_s = (tick - state.moved_at) * params.period_s
+                time_s = (tick - state.motion_tick) * params.period_s
                 motions, resting = state.motions[eye], state.goals[eye, joint]
                 if joint == 0:
                     slow = visible_speed_fraction(
@@ -51,12 +54,12 @@ def extrapolate_targets(state: PredictorState, params: PredictorParameters, tick
                         state.mode_probabilities,
                         _BLUR_SPEED_FRACTION * params.max_slip_rad_s,
                     )
-                angle, rate = extrapolate(
+                angle, rate = extrapolate_goal(
                     motions, state.mode_probabilities, resting, joint, time_s, expected_s, slow
                 )
-                state.aims[eye, joint], state.rates[eye, joint] = angle, rate
+                state.goals_at_effect[eye, joint], state.goal_rates[eye, joint] = angle, rate
                 time_s += effect_delay_s
-                _, rate = extrapolate(
+                _, rate = extrapolate_goal(
                     motions,
                     state.mode_probabilities,
                     resting,
@@ -65,12 +68,12 @@ def extrapolate_targets(state: PredictorState, params: PredictorParameters, tick
                     expected_s + effect_delay_s,
                     slow,
                 )
-                state.later_rates[eye, joint] = rate
+                state.goal_rates_at_effect[eye, joint] = rate
 
 
 @inlined
-def present_error(
-    state: PredictorState, p: PackedHead, eye: int, first: float, second: float
+def predict_pixel_error(
+    state: PredictorState, p: PackedHead, eye: int, first_angle: float, second_angle: float
 ) -> tuple[float, float]:
     """Predict the pixel error of one eye at given joint angles.
 
@@ -78,8 +81,8 @@ def present_error(
         state: the predictor's state.
         p: a packed head.
         eye: index of the eye.
-        first: angle of its first joint, rad.
-        second: angle of its second joint, rad.
+        first_angle: angle of its first joint, rad.
+        second_angle: angle of its second joint, rad.
 
     Returns:
         Undistorted error along u and v, px; nan if the target is not known or lies behind the
@@ -88,9 +91,9 @@ def present_error(
     if state.known[eye] < 0.5:
         return nan, nan
     # the point on the optical axis once the eye has turned to its aim
-    camera = eye_frames(p, eye, state.aims[eye, 0], state.aims[eye, 1]).camera
+    camera = eye_frames(p, eye, state.goals_at_effect[eye, 0], state.goals_at_effect[eye, 1]).camera
     px, py, pz = point_to_outer(camera, 0.0, 0.0, state.fixated_depth[eye])
-    x, y, z = point_in_eye(p, eye, first, second, px, py, pz)
+    x, y, z = point_in_eye(p, eye, first_angle, second_angle, px, py, pz)
     if not z > 0.0:
         return nan, nan
     lens = camera_of(p, eye)

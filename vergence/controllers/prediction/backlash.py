@@ -56,7 +56,7 @@ def inflate_variance_at_reversal(state: PredictorState, p: PackedHead, command: 
                 continue
             eye, joint, backlash = j // 2, j % 2, _CROSSING_SD_RAD * share
             state.filter_variance[eye, joint] += backlash * backlash
-            state.reversed_at[eye, joint] = state.periods
+            state.reversal_tick[eye, joint] = state.periods
             motions: Motions = state.motions[eye]
             for m in range(MODELS):  # half, as the covariance is common to both joints
                 motions[m].covariance[0] += 0.5 * backlash * backlash
@@ -66,7 +66,7 @@ def inflate_variance_at_reversal(state: PredictorState, p: PackedHead, command: 
 def update_backlash_variance(
     state: PredictorState,
     params: PredictorParameters,
-    exposure_period: float,
+    exposure_tick: float,
     eye: int,
     joint: int,
     measured_goal: float,
@@ -77,7 +77,7 @@ def update_backlash_variance(
     Args:
         state: the predictor's state; its backlash estimate is updated in place.
         params: the head's parameters.
-        exposure_period: exposure time of the image, in periods.
+        exposure_tick: exposure time of the image, in periods.
         eye: index of the eye.
         joint: index of its joint.
         measured_goal: the measured goal, rad.
@@ -87,7 +87,7 @@ def update_backlash_variance(
         The variance, rad^2; 0 if the motor has not reversed recently.
     """
     state.backlash_variance[eye, joint] *= _VARIANCE_DECAY
-    since_s = (exposure_period - state.reversed_at[eye, joint]) * params.period_s
+    since_s = (exposure_tick - state.reversal_tick[eye, joint]) * params.period_s
     if since_s > _RECENT_REVERSAL_S:
         return 0.0
     off = measured_goal - state.goals[eye, joint]

@@ -52,27 +52,29 @@ _DOUBTED_COST_FACTOR: Final = 0.5
 """Factor that remains of the costs once no hypothesis explains the images (chosen)."""
 
 
-def first_hypothesis_delay(latency_s: float) -> float:
+def first_hypothesis_delay(nominal_delay_s: float) -> float:
     """Delay of hypothesis 0, s, for a nominal delay; the nominal delay is one of the hypotheses."""
-    earlier = min(_MAX_EARLIER_HYPOTHESES, max(floor((latency_s - _MIN_DELAY_S) / SPACING_S), 0))
-    return latency_s - earlier * SPACING_S
+    earlier = min(
+        _MAX_EARLIER_HYPOTHESES, max(floor((nominal_delay_s - _MIN_DELAY_S) / SPACING_S), 0)
+    )
+    return nominal_delay_s - earlier * SPACING_S
 
 
-def prior_costs(latency_s: float, stamped: bool, learn: bool) -> FloatArray:
+def prior_delay_costs(nominal_delay_s: float, stamped: bool, learn: bool) -> FloatArray:
     """(HYPOTHESES,) costs of the delays before the first image: the Gaussian prior.
 
     Args:
-        latency_s: the head's nominal delay, s.
+        nominal_delay_s: the head's nominal delay, s.
         stamped: True if the camera stamps exposures.
         learn: True to estimate the delay on line; False rules out all but the nominal one.
     """
-    delays = first_hypothesis_delay(latency_s) + SPACING_S * np.arange(HYPOTHESES)
+    delays = first_hypothesis_delay(nominal_delay_s) + SPACING_S * np.arange(HYPOTHESES)
     sd = _STAMPED_PRIOR_SD_S if stamped else _PRIOR_SD_S
-    return np.asarray(((delays - latency_s) / (sd if learn else 1e-6)) ** 2)
+    return np.asarray(((delays - nominal_delay_s) / (sd if learn else 1e-6)) ** 2)
 
 
 @inlined
-def active_range(cost: FloatArray) -> tuple[int, int]:
+def active_delay_range(cost: FloatArray) -> tuple[int, int]:
     """Index of the first delay that is not ruled out, and one past the last."""
     least = cost[0]
     for i in range(HYPOTHESES):
@@ -86,53 +88,59 @@ def active_range(cost: FloatArray) -> tuple[int, int]:
 
 
 @inlined
-def delay_posterior(cost: FloatArray, low: int, high: int, weights: FloatArray) -> None:
-    """Compute the normalised weights of the delays from `low` to below `high`."""
-    least = cost[low]
-    for i in range(low, high):
+def delay_posterior(
+    cost: FloatArray, first_active: int, end_active: int, weights: FloatArray
+) -> None:
+    """Compute the normalised weights of the delays from `first_active` to below `end_active`."""
+    least = cost[first_active]
+    for i in range(first_active, end_active):
         least = min(least, cost[i])
     total = 0.0
-    for i in range(low, high):
+    for i in range(first_active, end_active):
         weights[i] = exp(-0.5 * (cost[i] - least))
         total += weights[i]
-    for i in range(low, high):
+    for i in range(first_active, end_active):
         weights[i] /= total
 
 
 @inlined
-def add_delay_cost(added: FloatArray, square: float, i: int) -> None:
+def add_bounded_delay_cost(added_costs: FloatArray, squared_innovation: float, i: int) -> None:
     """Add a bounded squared normalised innovation to the cost that an image adds to delay `i`."""
-    added[i] += min(square, _MAX_IMAGE_COST)
+    added_costs[i] += min(squared_innovation, _MAX_IMAGE_COST)
 
 
 @inlined
-def negative_log_likelihood(cost: FloatArray, low: int, high: int, added: FloatArray) -> float:
+def marginal_nll(
+    cost: FloatArray, first_active: int, end_active: int, added_costs: FloatArray
+) -> float:
     """Negative log-likelihood of an image over all delays, from the costs that it adds."""
-    least, first = cost[low], added[low]
-    for i in range(low, high):
-        least, first = min(least, cost[i]), min(first, added[i])
+    least, first = cost[first_active], added_costs[first_active]
+    for i in range(first_active, end_active):
+        least, first = min(least, cost[i]), min(first, added_costs[i])
     total = likely = 0.0
-    for i in range(low, high):
+    for i in range(first_active, end_active):
         weight = exp(-0.5 * (cost[i] - least))
-        total, likely = total + weight, likely + weight * exp(-0.5 * (added[i] - first))
+        total, likely = total + weight, likely + weight * exp(-0.5 * (added_costs[i] - first))
     nll: float = 0.5 * first - log(max(likely / total, 1e-30))
     return nll
 
 
 @inlined
-def accumulate_costs(cost: FloatArray, low: int, high: int, added: FloatArray) -> None:
+def decay_and_add_costs(
+    cost: FloatArray, first_active: int, end_active: int, added_costs: FloatArray
+) -> None:
     """Add an image's costs to the accumulated ones; old ones decay as informative images come.
 
     The costs of ruled-out delays decay too, until these are considered again.
     """
-    least = most = added[low]
-    for i in range(low, high):
-        least, most = min(least, added[i]), max(most, added[i])
+    least = most = added_costs[first_active]
+    for i in range(first_active, end_active):
+        least, most = min(least, added_costs[i]), max(most, added_costs[i])
     forget = 1.0 - (1.0 - _COST_DECAY) * min(most - least, 1.0)
     for i in range(HYPOTHESES):
         cost[i] *= forget
-        if low <= i < high:
-            cost[i] += added[i] - least
+        if first_active <= i < end_active:
+            cost[i] += added_costs[i] - least
         cost[i] = min(cost[i], _LARGEST_COST)
 
 

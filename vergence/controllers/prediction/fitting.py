@@ -26,17 +26,17 @@ from vergence.controllers.prediction.response import (
     FIRST_ORDER,
     RESPONSE_MODELS,
     SECOND_ORDER,
-    SPEEDS,
-    Response,
+    SPEED_RING_LENGTH,
+    ResponseIdentification,
     ResponseModel,
     command_at,
-    longest_latency,
+    max_response_latency,
     mean_speed_at,
     selected_model,
     simulate_period,
     speed_at,
 )
-from vergence.models.held_response import follow_held, prepare_held_response
+from vergence.models.held_response import follow_held_command, prepare_held_response
 from vergence.models.parts import FloatArray
 
 _WINDOW_S: Final = 0.117
@@ -109,11 +109,11 @@ def _mean_step(params: PredictorParameters, j: int) -> float:
 @inlined
 def _last_to_act(params: PredictorParameters) -> int:
     """Largest number of periods before a command acts."""
-    return int(longest_latency(params) / params.period_s) + 1
+    return int(max_response_latency(params) / params.period_s) + 1
 
 
 @inlined
-def _is_moving(response: Response, params: PredictorParameters, tick: int) -> bool:
+def _is_moving(response: ResponseIdentification, params: PredictorParameters, tick: int) -> bool:
     """True if any actuator moves, or a command that may still act is not zero."""
     for j in range(4):
         if abs(speed_at(response, tick, j)) > _MOVING_RAD_S:
@@ -126,7 +126,7 @@ def _is_moving(response: Response, params: PredictorParameters, tick: int) -> bo
 
 @inlined
 def _is_excited(
-    response: Response, params: PredictorParameters, first: int, tick: int, j: int
+    response: ResponseIdentification, params: PredictorParameters, first: int, tick: int, j: int
 ) -> bool:
     """True if the commands of an actuator have changed enough to identify its response."""
     begin, most = speed_at(response, first, j), 0.0
@@ -137,7 +137,7 @@ def _is_excited(
 
 @subroutine
 def _posterior_cost(
-    response: Response,
+    response: ResponseIdentification,
     model: ResponseModel,
     params: PredictorParameters,
     tick: int,
@@ -157,7 +157,7 @@ def _posterior_cost(
     period, whole = params.period_s, int(latency / params.period_s + 1e-9)
     rest, build_up = latency - whole * period, model.parameters[3]
     for j in range(4):
-        gain = exp(model.gain[j])
+        gain = exp(model.log_gain[j])
         v, w = speed_at(response, first, j), model.accelerations[j]
         lag, a = params.lag_ratio[j] * exp(log_lag), params.acceleration_limit[j] * exp(ratio)
         before, after = (
@@ -167,9 +167,9 @@ def _posterior_cost(
         mean_sd = _mean_step(params, j)
         for i in range(first, tick):
             u = gain * command_at(response, i - whole - 1, j)
-            q, v, w = follow_held(0.0, v, w, u, before)
+            q, v, w = follow_held_command(0.0, v, w, u, before)
             u = gain * command_at(response, i - whole, j)
-            q, v, w = follow_held(q, v, w, u, after)
+            q, v, w = follow_held_command(q, v, w, u, after)
             measured, simulated, step_sd = mean_speed_at(response, i + 1, j), q / period, mean_sd
             if response.prompt_velocities > 0.5:
                 measured, simulated, step_sd = speed_at(response, i + 1, j), v, params.speed_step[j]
@@ -180,7 +180,7 @@ def _posterior_cost(
 
 @subroutine
 def _try_others(
-    response: Response, model: ResponseModel, params: PredictorParameters, tick: int
+    response: ResponseIdentification, model: ResponseModel, params: PredictorParameters, tick: int
 ) -> None:
     """Restart the fit at other parameter values where these explain the window better."""
     known, free = model.parameters, model.variance[0] > _KNOWN_LATENCY_SD_S**2
@@ -189,7 +189,7 @@ def _try_others(
         - _MIN_MISFIT_DECREASE
     )
     for i in range(_TRIED_LATENCIES if free else 0):
-        latency = min(_SPACING_S * i, longest_latency(params))
+        latency = min(_SPACING_S * i, max_response_latency(params))
         cost = _posterior_cost(response, model, params, tick, latency, known[1], known[2])
         if cost < best:
             best, known[0] = cost, latency
@@ -226,7 +226,9 @@ def _solve(matrix: FloatArray, right: FloatArray, out: FloatArray) -> None:
 
 
 @subroutine
-def _fit(response: Response, model: ResponseModel, params: PredictorParameters, tick: int) -> None:
+def _fit(
+    response: ResponseIdentification, model: ResponseModel, params: PredictorParameters, tick: int
+) -> None:
     """Take one Gauss-Newton step on the window."""
     first, period = int(response.window_begin), params.period_s
     builds_up = model.parameters[3] > 0.0
@@ -241,7 +243,7 @@ def _fit(response: Response, model: ResponseModel, params: PredictorParameters, 
     residuals = count = 0.0
     for j in range(4):
         own[j] = 1.0 / _GAIN_SD**2
-        own_right[j] = own[j] * (model.gain_prior[j] - model.gain[j])
+        own_right[j] = own[j] * (model.log_gain_prior[j] - model.log_gain[j])
         if not (params.speed_limit[j] > 0.0 and _is_excited(response, params, first, tick, j)):
             continue
         responses = [prepare_held_response(1.0, 0.0, 1.0, 0.0)] * 12
@@ -250,7 +252,7 @@ def _fit(response: Response, model: ResponseModel, params: PredictorParameters, 
             ratio = model.parameters[1] + (_DIFFERENCES[1] if m == 3 else 0.0)
             log_lag = model.parameters[2] + (_DIFFERENCES[2] if m == 4 else 0.0)
             build_up = model.parameters[3] + (_DIFFERENCES[3] if m == 5 else 0.0)
-            gains[m] = exp(model.gain[j] + (_DIFFERENCES[4] if m == 1 else 0.0))
+            gains[m] = exp(model.log_gain[j] + (_DIFFERENCES[4] if m == 1 else 0.0))
             holds[m] = int(latency / period + 1e-9)
             rest, lag = latency - holds[m] * period, params.lag_ratio[j] * exp(log_lag)
             a = params.acceleration_limit[j] * exp(ratio)
@@ -260,9 +262,11 @@ def _fit(response: Response, model: ResponseModel, params: PredictorParameters, 
         for i in range(first, tick):
             for m in range(size + 2):
                 u = gains[m] * command_at(response, i - holds[m] - 1, j)
-                distance, v[m], w[m] = follow_held(0.0, v[m], w[m], u, responses[2 * m])
+                distance, v[m], w[m] = follow_held_command(0.0, v[m], w[m], u, responses[2 * m])
                 u = gains[m] * command_at(response, i - holds[m], j)
-                distance, v[m], w[m] = follow_held(distance, v[m], w[m], u, responses[2 * m + 1])
+                distance, v[m], w[m] = follow_held_command(
+                    distance, v[m], w[m], u, responses[2 * m + 1]
+                )
                 distances[m] = distance / period
             measured, step_sd, simulated = (
                 mean_speed_at(response, i + 1, j),
@@ -297,8 +301,8 @@ def _fit(response: Response, model: ResponseModel, params: PredictorParameters, 
     if not isfinite(step.sum()):  # no usable slope so far from the optimum
         return
     least = (0.0, log(_RATIOS[0]), log(_LAGS_S[0]), _BUILD_UPS[0])
-    most = (longest_latency(params), log(_RATIOS[1]), log(_LAGS_S[1]), _BUILD_UPS[1])
-    model.residuals, model.misfit = residuals, residuals / max(count, 1.0)
+    most = (max_response_latency(params), log(_RATIOS[1]), log(_LAGS_S[1]), _BUILD_UPS[1])
+    model.squared_residual_sum, model.misfit = residuals, residuals / max(count, 1.0)
     worse = max(1.0, model.misfit)
     for i in range(size):
         updated = model.parameters[i] + min(max(step[i], -_MAX_STEPS[i]), _MAX_STEPS[i])
@@ -311,27 +315,29 @@ def _fit(response: Response, model: ResponseModel, params: PredictorParameters, 
         change = own_right[j]
         for r in range(size):
             change -= mixed[j, r] * step[r]
-        gain = model.gain[j] + min(max(change / own[j], -0.1), 0.1)
-        model.gain[j] = min(max(gain, -_MAX_LOG_GAIN), _MAX_LOG_GAIN)
+        gain = model.log_gain[j] + min(max(change / own[j], -0.1), 0.1)
+        model.log_gain[j] = min(max(gain, -_MAX_LOG_GAIN), _MAX_LOG_GAIN)
 
 
 @inlined
-def _select(response: Response, lasted_s: float, ends: bool) -> None:
+def _select(response: ResponseIdentification, lasted_s: float, ends: bool) -> None:
     """Select the model that explains the windows better."""
     first_order, second_order = response.models[FIRST_ORDER], response.models[SECOND_ORDER]
     excess = 0.0
     if lasted_s >= _INFORMATIVE_S:
-        excess = (first_order.residuals - second_order.residuals) / max(second_order.misfit, 1.0)
-    better = response.evidence + excess > _MIN_SECOND_ORDER_EVIDENCE
+        excess = (first_order.squared_residual_sum - second_order.squared_residual_sum) / max(
+            second_order.misfit, 1.0
+        )
+    better = response.second_order_evidence + excess > _MIN_SECOND_ORDER_EVIDENCE
     overshoots = second_order.parameters[3] > _LEAST_BUILD_UP
     response.selected = SECOND_ORDER if better and overshoots else FIRST_ORDER
     if ends:
-        response.evidence = _EVIDENCE_DECAY * (response.evidence + excess)
+        response.second_order_evidence = _EVIDENCE_DECAY * (response.second_order_evidence + excess)
 
 
 @subroutine
 def _replay(
-    response: Response,
+    response: ResponseIdentification,
     model: ResponseModel,
     params: PredictorParameters,
     tick: int,
@@ -346,7 +352,9 @@ def _replay(
 
 
 @inlined
-def learn_response(response: Response, params: PredictorParameters, tick: int) -> None:
+def learn_response(
+    response: ResponseIdentification, params: PredictorParameters, tick: int
+) -> None:
     """Update the response model with the readings of a period.
 
     Args:
@@ -362,7 +370,7 @@ def learn_response(response: Response, params: PredictorParameters, tick: int) -
         for i in range(RESPONSE_MODELS if response.window_end != response.window_begin else 0):
             response.models[i].accelerations[:] = 0.0
     first = int(response.window_begin)
-    window = min(max(int(_WINDOW_S / params.period_s + 0.5), _LEAST_WINDOW), SPEEDS - 4)
+    window = min(max(int(_WINDOW_S / params.period_s + 0.5), _LEAST_WINDOW), SPEED_RING_LENGTH - 4)
     ends = tick - first >= window or not moving
     excited = False
     for j in range(4):
@@ -387,6 +395,6 @@ def learn_response(response: Response, params: PredictorParameters, tick: int) -
                 model.prior[n] = model.parameters[n]
                 variance = max(1.2 * model.variance[n], _MIN_PRIOR_SDS[n] ** 2)
                 model.information[n] = 1.0 / variance
-                model.gain_prior[n] = model.gain[n]
+                model.log_gain_prior[n] = model.log_gain[n]
         response.window_begin, response.window_end = -1.0, float(tick)
         response.windows += 1.0

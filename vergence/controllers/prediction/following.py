@@ -6,7 +6,7 @@ import numpy as np
 
 from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorParameters
-from vergence.controllers.prediction.measuring import JITTER_S
+from vergence.controllers.prediction.measuring import LATENCY_JITTER_SD_S
 from vergence.controllers.prediction.moving import (
     MODELS,
     mean_rate,
@@ -30,32 +30,34 @@ third more in the loop of scenario `hardware`, by two thirds more with the head 
 
 
 @inlined
-def predict_to_exposure(state: PredictorState, params: PredictorParameters, exposed: float) -> None:
+def predict_to_exposure(
+    state: PredictorState, params: PredictorParameters, exposure_tick: float
+) -> None:
     """Predict the target motion models to the exposure of an image (IMM mixing and time update).
 
     Args:
         state: changed in place.
         params: the head's parameters.
-        exposed: exposure time of the image, in periods.
+        exposure_tick: exposure time of the image, in periods.
     """
-    time_s = max(exposed - state.moved_at, 0.0) * params.period_s
+    time_s = max(exposure_tick - state.motion_tick, 0.0) * params.period_s
     mixed = np.zeros((MODELS, 12))
     for eye in range(2):
         if state.known[eye] > 0.5:
             mix_models(state.motions[eye], state.mode_probabilities, mixed)
             predict_motions(state.motions[eye], time_s)
     predict_modes(state.mode_probabilities)
-    state.moved_at = exposed
+    state.motion_tick = exposure_tick
 
 
 @inlined
-def slip_variances(
+def moving_goal_variances(
     state: PredictorState,
     params: PredictorParameters,
-    exposed: float,
+    exposure_tick: float,
     variance: FloatArray,
     delay_variance: FloatArray,
-    slip: FloatArray,
+    moving_variance: FloatArray,
 ) -> None:
     """Compute the variances of measured angles of moving targets.
 
@@ -65,19 +67,19 @@ def slip_variances(
     Args:
         state: the predictor's state.
         params: the head's parameters.
-        exposed: exposure time of the image, in periods.
+        exposure_tick: exposure time of the image, in periods.
         variance: (2, 2) variances of the goals for a known delay, rad^2.
         delay_variance: (2, 2) variances that the uncertain delay adds for a resting target, rad^2.
-        slip: (2, 2) result: variances for a moving target, rad^2.
+        moving_variance: (2, 2) result: variances for a moving target, rad^2.
     """
     for eye in range(2):
         for joint in range(2):
-            after = angle_at(state, params.keep_every, exposed + 0.5, eye, joint)
-            before = angle_at(state, params.keep_every, exposed - 0.5, eye, joint)
+            after = angle_at(state, params.sample_periods, exposure_tick + 0.5, eye, joint)
+            before = angle_at(state, params.sample_periods, exposure_tick - 0.5, eye, joint)
             speed = (after - before) / params.period_s
             share = speed - mean_rate(state.motions[eye], state.mode_probabilities, joint)
             share = min((share / max(abs(speed), _MIN_SPEED_RAD_S)) ** 2, 1.0)
-            dating = JITTER_S * JITTER_S * speed * speed
+            dating = LATENCY_JITTER_SD_S * LATENCY_JITTER_SD_S * speed * speed
             own = variance[eye, joint] - (1.0 - share) * dating
             step = _ENCODER_SD_STEPS * params.joint_step[eye, joint]
-            slip[eye, joint] = own + step * step + share * delay_variance[eye, joint]
+            moving_variance[eye, joint] = own + step * step + share * delay_variance[eye, joint]

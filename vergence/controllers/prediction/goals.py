@@ -22,19 +22,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.comparing import EXACT_RAD, INFORMATIVE_RATIO, compare_delays
+from vergence.controllers.prediction.comparing import (
+    INFORMATIVE_RATIO,
+    MODEL_ERROR_SD_RAD,
+    add_moving_target_costs,
+)
 from vergence.controllers.prediction.dating import (
     HYPOTHESES,
-    accumulate_costs,
-    active_range,
-    add_delay_cost,
+    active_delay_range,
+    add_bounded_delay_cost,
+    decay_and_add_costs,
     delay_posterior,
     forget_delay_evidence,
 )
 from vergence.controllers.prediction.joints import RING_LENGTH, PredictorParameters
 from vergence.controllers.prediction.jumps import has_jumped
 from vergence.controllers.prediction.measuring import (
-    average_exposure,
+    average_over_delays,
     goal_variance,
     measure_goals,
 )
@@ -46,14 +50,14 @@ from vergence.controllers.prediction.moving import (
     update_from_other_eye,
     update_modes,
 )
-from vergence.controllers.prediction.oscillation import reduce_count
+from vergence.controllers.prediction.oscillation import reduce_count_at_jump
 from vergence.controllers.prediction.predictor_state import PredictorState, angle_at
 from vergence.controllers.prediction.rest_or_motion import (
     classify_innovations,
-    expect_motion,
     likely_model,
     mark_directly_tracked_eyes,
-    update_motion,
+    predict_goal_variances,
+    update_motion_models,
 )
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
@@ -96,12 +100,12 @@ def _average_goals(state: PredictorState, low: int, high: int, weights: FloatArr
 def _readmit_delays(state: PredictorState, low: int, high: int) -> None:
     """Initialise the goals of delays that are considered again with the current mean goals."""
     for i in range(low, high):
-        if state.low <= i < state.high:
+        if state.first_active <= i < state.end_active:
             continue
         for eye in range(2):
             for joint in range(2):
                 state.goals_by_delay[i, eye, joint] = state.goals[eye, joint]
-    state.low, state.high = low, high
+    state.first_active, state.end_active = low, high
 
 
 @inlined
@@ -126,28 +130,28 @@ def update_with_image(
     goals = np.zeros((2, 2))
     inferred = np.zeros(2, dtype=np.bool_)
     arrived = state.periods - (state.image_age_s - params.image_latency_s) / params.period_s
-    low, high = active_range(state.delay_cost)
+    low, high = active_delay_range(state.delay_cost)
     _readmit_delays(state, low, high)
     delay_posterior(state.delay_cost, low, high, weights)
     # eyes at rest for longer than the longest delay: every delay gives the present angles
-    still = state.still_periods > (RING_LENGTH - 4.0) * params.keep_every
+    still = state.still_periods > (RING_LENGTH - 4.0) * params.sample_periods
     if still:
         exposed = arrived - state.delay_s / params.period_s
         for eye in range(2):
             for joint in range(2):
                 angles_at_exposure[eye, joint] = angle_at(
-                    state, params.keep_every, exposed, eye, joint
+                    state, params.sample_periods, exposed, eye, joint
                 )
                 for i in range(low, high):
                     angles_by_delay[i, eye, joint] = angles_at_exposure[eye, joint]
     else:
-        state.delay_s = average_exposure(
+        state.delay_s = average_over_delays(
             state, params, arrived, low, high, weights, angles_by_delay, angles_at_exposure,
             delay_variance,
         )  # fmt: skip
         exposed = arrived - state.delay_s / params.period_s
     depth = (state.depth[0], state.depth[1])
-    most = params.gap_rad + 4.0 * sqrt(2.0 * state.detection_variance)
+    most = params.max_miss_ratio + 4.0 * sqrt(2.0 * state.detection_variance)
     agree = measure_goals(state, p, angles_at_exposure, error, most, goals) < most
     for eye in range(2):
         inferred[eye] = not isfinite(error[eye, 0] + error[eye, 1])
@@ -187,7 +191,7 @@ def _store_image(
     """Store an image as the last one."""
     state.images[1] = state.images[0]
     image = state.images[0]
-    image.arrived = arrived
+    image.arrival_tick = arrived
     for eye in range(2):
         for joint in range(2):
             image.goals[eye, joint] = goals[eye, joint]
@@ -234,14 +238,14 @@ def _filter_joint(
     for i in range(low, high):
         angle = angles_by_delay[i, eye, joint]
         least, most = min(least, angle), max(most, angle)
-    expected = before + own + EXACT_RAD**2
+    expected = before + own + MODEL_ERROR_SD_RAD**2
     bound = max(INFORMATIVE_RATIO * expected, _MIN_INFORMATIVE_RAD**2)
     informative = not moves and (most - least) ** 2 > bound
     for i in range(low, high):
         off = angles_by_delay[i, eye, joint] - angles_at_exposure[eye, joint]
         innovation = goals[eye, joint] + off - state.goals_by_delay[i, eye, joint]
         if informative:
-            add_delay_cost(added, innovation * innovation / expected, i)
+            add_bounded_delay_cost(added, innovation * innovation / expected, i)
         state.goals_by_delay[i, eye, joint] += gain * innovation
     state.filter_variance[eye, joint] = (1.0 - gain) * before
     calm = (
@@ -287,7 +291,7 @@ def _filter(
     is_outlier, matches_motion = np.zeros(2, dtype=np.bool_), np.zeros(2, dtype=np.bool_)
     mark_directly_tracked_eyes(state, goals, inferred, direct)
     if targets_move:
-        expect_motion(
+        predict_goal_variances(
             state, params, exposed, goals, direct, variance, delay_variance, slip, backlash
         )
     outliers = classify_innovations(
@@ -308,7 +312,7 @@ def _filter(
             continue
         motions: Motions = state.motions[eye]
         if inferred[eye]:
-            if moves and state.displaced_count[1 - eye] < 0.5:
+            if moves and state.displaced_image_count[1 - eye] < 0.5:
                 update_from_other_eye(motions, goals[eye], slip[eye])
             goals[eye, 0] = goals[eye, 1] = nan
             continue
@@ -320,9 +324,9 @@ def _filter(
                 jumped or has_jumped(state, params, eye, goals, variance, delay_variance, alone)
             ):
                 continue
-        state.displaced_count[eye] = 0.0
+        state.displaced_image_count[eye] = 0.0
         if matches_motion[eye]:
-            own_scatter = update_motion(
+            own_scatter = update_motion_models(
                 state, params, eye, low, high, angles_at_exposure, angles_by_delay, goals, variance,
                 slip, backlash, likely, nll,
             )  # fmt: skip
@@ -331,7 +335,7 @@ def _filter(
         elif targets_move:
             begin_motion(motions, goals[eye], variance[eye, 0])
         if is_outlier[eye] or state.known[eye] < 0.5:
-            reduce_count(state.oscillation)
+            reduce_count_at_jump(state.oscillation)
             _begin_goals(
                 state, eye, low, high, goals, angles_at_exposure, angles_by_delay, variance, agree
                 or matches_motion[eye],
@@ -348,12 +352,12 @@ def _filter(
     if targets_move:
         update_modes(state.mode_probabilities, nll)
     if learn and moves:
-        compare_delays(
+        add_moving_target_costs(
             state, params, arrived, low, high, angles_at_exposure, angles_by_delay, goals, variance,
             added,
         )  # fmt: skip
     if learn:
-        accumulate_costs(state.delay_cost, low, high, added)
+        decay_and_add_costs(state.delay_cost, low, high, added)
         # if rest and motion alternate, neither explains the images: the delay may be wrong
         turned = moves != (targets_move and state.mode_probabilities[0] < 0.5)
         state.mode_switches = _SWITCH_COUNT_DECAY * state.mode_switches + (1.0 if turned else 0.0)

@@ -34,30 +34,30 @@ class PredictorParameters:
 
     period_s: float
     """Control period, s."""
-    latency_s: float
+    nominal_delay_s: float
     """Nominal latency of images (0 if the camera stamps exposures) minus that of joint readings,
     s."""
     image_latency_s: float
     """Nominal latency from exposure to arrival, s; 0 if the camera stamps exposures."""
-    response_s: float
+    response_latency_s: float
     """Nominal latency of commands plus that of joint readings, s."""
-    keep_every: float
+    sample_periods: float
     """Number of periods between the joint angles that are stored for later images."""
     lag_s: float
     """Nominal lag in the head's timing, s."""
     pixel_rad: float
     """Angle of one pixel at the image centre, 1 / focal length, rad."""
-    detection_px: float
+    detection_noise_px: float
     """Detection noise, standard deviation, px."""
     command_step: float
     """Resolution of the commands, rad/s; 0 if not quantised."""
-    frame_s: float
+    frame_period_s: float
     """Nominal time between frames, s."""
     max_slip_rad_s: float
     """Largest eye-target angular rate before motion blur hides the target, rad/s."""
     targets_move: float
     """1 if targets may move, 0 if they rest except for jumps."""
-    gap_rad: float
+    max_miss_ratio: float
     """Largest miss distance of both eyes' rays to one target, divided by its distance."""
     lag_ratio: Annotated[FloatArray, 4]
     """Ratio of each actuator's lag to the lag in the head's timing."""
@@ -73,13 +73,13 @@ class PredictorParameters:
     """Lower position limits, rad."""
     upper: Annotated[FloatArray, 4]
     """Upper position limits, rad."""
-    leverage: Annotated[FloatArray, 4]
+    max_joint_per_actuator: Annotated[FloatArray, 4]
     """Largest eye joint rotation per radian of an actuator; 1 for one that moves no eye."""
     moves_eye: Annotated[FloatArray, 4, 2]
     """1 if an actuator turns an eye, otherwise 0; by actuator and eye."""
     joint_step: Annotated[FloatArray, 2, 2]
     """Resolution of each eye's joint angles, from that of the encoders, rad."""
-    orthogonal: Annotated[FloatArray, 2]
+    orthogonal_axes: Annotated[FloatArray, 2]
     """1 for each eye whose two joint axes and optical axis are at right angles at zero, otherwise
     0."""
 
@@ -90,12 +90,12 @@ _MAX_ORTHOGONAL_COSINE: Final = 0.1
 """Largest cosine between two axes that count as at right angles (chosen)."""
 
 
-def pack_predictor_parameters(head: HeadModel, moving: bool = True) -> FloatArray:
+def pack_predictor_parameters(head: HeadModel, targets_move: bool = True) -> FloatArray:
     """Pack the `PredictorParameters` of a head into a row.
 
     Args:
         head: the model of the head.
-        moving: True if targets may move.
+        targets_move: True if targets may move.
 
     Returns:
         A row of the layout `PREDICTOR_PARAMETERS`.
@@ -108,18 +108,19 @@ def pack_predictor_parameters(head: HeadModel, moving: bool = True) -> FloatArra
     return make_row(
         PREDICTOR_PARAMETERS,
         period_s=timing.period_s,
-        latency_s=(0.0 if timing.exposure_stamps else timing.latency_s) - timing.feedback_latency_s,
+        nominal_delay_s=(0.0 if timing.exposure_stamps else timing.latency_s)
+        - timing.feedback_latency_s,
         image_latency_s=0.0 if timing.exposure_stamps else timing.latency_s,
-        response_s=timing.command_latency_s + timing.feedback_latency_s,
-        keep_every=np.ceil(_MIN_RING_S * timing.control_rate_hz / (RING_LENGTH - 4)),
+        response_latency_s=timing.command_latency_s + timing.feedback_latency_s,
+        sample_periods=np.ceil(_MIN_RING_S * timing.control_rate_hz / (RING_LENGTH - 4)),
         lag_s=timing.lag_s,
         pixel_rad=pixel_rad,
-        detection_px=sensor.detection_noise_px,
+        detection_noise_px=sensor.detection_noise_px,
         command_step=sensor.command_resolution_rad_s,
-        frame_s=1.0 / timing.frame_rate_hz,
+        frame_period_s=1.0 / timing.frame_rate_hz,
         max_slip_rad_s=min(sensor.max_smear_px * pixel_rad / max(timing.exposure_s, 1e-6), 1e6),
-        targets_move=moving,
-        gap_rad=_MODEL_MISS_RATIO,
+        targets_move=targets_move,
+        max_miss_ratio=_MODEL_MISS_RATIO,
         lag_ratio=actuation.lag_ratio[EYES],
         angle_step=actuation.angle_step[EYES],
         speed_step=actuation.speed_step[EYES],
@@ -132,10 +133,10 @@ def pack_predictor_parameters(head: HeadModel, moving: bool = True) -> FloatArra
         ),
         lower=actuation.lower[EYES],
         upper=actuation.upper[EYES],
-        leverage=np.where(leverage > 0.0, leverage, 1.0),
+        max_joint_per_actuator=np.where(leverage > 0.0, leverage, 1.0),
         moves_eye=actuator_moves_eye(head),
         joint_step=joint_resolutions(head).reshape(2, 2),
-        orthogonal=[_is_orthogonal(packed, eye) for eye in range(2)],
+        orthogonal_axes=[_is_orthogonal(packed, eye) for eye in range(2)],
     )
 
 

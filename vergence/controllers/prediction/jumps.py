@@ -3,7 +3,7 @@
 from typing import Final
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.comparing import EXACT_RAD
+from vergence.controllers.prediction.comparing import MODEL_ERROR_SD_RAD
 from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.predictor_state import PredictorState
 from vergence.models.parts import FloatArray
@@ -57,7 +57,7 @@ def has_jumped(
     goals: FloatArray,
     variance: FloatArray,
     delay_variance: FloatArray,
-    alone: bool,
+    other_eye_unmoved: bool,
 ) -> bool:
     """True if the displaced detection of one eye has stayed long enough to be its target.
 
@@ -72,15 +72,22 @@ def has_jumped(
         goals: (2, 2) goals of the image, rad.
         variance: (2, 2) variances of the goals for a known delay, rad^2.
         delay_variance: (2, 2) variances that the uncertain delay adds, rad^2.
-        alone: True if the other eye sees its target where it was.
+        other_eye_unmoved: True if the other eye sees its target where it was.
     """
-    again = state.displaced_count[eye] > 0.5
+    again = state.displaced_image_count[eye] > 0.5
     for joint in range(2):
         off = goals[eye, joint] - state.displaced_goals[eye, joint]
-        known = 2.0 * (variance[eye, joint] + delay_variance[eye, joint]) + 2.0 * EXACT_RAD**2
+        known = (
+            2.0 * (variance[eye, joint] + delay_variance[eye, joint]) + 2.0 * MODEL_ERROR_SD_RAD**2
+        )
         again = again and off * off <= DISPLACED_GATE * known
-    state.displaced_count[eye] = state.displaced_count[eye] + 1.0 if again else 1.0
+    state.displaced_image_count[eye] = state.displaced_image_count[eye] + 1.0 if again else 1.0
     for joint in range(2):
         state.displaced_goals[eye, joint] = goals[eye, joint]
-    most = max(round((_OTHER_UNMOVED_S if alone else _OTHER_UNSURE_S) / params.frame_s), 2)
-    return bool(state.displaced_count[eye] > min(max(state.confirmations[eye], 2.0), most) - 0.5)
+    most = max(
+        round((_OTHER_UNMOVED_S if other_eye_unmoved else _OTHER_UNSURE_S) / params.frame_period_s),
+        2,
+    )
+    return bool(
+        state.displaced_image_count[eye] > min(max(state.confirmations[eye], 2.0), most) - 0.5
+    )

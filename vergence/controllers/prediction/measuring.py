@@ -7,7 +7,7 @@ from vergence._jit import inlined
 from vergence.controllers.prediction.dating import SPACING_S
 from vergence.controllers.prediction.joints import PredictorParameters
 from vergence.controllers.prediction.predictor_state import PredictorState, angle_at
-from vergence.models.fixation import fixate_step
+from vergence.models.fixation import fixation_newton_step
 from vergence.models.kinematics import eye_frames
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
@@ -19,7 +19,7 @@ _RELATIVE_MODEL_SD: Final = 0.004
 _ENCODER_SD_STEPS: Final = 0.3
 """Quantisation error of a moving joint's filtered angle, standard deviation as a fraction of the
 resolution (chosen: that of one rounded angle)."""
-JITTER_S: Final = 0.006
+LATENCY_JITTER_SD_S: Final = 0.006
 """Jitter of the frames' latency, standard deviation, s (chosen)."""
 _MOVING_RAD_S: Final = 0.05
 """Joint speed above which encoder quantisation is added to the variance, rad/s (chosen)."""
@@ -28,12 +28,12 @@ _MAX_NEWTON_STEPS: Final = 10
 
 
 @inlined
-def average_exposure(
+def average_over_delays(
     state: PredictorState,
     params: PredictorParameters,
-    arrived: float,
-    low: int,
-    high: int,
+    arrival_tick: float,
+    first_active: int,
+    end_active: int,
     weights: FloatArray,
     angles_by_delay: FloatArray,
     angles_at_exposure: FloatArray,
@@ -44,9 +44,9 @@ def average_exposure(
     Args:
         state: the predictor's state.
         params: the head's parameters.
-        arrived: arrival of the image (its stamp if the camera stamps exposures), in periods.
-        low: index of the first delay hypothesis that is not ruled out.
-        high: index one past the last of them.
+        arrival_tick: arrival of the image (its stamp if the camera stamps exposures), in periods.
+        first_active: index of the first delay hypothesis that is not ruled out.
+        end_active: index one past the last of them.
         weights: (HYPOTHESES,) weights of the delays.
         angles_by_delay: (HYPOTHESES, 2, 2) result: joint angles at the exposure under each delay,
             rad.
@@ -57,23 +57,23 @@ def average_exposure(
         The mean delay, s.
     """
     delay = 0.0
-    for i in range(low, high):
+    for i in range(first_active, end_active):
         own = state.first_delay_s + SPACING_S * i
         delay += weights[i] * own
         for eye in range(2):
             for joint in range(2):
-                tick = arrived - own / params.period_s
+                tick = arrival_tick - own / params.period_s
                 angles_by_delay[i, eye, joint] = angle_at(
-                    state, params.keep_every, tick, eye, joint
+                    state, params.sample_periods, tick, eye, joint
                 )
     for eye in range(2):
         for joint in range(2):
             mean = square = 0.0
-            for i in range(low, high):
-                off = angles_by_delay[i, eye, joint] - angles_by_delay[low, eye, joint]
+            for i in range(first_active, end_active):
+                off = angles_by_delay[i, eye, joint] - angles_by_delay[first_active, eye, joint]
                 mean += weights[i] * off
                 square += weights[i] * off * off
-            angles_at_exposure[eye, joint] = angles_by_delay[low, eye, joint] + mean
+            angles_at_exposure[eye, joint] = angles_by_delay[first_active, eye, joint] + mean
             delay_variance[eye, joint] = max(square - mean * mean, 0.0)
     return delay
 
@@ -137,7 +137,7 @@ def measure_goals(
         if state.known[eye] > 0.5:  # Newton's method from the last goal needs one step
             q1, q2 = state.goals[eye, 0], state.goals[eye, 1]
         for _ in range(_MAX_NEWTON_STEPS):
-            d1, d2 = fixate_step(p, eye, q1, q2, x, y, z)
+            d1, d2 = fixation_newton_step(p, eye, q1, q2, x, y, z)
             q1 += min(max(d1, -0.5), 0.5)
             q2 += min(max(d2, -0.5), 0.5)
             if abs(d1) + abs(d2) < 1e-4:  # the error left is the square of this step
@@ -154,26 +154,26 @@ def measure_goals(
 def goal_variance(
     state: PredictorState,
     params: PredictorParameters,
-    exposed: float,
+    exposure_tick: float,
     eye: int,
     joint: int,
-    turn: float,
+    angle_to_goal: float,
 ) -> float:
     """Variance of a measured goal for a known delay, rad^2.
 
     Args:
         state: the predictor's state.
         params: the head's parameters.
-        exposed: exposure time of the image, in periods.
+        exposure_tick: exposure time of the image, in periods.
         eye: index of the eye.
         joint: index of its joint.
-        turn: angle from the joint's position at the exposure to the goal, rad.
+        angle_to_goal: angle from the joint's position at the exposure to the goal, rad.
     """
-    after = angle_at(state, params.keep_every, exposed + 0.5, eye, joint)
-    before = angle_at(state, params.keep_every, exposed - 0.5, eye, joint)
-    speed, model = (after - before) / params.period_s, _RELATIVE_MODEL_SD * turn
+    after = angle_at(state, params.sample_periods, exposure_tick + 0.5, eye, joint)
+    before = angle_at(state, params.sample_periods, exposure_tick - 0.5, eye, joint)
+    speed, model = (after - before) / params.period_s, _RELATIVE_MODEL_SD * angle_to_goal
     encoder = (
         _ENCODER_SD_STEPS * params.joint_step[eye, joint] if abs(speed) > _MOVING_RAD_S else 0.0
     )
-    jitter = JITTER_S * speed
+    jitter = LATENCY_JITTER_SD_S * speed
     return state.detection_variance + jitter * jitter + model * model + encoder * encoder

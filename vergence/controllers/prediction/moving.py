@@ -75,7 +75,7 @@ _RETURN_TIME_S: Final = 0.15
 """Time constant of that return, s (chosen)."""
 
 
-class EyeMotion:
+class TargetMotion:
     """State of one motion model for one eye's target; arrays are by joint."""
 
     angle: Annotated[FloatArray, 2]
@@ -89,7 +89,7 @@ class EyeMotion:
 
 
 Motions: TypeAlias = Any
-"""`EyeMotion` by model; by eye and model where stated."""
+"""`TargetMotion` by model; by eye and model where stated."""
 
 
 @inlined
@@ -105,7 +105,7 @@ def begin_modes(probabilities: FloatArray) -> None:
 def begin_motion(motions: Motions, goals: FloatArray, variance: float) -> None:
     """Initialise an eye's target at rest, at angles (2,) of one variance, rad^2."""
     for m in range(MODELS):
-        motion: EyeMotion = motions[m]
+        motion: TargetMotion = motions[m]
         for joint in range(2):
             motion.angle[joint] = goals[joint]
             motion.rate[joint] = motion.acceleration[joint] = 0.0
@@ -142,7 +142,7 @@ def mix_models(motions: Motions, probabilities: FloatArray, mixed: FloatArray) -
             share = (
                 ((1.0 - _SWITCH_PROBABILITY) if n == m else other) * probabilities[n + 1] / total
             )
-            motion: EyeMotion = motions[n]
+            motion: TargetMotion = motions[n]
             for joint in range(2):
                 mixed[m, joint] += share * motion.angle[joint]
                 mixed[m, 2 + joint] += share * motion.rate[joint]
@@ -182,7 +182,7 @@ def predict_motions(motions: Motions, time_s: float) -> None:
     t = time_s
     t2, t3 = t * t, t * t * t
     for m in range(MODELS):
-        motion: EyeMotion = motions[m]
+        motion: TargetMotion = motions[m]
         forgets = _ACCELERATION_TIME_S[m]
         left = exp(-t / forgets)
         f13 = forgets * forgets * (t / forgets - 1.0 + left)
@@ -206,12 +206,12 @@ def predict_motions(motions: Motions, time_s: float) -> None:
 
 
 @inlined
-def passes_gate(
+def passes_any_gate(
     motions: Motions, probabilities: FloatArray, goals: FloatArray, variance: FloatArray
 ) -> bool:
     """True if measured angles (2,) of given variances pass the gate of a model."""
     for m in range(MODELS):
-        motion: EyeMotion = motions[m]
+        motion: TargetMotion = motions[m]
         inside, gate = (
             True,
             _GATE if probabilities[m + 1] > _WIDE_GATE_PROBABILITY else _UNLIKELY_MODEL_GATE,
@@ -227,7 +227,7 @@ def passes_gate(
 
 
 @inlined
-def kalman_update(motion: EyeMotion, goals: FloatArray, variance: float) -> None:
+def kalman_update(motion: TargetMotion, goals: FloatArray, variance: float) -> None:
     """Kalman update of one model with measured angles (2,) of one variance, rad^2."""
     c = motion.covariance
     innovation_variance = c[0] + variance
@@ -250,7 +250,7 @@ def update_models(
     motions: Motions,
     goals: FloatArray,
     variance: FloatArray,
-    exact: FloatArray,
+    model_error_variance: FloatArray,
     nll: FloatArray,
 ) -> None:
     """Update all models with measured angles, and add their negative log-likelihoods.
@@ -259,15 +259,15 @@ def update_models(
         motions: motion models of one eye, changed in place.
         goals: (2,) measured angles, rad.
         variance: (2,) their variances, rad^2.
-        exact: (2,) variances added to every prediction, rad^2.
+        model_error_variance: (2,) variances added to every prediction, rad^2.
         nll: (MODES,) negative log-likelihoods, added to in place.
     """
     own = 0.5 * (variance[0] + variance[1])
     for m in range(MODELS):
-        motion: EyeMotion = motions[m]
+        motion: TargetMotion = motions[m]
         for joint in range(2):
             innovation = goals[joint] - motion.angle[joint]
-            known = motion.covariance[0] + variance[joint] + exact[joint]
+            known = motion.covariance[0] + variance[joint] + model_error_variance[joint]
             nll[m + 1] += innovation_nll(innovation, known)
         kalman_update(motion, goals, own)
 
@@ -335,13 +335,13 @@ def visible_speed_fraction(
 
 
 @inlined
-def extrapolate(
+def extrapolate_goal(
     motions: Motions,
     probabilities: FloatArray,
-    resting: float,
+    resting_goal: float,
     joint: int,
     time_s: float,
-    expected_s: float,
+    next_image_due_s: float,
     visible_speed_fraction: float,
 ) -> tuple[float, float]:
     """Extrapolate a target angle and its rate: the mean over all models.
@@ -349,20 +349,20 @@ def extrapolate(
     Args:
         motions: motion models of one eye.
         probabilities: (MODES,) mode probabilities.
-        resting: filtered goal of the target if it rests, rad.
+        resting_goal: filtered goal of the target if it rests, rad.
         joint: index of the joint.
         time_s: time since the exposure of the newest image, s.
-        expected_s: time by which another image should have shown the target, s.
+        next_image_due_s: time by which another image should have shown the target, s.
         visible_speed_fraction: fraction of its speed at which it is followed after that time, from
             the function of this name.
     """
     left = exp(-max(time_s - _MAX_EXTRAPOLATION_S, 0.0) / _RETURN_TIME_S)
-    slow = visible_speed_fraction * max(min(time_s, _MAX_EXTRAPOLATION_S) - expected_s, 0.0)
-    slower = left * (visible_speed_fraction if time_s > expected_s else 1.0)
-    time_s = min(time_s, _MAX_EXTRAPOLATION_S, expected_s)
+    slow = visible_speed_fraction * max(min(time_s, _MAX_EXTRAPOLATION_S) - next_image_due_s, 0.0)
+    slower = left * (visible_speed_fraction if time_s > next_image_due_s else 1.0)
+    time_s = min(time_s, _MAX_EXTRAPOLATION_S, next_image_due_s)
     offset = rate = 0.0
     for m in range(MODELS):
-        motion: EyeMotion = motions[m]
+        motion: TargetMotion = motions[m]
         forgets, w, a = _ACCELERATION_TIME_S[m], motion.rate[joint], motion.acceleration[joint]
         kept = exp(-time_s / forgets)
         now = w + a * forgets * (1.0 - kept)
@@ -372,7 +372,7 @@ def extrapolate(
             share, lasts = visible_speed_fraction, exp(-time_s / _ERRATIC_TIME_S)
             now, turn = lasts * now, turn * _ERRATIC_TIME_S * (1.0 - lasts) / max(time_s, 1e-9)
         offset += probabilities[m + 1] * (
-            motion.angle[joint] - resting + share * (turn + slow * now)
+            motion.angle[joint] - resting_goal + share * (turn + slow * now)
         )
         rate += probabilities[m + 1] * share * slower * now
-    return resting + left * offset, rate
+    return resting_goal + left * offset, rate

@@ -23,9 +23,9 @@ from typing import Annotated, Final
 from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorParameters, clip_to_quantisation
 from vergence.controllers.prediction.response import (
-    Response,
+    ResponseIdentification,
     command_at,
-    longest_latency,
+    max_response_latency,
     selected_model,
 )
 from vergence.models.joint_response import lag_decay
@@ -73,7 +73,7 @@ _MAX_SQUARED_RESIDUAL: Final = 100.0
 """Bound of a single squared normalised residual in that mean (chosen)."""
 
 
-class Observer:
+class ActuatorObserver:
     """State of the filter: covariances of the actuators, and the delay of their velocities."""
 
     covariance: Annotated[FloatArray, 4, 3]
@@ -104,7 +104,7 @@ class Observer:
 
 
 @inlined
-def begin_comparison(observer: Observer, j: int, angle: float, rate: float) -> None:
+def begin_delay_comparison(observer: ActuatorObserver, j: int, angle: float, rate: float) -> None:
     """Start comparing the angles and the velocities of an actuator."""
     observer.first_angle[j], observer.first_velocity[j] = angle, rate
     observer.integrated_velocity[j] = observer.compared_periods[j] = 0.0
@@ -112,13 +112,13 @@ def begin_comparison(observer: Observer, j: int, angle: float, rate: float) -> N
 
 
 @inlined
-def _delay_sd(observer: Observer) -> float:
+def _delay_sd(observer: ActuatorObserver) -> float:
     return sqrt(1.0 / (observer.information + 1.0 / _DELAY_SD_S**2))
 
 
 @inlined
 def _update_delay(
-    observer: Observer, params: PredictorParameters, j: int, angle: float, rate: float
+    observer: ActuatorObserver, params: PredictorParameters, j: int, angle: float, rate: float
 ) -> None:
     """Update the delay of the velocities with a reading."""
     period = params.period_s
@@ -147,17 +147,17 @@ def _update_delay(
     observer.delay_s = min(max(delay_s, 0.0), _MAX_VELOCITY_DELAY_S)
     at_rest = rate == 0.0 and abs(travel - observer.integrated_velocity[j]) <= params.angle_step[j]
     if at_rest or observer.compared_periods[j] * period > _MAX_COMPARISON_S:
-        begin_comparison(observer, j, angle, rate)
+        begin_delay_comparison(observer, j, angle, rate)
 
 
 @inlined
-def no_velocity_delay_found(observer: Observer) -> bool:
+def no_velocity_delay_found(observer: ActuatorObserver) -> bool:
     """True if no evidence says that velocities are read with a delay."""
     return observer.delay_s < _MAX_PROMPT_DELAY_S and observer.misfit < _MAX_EXPLAINED_MISFIT
 
 
 @inlined
-def _relative_acceleration_sd(response: Response, period: float) -> float:
+def _relative_acceleration_sd(response: ResponseIdentification, period: float) -> float:
     """Relative standard deviation of an actuator's predicted acceleration."""
     model = selected_model(response)
     v = model.variance
@@ -168,16 +168,16 @@ def _relative_acceleration_sd(response: Response, period: float) -> float:
 
 @inlined
 def update_observer(
-    observer: Observer,
-    response: Response,
+    observer: ActuatorObserver,
+    response: ResponseIdentification,
     params: PredictorParameters,
     tick: int,
     j: int,
     velocity_before: float,
     predicted_angle: float,
     predicted_velocity: float,
-    angle: float,
-    rate: float,
+    measured_angle: float,
+    measured_velocity: float,
 ) -> tuple[float, float]:
     """Update the angle and velocity of an actuator with its reading.
 
@@ -190,8 +190,8 @@ def update_observer(
         velocity_before: its velocity at the start of the period, rad/s.
         predicted_angle: its angle predicted from the commands, rad.
         predicted_velocity: its velocity predicted from the commands, rad/s.
-        angle: the measured angle, rad.
-        rate: the measured velocity, rad/s.
+        measured_angle: the measured angle, rad.
+        measured_velocity: the measured velocity, rad/s.
 
     Returns:
         The angle, within the resolution about the reading, rad, and the velocity, rad/s.
@@ -199,8 +199,8 @@ def update_observer(
     period, c, model = params.period_s, observer.covariance[j], selected_model(response)
     lag = params.lag_ratio[j] * exp(model.parameters[2])
     late_s = model.parameters[0] + 2.0 * sqrt(max(model.variance[0], 0.0))
-    asked, gain = 0.0, exp(model.gain[j])
-    for i in range(int(min(late_s, longest_latency(params)) / period) + 2):
+    asked, gain = 0.0, exp(model.log_gain[j])
+    for i in range(int(min(late_s, max_response_latency(params)) / period) + 2):
         asked = max(asked, abs(gain * command_at(response, tick - i, j) - predicted_velocity))
     most = params.acceleration_limit[j] * exp(
         model.parameters[1] + sqrt(max(model.variance[1], 0.0))
@@ -214,7 +214,8 @@ def update_observer(
     step = _ANGLE_SD_STEPS * params.angle_step[j]
     innovation_variance = c[0] + step * step + _ANGLE_SD_RAD * _ANGLE_SD_RAD
     innovation = (
-        clip_to_quantisation(predicted_angle, angle, params.angle_step[j]) - predicted_angle
+        clip_to_quantisation(predicted_angle, measured_angle, params.angle_step[j])
+        - predicted_angle
     )
     k, kv = c[0] / innovation_variance, c[1] / innovation_variance
     predicted_angle, predicted_velocity = (
@@ -224,7 +225,7 @@ def update_observer(
     c[2] -= kv * c[1]
     c[1] *= 1.0 - k
     c[0] *= 1.0 - k
-    _update_delay(observer, params, j, angle, rate)
+    _update_delay(observer, params, j, measured_angle, measured_velocity)
     # measurement update with the reported velocity
     delay = observer.delay_s
     taken = 1.0 - lag_decay(period, delay)
@@ -241,7 +242,7 @@ def update_observer(
     )
     speed_sd += observer.recent_acceleration[j] * delay_sd
     innovation_variance = c[2] + speed_sd * speed_sd * max(observer.misfit, 1.0)
-    innovation = clip_to_quantisation(expected, rate, params.speed_step[j]) - expected
+    innovation = clip_to_quantisation(expected, measured_velocity, params.speed_step[j]) - expected
     # Cauchy weight: outliers count for little
     innovation_variance += innovation * innovation / 9.0
     k, kv = c[1] / innovation_variance, c[2] / innovation_variance
@@ -255,6 +256,6 @@ def update_observer(
     observer.expected_velocity[j] = expected + kv * innovation
     # bound the effect of a corrupted packet
     fastest = _MAX_SPEED_RATIO * params.speed_limit[j]
-    return clip_to_quantisation(predicted_angle, angle, params.angle_step[j]), min(
+    return clip_to_quantisation(predicted_angle, measured_angle, params.angle_step[j]), min(
         max(predicted_velocity, -fastest), fastest
     )

@@ -35,73 +35,77 @@ _SUSTAINED_RATIO: Final = 0.7
 """Ratio from which it is sustained: it counts 1, and proportionally in between (chosen)."""
 _COUNT_KEPT_AT_JUMP: Final = 0.5
 """Factor that remains of the count after a jump of the target (chosen)."""
-MANY_HALF_SWINGS: Final = 2.0
+OSCILLATING_HALF_SWINGS: Final = 2.0
 """Count of half swings above which a law has to be calm (chosen)."""
-MOST_HALF_SWINGS: Final = 6.0
+MAX_HALF_SWINGS: Final = 6.0
 """Upper bound of the count (chosen)."""
 _MIN_REDUCED_RATE: Final = 1.0
 """Lower bound of a calmed law's rate, 1/s (chosen)."""
-FIRST_PATIENCE_S: Final = 1.0
+INITIAL_DECAY_TIME_S: Final = 1.0
 """Initial time constant with which the count decays, s (chosen)."""
 
 
-class Oscillation:
-    """Reversals of each eye joint, (2, 2) by eye and joint, and the count of half swings."""
+class OscillationState:
+    """State of the detection of oscillation; arrays (2, 2) are by eye and joint."""
 
-    side: Annotated[FloatArray, 2, 2]
+    direction: Annotated[FloatArray, 2, 2]
     """Direction of its present motion: 1, -1, or 0 before it has moved."""
-    turned_at: Annotated[FloatArray, 2, 2]
+    reversal_angle: Annotated[FloatArray, 2, 2]
     """Its angle at the last reversal, rad."""
-    farthest: Annotated[FloatArray, 2, 2]
+    extreme_angle: Annotated[FloatArray, 2, 2]
     """Farthest angle in the present direction since then, rad."""
-    aim: Annotated[FloatArray, 2, 2]
+    goal_at_reversal: Annotated[FloatArray, 2, 2]
     """Its goal when that reversal was detected, rad."""
     goal_moved: Annotated[FloatArray, 2, 2, 2]
     """Largest distance of the goal from `aim` since then, and in the half swing before, rad."""
-    half_swing: Annotated[FloatArray, 2, 2]
+    last_half_swing: Annotated[FloatArray, 2, 2]
     """Length of the previous half swing, rad; 0 for none."""
-    periods_since: Annotated[FloatArray, 2, 2]
+    periods_since_reversal: Annotated[FloatArray, 2, 2]
     """Periods since that reversal was detected."""
-    count: float
-    """Decayed count of half swings, at most `MOST_HALF_SWINGS`."""
-    patience_s: float
+    half_swing_count: float
+    """Decayed count of half swings, at most `MAX_HALF_SWINGS`."""
+    decay_time_s: float
     """Time constant with which the count decays, s; it doubles each time the count passes
-    `MANY_HALF_SWINGS`."""
+    `OSCILLATING_HALF_SWINGS`."""
 
 
 @inlined
-def calmed_rate(rate: float, half_swings: float) -> float:
-    """Rate of a linear law, 1/s, halved for each half swing counted beyond `MANY_HALF_SWINGS`."""
-    return max(rate * exp2(-max(half_swings - MANY_HALF_SWINGS, 0.0)), min(rate, _MIN_REDUCED_RATE))
+def oscillation_reduced_rate(rate: float, half_swings: float) -> float:
+    """Rate of a linear law, 1/s, halved for each half swing beyond `OSCILLATING_HALF_SWINGS`."""
+    return max(
+        rate * exp2(-max(half_swings - OSCILLATING_HALF_SWINGS, 0.0)), min(rate, _MIN_REDUCED_RATE)
+    )
 
 
 @inlined
-def reduce_count(oscillation: Oscillation) -> None:
+def reduce_count_at_jump(oscillation: OscillationState) -> None:
     """Reduce the count, because the target has jumped."""
-    oscillation.count *= _COUNT_KEPT_AT_JUMP
+    oscillation.half_swing_count *= _COUNT_KEPT_AT_JUMP
 
 
 @inlined
-def decay_count(oscillation: Oscillation, period_s: float) -> None:
+def decay_count(oscillation: OscillationState, period_s: float) -> None:
     """Let the count decay over a period."""
-    oscillation.count -= oscillation.count * min(period_s / oscillation.patience_s, 1.0)
+    oscillation.half_swing_count -= oscillation.half_swing_count * min(
+        period_s / oscillation.decay_time_s, 1.0
+    )
 
 
 @inlined
-def begin_oscillation(oscillation: Oscillation, eye: int, joint: int, angle: float) -> None:
+def reset_oscillation(oscillation: OscillationState, eye: int, joint: int, angle: float) -> None:
     """Initialise a joint at rest at an angle, rad."""
-    oscillation.turned_at[eye, joint] = oscillation.farthest[eye, joint] = angle
+    oscillation.reversal_angle[eye, joint] = oscillation.extreme_angle[eye, joint] = angle
 
 
 @inlined
 def update_oscillation(
-    oscillation: Oscillation,
+    oscillation: OscillationState,
     params: PredictorParameters,
     eye: int,
     joint: int,
     angle: float,
-    aim: float,
-    noise: float,
+    goal: float,
+    detection_variance: float,
 ) -> None:
     """Update the detection of oscillation with one eye joint's angle and goal.
 
@@ -111,45 +115,48 @@ def update_oscillation(
         eye: index of the eye.
         joint: index of its joint.
         angle: its present angle, rad.
-        aim: its goal, rad.
-        noise: detection variance, rad^2.
+        goal: its goal, rad.
+        detection_variance: detection variance, rad^2.
     """
     least = (
         _MIN_HALF_SWING_RAD
         + _HALF_SWING_STEPS * params.joint_step[eye, joint]
-        + _HALF_SWING_SIGMAS * sqrt(noise)
+        + _HALF_SWING_SIGMAS * sqrt(detection_variance)
     )
-    side, farthest = oscillation.side[eye, joint], oscillation.farthest[eye, joint]
-    oscillation.periods_since[eye, joint] += 1.0
-    goal_moved = abs(aim - oscillation.aim[eye, joint])
+    side, farthest = oscillation.direction[eye, joint], oscillation.extreme_angle[eye, joint]
+    oscillation.periods_since_reversal[eye, joint] += 1.0
+    goal_moved = abs(goal - oscillation.goal_at_reversal[eye, joint])
     oscillation.goal_moved[eye, joint, 0] = max(oscillation.goal_moved[eye, joint, 0], goal_moved)
-    if oscillation.periods_since[eye, joint] * params.period_s > _MAX_HALF_SWING_S:
-        oscillation.half_swing[eye, joint] = 0.0
+    if oscillation.periods_since_reversal[eye, joint] * params.period_s > _MAX_HALF_SWING_S:
+        oscillation.last_half_swing[eye, joint] = 0.0
     if side == 0.0:
-        off = angle - oscillation.turned_at[eye, joint]
+        off = angle - oscillation.reversal_angle[eye, joint]
         if abs(off) > least:
-            oscillation.side[eye, joint] = 1.0 if off > 0.0 else -1.0
-            oscillation.farthest[eye, joint] = angle
-            oscillation.periods_since[eye, joint], oscillation.aim[eye, joint] = 0.0, aim
+            oscillation.direction[eye, joint] = 1.0 if off > 0.0 else -1.0
+            oscillation.extreme_angle[eye, joint] = angle
+            (
+                oscillation.periods_since_reversal[eye, joint],
+                oscillation.goal_at_reversal[eye, joint],
+            ) = 0.0, goal
         return
     if side * (angle - farthest) >= 0.0:
-        oscillation.farthest[eye, joint] = angle
+        oscillation.extreme_angle[eye, joint] = angle
         return
     if side * (farthest - angle) < least:
         return
-    half = abs(farthest - oscillation.turned_at[eye, joint])
+    half = abs(farthest - oscillation.reversal_angle[eye, joint])
     goal_moved = max(oscillation.goal_moved[eye, joint, 0], oscillation.goal_moved[eye, joint, 1])
     oscillation.goal_moved[eye, joint, 1] = oscillation.goal_moved[eye, joint, 0]
     oscillation.goal_moved[eye, joint, 0] = 0.0
-    before = oscillation.half_swing[eye, joint]
-    time_s = (oscillation.periods_since[eye, joint]) * params.period_s
+    before = oscillation.last_half_swing[eye, joint]
+    time_s = (oscillation.periods_since_reversal[eye, joint]) * params.period_s
     fast = pi * half > _MIN_SWING_SPEED * time_s
     if before > 0.0 and fast and half > _MIN_GOAL_RATIO * goal_moved:
         share = (half / before - _DYING_RATIO) / (_SUSTAINED_RATIO - _DYING_RATIO)
-        count = min(oscillation.count + min(max(share, 0.0), 1.0), MOST_HALF_SWINGS)
-        if oscillation.count <= MANY_HALF_SWINGS < count:
-            oscillation.patience_s *= 2.0
-        oscillation.count = count
-    oscillation.half_swing[eye, joint], oscillation.aim[eye, joint] = half, aim
-    oscillation.side[eye, joint], oscillation.periods_since[eye, joint] = -side, 0.0
-    oscillation.turned_at[eye, joint], oscillation.farthest[eye, joint] = farthest, angle
+        count = min(oscillation.half_swing_count + min(max(share, 0.0), 1.0), MAX_HALF_SWINGS)
+        if oscillation.half_swing_count <= OSCILLATING_HALF_SWINGS < count:
+            oscillation.decay_time_s *= 2.0
+        oscillation.half_swing_count = count
+    oscillation.last_half_swing[eye, joint], oscillation.goal_at_reversal[eye, joint] = half, goal
+    oscillation.direction[eye, joint], oscillation.periods_since_reversal[eye, joint] = -side, 0.0
+    oscillation.reversal_angle[eye, joint], oscillation.extreme_angle[eye, joint] = farthest, angle

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from vergence._jit import compiled, inlined
 from vergence.controllers.freshness import is_fresh
-from vergence.controllers.prediction.aim import least_squares_aim
-from vergence.controllers.prediction.aiming import extrapolate_targets, present_error
+from vergence.controllers.prediction.aim import least_squares_actuators
+from vergence.controllers.prediction.aiming import extrapolate_targets, predict_pixel_error
 from vergence.controllers.prediction.backlash import inflate_variance_at_reversal
 from vergence.controllers.prediction.goals import update_with_image
 from vergence.controllers.prediction.joints import (
@@ -38,13 +38,13 @@ from vergence.controllers.prediction.predictor_state import (
     PREDICTOR_STATE,
     PREDICTOR_STATE_SIZE,
     PredictorState,
-    initial_row,
+    initial_predictor_row,
     update_joints,
 )
 from vergence.controllers.prediction.response import (
-    longest_latency,
+    max_response_latency,
     selected_model,
-    state_when_next_acts,
+    state_at_command_effect,
 )
 from vergence.controllers.prediction.virtual_joints import with_virtual_joints
 from vergence.controllers.rows import record_view, row_layout, row_size
@@ -54,14 +54,14 @@ from vergence.models.head import HeadModel
 from vergence.models.packed import PackedHead, eye_joint_angle, has_motor_per_joint
 from vergence.models.parts import FloatArray
 
-LONGEST_S: Final = 0.25
+MAX_IMAGE_LATENCY_S: Final = 0.25
 """Longest nominal latency of images that is accepted, s (numerical: limited by the ring buffer of
 angles)."""
 _RATE_DIFFERENCE_S: Final = 0.01
 """Interval of the finite difference for rates of coupled actuators, s (numerical)."""
 _LATENCY_MARGIN_SIGMAS: Final = 0.5
 """Standard deviations added to the estimated response latency in predictions (chosen)."""
-HOLD_S: Final = 1.0
+MAX_UNSEEN_S: Final = 1.0
 """Time for which the goal of an eye that does not see its target is kept, s (chosen)."""
 
 
@@ -77,7 +77,7 @@ class Prediction(NamedTuple):
     no eye whose target is known."""
     pixel_error: FloatArray
     """(..., 2, 2) pixel errors at that time, undistorted, px; nan where not known."""
-    delay_s: FloatArray
+    image_delay_s: FloatArray
     """(...) latency of images minus that of joint readings, s."""
     known: NDArray[np.bool_]
     """(..., 2) True if an eye's target is known: visible now or a short while ago."""
@@ -93,11 +93,11 @@ class Prediction(NamedTuple):
     build_up: FloatArray
     """(...) build-up of the lag, see `vergence.controllers.prediction.response`; 0 for a
     first-order lag."""
-    actuators: FloatArray
+    actuator_angles: FloatArray
     """(..., 4) angles of the actuators at that time, rad."""
-    latency_s: FloatArray
+    response_latency_s: FloatArray
     """(...) latency of commands plus that of joint readings, s."""
-    latency_sd_s: FloatArray
+    response_latency_sd_s: FloatArray
     """(...) standard deviation of `latency_s`, s."""
     acceleration_ratio: FloatArray
     """(...) ratio of the acceleration limits to those of the head's model."""
@@ -105,18 +105,18 @@ class Prediction(NamedTuple):
     """(...) standard deviation of the logarithm of `acceleration_ratio`."""
     speed_gain: FloatArray
     """(..., 4) ratio of steady velocity to command."""
-    rates: FloatArray
+    goal_rates: FloatArray
     """(..., 4) rates at which the angles left to turn grow while the actuators rest, rad/s; 0 for
     resting targets."""
-    later_rates: FloatArray
+    goal_rates_at_effect: FloatArray
     """(..., 4) these rates when a command given now shows in the motion, a lag and half a period
     later."""
     noise_rad: FloatArray
     """(...) detection noise divided by the focal length, standard deviation, rad."""
-    misfit: FloatArray
+    response_misfit: FloatArray
     """(...) mean squared normalised residual of the response model; 0 before the first window of
     the fit has ended."""
-    half_swings: FloatArray
+    half_swing_count: FloatArray
     """(...) decayed count of half swings of sustained oscillation about the goals, see
     `vergence.controllers.prediction.oscillation`."""
 
@@ -130,27 +130,27 @@ class _PredictionRow:
     positions: Annotated[FloatArray, 4]
     velocities: Annotated[FloatArray, 4]
     accelerations: Annotated[FloatArray, 4]
-    actuators: Annotated[FloatArray, 4]
+    actuator_angles: Annotated[FloatArray, 4]
     speed_gain: Annotated[FloatArray, 4]
-    rates: Annotated[FloatArray, 4]
-    later_rates: Annotated[FloatArray, 4]
-    delay_s: float
+    goal_rates: Annotated[FloatArray, 4]
+    goal_rates_at_effect: Annotated[FloatArray, 4]
+    image_delay_s: float
     lag_s: float
     build_up: float
-    latency_s: float
-    latency_sd_s: float
+    response_latency_s: float
+    response_latency_sd_s: float
     acceleration_ratio: float
     acceleration_sd: float
     noise_rad: float
-    misfit: float
-    half_swings: float
+    response_misfit: float
+    half_swing_count: float
 
 
 _PREDICTION: Final = row_layout(_PredictionRow)
 _PREDICTION_SIZE: Final = row_size(_PREDICTION)
 
 
-class Predictor:
+class SmithPredictor:
     """Predicts present errors from delayed images, for any number of heads.
 
     Args:
@@ -175,25 +175,25 @@ class Predictor:
         layout: ObservationLayout,
         delay: Literal["estimated", "nominal"] = "estimated",
         lag: Literal["estimated", "nominal"] = "estimated",
-        moving: bool = True,
+        targets_move: bool = True,
     ) -> None:
         for name, value in (("delay", delay), ("lag", lag)):
             if value not in ("estimated", "nominal"):
                 raise ConfigurationError(
                     f"{name}: expected 'estimated' or 'nominal', got {value!r}"
                 )
-        if head.timing.latency_s > LONGEST_S + 1e-9:
+        if head.timing.latency_s > MAX_IMAGE_LATENCY_S + 1e-9:
             raise ConfigurationError(
-                f"head: expected a latency of at most {LONGEST_S:g} s, "
+                f"head: expected a latency of at most {MAX_IMAGE_LATENCY_S:g} s, "
                 f"got {head.timing.latency_s:g} s"
             )
         self.head = head
         self.layout = layout
         self._packed = with_virtual_joints(head)
-        self.params = pack_predictor_parameters(head, moving)
+        self.params = pack_predictor_parameters(head, targets_move)
         self._learn_delay = delay == "estimated"
         self._learn_response = lag == "estimated"
-        self._initial = initial_row(
+        self._initial = initial_predictor_row(
             self.params, head.timing.exposure_stamps, self._learn_delay, self._learn_response
         )
 
@@ -254,7 +254,7 @@ def _update_goals(
     p: PackedHead,
     learn_delay: bool,
 ) -> None:
-    """Update with the newest image if it is new; drop goals not seen for longer than `HOLD_S`."""
+    """Update with the newest image if it is new; drop goals unseen for `MAX_UNSEEN_S`."""
     fresh = is_fresh(age_s, state.image_age_s, params.period_s)
     state.image_age_s = age_s
     for eye in range(2):
@@ -268,7 +268,7 @@ def _update_goals(
         # the other eye shows where a moving target is
         if params.targets_move > 0.5 and state.mode_probabilities[0] < 0.5:
             unseen = min(unseen, state.unseen_periods[1 - eye])
-        if unseen > round(HOLD_S / params.period_s):
+        if unseen > round(MAX_UNSEEN_S / params.period_s):
             state.known[eye] = 0.0
 
 
@@ -280,41 +280,41 @@ def _fill_prediction(
     response, direct = state.response, has_motor_per_joint(p)
     model = selected_model(response)
     sd = sqrt(max(model.variance[0], 0.0))
-    latency = min(model.parameters[0] + _LATENCY_MARGIN_SIGMAS * sd, longest_latency(params))
+    latency = min(model.parameters[0] + _LATENCY_MARGIN_SIGMAS * sd, max_response_latency(params))
     for j in range(4):
-        q, v = state.actuators[j], state.velocity[j]
-        q, v, w = state_when_next_acts(response, params, int(state.periods), j, q, v, latency)
-        present.actuators[j] = min(max(q, params.lower[j]), params.upper[j])
+        q, v = state.actuator_angles[j], state.velocity[j]
+        q, v, w = state_at_command_effect(response, params, int(state.periods), j, q, v, latency)
+        present.actuator_angles[j] = min(max(q, params.lower[j]), params.upper[j])
         present.velocities[j], present.accelerations[j] = v, w
-        present.speed_gain[j] = exp(model.gain[j])
+        present.speed_gain[j] = exp(model.log_gain[j])
     extrapolate_targets(state, params, state.periods + latency / params.period_s)
     for j in range(4):
-        present.positions[j] = present.actuators[j]
+        present.positions[j] = present.actuator_angles[j]
         if not direct:
-            present.positions[j] = eye_joint_angle(p, j, present.actuators)
+            present.positions[j] = eye_joint_angle(p, j, present.actuator_angles)
     for eye in range(2):
         present.known[eye] = state.known[eye]
         first, second = present.positions[2 * eye], present.positions[2 * eye + 1]
-        u, v = present_error(state, p, eye, first, second)
+        u, v = predict_pixel_error(state, p, eye, first, second)
         present.pixel_error[eye, 0], present.pixel_error[eye, 1] = u, v
     for j in range(4):
-        present.angle_error[j] = present.rates[j] = present.later_rates[j] = 0.0
+        present.angle_error[j] = present.goal_rates[j] = present.goal_rates_at_effect[j] = 0.0
         # `_fill_coupled` computes this for coupled joints
         if direct and present.known[j // 2] > 0.5:
-            aim, rate = state.aims[j // 2, j % 2], state.rates[j // 2, j % 2]
+            aim, rate = state.goals_at_effect[j // 2, j % 2], state.goal_rates[j // 2, j % 2]
             goal = min(max(aim, params.lower[j]), params.upper[j])
-            present.angle_error[j] = goal - present.actuators[j]
+            present.angle_error[j] = goal - present.actuator_angles[j]
             if goal == aim:
-                present.rates[j] = rate
-                present.later_rates[j] = state.later_rates[j // 2, j % 2]
-    present.delay_s, present.lag_s = state.delay_s, exp(model.parameters[2])
+                present.goal_rates[j] = rate
+                present.goal_rates_at_effect[j] = state.goal_rates_at_effect[j // 2, j % 2]
+    present.image_delay_s, present.lag_s = state.delay_s, exp(model.parameters[2])
     present.build_up = model.parameters[3]
-    present.latency_s, present.latency_sd_s = model.parameters[0], sd
+    present.response_latency_s, present.response_latency_sd_s = model.parameters[0], sd
     present.acceleration_ratio = exp(model.parameters[1])
     present.acceleration_sd = sqrt(max(model.variance[1], 0.0))
     present.noise_rad = sqrt(state.detection_variance)
-    present.misfit = model.misfit if response.windows > 0.5 else 0.0
-    present.half_swings = state.oscillation.count
+    present.response_misfit = model.misfit if response.windows > 0.5 else 0.0
+    present.half_swing_count = state.oscillation.half_swing_count
 
 
 @compiled
@@ -340,8 +340,8 @@ def _update(
         decay_count(state.oscillation, params.period_s)
         for eye in range(2):
             for joint in range(2 if state.known[eye] > 0.5 else 0):
-                q = eye_joint_angle(p, 2 * eye + joint, state.actuators)
-                aim = state.aims[eye, joint]
+                q = eye_joint_angle(p, 2 * eye + joint, state.actuator_angles)
+                aim = state.goals_at_effect[eye, joint]
                 update_oscillation(
                     state.oscillation, params, eye, joint, q, aim, state.detection_variance
                 )
@@ -363,27 +363,35 @@ def _fill_coupled(
         if not (left or right):
             continue
         depth_l, depth_r = state.fixated_depth[0], state.fixated_depth[1]
-        least_squares_aim(
-            p, state.aims, depth_l, depth_r, left, right, present.actuators, jacobian, goals
+        least_squares_actuators(
+            p,
+            state.goals_at_effect,
+            depth_l,
+            depth_r,
+            left,
+            right,
+            present.actuator_angles,
+            jacobian,
+            goals,
         )
         moves = False
         for eye in range(2):
             for joint in range(2):
-                moves = moves or state.rates[eye, joint] != 0.0
+                moves = moves or state.goal_rates[eye, joint] != 0.0
         if moves:
             for eye in range(2):
                 for joint in range(2):
-                    turn = _RATE_DIFFERENCE_S * state.rates[eye, joint]
-                    later[eye, joint] = state.aims[eye, joint] + turn
-            least_squares_aim(
-                p, later, depth_l, depth_r, left, right, present.actuators, jacobian, ahead
+                    turn = _RATE_DIFFERENCE_S * state.goal_rates[eye, joint]
+                    later[eye, joint] = state.goals_at_effect[eye, joint] + turn
+            least_squares_actuators(
+                p, later, depth_l, depth_r, left, right, present.actuator_angles, jacobian, ahead
             )
             for eye in range(2):
                 for joint in range(2):
-                    turn = _RATE_DIFFERENCE_S * state.later_rates[eye, joint]
-                    later[eye, joint] = state.aims[eye, joint] + turn
-            least_squares_aim(
-                p, later, depth_l, depth_r, left, right, present.actuators, jacobian, shown
+                    turn = _RATE_DIFFERENCE_S * state.goal_rates_at_effect[eye, joint]
+                    later[eye, joint] = state.goals_at_effect[eye, joint] + turn
+            least_squares_actuators(
+                p, later, depth_l, depth_r, left, right, present.actuator_angles, jacobian, shown
             )
         for j in range(4):
             if (
@@ -392,7 +400,7 @@ def _fill_coupled(
                 > 0.0
             ):
                 goal = min(max(goals[j], params.lower[j]), params.upper[j])
-                present.angle_error[j] = goal - present.actuators[j]
+                present.angle_error[j] = goal - present.actuator_angles[j]
                 if moves and goal == goals[j]:
-                    present.rates[j] = (ahead[j] - goals[j]) / _RATE_DIFFERENCE_S
-                    present.later_rates[j] = (shown[j] - goals[j]) / _RATE_DIFFERENCE_S
+                    present.goal_rates[j] = (ahead[j] - goals[j]) / _RATE_DIFFERENCE_S
+                    present.goal_rates_at_effect[j] = (shown[j] - goals[j]) / _RATE_DIFFERENCE_S

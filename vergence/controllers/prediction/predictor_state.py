@@ -9,31 +9,35 @@ from typing import Annotated, Final
 import numpy as np
 
 from vergence._jit import inlined
-from vergence.controllers.prediction.dating import HYPOTHESES, first_hypothesis_delay, prior_costs
+from vergence.controllers.prediction.dating import (
+    HYPOTHESES,
+    first_hypothesis_delay,
+    prior_delay_costs,
+)
 from vergence.controllers.prediction.fitting import learn_response
 from vergence.controllers.prediction.joints import (
     PREDICTOR_PARAMETERS,
     RING_LENGTH,
     PredictorParameters,
 )
-from vergence.controllers.prediction.moving import MODELS, MODES, EyeMotion
+from vergence.controllers.prediction.moving import MODELS, MODES, TargetMotion
 from vergence.controllers.prediction.observer import (
-    Observer,
-    begin_comparison,
+    ActuatorObserver,
+    begin_delay_comparison,
     no_velocity_delay_found,
     update_observer,
 )
 from vergence.controllers.prediction.oscillation import (
-    FIRST_PATIENCE_S,
-    Oscillation,
-    begin_oscillation,
+    INITIAL_DECAY_TIME_S,
+    OscillationState,
+    reset_oscillation,
 )
 from vergence.controllers.prediction.response import (
-    COMMANDS,
-    SPEEDS,
-    Response,
-    effective_command,
-    initial_models,
+    COMMAND_RING_LENGTH,
+    SPEED_RING_LENGTH,
+    ResponseIdentification,
+    initial_response_models,
+    quantise_with_dead_zone,
     selected_model,
     simulate_period,
 )
@@ -51,14 +55,14 @@ from vergence.triangulation.lines_of_sight import DEFAULT_DEPTH_M
 
 _MAX_REST_SPEED: Final = 0.005
 """Actuator speed below which no delay in question moves the image by a pixel, rad/s (chosen)."""
-NOISE_PX: Final = 0.25
+MIN_INITIAL_NOISE_PX: Final = 0.25
 """Least initial detection noise, standard deviation, px (chosen)."""
 
 
 class PastImage:
     """An earlier image."""
 
-    arrived: float
+    arrival_tick: float
     """Its arrival (its stamp if the camera stamps exposures), in periods; negative for none."""
     goals: Annotated[FloatArray, 2, 2]
     """Joint angles that fixate its target, rad; nan for an eye that did not see it."""
@@ -67,16 +71,21 @@ class PastImage:
 
 
 class PredictorState:
-    """State of the predictor for one head."""
+    """State of the predictor for one head.
+
+    It holds the estimated motion of the actuators, the delay hypotheses, the filtered goals (joint
+    angles that fixate the targets), the targets' motion models, and the goals when the next command
+    acts.
+    """
 
     periods: float
     """Periods since the first observation of the trial; -1 before it."""
     image_age_s: float
     """Age of the newest image, s; the next period compares it to detect a new image."""
-    response: Response
-    observer: Observer
-    oscillation: Oscillation
-    actuators: Annotated[FloatArray, 4]
+    response: ResponseIdentification
+    observer: ActuatorObserver
+    oscillation: OscillationState
+    actuator_angles: Annotated[FloatArray, 4]
     """Estimated actuator angles, finer than the encoders' resolution, rad."""
     velocity: Annotated[FloatArray, 4]
     """Estimated actuator velocities, rad/s."""
@@ -84,22 +93,22 @@ class PredictorState:
     """Periods since an actuator last moved."""
     last_direction: Annotated[FloatArray, 4]
     """Sign of each actuator's last command to move: 1, -1, or 0 for none yet."""
-    reversed_at: Annotated[FloatArray, 2, 2]
+    reversal_tick: Annotated[FloatArray, 2, 2]
     """Period in which an actuator of each joint last reversed its command."""
     jump_sign: Annotated[FloatArray, 2, 2]
     """Sign of a goal's last jump after such a reversal: 1, -1, or 0."""
     backlash_variance: Annotated[FloatArray, 2, 2]
     """Variance that the backlash found so far adds to a measured goal, rad^2."""
     angles: Annotated[FloatArray, RING_LENGTH, 2, 2]
-    """Ring buffer of joint angles, one entry every `PredictorParameters.keep_every` periods, rad;
-    entry k is at index k modulo `RING_LENGTH`."""
+    """Ring buffer of joint angles, one entry every `PredictorParameters.sample_periods` periods,
+    rad; entry k is at index k modulo `RING_LENGTH`."""
     first_delay_s: float
     """Delay of hypothesis 0, s."""
     delay_cost: Annotated[FloatArray, HYPOTHESES]
     """Accumulated cost of each delay hypothesis, see `dating`."""
-    low: float
+    first_active: float
     """Index of the first delay hypothesis that is not ruled out."""
-    high: float
+    end_active: float
     """Index one past the last of them."""
     delay_s: float
     """Mean delay: latency of images minus that of joint readings, s."""
@@ -117,26 +126,26 @@ class PredictorState:
     """1 if an eye's target is known, otherwise 0."""
     confirmations: Annotated[FloatArray, 2]
     """Number of images that have confirmed it."""
-    displaced_count: Annotated[FloatArray, 2]
+    displaced_image_count: Annotated[FloatArray, 2]
     """Number of successive images, up to the last one, that showed the target at one displaced
     position."""
     displaced_goals: Annotated[FloatArray, 2, 2]
     """Joint angles that fixate that displaced position, rad."""
-    motions: Annotated[list[EyeMotion], 2, MODELS]
+    motions: Annotated[list[TargetMotion], 2, MODELS]
     """Target motion models, by eye and model."""
     mode_switches: float
     """Switches of the target between rest and motion, counted with decay."""
     images: Annotated[list[PastImage], 2]
     """The last image and the one before it."""
-    moved_at: float
+    motion_tick: float
     """Time to which the motion models were predicted: exposure of the last image, in periods."""
     mode_probabilities: Annotated[FloatArray, MODES]
     """Mode probabilities: rest, then each motion model."""
-    aims: Annotated[FloatArray, 2, 2]
+    goals_at_effect: Annotated[FloatArray, 2, 2]
     """Joint angles that fixate the targets at the time the next command acts, rad."""
-    rates: Annotated[FloatArray, 2, 2]
+    goal_rates: Annotated[FloatArray, 2, 2]
     """Rates of change of `aims` at that time, rad/s."""
-    later_rates: Annotated[FloatArray, 2, 2]
+    goal_rates_at_effect: Annotated[FloatArray, 2, 2]
     """Rates of change when that command shows in the motion, a lag and half a period later,
     rad/s."""
     unseen_periods: Annotated[FloatArray, 2]
@@ -152,7 +161,7 @@ PREDICTOR_STATE_SIZE: Final = row_size(PREDICTOR_STATE)
 """Length of the packed state."""
 
 
-def initial_row(
+def initial_predictor_row(
     params_row: FloatArray, stamped: bool, learn_delay: bool, learn_response: bool
 ) -> FloatArray:
     """(SIZE,) state before the first observation.
@@ -167,42 +176,47 @@ def initial_row(
     params: PredictorParameters = params_row.view(PREDICTOR_PARAMETERS)[0]
     response = np.zeros(1, dtype=PREDICTOR_STATE["response"])
     response["window_begin"] = -1.0
-    for name, value in initial_models(params.response_s, params.lag_s, learn_response).items():
+    for name, value in initial_response_models(
+        params.response_latency_s, params.lag_s, learn_response
+    ).items():
         response["models"][name] = value
     oscillation = np.zeros(1, dtype=PREDICTOR_STATE["oscillation"])
-    oscillation["patience_s"] = FIRST_PATIENCE_S
+    oscillation["decay_time_s"] = INITIAL_DECAY_TIME_S
     images = np.zeros(2, dtype=PREDICTOR_STATE["images"].base)
-    images["arrived"] = -1e9
+    images["arrival_tick"] = -1e9
     return make_row(
         PREDICTOR_STATE,
         periods=-1.0,
-        reversed_at=-1e9,
+        reversal_tick=-1e9,
         image_age_s=AGE_S,
         response=response,
         oscillation=oscillation,
-        first_delay_s=first_hypothesis_delay(params.latency_s),
-        delay_cost=prior_costs(params.latency_s, stamped, learn_delay),
-        high=HYPOTHESES,
-        delay_s=params.latency_s,
-        detection_variance=(max(params.detection_px, NOISE_PX) * params.pixel_rad) ** 2,
+        first_delay_s=first_hypothesis_delay(params.nominal_delay_s),
+        delay_cost=prior_delay_costs(params.nominal_delay_s, stamped, learn_delay),
+        end_active=HYPOTHESES,
+        delay_s=params.nominal_delay_s,
+        detection_variance=(max(params.detection_noise_px, MIN_INITIAL_NOISE_PX) * params.pixel_rad)
+        ** 2,
         depth=DEFAULT_DEPTH_M,
         images=images,
     )
 
 
 @inlined
-def angle_at(state: PredictorState, every: float, tick: float, eye: int, joint: int) -> float:
+def angle_at(
+    state: PredictorState, sample_periods: float, tick: float, eye: int, joint: int
+) -> float:
     """Interpolate a joint's angle at a time by the cubic through the four stored angles around it.
 
     Args:
         state: the predictor's state.
-        every: see `PredictorParameters.keep_every`.
+        sample_periods: see `PredictorParameters.sample_periods`.
         tick: the time, in periods.
         eye: index of the eye.
         joint: index of its joint.
     """
-    last = np.floor(state.periods / every)
-    tick = min(max(tick / every, last - (RING_LENGTH - 4.0)), last)
+    last = np.floor(state.periods / sample_periods)
+    tick = min(max(tick / sample_periods, last - (RING_LENGTH - 4.0)), last)
     i = min(int(np.floor(tick)), int(last) - 2)
     s = tick - i
     a = state.angles[np.uintp((i - 1) & (RING_LENGTH - 1)), eye, joint]
@@ -243,37 +257,40 @@ def update_joints(
     model = selected_model(response)
     prompt = no_velocity_delay_found(state.observer)
     response.prompt_velocities = 1.0 if prompt else 0.0
-    before, now = np.uintp((tick - 1) & (COMMANDS - 1)), np.uintp(tick & (SPEEDS - 1))
+    before, now = (
+        np.uintp((tick - 1) & (COMMAND_RING_LENGTH - 1)),
+        np.uintp(tick & (SPEED_RING_LENGTH - 1)),
+    )
     for j in range(4):
         angle, rate = positions[3 + j], velocities[3 + j]
         if not direct:
             angle = eye_actuator_angle(p, j, positions[3:])
             rate = eye_actuator_velocity(p, j, velocities[3:])
         if begins:  # at rest
-            state.actuators[j], state.velocity[j] = angle, rate
+            state.actuator_angles[j], state.velocity[j] = angle, rate
             response.angles[j] = angle
-            begin_comparison(state.observer, j, angle, rate)
+            begin_delay_comparison(state.observer, j, angle, rate)
             continue
-        response.commands[before, j] = effective_command(params, command[j])
-        q, v = state.actuators[j], state.velocity[j]
+        response.commands[before, j] = quantise_with_dead_zone(params, command[j])
+        q, v = state.actuator_angles[j], state.velocity[j]
         w = response.accelerations[j]
         ahead_q, ahead_v, w = simulate_period(response, model, params, tick - 1, j, q, v, w)
         response.accelerations[j] = w
         q, v = update_observer(
             state.observer, response, params, tick - 1, j, v, ahead_q, ahead_v, angle, rate
         )
-        state.actuators[j], state.velocity[j] = q, v
+        state.actuator_angles[j], state.velocity[j] = q, v
         response.mean_speeds[now, j] = (angle - response.angles[j]) / params.period_s
         response.angles[j] = angle
         response.speeds[now, j] = rate if prompt else v
         if abs(state.velocity[j]) > _MAX_REST_SPEED:
             state.still_periods = 0.0
-    every = int(params.keep_every)
+    every = int(params.sample_periods)
     slot = np.uintp(tick // every & (RING_LENGTH - 1))
     for j in range(4 if tick % every == 0 else 0):
-        q = state.actuators[j] if direct else eye_joint_angle(p, j, state.actuators)
+        q = state.actuator_angles[j] if direct else eye_joint_angle(p, j, state.actuator_angles)
         if begins:
-            begin_oscillation(state.oscillation, j // 2, j % 2, q)
+            reset_oscillation(state.oscillation, j // 2, j % 2, q)
             for place in range(RING_LENGTH):
                 state.angles[place, j // 2, j % 2] = q
         state.angles[slot, j // 2, j % 2] = q

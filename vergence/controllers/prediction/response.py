@@ -20,14 +20,14 @@ import numpy as np
 
 from vergence._jit import inlined
 from vergence.controllers.prediction.joints import PredictorParameters
-from vergence.models.held_response import follow_held, prepare_held_response
+from vergence.models.held_response import follow_held_command, prepare_held_response
 from vergence.models.parts import FloatArray
 
-COMMANDS: Final = 128
+COMMAND_RING_LENGTH: Final = 128
 """Number of past commands in the ring buffer, a power of two (numerical)."""
-SPEEDS: Final = 32
+SPEED_RING_LENGTH: Final = 32
 """Number of past velocities in the ring buffer, a power of two (numerical)."""
-LONGEST_S: Final = 0.12
+MAX_RESPONSE_LATENCY_S: Final = 0.12
 """Longest latency of commands plus readings, s, unless the head's model has a longer one
 (chosen)."""
 FIRST_ORDER: Final = 0
@@ -67,25 +67,25 @@ class ResponseModel:
     """Parameters before the present window."""
     information: Annotated[FloatArray, 4]
     """Inverse variances of `prior`."""
-    gain: Annotated[FloatArray, 4]
+    log_gain: Annotated[FloatArray, 4]
     """Logarithms of the actuators' speed gains."""
-    gain_prior: Annotated[FloatArray, 4]
+    log_gain_prior: Annotated[FloatArray, 4]
     """These logarithms before the present window."""
     accelerations: Annotated[FloatArray, 4]
     """Actuator accelerations at the start of the window, rad/s^2."""
     misfit: float
     """Mean squared normalised residual of the last fit."""
-    residuals: float
+    squared_residual_sum: float
     """Sum of the squared normalised residuals of the last fit."""
 
 
-class Response:
-    """State of the identification of a head's response."""
+class ResponseIdentification:
+    """State of the on-line identification of the actuators' response."""
 
     models: Annotated[list[ResponseModel], RESPONSE_MODELS]
     selected: float
     """Index of the model in use."""
-    evidence: float
+    second_order_evidence: float
     """Decayed excess, over earlier windows, of the plain model's squared normalised residuals over
     those of the model with build-up."""
     windows: float
@@ -94,30 +94,32 @@ class Response:
     """Period at which the present window begins; negative for none."""
     window_end: float
     """Period at which the previous window ended."""
-    commands: Annotated[FloatArray, COMMANDS, 4]
+    commands: Annotated[FloatArray, COMMAND_RING_LENGTH, 4]
     """Ring buffer of commands, rad/s; period k is at index k modulo its length."""
-    speeds: Annotated[FloatArray, SPEEDS, 4]
+    speeds: Annotated[FloatArray, SPEED_RING_LENGTH, 4]
     """Ring buffer of actuator velocities at the end of each period, rad/s: measured if the readings
     are prompt, otherwise estimated by the observer."""
     accelerations: Annotated[FloatArray, 4]
     """Present accelerations predicted from the commands, rad/s^2."""
     prompt_velocities: float
     """1 if velocities are read without delay, otherwise 0."""
-    mean_speeds: Annotated[FloatArray, SPEEDS, 4]
+    mean_speeds: Annotated[FloatArray, SPEED_RING_LENGTH, 4]
     """Ring buffer of mean velocities in each period, from differences of measured angles, rad/s."""
     angles: Annotated[FloatArray, 4]
     """Last measured angles, rad."""
 
 
-def initial_models(latency_s: float, lag_s: float, learn: bool) -> dict[str, object]:
+def initial_response_models(
+    response_latency_s: float, lag_s: float, learn: bool
+) -> dict[str, object]:
     """Initial fields of the `RESPONSE_MODELS`, before the head has moved.
 
     Args:
-        latency_s: nominal latency of commands plus readings, s.
+        response_latency_s: nominal latency of commands plus readings, s.
         lag_s: nominal lag, s.
         learn: True to identify the response; False gives the nominal values zero variance.
     """
-    latency = latency_s if latency_s > 0.0 or not learn else _FALLBACK_LATENCY_S
+    latency = response_latency_s if response_latency_s > 0.0 or not learn else _FALLBACK_LATENCY_S
     plain = (latency, 0.0, log(max(lag_s, _MIN_PRIOR_LAG_S)), 0.0)
     known = [plain, (*plain[:3], _PRIOR_BUILD_UP)]
     sds = np.array([_LATENCY_SD_S, _LOG_ACCELERATION_SD, _LOG_LAG_SD, _BUILD_UP_SD])
@@ -131,43 +133,46 @@ def initial_models(latency_s: float, lag_s: float, learn: bool) -> dict[str, obj
 
 
 @inlined
-def selected_model(response: Response) -> ResponseModel:
+def selected_model(response: ResponseIdentification) -> ResponseModel:
     """Return the response model in use."""
     return response.models[np.intp(response.selected)]
 
 
 @inlined
-def longest_latency(params: PredictorParameters) -> float:
+def max_response_latency(params: PredictorParameters) -> float:
     """Longest latency of commands plus readings that is considered, s.
 
     The ring buffer holds the commands of a window of readings and of this latency before it.
     """
-    return min(max(LONGEST_S, params.response_s), params.period_s * (COMMANDS - SPEEDS))
+    return min(
+        max(MAX_RESPONSE_LATENCY_S, params.response_latency_s),
+        params.period_s * (COMMAND_RING_LENGTH - SPEED_RING_LENGTH),
+    )
 
 
 @inlined
-def command_at(response: Response, tick: int, j: int) -> float:
+def command_at(response: ResponseIdentification, tick: int, j: int) -> float:
     """Return an actuator's command in a period, rad/s."""
-    command: float = response.commands[np.uintp(tick & (COMMANDS - 1)), j]
+    command: float = response.commands[np.uintp(tick & (COMMAND_RING_LENGTH - 1)), j]
     return command
 
 
 @inlined
-def speed_at(response: Response, tick: int, j: int) -> float:
+def speed_at(response: ResponseIdentification, tick: int, j: int) -> float:
     """Return an actuator's velocity at the end of a period, rad/s."""
-    speed: float = response.speeds[np.uintp(tick & (SPEEDS - 1)), j]
+    speed: float = response.speeds[np.uintp(tick & (SPEED_RING_LENGTH - 1)), j]
     return speed
 
 
 @inlined
-def mean_speed_at(response: Response, tick: int, j: int) -> float:
+def mean_speed_at(response: ResponseIdentification, tick: int, j: int) -> float:
     """Return an actuator's mean velocity in a period, from measured angles, rad/s."""
-    speed: float = response.mean_speeds[np.uintp(tick & (SPEEDS - 1)), j]
+    speed: float = response.mean_speeds[np.uintp(tick & (SPEED_RING_LENGTH - 1)), j]
     return speed
 
 
 @inlined
-def effective_command(params: PredictorParameters, command: float) -> float:
+def quantise_with_dead_zone(params: PredictorParameters, command: float) -> float:
     """Quantise a command to the motors' resolution; one single step counts as zero."""
     if params.command_step == 0.0:
         return command
@@ -177,7 +182,7 @@ def effective_command(params: PredictorParameters, command: float) -> float:
 
 @inlined
 def simulate_period(
-    response: Response,
+    response: ResponseIdentification,
     model: ResponseModel,
     params: PredictorParameters,
     tick: int,
@@ -186,21 +191,26 @@ def simulate_period(
     v: float,
     w: float,
 ) -> tuple[float, float, float]:
-    """Simulate one actuator with a model over one period, from the end of period `tick`."""
+    """Simulate one actuator with a response model over one period, from the end of period `tick`.
+
+    Return its angle, velocity and acceleration at the end.
+    """
     latency, lag = model.parameters[0], params.lag_ratio[j] * exp(model.parameters[2])
-    a, gain = params.acceleration_limit[j] * exp(model.parameters[1]), exp(model.gain[j])
+    a, gain = params.acceleration_limit[j] * exp(model.parameters[1]), exp(model.log_gain[j])
     whole = int(latency / params.period_s + 1e-9)
     rest = latency - whole * params.period_s
     if rest > 1e-9:
         u = gain * command_at(response, tick - whole - 1, j)
-        q, v, w = follow_held(q, v, w, u, prepare_held_response(lag, model.parameters[3], a, rest))
+        q, v, w = follow_held_command(
+            q, v, w, u, prepare_held_response(lag, model.parameters[3], a, rest)
+        )
     u, time = gain * command_at(response, tick - whole, j), params.period_s - rest
-    return follow_held(q, v, w, u, prepare_held_response(lag, model.parameters[3], a, time))
+    return follow_held_command(q, v, w, u, prepare_held_response(lag, model.parameters[3], a, time))
 
 
 @inlined
-def state_when_next_acts(
-    response: Response,
+def state_at_command_effect(
+    response: ResponseIdentification,
     params: PredictorParameters,
     tick: int,
     j: int,
@@ -223,15 +233,15 @@ def state_when_next_acts(
     """
     model = selected_model(response)
     lag, build_up = params.lag_ratio[j] * exp(model.parameters[2]), model.parameters[3]
-    a, gain = params.acceleration_limit[j] * exp(model.parameters[1]), exp(model.gain[j])
+    a, gain = params.acceleration_limit[j] * exp(model.parameters[1]), exp(model.log_gain[j])
     w = response.accelerations[j]
     whole = int(latency / params.period_s + 1e-9)
     rest = latency - whole * params.period_s
     if rest > 1e-9:
         u = gain * command_at(response, tick - whole - 1, j)
-        q, v, w = follow_held(q, v, w, u, prepare_held_response(lag, build_up, a, rest))
+        q, v, w = follow_held_command(q, v, w, u, prepare_held_response(lag, build_up, a, rest))
     held = prepare_held_response(lag, build_up, a, params.period_s)
     for i in range(whole):
         u = gain * command_at(response, tick - whole + i, j)
-        q, v, w = follow_held(q, v, w, u, held)
+        q, v, w = follow_held_command(q, v, w, u, held)
     return q, v, w

@@ -56,12 +56,12 @@ class CommandBuffers(NamedTuple):
         return cls(np.zeros((num, size, 7)), velocity_limits, quantisation_step)
 
 
-RESUMES: Final = 0
+RESUME_PERIOD: Final = 0
 """Column of a loop's state row: period in which the loop resumes after its last stall
 (numerical)."""
-LOST: Final = 1
+COMMAND_LOST: Final = 1
 """Column: nonzero if the present period's command never reaches the motors (numerical)."""
-READ: Final = 2
+LAST_READ_STEP: Final = 2
 """Column: step at which the joints were read last (numerical)."""
 LOOP_STATE: Final = 3
 """Length of the state row of a control loop (numerical)."""
@@ -105,16 +105,16 @@ def loop_resumes_at(
 def store_commands(
     command: FloatArray,
     commands: CommandBuffers,
-    loop_states: IntArray,
+    control_loop_states: IntArray,
     step: IntArray,
     sent: FloatArray,
 ) -> bool:
-    """Take the commands of a period into the ring buffers.
+    """Limit and quantise the commands of a period, and write them to the ring buffers.
 
     Args:
         command: (n, 7) velocity commands, rad/s.
         commands: `untyped_tuple`, updated in place.
-        loop_states: (n, LOOP_STATE) states of the control loops: stalls and lost commands.
+        control_loop_states: (n, LOOP_STATE) states of the control loops: stalls and lost commands.
         step: (n,) number of the period.
         sent: (n, 7) result: commands sent to the motors, rad/s; a stalled loop sends nothing and
             keeps its last value.
@@ -127,8 +127,8 @@ def store_commands(
     numbers, mask = True, given.shape[1] - 1
     for n in range(command.shape[0]):
         slot, before = np.uintp(step[n] & mask), np.uintp((step[n] - 1) & mask)
-        stalled = step[n] < loop_states[n, RESUMES]
-        lost = loop_states[n, LOST] != 0
+        stalled = step[n] < control_loop_states[n, RESUME_PERIOD]
+        lost = control_loop_states[n, COMMAND_LOST] != 0
         for j in range(7):
             u, limit = command[n, j], limits[j]
             if u != u:
@@ -162,16 +162,16 @@ class HeldCommands(NamedTuple):
 
 
 @inlined
-def held_commands(latency_s: float, step: int, ring: int, period_s: float) -> HeldCommands:
+def held_commands(latency_s: float, step: int, ring_length: int, period_s: float) -> HeldCommands:
     """Find the commands that apply within a period.
 
     Args:
         latency_s: the command latency, s.
         step: number of the period.
-        ring: C, length of the ring buffers of `CommandBuffers`.
+        ring_length: C, length of the ring buffers of `CommandBuffers`.
         period_s: the control period, s.
     """
-    mask = ring - 1
+    mask = ring_length - 1
     if latency_s == 0.0:
         now = np.uintp(step & mask)
         return HeldCommands(now, now, 0.0)

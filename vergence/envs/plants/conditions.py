@@ -57,7 +57,7 @@ else:  # kernels take named tuples, but no dataclasses
 
 TRIAL_CONDITIONS: Final = len(PER_TRIAL) + 1
 """Length of a row of `TrialConditions` (numerical)."""
-_row_run = make_tuple_reader(TRIAL_CONDITIONS)
+_read_trial_conditions = make_tuple_reader(TRIAL_CONDITIONS)
 GAIN: Final = PER_ACTUATOR.index("speed_gain")
 BACKLASH: Final = PER_ACTUATOR.index("backlash_rad")
 
@@ -65,4 +65,4 @@ BACKLASH: Final = PER_ACTUATOR.index("backlash_rad")
 @inlined
 def unpack_conditions(packed: PackedConditions, n: EnvIndex) -> TrialConditions:
     """Unpack the scalar conditions of one trial."""
-    return TrialConditions(*_row_run(packed.loop[n], 0))
+    return TrialConditions(*_read_trial_conditions(packed.loop[n], 0))

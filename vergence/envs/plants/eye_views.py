@@ -7,36 +7,36 @@ from numpy.typing import ArrayLike
 
 from vergence.envs.reading import Image
 from vergence.envs.targets.board import Board
-from vergence.envs.validation import check_number
+from vergence.envs.validation import check_finite_number
 from vergence.errors import ConfigurationError
 from vergence.models.boards import AprilTag, Checkerboard, PlanarTarget, board_pose, outline_m
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.vision.drawing import TargetDrawing
+from vergence.vision.drawing import TargetRenderer
 from vergence.vision.optics import EyeCamera
 
 
-class CellSize(NamedTuple):
-    """Image widths of a board's cells at which the detector finds the board, px."""
+class DetectableCellWidths(NamedTuple):
+    """Widths of a board's cells, px, at which the detector finds the board."""
 
-    fit_px: float
+    reliable_px: float
     """Width for boards of width `fit`: reliably found, yet small."""
     min_px: float
     """Least width; below it the detector misses a still board in some images."""
     max_px: float
 
 
-CELL_SIZES: Final[dict[type[PlanarTarget], CellSize]] = {
-    AprilTag: CellSize(6.0, 2.5, np.inf),
+CELL_SIZES: Final[dict[type[PlanarTarget], DetectableCellWidths]] = {
+    AprilTag: DetectableCellWidths(6.0, 2.5, np.inf),
     # OpenCV's search for the squares needs larger cells
-    Checkerboard: CellSize(11.0, 10.0, np.inf),
+    Checkerboard: DetectableCellWidths(11.0, 10.0, np.inf),
 }
 BOARD_BORDER_PX: Final = 3.0
 """Clear border that the detector needs around a board, px (chosen: detection against room for
 targets)."""
 
 
-class EyeViews:
+class BoardImageRenderer:
     """Renderer of both eyes' images of a board.
 
     Args:
@@ -70,7 +70,7 @@ class EyeViews:
         model = head if model is None else model
         self._natural_m = _natural_m(model, target, width_rad)
         self._left, self._right = (
-            TargetDrawing(EyeCamera.of(head, eye), target, model.rendering) for eye in range(2)
+            TargetRenderer(EyeCamera.of(head, eye), target, model.rendering) for eye in range(2)
         )
 
     @property
@@ -79,7 +79,7 @@ class EyeViews:
         return self._left.frame, self._right.frame
 
     @property
-    def shown(self) -> tuple[bool, bool]:
+    def board_in_image(self) -> tuple[bool, bool]:
         """True for each image that shows any of the board; else it is plain background."""
         return self._left.region is not None, self._right.region is not None
 
@@ -92,11 +92,11 @@ class EyeViews:
         size = CELL_SIZES[type(self._target)]
         return Board(
             outline=np.stack([corners, halves], axis=1).reshape(-1, 2),
-            natural_distance_m=np.nan if self._natural_m is None else self._natural_m,
+            true_size_distance_m=np.nan if self._natural_m is None else self._natural_m,
             facing_head=self._facing == "head",
             border_px=BOARD_BORDER_PX,
-            min_segment_px=0.5 * min(self._target.cells.shape) * size.min_px,
-            max_segment_px=0.5 * max(self._target.cells.shape) * size.max_px,
+            min_outline_segment_px=0.5 * min(self._target.cells.shape) * size.min_px,
+            max_outline_segment_px=0.5 * max(self._target.cells.shape) * size.max_px,
         )
 
     def draw(
@@ -184,9 +184,9 @@ def _natural_m(
         return None
     if width_rad == "fit":
         cells: int = target.cells.shape[1]
-        width = cells * CELL_SIZES[type(target)].fit_px / float(np.mean(head.cameras.focal))
+        width = cells * CELL_SIZES[type(target)].reliable_px / float(np.mean(head.cameras.focal))
     else:
-        width = check_number("width_rad", width_rad)
+        width = check_finite_number("width_rad", width_rad)
         if not 0.0 < width < 1.0:
             raise ConfigurationError(f"width_rad: expected 0 to 1, got {width_rad!r}")
     return float(np.ptp(outline_m(target)[:, 0])) / width

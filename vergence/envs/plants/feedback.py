@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence._jit import compiled, inlined
-from vergence.envs.plants.commands import LOOP_STATE, READ, RESUMES
+from vergence.envs.plants.commands import LAST_READ_STEP, LOOP_STATE, RESUME_PERIOD
 from vergence.envs.plants.conditions import BACKLASH, PackedConditions, unpack_conditions
 from vergence.envs.plants.frames import TIME_TOLERANCE_S, ring_size
 from vergence.envs.plants.motors import (
@@ -32,29 +32,31 @@ from vergence.models.parts import FloatArray
 _FEEDBACK: Final = int(StreamPurpose.FEEDBACK)
 
 
-class Feedback(NamedTuple):
-    """The encoders, and ring buffers of their measurements and readings.
+class JointFeedbackBuffers(NamedTuple):
+    """Ring buffers of encoder measurements and joint readings, and the encoders' steps.
 
     In a ring buffer, step k lies at k modulo its length R or L.
     """
 
     measured: FloatArray
     """(n, R, 2, 7) angles, rad, and speeds, rad/s, on the encoders' side of the backlash."""
-    reported: FloatArray
+    reported_angles: FloatArray
     """(n, L, 7) joint angles as reported, rad."""
-    loop_states: IntArray
+    control_loop_states: IntArray
     """(n, LOOP_STATE) states of the control loops, see `vergence.envs.plants.commands`."""
-    filtered: FloatArray
+    speed_filter_states: FloatArray
     """(n, 2, 7) last outputs and last inputs of the servos' speed filters, rad/s."""
     angle_step: FloatArray
     """(7,) quantisation of the encoder angles, rad; 0 for exact."""
     speed_step: FloatArray
     """(7,) quantisation of the encoder speeds, rad/s; 0 for exact."""
-    on_output: bool
+    encoders_on_output: bool
     """True if the encoders sit on the output side of the backlash."""
 
     @classmethod
-    def of(cls, head: HeadModel, num: int, max_latency_s: float, max_age_s: float) -> "Feedback":
+    def of(
+        cls, head: HeadModel, num: int, max_latency_s: float, max_age_s: float
+    ) -> "JointFeedbackBuffers":
         """Feedback of a batch of heads, with empty buffers.
 
         Args:
@@ -66,22 +68,23 @@ class Feedback(NamedTuple):
         period_s, own = head.timing.period_s, head.actuation
         return cls(
             measured=np.zeros((num, ring_size(ceil(max_latency_s / period_s) + 2), 2, 7)),
-            reported=np.zeros((num, ring_size(ceil(max_age_s / period_s) + 3), 7)),
-            loop_states=np.zeros((num, LOOP_STATE), dtype=np.int64),
-            filtered=np.zeros((num, 2, 7)),
+            reported_angles=np.zeros((num, ring_size(ceil(max_age_s / period_s) + 3), 7)),
+            control_loop_states=np.zeros((num, LOOP_STATE), dtype=np.int64),
+            speed_filter_states=np.zeros((num, 2, 7)),
             angle_step=own.angle_step,
             speed_step=own.speed_step,
-            on_output=head.sensor.encoder_side == "output",
+            encoders_on_output=head.sensor.encoder_side == "output",
         )
 
 
-STATE: Final = {
+SAVED_FEEDBACK_FIELDS: Final = {
     "measured": "measured",
-    "told": "reported",
-    "loops": "loop_states",
-    "filtered": "filtered",
+    "told": "reported_angles",
+    "loops": "control_loop_states",
+    "filtered": "speed_filter_states",
 }
-"""Fields of `Feedback` that are part of a trial's state, by their names in a saved state."""
+"""Fields of `JointFeedbackBuffers` that are part of a trial's state, by their names in a saved
+state."""
 
 
 @inlined
@@ -92,7 +95,7 @@ def quantise(value: float, step: float) -> float:
 
 @inlined
 def interpolate_joint(
-    q0: float, v0: float, q1: float, v1: float, share: float, time_s: float
+    q0: float, v0: float, q1: float, v1: float, share: float, interval_s: float
 ) -> tuple[float, float]:
     """Interpolate angle and velocity between two times.
 
@@ -105,20 +108,20 @@ def interpolate_joint(
         q1: the angle at the second time, rad.
         v1: the velocity then, rad/s.
         share: fraction of the interval, from 0 to 1.
-        time_s: length of the interval, s.
+        interval_s: length of the interval, s.
     """
     s, r = share, 1.0 - share
-    angle = r * r * ((1.0 + 2.0 * s) * q0 + s * time_s * v0)
-    angle += s * s * ((1.0 + 2.0 * r) * q1 - r * time_s * v1)
+    angle = r * r * ((1.0 + 2.0 * s) * q0 + s * interval_s * v0)
+    angle += s * s * ((1.0 + 2.0 * r) * q1 - r * interval_s * v1)
     return angle, r * v0 + s * v1
 
 
 @inlined
-def joint_noise(
-    key: StreamKey, step: int, lane: int, sigma: float
+def eye_encoder_noise(
+    key: StreamKey, step: int, word_lane: int, sigma: float
 ) -> tuple[float, float, float, float]:
-    """White noise of the eye actuators' encoders at a step."""
-    words = random_words(key.seed, key.trial, _FEEDBACK, step, lane)
+    """White noise of the four eye actuators' encoders at a step, of standard deviation `sigma`."""
+    words = random_words(key.seed, key.trial, _FEEDBACK, step, word_lane)
     a, b = to_normals(words[0], words[1])
     c, d = to_normals(words[2], words[3])
     return sigma * a, sigma * b, sigma * c, sigma * d
@@ -134,16 +137,16 @@ class RingInterval(NamedTuple):
 
 
 @inlined
-def measured_interval(periods: float, step: int, ring: int) -> RingInterval:
+def ring_interval_by_age(age_periods: float, step: int, ring_length: int) -> RingInterval:
     """Find the measurements around a time before the newest one; `first` is the later of them.
 
     Args:
-        periods: age in periods.
+        age_periods: age in periods.
         step: step of the newest measurement.
-        ring: length of the ring buffer.
+        ring_length: length of the ring buffer.
     """
-    whole, mask = int(periods + TIME_TOLERANCE_S), ring - 1
-    rest = periods - whole
+    whole, mask = int(age_periods + TIME_TOLERANCE_S), ring_length - 1
+    rest = age_periods - whole
     share = rest if rest > TIME_TOLERANCE_S else 0.0
     return RingInterval(np.uintp((step - whole) & mask), np.uintp((step - whole - 1) & mask), share)
 
@@ -167,19 +170,19 @@ def low_pass(
 
 
 @inlined
-def reported_interval(periods: float, step: int, ring: int) -> RingInterval:
+def ring_interval_by_time(time_periods: float, step: int, ring_length: int) -> RingInterval:
     """Find the joint readings around a time, which is clamped to those in the ring buffer.
 
     Args:
-        periods: the time in periods, on the clock that dates the readings.
+        time_periods: the time in periods, on the clock that dates the readings.
         step: step of the newest reading.
-        ring: length of the ring buffer.
+        ring_length: length of the ring buffer.
     """
-    at = min(max(periods, step - ring + 1.0), float(step))
+    at = min(max(time_periods, step - ring_length + 1.0), float(step))
     first = int(np.floor(at + TIME_TOLERANCE_S))
     share = at - first
     share = share if share > TIME_TOLERANCE_S else 0.0
-    mask = ring - 1
+    mask = ring_length - 1
     return RingInterval(np.uintp(first & mask), np.uintp((first + 1) & mask), share)
 
 
@@ -192,7 +195,7 @@ def sense_joints(
     steps: IntArray,
     motors: MotorStates,
     coupling: ActuatorCoupling | None,
-    feedback: Feedback,
+    feedback: JointFeedbackBuffers,
     reading: Reading,
 ) -> None:
     """Measure the joints of some environments, and read the measurement of one latency ago.
@@ -212,7 +215,7 @@ def sense_joints(
         reading: result: its positions and velocities.
     """
     measured, reported, loop_states, filtered, angle_step, speed_step, on_output = feedback
-    angles, speeds, output, own = motors.angles, motors.speeds, motors.output, packed.own
+    angles, speeds, output, own = motors.angles, motors.speeds, motors.output_angles, packed.own
     positions, velocities = reading.positions, reading.velocities
     ring, kept, rate = measured.shape[1], reported.shape[1] - 1, 1.0 / period_s
     for env in ids:
@@ -227,8 +230,8 @@ def sense_joints(
                 measured[n, slot, 0, k] = motor.output
                 measured[n, slot, 1, k] = output_speed(motor, own[n, BACKLASH, k])
         late = conditions.feedback_latency_s * rate
-        at = measured_interval(late, step, ring)
-        sped = measured_interval(late + conditions.speed_latency_s * rate, step, ring)
+        at = ring_interval_by_age(late, step, ring)
+        sped = ring_interval_by_age(late + conditions.speed_latency_s * rate, step, ring)
         rest, new, old = at.share, at.first, at.second
         left = ramp = 0.0
         if conditions.speed_filter_s > 0.0:
@@ -237,9 +240,9 @@ def sense_joints(
         noise = rates = (0.0, 0.0, 0.0, 0.0)
         if conditions.angle_noise_rad > 0.0 or conditions.speed_noise_rad_s > 0.0:
             key = StreamKey(keys.seeds[n], keys.trials[n])
-            noise = joint_noise(key, step, 1, conditions.angle_noise_rad)
-            rates = joint_noise(key, step, 2, conditions.speed_noise_rad_s)
-        stalled = step < loop_states[n, RESUMES]
+            noise = eye_encoder_noise(key, step, 1, conditions.angle_noise_rad)
+            rates = eye_encoder_noise(key, step, 2, conditions.speed_noise_rad_s)
+        stalled = step < loop_states[n, RESUME_PERIOD]
         for k in range(7):
             q, v = measured[n, new, 0, k], measured[n, new, 1, k]
             if rest > 0.0 and not (v == 0.0 and measured[n, old, 1, k] == 0.0):
@@ -260,16 +263,18 @@ def sense_joints(
         if stalled:
             continue
         if coupling is not None:
-            joints_from_actuators(coupling.scratch, coupling.head, positions[n], velocities[n])
-        since = step - loop_states[n, READ]
+            joints_from_actuators(
+                coupling.scratch, coupling.nominal_head, positions[n], velocities[n]
+            )
+        since = step - loop_states[n, LAST_READ_STEP]
         for missed in range(1, since):
             share = missed / since
             then = np.uintp((step - missed) & kept)
-            last = np.uintp(loop_states[n, READ] & kept)
+            last = np.uintp(loop_states[n, LAST_READ_STEP] & kept)
             for k in range(7):
                 q = positions[n, k]
                 reported[n, then, k] = q + share * (reported[n, last, k] - q)
-        loop_states[n, READ] = step
+        loop_states[n, LAST_READ_STEP] = step
         span = int(np.rint(conditions.speed_span_s * rate))
         if span > 0:
             slot = np.uintp((step - span) & kept)

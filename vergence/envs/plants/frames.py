@@ -31,7 +31,7 @@ from vergence.models.parts import FloatArray
 TIME_TOLERANCE_S: Final = 1e-9
 """Difference below which two times are equal: rounding of sums of periods, s (numerical)."""
 _SENSOR: Final = int(StreamPurpose.SENSOR)
-_SENSOR_BEFORE_START: Final = int(StreamPurpose.BEFORE)
+_SENSOR_BEFORE_START: Final = int(StreamPurpose.SENSOR_BEFORE_START)
 
 
 def ring_size(min_length: int) -> int:
@@ -122,7 +122,7 @@ class FrameFaults(NamedTuple):
 
 
 @inlined
-def frame_time(conditions: TrialConditions, frame: int) -> float:
+def frame_exposure_time(conditions: TrialConditions, frame: int) -> float:
     """Time of a frame's (first) exposure since the trial's start, s."""
     return (conditions.frame_phase + frame) * conditions.frame_s
 
@@ -147,7 +147,7 @@ def exposed_eyes(conditions: TrialConditions, exposure: int) -> ExposedEyes:
 
 
 @inlined
-def first_exposure(conditions: TrialConditions, frame: int) -> int:
+def first_exposure_of_frame(conditions: TrialConditions, frame: int) -> int:
     """The first exposure of a frame."""
     return frame if conditions.skew_s == 0.0 else 2 * frame
 
@@ -162,8 +162,8 @@ def eye_skew_s(conditions: TrialConditions) -> float:
 def exposure_time(conditions: TrialConditions, exposure: int) -> float:
     """Time of an exposure since the trial's start, s."""
     if conditions.skew_s == 0.0:
-        return frame_time(conditions, exposure)
-    return frame_time(conditions, exposure >> 1) + (exposure & 1) * eye_skew_s(conditions)
+        return frame_exposure_time(conditions, exposure)
+    return frame_exposure_time(conditions, exposure >> 1) + (exposure & 1) * eye_skew_s(conditions)
 
 
 @inlined
@@ -251,7 +251,7 @@ def false_detection_offset(
 
 
 @inlined
-def available_at(
+def frame_arrival_time(
     conditions: TrialConditions, exposed_s: float, extra_latency_s: float, latest_s: float
 ) -> float:
     """Time at which a frame becomes readable, never before an earlier frame, s.

@@ -14,7 +14,7 @@ from typing import Any, Final, Generic, NamedTuple, TypeVar
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
-PARTS: Final = ("camera", "encoders", "motors", "target")
+LOOP_PARTS: Final = ("camera", "encoders", "motors", "target")
 """Parts of the loop, in the order of the margins' tables and figures."""
 
 
@@ -22,7 +22,7 @@ class Imperfection(NamedTuple):
     """Description of one imperfect quantity of the loop."""
 
     part: str
-    """Part of the loop, one of `PARTS`."""
+    """Part of the loop, one of `LOOP_PARTS`."""
     label: str
     """Its name in tables and figures."""
     description: str
@@ -70,7 +70,7 @@ _MRAD: Final = ("mrad", 1e3)
 _PERCENT: Final = ("%", 100.0)
 
 
-def _one(
+def _imperfection_field(
     part: str,
     label: str,
     description: str,
@@ -92,161 +92,161 @@ class Imperfections(Generic[Value]):
     A trial draws them in this order, so new ones must be appended.
     """
 
-    latency_s: Value = _one(
+    latency_s: Value = _imperfection_field(
         "camera", "image latency", "from the middle of an exposure to the image being readable; a "
         "reading dates its image by the model's latency, unless the cameras stamp it",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.3), head_path="timing.latency_s", display_unit=_MS,
     )
-    lag_s: Value = _one(
+    lag_s: Value = _imperfection_field(
         # margins exclude 0: a joint without lag has no dynamics
         "motors", "joint lag", "time constant of the motors' response; above 0 for dynamics; an "
         "actuator with a lag of its own keeps its ratio to the head's",
         "s", (0.0, _MAX_DELAY_S), (0.001, 0.2), head_path="timing.lag_s", display_unit=_MS,
     )
-    detection_noise_px: Value = _one(
+    detection_noise_px: Value = _imperfection_field(
         "camera", "detection noise", "standard deviation of a detection, each coordinate; not on "
         "`rendered`, whose detector has its own",
         "px", (0.0, inf), (0.0, 3.0), head_path="sensor.detection_noise_px",
         display_unit=("px", 1.0),
     )
-    dropped_frame_probability: Value = _one(
+    dropped_frame_probability: Value = _imperfection_field(
         "camera", "dropped frames", "that a frame of both eyes never comes",
         "1", (0.0, 1.0), (0.0, 0.9), head_path="sensor.dropped_frame_probability",
         display_unit=_PERCENT,
     )
-    jitter_s: Value = _one(
+    jitter_s: Value = _imperfection_field(
         "camera", "frame jitter", "the most by which a frame comes later than the latency, "
         "uniform; frames keep their order",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
     )
-    missed_detection_probability: Value = _one(
+    missed_detection_probability: Value = _imperfection_field(
         "camera", "missed detections", "that an eye's image shows the detector nothing, each eye "
         "by itself",
         "1", (0.0, 1.0), (0.0, 0.9), display_unit=_PERCENT,
     )
-    outlier_probability: Value = _one(
+    outlier_probability: Value = _imperfection_field(
         "camera", "outliers", "that an eye's detection is beside the target, each eye by itself",
         "1", (0.0, 1.0), (0.0, 0.3), display_unit=_PERCENT,
     )
-    outlier_px: Value = _one(
+    outlier_px: Value = _imperfection_field(
         "camera", "outlier size", "how far beside it at most: uniform from 0, in any direction",
         "px", (0.0, inf), (0.0, 300.0), default=100.0, probability="outlier_probability",
         display_unit=("px", 1.0),
     )
-    frame_rate_hz: Value = _one(
+    frame_rate_hz: Value = _imperfection_field(
         "camera", "frame rate", "frames per second",
         "Hz", (1.0, 1000.0), (10.0, 240.0), head_path="timing.frame_rate_hz",
         display_unit=("Hz", 1.0),
     )
-    frame_phase: Value = _one(
+    frame_phase: Value = _imperfection_field(
         "camera", "camera phase", "when the first frame after time zero is exposed, by the time "
         "between two",
         "1", (0.0, 1.0), (0.0, 1.0), display_unit=("of a frame", 1.0),
     )
-    clock_drift: Value = _one(
+    clock_drift: Value = _imperfection_field(
         "camera", "camera clock slow by", "by how much the cameras' clock goes slow",
         "1", (-0.1, 0.1), (-0.05, 0.05), display_unit=_PERCENT,
     )
-    command_latency_s: Value = _one(
+    command_latency_s: Value = _imperfection_field(
         "motors", "command latency", "from a command to the motors' response",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), head_path="timing.command_latency_s",
         display_unit=_MS,
     )
-    feedback_latency_s: Value = _one(
+    feedback_latency_s: Value = _imperfection_field(
         "encoders", "feedback latency", "from a measurement of the joints to its reading",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), head_path="timing.feedback_latency_s",
         display_unit=_MS,
     )
-    angle_noise_rad: Value = _one(
+    angle_noise_rad: Value = _imperfection_field(
         "encoders", "encoder noise, angle", "standard deviation of an encoder's angle, before it "
         "is rounded",
         "rad", (0.0, inf), (0.0, 0.01), display_unit=_MRAD,
     )
-    speed_noise_rad_s: Value = _one(
+    speed_noise_rad_s: Value = _imperfection_field(
         "encoders", "encoder noise, speed", "standard deviation of an encoder's speed, before it "
         "is rounded",
         "rad/s", (0.0, inf), (0.0, 0.5), display_unit=("rad/s", 1.0),
     )
-    acceleration_ratio: Value = _one(
+    acceleration_ratio: Value = _imperfection_field(
         "motors", "acceleration by model", "greatest accelerations by those of the limits",
         "1", (0.01, 100.0), (0.1, 3.0), default=1.0,
     )
-    torque_falloff: Value = _one(
+    torque_falloff: Value = _imperfection_field(
         "motors", "torque falloff", "share of its acceleration that a motor has lost at its "
         "greatest speed, gain included; braking keeps all of it",
         "1", (0.0, 0.8), (0.0, 0.8),
     )
-    onset_s: Value = _one(
+    onset_s: Value = _imperfection_field(
         "target", "onset", "when the target appears, jumps or begins to move",
         "s", (0.0, 10.0), (0.0, 0.5), display_unit=("s", 1.0),
     )
-    speed_gain: Value = _one(
+    speed_gain: Value = _imperfection_field(
         "motors", "speed gain", "speed at rest by command, each actuator its own",
         "1", (0.01, 2.0), (0.4, 1.6), default=1.0, by_actuator=True,
     )
-    backlash_rad: Value = _one(
+    backlash_rad: Value = _imperfection_field(
         "motors", "backlash", "play between motor and joint, whole width, each actuator its own "
         "(in a file `sensor.backlash_rad` or the actuator's); none in the neck",
         "rad", (0.0, 0.2), (0.0, 0.02), head_path="actuation.backlash", by_actuator=True,
         display_unit=_MRAD,
     )
-    speed_filter_s: Value = _one(
+    speed_filter_s: Value = _imperfection_field(
         "encoders", "speed filter", "time constant of a servo's low-pass filter of first order on "
         "the speed that it reports; 0 for none",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
     )
-    speed_latency_s: Value = _one(
+    speed_latency_s: Value = _imperfection_field(
         "encoders", "speed latency", "by how much a reported speed is older than the angle beside "
         "it; the filter comes after it",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
     )
-    speed_span_s: Value = _one(
+    speed_span_s: Value = _imperfection_field(
         "encoders", "speed as difference over", "of heads whose servos report no speed: it is the "
         "difference of the angles as read over this time, in whole periods; less than half a "
         "period for the servos' own speed, whose noise, steps, latency and filter differences do "
         "not have",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
     )
-    lost_command_probability: Value = _one(
+    lost_command_probability: Value = _imperfection_field(
         "motors", "lost commands", "that a period's command never reaches the motors, which go on "
         "with the one before; `command` of a reading says what was sent",
         "1", (0.0, 1.0), (0.0, 0.9), display_unit=_PERCENT,
     )
-    stall_probability: Value = _one(
+    stall_probability: Value = _imperfection_field(
         "motors", "stalls of the control loop", "that the control loop stalls in a period, after "
         "one in which it ran: joints and images are not read, and the command reaches nobody",
         "1", (0.0, 1.0), (0.0, 0.5), display_unit=_PERCENT,
     )
-    stall_s: Value = _one(
+    stall_s: Value = _imperfection_field(
         "motors", "length of a stall", "for how long it stalls at most: uniform from 0, in whole "
         "periods and at least one",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.5), default=0.1, probability="stall_probability",
         display_unit=_MS,
     )
-    false_detection_probability: Value = _one(
+    false_detection_probability: Value = _imperfection_field(
         "camera", "false detections", "that in a frame a lamp, a reflection or another mark begins "
         "to be taken for the target: in the left eye, the right or both, a third each; in half of "
         "the last both eyes are off by the same",
         "1", (0.0, 1.0), (0.0, 0.2), display_unit=_PERCENT,
     )
-    false_detection_s: Value = _one(
+    false_detection_s: Value = _imperfection_field(
         "camera", "length of a false detection", "for how long it is taken for it at most: uniform "
         "from 0, in whole frames and at least one",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.5), default=0.2,
         probability="false_detection_probability", display_unit=_MS,
     )
-    false_detection_px: Value = _one(
+    false_detection_px: Value = _imperfection_field(
         "camera", "distance of a false detection", "how far beside the target it is at most, in "
         "all of its frames alike: uniform from 0, in any direction",
         "px", (0.0, inf), (0.0, 300.0), default=100.0, probability="false_detection_probability",
         display_unit=("px", 1.0),
     )
-    overshoot: Value = _one(
+    overshoot: Value = _imperfection_field(
         "motors", "overshoot", "share by which the speed of a servo of second order overshoots a "
         "step of its command, the joint lag being its time constant; 0 for the lag of first order",
         "1", (0.0, 0.9), (0.0, 0.6), display_unit=_PERCENT,
     )
-    skew_s: Value = _one(
+    skew_s: Value = _imperfection_field(
         "camera", "right eye exposed later by", "by how much the right eye's frames are exposed "
         "after the left's, at most the time between two; a pair comes when the later one does, and "
         "a stamp is the left one's; not on `rendered`",

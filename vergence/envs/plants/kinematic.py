@@ -16,9 +16,9 @@ from vergence.envs.plants.motors import (
     joints_from_actuators,
     output_angle,
     output_speed,
-    stop_at_joints,
+    stop_motors_at_joint_stops,
 )
-from vergence.envs.plants.scene import Scene
+from vergence.envs.plants.scene import TrueHeadsAndTargets
 from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.streams import IntArray
 from vergence.models.joint_response import lag_decay
@@ -45,7 +45,7 @@ class KinematicPlant(SimulatedPlant):
 def move_motors(
     period_s: float,
     packed: PackedConditions,
-    scene: Scene,
+    scene: TrueHeadsAndTargets,
     motors: MotorStates,
     coupling: ActuatorCoupling | None,
     commands: CommandBuffers,
@@ -64,7 +64,11 @@ def move_motors(
         frames: numbers of the next exposures.
         exposures: the result.
     """
-    packed, scene, motors = PackedConditions(*packed), Scene(*scene), MotorStates(*motors)
+    packed, scene, motors = (
+        PackedConditions(*packed),
+        TrueHeadsAndTargets(*scene),
+        MotorStates(*motors),
+    )
     commands, frames, exposures = CommandBuffers(*commands), Frames(*frames), Exposures(*exposures)
     # unpacked once, as numba would count references at each access in the loop
     heads, _motions, _necks, steps, positions, velocities = scene
@@ -120,7 +124,7 @@ def move_motors(
                     if coupling is None:
                         output[n, k] = output_angle(motor.output, motor.angle, backlash)
                 if coupling is not None:
-                    stop_at_joints(motors, coupling, heads[n * many], n)
+                    stop_motors_at_joint_stops(motors, coupling, heads[n * many], n)
                     for k in range(7):
                         output[n, k] = output_angle(output[n, k], angles[n, k], own[n, BACKLASH, k])
             if exposed:

@@ -56,18 +56,18 @@ class MotorStates(NamedTuple):
     """(n, 7) motor speeds, rad/s."""
     accelerations: FloatArray
     """(n, 7) accelerations of second-order servos, rad/s^2; 0 for others."""
-    output: FloatArray
+    output_angles: FloatArray
     """(n, 7) angles of the motors' outputs, within half the backlash of the motors, rad; if each
     eye joint has its own motor, these are the joint angles."""
     lower: FloatArray
     """(7,) lower angle limits, rad."""
     upper: FloatArray
     """(7,) upper angle limits, rad."""
-    velocity: FloatArray
+    speed_limits: FloatArray
     """(7,) speed limits, rad/s."""
-    acceleration: FloatArray
+    acceleration_limits: FloatArray
     """(7,) acceleration limits, rad/s^2."""
-    lag_ratio: FloatArray
+    lag_ratios: FloatArray
     """(7,) ratios of the motors' lags to the conditions' `lag_s`."""
 
     @classmethod
@@ -85,20 +85,20 @@ class MotorStates(NamedTuple):
             angles=rest,
             speeds=np.zeros((num, 7)),
             accelerations=np.zeros((num, 7)),
-            output=rest.copy(),
+            output_angles=rest.copy(),
             lower=own.lower,
             upper=own.upper,
-            velocity=own.velocity,
-            acceleration=own.acceleration,
-            lag_ratio=own.lag_ratio,
+            speed_limits=own.velocity,
+            acceleration_limits=own.acceleration,
+            lag_ratios=own.lag_ratio,
         )
 
 
-MOVING: Final = {
+SAVED_MOTOR_FIELDS: Final = {
     "angles": "angles",
     "speeds": "speeds",
     "accelerations": "accelerations",
-    "driven": "output",
+    "driven": "output_angles",
 }
 """Fields of `MotorStates` that are part of a trial's state, by their names in a saved state."""
 
@@ -110,7 +110,7 @@ class ActuatorCoupling(NamedTuple):
     """(4,) lower angle limits of the eye joints, rad."""
     joint_upper: FloatArray
     """(4,) upper angle limits of the eye joints, rad."""
-    head: PackedHead
+    nominal_head: PackedHead
     """(PACKED,) the head that the controller knows; it converts encoder angles to joint angles."""
     scratch: FloatArray
     """(4,) scratch array of kernels, one number per actuator."""
@@ -137,8 +137,8 @@ class MotorParams(NamedTuple):
     """Parameters of one motor in a trial."""
 
     lag_s: float
-    acceleration: float
-    falloff: float
+    max_acceleration: float
+    acceleration_falloff: float
     """Fraction of the acceleration that is lost per rad/s of speed."""
     lower: float
     upper: float
@@ -164,7 +164,9 @@ def output_speed(motor: MotorState, backlash: float) -> float:
 def advance_first_order(
     motor: MotorState, params: MotorParams, command: float, time_s: float, decay: float
 ) -> MotorState:
-    """Advance a motor by a time; its output is pushed only up to a reversal of the motor.
+    """Advance a motor with a first-order lag by a time.
+
+    Its output moves only if the motor reverses within it.
 
     Callers push the output on with `output_angle`.
 
@@ -176,7 +178,7 @@ def advance_first_order(
         decay: `lag_decay(time_s, params.lag_s)`.
     """
     q, v, output = motor.angle, motor.speed, motor.output
-    tau, a = params.lag_s, params.acceleration
+    tau, a = params.lag_s, params.max_acceleration
     if params.backlash > 0.0 and v * command < 0.0:
         turn = time_to_reversal(v, command, tau, a)
         if turn < time_s:  # the output stays at the turning point
@@ -184,8 +186,10 @@ def advance_first_order(
             output = output_angle(
                 output, min(max(farthest, params.lower), params.upper), params.backlash
             )
-    if params.falloff > 0.0:
-        q, v = follow_torque_limited_joint(q, v, command, tau, a, params.falloff, time_s)
+    if params.acceleration_falloff > 0.0:
+        q, v = follow_torque_limited_joint(
+            q, v, command, tau, a, params.acceleration_falloff, time_s
+        )
     else:
         q, v = follow_joint(q, v, command, tau, a, time_s, decay)
     if q < params.lower:
@@ -228,8 +232,8 @@ def advance_second_order(
             command,
             params.lag_s,
             zeta,
-            params.acceleration,
-            params.falloff,
+            params.max_acceleration,
+            params.acceleration_falloff,
             time_s / steps,
         )
         if q < params.lower:
@@ -240,7 +244,7 @@ def advance_second_order(
 
 
 @subroutine
-def stop_at_joints(
+def stop_motors_at_joint_stops(
     motors: MotorStates, coupling: ActuatorCoupling, p: PackedHead, n: EnvIndex
 ) -> None:
     """Move one head's motors back where they push a joint beyond its own stop.

@@ -11,10 +11,10 @@ from vergence.envs.plants.frames import TIME_TOLERANCE_S
 from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.plants.track import (
     SubstepTrajectory,
-    expose_on_track,
+    expose_on_trajectory,
     mean_substep_controls,
-    read_joints,
-    start_track,
+    read_mujoco_joints,
+    start_trajectory,
 )
 from vergence.envs.reading import Reading
 from vergence.envs.saved_state import Arrays
@@ -78,22 +78,22 @@ class MujocoPlant(SimulatedPlant):
         self._lag_ratios, self._which_lag = np.unique(
             true.actuation.lag_ratio[self._slots], return_inverse=True
         )
-        self._has_backlash = whole.largest("backlash_rad") > 0.0
+        self._has_backlash = whole.largest_value("backlash_rad") > 0.0
         self._motors_apart = self._has_backlash or self._coupling is not None
-        self._has_falloff = whole.largest("torque_falloff") > 0.0
+        self._has_falloff = whole.largest_value("torque_falloff") > 0.0
         self._forces_vary = self._has_falloff or self._varies_at_all("acceleration_ratio", 1.0)
         # a period is one substep unless something happens within it; outputs behind backlash are
         # pushed at every step, so that they do not miss the motors' turning points
-        rate = head.timing.control_rate_hz / whole.largest("frame_rate_hz")
+        rate = head.timing.control_rate_hz / whole.largest_value("frame_rate_hz")
         within = (
             self._has_backlash
             or self._has_falloff
-            or whole.largest("command_latency_s") > 0.0
-            or whole.largest("overshoot") > 0.0
-            or whole.largest("skew_s") > 0.0
+            or whole.largest_value("command_latency_s") > 0.0
+            or whole.largest_value("overshoot") > 0.0
+            or whole.largest_value("skew_s") > 0.0
             or self._varies_at_all("frame_phase", 0.0)
             or self._varies_at_all("clock_drift", 0.0)
-            or self._varies_at_all("frame_rate_hz", whole.largest("frame_rate_hz"))
+            or self._varies_at_all("frame_rate_hz", whole.largest_value("frame_rate_hz"))
             or abs(rate - round(rate)) > TIME_TOLERANCE_S
             or rate < 0.5
         )
@@ -152,7 +152,7 @@ class MujocoPlant(SimulatedPlant):
 
     def _move(self) -> None:
         own, period_s = self._arguments, self.head.timing.period_s
-        start_track(own.scene, self._track)
+        start_trajectory(own.scene, self._track)
         for substep in range(self._substeps):
             mean_substep_controls(
                 substep, self._substeps, period_s, own.packed, self._scene.step, own.commands,
@@ -161,18 +161,18 @@ class MujocoPlant(SimulatedPlant):
             if self._forces_vary:
                 self._limit_forces()
             self._batch.step(None, SUBSTEPS // self._substeps)
-            read_joints(
+            read_mujoco_joints(
                 substep, self._qpos, self._qvel, self._half_step, self._joints, self.head.packed,
                 own.packed, own.scene, own.motors, self._coupling, self._track,
             )  # fmt: skip
-        expose_on_track(
+        expose_on_trajectory(
             period_s, own.packed, self._scene.step, own.frames, self._track, own.exposures
         )
 
     def _limit_forces(self) -> None:
         """Set the servos' force limits from their trials' conditions and their present speeds."""
         most = self.conditions.acceleration_ratio[:, None] * self._max_force
-        top = self.conditions.speed_gain[:, self._slots] * self._motors.velocity[self._slots]
+        top = self.conditions.speed_gain[:, self._slots] * self._motors.speed_limits[self._slots]
         falloff = self.conditions.torque_falloff[:, None] / top
         speeds = self._motors.speeds[:, self._slots]
         self._force[:, :, 1] = most * (1.0 - falloff * np.maximum(speeds, 0.0))

@@ -7,18 +7,23 @@ import numpy as np
 
 from vergence._jit import compiled
 from vergence.envs.plants.conditions import PackedConditions, unpack_conditions
-from vergence.envs.plants.eye_views import EyeViews
+from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.envs.plants.frames import (
     TIME_TOLERANCE_S,
     Exposures,
     Frames,
-    available_at,
     draw_frame_faults,
     false_detection_offset,
+    frame_arrival_time,
     outlier_offset,
 )
 from vergence.envs.plants.mujoco import MujocoPlant
-from vergence.envs.plants.scene import Scene, image_displacement, target_in_n, true_head_row
+from vergence.envs.plants.scene import (
+    TrueHeadsAndTargets,
+    image_displacement,
+    target_position_in_n,
+    true_head_row,
+)
 from vergence.envs.plants.simulation import TrialStart
 from vergence.envs.plants.variation import RANGES
 from vergence.envs.reading import BoolArray, Image, Reading
@@ -49,8 +54,8 @@ class RenderedPlant(MujocoPlant):
         head: the model that a controller knows.
         num: number of heads.
         board: pattern of the target: `tag` (AprilTag 36h11) or `checkerboard`.
-        facing: orientation of the board, `head` or `forward`, see `EyeViews`.
-        width_rad: ratio of the board's width to its distance, see `EyeViews`.
+        facing: orientation of the board, `head` or `forward`, see `BoardImageRenderer`.
+        width_rad: ratio of the board's width to its distance, see `BoardImageRenderer`.
         **options: options of `MujocoPlant`.
 
     Raises:
@@ -79,7 +84,7 @@ class RenderedPlant(MujocoPlant):
         target = make_planar_target(board)
         true, many = self.true_head, bool(self.true_head.batch_shape)
         self._views = [
-            EyeViews(
+            BoardImageRenderer(
                 true[i % len(self.conditions.heads)] if many else true,
                 target,
                 width_rad=width_rad,
@@ -157,7 +162,7 @@ class RenderedPlant(MujocoPlant):
         frames = views.draw_poses(self._T_C_T, rng, self._smear_px)
         for eye, tracker in enumerate(self._trackers[env]):
             # plain background need not be searched
-            found = tracker.find(frames[eye], T_0_C=T_0_C[eye], search=views.shown[eye])
+            found = tracker.find(frames[eye], T_0_C=T_0_C[eye], search=views.board_in_image[eye])
             self._seen[env, i, eye] = found is not None
             if found is not None:
                 self._found[env, i, eye] = found.point_px
@@ -196,7 +201,9 @@ def store_detections(
             frames.exposed_s[n, slot], frames.dropped[n, slot] = time_s, faults.dropped
             if faults.dropped:
                 continue
-            comes_s = available_at(conditions, time_s, faults.extra_latency_s, frames.latest_s[n])
+            comes_s = frame_arrival_time(
+                conditions, time_s, faults.extra_latency_s, frames.latest_s[n]
+            )
             frames.comes_s[n, slot] = frames.latest_s[n] = comes_s
             for eye in range(2):
                 missed = faults.missed_right if eye else faults.missed_left
@@ -213,11 +220,11 @@ def store_detections(
 
 @compiled
 def board_poses_in_cameras(
-    n: int,
-    i: int,
+    env_index: int,
+    exposure_index: int,
     half_exposure_s: float,
-    facing_head: bool,
-    scene: Scene,
+    board_faces_head: bool,
+    scene: TrueHeadsAndTargets,
     exposures: Exposures,
     onset_s: float,
     T_C_T: FloatArray,
@@ -226,10 +233,10 @@ def board_poses_in_cameras(
     """Compute the board's poses in both cameras, and the motion blur of its images.
 
     Args:
-        n: environment index.
-        i: index of the exposure within the period.
+        env_index: environment index.
+        exposure_index: index of the exposure within the period.
         half_exposure_s: half the exposure time, s.
-        facing_head: True if the board is square to the line from N's origin, see
+        board_faces_head: True if the board is square to the line from N's origin, see
             `vergence.models.boards.board_pose`.
         scene: `untyped_tuple`.
         exposures: `untyped_tuple`.
@@ -240,13 +247,19 @@ def board_poses_in_cameras(
     Returns:
         True if there is a target at this time.
     """
-    scene, exposures = Scene(*scene), Exposures(*exposures)
-    p, time_s = true_head_row(scene, n), exposures.time_s[n, i]
-    q, v = exposures.positions[n, i], exposures.velocities[n, i]
-    motion, target_time_s = unpack_motion(scene.motions[n]), time_s - onset_s + TIME_TOLERANCE_S
-    x, y, z = target_in_n(p, motion, scene.necks[n], q, target_time_s)
+    scene, exposures = TrueHeadsAndTargets(*scene), Exposures(*exposures)
+    p, time_s = true_head_row(scene, env_index), exposures.time_s[env_index, exposure_index]
+    q, v = (
+        exposures.positions[env_index, exposure_index],
+        exposures.velocities[env_index, exposure_index],
+    )
+    motion, target_time_s = (
+        unpack_motion(scene.motions[env_index]),
+        time_s - onset_s + TIME_TOLERANCE_S,
+    )
+    x, y, z = target_position_in_n(p, motion, scene.necks[env_index], q, target_time_s)
     # columns of the board's rotation in N
-    axes = board_axes((x, y, z), facing_head)
+    axes = board_axes((x, y, z), board_faces_head)
     for eye in range(2):
         camera = eye_frames(p, eye, q[3 + 2 * eye], q[4 + 2 * eye]).camera
         out = T_C_T[eye]
@@ -259,7 +272,7 @@ def board_poses_in_cameras(
         du = dv = 0.0
         if half_exposure_s > 0.0:
             du, dv = image_displacement(
-                p, motion, scene.necks[n], eye, q, v, target_time_s, half_exposure_s
+                p, motion, scene.necks[env_index], eye, q, v, target_time_s, half_exposure_s
             )
         smear_px[eye, 0], smear_px[eye, 1] = du if du == du else 0.0, dv if dv == dv else 0.0
     return is_shown(motion, target_time_s)

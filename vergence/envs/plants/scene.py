@@ -8,7 +8,7 @@ from vergence._jit import compiled, inlined
 from vergence.envs.plants.conditions import EnvIndex
 from vergence.envs.reading import Truth
 from vergence.envs.streams import IntArray
-from vergence.envs.targets.motion import Motion, position_at, unpack_motion
+from vergence.envs.targets.motion import Motion, motion_position_at, unpack_motion
 from vergence.models.camera import inside_image, pixel_error, point_to_pixel
 from vergence.models.kinematics import neck_frame, point_in_eye
 from vergence.models.packed import PackedHead
@@ -16,7 +16,7 @@ from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector, point_to_local, point_to_outer
 
 
-class Scene(NamedTuple):
+class TrueHeadsAndTargets(NamedTuple):
     """The true heads and their targets at present."""
 
     heads: FloatArray
@@ -34,18 +34,22 @@ class Scene(NamedTuple):
 
 
 @inlined
-def true_head_row(scene: Scene, n: EnvIndex) -> PackedHead:
+def true_head_row(scene: TrueHeadsAndTargets, n: EnvIndex) -> PackedHead:
     """(PACKED,) true head of an environment."""
     head: PackedHead = scene.heads[np.uintp(n) * np.uintp(scene.heads.shape[0] > 1)]
     return head
 
 
 @inlined
-def target_in_n(
-    p: PackedHead, motion: Motion, neck_at_start: FloatArray, neck: FloatArray | Vector, t: float
+def target_position_in_n(
+    p: PackedHead,
+    motion: Motion,
+    neck_at_start: FloatArray,
+    neck: FloatArray | Vector,
+    target_time_s: float,
 ) -> Vector:
-    """The target in the present N at its own time `t`; it moves in the world, N with the neck."""
-    x, y, z = position_at(motion, t)
+    """Position of the target at its own time, in frame N as the neck holds it now, m."""
+    x, y, z = motion_position_at(motion, target_time_s)
     if neck[0] == neck_at_start[0] and neck[1] == neck_at_start[1] and neck[2] == neck_at_start[2]:
         return x, y, z
     start = neck_frame(p, neck_at_start[0], neck_at_start[1], neck_at_start[2])
@@ -54,7 +58,9 @@ def target_in_n(
 
 
 @inlined
-def eye_pixel(p: PackedHead, eye: int, q: FloatArray, point: Vector) -> tuple[float, float]:
+def distorted_eye_pixel(
+    p: PackedHead, eye: int, q: FloatArray, point: Vector
+) -> tuple[float, float]:
     """Pixel of a point of N in an eye's image, distorted, px."""
     x, y, z = point_in_eye(p, eye, q[3 + 2 * eye], q[4 + 2 * eye], point[0], point[1], point[2])
     return point_to_pixel(p, eye, x, y, z, True)
@@ -64,11 +70,11 @@ def eye_pixel(p: PackedHead, eye: int, q: FloatArray, point: Vector) -> tuple[fl
 def image_displacement(
     p: PackedHead,
     motion: Motion,
-    neck: FloatArray,
+    neck_at_start: FloatArray,
     eye: int,
     q: FloatArray,
     v: FloatArray,
-    time_s: float,
+    target_time_s: float,
     half_exposure_s: float,
 ) -> tuple[float, float]:
     """Displacement of the target's image while the shutter is open, px.
@@ -79,24 +85,28 @@ def image_displacement(
     Args:
         p: the true head.
         motion: the target's motion.
-        neck: (3,) the neck's angles at the trial's start, rad.
+        neck_at_start: (3,) the neck's angles at the trial's start, rad.
         eye: index of the eye.
         q: (7,) joint angles in the middle of the exposure, rad.
         v: (7,) joint velocities then, rad/s.
-        time_s: the middle of the exposure in the target's own time, s.
+        target_time_s: the middle of the exposure in the target's own time, s.
         half_exposure_s: half the exposure time, s.
     """
     tilt, pan = q[3 + 2 * eye], q[4 + 2 * eye]
     dt, dp = v[3 + 2 * eye] * half_exposure_s, v[4 + 2 * eye] * half_exposure_s
     yaw, roll, pitch = v[0] * half_exposure_s, v[1] * half_exposure_s, v[2] * half_exposure_s
-    begin, end = time_s - half_exposure_s, time_s + half_exposure_s
-    for jump in (motion.jump, motion.second_jump):
-        if time_s >= jump:
+    begin, end = target_time_s - half_exposure_s, target_time_s + half_exposure_s
+    for jump in (motion.jump_time, motion.second_jump_time):
+        if target_time_s >= jump:
             begin = max(begin, jump)
         elif end >= jump:
-            end = min(end, time_s)
-    ax, ay, az = target_in_n(p, motion, neck, (q[0] - yaw, q[1] - roll, q[2] - pitch), begin)
-    bx, by, bz = target_in_n(p, motion, neck, (q[0] + yaw, q[1] + roll, q[2] + pitch), end)
+            end = min(end, target_time_s)
+    ax, ay, az = target_position_in_n(
+        p, motion, neck_at_start, (q[0] - yaw, q[1] - roll, q[2] - pitch), begin
+    )
+    bx, by, bz = target_position_in_n(
+        p, motion, neck_at_start, (q[0] + yaw, q[1] + roll, q[2] + pitch), end
+    )
     x, y, z = point_in_eye(p, eye, tilt - dt, pan - dp, ax, ay, az)
     ua, va = point_to_pixel(p, eye, x, y, z, True)
     x, y, z = point_in_eye(p, eye, tilt + dt, pan + dp, bx, by, bz)
@@ -106,7 +116,11 @@ def image_displacement(
 
 @compiled
 def update_truth(
-    nominal: PackedHead, period_s: float, target_time_s: FloatArray, scene: Scene, truth: Truth
+    nominal: PackedHead,
+    period_s: float,
+    target_time_s: FloatArray,
+    scene: TrueHeadsAndTargets,
+    truth: Truth,
 ) -> None:
     """Update the ground truth.
 
@@ -117,17 +131,17 @@ def update_truth(
         scene: `untyped_tuple`.
         truth: `untyped_tuple`, the result.
     """
-    scene, truth = Scene(*scene), Truth(*truth)
+    scene, truth = TrueHeadsAndTargets(*scene), Truth(*truth)
     for n in range(scene.step.shape[0]):
         truth.time_s[n] = scene.step[n] * period_s
         p, q = true_head_row(scene, n), scene.positions[n]
         for j in range(7):
             truth.positions[n, j], truth.velocities[n, j] = q[j], scene.velocities[n, j]
         motion = unpack_motion(scene.motions[n])
-        point = target_in_n(p, motion, scene.necks[n], q, target_time_s[n])
+        point = target_position_in_n(p, motion, scene.necks[n], q, target_time_s[n])
         truth.target[n, 0], truth.target[n, 1], truth.target[n, 2] = point
         for eye in range(2):
-            u, v = eye_pixel(p, eye, q, point)
+            u, v = distorted_eye_pixel(p, eye, q, point)
             truth.image_visible[n, eye] = inside_image(p, eye, u, v)
             truth.pixels[n, eye, 0], truth.pixels[n, eye, 1] = u, v
             du, dv = pixel_error(nominal, eye, u, v)

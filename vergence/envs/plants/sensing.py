@@ -1,9 +1,9 @@
 r"""Sensor model of simulated plants: detections in each frame, and the time of their reading.
 
-`store_frames` takes the frames of the last period, each with the joint angles at its own exposure,
-and stores the detections in ring buffers. `read_sensors` reads the newest frame that has become
-readable, and the joint feedback. While the control loop stalls nothing is read: a reading then has
-the present time and is otherwise unchanged.
+`simulate_detections` takes the frames of the last period, each with the joint angles at its own
+exposure, and stores the detections in ring buffers. `read_sensors` reads the newest frame that has
+become readable, and the joint feedback. While the control loop stalls nothing is read: a reading
+then has the present time and is otherwise unchanged.
 
 A reading dates its image by the camera's stamp if there is one, else by the receipt minus the
 nominal latency, as does a robot that only knows when an image arrived. If the actual latency
@@ -17,23 +17,33 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from vergence._jit import compiled
-from vergence.envs.plants.commands import LOST, RESUMES, is_command_lost, loop_resumes_at
+from vergence.envs.plants.commands import (
+    COMMAND_LOST,
+    RESUME_PERIOD,
+    is_command_lost,
+    loop_resumes_at,
+)
 from vergence.envs.plants.conditions import PackedConditions, unpack_conditions
-from vergence.envs.plants.feedback import Feedback, reported_interval, sense_joints
+from vergence.envs.plants.feedback import JointFeedbackBuffers, ring_interval_by_time, sense_joints
 from vergence.envs.plants.frames import (
     TIME_TOLERANCE_S,
     Exposures,
     Frames,
-    available_at,
     draw_frame_faults,
     exposed_eyes,
     false_detection_offset,
-    first_exposure,
+    first_exposure_of_frame,
+    frame_arrival_time,
     outlier_offset,
     pixel_noise,
 )
 from vergence.envs.plants.motors import ActuatorCoupling, MotorStates
-from vergence.envs.plants.scene import Scene, eye_pixel, image_displacement, target_in_n
+from vergence.envs.plants.scene import (
+    TrueHeadsAndTargets,
+    distorted_eye_pixel,
+    image_displacement,
+    target_position_in_n,
+)
 from vergence.envs.reading import Reading
 from vergence.envs.streams import IntArray, StreamKey, StreamKeys
 from vergence.envs.targets.motion import is_shown, unpack_motion
@@ -75,16 +85,16 @@ class SensorTiming(NamedTuple):
 
 
 @compiled
-def store_frames(
+def simulate_detections(
     ids: IntArray,
     timing: SensorTiming,
     packed: PackedConditions,
     keys: StreamKeys,
-    scene: Scene,
+    scene: TrueHeadsAndTargets,
     exposures: Exposures,
     frames: Frames,
 ) -> None:
-    """Take the last period's frames of some environments into their ring buffers.
+    """Simulate the detections in the last period's frames, and write them to the ring buffers.
 
     Args:
         ids: (m,) environment indices.
@@ -96,7 +106,7 @@ def store_frames(
         frames: ring buffers, updated in place.
     """
     timing, packed, keys = SensorTiming(*timing), PackedConditions(*packed), StreamKeys(*keys)
-    scene, exposures, frames = Scene(*scene), Exposures(*exposures), Frames(*frames)
+    scene, exposures, frames = TrueHeadsAndTargets(*scene), Exposures(*exposures), Frames(*frames)
     # unpacked once, as numba would count references at each access in the loop
     heads, motions, necks, _steps, _positions, _velocities = scene
     counts, times, then_q, then_v = exposures
@@ -119,7 +129,7 @@ def store_frames(
             if faults.dropped:
                 continue
             if first_eye == 0:
-                comes_s[n, slot] = latest_s[n] = available_at(
+                comes_s[n, slot] = latest_s[n] = frame_arrival_time(
                     conditions, time_s, faults.extra_latency_s, latest_s[n]
                 )
             # a frame at a jump shows the target after the jump
@@ -127,10 +137,10 @@ def store_frames(
             if not is_shown(motion, target_time_s):
                 continue
             q = then_q[n, i]
-            point = target_in_n(p, motion, necks[n], q, target_time_s)
+            point = target_position_in_n(p, motion, necks[n], q, target_time_s)
             noise = pixel_noise(conditions, key, f)
             for eye in range(first_eye, end_eye):
-                u, v = eye_pixel(p, eye, q, point)
+                u, v = distorted_eye_pixel(p, eye, q, point)
                 missed = faults.missed_right if eye else faults.missed_left
                 if missed or not inside_image(p, eye, u, v):
                     continue
@@ -158,7 +168,7 @@ def read_sensors(
     steps: IntArray,
     motors: MotorStates,
     coupling: ActuatorCoupling | None,
-    feedback: Feedback,
+    feedback: JointFeedbackBuffers,
     frames: Frames,
     reading: Reading,
 ) -> None:
@@ -178,20 +188,24 @@ def read_sensors(
     """
     timing, packed, keys = SensorTiming(*timing), PackedConditions(*packed), StreamKeys(*keys)
     frames, reading = Frames(*frames), Reading(*reading)
-    period_s, loop_states = timing.control_period_s, Feedback(*feedback).loop_states
+    period_s, loop_states = (
+        timing.control_period_s,
+        JointFeedbackBuffers(*feedback).control_loop_states,
+    )
     for env in ids:
         n = np.uintp(env)
         conditions, step = unpack_conditions(packed, n), steps[n]
         key = StreamKey(keys.seeds[n], keys.trials[n])
-        loop_states[n, RESUMES] = loop_resumes_at(
-            conditions, key, step, period_s, loop_states[n, RESUMES]
+        loop_states[n, RESUME_PERIOD] = loop_resumes_at(
+            conditions, key, step, period_s, loop_states[n, RESUME_PERIOD]
         )
-        loop_states[n, LOST] = is_command_lost(conditions, key, step)
+        loop_states[n, COMMAND_LOST] = is_command_lost(conditions, key, step)
     sense_joints(
-        ids, period_s, packed, keys, steps, MotorStates(*motors), coupling, Feedback(*feedback),
+        ids, period_s, packed, keys, steps, MotorStates(*motors), coupling,
+        JointFeedbackBuffers(*feedback),
         reading,
     )  # fmt: skip
-    reported = Feedback(*feedback).reported
+    reported = JointFeedbackBuffers(*feedback).reported_angles
     # unpacked once, as numba would count references at each access in the loop
     pixels, visible, dropped, exposed_s, comes_s, following, pending, _latest_s = frames
     time_s, frame, read_pixels, read_visible = (
@@ -208,12 +222,12 @@ def read_sensors(
         k = steps[n]
         now_s = k * period_s
         time_s[n] = now_s
-        if k < loop_states[n, RESUMES]:
+        if k < loop_states[n, RESUME_PERIOD]:
             continue
         joints_s[n] = now_s - timing.nominal_feedback_latency_s
         newest, f, conditions = _NO_FRAME, pending[n], unpack_conditions(packed, n)
         # a frame whose right eye is still to be exposed has not arrived
-        while first_exposure(conditions, f) < following[n]:
+        while first_exposure_of_frame(conditions, f) < following[n]:
             slot = np.uintp(f & mask)
             if not dropped[n, slot]:
                 if comes_s[n, slot] > now_s + TIME_TOLERANCE_S:
@@ -232,7 +246,7 @@ def read_sensors(
             else comes_s[n, slot] - timing.nominal_latency_s
         )
         read_exposure_s[n] = date_s
-        at = reported_interval((date_s + timing.nominal_feedback_latency_s) * rate, k, kept)
+        at = ring_interval_by_time((date_s + timing.nominal_feedback_latency_s) * rate, k, kept)
         for j in range(7):
             old = reported[n, at.first, j]
             at_exposure[n, j] = old

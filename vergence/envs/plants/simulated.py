@@ -12,19 +12,19 @@ from vergence._jit import untyped_tuple
 from vergence.envs.plants import starting
 from vergence.envs.plants.commands import CommandBuffers, store_commands
 from vergence.envs.plants.conditions import Conditions, PackedConditions
-from vergence.envs.plants.feedback import STATE, Feedback
+from vergence.envs.plants.feedback import SAVED_FEEDBACK_FIELDS, JointFeedbackBuffers
 from vergence.envs.plants.frames import TIME_TOLERANCE_S, Exposures, Frames
 from vergence.envs.plants.imperfections import IMPERFECTIONS
-from vergence.envs.plants.motors import MOVING, ActuatorCoupling, MotorStates
-from vergence.envs.plants.scene import Scene, update_truth
-from vergence.envs.plants.sensing import SensorTiming, read_sensors, store_frames
+from vergence.envs.plants.motors import SAVED_MOTOR_FIELDS, ActuatorCoupling, MotorStates
+from vergence.envs.plants.scene import TrueHeadsAndTargets, update_truth
+from vergence.envs.plants.sensing import SensorTiming, read_sensors, simulate_detections
 from vergence.envs.plants.simulation import Simulation, TrialStart
-from vergence.envs.plants.true_heads import TrueHeads
+from vergence.envs.plants.true_heads import TrueHeadsAndConditions
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.saved_state import Arrays, copy_arrays, join_parts, restore_arrays
 from vergence.envs.streams import IntArray, RandomStreams, StreamKeys
-from vergence.envs.targets.motion import JUMP, last_jump, motion_rows
+from vergence.envs.targets.motion import JUMP, last_jump_time, motion_rows
 from vergence.envs.validation import check_count
 from vergence.errors import ConfigurationError, refuse_unknown
 from vergence.models.head import HeadModel
@@ -41,10 +41,10 @@ class _KernelArguments(NamedTuple):
     timing: SensorTiming
     packed: PackedConditions
     keys: StreamKeys
-    scene: Scene
+    scene: TrueHeadsAndTargets
     motors: MotorStates
     commands: CommandBuffers
-    feedback: Feedback
+    feedback: JointFeedbackBuffers
     frames: Frames
     exposures: Exposures
     reading: Reading
@@ -102,7 +102,7 @@ class SimulatedPlant(Simulation):
         if true_head is not None and not isinstance(true_head, HeadModel):
             raise ConfigurationError(f"true_head: expected a HeadModel, got {true_head!r:.80}")
         variation = self._checked_variation(make_variation(variation))
-        self._true_heads = heads = TrueHeads(
+        self._true_heads = heads = TrueHeadsAndConditions(
             head, num, true_head=true_head, given=loop, variation=variation
         )
         self.head = head
@@ -111,12 +111,12 @@ class SimulatedPlant(Simulation):
         self._all = np.arange(num)
         self._streams = RandomStreams(num)
         timing, period_s = head.timing, head.timing.period_s
-        max_hz = heads.largest("frame_rate_hz") / (1.0 + IMPERFECTIONS["clock_drift"].least)
-        skew_s = heads.largest("skew_s")
-        late_s = heads.largest("latency_s") + heads.largest("jitter_s") + skew_s
+        max_hz = heads.largest_value("frame_rate_hz") / (1.0 + IMPERFECTIONS["clock_drift"].least)
+        skew_s = heads.largest_value("skew_s")
+        late_s = heads.largest_value("latency_s") + heads.largest_value("jitter_s") + skew_s
         stalled_s = 0.0
-        if heads.largest("stall_probability") > 0.0:
-            stalled_s = max(heads.largest("stall_s"), period_s) + period_s
+        if heads.largest_value("stall_probability") > 0.0:
+            stalled_s = max(heads.largest_value("stall_s"), period_s) + period_s
         self._frames = Frames.empty(num, late_s + stalled_s + 2.0 * period_s, max_hz)
         self._exposures = Exposures.empty(num, period_s, max_hz, 2 if skew_s > 0.0 else 1)
         self._motors = MotorStates.of(head, heads.given, num)
@@ -125,15 +125,19 @@ class SimulatedPlant(Simulation):
             num,
             heads.given.actuation.velocity,
             head.sensor.command_resolution_rad_s,
-            heads.largest("command_latency_s"),
+            heads.largest_value("command_latency_s"),
             period_s,
         )
         # the reading of an image looks up joint angles as old as its date
         max_age_s = max(late_s, timing.latency_s) + 1.0 / max_hz + timing.feedback_latency_s
-        max_age_s = max(max_age_s, heads.largest("speed_span_s"))
-        feedback_s = heads.largest("feedback_latency_s") + heads.largest("speed_latency_s")
-        self._feedback = Feedback.of(head, num, feedback_s, max_age_s + stalled_s + period_s)
-        self._scene = Scene(
+        max_age_s = max(max_age_s, heads.largest_value("speed_span_s"))
+        feedback_s = heads.largest_value("feedback_latency_s") + heads.largest_value(
+            "speed_latency_s"
+        )
+        self._feedback = JointFeedbackBuffers.of(
+            head, num, feedback_s, max_age_s + stalled_s + period_s
+        )
+        self._scene = TrueHeadsAndTargets(
             heads=heads.packed.heads,
             motions=motion_rows(np.tile(_INITIAL_TARGET_POINT, (num, 1))),
             necks=np.zeros((num, 3)),
@@ -210,7 +214,9 @@ class SimulatedPlant(Simulation):
             self._coupling, own.commands, own.feedback, own.frames, own.reading,
         )  # fmt: skip
         self._put_at_rest(ids)
-        while starting.expose_at_rest(ids, own.packed, own.scene, own.frames, own.exposures):
+        while starting.expose_frames_before_start(
+            ids, own.packed, own.scene, own.frames, own.exposures
+        ):
             self._expose(ids)
         self._report(ids)
         self.reading.frame[ids] = 0
@@ -226,7 +232,7 @@ class SimulatedPlant(Simulation):
             raise ConfigurationError(
                 f"command: expected shape ({self.num}, 7), got {command.shape}"
             )
-        loop_states = self._feedback.loop_states
+        loop_states = self._feedback.control_loop_states
         if not store_commands(
             command, self._arguments.commands, loop_states, self._scene.step, self.reading.command
         ):
@@ -246,7 +252,7 @@ class SimulatedPlant(Simulation):
 
     def truth_at_rest(self) -> Truth:
         """See `Simulation.truth_at_rest`."""
-        return self._truth_at(last_jump(self._scene.motions))
+        return self._truth_at(last_jump_time(self._scene.motions))
 
     def _truth_at(self, target_time_s: FloatArray) -> Truth:
         """Ground truth of the present, with the targets at given own times."""
@@ -260,7 +266,7 @@ class SimulatedPlant(Simulation):
 
     def onset_s(self) -> FloatArray:
         """See `Simulation.onset_s`."""
-        return self.conditions.onset_s + last_jump(self._scene.motions)
+        return self.conditions.onset_s + last_jump_time(self._scene.motions)
 
     def first_detection_times(self) -> tuple[FloatArray, FloatArray]:
         """See `Simulation.first_detection_times`."""
@@ -268,7 +274,7 @@ class SimulatedPlant(Simulation):
         first, last = np.empty((2, self.num))
         jumps = self._scene.motions[:, JUMP].copy()
         starting.first_detection_times(own.packed, own.keys, own.scene, jumps, first)
-        jumps = last_jump(self._scene.motions)
+        jumps = last_jump_time(self._scene.motions)
         starting.first_detection_times(own.packed, own.keys, own.scene, jumps, last)
         return first, last
 
@@ -297,11 +303,13 @@ class SimulatedPlant(Simulation):
         del scene["heads"]  # part of the conditions
         motors = self._motors
         return join_parts(
-            conditions=self._true_heads.arrays(),
+            conditions=self._true_heads.state_arrays(),
             keys=self._streams.keys._asdict(),
-            motors={name: getattr(motors, field) for name, field in MOVING.items()},
+            motors={name: getattr(motors, field) for name, field in SAVED_MOTOR_FIELDS.items()},
             commands={"given": self._commands.velocities},
-            feedback={name: getattr(feedback, field) for name, field in STATE.items()},
+            feedback={
+                name: getattr(feedback, field) for name, field in SAVED_FEEDBACK_FIELDS.items()
+            },
             frames=self._frames._asdict(),
             scene=scene,
             reading=self.reading._asdict(),
@@ -319,7 +327,9 @@ class SimulatedPlant(Simulation):
     def _expose(self, ids: IntArray) -> None:
         """Take the last period's frames of some environments."""
         own = self._arguments
-        store_frames(ids, own.timing, own.packed, own.keys, own.scene, own.exposures, own.frames)
+        simulate_detections(
+            ids, own.timing, own.packed, own.keys, own.scene, own.exposures, own.frames
+        )
 
     def _report(self, ids: IntArray) -> None:
         """Read the sensors of some environments."""

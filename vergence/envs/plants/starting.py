@@ -13,20 +13,25 @@ from vergence.envs.plants.conditions import (
     TrialConditions,
     unpack_conditions,
 )
-from vergence.envs.plants.feedback import Feedback, quantise
+from vergence.envs.plants.feedback import JointFeedbackBuffers, quantise
 from vergence.envs.plants.frames import (
     TIME_TOLERANCE_S,
     Exposures,
     Frames,
-    available_at,
     draw_frame_faults,
     exposure_time,
     eye_skew_s,
-    first_exposure,
-    frame_time,
+    first_exposure_of_frame,
+    frame_arrival_time,
+    frame_exposure_time,
 )
 from vergence.envs.plants.motors import ActuatorCoupling, MotorStates, joints_from_actuators
-from vergence.envs.plants.scene import Scene, eye_pixel, target_in_n, true_head_row
+from vergence.envs.plants.scene import (
+    TrueHeadsAndTargets,
+    distorted_eye_pixel,
+    target_position_in_n,
+    true_head_row,
+)
 from vergence.envs.reading import Reading
 from vergence.envs.streams import (
     IntArray,
@@ -49,7 +54,7 @@ against late sights)."""
 
 
 @inlined
-def first_frame(conditions: TrialConditions) -> int:
+def first_frame_of_trial(conditions: TrialConditions) -> int:
     """First frame to be exposed in a trial, early enough to have arrived by time zero."""
     max_age_s = conditions.latency_s + conditions.jitter_s + eye_skew_s(conditions)
     return floor(-max_age_s / conditions.frame_s - conditions.frame_phase - TIME_TOLERANCE_S)
@@ -62,11 +67,11 @@ def begin_trials(
     motions: FloatArray,
     packed: PackedConditions,
     keys: StreamKeys,
-    scene: Scene,
+    scene: TrueHeadsAndTargets,
     motors: MotorStates,
     coupling: ActuatorCoupling | None,
     commands: CommandBuffers,
-    feedback: Feedback,
+    feedback: JointFeedbackBuffers,
     frames: Frames,
     reading: Reading,
 ) -> None:
@@ -88,11 +93,11 @@ def begin_trials(
         frames: ring buffers.
         reading: set to the reading of heads that have seen nothing yet.
     """
-    packed, keys, scene = PackedConditions(*packed), StreamKeys(*keys), Scene(*scene)
+    packed, keys, scene = PackedConditions(*packed), StreamKeys(*keys), TrueHeadsAndTargets(*scene)
     motors, commands, feedback = (
         MotorStates(*motors),
         CommandBuffers(*commands),
-        Feedback(*feedback),
+        JointFeedbackBuffers(*feedback),
     )
     frames, reading = Frames(*frames), Reading(*reading)
     share = np.full(8, 0.5)
@@ -103,7 +108,7 @@ def begin_trials(
             scene.motions[n, i] = motions[m, i]
         scene.step[n] = 0
         for i in range(LOOP_STATE):
-            feedback.loop_states[n, i] = 0
+            feedback.control_loop_states[n, i] = 0
         for lane in range(2):
             words = random_words(keys.seeds[n], keys.trials[n], _VARIATION, 3, lane + 1)
             for i in range(4):
@@ -113,16 +118,20 @@ def begin_trials(
             motors.speeds[n, k] = motors.accelerations[n, k] = 0.0
         if coupling is not None:
             for k in range(SLOTS):
-                motors.angles[n, 3 + k] = eye_actuator_angle(coupling.head, k, positions[m, 3:])
+                motors.angles[n, 3 + k] = eye_actuator_angle(
+                    coupling.nominal_head, k, positions[m, 3:]
+                )
         for k in range(7):
             # the output is anywhere within the backlash
             offset = packed.own[n, BACKLASH, k] * (share[k] - 0.5)
-            motors.output[n, k] = scene.positions[n, k] = motors.angles[n, k] + offset
+            motors.output_angles[n, k] = scene.positions[n, k] = motors.angles[n, k] + offset
             scene.velocities[n, k] = reading.command[n, k] = 0.0
             for slot in range(commands.velocities.shape[1]):
                 commands.velocities[n, slot, k] = 0.0
-            feedback.filtered[n, 0, k] = feedback.filtered[n, 1, k] = 0.0
-            angle = motors.output[n, k] if feedback.on_output else motors.angles[n, k]
+            feedback.speed_filter_states[n, 0, k] = feedback.speed_filter_states[n, 1, k] = 0.0
+            angle = (
+                motors.output_angles[n, k] if feedback.encoders_on_output else motors.angles[n, k]
+            )
             for slot in range(feedback.measured.shape[1]):
                 feedback.measured[n, slot, 0, k] = angle
                 feedback.measured[n, slot, 1, k] = 0.0
@@ -133,16 +142,16 @@ def begin_trials(
                 coupling.scratch, true_head_row(scene, n), scene.positions[n], scene.velocities[n]
             )
             joints_from_actuators(
-                coupling.scratch, coupling.head, reading.positions[n], reading.velocities[n]
+                coupling.scratch, coupling.nominal_head, reading.positions[n], reading.velocities[n]
             )
         for k in range(7):
             reading.positions_at_exposure[n, k] = reading.positions[n, k]
-            for slot in range(feedback.reported.shape[1]):
-                feedback.reported[n, slot, k] = reading.positions[n, k]
+            for slot in range(feedback.reported_angles.shape[1]):
+                feedback.reported_angles[n, slot, k] = reading.positions[n, k]
         for j in range(3):
             scene.necks[n, j] = scene.positions[n, j]
-        frames.pending[n] = first_frame(conditions)
-        frames.next[n] = first_exposure(conditions, frames.pending[n])
+        frames.pending[n] = first_frame_of_trial(conditions)
+        frames.next[n] = first_exposure_of_frame(conditions, frames.pending[n])
         frames.latest_s[n] = -np.inf
         reading.frame[n] = 0
         for eye in range(2):
@@ -152,10 +161,16 @@ def begin_trials(
 
 
 @compiled
-def expose_at_rest(
-    ids: IntArray, packed: PackedConditions, scene: Scene, frames: Frames, exposures: Exposures
+def expose_frames_before_start(
+    ids: IntArray,
+    packed: PackedConditions,
+    scene: TrueHeadsAndTargets,
+    frames: Frames,
+    exposures: Exposures,
 ) -> bool:
-    """Expose the next frames of starting trials up to time zero, as many as there is room for.
+    """Record exposures of resting heads before time zero, as many as the arrays hold.
+
+    Call it until it returns False.
 
     Args:
         ids: (m,) environment indices of the starting trials.
@@ -167,7 +182,7 @@ def expose_at_rest(
     Returns:
         True if there are any.
     """
-    packed, scene = PackedConditions(*packed), Scene(*scene)
+    packed, scene = PackedConditions(*packed), TrueHeadsAndTargets(*scene)
     frames, exposures = Frames(*frames), Exposures(*exposures)
     some = False
     for n in ids:
@@ -190,9 +205,9 @@ def expose_at_rest(
 def first_detection_times(
     packed: PackedConditions,
     keys: StreamKeys,
-    scene: Scene,
-    since_s: FloatArray,
-    times_s: FloatArray,
+    scene: TrueHeadsAndTargets,
+    since_target_time_s: FloatArray,
+    read_times_s: FloatArray,
 ) -> None:
     """Find the time at which the first image of the target exposed from some moment on is read.
 
@@ -203,38 +218,38 @@ def first_detection_times(
         packed: `untyped_tuple`, as are the following two; conditions of the trials.
         keys: keys of the trials' random streams.
         scene: trials at time zero.
-        since_s: (n,) the moments, in the targets' own time, s.
-        times_s: (n,) result, s since the trial's start; inf for never.
+        since_target_time_s: (n,) the moments, in the targets' own time, s.
+        read_times_s: (n,) result, s since the trial's start; inf for never.
     """
-    packed, keys, scene = PackedConditions(*packed), StreamKeys(*keys), Scene(*scene)
-    for n in range(len(times_s)):
+    packed, keys, scene = PackedConditions(*packed), StreamKeys(*keys), TrueHeadsAndTargets(*scene)
+    for n in range(len(read_times_s)):
         conditions, key = unpack_conditions(packed, n), StreamKey(keys.seeds[n], keys.trials[n])
         p, motion = true_head_row(scene, n), unpack_motion(scene.motions[n])
         q, neck = scene.positions[n], scene.necks[n]
-        frame, latest_s = first_frame(conditions), -np.inf
-        times_s[n] = np.inf
+        frame, latest_s = first_frame_of_trial(conditions), -np.inf
+        read_times_s[n] = np.inf
         target_time_s = -np.inf
-        while target_time_s < since_s[n] + _MAX_SEARCH_S:
+        while target_time_s < since_target_time_s[n] + _MAX_SEARCH_S:
             time_s, faults = (
-                frame_time(conditions, frame),
+                frame_exposure_time(conditions, frame),
                 draw_frame_faults(conditions, key, frame),
             )
             target_time_s = time_s - conditions.onset_s
             frame += 1
             if faults.dropped:
                 continue
-            latest_s = available_at(conditions, time_s, faults.extra_latency_s, latest_s)
+            latest_s = frame_arrival_time(conditions, time_s, faults.extra_latency_s, latest_s)
             found = False
             for eye in range(2):
                 then_s = target_time_s + eye * eye_skew_s(conditions)
-                if then_s < since_s[n] - TIME_TOLERANCE_S or not is_shown(
+                if then_s < since_target_time_s[n] - TIME_TOLERANCE_S or not is_shown(
                     motion, then_s + TIME_TOLERANCE_S
                 ):
                     continue
-                point = target_in_n(p, motion, neck, q, then_s + TIME_TOLERANCE_S)
-                u, v = eye_pixel(p, eye, q, point)
+                point = target_position_in_n(p, motion, neck, q, then_s + TIME_TOLERANCE_S)
+                u, v = distorted_eye_pixel(p, eye, q, point)
                 missed = faults.missed_right if eye else faults.missed_left
                 found = found or (inside_image(p, eye, u, v) and not missed)
             if found:
-                times_s[n] = latest_s
+                read_times_s[n] = latest_s
                 break

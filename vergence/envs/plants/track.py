@@ -21,7 +21,7 @@ from vergence.envs.plants.motors import (
     output_angle,
     output_speed,
 )
-from vergence.envs.plants.scene import Scene, true_head_row
+from vergence.envs.plants.scene import TrueHeadsAndTargets, true_head_row
 from vergence.envs.streams import IntArray
 from vergence.models.joint_response import damping_ratio, follow_second_order_joint, lag_decay
 from vergence.models.packed import PackedHead, eye_actuator_angle, eye_actuator_velocity
@@ -43,13 +43,13 @@ class SubstepTrajectory(NamedTuple):
 
 
 @compiled
-def start_track(scene: Scene, track: SubstepTrajectory) -> None:
+def start_trajectory(scene: TrueHeadsAndTargets, trajectory: SubstepTrajectory) -> None:
     """Begin a period's track with the present joint states; both arguments are `untyped_tuple`."""
-    scene, track = Scene(*scene), SubstepTrajectory(*track)
+    scene, trajectory = TrueHeadsAndTargets(*scene), SubstepTrajectory(*trajectory)
     for n in range(scene.step.shape[0]):
         for j in range(7):
-            track.positions[n, 0, j] = scene.positions[n, j]
-            track.velocities[n, 0, j] = scene.velocities[n, j]
+            trajectory.positions[n, 0, j] = scene.positions[n, j]
+            trajectory.velocities[n, 0, j] = scene.velocities[n, j]
 
 
 @compiled
@@ -95,9 +95,9 @@ def mean_substep_controls(
             control[n, i] = u = packed.own[n, GAIN, k] * u
             if conditions.overshoot == 0.0:
                 continue
-            v, lag_s = motors.speeds[n, k], conditions.lag_s * motors.lag_ratio[k]
-            a = conditions.acceleration_ratio * motors.acceleration[k]
-            falloff = conditions.torque_falloff / (packed.own[n, GAIN, k] * motors.velocity[k])
+            v, lag_s = motors.speeds[n, k], conditions.lag_s * motors.lag_ratios[k]
+            a = conditions.acceleration_ratio * motors.acceleration_limits[k]
+            falloff = conditions.torque_falloff / (packed.own[n, GAIN, k] * motors.speed_limits[k])
             _way, then, w = follow_second_order_joint(
                 0.0, v, motors.accelerations[n, k], u, lag_s, damping_ratio(conditions.overshoot),
                 a, falloff, length,
@@ -107,18 +107,18 @@ def mean_substep_controls(
 
 
 @compiled
-def read_joints(
+def read_mujoco_joints(
     substep: int,
     qpos: FloatArray,
     qvel: FloatArray,
     half_step: float,
     addresses: IntArray,
-    head: PackedHead,
+    nominal_head: PackedHead,
     packed: PackedConditions,
-    scene: Scene,
+    scene: TrueHeadsAndTargets,
     motors: MotorStates,
     coupling: ActuatorCoupling | None,
-    track: SubstepTrajectory,
+    trajectory: SubstepTrajectory,
 ) -> None:
     """Read angles and velocities of motors and joints at the end of a substep.
 
@@ -131,15 +131,15 @@ def read_joints(
         half_step: half a time step of the simulation, s.
         addresses: (7,) indices of the joints in `qpos` and `qvel`; -1 for a joint that does not
             move.
-        head: (PACKED,) the head that the controller knows.
+        nominal_head: (PACKED,) the head that the controller knows.
         packed: `untyped_tuple`, as are the following; conditions of the trials.
         scene: its joints are updated in place.
         motors: updated in place, to the motor angles nearest to MuJoCo's joints.
         coupling: coupling of the eye joints; None if each has its own motor.
-        track: updated in place.
+        trajectory: updated in place.
     """
-    packed, scene = PackedConditions(*packed), Scene(*scene)
-    motors, track = MotorStates(*motors), SubstepTrajectory(*track)
+    packed, scene = PackedConditions(*packed), TrueHeadsAndTargets(*scene)
+    motors, trajectory = MotorStates(*motors), SubstepTrajectory(*trajectory)
     angles, rates = np.zeros(7), np.zeros(7)
     for n in range(motors.angles.shape[0]):
         for j in range(7):
@@ -152,29 +152,29 @@ def read_joints(
         for k in range(7):
             q, v = angles[k], rates[k]
             if coupling is not None and k >= 3:
-                q = eye_actuator_angle(head, k - 3, angles[3:])
-                v = eye_actuator_velocity(head, k - 3, rates[3:])
+                q = eye_actuator_angle(nominal_head, k - 3, angles[3:])
+                v = eye_actuator_velocity(nominal_head, k - 3, rates[3:])
             motors.angles[n, k], motors.speeds[n, k] = q, v
             backlash = packed.own[n, BACKLASH, k]
-            output = output_angle(motors.output[n, k], q, backlash)
-            motors.output[n, k] = scene.positions[n, k] = output
+            output = output_angle(motors.output_angles[n, k], q, backlash)
+            motors.output_angles[n, k] = scene.positions[n, k] = output
             scene.velocities[n, k] = output_speed(MotorState(q, v, output), backlash)
         if coupling is not None:
             joints_from_actuators(
                 coupling.scratch, true_head_row(scene, n), scene.positions[n], scene.velocities[n]
             )
         for j in range(7):
-            track.positions[n, substep + 1, j] = scene.positions[n, j]
-            track.velocities[n, substep + 1, j] = scene.velocities[n, j]
+            trajectory.positions[n, substep + 1, j] = scene.positions[n, j]
+            trajectory.velocities[n, substep + 1, j] = scene.velocities[n, j]
 
 
 @compiled
-def expose_on_track(
+def expose_on_trajectory(
     period_s: float,
     packed: PackedConditions,
     steps: IntArray,
     frames: Frames,
-    track: SubstepTrajectory,
+    trajectory: SubstepTrajectory,
     exposures: Exposures,
 ) -> None:
     """Expose the frames of a period, with the joints interpolated within its substeps.
@@ -184,12 +184,12 @@ def expose_on_track(
         packed: `untyped_tuple`, conditions of the trials.
         steps: (n,) numbers of the periods.
         frames: `untyped_tuple`, with the numbers of the next exposures.
-        track: `untyped_tuple`, joint states within the period.
+        trajectory: `untyped_tuple`, joint states within the period.
         exposures: `untyped_tuple`, the result.
     """
     packed, frames = PackedConditions(*packed), Frames(*frames)
-    track, exposures = SubstepTrajectory(*track), Exposures(*exposures)
-    substeps = track.positions.shape[1] - 1
+    trajectory, exposures = SubstepTrajectory(*trajectory), Exposures(*exposures)
+    substeps = trajectory.positions.shape[1] - 1
     length = period_s / substeps
     for n in range(len(steps)):
         begin_s, count, conditions = steps[n] * period_s, 0, unpack_conditions(packed, n)
@@ -202,8 +202,11 @@ def expose_on_track(
             last = share > 1.0 - TIME_TOLERANCE_S
             exposures.time_s[n, count] = begin_s + due
             for j in range(7):
-                a, b = track.positions[n, substep, j], track.positions[n, substep + 1, j]
-                va, vb = track.velocities[n, substep, j], track.velocities[n, substep + 1, j]
+                a, b = trajectory.positions[n, substep, j], trajectory.positions[n, substep + 1, j]
+                va, vb = (
+                    trajectory.velocities[n, substep, j],
+                    trajectory.velocities[n, substep + 1, j],
+                )
                 q, v = interpolate_joint(a, va, b, vb, share, length)
                 exposures.positions[n, count, j] = b if last else q
                 exposures.velocities[n, count, j] = vb if last else v

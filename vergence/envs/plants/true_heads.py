@@ -17,7 +17,7 @@ from vergence.envs.plants.imperfections import (
 from vergence.envs.plants.variation import Variation
 from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray, KeyArray, RandomStreams
-from vergence.envs.validation import float_array
+from vergence.envs.validation import real_number_array
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
 from vergence.models.packed import PACKED
@@ -25,7 +25,7 @@ from vergence.models.parts import FloatArray
 from vergence.models.perturbation import DEVIATES
 
 
-class TrueHeadCache:
+class TrueHeadPrefetcher:
     """True heads of coming trials, made in advance: a few cost as much as a thousand.
 
     The environments of a batch usually go on to their next trials one by one. When one of them
@@ -76,11 +76,11 @@ class TrueHeadCache:
         return deviates, packed
 
     def _make(self, seeds: KeyArray, trials: KeyArray) -> tuple[FloatArray, FloatArray]:
-        deviates = self._variation.deviates(seeds, trials)
-        return deviates, self._variation.heads(self._head, deviates).packed
+        deviates = self._variation.draw_head_deviates(seeds, trials)
+        return deviates, self._variation.make_true_heads(self._head, deviates).packed
 
 
-class TrueHeads:
+class TrueHeadsAndConditions:
     """True heads of a batch, and the conditions of their running trials.
 
     Args:
@@ -121,14 +121,14 @@ class TrueHeads:
                 f"{', '.join(true.names) or 'none'}"
             )
         self._head = head
-        self._head_cache: TrueHeadCache | None = None
+        self._head_cache: TrueHeadPrefetcher | None = None
         self.given = true_head
         """True heads before model errors are drawn; they set the limits."""
         heads = np.ascontiguousarray(true_head.packed.reshape(-1, PACKED))
         if variation is not None and self._heads_vary:
             heads = np.repeat(heads, num, axis=0)
             self._deviates = np.zeros((num, DEVIATES))
-            self._head_cache = TrueHeadCache(variation, true_head, num)
+            self._head_cache = TrueHeadPrefetcher(variation, true_head, num)
         self.packed = PackedConditions(
             np.empty((num, TRIAL_CONDITIONS)), np.empty((num, len(PER_ACTUATOR), 7)), heads
         )
@@ -157,15 +157,15 @@ class TrueHeads:
     def model(self) -> HeadModel:
         """The true heads: one, or a population of shape (num,)."""
         if self.variation is not None and self._heads_vary:
-            return self.variation.heads(self.given, self._deviates)
+            return self.variation.make_true_heads(self.given, self._deviates)
         return self.given
 
-    def largest(self, name: str) -> float:
+    def largest_value(self, name: str) -> float:
         """Largest value of an imperfection in any trial."""
         given = float(getattr(self.conditions, name).max())
-        return given if self.variation is None else self.variation.largest(name, given)
+        return given if self.variation is None else self.variation.largest_value(name, given)
 
-    def arrays(self) -> Arrays:
+    def state_arrays(self) -> Arrays:
         """Conditions of the running trials, as state arrays."""
         arrays: Arrays = self.packed._asdict()
         if self._heads_vary:
@@ -184,7 +184,7 @@ class TrueHeads:
         variation = self.variation
         if variation is None:
             return
-        drawn = variation.draw(streams, ids)
+        drawn = variation.draw_uniforms(streams, ids)
         for names, numbers in ((PER_TRIAL, drawn.per_trial), (PER_ACTUATOR, drawn.per_actuator)):
             for column, name in enumerate(names):
                 span = getattr(variation, name)
@@ -218,7 +218,7 @@ def _values(num: int, name: str, given: ArrayLike | None, head: HeadModel) -> Fl
         return np.broadcast_to(one.nominal(head), (num, 7) if one.by_actuator else num)
     shape = "a number" if num == 1 else f"a number or {num} numbers"
     try:
-        numbers = float_array(given)
+        numbers = real_number_array(given)
         if one.by_actuator:
             shape += f", or ({num}, {head.actuation.count}) by actuator of the eyes"
             values = np.full((num, 7), one.default)

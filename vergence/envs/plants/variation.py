@@ -30,7 +30,7 @@ from vergence.envs.streams import (
     to_normals,
     to_uniform,
 )
-from vergence.envs.validation import float_array
+from vergence.envs.validation import real_number_array
 from vergence.errors import ConfigurationError, refuse_unknown
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -64,7 +64,7 @@ class Variation(Imperfections[Range | None]):
             errors = as_model_errors(self.model_errors, "variation.model_errors")
             object.__setattr__(self, "model_errors", errors)
 
-    def largest(self, name: str, given: float) -> float:
+    def largest_value(self, name: str, given: float) -> float:
         """Largest value of one of `RANGES` in any trial.
 
         Args:
@@ -74,20 +74,20 @@ class Variation(Imperfections[Range | None]):
         span: Range | None = getattr(self, name)
         return given if span is None else span[1]
 
-    def draw(self, streams: RandomStreams, ids: IntArray) -> "Draws":
+    def draw_uniforms(self, streams: RandomStreams, ids: IntArray) -> "UniformDraws":
         """Draw the conditions of the trials of some environments, except their heads.
 
         Args:
             streams: the trials' random streams.
             ids: (m,) environment indices.
         """
-        drawn = Draws(
+        drawn = UniformDraws(
             np.empty((len(ids), len(PER_TRIAL))), np.empty((len(ids), len(PER_ACTUATOR), 7))
         )
         _draw(streams.seeds, streams.trials, ids, *drawn)
         return drawn
 
-    def deviates(self, seeds: KeyArray, trials: KeyArray) -> FloatArray:
+    def draw_head_deviates(self, seeds: KeyArray, trials: KeyArray) -> FloatArray:
         """Draw the random numbers of the true heads of trials.
 
         Args:
@@ -101,7 +101,7 @@ class Variation(Imperfections[Range | None]):
         _draw_normals(seeds, trials, numbers)
         return numbers
 
-    def heads(self, head: HeadModel, deviates: FloatArray) -> HeadModel:
+    def make_true_heads(self, head: HeadModel, deviates: FloatArray) -> HeadModel:
         """Make the true heads of trials.
 
         Args:
@@ -117,8 +117,8 @@ class Variation(Imperfections[Range | None]):
         return dataclasses.replace(head, **geometry._asdict())
 
 
-class Draws(NamedTuple):
-    """Random numbers of m trials."""
+class UniformDraws(NamedTuple):
+    """Uniform random numbers of m trials, before they are scaled to the ranges."""
 
     per_trial: FloatArray
     """(m, len(PER_TRIAL)) uniform in [0, 1)."""
@@ -145,7 +145,7 @@ def make_variation(variation: Mapping[str, Any] | Variation | None) -> Variation
 
 def _range(name: str, value: Any) -> Range:
     try:
-        low, high = map(float, float_array(value))
+        low, high = map(float, real_number_array(value))
     except (TypeError, ValueError) as error:
         raise ConfigurationError(
             f"variation.{name}: expected two numbers, got {value!r}"

@@ -20,16 +20,16 @@ class Board(NamedTuple):
 
     outline: FloatArray
     """(k, 2) points round the board's edge in its own frame, m; none for a mere point."""
-    natural_distance_m: float
+    true_size_distance_m: float
     """Distance at which a board that looks equally large near and far has its own size, m; nan
     for a board of constant size."""
     facing_head: bool
     """True if it is square to the line from N's origin, False if parallel to N's xy plane."""
     border_px: float
     """Least distance of the outline from the images' edges, px."""
-    min_segment_px: float
+    min_outline_segment_px: float
     """Least length in the image from one point of the outline to the next, px."""
-    max_segment_px: float
+    max_outline_segment_px: float
     """Greatest such length, px."""
 
 
@@ -83,7 +83,7 @@ def mean_camera_distance(p: PackedHead, angles: FloatArray, point: Vector) -> fl
 
 
 @inlined
-def is_in_view(
+def is_detectable_by_both_eyes(
     p: PackedHead, angles: FloatArray, point: Vector, border_px: float, board: Board
 ) -> bool:
     """True if both eyes see a target: its point, and all of its board at a detectable size.
@@ -98,8 +98,8 @@ def is_in_view(
     """
     k = len(board.outline)
     size = 1.0
-    if k and board.natural_distance_m == board.natural_distance_m:
-        size = mean_camera_distance(p, angles, point) / board.natural_distance_m
+    if k and board.true_size_distance_m == board.true_size_distance_m:
+        size = mean_camera_distance(p, angles, point) / board.true_size_distance_m
     right, down, _into = board_axes(point, board.facing_head)
     for eye in range(2):
         camera = camera_of(p, eye)
@@ -121,7 +121,7 @@ def is_in_view(
             if not (border <= v <= camera.height - 1.0 - border):
                 return False
             length = hypot(u - before_u, v - before_v)
-            if i > 1 and not board.min_segment_px <= length <= board.max_segment_px:
+            if i > 1 and not board.min_outline_segment_px <= length <= board.max_outline_segment_px:
                 return False
             before_u, before_v = u, v
     return True

@@ -7,7 +7,7 @@ import numpy as np
 
 from vergence._jit import compiled, untyped_tuple
 from vergence.envs.streams import IntArray, RandomStreams, StreamKeys, StreamPurpose, random_words
-from vergence.envs.targets.board import POINT, Board, is_in_view
+from vergence.envs.targets.board import POINT, Board, is_detectable_by_both_eyes
 from vergence.envs.targets.moments import draw_event_times
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.placement import (
@@ -17,7 +17,12 @@ from vergence.envs.targets.placement import (
     midpoint_between_eyes,
     random_point,
 )
-from vergence.envs.targets.workspace import RandomTarget, Workspace, draw_candidate, larger_eye_turn
+from vergence.envs.targets.workspace import (
+    RandomTarget,
+    RandomTargetRanges,
+    draw_target_and_start,
+    larger_eye_turn,
+)
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -66,64 +71,72 @@ class DoubleStepTarget(RandomTarget):
         if not found:
             raise self._unseen("pairs of points", board)
         after = draw_event_times(streams, ids, *self.second_after)
-        return motion_rows(first, second_jump=after, second_anchor=second), q
+        return motion_rows(first, second_jump_time=after, second_anchor=second), q
 
 
 @compiled
 def draw_double_steps(
     keys: StreamKeys,
     gaze: HeadWithLimits,
-    space: Workspace,
+    workspace: RandomTargetRanges,
     board: Board,
-    first: FloatArray,
-    second: FloatArray,
-    q: FloatArray,
+    first_points: FloatArray,
+    second_points: FloatArray,
+    start_angles: FloatArray,
 ) -> bool:
     """Draw pairs of points for each trial until one is valid.
 
     Args:
         keys: `untyped_tuple`, keys of the n trials' random streams.
         gaze: `untyped_tuple`, the head that looks.
-        space: `untyped_tuple`, the workspace.
+        workspace: `untyped_tuple`, the workspace.
         board: `untyped_tuple`, shape of the target.
-        first: (n, 3) result: first position of the target, in N, m.
-        second: (n, 3) result: position after the second jump, in N, m.
-        q: (n, 7) result: joint angles at the start, rad.
+        first_points: (n, 3) result: first position of the target, in N, m.
+        second_points: (n, 3) result: position after the second jump, in N, m.
+        start_angles: (n, 7) result: joint angles at the start, rad.
 
     Returns:
         False if some trial has no valid candidate.
     """
-    keys, gaze, space, board = (
+    keys, gaze, workspace, board = (
         StreamKeys(*keys),
         HeadWithLimits(*gaze),
-        Workspace(*space),
+        RandomTargetRanges(*workspace),
         Board(*board),
     )
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
     begin, goal, last = np.empty(4), np.empty(4), np.empty(4)
-    for n in range(len(first)):
+    for n in range(len(first_points)):
         seed, trial = keys.seeds[n], keys.trials[n]
-        q[n] = gaze.rest
+        start_angles[n] = gaze.rest
         found = False
         for attempt in range(MAX_CANDIDATES):
-            fit, point = draw_candidate(seed, trial, attempt, gaze, space, board, eye, goal, begin)
+            fit, point = draw_target_and_start(
+                seed, trial, attempt, gaze, workspace, board, eye, goal, begin
+            )
             if not fit:
                 continue
-            first[n, 0], first[n, 1], first[n, 2] = point
+            first_points[n, 0], first_points[n, 1], first_points[n, 2] = point
             for again in range(_SECOND_ATTEMPTS):
                 words = random_words(seed, trial, _TASK, attempt * _SECOND_ATTEMPTS + again, 3)
-                point = random_point(words, eye, space.near, space.far, space.eccentricity)
+                point = random_point(
+                    words, eye, workspace.min_z_m, workspace.max_z_m, workspace.max_angle_rad
+                )
                 found = (
-                    can_fixate(gaze, space.margin, point, last)
-                    and larger_eye_turn(goal, last) >= space.shift
-                    and is_in_view(gaze.head, begin, point, space.border, board)
-                    and is_in_view(gaze.head, goal, point, space.border, board)
+                    can_fixate(gaze, workspace.margin_rad, point, last)
+                    and larger_eye_turn(goal, last) >= workspace.min_eye_turn_rad
+                    and is_detectable_by_both_eyes(
+                        gaze.head, begin, point, workspace.border_px, board
+                    )
+                    and is_detectable_by_both_eyes(
+                        gaze.head, goal, point, workspace.border_px, board
+                    )
                 )
                 if found:
                     break
             if found:
-                second[n, 0], second[n, 1], second[n, 2] = point
-                q[n, 3:] = begin
+                second_points[n, 0], second_points[n, 1], second_points[n, 2] = point
+                start_angles[n, 3:] = begin
                 break
         if not found:
             return False

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from vergence._jit import inlined, kernel
 from vergence._runs import make_tuple_reader
-from vergence.envs.targets.path import LEAST_PATH, point_at
+from vergence.envs.targets.path import MIN_PATH_LENGTH, point_at
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
@@ -51,8 +51,8 @@ def motion_rows(
     cosine: ArrayLike = 0.0,
     sine: ArrayLike = 0.0,
     omega: ArrayLike = 0.0,
-    jump: ArrayLike = 0.0,
-    second_jump: ArrayLike = inf,
+    jump_time: ArrayLike = 0.0,
+    second_jump_time: ArrayLike = inf,
     second_anchor: ArrayLike | None = None,
     hidden_from: ArrayLike = inf,
     hidden_until: ArrayLike = inf,
@@ -69,8 +69,8 @@ def motion_rows(
         cosine: (n, 3) or a scalar, amplitude of the motion in phase with cos(omega t), m.
         sine: (n, 3) or a scalar, amplitude of the motion in phase with sin(omega t), m.
         omega: (n,) or a scalar, rad/s.
-        jump: (n,) or a scalar, time at which the target leaves `before`, s.
-        second_jump: (n,) or a scalar, time of a second jump, not before `jump`, s.
+        jump_time: (n,) or a scalar, time at which the target leaves `before`, s.
+        second_jump_time: (n,) or a scalar, time of a second jump, not before `jump_time`, s.
         second_anchor: (n, 3) position that replaces `anchor` then, m; None for the same.
         hidden_from: (n,) or a scalar, time from which the target is hidden, s.
         hidden_until: (n,) or a scalar, time from which it is visible again, s.
@@ -88,10 +88,10 @@ def motion_rows(
     rows[:, COSINE] = cosine
     rows[:, SINE] = sine
     rows[:, OMEGA] = omega
-    rows[:, JUMP] = jump
+    rows[:, JUMP] = jump_time
     rows[:, DURATION] = duration
     rows[:, SEEN_BEFORE] = before is not None
-    rows[:, SECOND_JUMP] = second_jump
+    rows[:, SECOND_JUMP] = second_jump_time
     rows[:, SECOND_ANCHOR] = anchor if second_anchor is None else second_anchor
     rows[:, HIDDEN_FROM] = hidden_from
     rows[:, HIDDEN_UNTIL] = hidden_until
@@ -100,8 +100,8 @@ def motion_rows(
     return rows
 
 
-def last_jump(rows: ArrayLike) -> FloatArray:
-    """Times of the targets' last jumps; targets that rest between jumps rest from then on.
+def last_jump_time(rows: ArrayLike) -> FloatArray:
+    """Times of the targets' last jumps, s: of the second jump, or of the only one.
 
     Args:
         rows: (..., MOTION or more) motions.
@@ -123,10 +123,10 @@ class Motion(NamedTuple):
     cosine: Vector
     sine: Vector
     omega: float
-    jump: float
+    jump_time: float
     duration: float
     seen_before: bool
-    second_jump: float
+    second_jump_time: float
     second_anchor: Vector
     hidden_from: float
     hidden_until: float
@@ -134,13 +134,13 @@ class Motion(NamedTuple):
     """(p,) path; (0,) for a target without one."""
 
 
-_motion_run = make_tuple_reader(MOTION)
+_read_motion_fields = make_tuple_reader(MOTION)
 
 
 @inlined
 def unpack_motion(row: FloatArray) -> Motion:
     """Unpack a motion's row, in the order of the constants above."""
-    m = _motion_run(row, 0)
+    m = _read_motion_fields(row, 0)
     return Motion(
         (m[0], m[1], m[2]),
         (m[3], m[4], m[5]),
@@ -160,17 +160,17 @@ def unpack_motion(row: FloatArray) -> Motion:
 
 
 @inlined
-def position_at(motion: Motion, t: float) -> Vector:
+def motion_position_at(motion: Motion, t: float) -> Vector:
     """Position of a target at time `t`, in N as it was at the trial's start."""
-    if t < motion.jump:
+    if t < motion.jump_time:
         return motion.before
     if len(motion.path):
         return point_at(motion.path, t)
-    moved = min(t - motion.jump, motion.duration)
+    moved = min(t - motion.jump_time, motion.duration)
     c = s = 0.0
     if motion.omega != 0.0:
         c, s = cos(motion.omega * t), sin(motion.omega * t)
-    anchor = motion.anchor if t < motion.second_jump else motion.second_anchor
+    anchor = motion.anchor if t < motion.second_jump_time else motion.second_anchor
     velocity, cosine, sine = motion.velocity, motion.cosine, motion.sine
     return (
         anchor[0] + velocity[0] * moved + cosine[0] * c + sine[0] * s,
@@ -182,17 +182,17 @@ def position_at(motion: Motion, t: float) -> Vector:
 @inlined
 def is_shown(motion: Motion, t: float) -> bool:
     """True if the target exists and is not hidden at time `t`, in view or not."""
-    if t < motion.jump and not motion.seen_before:
+    if t < motion.jump_time and not motion.seen_before:
         return False
     return not motion.hidden_from <= t < motion.hidden_until
 
 
 @kernel(["(f8[:],f8[:],f8[:],f8[:])"], "(m),(),(3)->(3)")
-def _positions(row: FloatArray, t: FloatArray, shape: FloatArray, out: FloatArray) -> None:
+def _positions(row: FloatArray, t: FloatArray, shape_only: FloatArray, out: FloatArray) -> None:
     out[0] = out[1] = out[2] = nan
     beyond = len(row) - MOTION
-    if beyond == 0 or beyond >= LEAST_PATH:
-        out[0], out[1], out[2] = position_at(unpack_motion(row), t[0])
+    if beyond == 0 or beyond >= MIN_PATH_LENGTH:
+        out[0], out[1], out[2] = motion_position_at(unpack_motion(row), t[0])
 
 
 def target_position(rows: ArrayLike, time_s: ArrayLike) -> FloatArray:

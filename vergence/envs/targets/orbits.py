@@ -15,7 +15,7 @@ from vergence.envs.streams import (
     random_words,
     to_uniform,
 )
-from vergence.envs.targets.board import POINT, Board, is_in_view, whole_board_text
+from vergence.envs.targets.board import POINT, Board, is_detectable_by_both_eyes, whole_board_text
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.placement import (
     MAX_CANDIDATES,
@@ -55,8 +55,8 @@ class OrbitTarget(Target):
     """
 
     kind: ClassVar[str] = "orbit"
-    anywhere: ClassVar[bool] = True
-    metres: ClassVar[tuple[str, ...]] = ("depth",)
+    drawn_in_workspace: ClassVar[bool] = True
+    length_fields: ClassVar[tuple[str, ...]] = ("depth",)
     depth: tuple[float, float] = (0.4, 2.5)
     """Nearest and farthest z, m; the centre is uniform in 1 / depth."""
     eccentricity: float = 0.4
@@ -114,15 +114,15 @@ class OrbitTarget(Target):
 class OrbitRanges(NamedTuple):
     """The fields of an `OrbitTarget`, in the form kernels take."""
 
-    near: float
-    far: float
-    eccentricity: float
-    least_radius: float
-    greatest_radius: float
-    slowest: float
-    fastest: float
-    turns: float
-    margin: float
+    min_z_m: float
+    max_z_m: float
+    max_angle_rad: float
+    min_radius_rad: float
+    max_radius_rad: float
+    min_speed: float
+    max_speed: float
+    max_turns_per_s: float
+    margin_rad: float
 
 
 class Orbits(NamedTuple):
@@ -178,12 +178,14 @@ def _can_follow(
         x = centre[0] + first[0] * c + second[0] * s
         y = centre[1] + first[1] * c + second[1] * s
         z = centre[2] + first[2] * c + second[2] * s
-        if not ranges.near <= z <= ranges.far:
+        if not ranges.min_z_m <= z <= ranges.max_z_m:
             return False
-        if not can_fixate(gaze, ranges.margin, (x, y, z), angles[k]):
+        if not can_fixate(gaze, ranges.margin_rad, (x, y, z), angles[k]):
             return False
         # a fixated point is visible, but a board may be cut
-        if len(board.outline) and not is_in_view(gaze.head, angles[k], (x, y, z), 0.0, board):
+        if len(board.outline) and not is_detectable_by_both_eyes(
+            gaze.head, angles[k], (x, y, z), 0.0, board
+        ):
             return False
         for i in range(SLOTS):
             own[k, i] = angles[k, i] if direct else eye_actuator_angle(gaze.head, i, angles[k])
@@ -192,10 +194,10 @@ def _can_follow(
         for j in range(SLOTS):
             last, now = own[k - 1, j], own[k, j]
             after = own[(k + 1) % _CHECKED_PHASES, j]
-            if abs(after - last) > 2.0 * step * _MAX_LIMIT_FRACTION * gaze.velocity[j]:
+            if abs(after - last) > 2.0 * step * _MAX_LIMIT_FRACTION * gaze.speed_limits[j]:
                 return False
             bend = abs(after - 2.0 * now + last) / (step * step)
-            if bend > _MAX_LIMIT_FRACTION * gaze.acceleration[j]:
+            if bend > _MAX_LIMIT_FRACTION * gaze.acceleration_limits[j]:
                 return False
     return True
 
@@ -224,13 +226,13 @@ def draw_orbits(
         seed, trial = keys.seeds[n], keys.trials[n]
         # one speed for all candidates, else the selection would favour slow targets
         speed = uniform_between(
-            random_words(seed, trial, _TASK, 0, 4)[0], ranges.slowest, ranges.fastest
+            random_words(seed, trial, _TASK, 0, 4)[0], ranges.min_speed, ranges.max_speed
         )
         found = False
         for attempt in range(MAX_CANDIDATES):
             words = random_words(seed, trial, _TASK, attempt, 1)
-            centre = random_point(words, eye, ranges.near, ranges.far, ranges.eccentricity)
-            radius = uniform_between(words[3], ranges.least_radius, ranges.greatest_radius)
+            centre = random_point(words, eye, ranges.min_z_m, ranges.max_z_m, ranges.max_angle_rad)
+            radius = uniform_between(words[3], ranges.min_radius_rad, ranges.max_radius_rad)
             long = centre[2] * tan(radius)
             words = random_words(seed, trial, _TASK, attempt, 2)
             # any plane: its normal is uniform on the sphere, and the long axis within it too
@@ -245,7 +247,7 @@ def draw_orbits(
             first = (long * e[0], long * e[1], long * e[2])
             second = (short * f[0], short * f[1], short * f[2])
             peak = _peak_rate(centre, first, second, eye)
-            if not peak * 2.0 * pi * ranges.turns >= speed:
+            if not peak * 2.0 * pi * ranges.max_turns_per_s >= speed:
                 continue
             omega = speed / peak
             if not _can_follow(gaze, ranges, board, centre, first, second, omega, angles, own):

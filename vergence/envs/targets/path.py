@@ -20,7 +20,7 @@ from vergence._jit import inlined, subroutine
 from vergence.models.parts import FloatArray
 from vergence.models.pose import Vector
 
-LEAST_PATH: Final = 12
+MIN_PATH_LENGTH: Final = 12
 """Length of a path of two knots (numerical)."""
 
 

@@ -34,9 +34,9 @@ class HeadWithLimits(NamedTuple):
     """(4,) lower angle limits of the eye actuators, rad."""
     upper: FloatArray
     """(4,) upper angle limits of the eye actuators, rad."""
-    velocity: FloatArray
+    speed_limits: FloatArray
     """(4,) speed limits of the eye actuators, rad/s."""
-    acceleration: FloatArray
+    acceleration_limits: FloatArray
     """(4,) acceleration limits of the eye actuators, rad/s^2."""
     joint_limits: tuple[FloatArray, FloatArray] | None
     """(4,) each, lower and upper angle limits of the eye joints, rad; None if each has a motor."""

@@ -9,7 +9,7 @@ import numpy as np
 from vergence.envs.streams import IntArray, RandomStreams
 from vergence.envs.targets.board import POINT, Board
 from vergence.envs.targets.motion import motion_rows
-from vergence.envs.targets.target import Target, fixation_angles, refuse_unseen
+from vergence.envs.targets.target import Target, fixation_angles, refuse_unseen_by_both_eyes
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -41,7 +41,7 @@ class PrescribedTarget(Target):
         """See `Target.check`: an eye must see the first point, both must reach a lasting one."""
         (q,) = self._begin(head, np.array([self._fixated_point()]))
         first = np.array(self._first_point())
-        refuse_unseen(head, self.first_point_name, first, q)
+        refuse_unseen_by_both_eyes(head, self.first_point_name, first, q)
         if self.stays_at_first_point:
             fixation_angles(head, self.first_point_name, first[None])
 
@@ -58,7 +58,7 @@ class StaticTarget(PrescribedTarget):
     """A target that appears at time zero and stays."""
 
     kind: ClassVar[str] = "static"
-    metres: ClassVar[tuple[str, ...]] = ("point",)
+    length_fields: ClassVar[tuple[str, ...]] = ("point",)
     first_point_name: ClassVar[str] = "point"
     stays_at_first_point: ClassVar[bool] = True
     point: Point = (0.0, -0.1, 1.0)
@@ -76,7 +76,7 @@ class StepTarget(PrescribedTarget):
     """A target that both eyes fixate until it jumps at time zero: the article's gain sweep."""
 
     kind: ClassVar[str] = "step"
-    metres: ClassVar[tuple[str, ...]] = ("before", "after")
+    length_fields: ClassVar[tuple[str, ...]] = ("before", "after")
     first_point_name: ClassVar[str] = "point after the step"
     stays_at_first_point: ClassVar[bool] = True
     before: Point = (0.0, -0.1, 1.0)
@@ -100,7 +100,7 @@ class CircleTarget(PrescribedTarget):
     """A target on a circle in a plane of constant depth: `x = r sin(wt)`, `y = r cos(wt)`."""
 
     kind: ClassVar[str] = "circle"
-    metres: ClassVar[tuple[str, ...]] = ("centre", "radius")
+    length_fields: ClassVar[tuple[str, ...]] = ("centre", "radius")
     first_point_name: ClassVar[str] = "beginning of the circle"
     centre: Point = (0.0, -0.1, 1.0)
     """Centre of the circle, in N, m."""
@@ -130,7 +130,7 @@ class LineTarget(PrescribedTarget):
     """A target that moves along a line at constant speed and stops at its end."""
 
     kind: ClassVar[str] = "line"
-    metres: ClassVar[tuple[str, ...]] = ("origin", "end", "speed")
+    length_fields: ClassVar[tuple[str, ...]] = ("origin", "end", "speed")
     first_point_name: ClassVar[str] = "beginning of the line"
     origin: Point = (-0.27860, -0.02313, 0.95784)
     """Start of the line, in N, m."""

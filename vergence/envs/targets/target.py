@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from vergence.envs.streams import IntArray, RandomStreams
 from vergence.envs.targets.board import POINT, Board
-from vergence.envs.validation import check_numbers
+from vergence.envs.validation import check_tuple_or_nonnegative
 from vergence.errors import ConfigurationError, UnreachableTargetError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
 _POSITIVE_FIELDS: Final = ("period", "speed", "turns", "gone_s")
-FARTHEST_M: Final = 100.0
+MAX_LENGTH_M: Final = 100.0
 """Upper limit of every length of a target, m (chosen: farther than any robot's eyes look, yet low
 enough to catch most values in millimetres)."""
 
@@ -25,9 +25,10 @@ class Target(ABC):
     """A kind of target: draws the motion and the start of each trial from the trial's stream."""
 
     kind: ClassVar[str]
-    anywhere: ClassVar[bool] = False
-    """True if trials draw it anywhere in a workspace, near and far."""
-    metres: ClassVar[tuple[str, ...]] = ()
+    drawn_in_workspace: ClassVar[bool] = False
+    """True if each trial draws a position in a workspace, so that `Plant.workspace_options`
+    apply."""
+    length_fields: ClassVar[tuple[str, ...]] = ()
     """Names of the fields that are lengths or coordinates."""
 
     start: Literal["rest", "fixation"] = "rest"
@@ -42,10 +43,15 @@ class Target(ABC):
             if name != "start":
                 default = getattr(type(self), name)
                 size = len(default) if isinstance(default, tuple) else 0
-                checked = check_numbers(f"target.{name}", value, size, name in _POSITIVE_FIELDS)
-                if name in self.metres and not np.abs(np.array(checked)).max() < FARTHEST_M:
+                checked = check_tuple_or_nonnegative(
+                    f"target.{name}", value, size, name in _POSITIVE_FIELDS
+                )
+                if (
+                    name in self.length_fields
+                    and not np.abs(np.array(checked)).max() < MAX_LENGTH_M
+                ):
                     raise ConfigurationError(
-                        f"target.{name}: expected metres below {FARTHEST_M:g} in size (is it in "
+                        f"target.{name}: expected metres below {MAX_LENGTH_M:g} in size (is it in "
                         "millimetres? Python takes metres, only the command line takes "
                         f"millimetres), got {value!r}"
                     )
@@ -128,7 +134,9 @@ def _in_images(head: HeadModel, q: FloatArray, points: FloatArray) -> NDArray[np
     return np.asarray(inside.all(axis=-1))
 
 
-def refuse_unseen(head: HeadModel, point_name: str, point: FloatArray, q: FloatArray) -> None:
+def refuse_unseen_by_both_eyes(
+    head: HeadModel, point_name: str, point: FloatArray, q: FloatArray
+) -> None:
     """Refuse a point that neither eye sees, as no controller could ever find it.
 
     Args:

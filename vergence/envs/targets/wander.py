@@ -16,7 +16,7 @@ from vergence.envs.streams import (
     random_words,
     to_uniform,
 )
-from vergence.envs.targets.board import POINT, Board, is_in_view, whole_board_text
+from vergence.envs.targets.board import POINT, Board, is_detectable_by_both_eyes, whole_board_text
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.path import point_between_knots
 from vergence.envs.targets.placement import (
@@ -63,8 +63,8 @@ class WanderTarget(Target):
     """
 
     kind: ClassVar[str] = "wander"
-    anywhere: ClassVar[bool] = True
-    metres: ClassVar[tuple[str, ...]] = ("depth",)
+    drawn_in_workspace: ClassVar[bool] = True
+    length_fields: ClassVar[tuple[str, ...]] = ("depth",)
     depth: tuple[float, float] = (0.4, 2.5)
     """Nearest and farthest z, m; the starting point is uniform in 1 / depth."""
     eccentricity: float = 0.7
@@ -124,15 +124,15 @@ class WanderTarget(Target):
 class WanderRanges(NamedTuple):
     """The fields of a `WanderTarget`, in the form kernels take."""
 
-    near: float
-    far: float
-    eccentricity: float
-    slowest: float
-    fastest: float
-    approach: float
-    soonest: float
-    latest: float
-    margin: float
+    min_z_m: float
+    max_z_m: float
+    max_angle_rad: float
+    min_speed: float
+    max_speed: float
+    max_inverse_distance_rate: float
+    min_segment_s: float
+    max_segment_s: float
+    margin_rad: float
 
 
 @inlined
@@ -147,8 +147,12 @@ def _draw_next_knot(path: FloatArray, knot: int, words: Words, walk: WanderRange
     x, y, z = path[here + 1] - ex, path[here + 2] - ey, path[here + 3] - ez
     r = sqrt(x * x + y * y + z * z)
     x, y, z = x / r, y / r, z / r
-    span = uniform_between(words[0], walk.soonest, walk.latest)
-    nearness = 1.0 / r + uniform_between(words[1], -walk.approach, walk.approach) * span
+    span = uniform_between(words[0], walk.min_segment_s, walk.max_segment_s)
+    nearness = (
+        1.0 / r
+        + uniform_between(words[1], -walk.max_inverse_distance_rate, walk.max_inverse_distance_rate)
+        * span
+    )
     if nearness <= 0.0:
         return False
     # two directions orthogonal to the line of sight: one horizontal, one down
@@ -181,14 +185,14 @@ def _can_look(
     The last two arguments are results: (4,) angles of the eye joints, and of the actuators.
     """
     x, y, z = point
-    if not walk.near <= z <= walk.far:
+    if not walk.min_z_m <= z <= walk.max_z_m:
         return False
-    if hypot(x - eye[0], y - eye[1]) > z * tan(walk.eccentricity):
+    if hypot(x - eye[0], y - eye[1]) > z * tan(walk.max_angle_rad):
         return False
-    if not can_fixate(gaze, walk.margin, point, angles):
+    if not can_fixate(gaze, walk.margin_rad, point, angles):
         return False
     # a fixated point is visible, but a board may be cut
-    if len(board.outline) and not is_in_view(gaze.head, angles, point, 0.0, board):
+    if len(board.outline) and not is_detectable_by_both_eyes(gaze.head, angles, point, 0.0, board):
         return False
     direct = has_motor_per_joint(gaze.head)
     for i in range(SLOTS):
@@ -219,31 +223,31 @@ def _can_follow(
         if not _can_look(gaze, walk, board, eye, point, angles, own[k]):
             return False
         for i in range(SLOTS):
-            if abs(own[k, i] - own[k - 1, i]) > _MAX_SPEED_FRACTION * gaze.velocity[i] * step:
+            if abs(own[k, i] - own[k - 1, i]) > _MAX_SPEED_FRACTION * gaze.speed_limits[i] * step:
                 return False
     return True
 
 
 @compiled
 def draw_paths(
-    keys: StreamKeys, gaze: HeadWithLimits, walk: WanderRanges, board: Board, paths: FloatArray
+    keys: StreamKeys, gaze: HeadWithLimits, ranges: WanderRanges, board: Board, paths: FloatArray
 ) -> bool:
     """Draw paths for each trial, segment by segment, until the eyes can follow one.
 
     Args:
         keys: `untyped_tuple`, keys of the n trials' random streams.
         gaze: `untyped_tuple`, the head that looks.
-        walk: `untyped_tuple`, the target's fields.
+        ranges: `untyped_tuple`, the target's fields.
         board: `untyped_tuple`, shape of the target.
         paths: (n, 4 + 4 k) result: paths of k knots, see `vergence.envs.targets.path`.
 
     Returns:
         False if some trial has no valid candidate.
     """
-    keys, gaze, walk, board = (
+    keys, gaze, ranges, board = (
         StreamKeys(*keys),
         HeadWithLimits(*gaze),
-        WanderRanges(*walk),
+        WanderRanges(*ranges),
         Board(*board),
     )
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
@@ -253,23 +257,23 @@ def draw_paths(
         seed, trial, path = keys.seeds[n], keys.trials[n], paths[n]
         # one speed for all candidates, else the selection would favour slow targets
         path[0] = uniform_between(
-            random_words(seed, trial, _TASK, 0, 4)[0], walk.slowest, walk.fastest
+            random_words(seed, trial, _TASK, 0, 4)[0], ranges.min_speed, ranges.max_speed
         )
         path[1], path[2], path[3] = eye
         knot = 0
         for attempt in range(MAX_CANDIDATES):
             words = random_words(seed, trial, _TASK, attempt, 1)
-            point = random_point(words, eye, walk.near, walk.far, walk.eccentricity)
+            point = random_point(words, eye, ranges.min_z_m, ranges.max_z_m, ranges.max_angle_rad)
             path[4] = 0.0
             path[5], path[6], path[7] = point
-            knot = 1 if _can_look(gaze, walk, board, eye, point, angles, own[0]) else 0
+            knot = 1 if _can_look(gaze, ranges, board, eye, point, angles, own[0]) else 0
             tried = 0
             while 0 < knot < last and tried < _SEGMENT_ATTEMPTS:
                 block = (attempt * last + knot) * _SEGMENT_ATTEMPTS + tried
                 words = random_words(seed, trial, _TASK, block, 2)
                 tried += 1
-                if _draw_next_knot(path, knot, words, walk) and _can_follow(
-                    gaze, walk, board, path, knot, angles, own
+                if _draw_next_knot(path, knot, words, ranges) and _can_follow(
+                    gaze, ranges, board, path, knot, angles, own
                 ):
                     own[0] = own[_SAMPLES_PER_SEGMENT]
                     knot, tried = knot + 1, 0

@@ -8,7 +8,7 @@ import numpy as np
 
 from vergence._jit import compiled, inlined, subroutine, untyped_tuple
 from vergence.envs.streams import IntArray, RandomStreams, StreamKeys, StreamPurpose, random_words
-from vergence.envs.targets.board import POINT, Board, is_in_view, whole_board_text
+from vergence.envs.targets.board import POINT, Board, is_detectable_by_both_eyes, whole_board_text
 from vergence.envs.targets.motion import motion_rows
 from vergence.envs.targets.placement import (
     MAX_CANDIDATES,
@@ -38,8 +38,8 @@ class RandomTarget(Target):
     """
 
     kind: ClassVar[str] = "random"
-    anywhere: ClassVar[bool] = True
-    metres: ClassVar[tuple[str, ...]] = ("depth",)
+    drawn_in_workspace: ClassVar[bool] = True
+    length_fields: ClassVar[tuple[str, ...]] = ("depth",)
     depth: tuple[float, float] = (0.3, 2.5)
     """Nearest and farthest z, m."""
     eccentricity: float = 0.7
@@ -79,8 +79,8 @@ class RandomTarget(Target):
             raise self._unseen("points", board)
         return motion_rows(points), q
 
-    def _workspace(self) -> "Workspace":
-        return Workspace(
+    def _workspace(self) -> "RandomTargetRanges":
+        return RandomTargetRanges(
             *self.depth,
             self.eccentricity,
             self.margin,
@@ -97,16 +97,16 @@ class RandomTarget(Target):
         )
 
 
-class Workspace(NamedTuple):
+class RandomTargetRanges(NamedTuple):
     """The fields of a `RandomTarget`, in the form kernels take."""
 
-    near: float
-    far: float
-    eccentricity: float
-    margin: float
-    shift: float
-    border: float
-    fixating: bool
+    min_z_m: float
+    max_z_m: float
+    max_angle_rad: float
+    margin_rad: float
+    min_eye_turn_rad: float
+    border_px: float
+    starts_fixating: bool
     """True if the eyes start on a point of the workspace, False if at rest."""
 
 
@@ -118,16 +118,16 @@ def larger_eye_turn(begin: FloatArray, goal: FloatArray) -> float:
 
 
 @subroutine
-def draw_candidate(
+def draw_target_and_start(
     seed: np.uint64,
     trial: np.uint64,
     attempt: int,
     gaze: HeadWithLimits,
-    space: Workspace,
+    workspace: RandomTargetRanges,
     board: Board,
-    eye: Vector,
-    goal: FloatArray,
-    begin: FloatArray,
+    viewpoint: Vector,
+    target_angles: FloatArray,
+    start_angles: FloatArray,
 ) -> tuple[bool, Vector]:
     """Draw one candidate for a target, and starts for it until one is valid.
 
@@ -136,30 +136,36 @@ def draw_candidate(
         trial: its number.
         attempt: number of the candidate.
         gaze: the head that looks.
-        space: the workspace.
+        workspace: the workspace.
         board: shape of the target.
-        eye: the point between the eyes, in N, m.
-        goal: (4,) result: the eyes' angles that fixate the target, rad.
-        begin: (4,) result: their angles at the start, rad.
+        viewpoint: the point between the eyes, in N, m.
+        target_angles: (4,) result: the eyes' angles that fixate the target, rad.
+        start_angles: (4,) result: their angles at the start, rad.
 
     Returns:
         True if target and start are valid, and the target's position in N, m.
     """
     words = random_words(seed, trial, _TASK, attempt, 1)
-    point = random_point(words, eye, space.near, space.far, space.eccentricity)
-    if not can_fixate(gaze, space.margin, point, goal):
+    point = random_point(
+        words, viewpoint, workspace.min_z_m, workspace.max_z_m, workspace.max_angle_rad
+    )
+    if not can_fixate(gaze, workspace.margin_rad, point, target_angles):
         return False, point
     # many starts for one target: if both were drawn anew, few peripheral targets would be left, as
     # they are visible from few points of the workspace
-    for again in range(_START_ATTEMPTS if space.fixating else 1):
+    for again in range(_START_ATTEMPTS if workspace.starts_fixating else 1):
         words = random_words(seed, trial, _TASK, attempt + again, 2)
-        other = random_point(words, eye, space.near, space.far, space.eccentricity)
-        if not space.fixating:
-            begin[:] = gaze.rest[3:]
-        elif not can_fixate(gaze, space.margin, other, begin):
+        other = random_point(
+            words, viewpoint, workspace.min_z_m, workspace.max_z_m, workspace.max_angle_rad
+        )
+        if not workspace.starts_fixating:
+            start_angles[:] = gaze.rest[3:]
+        elif not can_fixate(gaze, workspace.margin_rad, other, start_angles):
             continue
-        if larger_eye_turn(begin, goal) >= space.shift and is_in_view(
-            gaze.head, begin, point, space.border, board
+        if larger_eye_turn(
+            start_angles, target_angles
+        ) >= workspace.min_eye_turn_rad and is_detectable_by_both_eyes(
+            gaze.head, start_angles, point, workspace.border_px, board
         ):
             return True, point
     return False, point
@@ -169,10 +175,10 @@ def draw_candidate(
 def draw_targets(
     keys: StreamKeys,
     gaze: HeadWithLimits,
-    workspace: Workspace,
+    workspace: RandomTargetRanges,
     board: Board,
     points: FloatArray,
-    q: FloatArray,
+    start_angles: FloatArray,
 ) -> bool:
     """Draw candidates for each trial until one is valid.
 
@@ -182,7 +188,7 @@ def draw_targets(
         workspace: `untyped_tuple`, the workspace.
         board: `untyped_tuple`, shape of the target.
         points: (n, 3) result: positions of the targets, in N, m.
-        q: (n, 7) result: joint angles at the start, rad.
+        start_angles: (n, 7) result: joint angles at the start, rad.
 
     Returns:
         False if some trial has no valid candidate.
@@ -190,16 +196,16 @@ def draw_targets(
     keys, gaze, space, board = (
         StreamKeys(*keys),
         HeadWithLimits(*gaze),
-        Workspace(*workspace),
+        RandomTargetRanges(*workspace),
         Board(*board),
     )
     eye = midpoint_between_eyes(gaze.head, gaze.rest)
     goal, begin = np.empty(4), np.empty(4)
     for n in range(len(points)):
         seed, trial = keys.seeds[n], keys.trials[n]
-        q[n] = gaze.rest
+        start_angles[n] = gaze.rest
         for attempt in range(MAX_CANDIDATES):
-            found, point = draw_candidate(
+            found, point = draw_target_and_start(
                 seed, trial, attempt, gaze, space, board, eye, goal, begin
             )
             if found:
@@ -207,5 +213,5 @@ def draw_targets(
         else:
             return False
         points[n, 0], points[n, 1], points[n, 2] = point
-        q[n, 3:] = begin
+        start_angles[n, 3:] = begin
     return True

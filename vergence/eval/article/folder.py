@@ -14,11 +14,11 @@ import tomli_w
 from vergence.errors import ConfigurationError
 from vergence.eval.article.experiment import EXPERIMENTS, Experiment, load_experiment
 from vergence.eval.jobs import Mapper
-from vergence.eval.reporting.report import Section, write_report
+from vergence.eval.reporting.report import ReportSection, write_report
 from vergence.eval.reporting.runs import (
+    describe_run_folder,
     package_versions,
     run_folder_command,
-    run_folder_of,
     toml_value,
 )
 from vergence.eval.reporting.section import included_sections
@@ -50,7 +50,7 @@ def open_run_folder(folder: Path) -> Path:
         if others:
             what = f"a folder with {', '.join(others[:3])} in it"
             if run_folder_command(folder) != "reproduce":
-                what = run_folder_of(folder) or what
+                what = describe_run_folder(folder) or what
             raise ConfigurationError(
                 f"out: expected a new folder or one of an earlier run, got {what}: {folder}"
             )
@@ -244,7 +244,7 @@ def _json(content: Any) -> str:
 
 def write_folder_report(
     folder: Path, omit: Callable[[str, str], None] = lambda name, why: None
-) -> list[Section]:
+) -> list[ReportSection]:
     """Write summary, numbers, config and report of all finished experiments of a folder.
 
     Args:
@@ -270,7 +270,7 @@ def write_folder_report(
         experiment, identity = load_experiment(name), content["identity"]
         text, config = content["text"], identity["config"]
         sections.append(
-            Section(
+            ReportSection(
                 name=name,
                 title=experiment.title,
                 article=experiment.article,

@@ -16,10 +16,10 @@ from vergence.eval.article.folder import (
 )
 from vergence.eval.article.overrides import read_overrides
 from vergence.eval.jobs import Mapper, Progress, SerialMapper
-from vergence.eval.reporting.report import Section
+from vergence.eval.reporting.report import ReportSection
 from vergence.eval.reporting.section import (
     SECTION_FILE,
-    include_section,
+    include_run_folder,
     included_sections,
     read_section,
 )
@@ -70,7 +70,7 @@ class _Silent:
 
 def reproduce(
     config: ReproduceConfig, listener: ReproduceListener | None = None, mapper: Mapper | None = None
-) -> list[Section]:
+) -> list[ReportSection]:
     """Run the experiments that are not finished yet, and write tables, figures and report.
 
     Each experiment's files appear once it is finished. An interrupted run loses only the experiment
@@ -102,7 +102,7 @@ def reproduce(
         if alone:
             remove_partial_files(folder)
         for run in config.include:
-            include_section(run, folder / INCLUDED)
+            include_run_folder(run, folder / INCLUDED)
         included_sections(folder / INCLUDED)  # refuse a damaged one before the work
         for name in sorted(experiments, key=list(EXPERIMENTS).index):
             experiment, own = experiments[name], resolved[name]

@@ -6,7 +6,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from vergence.controllers.controller import Controller
 from vergence.envs.layout import ObservationLayout
-from vergence.errors import ControllerError
+from vergence.errors import UserControllerError
 from vergence.eval.comparison.contestants import Contestant
 from vergence.eval.comparison.options import ResolvedOptions
 from vergence.eval.comparison.user_code import errors_attributed_to
@@ -18,8 +18,8 @@ JobResult = TypeVar("JobResult")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Failure:
-    """Error raised by a user-defined controller."""
+class ControllerFailure:
+    """Error that a user-defined controller raised in one scenario on one plant."""
 
     scenario: str
     plant: str
@@ -58,19 +58,20 @@ class ContestantJob(ABC, Generic[JobResult]):
     """Number of trials of each scenario that runs."""
     seed: int
     keep_going: bool
-    """True to return a `Failure` in place of raising the error of a user-defined controller."""
+    """True to return a `ControllerFailure` in place of raising the error of a user-defined
+    controller."""
 
-    def __call__(self) -> JobResult | Failure:
+    def __call__(self) -> JobResult | ControllerFailure:
         """Make the controller and return its results, or its failure."""
         head = self.scenario.model() if self.head is None else self.head
         layout = ObservationLayout.of(head)
         try:
             controller, options = self.contestant.make(head, layout, self.resolved.options)
             return self._evaluate(MadeController(controller, options, head, layout))
-        except ControllerError as error:
+        except UserControllerError as error:
             if not self.keep_going:
                 raise
-            return Failure(
+            return ControllerFailure(
                 scenario=self.scenario.name,
                 plant=self.plant,
                 controller=self.contestant.label,
@@ -81,7 +82,9 @@ class ContestantJob(ABC, Generic[JobResult]):
     def _evaluate(self, made: MadeController) -> JobResult:
         """Compute the job's result for the controller."""
 
-    def _trials(self, controller: Controller, scenario: Scenario, *, observed: int = 0) -> Trials:
+    def _trials(
+        self, controller: Controller, scenario: Scenario, *, observed_trials: int = 0
+    ) -> Trials:
         """Run the controller's trials, see `run_trials`; errors are attributed to it."""
         with errors_attributed_to(controller):
             return run_trials(
@@ -91,5 +94,5 @@ class ContestantJob(ABC, Generic[JobResult]):
                 plant=self.plant,
                 seed=self.seed,
                 head=self.head,
-                observed=observed,
+                observed_trials=observed_trials,
             )

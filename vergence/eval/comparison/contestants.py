@@ -18,8 +18,8 @@ from vergence.envs.layout import ObservationLayout
 from vergence.envs.rollout import rollout
 from vergence.errors import (
     ConfigurationError,
-    ControllerError,
     UnknownNameError,
+    UserControllerError,
     VergenceError,
     did_you_mean,
 )
@@ -51,7 +51,7 @@ class Contestant:
     """Name in tables."""
     source: str | EntryPoint | Controller
     """A name of the registry, a policy file's path, an entry point, or the controller itself."""
-    given: GivenOptions = field(default_factory=GivenOptions)
+    given_options: GivenOptions = field(default_factory=GivenOptions)
     """User-given options of all controllers."""
 
     @property
@@ -71,19 +71,20 @@ class Contestant:
             ConfigurationError: the controller has no option of a given name, or the user's table
                 of tuned options cannot be read.
         """
-        given = self.given.for_controller(self.names, scenario)
+        given = self.given_options.for_controller(self.names, scenario)
         if given:
             known = self._option_names()
             for name, value in given.items():
                 if known is not None and name not in known:
                     raise ConfigurationError(
-                        f"{self.given.where}: {self.label}.{name}: expected one of its options, "
+                        f"{self.given_options.where}: {self.label}.{name}: expected one of its "
+                        "options, "
                         f"{', '.join(sorted(known)) or 'of which it has none'}, got {value!r}"
                         f"{did_you_mean(name, known)}"
                     )
         if isinstance(self.source, str) and self.source in CONTROLLERS:
             return resolve_options(self.source, head, scenario, given)
-        return ResolvedOptions(options=given, given=tuple(given))
+        return ResolvedOptions(options=given, given_names=tuple(given))
 
     def _option_names(self) -> set[str] | None:
         if isinstance(self.source, EntryPoint):
@@ -136,11 +137,11 @@ class Contestant:
         try:
             controller, _ = self.make(head, layout, found.options)
         except (VergenceError, TypeError, ValueError) as error:
-            if isinstance(error, ControllerError) or not found.given:
+            if isinstance(error, UserControllerError) or not found.given_names:
                 raise
             name = self._failing_option(head, layout, found)
             raise ConfigurationError(
-                f"{self.given.where}: {self.label}.{name}: {_without_stack(error)}"
+                f"{self.given_options.where}: {self.label}.{name}: {_without_stack(error)}"
             ) from error
         if isinstance(self.source, EntryPoint) and isinstance(controller, GuardedController):
             task = scenario.task(_CHECKED_HEADS, plant="kinematic", head=head)
@@ -152,18 +153,18 @@ class Contestant:
         self, head: HeadModel, layout: ObservationLayout, found: ResolvedOptions
     ) -> str:
         """Name of the given option that alone prevents making it; all names if none does alone."""
-        rest = {key: value for key, value in found.options.items() if key not in found.given}
-        for name in found.given:
+        rest = {key: value for key, value in found.options.items() if key not in found.given_names}
+        for name in found.given_names:
             try:
                 self.make(head, layout, {**rest, name: found.options[name]})
             except (VergenceError, TypeError, ValueError):
                 return name
-        return ", ".join(found.given)
+        return ", ".join(found.given_names)
 
 
 def make_contestants(
     specs: tuple[str, ...],
-    others: Mapping[str, Controller] | None = None,
+    extra_controllers: Mapping[str, Controller] | None = None,
     given: GivenOptions | None = None,
 ) -> list[Contestant]:
     """Make contestants from specifications, each once; the baseline always takes part.
@@ -172,7 +173,7 @@ def make_contestants(
         specs: names of controllers, paths of policies (.vgp or .onnx), or `module:class` or
             `path/to/file.py:class`, made with `head=` and `layout=`. Empty for all controllers of
             the registry.
-        others: more controllers by their labels.
+        extra_controllers: more controllers by their labels.
         given: user-given options of the controllers.
 
     Returns:
@@ -187,19 +188,20 @@ def make_contestants(
     given = given or GivenOptions()
     names = list(dict.fromkeys(specs or controllers_in_table_order()))
     found = [
-        Contestant(label=_label(name, names), source=_source(name), given=given) for name in names
+        Contestant(label=_label(name, names), source=_source(name), given_options=given)
+        for name in names
     ]
     if BASELINE not in names and BASELINE in CONTROLLERS:
-        found.append(Contestant(label=BASELINE, source=BASELINE, given=given))
+        found.append(Contestant(label=BASELINE, source=BASELINE, given_options=given))
     taken = {BOUND, *(one.label for one in found)}
-    for label, controller in (others or {}).items():
+    for label, controller in (extra_controllers or {}).items():
         if label in taken:
             raise ConfigurationError(
                 f"controller: expected a label of its own for each row of the tables, got {label} "
                 f"for a controller passed as an object and for {_holder(label)}; give the object "
                 f"another name, such as my-{label}"
             )
-        found.append(Contestant(label=label, source=controller, given=given))
+        found.append(Contestant(label=label, source=controller, given_options=given))
     return found
 
 
@@ -225,7 +227,7 @@ def available_contestants(
         try:
             available.append((one, one.check(head, scenario)))
         except VergenceError as error:
-            if not set(requested).isdisjoint(one.names) or one.given.for_controller(
+            if not set(requested).isdisjoint(one.names) or one.given_options.for_controller(
                 one.names, scenario.name
             ):
                 raise
@@ -261,7 +263,7 @@ def _source(word: str) -> str | EntryPoint:
             raise ConfigurationError(f"controller: expected a file that exists, got {word}")
         return word
     if word.endswith(".py"):
-        classes = EntryPoint.of(f"{word}:Class", "controller").classes("predict")
+        classes = EntryPoint.of(f"{word}:Class", "controller").class_names_with_method("predict")
         found = ", ".join(f"{word}:{name}" for name in classes)
         raise ConfigurationError(
             f"controller: expected {word}:Class with a class of the file that has predict "

@@ -11,13 +11,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from vergence.controllers.controller import Controller
-from vergence.errors import ConfigurationError, ControllerError
+from vergence.errors import ConfigurationError, UserControllerError
 from vergence.eval.comparison.config import ROBOT, EvaluateConfig
-from vergence.eval.comparison.contestant_job import Failure
+from vergence.eval.comparison.contestant_job import ControllerFailure
 from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation, EvaluationResult, row_fields
 from vergence.eval.comparison.job import EvaluationJob
-from vergence.eval.comparison.lineup import Lineup, line_up
+from vergence.eval.comparison.lineup import Lineup, resolve_lineup
 from vergence.eval.jobs import Mapper, SerialMapper
 
 __all__ = [
@@ -33,7 +33,7 @@ __all__ = [
 
 def evaluate(
     config: EvaluateConfig,
-    others: Mapping[str, Controller] | None = None,
+    extra_controllers: Mapping[str, Controller] | None = None,
     mapper: Mapper | None = None,
     *,
     options: Mapping[str, Mapping[str, Any]] | None = None,
@@ -43,8 +43,8 @@ def evaluate(
 
     Args:
         config: the configuration.
-        others: more controllers by their names in tables: any objects with Stable-Baselines3's
-            `predict`.
+        extra_controllers: more controllers by their names in tables: any objects with
+            Stable-Baselines3's `predict`.
         mapper: runs the jobs; this process by default. The numbers are the same for any mapper,
             except for the duration of `predict`.
         options: options by controller, and within these by scenario, in place of a file's.
@@ -64,7 +64,7 @@ def evaluate(
             f"plant: expected simulated ones, got {ROBOT}: "
             "vergence.eval.robot.evaluate.evaluate_on_robot runs it"
         )
-    lineup = line_up(config, others, mapper, options)
+    lineup = resolve_lineup(config, extra_controllers, mapper, options)
     return run_and_join(config, lineup, mapper, keep_going=keep_going)
 
 
@@ -73,7 +73,7 @@ def run_and_join(
     lineup: Lineup,
     mapper: Mapper,
     robot_results: Sequence[EvaluationResult] = (),
-    robot_failures: Sequence[Failure] = (),
+    robot_failures: Sequence[ControllerFailure] = (),
     *,
     keep_going: bool,
 ) -> Evaluation:
@@ -98,9 +98,9 @@ def run_and_join(
     ]  # fmt: skip
     results = mapper(jobs)
     outcomes = [one for one in (*results, *robot_results) if isinstance(one, EvaluationResult)]
-    failures = [one for one in (*results, *robot_failures) if isinstance(one, Failure)]
+    failures = [one for one in (*results, *robot_failures) if isinstance(one, ControllerFailure)]
     if failures and {one.controller for one in outcomes} <= {BASELINE}:
-        raise ControllerError(failures[0].message)
+        raise UserControllerError(failures[0].message)
     return Evaluation(
         config=config,
         outcomes=outcomes,

@@ -9,7 +9,7 @@ import pandas as pd
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.contestants import BASELINE
 from vergence.eval.comparison.summary import SWINGING, bound_summary, bound_trials, speed_up
-from vergence.eval.trials.settling import bounded_bands
+from vergence.eval.trials.settling import bands_with_bound
 from vergence.models.head import HeadModel
 
 _KEY_FIELDS: Final = ("scenario", "plant", "controller", "head", "trials")
@@ -41,13 +41,13 @@ def row_fields(band_px: float) -> tuple[str, ...]:
     """
     settling = [
         name
-        for band in bounded_bands(band_px)
+        for band in bands_with_bound(band_px)
         for name in (
-            band.settled_fraction,
-            band.settle_median_s,
-            band.settle_p95_s,
-            band.ratio_median,
-            band.ratio_p95,
+            band.settled_fraction_column,
+            band.settle_median_s_column,
+            band.settle_p95_s_column,
+            band.ratio_median_column,
+            band.ratio_p95_column,
         )
     ]
     return (*_KEY_FIELDS, *settling, *_RESULT_FIELDS)
@@ -75,7 +75,7 @@ class EvaluationResult:
     summary: dict[str, Any]
     """Every statistic with the ends of its interval, `_low` and `_high`; nan if undefined."""
     curves: pd.DataFrame
-    """See `error_curves`."""
+    """See `error_quantile_table`."""
     effective_gains: pd.DataFrame
     """See `effective_gains`."""
     head: HeadModel
@@ -83,7 +83,10 @@ class EvaluationResult:
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """All outcomes."""
+    """Results of an evaluation.
+
+    One `EvaluationResult` per controller, scenario and plant, with notes and failures.
+    """
 
     config: EvaluateConfig
     outcomes: list[EvaluationResult]
@@ -141,7 +144,7 @@ class Evaluation:
     def rows(self) -> list[dict[str, Any]]:
         """The rows of evaluation.json: plain values, None for undefined ones."""
         return [
-            {key: plain_value(row.get(key)) for key in row_fields(group[0].band_px)}
+            {key: nonfinite_to_none(row.get(key)) for key in row_fields(group[0].band_px)}
             for (scenario, plant), group in self.groups().items()
             for row in self.summaries(scenario, plant)
         ]
@@ -151,7 +154,7 @@ class Evaluation:
         return pd.concat([one.trials for one in self.outcomes], ignore_index=True)
 
 
-def plain_value(value: Any) -> Any:
+def nonfinite_to_none(value: Any) -> Any:
     """Convert a value for JSON: None for nan and infinity."""
     if isinstance(value, float) and not abs(value) < float("inf"):
         return None

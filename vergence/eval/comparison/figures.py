@@ -12,10 +12,10 @@ from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation, EvaluationResult
 from vergence.eval.comparison.statistics import median
 from vergence.eval.comparison.style import controller_styles, draw_line, shared_legend
-from vergence.eval.comparison.summary import bound_trials, fill_missing
+from vergence.eval.comparison.summary import bound_trials, imputed_trial_values
 from vergence.eval.comparison.tables import has_residual
 from vergence.eval.reporting.style import GREY, figure_style, new_figure
-from vergence.eval.trials.settling import Band
+from vergence.eval.trials.settling import SettlingBand
 
 _DELAY_BINS: Final = 6
 """Number of bins of the delay in its figure (chosen: resolution against scatter)."""
@@ -46,12 +46,12 @@ def figure_caption(name: str) -> str:
     """Caption of a figure; empty if there is none.
 
     Args:
-        name: name of the figure, see `draw`.
+        name: name of the figure, see `evaluation_figures`.
     """
     return next((said for kind, said in _CAPTIONS.items() if name.startswith(f"{kind}-")), "")
 
 
-def draw(evaluation: Evaluation) -> dict[str, Figure]:
+def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
     """Draw all figures, by name, such as `settle-times-workspace-kinematic`.
 
     Args:
@@ -91,12 +91,12 @@ def _height(entries: int, panel: float) -> float:
 def _draw_settle_times(group: list[EvaluationResult], where: str) -> Figure:
     """Cumulative distribution of settle times, to the trial's end; a marker for the unsettled."""
     styles = controller_styles([*(one.controller for one in group), BOUND])
-    duration, band = group[0].duration_s, Band(group[0].band_px)
+    duration, band = group[0].duration_s, SettlingBand(group[0].band_px)
     figure = new_figure(9.0, _height(len(styles), 4.2))
     axes = figure.subplots()
-    times = {one.controller: one.trials[band.settle_s].to_numpy() for one in group}
+    times = {one.controller: one.trials[band.settle_s_column].to_numpy() for one in group}
     least = bound_trials([one.trials for one in group], band.px)
-    times[BOUND] = least[band.bound_s].to_numpy()
+    times[BOUND] = least[band.bound_s_column].to_numpy()
     # trials that never settle: a marker beyond the trial's end, at the final settled fraction
     edge = 1.12 * duration
     for place, (name, settle) in enumerate(times.items()):
@@ -217,8 +217,8 @@ def _draw_delays(group: list[EvaluationResult], where: str) -> Figure:
 
 def _by_delay(trials: pd.DataFrame, band_px: float) -> pd.DataFrame:
     """Bin trials by delay: mean delay, settled fraction and median settle time of each bin."""
-    values = fill_missing(trials, band_px)
-    delay, column = values["latency_s"], Band(band_px).settle_s
+    values = imputed_trial_values(trials, band_px)
+    delay, column = values["latency_s"], SettlingBand(band_px).settle_s_column
     settled = np.isfinite(trials[column])
     edges = np.linspace(delay.min(), delay.max() + 1e-9, _DELAY_BINS + 1)
     place = np.digitize(delay, edges) - 1

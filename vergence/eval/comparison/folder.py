@@ -8,7 +8,7 @@ import pandas as pd
 
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.evaluation import Evaluation
-from vergence.eval.comparison.figures import draw, figure_caption
+from vergence.eval.comparison.figures import evaluation_figures, figure_caption
 from vergence.eval.comparison.run_folder import write_run_report
 from vergence.eval.comparison.tables import describe_evaluation, report_tables
 from vergence.eval.reporting.runs import write_json
@@ -41,7 +41,7 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
     summary.to_csv(folder / "summary.csv", index=False)
     _long(evaluation, "curves").to_csv(folder / "curves.csv", index=False)
     _long(evaluation, "effective_gains").to_csv(folder / "gains.csv", index=False)
-    figures = draw(evaluation)
+    figures = evaluation_figures(evaluation)
     write_run_report(
         folder,
         name="evaluation",
@@ -50,8 +50,8 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
         tables=report_tables(evaluation),
         figures=figures,
         captions={name: figure_caption(name) for name in figures},
-        data="trials.csv",
-        rows=len(trials),
+        data_file="trials.csv",
+        data_row_count=len(trials),
         config=evaluation.config,
         notes=evaluation.notes,
         failures=evaluation.failures,

@@ -11,10 +11,14 @@ from vergence.controllers.tuned_ibvs import TunedIBVS
 from vergence.eval.comparison.contestant_job import ContestantJob, MadeController
 from vergence.eval.comparison.contestants import BASELINE
 from vergence.eval.comparison.evaluation import EvaluationResult
-from vergence.eval.comparison.summary import summarise
-from vergence.eval.trials.curves import effective_gains, error_curves, single_predict_us
+from vergence.eval.comparison.summary import trial_statistics
+from vergence.eval.trials.curves import (
+    effective_gain_table,
+    error_quantile_table,
+    single_predict_us,
+)
 from vergence.eval.trials.results import Trials
-from vergence.eval.trials.settling import bounded_bands, timed_bands
+from vergence.eval.trials.settling import bands_with_bound, bands_with_settle_time
 
 OBSERVED: Final = 100
 """Trials whose observations are kept, for effective gains and the duration of `predict` for one
@@ -34,7 +38,7 @@ class EvaluationJob(ContestantJob[EvaluationResult]):
         controller, options, head, layout = made
         if self.contestant.source in ("ibvs", BASELINE):
             options |= _gain_of(controller)
-        trials = self._trials(controller, self.scenario, observed=OBSERVED)
+        trials = self._trials(controller, self.scenario, observed_trials=OBSERVED)
         table = _table(trials, self.contestant.label)
         summary = {
             "scenario": self.scenario.name,
@@ -44,8 +48,10 @@ class EvaluationJob(ContestantJob[EvaluationResult]):
             "options": options,
             "tuned": self.resolved.tuned,
             "tuned_for": self.resolved.tuned_for,
-            "given": list(self.resolved.given),
-            **summarise(table, trials.target_moves, trials.duration_s, trials.band_px, self.seed),
+            "given": list(self.resolved.given_names),
+            **trial_statistics(
+                table, trials.target_moves, trials.duration_s, trials.band_px, self.seed
+            ),
             "predict_us": trials.predict_us,
             "predict_one_us": single_predict_us(controller, trials.observation),
         }
@@ -58,11 +64,11 @@ class EvaluationJob(ContestantJob[EvaluationResult]):
             duration_s=trials.duration_s,
             options=options,
             tuned=self.resolved.tuned,
-            given=self.resolved.given,
+            given=self.resolved.given_names,
             trials=table,
             summary=summary,
-            curves=error_curves(trials),
-            effective_gains=effective_gains(trials, layout),
+            curves=error_quantile_table(trials),
+            effective_gains=effective_gain_table(trials, layout),
             head=head,
         )
 
@@ -79,7 +85,7 @@ def _table(trials: Trials, label: str) -> pd.DataFrame:
     """Table with one row per trial; nan for undefined metrics and trials that never settle."""
     settling = not trials.target_moves
     nothing = float("nan")
-    judged = bounded_bands(trials.band_px)
+    judged = bands_with_bound(trials.band_px)
     columns = {
         "scenario": trials.scenario,
         "plant": trials.plant,
@@ -87,11 +93,14 @@ def _table(trials: Trials, label: str) -> pd.DataFrame:
         "trial": range(trials.num),
         "duration_s": trials.duration_s,
         **{
-            band.settle_s: trials.settle_s(band.px) if settling else nothing
-            for band in reversed(timed_bands(trials.band_px))
+            band.settle_s_column: trials.settle_s(band.px) if settling else nothing
+            for band in reversed(bands_with_settle_time(trials.band_px))
         },
-        **{band.bound_s: trials.bounds_s[band.px] for band in judged},
-        **{band.ratio: trials.ratio_to_bound(band.px) if settling else nothing for band in judged},
+        **{band.bound_s_column: trials.bounds_s[band.px] for band in judged},
+        **{
+            band.ratio_column: trials.ratio_to_bound(band.px) if settling else nothing
+            for band in judged
+        },
         "overshoot": trials.overshoot if settling else nothing,
         "steady_px": trials.steady_px,
         "residual_px": trials.residual_px,

@@ -51,22 +51,22 @@ class Lineup:
     """Notes on controllers and plants that are left out, and on untuned controllers."""
 
 
-def line_up(
+def resolve_lineup(
     config: EvaluateConfig,
-    others: Mapping[str, Controller] | None,
+    extra_controllers: Mapping[str, Controller] | None,
     mapper: Mapper,
     options: Mapping[str, Mapping[str, Any]] | None = None,
     *,
-    baseline: bool = True,
+    include_baseline: bool = True,
 ) -> Lineup:
     """Resolve and check the line-up before any trial runs, and tune the baseline on request.
 
     Args:
         config: the configuration.
-        others: more controllers by their labels.
+        extra_controllers: more controllers by their labels.
         mapper: runs the trials of tuning.
         options: options by controller, and within these by scenario, in place of a file's.
-        baseline: True if `ibvs-tuned` takes part even without a request.
+        include_baseline: True if `ibvs-tuned` takes part even without a request.
 
     Returns:
         The line-up.
@@ -86,17 +86,17 @@ def line_up(
     hardware = _hardware(config)
     head = _head(config, hardware)
     pairs, notes = _pairs(config, hardware)
-    others = others or {}
-    words = config.controllers or ((BASELINE,) if others else ())
+    extra_controllers = extra_controllers or {}
+    words = config.controllers or ((BASELINE,) if extra_controllers else ())
     given = _given(config, options)
-    everyone = make_contestants(words, others, given)
-    if not baseline and (config.controllers or others):
-        asked = {*config.controllers, *others}
+    everyone = make_contestants(words, extra_controllers, given)
+    if not include_baseline and (config.controllers or extra_controllers):
+        asked = {*config.controllers, *extra_controllers}
         everyone = [one for one in everyone if one.label != BASELINE or BASELINE in asked]
     notes += given.check_names(name for one in everyone for name in one.names)
     if config.tune:
         tune_baselines(config, mapper, options)
-    named = {*config.controllers, *others, BASELINE}
+    named = {*config.controllers, *extra_controllers, BASELINE}
     available = {}
     for scenario in {scenario.name: scenario for scenario, _ in pairs}.values():
         model = scenario.model() if head is None else head

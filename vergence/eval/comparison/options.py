@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from vergence.controllers.controller import CONTROLLERS
-from vergence.controllers.tuned import find_tuned, is_tuned_for, tuned_controller
+from vergence.controllers.tuned import find_tuned_or_fallback, is_tuned_for, name_in_tuned_table
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.scenarios import SCENARIOS
 from vergence.eval.tuning.spaces import SEARCH_SPACES
@@ -37,7 +37,7 @@ class ResolvedOptions:
     given."""
     tuned_for: str | None = None
     """Name of the head for which they were tuned, if any."""
-    given: tuple[str, ...] = ()
+    given_names: tuple[str, ...] = ()
     """Names of the user-given options."""
 
 
@@ -55,8 +55,8 @@ def resolve_options(
     Raises:
         ConfigurationError: the user's table of tuned options cannot be read.
     """
-    space = {} if name == "ibvs" else SEARCH_SPACES.get(tuned_controller(name), {})
-    entry = find_tuned(name, scenario, head)
+    space = {} if name == "ibvs" else SEARCH_SPACES.get(name_in_tuned_table(name), {})
+    entry = find_tuned_or_fallback(name, scenario, head)
     tuned = is_tuned_for(entry, head) if space else None
     # A given value replaces a tuned one, so options tuned for this head count as tuned no longer.
     # Remaining options that were tuned for another head stay marked as untuned.
@@ -66,7 +66,7 @@ def resolve_options(
         options={**({} if entry is None else entry.options), **given},
         tuned=tuned,
         tuned_for=None if entry is None or tuned is None else entry.head,
-        given=tuple(given),
+        given_names=tuple(given),
     )
 
 

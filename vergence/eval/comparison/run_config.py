@@ -52,7 +52,7 @@ def config_with_notes(
     return found
 
 
-def write_run_config(
+def write_config_and_heads(
     folder: Path,
     config: EvaluateConfig,
     notes: Sequence[str],

@@ -6,8 +6,12 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from vergence.eval.comparison.config import EvaluateConfig
-from vergence.eval.comparison.run_config import ControllerRun, config_with_notes, write_run_config
-from vergence.eval.reporting.report import ReportTable, Section, write_report
+from vergence.eval.comparison.run_config import (
+    ControllerRun,
+    config_with_notes,
+    write_config_and_heads,
+)
+from vergence.eval.reporting.report import ReportSection, ReportTable, write_report
 from vergence.eval.reporting.section import SECTION_FILE, write_section
 from vergence.eval.reporting.style import save_figure
 from vergence.eval.reporting.text import SectionText
@@ -22,8 +26,8 @@ def write_run_report(
     tables: list[ReportTable],
     figures: Mapping[str, Figure],
     captions: Mapping[str, str],
-    data: str,
-    rows: int,
+    data_file: str,
+    data_row_count: int,
     config: EvaluateConfig,
     notes: list[str],
     failures: list[str],
@@ -39,8 +43,8 @@ def write_run_report(
         tables: tables of the section.
         figures: figures by name.
         captions: captions by the figures' names.
-        data: the section's data file in the folder.
-        rows: number of rows of the data file.
+        data_file: the section's data file in the folder.
+        data_row_count: number of rows of the data file.
         config: the configuration.
         notes: notes on controllers and plants that were left out.
         failures: errors of user-defined controllers.
@@ -49,8 +53,8 @@ def write_run_report(
     (folder / "figures").mkdir()
     for figure_name, figure in figures.items():
         save_figure(figure, folder / "figures" / figure_name)
-    write_run_config(folder, config, notes, failures, outcomes)
-    section = Section(
+    write_config_and_heads(folder, config, notes, failures, outcomes)
+    section = ReportSection(
         name=name,
         title=title,
         article="",
@@ -58,10 +62,10 @@ def write_run_report(
         conclusion=text.found,
         summary=[],
         figures=[folder / "figures" / f"{figure_name}.svg" for figure_name in figures],
-        rows=rows,
+        rows=data_row_count,
         config=config_with_notes(config, notes, failures),
         seed=config.seed,
-        data=data,
+        data=data_file,
         tables=tables,
         captions=dict(captions),
     )

@@ -27,7 +27,7 @@ Statistic = Callable[[FloatArray], FloatArray]
 """Function from (..., n) values to (...), over the last axis."""
 
 
-class Interval(NamedTuple):
+class ConfidenceInterval(NamedTuple):
     """A statistic and its confidence interval at the level `LEVEL`."""
 
     value: float
@@ -73,7 +73,7 @@ class Bootstrap:
             for begin in range(0, resamples, rows)
         ]
 
-    def interval(self, values: ArrayLike, statistic: Statistic) -> Interval:
+    def interval(self, values: ArrayLike, statistic: Statistic) -> ConfidenceInterval:
         """A statistic of all trials with its interval.
 
         Args:
@@ -88,21 +88,23 @@ class Bootstrap:
             value = float(statistic(array))
             if array.dtype == np.bool_:
                 return _unanimous(value, len(array))
-            return Interval(value, value, value)
+            return ConfidenceInterval(value, value, value)
         return _interval(float(statistic(array)), self._resampled(array, statistic))
 
-    def ratio(self, values: ArrayLike, others: ArrayLike, statistic: Statistic) -> Interval:
+    def ratio(
+        self, numerator: ArrayLike, denominator: ArrayLike, statistic: Statistic
+    ) -> ConfidenceInterval:
         """The ratio of a statistic of two controllers on the same trials, with its interval.
 
         Args:
-            values: (n,) values of the numerator, one per trial.
-            others: (n,) values of the denominator, one per trial.
+            numerator: (n,) values of the numerator, one per trial.
+            denominator: (n,) values of the denominator, one per trial.
             statistic: the statistic.
 
         Returns:
             The ratio and its paired interval.
         """
-        top, bottom = np.asarray(values), np.asarray(others)
+        top, bottom = np.asarray(numerator), np.asarray(denominator)
         drawn = self._resampled(top, statistic) / self._resampled(bottom, statistic)
         return _interval(float(statistic(top) / statistic(bottom)), drawn)
 
@@ -110,13 +112,17 @@ class Bootstrap:
         return np.concatenate([statistic(values[block]) for block in self._blocks])
 
 
-def _unanimous(value: float, num: int) -> Interval:
+def _unanimous(value: float, num: int) -> ConfidenceInterval:
     """The exact (Clopper-Pearson) interval of a fraction that is 0 or 1."""
     far = (0.5 * (1.0 - LEVEL)) ** (1.0 / num)
-    return Interval(value, far, 1.0) if value == 1.0 else Interval(value, 0.0, 1.0 - far)
+    return (
+        ConfidenceInterval(value, far, 1.0)
+        if value == 1.0
+        else ConfidenceInterval(value, 0.0, 1.0 - far)
+    )
 
 
-def _interval(value: float, drawn: FloatArray) -> Interval:
+def _interval(value: float, drawn: FloatArray) -> ConfidenceInterval:
     tail = 50.0 * (1.0 - LEVEL)
     low, high = np.percentile(drawn, [tail, 100.0 - tail], method="nearest")
-    return Interval(value, float(low), float(high))
+    return ConfidenceInterval(value, float(low), float(high))

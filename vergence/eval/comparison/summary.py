@@ -12,8 +12,21 @@ import numpy as np
 import pandas as pd
 
 from vergence.eval.comparison.contestants import BOUND
-from vergence.eval.comparison.statistics import Bootstrap, Interval, Statistic, mean, median, p95
-from vergence.eval.trials.settling import HALF_PX, ONE_PX, Band, bounded_bands, timed_bands
+from vergence.eval.comparison.statistics import (
+    Bootstrap,
+    ConfidenceInterval,
+    Statistic,
+    mean,
+    median,
+    p95,
+)
+from vergence.eval.trials.settling import (
+    HALF_PX,
+    ONE_PX,
+    SettlingBand,
+    bands_with_bound,
+    bands_with_settle_time,
+)
 from vergence.models.parts import FloatArray
 
 SWINGING: Final = "swinging_trials"
@@ -50,18 +63,21 @@ _COMMON_STATISTICS: Final[dict[str, tuple[str, Statistic]]] = {
 def _of_bands(band_px: float) -> dict[str, tuple[str, Statistic]]:
     """Statistics (column and function by name) of a scenario's bands, widest first."""
     found: dict[str, tuple[str, Statistic]] = {}
-    for band in reversed(bounded_bands(band_px)):
-        found[band.settled_fraction] = (band.settled, mean)
+    for band in reversed(bands_with_bound(band_px)):
+        found[band.settled_fraction_column] = (band.settled_column, mean)
         for one in (ONE_PX, HALF_PX) if band == ONE_PX else (band,):
-            found[one.settle_median_s] = (one.settle_s, median)
-            found[one.settle_p95_s] = (one.settle_s, p95)
-        found[band.ratio_median] = (band.ratio, median)
-        found[band.ratio_p95] = (band.ratio, p95)
+            found[one.settle_median_s_column] = (one.settle_s_column, median)
+            found[one.settle_p95_s_column] = (one.settle_s_column, p95)
+        found[band.ratio_median_column] = (band.ratio_column, median)
+        found[band.ratio_p95_column] = (band.ratio_column, p95)
     return found
 
 
-def fill_missing(table: pd.DataFrame, band_px: float) -> dict[str, FloatArray]:
-    """The trials' values with substitutes for missing ones, as summaries use them.
+def imputed_trial_values(table: pd.DataFrame, band_px: float) -> dict[str, FloatArray]:
+    """Columns of a trial table as arrays in which missing values are imputed.
+
+    A missing settle time becomes the trial's duration; a missing ratio to the bound, or a missing
+    fix, infinity. Columns for settling and for the ratio are added.
 
     Args:
         table: one row per trial, of one controller.
@@ -74,17 +90,17 @@ def fill_missing(table: pd.DataFrame, band_px: float) -> dict[str, FloatArray]:
     values: dict[str, Any] = {
         name: table[name].to_numpy() for name in table.columns if table[name].dtype != object
     }
-    for band in bounded_bands(band_px):
-        settle, bound = values[band.settle_s], values[band.bound_s]
-        values[band.settled] = np.isfinite(settle)
+    for band in bands_with_bound(band_px):
+        settle, bound = values[band.settle_s_column], values[band.bound_s_column]
+        values[band.settled_column] = np.isfinite(settle)
         # the ratio counts as infinite if the trial never settled, or if it is too short even for
         # the bound
         never = (bound >= duration) | np.isnan(settle)
         ratio = settle / np.where(bound > 0.0, bound, np.nan)
-        values[band.ratio] = np.where(never & ~np.isnan(bound), np.inf, ratio)
-    for band in timed_bands(band_px):
-        settle = values[band.settle_s]
-        values[band.settle_s] = np.where(np.isnan(settle), duration, settle)
+        values[band.ratio_column] = np.where(never & ~np.isnan(bound), np.inf, ratio)
+    for band in bands_with_settle_time(band_px):
+        settle = values[band.settle_s_column]
+        values[band.settle_s_column] = np.where(np.isnan(settle), duration, settle)
     # a trial that never settles has its last gaze fix in place of the one at settling
     settled = values["fix_error_settled_m"]
     end = values["fix_error_end_m"]
@@ -95,7 +111,7 @@ def fill_missing(table: pd.DataFrame, band_px: float) -> dict[str, FloatArray]:
     return values
 
 
-def summarise(
+def trial_statistics(
     table: pd.DataFrame, target_moves: bool, duration_s: float, band_px: float, seed: int
 ) -> dict[str, Any]:
     """All statistics of one controller's trials.
@@ -112,7 +128,7 @@ def summarise(
         interval have the suffixes `_low` and `_high`; nan if undefined.
     """
     bootstrap = Bootstrap(len(table), seed)
-    values = fill_missing(table, band_px)
+    values = imputed_trial_values(table, band_px)
     row: dict[str, Any] = {"trials": len(table), "duration_s": duration_s}
     row[SWINGING] = np.nan if target_moves else int(values["swings"].sum())
     settling = {**_of_bands(band_px), **_SETTLING_STATISTICS}
@@ -122,7 +138,7 @@ def summarise(
         **_TRACKING_STATISTICS,
         **_COMMON_STATISTICS,
     }.items():
-        found = Interval(np.nan, np.nan, np.nan)
+        found = ConfidenceInterval(np.nan, np.nan, np.nan)
         if name in has and not np.isnan(values[column]).any():
             found = bootstrap.interval(values[column], statistic)
         _put(row, name, found)
@@ -147,13 +163,13 @@ def speed_up(
         RMS) to this one's, and the ends of its interval; nan if no more than half of the trials of
         either controller have settled, as the median is undefined then.
     """
-    column = "tracking_px" if target_moves else Band(band_px).settle_s
-    ours, theirs = (fill_missing(one, band_px)[column] for one in (table, reference))
+    column = "tracking_px" if target_moves else SettlingBand(band_px).settle_s_column
+    ours, theirs = (imputed_trial_values(one, band_px)[column] for one in (table, reference))
     settled = (
         target_moves or min(np.isfinite(one[column]).mean() for one in (table, reference)) > 0.5
     )
     row: dict[str, float] = {}
-    found = Interval(np.nan, np.nan, np.nan)
+    found = ConfidenceInterval(np.nan, np.nan, np.nan)
     if settled:
         with np.errstate(divide="ignore", invalid="ignore"):
             found = Bootstrap(len(ours), seed).ratio(theirs, ours, median)
@@ -172,8 +188,8 @@ def bound_trials(tables: Sequence[pd.DataFrame], band_px: float) -> pd.DataFrame
         band_px: the scenario's leading band of settling, px.
     """
     least = {
-        band.bound_s: np.fmin.reduce([one[band.bound_s].to_numpy() for one in tables])
-        for band in bounded_bands(band_px)
+        band.bound_s_column: np.fmin.reduce([one[band.bound_s_column].to_numpy() for one in tables])
+        for band in bands_with_bound(band_px)
     }
     return tables[0].assign(**least)
 
@@ -187,30 +203,30 @@ def bound_summary(table: pd.DataFrame, band_px: float, seed: int) -> dict[str, A
         seed: seed of the bootstrap.
 
     Returns:
-        A row with the fields of `summarise`; nan for those that a bound does not have.
+        A row with the fields of `trial_statistics`; nan for those that a bound does not have.
     """
-    limit = fill_missing(table, band_px)
+    limit = imputed_trial_values(table, band_px)
     bootstrap = Bootstrap(len(table), seed)
     row: dict[str, Any] = {name: table[name].iloc[0] for name in ("scenario", "plant")}
     row |= {"controller": BOUND, "options": {}, "trials": len(table)}
     row["duration_s"] = float(table["duration_s"].iloc[0])
-    none, one = Interval(np.nan, np.nan, np.nan), Interval(1.0, 1.0, 1.0)
+    none, one = ConfidenceInterval(np.nan, np.nan, np.nan), ConfidenceInterval(1.0, 1.0, 1.0)
     found = dict.fromkeys(
         [*_of_bands(band_px), *_SETTLING_STATISTICS, *_TRACKING_STATISTICS, *_COMMON_STATISTICS],
         none,
     )
-    for band in bounded_bands(band_px):
-        bound = limit[band.bound_s]
+    for band in bands_with_bound(band_px):
+        bound = limit[band.bound_s_column]
         within = np.minimum(bound, limit["duration_s"])
-        found[band.settled_fraction] = bootstrap.interval(bound < limit["duration_s"], mean)
-        found[band.settle_median_s] = bootstrap.interval(within, median)
-        found[band.settle_p95_s] = bootstrap.interval(within, p95)
-        found[band.ratio_median] = found[band.ratio_p95] = one
+        found[band.settled_fraction_column] = bootstrap.interval(bound < limit["duration_s"], mean)
+        found[band.settle_median_s_column] = bootstrap.interval(within, median)
+        found[band.settle_p95_s_column] = bootstrap.interval(within, p95)
+        found[band.ratio_median_column] = found[band.ratio_p95_column] = one
     for name, interval in found.items():
         _put(row, name, interval)
     row["predict_us"] = row["predict_one_us"] = row[SWINGING] = np.nan
     return row
 
 
-def _put(row: dict[str, Any], name: str, interval: Interval) -> None:
+def _put(row: dict[str, Any], name: str, interval: ConfidenceInterval) -> None:
     row[name], row[f"{name}_low"], row[f"{name}_high"] = interval

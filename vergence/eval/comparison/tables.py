@@ -17,7 +17,7 @@ from vergence.eval.reporting.text import (
     read_template,
     render_text,
 )
-from vergence.eval.trials.settling import ONE_PX, Band, bounded_bands
+from vergence.eval.trials.settling import ONE_PX, SettlingBand, bands_with_bound
 
 SETTLING_COLUMNS: Final = (
     "controller", "settled (%)", "settle (ms)", "95 % within (ms)", "x bound",
@@ -103,14 +103,14 @@ def _named_baseline(group: list[EvaluationResult]) -> str:
 
 
 def _settling_row(row: dict[str, Any], group: list[EvaluationResult]) -> list[str]:
-    band = Band(group[0].band_px)
+    band = SettlingBand(group[0].band_px)
     return [
         _label(row),
-        _with_swinging(_share(row, band.settled_fraction), row),
-        _cell(row, band.settle_median_s, 1000.0),
-        _number(row, band.settle_p95_s, 1000.0),
-        *([_number(row, ONE_PX.settle_median_s, 1000.0)] if group[0].band_px != 1.0 else []),
-        _cell(row, band.ratio_median),
+        _with_swinging(_share(row, band.settled_fraction_column), row),
+        _cell(row, band.settle_median_s_column, 1000.0),
+        _number(row, band.settle_p95_s_column, 1000.0),
+        *([_number(row, ONE_PX.settle_median_s_column, 1000.0)] if group[0].band_px != 1.0 else []),
+        _cell(row, band.ratio_median_column),
         *([_stacked(row, "residual_px", "residual_p95_px")] if has_residual(group) else []),
         _stacked(row, "overshoot_median", "overshoot_p95", 100.0),
         _lines(_share(row, "lost_fraction"), _share(row, "left_again_fraction")),
@@ -250,8 +250,8 @@ def describe_evaluation(evaluation: Evaluation) -> SectionText:
     """
     groups = []
     for (scenario, plant), group in evaluation.groups().items():
-        band = Band(group[0].band_px)
-        judged = "tracking_rms_px" if group[0].target_moves else band.settle_median_s
+        band = SettlingBand(group[0].band_px)
+        judged = "tracking_rms_px" if group[0].target_moves else band.settle_median_s_column
         rivals = [r for r in evaluation.summaries(scenario, plant) if r["controller"] != BOUND]
         groups.append(
             {
@@ -260,7 +260,7 @@ def describe_evaluation(evaluation: Evaluation) -> SectionText:
                 "target_moves": group[0].target_moves,
                 "baseline": _named_baseline(group),
                 "best": min(rivals, key=itemgetter(judged)),
-                "least": min(rivals, key=itemgetter(band.settled_fraction)),
+                "least": min(rivals, key=itemgetter(band.settled_fraction_column)),
                 "band": band,
                 "band_px": group[0].band_px,
             }
@@ -280,6 +280,6 @@ def describe_evaluation(evaluation: Evaluation) -> SectionText:
 
 def _listed(evaluation: Evaluation) -> str:
     """The settling bands of all scenarios as text, such as "1 or 2"."""
-    bands = {band for one in evaluation.outcomes for band in bounded_bands(one.band_px)}
+    bands = {band for one in evaluation.outcomes for band in bands_with_bound(one.band_px)}
     *others, last = (f"{band.px:g}" for band in sorted(bands))
     return f"{', '.join(others)} or {last}"

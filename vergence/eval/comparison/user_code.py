@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.controllers.controller import Controller
-from vergence.entry_points import EntryPoint, describe_user_error, shown_path
+from vergence.entry_points import EntryPoint, shown_path, user_error_with_place
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.policy import Policy
-from vergence.errors import ConfigurationError, ControllerError, HardwareError, VergenceError
+from vergence.errors import ConfigurationError, HardwareError, UserControllerError, VergenceError
 from vergence.models.head import HeadModel
 
 _PREDICT_SIGNATURE: Final = (
@@ -45,15 +45,15 @@ def make_user_controller(
     try:
         controller = make(head=head, layout=layout, **options)
     except (Exception, SystemExit) as error:
-        raise ControllerError(
-            f"controller {entry.spec}: cannot be made: {describe_user_error(error)}"
+        raise UserControllerError(
+            f"controller {entry.spec}: cannot be made: {user_error_with_place(error)}"
         ) from error
     return GuardedController(controller, entry.spec)
 
 
-def option_names(make: Any) -> set[str] | None:
+def option_names(controller_factory: Any) -> set[str] | None:
     """Names of the options that a class takes besides `head` and `layout`; None for any name."""
-    parameters = inspect.signature(make).parameters.values()
+    parameters = inspect.signature(controller_factory).parameters.values()
     if any(one.kind is inspect.Parameter.VAR_KEYWORD for one in parameters):
         return None
     return {one.name for one in parameters} - {"head", "layout"}
@@ -120,7 +120,7 @@ class GuardedController:
                 observation, state=state, episode_start=episode_start, deterministic=deterministic
             )
         except (Exception, SystemExit) as error:
-            raise self._wrong(describe_user_error(error)) from error
+            raise self._wrong(user_error_with_place(error)) from error
         try:
             action, state = answer
             action = np.asarray(action)
@@ -142,15 +142,15 @@ class GuardedController:
         """
         try:
             yield
-        except (ControllerError, HardwareError):
+        except (UserControllerError, HardwareError):
             raise
         except VergenceError as error:
             if self._calls == 0:
                 raise
             raise self._wrong(f"{error}{_file_of(self._controller)}") from error
 
-    def _wrong(self, what: str) -> ControllerError:
-        return ControllerError(f"controller {self._label}: predict, call {self._calls}: {what}")
+    def _wrong(self, what: str) -> UserControllerError:
+        return UserControllerError(f"controller {self._label}: predict, call {self._calls}: {what}")
 
 
 def _file_of(controller: Controller) -> str:

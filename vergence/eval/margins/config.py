@@ -11,7 +11,7 @@ class MarginsConfig(EvaluateConfig):
     """The margins to measure; `episodes` is the number of trials at each value, 200 by default."""
 
     imperfections: tuple[str, ...] = ()
-    """Imperfections to vary, by the names of `vergence.eval.margins.ranges.SEARCHED`; all by
-    default."""
+    """Imperfections to vary, by the names of `vergence.eval.margins.ranges.IMPERFECTION_RANGES`;
+    all by default."""
 
     default_trials: ClassVar[int] = 200

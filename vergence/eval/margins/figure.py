@@ -10,8 +10,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from vergence.eval.comparison.style import controller_styles
-from vergence.eval.margins.margins import ENDS, Margin, Margins
-from vergence.eval.margins.ranges import SEARCHED
+from vergence.eval.margins.margins import RANGE_ENDS, Margin, Margins
+from vergence.eval.margins.ranges import IMPERFECTION_RANGES
 from vergence.eval.margins.tables import imperfection_title
 from vergence.eval.reporting.style import BLACK, GREY, figure_style, new_figure
 
@@ -23,7 +23,7 @@ _AXIS_MARGIN: Final = 0.05
 """Margin of the axis on either side, as a fraction of the searched range (chosen: legibility)."""
 
 
-def draw(margins: Margins) -> dict[str, Figure]:
+def margin_figures(margins: Margins) -> dict[str, Figure]:
     """Draw a figure for each scenario, by name.
 
     Args:
@@ -61,7 +61,7 @@ def _draw(found: list[Margin], scenario: str) -> Figure:
 
 def _draw_bar(panel: Axes, one: Margin, place: int, style: dict[str, object]) -> None:
     """Draw a wide light bar for the range "doubles" and a narrow dark one for "settles"."""
-    color, scale = style["color"], SEARCHED[one.imperfection].scale
+    color, scale = style["color"], IMPERFECTION_RANGES[one.imperfection].scale
     for kind, height, alpha in (("doubles", 0.74, 0.3), ("settles", 0.34, 1.0)):
         low, high = (getattr(one, f"{kind}_{end}") for end in ("low", "high"))
         if low is None:
@@ -73,7 +73,7 @@ def _draw_bar(panel: Axes, one: Margin, place: int, style: dict[str, object]) ->
             # the edge keeps a range of zero width visible as a line
             edgecolor=color, linewidth=1.0, zorder=2 if kind == "doubles" else 3,
         )  # fmt: skip
-    for end in ENDS[:2]:
+    for end in RANGE_ENDS[:2]:
         if one.is_open(end):
             marker = "<" if end.endswith("low") else ">"
             panel.plot(
@@ -83,7 +83,7 @@ def _draw_bar(panel: Axes, one: Margin, place: int, style: dict[str, object]) ->
 
 
 def _dress(panel: Axes, own: list[Margin]) -> None:
-    scale = SEARCHED[own[0].imperfection].scale
+    scale = IMPERFECTION_RANGES[own[0].imperfection].scale
     low = scale * min(one.range.low for one in own)
     high = scale * max(one.range.high for one in own)
     room = _AXIS_MARGIN * (high - low)

@@ -7,7 +7,7 @@ import pandas as pd
 
 from vergence.errors import ConfigurationError
 from vergence.eval.comparison.run_folder import write_run_report
-from vergence.eval.margins.figure import draw
+from vergence.eval.margins.figure import margin_figures
 from vergence.eval.margins.margins import Margins
 from vergence.eval.margins.tables import describe_margins, report_tables
 from vergence.eval.reporting.runs import write_json
@@ -30,7 +30,7 @@ def write_margins(folder: Path, margins: Margins) -> None:
     write_json(folder / "margins.json", margins.rows())
     _ranges(margins).to_csv(folder / "margins.csv", index=False)
     _points(margins).to_csv(folder / "points.csv", index=False)
-    figures, text = draw(margins), describe_margins(margins)
+    figures, text = margin_figures(margins), describe_margins(margins)
     write_run_report(
         folder,
         name="margins",
@@ -39,8 +39,8 @@ def write_margins(folder: Path, margins: Margins) -> None:
         tables=report_tables(margins),
         figures=figures,
         captions=dict.fromkeys(figures, text.captions["margins"]),
-        data="margins.csv",
-        rows=len(margins.margins),
+        data_file="margins.csv",
+        data_row_count=len(margins.margins),
         config=margins.config,
         notes=margins.notes,
         failures=margins.failures,

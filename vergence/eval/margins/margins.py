@@ -9,8 +9,8 @@ from vergence.eval.margins.measure import MarginPoint
 from vergence.eval.margins.ranges import SearchInterval
 from vergence.models.head import HeadModel
 
-ENDS: Final = ("settles_low", "settles_high", "doubles_low", "doubles_high")
-ROW: Final = ("controller", "scenario", "imperfection", "unit", *ENDS)
+RANGE_ENDS: Final = ("settles_low", "settles_high", "doubles_low", "doubles_high")
+MARGIN_ROW_FIELDS: Final = ("controller", "scenario", "imperfection", "unit", *RANGE_ENDS)
 """The fields of a row of margins.json."""
 
 
@@ -53,13 +53,13 @@ class Margin:
 
     def row(self) -> dict[str, Any]:
         """The row of margins.json."""
-        return {name: getattr(self, name) for name in ROW}
+        return {name: getattr(self, name) for name in MARGIN_ROW_FIELDS}
 
     def is_open(self, end: str) -> bool:
         """True if an end is only the end of the search, while the imperfection may go beyond it.
 
         Args:
-            end: one of `ENDS`.
+            end: one of `RANGE_ENDS`.
         """
         value, one = getattr(self, end), IMPERFECTIONS[self.imperfection]
         if end.endswith("_low"):

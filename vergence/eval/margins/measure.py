@@ -37,8 +37,8 @@ class MarginPoint(NamedTuple):
     untouched_median_s: float
     """Median settle time of these trials in the unmodified scenario, to the same band, s."""
     swinging: int = 0
-    """Number of all trials at this value that swing, see `vergence.eval.trials.fixation.swings`;
-    none of them counts as settled."""
+    """Number of all trials at this value that swing, see
+    `vergence.eval.trials.fixation.detect_oscillation`; none of them counts as settled."""
 
     @property
     def settles(self) -> bool:
@@ -51,20 +51,20 @@ class MarginPoint(NamedTuple):
         return self.median_s < _SLOWDOWN_LIMIT * self.untouched_median_s
 
 
-def with_imperfection(scenario: Scenario, name: str, value: float) -> Scenario:
+def with_imperfection(scenario: Scenario, imperfection: str, value: float) -> Scenario:
     """Copy a scenario with one imperfection fixed at a value in every trial.
 
     Args:
         scenario: the scenario.
-        name: the imperfection.
+        imperfection: the imperfection.
         value: its value.
     """
     variation = scenario.variation or Variation()
-    fixed: dict[str, Any] = {name: (value, value)}
+    fixed: dict[str, Any] = {imperfection: (value, value)}
     duration_s = scenario.duration_s
-    if name == "onset_s":
+    if imperfection == "onset_s":
         # trials with a later onset are longer, to leave the same time
-        duration_s += max(0.0, value - variation.largest("onset_s", 0.0))
+        duration_s += max(0.0, value - variation.largest_value("onset_s", 0.0))
     return replace(
         scenario,
         variation=replace(variation, **fixed),
@@ -72,7 +72,7 @@ def with_imperfection(scenario: Scenario, name: str, value: float) -> Scenario:
     )
 
 
-def margin_band_px(scenario: Scenario, name: str, value: float) -> float:
+def noise_widened_band_px(scenario: Scenario, imperfection: str, value: float) -> float:
     """Settling band: the scenario's, or three standard deviations of the detection noise if larger.
 
     Noise limits how well a controller knows the target, and so how still it can hold the eyes.
@@ -81,10 +81,10 @@ def margin_band_px(scenario: Scenario, name: str, value: float) -> float:
 
     Args:
         scenario: the scenario.
-        name: the imperfection that is varied.
+        imperfection: the imperfection that is varied.
         value: its value.
     """
-    if name != "detection_noise_px":
+    if imperfection != "detection_noise_px":
         return scenario.band_px
     return max(scenario.band_px, _BAND_NOISE_SIGMAS * value)
 
@@ -98,10 +98,12 @@ class MarginMeasurement:
         name: the imperfection that is varied.
     """
 
-    def __init__(self, run: Callable[[Scenario], Trials], scenario: Scenario, name: str) -> None:
+    def __init__(
+        self, run: Callable[[Scenario], Trials], scenario: Scenario, imperfection: str
+    ) -> None:
         self._run = run
         self._scenario = scenario
-        self._name = name
+        self._name = imperfection
         self._unmodified = run(scenario)
         self._settled_unmodified = np.isfinite(self._unmodified.settle_s(scenario.band_px))
         self._found: dict[float, MarginPoint] = {}
@@ -118,7 +120,7 @@ class MarginMeasurement:
         return sorted(self._found.values())
 
     def _at(self, value: float) -> MarginPoint:
-        band = margin_band_px(self._scenario, self._name, value)
+        band = noise_widened_band_px(self._scenario, self._name, value)
         count = int(self._settled_unmodified.sum())
         trials = self._run(with_imperfection(self._scenario, self._name, value))
         swinging = int(trials.swings.sum())

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from vergence.envs.plants.imperfections import IMPERFECTIONS, PARTS
+from vergence.envs.plants.imperfections import IMPERFECTIONS, LOOP_PARTS
 from vergence.eval.trials.scenarios import Scenario
 from vergence.models.head import HeadModel
 
@@ -26,9 +26,9 @@ class ImperfectionRange(NamedTuple):
     """Factor from the unit of `IMPERFECTIONS` to that unit."""
 
 
-SEARCHED: Final = {
+IMPERFECTION_RANGES: Final = {
     name: ImperfectionRange(one.label, *one.search_range, *one.display_unit)
-    for part in PARTS
+    for part in LOOP_PARTS
     for name, one in IMPERFECTIONS.items()
     if one.part == part
 }
@@ -47,30 +47,30 @@ class SearchInterval(NamedTuple):
     high: float
 
 
-def search_interval(name: str, scenario: Scenario, head: HeadModel) -> SearchInterval:
+def search_interval(imperfection: str, scenario: Scenario, head: HeadModel) -> SearchInterval:
     """Search range of an imperfection's margins, widened to hold the expected value.
 
     Args:
-        name: the imperfection.
+        imperfection: the imperfection.
         scenario: the scenario, which may draw the imperfection.
         head: the model that the controller knows.
     """
-    expected = float(np.max(IMPERFECTIONS[name].nominal(head)))
-    drawn = None if scenario.variation is None else getattr(scenario.variation, name)
+    expected = float(np.max(IMPERFECTIONS[imperfection].nominal(head)))
+    drawn = None if scenario.variation is None else getattr(scenario.variation, imperfection)
     if drawn is not None:
         expected = min(max(expected, drawn[0]), drawn[1])
-    searched = SEARCHED[name]
+    searched = IMPERFECTION_RANGES[imperfection]
     return SearchInterval(min(searched.lowest, expected), expected, max(searched.highest, expected))
 
 
-def has_effect(name: str, scenario: Scenario) -> bool:
+def has_effect(imperfection: str, scenario: Scenario) -> bool:
     """True if an imperfection has an effect in a scenario.
 
     The size or duration of random events, such as outliers, has one only if the scenario has such
     events.
     """
-    chance = IMPERFECTIONS[name].probability
+    chance = IMPERFECTIONS[imperfection].probability
     if not chance:
         return True
     variation = scenario.variation
-    return variation is not None and variation.largest(chance, 0.0) > 0.0
+    return variation is not None and variation.largest_value(chance, 0.0) > 0.0

@@ -11,15 +11,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from vergence.controllers.controller import Controller
-from vergence.errors import ConfigurationError, ControllerError, UnknownNameError
-from vergence.eval.comparison.contestant_job import Failure
-from vergence.eval.comparison.lineup import Lineup, line_up
+from vergence.errors import ConfigurationError, UnknownNameError, UserControllerError
+from vergence.eval.comparison.contestant_job import ControllerFailure
+from vergence.eval.comparison.lineup import Lineup, resolve_lineup
 from vergence.eval.jobs import Mapper, SerialMapper
 from vergence.eval.margins.config import MarginsConfig
 from vergence.eval.margins.job import MarginJob
 from vergence.eval.margins.margins import Margin, Margins
 from vergence.eval.margins.measure import with_imperfection
-from vergence.eval.margins.ranges import SEARCHED, has_effect, search_interval
+from vergence.eval.margins.ranges import IMPERFECTION_RANGES, has_effect, search_interval
 from vergence.eval.trials.scenarios import SCENARIOS, Scenario
 
 __all__ = ["MarginsConfig", "measure_margins"]
@@ -27,7 +27,7 @@ __all__ = ["MarginsConfig", "measure_margins"]
 
 def measure_margins(
     config: MarginsConfig,
-    others: Mapping[str, Controller] | None = None,
+    extra_controllers: Mapping[str, Controller] | None = None,
     mapper: Mapper | None = None,
     *,
     options: Mapping[str, Mapping[str, Any]] | None = None,
@@ -40,7 +40,8 @@ def measure_margins(
 
     Args:
         config: the configuration, with exactly one plant.
-        others: more controllers by their labels, see `vergence.eval.comparison.evaluate`.
+        extra_controllers: more controllers by their labels, see
+            `vergence.eval.comparison.evaluate`.
         mapper: runs the jobs; this process by default. The result is the same for any mapper.
         options: options by controller, and within these by scenario.
         keep_going: True to leave a user-defined controller that raises out of the scenario, and to
@@ -55,14 +56,14 @@ def measure_margins(
             invalid value.
     """
     for name in config.imperfections:
-        if name not in SEARCHED:
-            raise UnknownNameError("imperfection", name, list(SEARCHED))
+        if name not in IMPERFECTION_RANGES:
+            raise UnknownNameError("imperfection", name, list(IMPERFECTION_RANGES))
     if len(set(config.plants)) != 1:
         raise ConfigurationError(
             f"plant: expected one with --margins, got {', '.join(config.plants) or 'none'}"
         )
     mapper = mapper or SerialMapper()
-    lineup = line_up(config, others, mapper, options, baseline=False)
+    lineup = resolve_lineup(config, extra_controllers, mapper, options, include_baseline=False)
     for scenario, _ in lineup.scenario_plant_pairs:
         if scenario.target_moves:
             rest = ", ".join(one.name for one in SCENARIOS.values() if not one.target_moves)
@@ -83,7 +84,7 @@ def measure_margins(
             for name in names
         ]  # fmt: skip
     results = mapper(jobs)
-    failed = [one for one in results if isinstance(one, Failure)]
+    failed = [one for one in results if isinstance(one, ControllerFailure)]
     without = {(one.scenario, one.controller) for one in failed}
     found = [
         one
@@ -91,7 +92,7 @@ def measure_margins(
         if isinstance(one, Margin) and (one.scenario, one.controller) not in without
     ]
     if failed and not found:
-        raise ControllerError(failed[0].message)
+        raise UserControllerError(failed[0].message)
     return Margins(
         config=config,
         margins=found,
@@ -105,7 +106,11 @@ def _imperfections(
 ) -> tuple[list[str], list[str]]:
     """Imperfections to vary in a scenario, and a note for each one that is left out."""
     head = scenario.model() if lineup.head is None else lineup.head
-    asked = [name for name in SEARCHED if name in (config.imperfections or SEARCHED)]
+    asked = [
+        name
+        for name in IMPERFECTION_RANGES
+        if name in (config.imperfections or IMPERFECTION_RANGES)
+    ]
     names = [name for name in asked if has_effect(name, scenario)]
     notes = [
         f"{name} is left out of {scenario.name}: it has no outliers"

@@ -10,15 +10,27 @@ that both hold is not detected.
 from collections.abc import Callable
 from typing import Final
 
-GRID: Final = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 3 / 8, 1 / 2, 5 / 8, 3 / 4, 7 / 8, 1.0)
+GRID_FRACTIONS: Final = (
+    1 / 64,
+    1 / 32,
+    1 / 16,
+    1 / 8,
+    1 / 4,
+    3 / 8,
+    1 / 2,
+    5 / 8,
+    3 / 4,
+    7 / 8,
+    1.0,
+)
 """Grid values as fractions of the way from the expected value to the end of the search (chosen:
 resolution against number of runs)."""
-HALVINGS: Final = 4
+BISECTIONS: Final = 4
 """Bisections of the bracket (chosen: resolution against number of runs)."""
 
 
 def last_holding_value(holds: Callable[[float], bool], begin: float, end: float) -> float | None:
-    """Search from one value towards another.
+    """Last value on the way to another at which a condition holds, by a grid and a bisection.
 
     Args:
         holds: the condition, tested at a value.
@@ -34,7 +46,7 @@ def last_holding_value(holds: Callable[[float], bool], begin: float, end: float)
     if begin == end:
         return begin
     good = begin
-    for share in GRID:
+    for share in GRID_FRACTIONS:
         value = end if share == 1.0 else _rounded(begin + share * (end - begin))
         if not holds(value):
             return _between(holds, good, value)
@@ -44,7 +56,7 @@ def last_holding_value(holds: Callable[[float], bool], begin: float, end: float)
 
 def _between(holds: Callable[[float], bool], good: float, bad: float) -> float:
     """Bisect between a value at which the condition holds and one at which it fails."""
-    for _ in range(HALVINGS):
+    for _ in range(BISECTIONS):
         middle = _rounded(0.5 * (good + bad))
         if holds(middle):
             good = middle

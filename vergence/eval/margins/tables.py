@@ -3,7 +3,7 @@
 from typing import Final
 
 from vergence.eval.margins.margins import Margin, Margins
-from vergence.eval.margins.ranges import SEARCHED
+from vergence.eval.margins.ranges import IMPERFECTION_RANGES
 from vergence.eval.reporting.report import ReportTable
 from vergence.eval.reporting.text import SectionText, format_number, read_template, render_text
 
@@ -34,7 +34,7 @@ def imperfection_title(imperfection: str) -> str:
     Args:
         imperfection: name of the imperfection.
     """
-    shown = SEARCHED[imperfection]
+    shown = IMPERFECTION_RANGES[imperfection]
     return f"{shown.label} ({shown.unit})" if shown.unit else shown.label
 
 
@@ -62,7 +62,7 @@ def _row(one: Margin) -> list[str]:
 
 def _number(one: Margin, value: float) -> str:
     """Format a value with three significant digits in the shown unit, without trailing zeros."""
-    text = format_number(SEARCHED[one.imperfection].scale * value)
+    text = format_number(IMPERFECTION_RANGES[one.imperfection].scale * value)
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 

@@ -84,8 +84,8 @@ def compose_located(result: LocateResult) -> Figure:
         grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
         for eye, name in enumerate(EYE_NAMES):
             panel = figure.add_subplot(grid[0, eye])
-            draw_detections(panel, shown[eye].image, shown[eye].found, colours)
-            nothing = "" if shown[eye].found else ", nothing found"
+            draw_detections(panel, shown[eye].image, shown[eye].detections, colours)
+            nothing = "" if shown[eye].detections else ", nothing found"
             title = shorten_to_width(
                 f"{name}: {shown[eye].path.name}", 0.35 * _FIGURE_WIDTH_IN, _TITLE_PT
             )

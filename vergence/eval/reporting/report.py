@@ -40,7 +40,7 @@ class ReportTable:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Section:
+class ReportSection:
     """Section of the report for one experiment or one evaluation."""
 
     name: str
@@ -72,7 +72,7 @@ class Section:
     """Configuration values that differ from a full run's."""
 
 
-def write_report(path: Path, sections: list[Section], title: str = "") -> None:
+def write_report(path: Path, sections: list[ReportSection], title: str = "") -> None:
     """Write the report.
 
     Args:
@@ -101,7 +101,7 @@ def write_report(path: Path, sections: list[Section], title: str = "") -> None:
     write_atomic(path, text)
 
 
-def article_summary_rows(sections: list[Section]) -> list[tuple[str, dict[str, Any]]]:
+def article_summary_rows(sections: list[ReportSection]) -> list[tuple[str, dict[str, Any]]]:
     """Rows of the report's summary: each result that the article reports, once.
 
     Args:
@@ -120,7 +120,7 @@ def article_summary_rows(sections: list[Section]) -> list[tuple[str, dict[str, A
     ]
 
 
-def count_verdicts(sections: list[Section]) -> dict[str, int]:
+def count_verdicts(sections: list[ReportSection]) -> dict[str, int]:
     """Count the article's results by verdict, the best verdict first.
 
     Args:

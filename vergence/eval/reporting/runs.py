@@ -63,7 +63,7 @@ def check_folder_free(folder: Path) -> None:
             names = sorted(path.name for path in folder.iterdir())
             if not names:
                 return
-            what = run_folder_of(folder) or f"a folder with {', '.join(names[:3])} in it"
+            what = describe_run_folder(folder) or f"a folder with {', '.join(names[:3])} in it"
         elif folder.exists() or folder.is_symlink():
             what = "a file"
         else:
@@ -97,7 +97,7 @@ def run_folder_command(folder: Path) -> str | None:
     )
 
 
-def run_folder_of(folder: Path) -> str | None:
+def describe_run_folder(folder: Path) -> str | None:
     """Description of a run folder for messages; None if it is no run folder."""
     if (folder / _ROBOT_RECORD_FOLDER).is_dir() and not (folder / "evaluation.json").exists():
         return "an evaluation on a robot that has not ended (--resume goes on with it)"
@@ -174,7 +174,7 @@ def run_folder(folder: Path) -> Iterator[Path]:
         raise _unwritable(folder, error) from error
 
 
-def save_run(folder: Path, write: Callable[[Path], None]) -> Path:
+def save_run_at_free_path(folder: Path, write: Callable[[Path], None]) -> Path:
     """Write a finished run, even if its name was taken while it ran.
 
     Args:
@@ -195,7 +195,7 @@ def save_run(folder: Path, write: Callable[[Path], None]) -> Path:
         ) from error
 
 
-def write_config(
+def write_config_and_head(
     folder: Path, config: "DataclassInstance", head: HeadModel, packages: tuple[str, ...] = ()
 ) -> None:
     """Write the resolved configuration, the head and the versions.

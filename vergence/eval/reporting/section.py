@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from vergence.errors import ConfigurationError
-from vergence.eval.reporting.report import ReportTable, Section
+from vergence.eval.reporting.report import ReportSection, ReportTable
 from vergence.files import atomic_folder, write_atomic
 
 SECTION_FILE: Final = "section.json"
@@ -16,7 +16,7 @@ _FORMAT_VERSION: Final = 1
 """Version of the file's format (numerical)."""
 
 
-def write_section(path: Path, section: Section) -> None:
+def write_section(path: Path, section: ReportSection) -> None:
     """Write a section; its figures must be in the file's folder or below it.
 
     Args:
@@ -31,7 +31,7 @@ def write_section(path: Path, section: Section) -> None:
     write_atomic(path, text + "\n")
 
 
-def read_section(path: Path) -> Section:
+def read_section(path: Path) -> ReportSection:
     """Read a section.
 
     Args:
@@ -48,7 +48,7 @@ def read_section(path: Path) -> Section:
         form = content.pop("format")
         content["tables"] = [ReportTable(**table) for table in content["tables"]]
         content["figures"] = [path.parent / figure for figure in content["figures"]]
-        section = Section(**content)
+        section = ReportSection(**content)
         _check_plain(section)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise ConfigurationError(
@@ -69,7 +69,7 @@ def read_section(path: Path) -> Section:
     return section
 
 
-def _check_plain(section: Section) -> None:
+def _check_plain(section: ReportSection) -> None:
     """Refuse a section with values of types that a report cannot show.
 
     Raises:
@@ -95,7 +95,7 @@ _TEXT_KEYS: Final = ("experiment", "quantity", "method", "axis", "unit", "verdic
 _NUMBER_KEYS: Final = ("article_low", "article_high", "ours_low", "ours_high")
 
 
-def include_section(run: Path, folder: Path) -> Path:
+def include_run_folder(run: Path, folder: Path) -> Path:
     """Copy a run folder, with its section, figures and tables, into a folder of such copies.
 
     Args:
@@ -115,11 +115,11 @@ def include_section(run: Path, folder: Path) -> Path:
     return folder / name
 
 
-def included_sections(folder: Path) -> list[Section]:
+def included_sections(folder: Path) -> list[ReportSection]:
     """Read the sections of all copies in a folder, and give each a unique name.
 
     Args:
-        folder: see `include_section`.
+        folder: see `include_run_folder`.
 
     Returns:
         The sections, sorted by the runs' names.

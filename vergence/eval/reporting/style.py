@@ -51,7 +51,7 @@ def new_figure(width: float = 9.0, height: float = 4.2) -> Figure:
     return figure
 
 
-def log_scale(panel: Axes) -> None:
+def log_y_axis(panel: Axes) -> None:
     """Make the vertical axis logarithmic, with plain numbers at its ticks."""
     panel.set_yscale("log")
     panel.yaxis.set_major_formatter("{x:g}")

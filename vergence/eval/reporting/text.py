@@ -77,7 +77,7 @@ def jinja_environment(**options: Any) -> jinja2.Environment:
         "number": format_number,
         "span": format_range,
         "fixed": format_fixed,
-        "given": format_given,
+        "given": format_input_value,
     }
     return made
 
@@ -111,8 +111,8 @@ def format_fixed(value: float | None, decimals: int = 0, signed: bool = False) -
     return f"+{text}" if signed and float(text) > 0.0 else text
 
 
-def format_given(value: float) -> str:
-    """Format a given number, with its own digits."""
+def format_input_value(value: float) -> str:
+    """Format a configured number, such as an option or a band, with all its digits."""
     return f"{value:zg}"
 
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from vergence.envs.rollout import run_trial
 from vergence.envs.task import GazeTask
-from vergence.errors import ConfigurationError, ControllerError, HardwareError
+from vergence.errors import ConfigurationError, HardwareError, UserControllerError
 from vergence.eval.comparison.config import ROBOT
-from vergence.eval.comparison.contestant_job import Failure
+from vergence.eval.comparison.contestant_job import ControllerFailure
 from vergence.eval.comparison.evaluation import EvaluationResult
 from vergence.eval.comparison.lineup import Lineup
 from vergence.eval.reporting.runs import package_versions
@@ -27,13 +27,13 @@ from vergence.eval.robot.evaluation_record import (
     RecordedTrial,
     TrialKey,
 )
-from vergence.eval.robot.judge import RobotJob, missed_periods
+from vergence.eval.robot.judge import RecordedTrialsJob, missed_periods
 from vergence.eval.robot.stage import TargetStage
 from vergence.eval.trials.run import evaluated_and_run_periods
 from vergence.eval.trials.scenarios import Scenario
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.plant import HardwarePlant
-from vergence.hardware.safety.supervisor import SWINGING
+from vergence.hardware.safety.supervisor import OSCILLATION_REASON
 from vergence.recording.writer import LogWriter
 
 
@@ -63,7 +63,7 @@ class RobotRun:
         *,
         check: Callable[[HardwareConfig], None] = lambda hardware: None,
         keep_going: bool,
-    ) -> list[Failure]:
+    ) -> list[ControllerFailure]:
         """Run the trials that are missing.
 
         Args:
@@ -81,7 +81,7 @@ class RobotRun:
         for scenario in self.scenarios:
             self.stage.target(scenario)  # refuses a target that the stage cannot present
         recorded = self.recorded()
-        failed: list[Failure] = []
+        failed: list[ControllerFailure] = []
         ready = {scenario.name: self._ready(scenario, recorded) for scenario in self.scenarios}
         total = self.episodes * sum(map(len, ready.values()))
         done = set(recorded)
@@ -132,13 +132,17 @@ class RobotRun:
         found = self.record.completed_trials(lambda scenario: steps.get(scenario, sys.maxsize))
         if not self.stage.emulated:  # do not use an emulated head's ground truth here
             found = {
-                key: replace(one, trial=replace(one.trial, truth=None))
+                key: replace(one, trial=replace(one.trial, truths=None))
                 for key, one in found.items()
             }
         return {key: one for key, one in found.items() if key.trial < self.episodes}
 
     def outcomes(
-        self, recorded: Mapping[TrialKey, RecordedTrial], failed: list[Failure], *, keep_going: bool
+        self,
+        recorded: Mapping[TrialKey, RecordedTrial],
+        failed: list[ControllerFailure],
+        *,
+        keep_going: bool,
     ) -> list[EvaluationResult]:
         """Judge the trials of all controllers that have not failed.
 
@@ -154,14 +158,14 @@ class RobotRun:
                 if (scenario.name, contestant.label) in without:
                     continue
                 keys = (TrialKey(scenario.name, contestant.label, i) for i in range(self.episodes))
-                job = RobotJob(
+                job = RecordedTrialsJob(
                     contestant=contestant, resolved=resolved, scenario=scenario, plant=ROBOT,
                     head=self.hardware.head, episodes=self.episodes, seed=self.seed,
                     keep_going=keep_going, hardware=self.hardware,
                     recorded=tuple(recorded[key] for key in keys),
                 )  # fmt: skip
                 outcome = job()
-                if isinstance(outcome, Failure):
+                if isinstance(outcome, ControllerFailure):
                     failed.append(outcome)
                 else:
                     found.append(outcome)
@@ -199,7 +203,7 @@ class _Connection:
         run: RobotRun,
         scenario: Scenario,
         ready: dict[str, RobotController],
-        failed: list[Failure],
+        failed: list[ControllerFailure],
         keep_going: bool,
     ) -> None:
         self._run, self._scenario, self._ready = run, scenario, ready
@@ -258,7 +262,7 @@ class _Connection:
                 went = self._act_attributed(key.controller, trial)
             except HardwareError:
                 stopped = task.plant.fault
-                if not stopped.startswith(SWINGING):
+                if not stopped.startswith(OSCILLATION_REASON):
                     raise
                 went = True  # oscillation counts as a result
             if task.plant.fault:
@@ -288,10 +292,10 @@ class _Connection:
         try:
             with made.attributing_errors():
                 act(made)
-        except ControllerError as error:
+        except UserControllerError as error:
             if not self._keep_going:
                 raise
-            failure = Failure(
+            failure = ControllerFailure(
                 scenario=self._scenario.name, plant=ROBOT, controller=label, message=str(error)
             )
             self._failed.append(failure)

@@ -16,7 +16,7 @@ from vergence.eval.comparison.options import GivenOptions
 from vergence.eval.comparison.user_code import errors_attributed_to
 from vergence.models.head import HeadModel
 
-LOOP: Final = "desk"
+TUNED_OPTIONS_SCENARIO: Final = "desk"
 """Scenario whose tuned options are used on a robot: two turrets and two webcams."""
 
 
@@ -41,13 +41,13 @@ class RobotController:
     policy: Controller
     options: dict[str, Any]
 
-    def __init__(self, found: Contestant, head: HeadModel, options: Mapping[str, Any]) -> None:
-        self.word = found.names[0]
-        self.policy, self.options = found.make(head, ObservationLayout.of(head), options)
+    def __init__(self, contestant: Contestant, head: HeadModel, options: Mapping[str, Any]) -> None:
+        self.name = contestant.names[0]
+        self.policy, self.options = contestant.make(head, ObservationLayout.of(head), options)
         self.sha256 = self.options.pop("sha256", "")
-        if isinstance(found.source, EntryPoint):
+        if isinstance(contestant.source, EntryPoint):
             with suppress(OSError, TypeError):
-                file = inspect.getfile(found.source.load())
+                file = inspect.getfile(contestant.source.load())
                 self.sha256 = hashlib.sha256(Path(file).read_bytes()).hexdigest()
 
     @classmethod
@@ -74,7 +74,7 @@ class RobotController:
         found = make_contestants((spec,), given=over)[0]
         over.check_names(found.names)
         if options is None:
-            options = found.resolve_options(head, LOOP).options
+            options = found.resolve_options(head, TUNED_OPTIONS_SCENARIO).options
         return cls(found, head, options)
 
     @property

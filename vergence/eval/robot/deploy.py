@@ -15,7 +15,7 @@ from vergence.errors import ConfigurationError, VergenceError
 from vergence.eval.reporting.runs import package_versions
 from vergence.eval.robot.config import DeployConfig
 from vergence.eval.robot.controller import RobotController
-from vergence.eval.robot.gazes import MOST_PERIODS, Gazes
+from vergence.eval.robot.gazes import MOST_PERIODS, RobotGazes
 from vergence.eval.robot.stage import REST_TARGET
 from vergence.hardware.config import HardwareConfig, load_hardware
 from vergence.models.head import HeadModel
@@ -51,7 +51,7 @@ class Deployment:
     """Result of a deployment."""
 
     controller: str
-    gazes: Gazes
+    gazes: RobotGazes
     log: Path
     error: VergenceError | KeyboardInterrupt | None
     """Reason for an early end; None if all gazes were run."""
@@ -90,7 +90,7 @@ def deploy(
         ChecksFailedError: the robot must not move yet.
     """
     hardware = load_hardware(config.hardware)
-    gazes = Gazes(steps=_steps(config, hardware.head), dry_run=config.dry_run)
+    gazes = RobotGazes(steps=_steps(config, hardware.head), dry_run=config.dry_run)
     robot = RobotController.of(config.controller, hardware.head, config.options)
     error: VergenceError | KeyboardInterrupt | None = None
     with _open_log(config, hardware, robot, gazes, log) as writer:
@@ -107,14 +107,14 @@ def deploy(
             gazes.stopped = isinstance(stop, VergenceError)
             if isinstance(stop, VergenceError) and not writer.reason:
                 writer.stopped("; ".join(stop.lines))
-    return Deployment(controller=robot.word, gazes=gazes, log=log, error=error)
+    return Deployment(controller=robot.name, gazes=gazes, log=log, error=error)
 
 
 def _gaze(
     config: DeployConfig,
     hardware: HardwareConfig,
     robot: RobotController,
-    gazes: Gazes,
+    gazes: RobotGazes,
     writer: LogWriter,
     show: Callable[[GazeState], None],
 ) -> None:
@@ -172,14 +172,18 @@ def _keep_images(task: GazeTask, log: LogWriter) -> None:
 
 
 def _open_log(
-    config: DeployConfig, hardware: HardwareConfig, robot: RobotController, gazes: Gazes, path: Path
+    config: DeployConfig,
+    hardware: HardwareConfig,
+    robot: RobotController,
+    gazes: RobotGazes,
+    path: Path,
 ) -> LogWriter:
     return LogWriter(
         path,
         head=hardware.head,
         config=hardware.text,
         facts={
-            "controller": robot.word,
+            "controller": robot.name,
             "controller_sha256": robot.sha256,
             "options": robot.stated_options,
             "steps": str(gazes.steps),

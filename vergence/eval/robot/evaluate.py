@@ -10,7 +10,7 @@ from vergence.errors import ConfigurationError
 from vergence.eval.comparison.config import EvaluateConfig
 from vergence.eval.comparison.evaluate import run_and_join
 from vergence.eval.comparison.evaluation import Evaluation
-from vergence.eval.comparison.lineup import line_up
+from vergence.eval.comparison.lineup import resolve_lineup
 from vergence.eval.jobs import Mapper, Progress, SerialMapper
 from vergence.eval.reporting.runs import toml_value
 from vergence.eval.robot.compare import RobotRun
@@ -82,7 +82,7 @@ def evaluate_on_robot(
         VergenceError: a name is unknown, or the value of an option is not allowed.
     """
     mapper = mapper or SerialMapper()
-    lineup = line_up(config, None, mapper)
+    lineup = resolve_lineup(config, None, mapper)
     hardware = lineup.hardware
     if hardware is None or not config.on_robot:
         raise ConfigurationError("plant: expected hardware among the plants, got none")

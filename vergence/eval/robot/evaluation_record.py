@@ -21,7 +21,7 @@ from vergence.files import write_atomic
 from vergence.models.parts import FloatArray
 from vergence.recording.log import LoggedTrial, read_log
 
-FOLDER: Final = "recording"
+RECORD_FOLDER: Final = "recording"
 """Name of the record's folder in a run folder."""
 _CONFIG_FILE: Final = "asked.json"
 _JOURNAL_FILE: Final = "journal.jsonl"
@@ -111,7 +111,7 @@ class EvaluationRecord:
     """
 
     def __init__(self, run: Path, configuration: Mapping[str, Any] | None = None) -> None:
-        self.folder = run / FOLDER
+        self.folder = run / RECORD_FOLDER
         self.unreadable: dict[str, str] = {}
         place = self.folder / _CONFIG_FILE
         try:

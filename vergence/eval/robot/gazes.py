@@ -19,8 +19,8 @@ MOST_PERIODS: Final = 100_000
 
 
 @dataclass(kw_only=True)
-class Gazes:
-    """Gazes of one policy."""
+class RobotGazes:
+    """Gazes that one policy has run on a robot, with their settling and timing metrics."""
 
     steps: int | None
     """Control periods of a whole gaze, without those at its end that wait for the last images; None

@@ -21,16 +21,16 @@ from vergence.eval.trials.results import Trials, join_trials
 from vergence.eval.trials.run import (
     InstrumentedController,
     evaluated_and_run_periods,
-    run_trials_in,
+    run_trial_batch,
 )
 from vergence.eval.trials.scenarios import Scenario
-from vergence.eval.trials.settling import bounded_bands
+from vergence.eval.trials.settling import bands_with_bound
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.loop import loop_variation
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.recording.log import LoggedTrial
-from vergence.recording.replayed import REPLAYED
+from vergence.recording.replayed import REPLAYED_ENTRY_POINT
 from vergence.triangulation import triangulate_views
 
 _MEASURING_WINDOW_S: Final = 0.5
@@ -40,14 +40,16 @@ _PLACEHOLDER_TARGET: Final = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobotJob(EvaluationJob):
+class RecordedTrialsJob(EvaluationJob):
     """Job for the outcome of one controller in one scenario, from trials in a robot's logs."""
 
     hardware: HardwareConfig
     recorded: tuple[RecordedTrial, ...]
     """The recorded trials, in order of their numbers."""
 
-    def _trials(self, controller: Controller, scenario: Scenario, *, observed: int = 0) -> Trials:
+    def _trials(
+        self, controller: Controller, scenario: Scenario, *, observed_trials: int = 0
+    ) -> Trials:
         """Judge the logged trials; the controller runs again on their readings."""
         head, found, points = self.hardware.head, [], []
         _, steps = evaluated_and_run_periods(scenario, head, simulated=False)
@@ -56,13 +58,15 @@ class RobotJob(EvaluationJob):
             if one.entry.stopped:
                 trial = _extended_to_full_length(trial, steps, head.timing.period_s)
             options = {"trials": [trial]}
-            task = GazeTask(1, head=head, plant=REPLAYED, target=REST_TARGET, plant_options=options)
-            timed = InstrumentedController(controller, int(place < observed))
+            task = GazeTask(
+                1, head=head, plant=REPLAYED_ENTRY_POINT, target=REST_TARGET, plant_options=options
+            )
+            timed = InstrumentedController(controller, int(place < observed_trials))
             with errors_attributed_to(controller):
-                trials = run_trials_in(task, timed, scenario, plant=self.plant)
+                trials = run_trial_batch(task, timed, scenario, plant=self.plant)
             trials = replace(
                 trials,
-                stopped=np.array([bool(one.entry.stopped)]),
+                stopped_for_swinging=np.array([bool(one.entry.stopped)]),
                 conditions={"missed_periods": np.array([float(missed_periods(head, one.trial))])},
             )
             if np.isfinite(one.point).all():
@@ -80,7 +84,7 @@ class RobotJob(EvaluationJob):
 
 def missed_periods(head: HeadModel, trial: LoggedTrial) -> int:
     """Number of control periods of a trial that were skipped as the previous one was late."""
-    passed = round(float(trial.reading.time_s[-1, 0]) * head.timing.control_rate_hz)
+    passed = round(float(trial.readings.time_s[-1, 0]) * head.timing.control_rate_hz)
     return passed - trial.steps
 
 
@@ -92,18 +96,18 @@ def _extended_to_full_length(trial: LoggedTrial, steps: int, period_s: float) ->
         return np.concatenate([values, np.repeat(values[-1:], missing, axis=0)])
 
     rest = slice(trial.steps + 1, None)
-    reading = Reading._make(map(longer, trial.reading))
+    reading = Reading._make(map(longer, trial.readings))
     for times in (reading.time_s, reading.joints_s):
         times[rest, 0] += period_s * np.arange(1, missing + 1)
     for speeds in (reading.velocities, reading.command):
         speeds[rest] = 0.0
-    truth = None if trial.truth is None else Truth._make(map(longer, trial.truth))
-    return replace(trial, reading=reading, truth=truth)
+    truth = None if trial.truths is None else Truth._make(map(longer, trial.truths))
+    return replace(trial, readings=reading, truths=truth)
 
 
 def _measured_target(head: HeadModel, trial: LoggedTrial) -> FloatArray:
     """(3,) target position triangulated at the trial's end, in N, m; nan if it was not visible."""
-    reading = trial.reading
+    reading = trial.readings
     held = reading.time_s[:, 0] > reading.time_s[-1, 0] - _MEASURING_WINDOW_S
     rows = held & reading.visible[:, 0].all(axis=-1)
     if not rows.any():
@@ -141,6 +145,7 @@ def robot_settle_bounds(
     with closing(task):
         simulation_of(task.plant).begin(start)
         found = {
-            band.px: settle_bound(task, band.px, sight_s) for band in bounded_bands(trials.band_px)
+            band.px: settle_bound(task, band.px, sight_s)
+            for band in bands_with_bound(trials.band_px)
         }
     return {band_px: np.where(known, one, np.nan) for band_px, one in found.items()}

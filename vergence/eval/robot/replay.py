@@ -17,12 +17,12 @@ from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.gaze_trajectory import MM
 from vergence.eval.robot.config import ReplayConfig
 from vergence.eval.robot.controller import RobotController
-from vergence.eval.robot.gazes import Gazes
+from vergence.eval.robot.gazes import RobotGazes
 from vergence.eval.robot.stage import REST_TARGET
 from vergence.models.parts import FloatArray
 from vergence.recording import Recorder
 from vergence.recording.log import Log, LoggedTrial, read_log
-from vergence.recording.replayed import REPLAYED, ReplayedPlant
+from vergence.recording.replayed import REPLAYED_ENTRY_POINT, ReplayedPlant
 
 _NON_OPTION_ARGUMENTS: Final = ("name", "head", "layout")
 """Arguments of a controller that are not options."""
@@ -73,7 +73,7 @@ class Replay:
     """Content of a log with its metrics."""
 
     log: Log
-    gazes: Gazes
+    gazes: RobotGazes
     results: list[GazeResult]
     """One per gaze."""
     rerun: RerunCommands | None
@@ -93,10 +93,10 @@ class Replay:
         """The result as plain values; None for undefined metrics."""
         return {
             "log": str(self.log.path),
-            "cut_off": self.log.cut_off or None,
+            "cut_off": self.log.truncation_reason or None,
             "controller": self.log.facts.get("controller", "unknown"),
             **self.gazes.summary(),
-            "faults": list(self.log.faults),
+            "faults": list(self.log.stop_reasons),
             "rows": self.gazes.rows(),
             "again": None if self.rerun is None else self.rerun.summary(),
         }
@@ -141,12 +141,12 @@ def _notes(log: Log, config: ReplayConfig, controller: RobotController) -> Itera
     if config.controller in CONTROLLERS or not ran:
         return
     if ran != controller.sha256:
-        yield f"{controller.word} is not the file that ran: its SHA-256 differs from the log's"
+        yield f"{controller.name} is not the file that ran: its SHA-256 differs from the log's"
     elif config.options is None and options != controller.stated_options:
         yield f"the log's controller ran with {options:.200}: --options gives them"
 
 
-class _Silent:
+class _ZeroVelocityPolicy:
     """A policy that commands zero velocities."""
 
     def __init__(self, count: int) -> None:
@@ -187,17 +187,23 @@ def _run(
     notes: tuple[str, ...],
     progress: Callable[[float], None],
 ) -> Replay:
-    policy = _Silent(log.head.actuation.count) if controller is None else controller.policy
+    policy = (
+        _ZeroVelocityPolicy(log.head.actuation.count) if controller is None else controller.policy
+    )
     # the replayed plant starts each trial as the log has it
     task = GazeTask(
-        1, head=log.head, plant=REPLAYED, target=REST_TARGET, plant_options={"trials": log.trials}
+        1,
+        head=log.head,
+        plant=REPLAYED_ENTRY_POINT,
+        target=REST_TARGET,
+        plant_options={"trials": log.trials},
     )
     plant = task.plant
     assert isinstance(plant, ReplayedPlant)
-    gazes = Gazes(
+    gazes = RobotGazes(
         steps=_planned(log),
         dry_run=log.facts.get("dry_run") == str(True),
-        stopped=bool(log.faults),
+        stopped=bool(log.stop_reasons),
     )
     results, computed = [], []
     total, done = sum(trial.steps for trial in log.trials), 0
@@ -222,8 +228,8 @@ def _run(
         done += trial.steps
     found = None
     if controller is not None:
-        logged = [trial.requested() for trial in log.trials]
-        found = RerunCommands(controller=controller.word, logged=logged, computed=computed)
+        logged = [trial.requested_velocities() for trial in log.trials]
+        found = RerunCommands(controller=controller.name, logged=logged, computed=computed)
     return Replay(log=log, gazes=gazes, results=results, rerun=found, notes=notes)
 
 

@@ -28,7 +28,7 @@ def write_replay_folder(folder: Path, replay: Replay, drawn_gaze: int | None = N
         _commands(replay.rerun, log.head).to_csv(folder / "commands.csv", index=False)
     save_head(log.head, folder / schema.HEAD_FILE)
     (folder / schema.CONFIG_FILE).write_text(log.config, encoding="utf-8")
-    if log.cut_off:
+    if log.truncation_reason:
         recover_log(log.path, folder / "recovered.mcap")
     replay.trajectory().to_csv(folder / "trajectory.csv", index=False)
     if replay.results:

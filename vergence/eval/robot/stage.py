@@ -15,7 +15,7 @@ import numpy as np
 from vergence.envs.plant import Plant
 from vergence.envs.targets.target import fixation_angles
 from vergence.errors import ConfigurationError
-from vergence.eval.trials.scenarios import Assignment
+from vergence.eval.trials.scenarios import BaseScenario
 from vergence.hardware.config import HardwareConfig
 from vergence.hardware.config_parts import MeasuredTarget
 from vergence.hardware.plant import HardwarePlant
@@ -30,7 +30,7 @@ REST_TARGET: Final = {"kind": "static", "point": (0.0, 0.0, 1.0)}
 
 
 class TargetStage(ABC):
-    """Provides the target of each trial."""
+    """Way in which the target of each trial is presented to a robot."""
 
     name: str
     """One of `STAGES`."""
@@ -41,7 +41,7 @@ class TargetStage(ABC):
     repeatable: bool = True
     """True if the target of a trial can be placed there again, to run missing controllers."""
 
-    def target(self, scenario: Assignment) -> Mapping[str, Any]:
+    def target(self, scenario: BaseScenario) -> Mapping[str, Any]:
         """Target from which the task draws its trials.
 
         Raises:
@@ -82,7 +82,7 @@ class EmulatorStage(TargetStage):
     description = "an emulated head, whose targets and errors are the true ones"
     emulated = True
 
-    def target(self, scenario: Assignment) -> Mapping[str, Any]:
+    def target(self, scenario: BaseScenario) -> Mapping[str, Any]:
         """See `TargetStage.target`."""
         kind = str(scenario.target.get("kind"))
         if kind in _JUMPING_TARGET_KINDS:
@@ -97,8 +97,8 @@ class EmulatorStage(TargetStage):
         return np.full(3, np.nan)
 
 
-class PlacesStage(TargetStage):
-    """Tags at measured places, another one in each trial.
+class MeasuredTagsStage(TargetStage):
+    """Stage with several fixed tags at measured positions; each trial looks at another one of them.
 
     Args:
         places: the tags.
@@ -123,7 +123,7 @@ class PlacesStage(TargetStage):
         return point
 
 
-class HandStage(TargetStage):
+class HandPlacedStage(TargetStage):
     """A target that a person moves.
 
     Args:
@@ -149,7 +149,7 @@ class HandStage(TargetStage):
         return np.full(3, np.nan)
 
 
-class StillStage(TargetStage):
+class FixedTargetStage(TargetStage):
     """A target that stands still."""
 
     name = "still"
@@ -197,8 +197,8 @@ def make_stage(name: str | None, hardware: HardwareConfig, seed: int = 0) -> Tar
         return EmulatorStage()
     if name == "places":
         _refuse_out_of_reach(hardware)
-        return PlacesStage(hardware.measured_targets, seed)
-    return HandStage(_ask) if name == "hand" else StillStage()
+        return MeasuredTagsStage(hardware.measured_targets, seed)
+    return HandPlacedStage(_ask) if name == "hand" else FixedTargetStage()
 
 
 def _watched() -> bool:

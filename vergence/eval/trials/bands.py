@@ -32,25 +32,25 @@ _WEIGHT_MARGIN: Final = 1e-6
 
 @compiled
 def eye_settling_bands(
-    heads: FloatArray,
+    true_heads: FloatArray,
     nominal: PackedHead,
     targets: FloatArray,
-    band: float,
-    goal: FloatArray,
+    band_px: float,
+    goal_angles: FloatArray,
     half_band: FloatArray,
 ) -> None:
     """Write the goals and bands of the joints of eyes with one motor for each joint.
 
     Args:
-        heads: (n or 1, PACKED) the true heads.
+        true_heads: (n or 1, PACKED) the true heads.
         nominal: (PACKED,) the head that the controller knows.
         targets: (n, 3) in N, m.
-        band: settling band of an eye's error, px.
-        goal: (n, 4) result, goal angles, rad; nan if no angles reach the target.
+        band_px: settling band of an eye's error, px.
+        goal_angles: (n, 4) result, goal angles, rad; nan if no angles reach the target.
         half_band: (n, 4) result, largest deviations from the goals, rad.
     """
     for n in range(targets.shape[0]):
-        true = heads[n] if heads.shape[0] > 1 else heads[0]
+        true = true_heads[n] if true_heads.shape[0] > 1 else true_heads[0]
         for eye in range(2):
             found = eye_goal(true, nominal, eye, targets[n])
             u_per_tilt, u_per_pan, v_per_tilt, v_per_pan = (
@@ -61,9 +61,9 @@ def eye_settling_bands(
             )
             # Diagonal of (J^T J)^-1, with det(J^T J) = det(J)^2. Within the band the image deviates
             # from its linearisation by less than the fraction band / focal length.
-            bend = 1.0 + band / camera_of(nominal, eye).focal_u
-            widest = band * bend / abs(u_per_tilt * v_per_pan - u_per_pan * v_per_tilt)
-            goal[n, 2 * eye], goal[n, 2 * eye + 1] = found.tilt, found.pan
+            bend = 1.0 + band_px / camera_of(nominal, eye).focal_u
+            widest = band_px * bend / abs(u_per_tilt * v_per_pan - u_per_pan * v_per_tilt)
+            goal_angles[n, 2 * eye], goal_angles[n, 2 * eye + 1] = found.tilt, found.pan
             half_band[n, 2 * eye] = widest * sqrt(u_per_pan * u_per_pan + v_per_pan * v_per_pan)
             half_band[n, 2 * eye + 1] = widest * sqrt(
                 u_per_tilt * u_per_tilt + v_per_tilt * v_per_tilt
@@ -72,20 +72,20 @@ def eye_settling_bands(
 
 @compiled
 def actuator_settling_bands(
-    heads: FloatArray,
+    true_heads: FloatArray,
     nominal: PackedHead,
     targets: FloatArray,
-    band: float,
-    goal: FloatArray,
+    band_px: float,
+    goal_angles: FloatArray,
     half_band: FloatArray,
 ) -> None:
     """Write the goals and bands of the actuators of coupled joints, see `eye_settling_bands`."""
     error, jacobian = np.empty((2, 2)), np.empty((2, 2, 2))
     for n in range(targets.shape[0]):
-        true = heads[n] if heads.shape[0] > 1 else heads[0]
-        if not actuator_goal(true, nominal, targets[n], goal[n], error, jacobian):
+        true = true_heads[n] if true_heads.shape[0] > 1 else true_heads[0]
+        if not actuator_goal(true, nominal, targets[n], goal_angles[n], error, jacobian):
             for k in range(SLOTS):
-                goal[n, k] = nan
+                goal_angles[n, k] = nan
             continue
         squares = np.zeros((2, SLOTS, SLOTS))
         focal, off = inf, 0.0
@@ -100,9 +100,9 @@ def actuator_settling_bands(
                             true, jacobian, eye, axis, i
                         )
         # as for an eye alone; off the image's centre the nonlinearity grows with the distance
-        bend = 1.0 + band / focal * (1.0 + 4.0 * off / focal)
+        bend = 1.0 + band_px / focal * (1.0 + 4.0 * off / focal)
         for k in range(SLOTS):
-            half_band[n, k] = band * bend * _widest(squares, k)
+            half_band[n, k] = band_px * bend * _widest(squares, k)
 
 
 @inlined

@@ -37,8 +37,8 @@ from vergence.envs.plants.simulation import simulation_of
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bands import actuator_settling_bands, eye_settling_bands
-from vergence.eval.trials.entry import fastest_entry
-from vergence.eval.trials.goal import least_measured_error
+from vergence.eval.trials.entry import least_entry_time
+from vergence.eval.trials.goal import least_reachable_error
 from vergence.models.actuation import SLOTS, Actuation
 from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
@@ -48,7 +48,7 @@ _PERIOD_TOLERANCE: Final = 1e-6
 
 
 def settle_bound(
-    task: GazeTask, band_px: float = 1.0, sight_s: FloatArray | None = None
+    task: GazeTask, band_px: float = 1.0, first_sight_s: FloatArray | None = None
 ) -> FloatArray:
     """Earliest time at which both eyes can have settled, for trials that have just begun.
 
@@ -57,8 +57,8 @@ def settle_bound(
             at once or after a second jump. Nothing can be known of the second jump before its own
             first image; until then the eyes may have gone anywhere.
         band_px: the settling band, on the norm of each eye's true pixel error.
-        sight_s: (n,) times at which the first image of the target could be read in trials on a
-            robot, s; by default the times of the simulated loop.
+        first_sight_s: (n,) times at which the first image of the target could be read in trials on
+            a robot, s; by default the times of the simulated loop.
 
     Returns:
         (n,) seconds since the onset, rounded up to a control step; 0 for eyes that look there
@@ -87,17 +87,17 @@ def settle_bound(
         half_band,
         np.ascontiguousarray(actuation.actuators_of(truth.positions)[:, EYES]),
         np.ascontiguousarray(truth.motors[:, EYES]),
-        untyped_tuple(MotorLimits.of(actuation)),
-        untyped_tuple(MotorOverrides.of(conditions)),
+        untyped_tuple(EyeActuatorLimits.of(actuation)),
+        untyped_tuple(EyeActuatorOverrides.of(conditions)),
         period,
         motion_s,
     )
-    beyond = truth.pixel_error - least_measured_error(task, truth.target)
+    beyond = truth.pixel_error - least_reachable_error(task, truth.target)
     inside = (np.linalg.norm(beyond, axis=-1) < band_px).all(axis=-1)
     sights = (
         simulation.first_detection_times()
-        if sight_s is None
-        else (sight_s, np.full(task.num, -inf))
+        if first_sight_s is None
+        else (first_sight_s, np.full(task.num, -inf))
     )
     first, last = (np.ceil(sight / period - _PERIOD_TOLERANCE) for sight in sights)
     moves_s = first * period + conditions.command_latency_s
@@ -107,7 +107,7 @@ def settle_bound(
     return np.where(inside, 0.0, settled * period - simulation.onset_s())
 
 
-class MotorLimits(NamedTuple):
+class EyeActuatorLimits(NamedTuple):
     """Motion limits of the eyes' actuators, (4,) each."""
 
     lower: FloatArray
@@ -122,7 +122,7 @@ class MotorLimits(NamedTuple):
     """Lags, as ratios to the head's lag."""
 
     @classmethod
-    def of(cls, actuation: Actuation) -> "MotorLimits":
+    def of(cls, actuation: Actuation) -> "EyeActuatorLimits":
         """Take the limits of a head's eye actuators."""
         return cls(
             *(
@@ -138,7 +138,7 @@ class MotorLimits(NamedTuple):
         )
 
 
-class MotorOverrides(NamedTuple):
+class EyeActuatorOverrides(NamedTuple):
     """Per-trial overrides of the motor limits, (n,) or (n, 4) by actuator of the eyes."""
 
     lag_s: FloatArray
@@ -148,7 +148,7 @@ class MotorOverrides(NamedTuple):
     backlash_rad: FloatArray
 
     @classmethod
-    def of(cls, conditions: Conditions) -> "MotorOverrides":
+    def of(cls, conditions: Conditions) -> "EyeActuatorOverrides":
         """Take the overrides from the trials' conditions.
 
         A second-order response with overshoot o never exceeds (1 + o) / (1 - o) times its greatest
@@ -173,8 +173,8 @@ def _motion_times(
     half_band: FloatArray,
     start: FloatArray,
     begin: FloatArray,
-    motors: MotorLimits,
-    overrides: MotorOverrides,
+    motors: EyeActuatorLimits,
+    overrides: EyeActuatorOverrides,
     period: float,
     times: FloatArray,
 ) -> None:
@@ -185,12 +185,12 @@ def _motion_times(
         half_band: (n, 4) largest deviations from the goals, rad.
         start: (n, 4) present angles of the actuators, rad.
         begin: (n, 4) present angles of their motors, within the backlash, rad.
-        motors: `MotorLimits`, made `untyped_tuple`.
-        overrides: `MotorOverrides`, made `untyped_tuple`.
+        motors: `EyeActuatorLimits`, made `untyped_tuple`.
+        overrides: `EyeActuatorOverrides`, made `untyped_tuple`.
         period: the control period, s.
         times: (n,) result, s.
     """
-    motors, overrides = MotorLimits(*motors), MotorOverrides(*overrides)
+    motors, overrides = EyeActuatorLimits(*motors), EyeActuatorOverrides(*overrides)
     for n in range(times.shape[0]):
         times[n] = 0.0
         for k in range(SLOTS):
@@ -257,4 +257,4 @@ def _entry(
         return inf
     if far >= room:
         far = inf  # the end of the range stops it
-    return fastest_entry(near, far, lag, acceleration, speed, torque_falloff)
+    return least_entry_time(near, far, lag, acceleration, speed, torque_falloff)

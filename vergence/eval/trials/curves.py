@@ -35,7 +35,7 @@ _LEAST_BIN_SAMPLES: Final = 30
 """Least number of samples in a bin; bins with fewer are left out (chosen)."""
 
 
-def error_curves(trials: Trials) -> pd.DataFrame:
+def error_quantile_table(trials: Trials) -> pd.DataFrame:
     """Quantiles over trials, since the onset, of the worse eye's error and the gaze fix's error.
 
     For targets at rest, the residual (the least error that the head can reach) is subtracted.
@@ -74,7 +74,7 @@ def _quantiles(name: str, unit: str, values: FloatArray) -> dict[str, FloatArray
     return {f"{name}_p{level:02d}_{unit}": row for level, row in zip(levels, found, strict=True)}
 
 
-def effective_gains(trials: Trials, layout: ObservationLayout) -> pd.DataFrame:
+def effective_gain_table(trials: Trials, layout: ObservationLayout) -> pd.DataFrame:
     """Effective gains by image error and by time, of the trials whose observations were kept.
 
     Args:

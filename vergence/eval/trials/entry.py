@@ -18,7 +18,7 @@ _BISECTIONS: Final = 60
 
 
 @compiled
-def fastest_entry(
+def least_entry_time(
     near: float, far: float, lag: float, acceleration: float, speed: float, torque_falloff: float
 ) -> float:
     """Least time in which a joint at rest can pass `near` and still stop before `far`.

@@ -14,7 +14,7 @@ from vergence.models.parts import FloatArray
 
 FIXATION_S: Final = 5.0
 """Length of the window at a trial's end for joint speeds while fixating, s (chosen); see
-`fixation_start`."""
+`fixation_window_start`."""
 _APPROACH_S: Final = 2.0
 """Least time between the onset and the fixation window, s; most laws settle within it (chosen)."""
 SWING_RAD_S: Final = float(np.deg2rad(20.0))
@@ -33,8 +33,10 @@ HELD_S: Final = 0.1
 """Time within the band after which a trial counts as having reached it, s (chosen)."""
 
 
-def fixation_start(onset_s: ArrayLike, duration_s: float) -> FloatArray:
-    """Start of the fixation window, for a target that rests from its onset on.
+def fixation_window_start(onset_s: ArrayLike, duration_s: float) -> FloatArray:
+    """Time at which the fixation window starts.
+
+    The part at a trial's end over which joint speeds are judged.
 
     The window is the last `FIXATION_S` of the trial. It starts 2 s after the onset at the earliest,
     or, in trials with less than 4 s after the onset, halfway between the onset and the end.
@@ -51,7 +53,7 @@ def fixation_start(onset_s: ArrayLike, duration_s: float) -> FloatArray:
     return np.asarray(np.maximum(onset + approach, duration_s - FIXATION_S))
 
 
-def speed_rms(time_s: ArrayLike, speed: ArrayLike, after_s: ArrayLike) -> FloatArray:
+def worst_joint_speed_rms(time_s: ArrayLike, speed: ArrayLike, after_s: ArrayLike) -> FloatArray:
     """The root mean square of the worst joint's speed, from a time on.
 
     Args:
@@ -68,7 +70,7 @@ def speed_rms(time_s: ArrayLike, speed: ArrayLike, after_s: ArrayLike) -> FloatA
     return np.asarray(np.sqrt(mean.max(axis=-1)))
 
 
-def speed_peak_to_peak(time_s: ArrayLike, speed: ArrayLike, after_s: ArrayLike) -> FloatArray:
+def worst_joint_speed_range(time_s: ArrayLike, speed: ArrayLike, after_s: ArrayLike) -> FloatArray:
     """The peak-to-peak range of the worst joint's speed, from a time on.
 
     Args:
@@ -94,7 +96,9 @@ def _speeds_and_mask(
     return found, np.broadcast_to(counts[..., None], found.shape)
 
 
-def swings(time_s: ArrayLike, speed: ArrayLike, onset_s: ArrayLike) -> NDArray[np.bool_]:
+def detect_oscillation(
+    time_s: ArrayLike, speed: ArrayLike, onset_s: ArrayLike
+) -> NDArray[np.bool_]:
     """Detect trials whose eyes swing (oscillate) although their target rests.
 
     A trial swings if, at any time later than `TURN_S` after the onset, the peak-to-peak speed of a
@@ -104,7 +108,7 @@ def swings(time_s: ArrayLike, speed: ArrayLike, onset_s: ArrayLike) -> NDArray[n
     and 40 at 2 Hz.
 
     Args:
-        time_s: (steps + 1,) s, evenly spaced, see `speed_rms`.
+        time_s: (steps + 1,) s, evenly spaced, see `worst_joint_speed_rms`.
         speed: (steps, ..., joints) rad/s.
         onset_s: (...) or a scalar, time at which the target comes to rest, s.
 
@@ -125,7 +129,7 @@ def swings(time_s: ArrayLike, speed: ArrayLike, onset_s: ArrayLike) -> NDArray[n
     return np.asarray(_holds_for(swung, whole - window + 1).any(axis=0))
 
 
-def left_again(
+def detect_band_exits(
     time_s: ArrayLike, pixel_error: ArrayLike, band_px: float, onset_s: ArrayLike
 ) -> NDArray[np.bool_]:
     """Detect trials that stayed in a band for `HELD_S` after the onset, and left it again.

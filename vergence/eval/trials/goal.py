@@ -41,8 +41,8 @@ _ACCEPTED_LAST_STEP_RAD: Final = 1e-7
 """Size of the last allowed Gauss-Newton step that still counts as converged, rad (numerical)."""
 
 
-def least_measured_error(task: GazeTask, target: FloatArray) -> FloatArray:
-    """Least errors that a task's heads can reach at their targets.
+def least_reachable_error(task: GazeTask, target: FloatArray) -> FloatArray:
+    """Least pixel errors that the actuators can reach at the targets; 0 without coupled joints.
 
     Args:
         task: the trials; unless they are simulated, the model stands for the true heads.
@@ -82,10 +82,10 @@ def _residuals(
 
 
 @inlined
-def measured_error(
+def noiseless_pixel_error(
     true: PackedHead, nominal: PackedHead, eye: int, tilt: float, pan: float, point: FloatArray
 ) -> tuple[float, float]:
-    """The true pixel error as in `Truth`: a controller's measurement without noise."""
+    """Pixel error (u, v) of the true head for the nominal model, without noise, px."""
     x, y, z = point_in_eye(true, eye, tilt, pan, point[0], point[1], point[2])
     u, v = point_to_pixel(true, eye, x, y, z, True)
     return pixel_error(nominal, eye, u, v)
@@ -103,16 +103,16 @@ class PixelErrorSlopes(NamedTuple):
 
 
 @inlined
-def error_slopes(
+def pixel_error_slopes(
     true: PackedHead, nominal: PackedHead, eye: int, tilt: float, pan: float, point: FloatArray
 ) -> PixelErrorSlopes:
     """An eye's measured error and image Jacobian at given angles."""
     h = _FINITE_DIFFERENCE_RAD
-    u, v = measured_error(true, nominal, eye, tilt, pan, point)
-    ua, va = measured_error(true, nominal, eye, tilt + h, pan, point)
-    ub, vb = measured_error(true, nominal, eye, tilt - h, pan, point)
-    uc, vc = measured_error(true, nominal, eye, tilt, pan + h, point)
-    ud, vd = measured_error(true, nominal, eye, tilt, pan - h, point)
+    u, v = noiseless_pixel_error(true, nominal, eye, tilt, pan, point)
+    ua, va = noiseless_pixel_error(true, nominal, eye, tilt + h, pan, point)
+    ub, vb = noiseless_pixel_error(true, nominal, eye, tilt - h, pan, point)
+    uc, vc = noiseless_pixel_error(true, nominal, eye, tilt, pan + h, point)
+    ud, vd = noiseless_pixel_error(true, nominal, eye, tilt, pan - h, point)
     u_per_tilt, v_per_tilt = 0.5 * (ua - ub) / h, 0.5 * (va - vb) / h
     u_per_pan, v_per_pan = 0.5 * (uc - ud) / h, 0.5 * (vc - vd) / h
     return PixelErrorSlopes(u, v, u_per_tilt, u_per_pan, v_per_tilt, v_per_pan)
@@ -134,7 +134,7 @@ def eye_goal(true: PackedHead, nominal: PackedHead, eye: int, point: FloatArray)
     """Goal angles of an eye with one motor for each joint."""
     tilt, pan = fixate_eye(true, eye, point[0], point[1], point[2])
     for _ in range(_NEWTON_STEPS):
-        u, v, u_per_tilt, u_per_pan, v_per_tilt, v_per_pan = error_slopes(
+        u, v, u_per_tilt, u_per_pan, v_per_tilt, v_per_pan = pixel_error_slopes(
             true, nominal, eye, tilt, pan, point
         )
         determinant = u_per_tilt * v_per_pan - u_per_pan * v_per_tilt
@@ -152,7 +152,7 @@ def actuator_goal(
     true: PackedHead,
     nominal: PackedHead,
     point: FloatArray,
-    actuators: FloatArray,
+    goal_angles: FloatArray,
     error: FloatArray,
     jacobian: FloatArray,
 ) -> bool:
@@ -162,7 +162,7 @@ def actuator_goal(
         true: the true head, packed.
         nominal: the head that the controller knows, packed.
         point: (3,) the target in N, m.
-        actuators: (4,) result: the actuators' goal angles, rad.
+        goal_angles: (4,) result: the actuators' goal angles, rad.
         error: (2, 2) result: the residual there, by eye and image axis, px.
         jacobian: (2, 2, 2) result: derivatives of the errors by eye, image axis and joint of that
             eye, px/rad.
@@ -174,12 +174,14 @@ def actuator_goal(
     if not fixate_coupled(true, point[0], point[1], point[2], joints):
         return False
     for k in range(SLOTS):
-        actuators[k] = eye_actuator_angle(true, k, joints)
+        goal_angles[k] = eye_actuator_angle(true, k, joints)
     for attempt in range(_GAUSS_NEWTON_STEPS):
         for joint in range(4):
-            joints[joint] = eye_joint_angle(true, joint, actuators)
+            joints[joint] = eye_joint_angle(true, joint, goal_angles)
         for eye in range(2):
-            found = error_slopes(true, nominal, eye, joints[2 * eye], joints[2 * eye + 1], point)
+            found = pixel_error_slopes(
+                true, nominal, eye, joints[2 * eye], joints[2 * eye + 1], point
+            )
             error[eye, 0], error[eye, 1] = found.u, found.v
             jacobian[eye, 0, 0], jacobian[eye, 0, 1] = found.u_per_tilt, found.u_per_pan
             jacobian[eye, 1, 0], jacobian[eye, 1, 1] = found.v_per_tilt, found.v_per_pan
@@ -195,5 +197,5 @@ def actuator_goal(
         if size < (_ACCEPTED_LAST_STEP_RAD if last else _CONVERGED_STEP_RAD):
             return True
         for k in range(SLOTS):
-            actuators[k] += step[k]
+            goal_angles[k] += step[k]
     return False

@@ -26,15 +26,17 @@ _COMMON_RANGES: Final[dict[str, Any]] = {
     "model_errors": TWIN_ERRORS,
 }
 """Ranges for two small servos per eye and two cameras, on a bus of their own."""
-HARDWARE: Final = Variation(latency_s=(0.04, 0.13), acceleration_ratio=(0.4, 1.2), **_COMMON_RANGES)
-WEBCAM: Final = Variation(
+HARDWARE_LOOP: Final = Variation(
+    latency_s=(0.04, 0.13), acceleration_ratio=(0.4, 1.2), **_COMMON_RANGES
+)
+WEBCAM_LOOP: Final = Variation(
     latency_s=(0.06, 0.13),
     # 30 to 120 rad/s^2
     acceleration_ratio=(30.0 / 80.0, 120.0 / 80.0),
     **_COMMON_RANGES,
 )
-DESK: Final = replace(
-    WEBCAM,
+DESK_LOOP: Final = replace(
+    WEBCAM_LOOP,
     # a hobby servo differentiates its own angles over several of its own periods
     speed_filter_s=(0.0, 0.08),
     speed_latency_s=(0.0, 0.02),
@@ -56,12 +58,12 @@ DESK: Final = replace(
     # no common trigger: the right eye lags by up to one frame interval
     skew_s=(0.0, 1.0 / 30.0),
 )
-"""Two hobby turrets and two unsynchronised webcams: `WEBCAM` with further faults.
+"""Two hobby turrets and two unsynchronised webcams: `WEBCAM_LOOP` with further faults.
 
 The sizes are typical of such parts, not taken from a real head."""
 TICK_RAD_S: Final = 0.023980823922105444
 """Unit of velocity of Dynamixel's X series, 0.229 rev/min, rad/s (physical)."""
-TICKS: Final = {
+DYNAMIXEL_RESOLUTIONS: Final = {
     "sensor": {
         # encoders with 12 bits per turn, and the velocity unit of Dynamixel's X series
         "encoder_resolution_rad": 0.0015339807878856412,

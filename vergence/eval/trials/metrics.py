@@ -42,7 +42,7 @@ def settle_time(time_s: ArrayLike, pixel_error: ArrayLike, band_px: float) -> Fl
     return np.where(entered < steps, time[np.minimum(entered, steps - 1)], np.nan)
 
 
-def overshoot(pixel_error: ArrayLike, onset: ArrayLike = 0) -> FloatArray:
+def overshoot_fraction(pixel_error: ArrayLike, onset_step: ArrayLike = 0) -> FloatArray:
     """Overshoot of the error beyond its goal, as a fraction of the error at the onset.
 
     The goal is zero, or the residual of a head that cannot reach zero. Each eye's error is
@@ -50,13 +50,13 @@ def overshoot(pixel_error: ArrayLike, onset: ArrayLike = 0) -> FloatArray:
 
     Args:
         pixel_error: (steps, ..., 2, 2) by eye and image axis, less the residual, px.
-        onset: (...) or a scalar, the step at which the target appears or jumps.
+        onset_step: (...) or a scalar, the step at which the target appears or jumps.
 
     Returns:
         (...) 0 for no overshoot, or if neither eye had an error at the onset.
     """
     error = np.asarray(pixel_error, dtype=np.float64)
-    begun = np.broadcast_to(np.asarray(onset, dtype=np.int64), error.shape[1:-2])
+    begun = np.broadcast_to(np.asarray(onset_step, dtype=np.int64), error.shape[1:-2])
     first = np.take_along_axis(error, begun[None, ..., None, None], axis=0)
     square = np.sum(first**2, axis=-1)
     along = np.sum(error * first, axis=-1) / np.where(square > 0.0, square, np.nan)
@@ -66,7 +66,7 @@ def overshoot(pixel_error: ArrayLike, onset: ArrayLike = 0) -> FloatArray:
     return np.asarray(np.fmax(0.0, beyond))
 
 
-def error_norm(pixel_error: ArrayLike, missing_px: float) -> FloatArray:
+def binocular_rms_error(pixel_error: ArrayLike, missing_px: float) -> FloatArray:
     """The error of the head: the root mean square of both eyes' errors.
 
     Args:
@@ -81,7 +81,7 @@ def error_norm(pixel_error: ArrayLike, missing_px: float) -> FloatArray:
     return np.asarray(np.sqrt(square.mean(axis=-1)))
 
 
-def steady_state_error(
+def steady_state_rms(
     time_s: ArrayLike, pixel_error: ArrayLike, missing_px: float, window_s: float = STEADY_S
 ) -> FloatArray:
     """The root mean square of the error over a trial's end.
@@ -96,7 +96,7 @@ def steady_state_error(
         (...) px.
     """
     time = np.asarray(time_s)
-    norm = error_norm(np.asarray(pixel_error)[time > time[-1] - window_s], missing_px)
+    norm = binocular_rms_error(np.asarray(pixel_error)[time > time[-1] - window_s], missing_px)
     return np.asarray(np.sqrt(np.mean(norm**2, axis=0)))
 
 
@@ -114,7 +114,7 @@ def tracking_rms(
     Returns:
         (...) px; nan for trials that are over by then.
     """
-    square = error_norm(pixel_error, missing_px) ** 2
+    square = binocular_rms_error(pixel_error, missing_px) ** 2
     counts = mask_from_time(time_s, after_s, square.shape[1:])
     with np.errstate(invalid="ignore"):
         mean = np.sum(square, axis=0, where=counts) / counts.sum(axis=0)
@@ -152,20 +152,20 @@ def tracking_lag(
 
 
 def mask_from_time(
-    time_s: ArrayLike, after_s: ArrayLike, trials: tuple[int, ...]
+    time_s: ArrayLike, after_s: ArrayLike, trials_shape: tuple[int, ...]
 ) -> NDArray[np.bool_]:
     """Mask the steps at or after a given time of each trial.
 
     Args:
         time_s: (steps,) s.
         after_s: (...) or a scalar, s.
-        trials: the shape `...`.
+        trials_shape: the shape `...`.
 
     Returns:
         (steps, ...) True from that time on.
     """
-    time = np.reshape(np.asarray(time_s), (-1, *(1,) * len(trials)))
-    return np.asarray(time >= np.broadcast_to(after_s, trials) - _TIME_TOLERANCE_S)
+    time = np.reshape(np.asarray(time_s), (-1, *(1,) * len(trials_shape)))
+    return np.asarray(time >= np.broadcast_to(after_s, trials_shape) - _TIME_TOLERANCE_S)
 
 
 def command_energy(command: ArrayLike, period_s: float) -> FloatArray:

@@ -7,7 +7,7 @@ from vergence.envs.plants.simulation import Simulation
 from vergence.envs.streams import IntArray
 from vergence.envs.task import GazeTask
 from vergence.eval.trials.results import BAND_PX, Trials
-from vergence.eval.trials.settling import bounded_bands
+from vergence.eval.trials.settling import bands_with_bound
 from vergence.models.joints import EYES
 from vergence.models.parts import FloatArray
 from vergence.recording import Recorder
@@ -77,11 +77,11 @@ def trials_from_record(
         command=reading.command[rows][1:, :, EYES],
         visible=reading.visible[rows],
         lost=np.logical_or.reduce(record.lost[rows]),
-        stopped=np.zeros(task.num, dtype=np.bool_),
+        stopped_for_swinging=np.zeros(task.num, dtype=np.bool_),
         positions=positions,
         speed=np.diff(driven[..., EYES], axis=0) / float(head.timing.period_s),
         target=target,
-        bounds_s={band.px: np.full(task.num, np.nan) for band in bounded_bands(band_px)},
+        bounds_s={band.px: np.full(task.num, np.nan) for band in bands_with_bound(band_px)},
         conditions=_conditions(task),
         observation=np.empty((count - 1, 0, task.layout.size), np.float32),
         predict_us=np.nan,

@@ -24,7 +24,10 @@ _ZERO_RESIDUAL_PX: Final = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trials:
-    """Trajectories of n trials of a controller; step k is k control periods after the start."""
+    """Recorded trajectories of n trials of a controller, and their metrics.
+
+    Index k along the time axis is k control periods after a trial's start.
+    """
 
     scenario: str
     plant: str
@@ -56,7 +59,7 @@ class Trials:
     """(steps + 1, n, 2) True if the target is visible in an eye's newest image."""
     lost: NDArray[np.bool_]
     """(n,) True if the target was ever lost, by the task's rule."""
-    stopped: NDArray[np.bool_]
+    stopped_for_swinging: NDArray[np.bool_]
     """(n,) True if a robot was stopped before the end because it swung (oscillated)."""
     positions: FloatArray
     """(steps + 1, n, 7) joint angles as the sensors report them, rad."""
@@ -137,50 +140,54 @@ class Trials:
 
     @cached_property
     def swings(self) -> NDArray[np.bool_]:
-        """(n,) True if the eyes swing, see `fixation.swings`, or the robot was `stopped` for it.
+        """(n,) True if the eyes swing, see `detect_oscillation`, or the robot was `stopped` for it.
 
         False for targets that never rest.
         """
         if self.target_moves:
             return np.zeros(self.num, dtype=np.bool_)
-        return self.stopped | fixation.swings(self.time_s, self.speed, self.onset_s)
+        return self.stopped_for_swinging | fixation.detect_oscillation(
+            self.time_s, self.speed, self.onset_s
+        )
 
     @cached_property
     def left_again(self) -> NDArray[np.bool_]:
         """(n,) see `fixation.left_again`, for the leading band; otherwise as `swings`."""
         if self.target_moves:
             return np.zeros(self.num, dtype=np.bool_)
-        return fixation.left_again(self.time_s, self.reducible_error, self.band_px, self.onset_s)
+        return fixation.detect_band_exits(
+            self.time_s, self.reducible_error, self.band_px, self.onset_s
+        )
 
     @cached_property
     def fixation_rms_rad_s(self) -> FloatArray:
-        """(n,) see `fixation.speed_rms`, over the fixation; nan for targets that never rest."""
+        """(n,) `fixation.worst_joint_speed_rms`; nan if the target never rests."""
         if self.target_moves:
             return np.full(self.num, np.nan)
-        return fixation.speed_rms(self.time_s, self.speed, self._fixation_start)
+        return fixation.worst_joint_speed_rms(self.time_s, self.speed, self._fixation_start)
 
     @cached_property
     def fixation_peak_to_peak_rad_s(self) -> FloatArray:
-        """(n,) see `fixation.speed_peak_to_peak`; otherwise as `fixation_rms_rad_s`."""
+        """(n,) see `fixation.worst_joint_speed_range`; otherwise as `fixation_rms_rad_s`."""
         if self.target_moves:
             return np.full(self.num, np.nan)
-        return fixation.speed_peak_to_peak(self.time_s, self.speed, self._fixation_start)
+        return fixation.worst_joint_speed_range(self.time_s, self.speed, self._fixation_start)
 
     @property
     def _fixation_start(self) -> FloatArray:
-        return fixation.fixation_start(self.onset_s, self.duration_s)
+        return fixation.fixation_window_start(self.onset_s, self.duration_s)
 
     @cached_property
     def overshoot(self) -> FloatArray:
         """(n,) see `metrics.overshoot`: beyond the residual."""
-        return metrics.overshoot(
+        return metrics.overshoot_fraction(
             self.reducible_error, np.searchsorted(self.time_s, self.onset_s - _TIME_TOLERANCE_S)
         )
 
     @cached_property
     def steady_px(self) -> FloatArray:
-        """(n,) see `metrics.steady_state_error`: beyond the residual, px."""
-        return metrics.steady_state_error(self.time_s, self.reducible_error, self.missing_px)
+        """(n,) see `metrics.steady_state_rms`: beyond the residual, px."""
+        return metrics.steady_state_rms(self.time_s, self.reducible_error, self.missing_px)
 
     @cached_property
     def tracking_px(self) -> FloatArray:
@@ -270,7 +277,7 @@ def join_trials(parts: Sequence[Trials]) -> Trials:
         command=np.concatenate([part.command for part in parts], axis=1),
         visible=np.concatenate([part.visible for part in parts], axis=1),
         lost=np.concatenate([part.lost for part in parts]),
-        stopped=np.concatenate([part.stopped for part in parts]),
+        stopped_for_swinging=np.concatenate([part.stopped_for_swinging for part in parts]),
         positions=np.concatenate([part.positions for part in parts], axis=1),
         speed=np.concatenate([part.speed for part in parts], axis=1),
         target=np.concatenate([part.target for part in parts], axis=1),

@@ -29,11 +29,11 @@ from vergence.envs.rollout import rollout
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
-from vergence.eval.trials.goal import least_measured_error
+from vergence.eval.trials.goal import least_reachable_error
 from vergence.eval.trials.recorded import trials_from_record
 from vergence.eval.trials.results import Trials, headline_metric, join_trials
-from vergence.eval.trials.scenarios import Assignment, Scenario, explaining_target_errors
-from vergence.eval.trials.settling import bounded_bands
+from vergence.eval.trials.scenarios import BaseScenario, Scenario, explaining_target_errors
+from vergence.eval.trials.settling import bands_with_bound
 from vergence.models.head import HeadModel
 from vergence.recording import Recorder
 
@@ -57,8 +57,8 @@ def run_trials(
     seed: int = 0,
     head: str | HeadModel | None = None,
     first_trial: int = 0,
-    batch: int | None = None,
-    observed: int = 0,
+    batch_size: int | None = None,
+    observed_trials: int = 0,
     progress: Callable[[float], None] | None = None,
     clock_ns: Callable[[], int] = time.perf_counter_ns,
 ) -> Trials:
@@ -77,8 +77,8 @@ def run_trials(
         seed: index of the seed within the split.
         head: a head other than the scenario's; None for the scenario's.
         first_trial: the number of the first trial.
-        batch: trials in a batch; by default `BATCH` or the plant's limit, if that is lower.
-        observed: number of trials, from the first, whose observations are kept.
+        batch_size: trials in a batch; by default `BATCH` or the plant's limit, if that is lower.
+        observed_trials: number of trials, from the first, whose observations are kept.
         progress: callback with the fraction of steps done.
         clock_ns: clock that times `predict`, in nanoseconds.
 
@@ -90,18 +90,20 @@ def run_trials(
     """
     if episodes < 1:
         raise ConfigurationError(f"episodes: expected at least 1, got {episodes}")
-    size = min(episodes, BATCH if batch is None else batch)
+    size = min(episodes, BATCH if batch_size is None else batch_size)
     if (most := plant_type(plant).max_num) is not None:
         size = min(size, most)
     if size < 1:
-        raise ConfigurationError(f"batch: expected at least 1, got {batch}")
+        raise ConfigurationError(f"batch_size: expected at least 1, got {batch_size}")
     keyed = scenario.seed(split, seed)
     parts = []
     for begin in range(0, episodes, size):
         num = min(size, episodes - begin)
         with closing(scenario.task(num, plant=plant, head=head)) as task:
-            timed = InstrumentedController(controller, max(0, min(num, observed - begin)), clock_ns)
-            part = run_trials_in(
+            timed = InstrumentedController(
+                controller, max(0, min(num, observed_trials - begin)), clock_ns
+            )
+            part = run_trial_batch(
                 task,
                 timed,
                 scenario,
@@ -134,11 +136,11 @@ class InstrumentedController:
     def __init__(
         self,
         controller: Policy,
-        observed: int,
+        observed_trials: int,
         clock_ns: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         self._controller = controller
-        self._observed = observed
+        self._observed = observed_trials
         self._clock_ns = clock_ns
         self.spent_ns: list[int] = []
         self.observations: list[NDArray[np.float32]] = []
@@ -161,12 +163,12 @@ class InstrumentedController:
 
 
 def evaluated_and_run_periods(
-    assignment: Assignment, head: HeadModel, *, simulated: bool
+    scenario: BaseScenario, head: HeadModel, *, simulated: bool
 ) -> tuple[int, int]:
     """Control periods of a trial, evaluated and run.
 
     Args:
-        assignment: the trial's assignment.
+        scenario: the trial's assignment.
         head: the head that runs it.
         simulated: True on a simulated plant.
 
@@ -174,14 +176,14 @@ def evaluated_and_run_periods(
         Number of periods to evaluate, and number to run: without a simulation more are run, as the
         last error is known only after the latency of its image.
     """
-    steps = max(1, round(assignment.duration_s * head.timing.control_rate_hz))
+    steps = max(1, round(scenario.duration_s * head.timing.control_rate_hz))
     return steps, steps + (0 if simulated else head.timing.latency_frames)
 
 
-def run_trials_in(
+def run_trial_batch(
     task: GazeTask,
-    timed: InstrumentedController,
-    scenario: Assignment,
+    controller: InstrumentedController,
+    scenario: BaseScenario,
     *,
     plant: str,
     seed: int = 0,
@@ -192,7 +194,7 @@ def run_trials_in(
 
     Args:
         task: the task, one head per trial.
-        timed: the controller.
+        controller: the controller.
         scenario: the scenario to run.
         plant: name of the plant.
         seed: seed of the trials' random streams.
@@ -220,7 +222,7 @@ def run_trials_in(
             known.update(_known_at_the_start(task, task.plant, scenario))
 
     with explaining_target_errors(scenario.name):
-        rollout(task, timed, all_steps, keep, seed=seed, first_trial=first_trial)
+        rollout(task, controller, all_steps, keep, seed=seed, first_trial=first_trial)
     trials = trials_from_record(
         task,
         record,
@@ -232,21 +234,23 @@ def run_trials_in(
         catch_up_s=scenario.catch_up_s,
     )
     # a robot's rollout calls `predict` once before the first step
-    first = len(timed.spent_ns) - all_steps
+    first = len(controller.spent_ns) - all_steps
     asked = slice(first, first + steps)
     return replace(
         trials,
-        observation=np.stack(timed.observations[asked]),
-        predict_us=float(np.median(timed.spent_ns[asked])) / 1e3 / task.num,
+        observation=np.stack(controller.observations[asked]),
+        predict_us=float(np.median(controller.spent_ns[asked])) / 1e3 / task.num,
         **known,
     )
 
 
-def _known_at_the_start(task: GazeTask, plant: Simulation, scenario: Assignment) -> dict[str, Any]:
+def _known_at_the_start(
+    task: GazeTask, plant: Simulation, scenario: BaseScenario
+) -> dict[str, Any]:
     """Onsets, bounds and residuals of simulated trials that have just begun."""
     known: dict[str, Any] = {"onset_s": plant.onset_s()}
     if not scenario.target_moves:
-        bands = bounded_bands(scenario.band_px)
+        bands = bands_with_bound(scenario.band_px)
         known["bounds_s"] = {band.px: settle_bound(task, band.px) for band in bands}
-        known["residual"] = least_measured_error(task, plant.truth_at_rest().target)
+        known["residual"] = least_reachable_error(task, plant.truth_at_rest().target)
     return known

@@ -21,7 +21,14 @@ from vergence.errors import (
     UnreachableTargetError,
     did_you_mean,
 )
-from vergence.eval.trials.loops import DESK, HARDWARE, LATEST_ONSET_S, TICK_RAD_S, TICKS, WEBCAM
+from vergence.eval.trials.loops import (
+    DESK_LOOP,
+    DYNAMIXEL_RESOLUTIONS,
+    HARDWARE_LOOP,
+    LATEST_ONSET_S,
+    TICK_RAD_S,
+    WEBCAM_LOOP,
+)
 from vergence.eval.trials.twin_errors import TWIN_ERRORS
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
@@ -35,8 +42,8 @@ _VECTOR_SEED_STRIDE: Final = 2**20
 
 
 @dataclass(frozen=True, kw_only=True)
-class Assignment:
-    """The task that trials set a head, simulated or real."""
+class BaseScenario:
+    """Target, duration and settling band of trials, which simulated heads and robots share."""
 
     name: str
     description: str
@@ -74,7 +81,7 @@ class Assignment:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scenario(Assignment):
+class Scenario(BaseScenario):
     """An assignment and its simulation."""
 
     head: str = "simulated"
@@ -171,10 +178,10 @@ _SCENARIOS = (
         description="the workspace through a robot's loop: late, jittering, noisy, with play "
         "and faults",
         target={"kind": "random", "border": 30.0},
-        head_overrides=TICKS,
+        head_overrides=DYNAMIXEL_RESOLUTIONS,
         duration_s=3.0,
         band_px=2.0,
-        variation=HARDWARE,
+        variation=HARDWARE_LOOP,
     ),
     Scenario(
         name="webcam",
@@ -185,7 +192,7 @@ _SCENARIOS = (
         target={"kind": "random", "border": 30.0},
         duration_s=3.0,
         band_px=2.0,
-        variation=WEBCAM,
+        variation=WEBCAM_LOOP,
     ),
     Scenario(
         name="desk",
@@ -195,7 +202,7 @@ _SCENARIOS = (
         target={"kind": "random", "border": 30.0},
         duration_s=8.0,
         band_px=2.0,
-        variation=DESK,
+        variation=DESK_LOOP,
     ),
     Scenario(
         name="step",

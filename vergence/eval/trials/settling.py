@@ -7,7 +7,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, order=True)
-class Band:
+class SettlingBand:
     """A band of settling, on the norm of each eye's error, and the names of its columns.
 
     Names hold the band's width, as in `settle_2px_s`, `settle_05px_s`, `settle_2_5px_s` and
@@ -28,73 +28,73 @@ class Band:
         return "" if self == ONE_PX else f"_{self._name}"
 
     @property
-    def settle_s(self) -> str:
+    def settle_s_column(self) -> str:
         """A trial's settle time."""
         return f"settle_{self._name}_s"
 
     @property
-    def bound_s(self) -> str:
+    def bound_s_column(self) -> str:
         """A trial's time-optimal bound."""
         return f"bound{self._tail}_s"
 
     @property
-    def ratio(self) -> str:
+    def ratio_column(self) -> str:
         """A trial's ratio of settle time to bound."""
         return f"ratio_to_bound{self._tail}"
 
     @property
-    def settled(self) -> str:
+    def settled_column(self) -> str:
         """True if a trial settled."""
         return f"settled{self._tail}"
 
     @property
-    def settled_fraction(self) -> str:
+    def settled_fraction_column(self) -> str:
         """The fraction of the trials that settled."""
-        return f"{self.settled}_fraction"
+        return f"{self.settled_column}_fraction"
 
     @property
-    def settle_median_s(self) -> str:
+    def settle_median_s_column(self) -> str:
         """The median settle time."""
         return f"settle_{self._name}_median_s"
 
     @property
-    def settle_p95_s(self) -> str:
+    def settle_p95_s_column(self) -> str:
         """The 95th percentile of the settle times."""
         return f"settle_{self._name}_p95_s"
 
     @property
-    def ratio_median(self) -> str:
+    def ratio_median_column(self) -> str:
         """The median ratio to the bound."""
-        return f"{self.ratio}_median"
+        return f"{self.ratio_column}_median"
 
     @property
-    def ratio_p95(self) -> str:
+    def ratio_p95_column(self) -> str:
         """The 95th percentile of the ratios to the bound."""
-        return f"{self.ratio}_p95"
+        return f"{self.ratio_column}_p95"
 
 
-ONE_PX: Final = Band(1.0)
+ONE_PX: Final = SettlingBand(1.0)
 """Band of one pixel (chosen)."""
-_STANDARD_BANDS: Final = (ONE_PX, Band(2.0))
+_STANDARD_BANDS: Final = (ONE_PX, SettlingBand(2.0))
 """Bands of every table (chosen): 2 px leads in scenarios whose backlash and quantisation of
 commands and encoders are as large as a pixel."""
-HALF_PX: Final = Band(0.5)
+HALF_PX: Final = SettlingBand(0.5)
 """Band with settle times in every table, but with a bound only if it leads (chosen)."""
 
 
-def bounded_bands(leading_px: float) -> list[Band]:
+def bands_with_bound(leading_band_px: float) -> list[SettlingBand]:
     """The bands to which a scenario's trials have time-optimal bounds, narrowest first.
 
     Args:
-        leading_px: the scenario's leading band, px.
+        leading_band_px: the scenario's leading band, px.
     """
-    return sorted({*_STANDARD_BANDS, Band(leading_px)})
+    return sorted({*_STANDARD_BANDS, SettlingBand(leading_band_px)})
 
 
-def timed_bands(leading_px: float) -> list[Band]:
+def bands_with_settle_time(leading_band_px: float) -> list[SettlingBand]:
     """The bands whose settle times tables hold: those with a bound, and 0.5 px; narrowest first.
 
     Args:
-        leading_px: the scenario's leading band, px.
+        leading_band_px: the scenario's leading band, px.
     """
-    return sorted({HALF_PX, *bounded_bands(leading_px)})
+    return sorted({HALF_PX, *bands_with_bound(leading_band_px)})

@@ -10,7 +10,12 @@ import shlex
 from collections.abc import Sequence
 from typing import Final
 
-from vergence.controllers.tuned import TunedEntry, check_writable, user_table_path, write_tuned
+from vergence.controllers.tuned import (
+    TunedEntry,
+    check_table_writable,
+    user_table_path,
+    write_tuned,
+)
 from vergence.errors import ConfigurationError
 from vergence.eval.jobs import Mapper
 from vergence.eval.trials.scenarios import Scenario
@@ -28,14 +33,14 @@ best gain)."""
 
 
 def tune_baseline(
-    scenario: Scenario, head: HeadModel, source: str | None, mapper: Mapper
+    scenario: Scenario, head: HeadModel, head_source: str | None, mapper: Mapper
 ) -> TunedEntry:
     """Find the best fixed gain and save it in the user's table of tuned options.
 
     Args:
         scenario: the scenario whose training trials judge the gains.
         head: the head that moves and that the law knows.
-        source: source of the head: a preset's name or a path; None for the scenario's head.
+        head_source: source of the head: a preset's name or a path; None for the scenario's head.
         mapper: runs the trials.
 
     Returns:
@@ -45,8 +50,8 @@ def tune_baseline(
         ConfigurationError: the table cannot be written.
     """
     words = ["vergence", "evaluate", "ibvs-tuned", "--scenario", scenario.name]
-    words += [] if source is None else ["--head", absolute_source(source)]
-    check_writable(user_table_path())  # before the search, which takes a minute
+    words += [] if head_source is None else ["--head", absolute_source(head_source)]
+    check_table_writable(user_table_path())  # before the search, which takes a minute
     gain = best_gain(scenario, head, mapper)
     entry = TunedEntry(
         controller="ibvs",

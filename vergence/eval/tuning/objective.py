@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.controllers.controller import make_controller
-from vergence.controllers.tuned import evaluated_controller
+from vergence.controllers.tuned import name_for_evaluation
 from vergence.eval.jobs import Mapper, SerialMapper
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import Scenario
@@ -22,7 +22,7 @@ Objective = Callable[[Options], Mapping[str, float]]
 """Function from options to results: `headline` (smaller is better), `mean` (which breaks ties),
 `settled_fraction` if trials can fail, and other numbers to record."""
 
-LEAST_SETTLED: Final = 0.99
+MIN_SETTLED_FRACTION: Final = 0.99
 """Fraction of settled trials below which the loss exceeds the headline metric (chosen)."""
 _FAILURE_PENALTY: Final = 10.0
 """Relative increase of the loss per fraction of settled trials that is missing: 10 % per percentage
@@ -43,17 +43,19 @@ class Attempt:
     @property
     def rank(self) -> tuple[float, float]:
         """Sort key, loss and then mean; smaller is better."""
-        return loss(self.results), self.results["mean"]
+        return failure_penalised_metric(self.results), self.results["mean"]
 
 
-def loss(results: Mapping[str, float]) -> float:
-    """Loss that a search minimises: the headline metric, plus a tenth per per cent of failures.
+def failure_penalised_metric(results: Mapping[str, float]) -> float:
+    """Headline metric with a penalty for failed trials: the value that a search minimises.
+
+    Each percentage point of settled trials missing below 99 % increases it by 10 %.
 
     The median alone would sacrifice almost half of all trials for a shorter settle time of the
     rest. The first per cent of failures has no penalty: the metric includes failed trials already,
     with their whole duration.
     """
-    short = max(0.0, LEAST_SETTLED - results.get("settled_fraction", 1.0))
+    short = max(0.0, MIN_SETTLED_FRACTION - results.get("settled_fraction", 1.0))
     return results["headline"] * (1.0 + _FAILURE_PENALTY * short)
 
 
@@ -77,7 +79,7 @@ class TrialsJob:
         """
         options: dict[str, Any] = self.options
         trials = run_trials(
-            make_controller(evaluated_controller(self.config.controller), self.head, **options),
+            make_controller(name_for_evaluation(self.config.controller), self.head, **options),
             self.scenario,
             episodes=len(self.trial_numbers),
             plant=self.config.plant,
@@ -127,16 +129,18 @@ def controller_objective(
     return judge
 
 
-def summarise_trials(parts: Sequence[tuple[FloatArray, NDArray[np.bool_]]]) -> dict[str, float]:
+def summarise_trials(
+    job_results: Sequence[tuple[FloatArray, NDArray[np.bool_]]],
+) -> dict[str, float]:
     """Summarise the trials of a point.
 
     Args:
-        parts: results of the point's jobs.
+        job_results: results of the point's jobs.
 
     Returns:
         See `Objective`.
     """
-    values, good = (np.concatenate(part) for part in zip(*parts, strict=True))
+    values, good = (np.concatenate(part) for part in zip(*job_results, strict=True))
     return {
         "headline": float(np.median(values)),
         "mean": float(np.mean(values)),

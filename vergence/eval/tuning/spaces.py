@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import Final, Literal, NamedTuple
 
 from vergence.controllers.controller import CONTROLLERS
-from vergence.controllers.tuned import tuned_controller
+from vergence.controllers.tuned import name_in_tuned_table
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.eval.tuning.config import LEARNED
 
@@ -72,7 +72,7 @@ def search_space(controller: str) -> dict[str, SearchRange]:
         UnknownNameError: there is no such controller.
         ConfigurationError: it has nothing to tune.
     """
-    name = tuned_controller(controller)
+    name = name_in_tuned_table(controller)
     if name not in SEARCH_SPACES:
         known = [*sorted(SEARCH_SPACES), *LEARNED]
         if name in CONTROLLERS:
@@ -86,7 +86,7 @@ def search_space(controller: str) -> dict[str, SearchRange]:
 
 def default_point(controller: str, search_ranges: Mapping[str, SearchRange]) -> Options | None:
     """The controller's defaults; None if one is missing or outside its search range."""
-    module, _, attribute = CONTROLLERS.get(tuned_controller(controller), "").partition(":")
+    module, _, attribute = CONTROLLERS.get(name_in_tuned_table(controller), "").partition(":")
     if not module:
         return None
     known = inspect.signature(getattr(import_module(module), attribute)).parameters

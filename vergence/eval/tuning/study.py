@@ -21,7 +21,7 @@ from optuna.samplers import BaseSampler, GridSampler, TPESampler
 from optuna.trial import FrozenTrial, TrialState
 
 from vergence.errors import ConfigurationError, VergenceError
-from vergence.eval.tuning.objective import Attempt, Objective, loss
+from vergence.eval.tuning.objective import Attempt, Objective, failure_penalised_metric
 from vergence.eval.tuning.spaces import SearchRange
 from vergence.eval.tuning.study_storage import open_study
 
@@ -151,7 +151,7 @@ def _fill(
             raise
         for name, value in found.items():
             trial.set_user_attr(name, float(value))
-        study.tell(trial, loss(found))
+        study.tell(trial, failure_penalised_metric(found))
     progress(search.total, search.total)
     return refused
 

@@ -28,11 +28,11 @@ _RETRY_PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, None)
 
 
 @contextmanager
-def open_study(place: str, name: str, sampler: BaseSampler) -> Iterator[Study]:
+def open_study(file_or_url: str, name: str, sampler: BaseSampler) -> Iterator[Study]:
     """Open or create a study; its connections are closed at the end of the context.
 
     Args:
-        place: a file, which is created if it does not exist, or the URL of a database.
+        file_or_url: a file, which is created if it does not exist, or the URL of a database.
         name: the study's name.
         sampler: the sampler that chooses its points.
 
@@ -43,18 +43,18 @@ def open_study(place: str, name: str, sampler: BaseSampler) -> Iterator[Study]:
         ConfigurationError: the storage cannot be opened, read or written.
     """
     try:
-        study, storage = _create(place, name, sampler)
+        study, storage = _create(file_or_url, name, sampler)
     except (SQLAlchemyError, ImportError, RuntimeError) as error:
         raise ConfigurationError(
             f"storage: expected a SQLite file or a PostgreSQL URL that can be opened, got "
-            f"{without_password(place)}: {str(error).splitlines()[0]}"
+            f"{without_password(file_or_url)}: {str(error).splitlines()[0]}"
         ) from error
     try:
         yield study
     except (SQLAlchemyError, StorageInternalError) as error:
         cause = error.__cause__ if isinstance(error, StorageInternalError) else error
         raise ConfigurationError(
-            f"storage: {without_password(place)} can no longer be read or written: "
+            f"storage: {without_password(file_or_url)} can no longer be read or written: "
             f"{str(cause or error).splitlines()[0]} (what is in it stays; the next call goes on)"
         ) from error
     finally:

@@ -9,7 +9,7 @@ from typing import Any, Final
 import pandas as pd
 
 from vergence.errors import ConfigurationError
-from vergence.eval.reporting.runs import write_config, write_json
+from vergence.eval.reporting.runs import write_config_and_head, write_json
 from vergence.eval.reporting.style import save_figure
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.eval.tuning.config import TuneConfig
@@ -33,7 +33,7 @@ class TuneResult:
     """The configuration, with defaults filled in."""
     best: Attempt
     attempts: list[Attempt]
-    unit: str
+    metric_unit: str
     """Unit of the headline metric, `s` or `px`."""
 
 
@@ -94,7 +94,7 @@ def tune(
         config=config,
         best=min(attempts, key=lambda attempt: attempt.rank),
         attempts=attempts,
-        unit="px" if scenario.target_moves else "s",
+        metric_unit="px" if scenario.target_moves else "s",
     )
     _write(folder, result, search_ranges, head)
     return result
@@ -107,14 +107,14 @@ def _write(
     # processes that share a study may end together, and each writes the results of all
     with hold_lock(folder, wait=True), atomic_files(folder, moved_last="tune.json") as partial:
         shown = dataclasses.replace(config, storage=without_password(str(config.storage)))
-        write_config(partial, shown, head, PACKAGES)
+        write_config_and_head(partial, shown, head, PACKAGES)
         rows = [
             {"number": attempt.number, **attempt.options, **attempt.results}
             for attempt in result.attempts
         ]
         pd.DataFrame(rows).to_csv(partial / "history.csv", index=False)
         title = f"{config.controller}, {config.scenario}, {config.episodes} training trials"
-        figure = draw_search(result.attempts, search_ranges, title, result.unit)
+        figure = draw_search(result.attempts, search_ranges, title, result.metric_unit)
         save_figure(figure, partial / "tune")
         write_json(partial / "tune.json", tune_summary(result))
 
@@ -129,6 +129,6 @@ def tune_summary(result: TuneResult) -> dict[str, Any]:
             if key != "storage"
         },
         "tried": len(result.attempts),
-        "unit": result.unit,
+        "unit": result.metric_unit,
         "best": {"number": best.number, "options": best.options, **best.results},
     }

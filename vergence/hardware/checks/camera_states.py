@@ -19,7 +19,7 @@ from vergence.hardware.config import HardwareConfig
 from vergence.vision.image import suppress_opencv_log
 from vergence.vision.video import EXPOSURE_STEP_S, MANUAL_EXPOSURE, is_local_camera, open_capture
 
-PATIENCE_S: Final = 5.0
+FIRST_IMAGE_TIMEOUT_S: Final = 5.0
 """Longest wait for the first image, s (chosen)."""
 _MIN_RATE_RATIO: Final = 0.8
 """Least measured frame rate as a fraction of the requested one (chosen)."""
@@ -77,7 +77,7 @@ class CameraState:
     """Frame rate measured while all cameras gave images, Hz."""
     alone_hz: float = np.nan
     """Frame rate measured while the others were closed, Hz; nan if not measured."""
-    locked: bool | None
+    exposure_locked: bool | None
     """True if its exposure is locked; None if unknown."""
     exposure_s: float
     """Exposure time that it reports, s; nan if unknown."""
@@ -172,7 +172,7 @@ def _open(request: CameraRequest, open: Callable[..., CaptureDevice]) -> Capture
 
 def _watch(capture: CaptureDevice, clock: Callable[[], float], seconds: float) -> _Watched:
     begun_s = clock()
-    until_s = begun_s + PATIENCE_S
+    until_s = begun_s + FIRST_IMAGE_TIMEOUT_S
     times: list[float] = []
     size = None
     while clock() < until_s and capture.grab():
@@ -195,7 +195,7 @@ def _state(request: CameraRequest, capture: CaptureDevice, watched: _Watched) ->
     if not is_local_camera(request.source):  # a stream's settings are those of its server
         return CameraState(
             request=request, size=size, pixel_format="", reported_hz=np.nan, rate_hz=rate_hz,
-            locked=None, exposure_s=np.nan,
+            exposure_locked=None, exposure_s=np.nan,
         )  # fmt: skip
     mode = capture.get(cv2.CAP_PROP_AUTO_EXPOSURE)
     steps = capture.get(cv2.CAP_PROP_EXPOSURE)
@@ -207,7 +207,7 @@ def _state(request: CameraRequest, capture: CaptureDevice, watched: _Watched) ->
         pixel_format=letters.to_bytes(4, "little").decode("latin-1") if letters > 0 else "",
         reported_hz=set_hz if set_hz > 0.0 else np.nan,
         rate_hz=rate_hz,
-        locked=mode == MANUAL_EXPOSURE if mode >= 0.0 else None,
+        exposure_locked=mode == MANUAL_EXPOSURE if mode >= 0.0 else None,
         exposure_s=EXPOSURE_STEP_S * steps if steps > 0.0 else np.nan,
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from vergence.errors import Finding
 from vergence.hardware.checks.camera_states import (
-    PATIENCE_S,
+    FIRST_IMAGE_TIMEOUT_S,
     CameraRequest,
     CameraState,
     CaptureDevice,
@@ -18,7 +18,13 @@ from vergence.hardware.checks.camera_states import (
 from vergence.hardware.config import HardwareConfig
 from vergence.vision.video import is_local_camera, open_capture
 
-__all__ = ["CameraRequest", "CameraState", "camera_requests", "check_cameras", "check_devices"]
+__all__ = [
+    "CameraRequest",
+    "CameraState",
+    "camera_requests",
+    "check_cameras",
+    "check_local_cameras",
+]
 
 _EXPOSURE_TOLERANCE: Final = 0.2
 """Tolerance of the exposure as a fraction of the requested one: cameras have coarse steps
@@ -52,8 +58,10 @@ def check_cameras(
     return states, [*findings, _bandwidth(shared)] if shared else findings
 
 
-def check_devices(config: HardwareConfig) -> list[Finding]:
-    """Find all problems of a robot's cameras on this machine; streams are checked while they run.
+def check_local_cameras(config: HardwareConfig) -> list[Finding]:
+    """Find all problems of those cameras of a robot that are connected to this machine.
+
+    Streams over the network are left out, as they are checked while they run.
 
     Args:
         config: the robot.
@@ -102,12 +110,14 @@ def _judge_rate(state: CameraState) -> Iterator[Finding]:
     if not state.rate_hz:
         yield Finding(
             part=state.request.name,
-            problem=f"expected images from {place}, got none within {PATIENCE_S:g} s",
+            problem=f"expected images from {place}, got none within {FIRST_IMAGE_TIMEOUT_S:g} s",
             cure="another cable, port or camera; does another program use it?",
         )
     elif asked_hz is not None and state.too_slow:
         dark = (
-            "" if state.locked else f"a locked exposure_s below {1.0 / asked_hz:.3g}, more light, "
+            ""
+            if state.exposure_locked
+            else f"a locked exposure_s below {1.0 / asked_hz:.3g}, more light, "
         )
         yield Finding(
             part=state.request.name,
@@ -130,8 +140,14 @@ def _judge_exposure(state: CameraState) -> Iterator[Finding]:
     if asked_s is not None and is_local_camera(request.source):
         apart = abs(state.exposure_s - asked_s)
         kept = apart <= _EXPOSURE_TOLERANCE * asked_s or np.isnan(apart)
-        if not state.locked or not kept:
-            how = "locked" if state.locked else "automatic" if state.locked is False else "unknown"
+        if not state.exposure_locked or not kept:
+            how = (
+                "locked"
+                if state.exposure_locked
+                else "automatic"
+                if state.exposure_locked is False
+                else "unknown"
+            )
             yield Finding(
                 part=request.name,
                 problem=f"expected an exposure locked to {asked_s:g} s, got {how}"
@@ -139,7 +155,7 @@ def _judge_exposure(state: CameraState) -> Iterator[Finding]:
                 cure="an exposure_s that the camera has, see v4l2-ctl --list-ctrls",
                 warning=True,
             )
-    elif state.locked is False:
+    elif state.exposure_locked is False:
         yield Finding(
             part=request.name,
             problem="expected a locked exposure, got an automatic one: rate and latency change "

@@ -16,7 +16,7 @@ from vergence.errors import ChecksFailedError, Finding, HardwareError
 from vergence.hardware.config import BusConfig, HardwareConfig
 from vergence.hardware.dynamixel.bus import Bus
 
-RETURN_DELAY_S: Final = 2e-6
+RETURN_DELAY_UNIT_S: Final = 2e-6
 """Unit of RETURN_DELAY_TIME, s (physical: Dynamixel X series)."""
 _PORTS: Final = ("/dev/serial/by-id/*", "/dev/ttyUSB*", "/dev/ttyACM*")
 _FRAME_BYTES: Final = 14
@@ -106,34 +106,40 @@ def latency_timer_ms(port: str, sysfs: str = "/sys") -> int:
         return 0
 
 
-def exchange_time_s(servo_count: int, baud_rate: int, delays_s: float, latency_s: float) -> float:
+def exchange_time_s(
+    servo_count: int, baud_rate: int, return_delays_s: float, latency_s: float
+) -> float:
     """Time of one period's exchange with the servos, see the module's description, s.
 
     Args:
         servo_count: number of servos.
         baud_rate: baud rate, bit/s.
-        delays_s: sum of their return delays, s.
+        return_delays_s: sum of their return delays, s.
         latency_s: latency of the adapter, s.
     """
     instructions = 2 * _FRAME_BYTES + servo_count * (_GOAL_BYTES + 1)
-    return 10.0 * (instructions + servo_count * _ANSWER_BYTES) / baud_rate + delays_s + latency_s
+    return (
+        10.0 * (instructions + servo_count * _ANSWER_BYTES) / baud_rate
+        + return_delays_s
+        + latency_s
+    )
 
 
 def check_exchange_fits_period(
-    config: HardwareConfig, delays: Mapping[str, int], sysfs: str = "/sys"
+    config: HardwareConfig, return_delays: Mapping[str, int], sysfs: str = "/sys"
 ) -> list[Finding]:
     """Check that the exchange with the servos fits into a control period.
 
     Args:
         config: the robot.
-        delays: RETURN_DELAY_TIME by the servo's name, for those that have been read.
+        return_delays: RETURN_DELAY_TIME by the servo's name, for those that have been read.
         sysfs: mount point of sysfs.
     """
     period_s = config.head.timing.period_s
-    delays_s = RETURN_DELAY_S * sum(delays.values())
+    delays_s = RETURN_DELAY_UNIT_S * sum(return_delays.values())
     latency_s = 1e-3 * latency_timer_ms(config.bus.port, sysfs)
     taken_s = exchange_time_s(len(config.servos), config.bus.baud_rate, delays_s, latency_s)
-    slow = ", ".join(f"{name} {delay}" for name, delay in delays.items() if delay)
+    slow = ", ".join(f"{name} {delay}" for name, delay in return_delays.items() if delay)
     findings = []
     if taken_s > _MAX_EXCHANGE_FRACTION * period_s:
         findings.append(

@@ -19,9 +19,9 @@ from vergence.hardware.servo_memory import model_name, read_memory
 class CheckedPart:
     """One part of a robot."""
 
-    part: str
+    name: str
     """Name of the part, as in `Finding`."""
-    what: str
+    description: str
     """Description of the part; empty if nothing is known."""
     findings: tuple[Finding, ...]
     """Faults and warnings of the part."""
@@ -44,9 +44,9 @@ def check_robot(config: HardwareConfig) -> list[CheckedPart]:
     Raises:
         HardwareError: the line was lost during the checks.
     """
-    if config.emulator:
+    if config.emulator_address:
         try:
-            WorldClient(config.emulator).close()
+            WorldClient(config.emulator_address).close()
         except HardwareError as error:
             return [_no_emulator(str(error))]
     there = {"bus": f"{config.bus.port} at {config.bus.baud_rate} baud"}
@@ -75,8 +75,8 @@ def check_robot(config: HardwareConfig) -> list[CheckedPart]:
         there.setdefault(finding.part, "")
     return [
         CheckedPart(
-            part=part,
-            what=what,
+            name=part,
+            description=what,
             findings=tuple(one for one in findings if one.part == part),
         )
         for part, what in there.items()
@@ -89,7 +89,7 @@ def _no_emulator(problem: str) -> CheckedPart:
         problem=problem.removeprefix("emulator: "),
         cure="start `vergence emulate --out` anew, which writes its port and streams of then",
     )
-    return CheckedPart(part=finding.part, what="", findings=(finding,))
+    return CheckedPart(name=finding.part, description="", findings=(finding,))
 
 
 def _servo(config: HardwareConfig, servo: ServoConfig, bus: Bus) -> str:

@@ -42,7 +42,7 @@ def check_registers(
         memory: its registers.
         check_joint_in_limits: True to check that its joint is within its limits.
     """
-    asked = _Asked(config, servo, memory)
+    asked = _ServoRegisters(config, servo, memory)
     for check in _CHECKS:
         if check_joint_in_limits or check is not _posture:
             yield from check(asked)
@@ -54,7 +54,7 @@ def servo_finding(servo: ServoConfig, problem: str, cure: str, *, warning: bool 
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _ServoRegisters:
     """One servo and its registers."""
 
     config: HardwareConfig
@@ -77,7 +77,7 @@ class _Asked:
             )
 
 
-def _firmware(one: _Asked) -> Iterator[Finding]:
+def _firmware(one: _ServoRegisters) -> Iterator[Finding]:
     model, firmware = one.get(table.MODEL_NUMBER), one.get(table.FIRMWARE_VERSION)
     if firmware < _WATCHDOG_FIRMWARE:
         yield one.finding(
@@ -95,15 +95,15 @@ def _firmware(one: _Asked) -> Iterator[Finding]:
         )
 
 
-def _return_level(one: _Asked) -> Iterator[Finding]:
+def _return_level(one: _ServoRegisters) -> Iterator[Finding]:
     return one.expect(table.STATUS_RETURN_LEVEL, 2, ": it does not answer to writes")
 
 
-def _protocol(one: _Asked) -> Iterator[Finding]:
+def _protocol(one: _ServoRegisters) -> Iterator[Finding]:
     return one.expect(table.PROTOCOL_TYPE, 2)
 
 
-def _baud_rate(one: _Asked) -> Iterator[Finding]:
+def _baud_rate(one: _ServoRegisters) -> Iterator[Finding]:
     rate, number = one.config.bus.baud_rate, one.get(table.BAUD_RATE)
     known = number < len(table.BAUD_RATES)
     got = f"{table.BAUD_RATES[number]} baud" if known else f"the number {number}"
@@ -114,7 +114,7 @@ def _baud_rate(one: _Asked) -> Iterator[Finding]:
         )
 
 
-def _mode(one: _Asked) -> Iterator[Finding]:
+def _mode(one: _ServoRegisters) -> Iterator[Finding]:
     mode = one.get(table.OPERATING_MODE)
     if mode != table.VELOCITY_MODE and one.get(table.TORQUE_ENABLE):
         yield one.finding(
@@ -124,18 +124,18 @@ def _mode(one: _Asked) -> Iterator[Finding]:
         )
 
 
-def _drive_mode(one: _Asked) -> Iterator[Finding]:
+def _drive_mode(one: _ServoRegisters) -> Iterator[Finding]:
     mode = one.get(table.DRIVE_MODE)
     bits = [f"bit {bit}" for bit in range(8) if mode >> bit & 1]
     words = [_DRIVE_MODES[bit] for bit in _DRIVE_MODES if mode >> bit & 1]
     return one.expect(table.DRIVE_MODE, 0, f" ({', '.join(words or bits)})")
 
 
-def _homing_offset(one: _Asked) -> Iterator[Finding]:
+def _homing_offset(one: _ServoRegisters) -> Iterator[Finding]:
     return one.expect(table.HOMING_OFFSET, 0, " (`zero_ticks` in the configuration is for that)")
 
 
-def _velocity_limit(one: _Asked) -> Iterator[Finding]:
+def _velocity_limit(one: _ServoRegisters) -> Iterator[Finding]:
     limit = one.get(table.VELOCITY_LIMIT)
     servo_rad_s = limit * table.TICK_RAD_S / one.servo.gear_ratio
     head_rad_s = float(one.config.head.actuation.velocity[one.servo.slot])
@@ -149,7 +149,7 @@ def _velocity_limit(one: _Asked) -> Iterator[Finding]:
         )
 
 
-def _voltage(one: _Asked) -> Iterator[Finding]:
+def _voltage(one: _ServoRegisters) -> Iterator[Finding]:
     least, most = one.get(table.MIN_VOLTAGE_LIMIT), one.get(table.MAX_VOLTAGE_LIMIT)
     got = one.get(table.PRESENT_INPUT_VOLTAGE)
     if not least <= got <= most:
@@ -160,7 +160,7 @@ def _voltage(one: _Asked) -> Iterator[Finding]:
         )
 
 
-def _temperature(one: _Asked) -> Iterator[Finding]:
+def _temperature(one: _ServoRegisters) -> Iterator[Finding]:
     below, got = (
         one.get(table.TEMPERATURE_LIMIT) - _START_TEMPERATURE_MARGIN_K,
         one.get(table.PRESENT_TEMPERATURE),
@@ -169,7 +169,7 @@ def _temperature(one: _Asked) -> Iterator[Finding]:
         yield one.finding(f"expected below {below} C, got {got} C", "let it cool down")
 
 
-def _faults(one: _Asked) -> Iterator[Finding]:
+def _faults(one: _ServoRegisters) -> Iterator[Finding]:
     errors = one.get(table.HARDWARE_ERROR_STATUS)
     if errors:
         yield one.finding(
@@ -189,7 +189,7 @@ def joint_angle_from_registers(
     return float(angles.angles[servo.slot])
 
 
-def _posture(one: _Asked) -> Iterator[Finding]:
+def _posture(one: _ServoRegisters) -> Iterator[Finding]:
     servo, ticks = one.servo, one.get(table.PRESENT_POSITION)
     angle_rad = joint_angle_from_registers(one.config, servo, one.memory)
     if (
@@ -204,7 +204,7 @@ def _posture(one: _Asked) -> Iterator[Finding]:
         )
 
 
-_CHECKS: Final[tuple[Callable[[_Asked], Iterator[Finding]], ...]] = (
+_CHECKS: Final[tuple[Callable[[_ServoRegisters], Iterator[Finding]], ...]] = (
     _firmware,
     _return_level,
     _protocol,

@@ -44,10 +44,10 @@ def check_servos(
         HardwareError: the line is gone.
     """
     findings = []
-    damaged = bus.damaged
+    damaged = bus.damaged_packets
     models = {servo.name: _model(bus, servo.id) for servo in config.servos}
     if not any(model is not None for model in models.values()):
-        findings.append(_nobody(config, bus, bus.damaged > damaged))
+        findings.append(_nobody(config, bus, bus.damaged_packets > damaged))
     else:
         missing = [servo for servo in config.servos if models[servo.name] is None]
         findings += _missing(config, bus, missing)

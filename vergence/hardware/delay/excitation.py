@@ -76,7 +76,7 @@ def _chirp(reach_rad: float, speed_rad_s: float, period_s: float) -> FloatArray:
     return np.asarray(most * np.cos(phase))
 
 
-def requested_velocities(
+def drift_corrected_velocities(
     slot: int, speeds_rad_s: FloatArray, period_s: float, read_angle: Callable[[], float]
 ) -> Iterator[FloatArray]:
     """Requested velocities for one actuator, with a slow correction against drift.

@@ -66,36 +66,38 @@ class ImageFit:
         return float(np.hypot(self.latency_sigma_s, 0.5 * self.jitter_sigma_s))
 
 
-def fit_images(
+def fit_latency_and_backlash(
     head: HeadModel,
     eye: int,
     slot: int,
-    base_angles: FloatArray,
+    fixed_actuator_angles: FloatArray,
     angle_at: Callable[[FloatArray], FloatArray],
-    span_s: tuple[float, float],
+    path_span_s: tuple[float, float],
     received_s: FloatArray,
     pixels: FloatArray,
     target_guess: FloatArray,
-    max_speed_rad_s: float,
+    blur_speed_rad_s: float,
 ) -> ImageFit | None:
-    """Fit latency, backlash, target position and image scale to an eye's images.
+    """Fit latency, jitter and backlash to one eye's pixels while an actuator turned.
+
+    The target's position and the image scale are estimated too.
 
     Args:
         head: the model.
         eye: 0 for left.
         slot: index in the 7-element command of the actuator that turned.
-        base_angles: (7,) angles of neck and actuators, for those that did not turn, rad.
+        fixed_actuator_angles: (7,) angles of neck and actuators, for those that did not turn, rad.
         angle_at: the actuator's angle by time.
-        span_s: first and last time of the path, s.
+        path_span_s: first and last time of the path, s.
         received_s: (k,) times of receipt of the images, s.
         pixels: (k, 2) raw pixels of the target; nan if it was not found.
         target_guess: (3,) approximate position of the target, in N, m.
-        max_speed_rad_s: speed above which images are blurred and left out, rad/s.
+        blur_speed_rad_s: speed above which images are blurred and left out, rad/s.
 
     Returns:
         The robust least-squares fit; None if too few images show the target.
     """
-    grid = np.arange(*span_s, _TIME_STEP_S)
+    grid = np.arange(*path_span_s, _TIME_STEP_S)
     angles = angle_at(grid)
     speeds = np.gradient(angles, _TIME_STEP_S)
 
@@ -105,12 +107,12 @@ def fit_images(
         latency_s: float, backlash_rad: float, at: FloatArray, scale: float = 1.0
     ) -> FloatArray:
         joint = angles if backlash_rad == 0.0 else _through_backlash(angles, backlash_rad)
-        motors = np.tile(base_angles, (len(seen), 1))
+        motors = np.tile(fixed_actuator_angles, (len(seen), 1))
         motors[:, slot] = np.interp(received_s[seen] - latency_s, grid, joint)
         found = head.project(head.actuation.joints_of(motors), at)[:, eye]
         return np.asarray(centre + scale * (found - centre))
 
-    whole = (received_s - _MAX_LATENCY_S > span_s[0]) & (received_s < span_s[1])
+    whole = (received_s - _MAX_LATENCY_S > path_span_s[0]) & (received_s < path_span_s[1])
     seen = np.flatnonzero(whole & np.isfinite(pixels).all(axis=-1))
     if len(seen) < 30:
         return None
@@ -121,7 +123,7 @@ def fit_images(
         return float(np.abs(residual).sum())
 
     coarse = min(np.arange(0.0, _MAX_LATENCY_S, 0.01), key=spread)
-    slow = np.abs(np.interp(received_s[seen] - coarse, grid, speeds)) < max_speed_rad_s
+    slow = np.abs(np.interp(received_s[seen] - coarse, grid, speeds)) < blur_speed_rad_s
     seen = seen[slow]
     if len(seen) < 30:
         return None

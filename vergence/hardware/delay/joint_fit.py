@@ -36,7 +36,7 @@ _NO_LIMIT_INVERSE: Final = 1e-4
 """Inverse acceleration that stands for no limit, s^2/rad (numerical)."""
 
 _follow = getattr(follow_joint, "py_func", follow_joint)
-_left = getattr(lag_decay, "py_func", lag_decay)
+_lag_decay = getattr(lag_decay, "py_func", lag_decay)
 
 
 class FittedMotor(NamedTuple):
@@ -62,9 +62,9 @@ class JointFit:
     """Greatest acceleration of the modelled motion, rad/s^2."""
     residual_rad: float
     """Rms difference of the encoder's angles from the model's, rad."""
-    limited: bool
+    acceleration_limited: bool
     """True if a motor without an acceleration limit would fit clearly worse."""
-    correlation: float
+    latency_lag_correlation: float
     """Correlation of the errors of latency and lag."""
 
     @property
@@ -73,7 +73,9 @@ class JointFit:
         certain = (
             self.sigma.inverse_acceleration < _MAX_RELATIVE_SIGMA * self.motor.inverse_acceleration
         )
-        return 1.0 / self.motor.inverse_acceleration if self.limited and certain else None
+        return (
+            1.0 / self.motor.inverse_acceleration if self.acceleration_limited and certain else None
+        )
 
     @property
     def acceleration_sigma(self) -> float:
@@ -103,7 +105,7 @@ def simulate_motor(
 
     def after(until_s: float) -> tuple[float, float]:
         wait_s = until_s - at_s
-        decay = _left(wait_s, motor.lag_s)
+        decay = _lag_decay(wait_s, motor.lag_s)
         result: tuple[float, float] = _follow(
             q, v, commanded[place], motor.lag_s, greatest, wait_s, decay
         )
@@ -177,10 +179,10 @@ def fit_joint(
     return JointFit(
         motor=motor,
         sigma=FittedMotor(*deviations.tolist()),
-        correlation=float(covariance[0, 1] / (deviations[0] * deviations[1])),
+        latency_lag_correlation=float(covariance[0, 1] / (deviations[0] * deviations[1])),
         peak_acceleration_rad_s2=float(np.abs(np.diff(speeds)).max() / 0.002),
         residual_rad=float(np.sqrt(np.mean((sigma * weighted_residual(found.x)) ** 2))),
-        limited=worse,
+        acceleration_limited=worse,
     )
 
 

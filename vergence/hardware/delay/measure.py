@@ -13,8 +13,12 @@ from vergence.envs.rollout import run_trial
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, HardwareError
 from vergence.hardware.config import HardwareConfig
-from vergence.hardware.delay.excitation import CHIRP_RAD_S, excitation_speeds, requested_velocities
-from vergence.hardware.delay.image_fit import ImageFit, fit_images
+from vergence.hardware.delay.excitation import (
+    CHIRP_RAD_S,
+    drift_corrected_velocities,
+    excitation_speeds,
+)
+from vergence.hardware.delay.image_fit import ImageFit, fit_latency_and_backlash
 from vergence.hardware.delay.joint_fit import FittedMotor, JointFit, fit_joint, fitted_angle_path
 from vergence.hardware.delay.measurement import EyeLoop, LoopMeasurement
 from vergence.hardware.delay.samples import LoopSamples, SampleCollector
@@ -138,7 +142,7 @@ def _turn(
     collector.clear()
 
     def all_of_them() -> Iterator[FloatArray]:
-        for k, requested in enumerate(requested_velocities(slot, way, period_s, angle)):
+        for k, requested in enumerate(drift_corrected_velocities(slot, way, period_s, angle)):
             progress(k / len(way))
             yield requested
         yield from np.zeros((quiet, 7))
@@ -151,18 +155,18 @@ def _turn(
 def _fitted(config: HardwareConfig, turn: _Turn) -> EyeLoop:
     samples = turn.samples
     fit, image = _fit(config.head, turn.eye, turn.slot, samples, _point(config.head, turn))
-    late = float(np.hypot(fit.sigma.latency_s, samples.timestamp_sigma_s))
+    late = float(np.hypot(fit.sigma.latency_s, samples.joint_time_sigma_s))
     fit = replace(fit, sigma=fit.sigma._replace(latency_s=late))
     if image is not None:
-        late = float(np.hypot(image.latency_sigma_s, samples.timestamp_sigma_s))
+        late = float(np.hypot(image.latency_sigma_s, samples.joint_time_sigma_s))
         image = replace(image, latency_sigma_s=late)
     return EyeLoop(
         eye=EYE_NAMES[turn.eye],
         actuator=next(one.name for one in config.servos if one.slot == turn.slot),
         lag_ratio=float(config.head.actuation.lag_ratio[turn.slot]),
-        modelled_rad_s2=float(config.head.actuation.acceleration[turn.slot]),
-        joint=fit,
-        image=image,
+        model_acceleration_rad_s2=float(config.head.actuation.acceleration[turn.slot]),
+        joint_fit=fit,
+        image_fit=image,
         computing_s=turn.reply_s
         + (float(np.median(samples.detection_time_s)) if len(samples.detection_time_s) else 0.0),
     )
@@ -171,7 +175,7 @@ def _fitted(config: HardwareConfig, turn: _Turn) -> EyeLoop:
 def _fit(
     head: HeadModel, eye: int, slot: int, samples: LoopSamples, point: FloatArray
 ) -> tuple[JointFit, ImageFit | None]:
-    motors = head.actuation.actuators_of(samples.positions)
+    motors = head.actuation.actuators_of(samples.joint_angles)
     timing, k = head.timing, slot
     guess = FittedMotor(
         latency_s=timing.command_latency_s + timing.feedback_latency_s,
@@ -180,9 +184,9 @@ def _fit(
         inverse_acceleration=float(np.clip(1.0 / head.actuation.acceleration[k], 2e-4, 5.0)),
     )
     step = max(float(head.sensor.encoder_resolution_rad), 1e-5)
-    recorded = samples.sent_s, samples.sent, samples.joints_s, motors[:, slot]
+    recorded = samples.sent_s, samples.sent_velocities, samples.joints_s, motors[:, slot]
     fit = fit_joint(*recorded, guess, step)
-    image = fit_images(
+    image = fit_latency_and_backlash(
         head, eye, slot, np.median(motors, axis=0), fitted_angle_path(fit.motor, *recorded),
         (float(samples.joints_s[0]), float(samples.joints_s[-1])),
         samples.received_s, samples.pixels, point, 1.5 * CHIRP_RAD_S,

@@ -34,10 +34,10 @@ class EyeLoop:
     actuator: str
     lag_ratio: float
     """Ratio of the actuator's own lag to the head's, from the head file."""
-    modelled_rad_s2: float
+    model_acceleration_rad_s2: float
     """The actuator's greatest acceleration in the head file, rad/s^2."""
-    joint: JointFit
-    image: ImageFit | None
+    joint_fit: JointFit
+    image_fit: ImageFit | None
     """Fit of the images; None if too few of them showed the target."""
     computing_s: float
     """Sum of the median times from an image's receipt to its detection and from a reading to its
@@ -53,12 +53,14 @@ class LoopMeasurement:
     @property
     def latencies_s(self) -> dict[str, float]:
         """Least latency of each measured camera by eye, s; images arrive up to the jitter later."""
-        return {one.eye: one.image.least_latency_s for one in self.eyes if one.image is not None}
+        return {
+            one.eye: one.image_fit.least_latency_s for one in self.eyes if one.image_fit is not None
+        }
 
     def loop(self) -> LoopConfig:
         """Combine the values of both eyes into one loop for the configuration."""
-        joints = [one.joint for one in self.eyes]
-        images = [one.image for one in self.eyes if one.image is not None]
+        joints = [one.joint_fit for one in self.eyes]
+        images = [one.image_fit for one in self.eyes if one.image_fit is not None]
         values: dict[str, float] = {}
         sigma: dict[str, float] = {}
 
@@ -76,7 +78,10 @@ class LoopMeasurement:
         put(
             "lag_s",
             [
-                (one.joint.motor.lag_s / one.lag_ratio, one.joint.sigma.lag_s / one.lag_ratio)
+                (
+                    one.joint_fit.motor.lag_s / one.lag_ratio,
+                    one.joint_fit.sigma.lag_s / one.lag_ratio,
+                )
                 for one in self.eyes
             ],
         )
@@ -85,9 +90,12 @@ class LoopMeasurement:
         jitters = [(one.jitter_s, one.jitter_sigma_s) for one in images if one.jitter_s is not None]
         put("jitter_s", jitters)
         accelerations = [
-            (found / one.modelled_rad_s2, one.joint.acceleration_sigma / one.modelled_rad_s2)
+            (
+                found / one.model_acceleration_rad_s2,
+                one.joint_fit.acceleration_sigma / one.model_acceleration_rad_s2,
+            )
             for one in self.eyes
-            if (found := one.joint.acceleration_rad_s2) is not None
+            if (found := one.joint_fit.acceleration_rad_s2) is not None
         ]
         if len(accelerations) == len(joints):
             put("acceleration_ratio", accelerations)
@@ -105,21 +113,22 @@ class LoopMeasurement:
         """Texts, a line each, on misfits of the model of a robot."""
         lines = []
         for one in self.eyes:
-            if one.joint.residual_rad > _MISFIT_RAD:
+            if one.joint_fit.residual_rad > _MISFIT_RAD:
                 lines.append(
-                    f"{one.actuator}: its angles are {1e3 * one.joint.residual_rad:.1f} mrad (rms) "
+                    f"{one.actuator}: its angles are {1e3 * one.joint_fit.residual_rad:.1f} mrad "
+                    "(rms) "
                     "beside those of a lag behind a latency, whose values are the nearest: a servo "
                     "that overshoots or slips, or a machine that pauses"
                 )
-            if one.image is None:
+            if one.image_fit is None:
                 continue
-            off = one.image.scale - 1.0
-            scaled = abs(off) > max(_MOST_SCALE_ERROR, 3.0 * one.image.scale_sigma)
-            if scaled or one.image.residual_px > _MISFIT_PX:
+            off = one.image_fit.scale - 1.0
+            scaled = abs(off) > max(_MOST_SCALE_ERROR, 3.0 * one.image_fit.scale_sigma)
+            if scaled or one.image_fit.residual_px > _MISFIT_PX:
                 lines.append(
                     f"{one.eye} eye: its camera is not as the head file has it: the image moves by "
                     f"{100.0 * abs(off):.0f} % {'more' if off > 0.0 else 'less'}, and is "
-                    f"{one.image.residual_px:.1f} px (rms) beside that; calibrate it"
+                    f"{one.image_fit.residual_px:.1f} px (rms) beside that; calibrate it"
                 )
         return lines
 
@@ -130,37 +139,38 @@ class LoopMeasurement:
     def undetermined(self) -> list[str]:
         """Texts, a line each, on quantities that the measurement cannot determine."""
         lines = [
-            "image latency is told beside the feedback's, and command latency with it: how old "
-            "the encoders' own readings are cannot be told, and is taken for nothing"
+            "the age of the encoders' readings cannot be measured and is taken to be zero: image "
+            "latency is measured relative to it, and command latency together with it"
         ]
         for one in self.eyes:
-            joint = one.joint
+            joint = one.joint_fit
             if joint.acceleration_rad_s2 is None:
                 lines.append(
-                    f"{one.actuator}: its greatest acceleration was not reached: at least "
+                    f"{one.actuator}: its acceleration limit was not reached: at least "
                     f"{joint.peak_acceleration_rad_s2:.0f} rad/s^2"
                 )
-            if abs(joint.correlation) > _MOST_CORRELATION:
+            if abs(joint.latency_lag_correlation) > _MOST_CORRELATION:
                 lines.append(
-                    f"{one.actuator}: command latency and lag are told badly from one another "
-                    f"(correlation {joint.correlation:.2f}); their sum is known better"
+                    f"{one.actuator}: command latency and lag are poorly separated "
+                    f"(correlation {joint.latency_lag_correlation:.2f}); their sum is better known"
                 )
-            if one.image is None:
+            fit = one.image_fit
+            if fit is None:
                 lines.append(
-                    f"{one.eye} eye: too few images showed the target to tell latency, jitter "
-                    "and play"
+                    f"{one.eye} eye: too few images showed the target to measure latency, jitter "
+                    "and backlash"
                 )
                 continue
-            if one.image.jitter_s is None:
+            if fit.jitter_s is None:
                 lines.append(
-                    f"{one.eye} eye: it turned too slowly to tell the jitter of its images, whose "
-                    "mean latency stands for the least; safety.speed_rad_s lets it be quicker"
+                    f"{one.eye} eye: it turned too slowly to measure the jitter of its images, so "
+                    "their mean latency stands for the least; raise safety.speed_rad_s"
                 )
-            if one.image.backlash_rad < 2.0 * one.image.backlash_sigma_rad:
+            backlash_rad, doubt_rad = fit.backlash_rad, 2.0 * fit.backlash_sigma_rad
+            if backlash_rad < doubt_rad:
                 lines.append(
-                    f"{one.actuator}: play is too small to be told from none, below "
-                    f"{1e3 * (one.image.backlash_rad + 2.0 * one.image.backlash_sigma_rad):.1f} "
-                    "mrad"
+                    f"{one.actuator}: backlash is no greater than its uncertainty, below "
+                    f"{1e3 * (backlash_rad + doubt_rad):.1f} mrad"
                 )
         latencies = list(self.latencies_s.values())
         if len(latencies) == 2 and abs(latencies[0] - latencies[1]) > _MOST_LATENCY_DIFFERENCE_S:
@@ -182,15 +192,15 @@ def _mean(pairs: Sequence[tuple[float, float]], shared: bool) -> tuple[float, fl
 
 
 def _rows(eye_loop: EyeLoop) -> Iterator[dict[str, Any]]:
-    motor, sigma, image = eye_loop.joint.motor, eye_loop.joint.sigma, eye_loop.image
+    motor, sigma, image = eye_loop.joint_fit.motor, eye_loop.joint_fit.sigma, eye_loop.image_fit
     rows: list[tuple[str, float | None, float, str]] = [
         ("command + feedback latency", 1e3 * motor.latency_s, 1e3 * sigma.latency_s, "ms"),
         ("joint lag", 1e3 * motor.lag_s, 1e3 * sigma.lag_s, "ms"),
         ("speed gain", motor.gain, sigma.gain, ""),
         (
             "greatest acceleration",
-            eye_loop.joint.acceleration_rad_s2,
-            eye_loop.joint.acceleration_sigma,
+            eye_loop.joint_fit.acceleration_rad_s2,
+            eye_loop.joint_fit.acceleration_sigma,
             "rad/s^2",
         ),
     ]

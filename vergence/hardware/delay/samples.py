@@ -16,13 +16,13 @@ class LoopSamples(NamedTuple):
 
     sent_s: FloatArray
     """(n,) times at which commands were sent, s."""
-    sent: FloatArray
+    sent_velocities: FloatArray
     """(n,) commands of the actuator that turned, rad/s."""
     joints_s: FloatArray
     """(m,) times of the joint measurements, s."""
-    positions: FloatArray
+    joint_angles: FloatArray
     """(m, 7) joint angles, rad."""
-    timestamp_sigma_s: float
+    joint_time_sigma_s: float
     """Standard deviation of a common error of `joints_s`, s."""
     received_s: FloatArray
     """(k,) times of receipt of the images, s."""
@@ -93,11 +93,11 @@ class SampleCollector(RobotListener):
         received_s = np.array([one.exposed_s for one in seen]) + latency_s
         return LoopSamples(
             sent_s=np.array([one.clock_s for one in self._commands]),
-            sent=np.array([one.sent[slot] for one in self._commands]),
+            sent_velocities=np.array([one.sent[slot] for one in self._commands]),
             joints_s=np.array([one[0] for one in self._joints]),
-            positions=np.array([one[1] for one in self._joints]).reshape(-1, 7),
+            joint_angles=np.array([one[1] for one in self._joints]).reshape(-1, 7),
             # a reading is dated at the middle of its exchange, but measured at any time in it
-            timestamp_sigma_s=float(np.median(self._answered_s)) / np.sqrt(3.0)
+            joint_time_sigma_s=float(np.median(self._answered_s)) / np.sqrt(3.0)
             if self._joints
             else 0.0,
             received_s=received_s,

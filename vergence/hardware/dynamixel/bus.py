@@ -13,7 +13,7 @@ from vergence.hardware.dynamixel.packets import (
     MOST_ID,
     ErrorNumber,
     Instruction,
-    Parser,
+    PacketParser,
     Status,
     instruction_packet,
 )
@@ -69,9 +69,9 @@ class Bus:
     ) -> None:
         self.line = SerialLine(port, baud)
         self.cycle_timeout_s, self.single_timeout_s = cycle_timeout_s, single_timeout_s
-        self.misses = self.stale = 0
+        self.missed_answers = self.stale = 0
         self.alerts: set[int] = set()
-        self._parser = Parser()
+        self._parser = PacketParser()
 
     @property
     def port(self) -> str:
@@ -79,7 +79,7 @@ class Bus:
         return self.line.port
 
     @property
-    def damaged(self) -> int:
+    def damaged_packets(self) -> int:
         """Number of headers so far that began no valid packet."""
         return self._parser.rejected
 
@@ -144,7 +144,7 @@ class Bus:
         wait_s = self.cycle_timeout_s if timeout_s is None else timeout_s
         answers, _ = self._ask(packet, ids, length, wait_s)
         found = {id: answers[id].data for id in ids if id in answers and not answers[id].error}
-        self.misses += len(ids) - len(found)
+        self.missed_answers += len(ids) - len(found)
         return found
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
@@ -172,7 +172,7 @@ class Bus:
         answers, other = self._ask(packet, [id], length, self.single_timeout_s)
         expected = f"id {id} on {self.port}: expected an answer to {question}"
         if id not in answers:
-            self.misses += 1
+            self.missed_answers += 1
             came = f"one of {other[id]} bytes, not {length}" if id in other else "none"
             wait_ms = 1e3 * self.single_timeout_s
             raise HardwareError(f"{expected} within {wait_ms:.0f} ms, got {came}")
@@ -217,10 +217,10 @@ class Bus:
         self._parser.clear()
 
     def _statuses(self, data: bytes) -> list[Status]:
-        damaged = self.damaged
+        damaged = self.damaged_packets
         packets = self._parser.feed(data)
-        if self.damaged > damaged:
-            _LOG.debug("%s: packets damaged: %d", self.port, self.damaged - damaged)
+        if self.damaged_packets > damaged:
+            _LOG.debug("%s: packets damaged: %d", self.port, self.damaged_packets - damaged)
         statuses = [status for packet in packets if (status := packet.status) is not None]
         for status in statuses:
             if status.alert:

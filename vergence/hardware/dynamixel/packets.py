@@ -153,7 +153,7 @@ def _is_id(id: int) -> bool:
     return 0 <= id <= MOST_ID or id == BROADCAST
 
 
-class Parser:
+class PacketParser:
     """Parser of packets from a stream of bytes that may be damaged and arrives in any pieces.
 
     A packet is accepted if header, id, length and CRC are right. After a rejected one the search

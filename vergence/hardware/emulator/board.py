@@ -36,7 +36,7 @@ def parse_sized_board(text: str) -> PlanarTarget:
     return target
 
 
-def standing_board_pose(head: HeadModel, target: PlanarTarget, distance_m: float) -> FloatArray:
+def tilted_board_pose(head: HeadModel, target: PlanarTarget, distance_m: float) -> FloatArray:
     """Pose of a board ahead of a head at rest, slightly tilted.
 
     Args:

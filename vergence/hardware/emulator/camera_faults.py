@@ -10,7 +10,7 @@ from vergence.models.joints import EYE_NAMES
 
 
 class CameraFaults:
-    """The active faults of the cameras.
+    """Applies the active faults of the cameras to their images and times.
 
     Args:
         rng: draws the images that a fault with a probability affects.
@@ -21,16 +21,16 @@ class CameraFaults:
         self._on: tuple[Fault, ...] = ()
         self._old: list[Image | None] = [None for _ in EYE_NAMES]
 
-    def update(self, faults: Iterable[Fault]) -> None:
+    def set_active(self, faults: Iterable[Fault]) -> None:
         """Replace the active faults."""
         self._on = tuple(faults)
 
     @property
-    def out_of_step_s(self) -> float:
+    def right_exposure_delay_s(self) -> float:
         """Extra delay of the right camera's exposures, s."""
         return sum(fault.value for fault in self._on if fault.what == "out-of-step")
 
-    def late_s(self, eye: int) -> float:
+    def send_delay_s(self, eye: int) -> float:
         """Extra delay at which an eye's images are sent, s."""
         return sum(fault.value for fault in self._of(eye, "late"))
 
@@ -38,7 +38,7 @@ class CameraFaults:
         """True if an eye's stream is closed."""
         return bool(self._of(eye, "ended"))
 
-    def image(self, eye: int, new: Image) -> Image | None:
+    def apply_to_image(self, eye: int, new: Image) -> Image | None:
         """Apply the faults to an eye's new image; None if no image is sent."""
         old = self._old[eye]
         if old is not None and self._of(eye, "frozen"):

@@ -64,7 +64,7 @@ class WorldClient:
             f"{reason}"
         )
 
-    def show(self, motion: FloatArray) -> None:
+    def place_target(self, motion: FloatArray) -> None:
         """Place a target at the start of its motion; `begin` starts the motion.
 
         Args:
@@ -72,11 +72,11 @@ class WorldClient:
         """
         self.ask({"show": motion.tolist()})
 
-    def begin(self, now_s: float) -> None:
-        """Start the target's own time."""
+    def start_target_motion(self, now_s: float) -> None:
+        """Start the motion of the target that was placed: this instant is time 0 of its path."""
         self.ask({"begin": now_s})
 
-    def fault(self, **request: Any) -> float:
+    def begin_fault(self, **request: Any) -> float:
         """Begin a fault, see `vergence.hardware.emulator.fault`.
 
         Returns:
@@ -87,11 +87,11 @@ class WorldClient:
         """
         return float(self.ask({"fault": request})["time"])
 
-    def clear(self) -> None:
+    def clear_faults(self) -> None:
         """End all active faults; `overload`, `reboot` and `unplug` cannot end."""
         self.ask({"clear": None})
 
-    def rested_s(self, since: float) -> float | None:
+    def rest_start_s(self, since: float) -> float | None:
         """Start of the present rest: since then no joint has turned faster than 0.024 rad/s.
 
         Args:

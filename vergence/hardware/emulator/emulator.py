@@ -9,10 +9,10 @@ import numpy as np
 
 from vergence.errors import HardwareError
 from vergence.hardware.dynamixel import control_table as table
-from vergence.hardware.emulator.board import parse_sized_board, standing_board_pose
+from vergence.hardware.emulator.board import parse_sized_board, tilted_board_pose
 from vergence.hardware.emulator.config import EmulatorConfig
 from vergence.hardware.emulator.fault import load_faults
-from vergence.hardware.emulator.server import WorldServer
+from vergence.hardware.emulator.server import EmulatorServer
 from vergence.hardware.emulator.streams import StreamConfig, run_streams
 from vergence.hardware.emulator.world import MotorOptions, World
 from vergence.models.boards import make_planar_target
@@ -24,18 +24,18 @@ from vergence.models.perturbation import ModelErrors
 
 def emulate(
     config: EmulatorConfig,
-    ready: Callable[[str], None],
-    stop: Callable[[], bool] = lambda: False,
-    errors: ModelErrors | None = None,
+    on_config_ready: Callable[[str], None],
+    should_stop: Callable[[], bool] = lambda: False,
+    model_errors: ModelErrors | None = None,
 ) -> None:
-    """Emulate a head until `stop` returns True, or Ctrl-C.
+    """Emulate a head until `should_stop` returns True, or Ctrl-C.
 
     Args:
         config: its configuration.
-        ready: called once when servos and streams answer, with the text of the hardware
+        on_config_ready: called once when servos and streams answer, with the text of the hardware
             configuration that a controller needs, see `vergence.hardware.config`.
-        stop: polled several times a second.
-        errors: model errors of the head that really moves and sees, against that of `config`.
+        should_stop: polled several times a second.
+        model_errors: model errors of the head that really moves and sees, against that of `config`.
 
     Raises:
         VergenceError: there is no such head or board, or the script of faults is invalid.
@@ -43,9 +43,11 @@ def emulate(
     """
     head = load_head(config.head)
     # the same draw as `GazeTask`'s with this seed for its model's
-    true = head.perturbed(np.random.default_rng(config.seed), errors) if errors else head
+    true = (
+        head.perturbed(np.random.default_rng(config.seed), model_errors) if model_errors else head
+    )
     board = None if config.board is None else parse_sized_board(config.board)
-    T_0_T = None if board is None else standing_board_pose(head, board, config.board_distance_m)
+    T_0_T = None if board is None else tilted_board_pose(head, board, config.board_distance_m)
     point = np.asarray(config.target_mm) / 1000.0
     motors = MotorOptions(
         **{field.name: getattr(config, field.name) for field in fields(MotorOptions)}
@@ -53,7 +55,7 @@ def emulate(
     world = World(true, point, motors, config.seed, T_0_T)
     if config.faults is not None:
         world.faults.schedule(load_faults(config.faults, world.ids))
-    server = WorldServer(world)
+    server = EmulatorServer(world)
     streams = StreamConfig(
         frame_rate_hz=head.timing.frame_rate_hz,
         latency_s=head.timing.latency_s if config.latency_s is None else config.latency_s,
@@ -74,9 +76,9 @@ def emulate(
             values = hardware_config_values(
                 absolute_source(config.head), head.digest, world, server, target
             )
-            ready(toml_text(values))
-            server.serve(lambda: stop() or not process.is_alive())
-        if not stop() and not process.is_alive():
+            on_config_ready(toml_text(values))
+            server.serve(lambda: should_stop() or not process.is_alive())
+        if not should_stop() and not process.is_alive():
             raise HardwareError("emulate: the process of the cameras has ended")
     except KeyboardInterrupt:
         pass
@@ -87,20 +89,20 @@ def emulate(
 
 
 def hardware_config_values(
-    head: str, digest: str, world: World, server: WorldServer, target: str
+    head_source: str, head_digest: str, world: World, server: EmulatorServer, target: str
 ) -> dict[str, Any]:
     """The plain values of a configuration of this emulated head, see `vergence.hardware.config`.
 
     Args:
-        head: the head's preset or file.
-        digest: digest of that head.
+        head_source: the head's preset or file.
+        head_digest: digest of that head.
         world: the world.
         server: the server of that world.
         target: the target before the cameras, see `parse_target`.
     """
     return {
-        "head": head,
-        "head_digest": digest[:16],
+        "head": head_source,
+        "head_digest": head_digest[:16],
         "target": target,
         "bus": {"port": server.port, "baud_rate": 1_000_000, "watchdog_s": 0.2},
         "servos": [

@@ -20,7 +20,7 @@ from vergence.models.joints import EYE_NAMES
 
 Place = Literal["line", "servo", "cable", "camera"]
 
-BOTH: Final = "both"
+BOTH_EYES: Final = "both"
 _DURATION_RULE: Final[Rule] = (lambda x: 0.0 < x <= 3600.0, "seconds, 0 to 3600")
 _START_RULE: Final[Rule] = (
     lambda x: 0.0 <= x <= 3600.0,
@@ -81,7 +81,7 @@ _CAMERA_KINDS: Final = {
 }
 """Faults of cameras by name."""
 
-NAMES: Final = tuple(dict.fromkeys((*_KINDS, *_CAMERA_KINDS)))
+FAULT_NAMES: Final = tuple(dict.fromkeys((*_KINDS, *_CAMERA_KINDS)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,12 +105,12 @@ class Fault:
     """
 
     what: str
-    """Name, one of `NAMES`."""
+    """Name, one of `FAULT_NAMES`."""
     place: Place
     """Part that it affects."""
     ids: tuple[int, ...] = ()
     """Ids of the affected servos."""
-    eye: str = BOTH
+    eye: str = BOTH_EYES
     """Affected camera: "left", "right" or "both"."""
     probability: float = 1.0
     """Probability to affect each answer or image."""
@@ -123,7 +123,7 @@ class Fault:
 
     def affects(self, eye: int) -> bool:
         """True if this fault of a camera affects an eye, 0 for left."""
-        return self.eye in (BOTH, EYE_NAMES[eye])
+        return self.eye in (BOTH_EYES, EYE_NAMES[eye])
 
     def to_plain(self) -> dict[str, Any]:
         """Plain values for `parse_fault`, without servos and times; for faults of cameras."""
@@ -146,7 +146,7 @@ def parse_fault(values: object, ids: Collection[int], path: str = "fault", *, ti
             possible ones.
     """
     table = Table(values, path)
-    what = table.choice("what", NAMES)
+    what = table.choice("what", FAULT_NAMES)
     has_eye = table.has("eye")
     kind = _KINDS.get(what)
     if kind is None or (has_eye and what in _CAMERA_KINDS):
@@ -164,7 +164,7 @@ def parse_fault(values: object, ids: Collection[int], path: str = "fault", *, ti
     if table.has("probability"):
         given["probability"] = table.number("probability", _PROBABILITY_RULE)
     if has_eye:
-        given["eye"] = table.choice("eye", (*EYE_NAMES, BOTH))
+        given["eye"] = table.choice("eye", (*EYE_NAMES, BOTH_EYES))
     if kind.rule is not None:
         needed = kind.default is None or table.has("value")
         given["value"] = table.number("value", kind.rule) if needed else kind.default

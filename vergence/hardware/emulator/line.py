@@ -32,7 +32,7 @@ class TimedAnswer(NamedTuple):
     """A status packet that a servo sends."""
 
     id: int
-    delay_s: float
+    return_delay_s: float
     """Its RETURN_DELAY_TIME, from the end of the request or of the answer before it, s."""
     data: bytes
 
@@ -56,9 +56,9 @@ class ServoLine:
             raise ConfigurationError(f"servos: expected an id of its own for each, got {ids}")
 
     @property
-    def trips(self) -> int:
+    def watchdog_trips(self) -> int:
         """Number of times that watchdogs have stopped servos."""
-        return sum(servo.trips for servo in self.servos)
+        return sum(servo.watchdog_trips for servo in self.servos)
 
     def advance_to(self, now_s: float) -> None:
         """Advance all joints to a time, s; an earlier time than before changes nothing."""

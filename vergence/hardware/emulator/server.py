@@ -25,9 +25,9 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from vergence.errors import ConfigurationError, HeadFileError
-from vergence.hardware.dynamixel.packets import Parser
+from vergence.hardware.dynamixel.packets import PacketParser
 from vergence.hardware.emulator.fault import parse_fault
-from vergence.hardware.emulator.terminal import Terminal
+from vergence.hardware.emulator.terminal import PseudoTerminal
 from vergence.hardware.emulator.world import World
 
 _LOG: Final = logging.getLogger(__name__)
@@ -49,8 +49,10 @@ _REQUEST_ERRORS: Final = (
 """Errors that an invalid request raises."""
 
 
-class WorldServer:
-    """Serves a world: its servos' line and its connections, in one thread.
+class EmulatorServer:
+    """Serves an emulated head: servos on a pseudo-terminal, and its world over TCP.
+
+    One thread does both; `serve` blocks.
 
     Args:
         world: the world to serve.
@@ -68,8 +70,8 @@ class WorldServer:
     def __init__(self, world: World, clock: Callable[[], float] = time.monotonic) -> None:
         self._world = world
         self._clock = clock
-        self._parser = Parser()
-        self._terminal = Terminal()
+        self._parser = PacketParser()
+        self._terminal = PseudoTerminal()
         self.port = self._terminal.port
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
@@ -142,9 +144,9 @@ class WorldServer:
         if "exposures" in request:
             return {"times": list(self._exposed_s)}
         if "rest" in request:
-            return world.rest(float(request["rest"]["since"]), now_s)
+            return world.rest_report(float(request["rest"]["since"]), now_s)
         if "record" in request:
-            return world.record(now_s)
+            return world.motion_since_last_call(now_s)
         if "fault" in request:
             world.begin_fault(parse_fault(request["fault"], world.ids, timed=False), now_s)
             return {"time": now_s}
@@ -152,9 +154,9 @@ class WorldServer:
             world.clear_faults(now_s)
             return {"time": now_s}
         if "show" in request:
-            world.show(request["show"])
+            world.place_target(request["show"])
         elif "begin" in request:
-            world.begin(float(request["begin"]))
+            world.start_target_motion(float(request["begin"]))
         elif "unplug" in request:
             self._unplug()
         elif "streams" in request:

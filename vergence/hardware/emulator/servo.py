@@ -25,7 +25,7 @@ from vergence.models.joint_response import follow_joint
 
 POSITION_GAIN: Final = 20.0
 """Gain of the position loop, 1/s: plausible, not taken from a real servo (chosen)."""
-STEP_S: Final = 0.002
+MAX_STEP_S: Final = 0.002
 """Longest step while a joint's velocity changes, s: a tenth of a quick servo's lag (numerical)."""
 VOLTAGE_ERROR: Final = 1 << 0
 """Bit of HARDWARE_ERROR_STATUS and SHUTDOWN: the input voltage is outside its limits (physical:
@@ -107,7 +107,7 @@ class EmulatedServo:
         self.feedback_latency_s = feedback_latency_s
         self.q = self._joint = position_rad
         self.v = 0.0
-        self.trips, self.silent = 0, False
+        self.watchdog_trips, self.silent = 0, False
         self.stuck = self.frozen = self.wrong_way = False
         self.trace = MotionTrace()
         self._turns = sign * gear_ratio
@@ -261,7 +261,7 @@ class EmulatedServo:
         self._hold()
         self.set(table.BUS_WATCHDOG, table.WATCHDOG_TRIPPED)
         self._tripped = True
-        self.trips += 1
+        self.watchdog_trips += 1
 
     def _command(self) -> float:
         """The joint's commanded velocity, rad/s."""
@@ -277,7 +277,7 @@ class EmulatedServo:
     def _move(self, time_s: float, at_s: float) -> None:
         """Move towards the goals for a time without packets."""
         end_s = at_s + time_s
-        step_s = min(STEP_S, time_s)
+        step_s = min(MAX_STEP_S, time_s)
         while time_s > 0.0:
             before = self.q, self.v, self._reported
             self._step(min(step_s, time_s))
@@ -288,10 +288,10 @@ class EmulatedServo:
             if max(change) < _STEADY_CHANGE:
                 break
             # at a steady velocity one step is enough, up to the end stop
-            step_s = STEP_S
+            step_s = MAX_STEP_S
             if max(change[1:]) < _STEADY_CHANGE and abs(self._command() - self.v) < _STEADY_CHANGE:
                 stop = self.upper if self.v > 0.0 else self.lower
-                step_s = max(STEP_S, (stop - self.q) / self.v)
+                step_s = max(MAX_STEP_S, (stop - self.q) / self.v)
         if time_s > 0.0:
             self._keep(end_s)
 

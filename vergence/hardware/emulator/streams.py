@@ -19,7 +19,7 @@ from urllib.parse import parse_qs
 import cv2
 import numpy as np
 
-from vergence.envs.plants.eye_views import EyeViews
+from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.envs.reading import Image
 from vergence.errors import HardwareError
 from vergence.hardware.emulator.board import parse_sized_board
@@ -106,7 +106,7 @@ class EmulatedCameras:
     def __init__(
         self,
         world: WorldClient,
-        views: EyeViews,
+        views: BoardImageRenderer,
         config: StreamConfig,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -121,7 +121,7 @@ class EmulatedCameras:
     def draw(self) -> tuple[Image, Image]:
         """Draw both eyes' present images, without faults; fetch the active faults."""
         state = self._world.ask({"expose": None})
-        self._faults.update(parse_fault(plain, (), timed=False) for plain in state["faults"])
+        self._faults.set_active(parse_fault(plain, (), timed=False) for plain in state["faults"])
         images = self._views.draw(
             np.array(state["positions"]),
             np.array(state["velocities"]),
@@ -144,7 +144,7 @@ class EmulatedCameras:
         begun_s, sent_s = self._clock(), [0.0, 0.0]
         frame = 0
         while True:
-            right_late_s = config.right_late_s + self._faults.out_of_step_s % period_s
+            right_late_s = config.right_late_s + self._faults.right_exposure_delay_s % period_s
             together = right_late_s == 0.0
             for eye in (0,) if together else (0, 1):
                 due_s = begun_s + frame * period_s + eye * right_late_s
@@ -153,7 +153,7 @@ class EmulatedCameras:
                 images = self.draw()
                 for one in (0, 1) if together else (eye,):
                     late_s = config.latency_s + config.jitter_s * float(self._rng.random())
-                    late_s += self._faults.late_s(one)
+                    late_s += self._faults.send_delay_s(one)
                     sent_s[one] = max(sent_s[one], exposed_s + late_s)
                     self._send(one, images[one], exposed_s, sent_s[one])
             # frames whose time has passed are skipped
@@ -163,7 +163,7 @@ class EmulatedCameras:
         """Publish an image exposed at one time at another, after applying the faults."""
         stream = self.streams[eye]
         stream.end(self._faults.has_ended(eye))
-        image = self._faults.image(eye, new)
+        image = self._faults.apply_to_image(eye, new)
         if image is None:
             return
         jpeg = _jpeg(image)
@@ -232,25 +232,29 @@ def make_stream_server(cameras: EmulatedCameras, port: int) -> ThreadingHTTPServ
 
 
 def run_streams(
-    head: str, config: StreamConfig, world: str, port: int, board: str | None = None
+    head_toml: str,
+    config: StreamConfig,
+    world_address: str,
+    port: int,
+    board_text: str | None = None,
 ) -> None:
     """Draw and stream until the world ends: the main function of the cameras' process.
 
     Args:
-        head: the text of the head's file.
+        head_toml: the text of the head's file.
         config: timing and noise of the cameras.
-        world: HOST:PORT of the world.
+        world_address: HOST:PORT of the world.
         port: port of the streams; 0 for any free port.
-        board: the board before the head, at its own size; None for a tag whose size in the image
-            does not depend on its distance.
+        board_text: the board before the head, at its own size; None for a tag whose size in the
+            image does not depend on its distance.
     """
     cv2.setNumThreads(1)
-    model = parse_head(head)
-    client = WorldClient(world)
-    if board is None:
-        views = EyeViews(model, make_planar_target("tag"), width_rad="fit")
+    model = parse_head(head_toml)
+    client = WorldClient(world_address)
+    if board_text is None:
+        views = BoardImageRenderer(model, make_planar_target("tag"), width_rad="fit")
     else:
-        views = EyeViews(model, parse_sized_board(board))
+        views = BoardImageRenderer(model, parse_sized_board(board_text))
     cameras = EmulatedCameras(client, views, config)
     cameras.draw()  # compiles everything before the first reader
     server = make_stream_server(cameras, port)

@@ -13,7 +13,7 @@ _MAX_READ_BYTES: Final = 4096
 """Most bytes of one read (numerical)."""
 
 
-class Terminal:
+class PseudoTerminal:
     """The servos' end of a serial line.
 
     Attributes:

@@ -60,7 +60,9 @@ class MotionTrace:
         return [_between(before, moments[0], time_s) if moments else before, *moments]
 
 
-def find_rest_start(traces: Iterable[MotionTrace], time_s: float) -> tuple[float | None, float]:
+def rest_start_and_top_speed(
+    traces: Iterable[MotionTrace], time_s: float
+) -> tuple[float | None, float]:
     """Start of the present rest of all joints, and their greatest speed.
 
     Returns:

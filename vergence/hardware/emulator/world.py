@@ -26,7 +26,7 @@ from vergence.hardware.emulator.faults import ActiveFaults
 from vergence.hardware.emulator.line import ServoLine
 from vergence.hardware.emulator.line_faults import apply_line_faults
 from vergence.hardware.emulator.servo import EmulatedServo
-from vergence.hardware.emulator.trace import find_rest_start
+from vergence.hardware.emulator.trace import rest_start_and_top_speed
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -121,7 +121,7 @@ class World:
         """True if `show` places targets: unless there is a fixed board."""
         return self.T_0_T is None
 
-    def show(self, motion: list[float]) -> None:
+    def place_target(self, motion: list[float]) -> None:
         """Place another target; `begin` starts its time."""
         if not self.places_targets:
             raise ConfigurationError("show: expected no target, as the board stands still")
@@ -131,7 +131,7 @@ class World:
         self._motion, self._begun_s = row, np.inf
         self._T_0_N = self.head.base_pose(self._joints()[0])
 
-    def begin(self, now_s: float) -> None:
+    def start_target_motion(self, now_s: float) -> None:
         """Start the target's own time."""
         self._begun_s = now_s
 
@@ -169,7 +169,7 @@ class World:
         answers = self.line.answer(packet, now_s, baud_rate)
         if any(servo.get(table.TORQUE_ENABLE) for servo in self.line.servos):
             self.faults.start_script(now_s)
-        delay_s = sum(answer.delay_s for answer in answers)
+        delay_s = sum(answer.return_delay_s for answer in answers)
         sent = apply_line_faults(answers, self.faults.active_on("line"), self._rng)
         return [(delay_s + late_s, data) for late_s, data in sent]
 
@@ -184,13 +184,15 @@ class World:
         self.advance_to(now_s)
         self.faults.clear()
 
-    def rest(self, since_s: float, now_s: float) -> dict[str, Any]:
-        """Start of the present rest, `rested_s`, and `fastest`, see `find_rest_start`."""
+    def rest_report(self, since_s: float, now_s: float) -> dict[str, Any]:
+        """Start of the present rest, `rested_s`, and `fastest`, see `rest_start_and_top_speed`."""
         self.advance_to(now_s)
-        rested_s, fastest = find_rest_start([servo.trace for servo in self.line.servos], since_s)
+        rested_s, fastest = rest_start_and_top_speed(
+            [servo.trace for servo in self.line.servos], since_s
+        )
         return {"rested_s": rested_s, "fastest": fastest}
 
-    def record(self, now_s: float) -> dict[str, Any]:
+    def motion_since_last_call(self, now_s: float) -> dict[str, Any]:
         """Motion of each servo's shaft since the last call, or all that is kept: 20 s or more.
 
         Returns:
@@ -234,7 +236,7 @@ class World:
             "target_velocity": velocity.tolist(),
             "target_axes": None if axes is None else axes.tolist(),
             "pixels": self.head.project(q, point).tolist(),
-            "trips": self.line.trips,
+            "trips": self.line.watchdog_trips,
         }
 
     def _target(

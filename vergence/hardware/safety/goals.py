@@ -13,7 +13,7 @@ _ASSUMED_DISTANCE_M: Final = 1.0
 alike in the image (chosen: a usual working distance)."""
 
 
-def joint_goals(head: HeadModel, q: FloatArray, pixels: FloatArray) -> FloatArray:
+def target_eye_angles(head: HeadModel, q: FloatArray, pixels: FloatArray) -> FloatArray:
     """Goals of the four eye joints by one Newton step, which is exact at the goal itself.
 
     Args:

@@ -24,12 +24,12 @@ _WINDOW_S: Final = 4.0
 
 
 class OscillationDetector:
-    """Counter of the half swings of the four eye joints."""
+    """Detector of eye joints that swing to and fro although their goal rests."""
 
     def __init__(self) -> None:
-        self.begin()
+        self.reset()
 
-    def begin(self) -> None:
+    def reset(self) -> None:
         """Reset all counts."""
         self._side = np.zeros(4)
         self._turned = np.full(4, np.nan)
@@ -39,7 +39,9 @@ class OscillationDetector:
         self._most_goal = np.full(4, -np.inf)
         self._counted: list[deque[float]] = [deque() for _ in range(4)]
 
-    def update(self, now_s: float, angles: FloatArray, goals: FloatArray) -> int | None:
+    def find_oscillating_joint(
+        self, now_s: float, angles: FloatArray, goals: FloatArray
+    ) -> int | None:
         """Update the counts with new angles and goals.
 
         Args:

@@ -21,9 +21,9 @@ from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES, EYES
 from vergence.models.parts import FloatArray
 
-SWINGING: Final = "policy: expected joints that come to rest at a target that rests"
+OSCILLATION_REASON: Final = "policy: expected joints that come to rest at a target that rests"
 """Beginning of the stop's reason if the policy makes the head oscillate."""
-JOINTS_AGE_S: Final = 0.15
+MAX_READING_AGE_S: Final = 0.15
 """Age of the joint angles above which the head stops, s (chosen)."""
 _UNPROVED_SPEED_RATIO: Final = 0.1
 """Greatest speed of a joint not yet proved to follow, as a fraction of its limit (chosen)."""
@@ -116,7 +116,7 @@ class Supervisor:
     def begin(self, now_s: float) -> None:
         """Begin a trial at a time, s, and watch its images, target and missed periods."""
         self._begun_s = self._seen_s = now_s
-        self._oscillation.begin()
+        self._oscillation.reset()
         self._missed.clear()
 
     def stop(self, reason: str) -> None:
@@ -179,9 +179,9 @@ class Supervisor:
     def _judge(self, state: RobotState) -> None:
         """Stop if joints, limits or forbidden postures are violated, or the trial's loop fails."""
         age_s = float(state.reading_age_s.max())
-        if age_s > JOINTS_AGE_S:
+        if age_s > MAX_READING_AGE_S:
             self.stop(
-                f"servos: expected the joints' angles within {JOINTS_AGE_S:g} s, got none for "
+                f"servos: expected the joints' angles within {MAX_READING_AGE_S:g} s, got none for "
                 f"{age_s:.2f} s; cure: check the servos' cables and power"
             )
         for name, slot in self._names.items():
@@ -236,10 +236,13 @@ class Supervisor:
                 "control_rate_hz in the head file"
             )
         goals = np.full(4, np.nan) if state.target_eye_angles is None else state.target_eye_angles
-        joint = self._oscillation.update(state.now_s, state.joint_angles[EYES], goals)
+        joint = self._oscillation.find_oscillating_joint(
+            state.now_s, state.joint_angles[EYES], goals
+        )
         if joint is not None:
             self.stop(
-                f"{SWINGING}, got {self._head.joints[EYES][joint]} swinging at speed; cure: a "
+                f"{OSCILLATION_REASON}, got {self._head.joints[EYES][joint]} swinging at speed; "
+                "cure: a "
                 "policy with lower gains, or one that counts on the loop's delay, such as "
                 "state-feedback"
             )

@@ -77,7 +77,7 @@ def _step(value: Any, part: str) -> Iterable[Any]:
 def _text(key: str, value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(
-            f"{key_without_unit(field)} {_text(field, own)}" for field, own in value.items()
+            f"{label_without_unit(field)} {_text(field, own)}" for field, own in value.items()
         )
     factor, unit = next(((f, u) for end, f, u in _UNITS if key.endswith(end)), (1.0, ""))
     numbers = _flat_numbers(value)
@@ -86,7 +86,7 @@ def _text(key: str, value: Any) -> str:
     return f"{', '.join(f'{factor * number:.4g}' for number in numbers)} {unit}".rstrip()
 
 
-def key_without_unit(field: str) -> str:
+def label_without_unit(field: str) -> str:
     """A key without its unit suffix, underscores replaced by spaces."""
     end = next((end for end, _, _ in _UNITS if field.endswith(end)), "")
     return field.removesuffix(end).replace("_", " ")

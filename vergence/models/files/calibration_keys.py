@@ -35,7 +35,7 @@ TRANSLATION: Final = (
     "t", "translation", "translationvector", "tvec", "trans", "stereot", "extrinsict",
     "extrinsicst",
 )  # fmt: skip
-CHAIN: Final = ("cam1tcncnm1",)
+KALIBR_TRANSFORM: Final = ("cam1tcncnm1",)
 """kalibr's T_cn_cnm1, the transform from the first camera's frame to the second's."""
 RECTIFICATION: Final = ("rectificationmatrix", "rectification", "r")
 PROJECTION: Final = ("projectionmatrix", "projection", "p")

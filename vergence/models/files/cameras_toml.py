@@ -11,7 +11,7 @@ from vergence.models.files.joints_toml import parse_pose, parse_rotation
 from vergence.models.files.toml_table import Table
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
-from vergence.models.response import EXPECTED, Response, parse_response
+from vergence.models.response import EXPECTED, CameraResponse, parse_response
 
 
 def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
@@ -22,7 +22,7 @@ def parse_eyes(root: Table) -> tuple[Cameras, FloatArray]:
     """
     image = _parse_size(root.table("image"), closing=True) if root.has("image") else None
     size, lens, focal, principal, distortion = [], [], [], [], np.zeros((2, 8))
-    response: list[Response | None] = []
+    response: list[CameraResponse | None] = []
     head_eye = np.zeros((2, 4, 4))
     for eye, table in enumerate(root.tables("eyes", 2)):
         table.require_equal("name", EYE_NAMES[eye], "the left eye comes first, then the right one")
@@ -103,7 +103,7 @@ def _refuse_unnamed(table: Table) -> None:
             )
 
 
-def _parse_response(table: Table) -> Response | None:
+def _parse_response(table: Table) -> CameraResponse | None:
     if not table.has("response"):
         return None
     value = table.take("response", EXPECTED)
@@ -124,14 +124,14 @@ def _parse_mount(table: Table) -> FloatArray:
 
 
 def eyes_to_toml(
-    cameras: Cameras, head_eye: FloatArray, mount_keys: tuple[str, str]
+    cameras: Cameras, head_eye: FloatArray, rotation_position_keys: tuple[str, str]
 ) -> dict[str, Any]:
     """Write the table `eyes`, and the table `image` if both eyes have images of one size.
 
     Args:
         cameras: cameras of one head.
         head_eye: (2, 4, 4) pose of each camera in its eye's last link, metres.
-        mount_keys: the keys of rotation and position.
+        rotation_position_keys: the keys of rotation and position.
     """
     sizes = [{"width_px": width, "height_px": height} for width, height in cameras.size.tolist()]
     one_size = sizes[0] == sizes[1]
@@ -144,8 +144,8 @@ def eyes_to_toml(
             **({} if lens == BROWN_CONRADY else {"lens": lens}),
             "distortion": cameras.distortion[eye, : len(LENSES[lens])].tolist(),
             **({} if cameras.response[eye] is None else {"response": cameras.response[eye]}),
-            mount_keys[0]: head_eye[eye, :3, :3].tolist(),
-            mount_keys[1]: head_eye[eye, :3, 3].tolist(),
+            rotation_position_keys[0]: head_eye[eye, :3, :3].tolist(),
+            rotation_position_keys[1]: head_eye[eye, :3, 3].tolist(),
         }
         for eye, (name, lens) in enumerate(zip(EYE_NAMES, cameras.lens, strict=True))
     ]

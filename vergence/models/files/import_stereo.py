@@ -12,7 +12,7 @@ from vergence.models.files.stereo import StereoPair
 from vergence.models.files.toml_text import toml_text
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
-from vergence.models.response import Response
+from vergence.models.response import CameraResponse
 
 _ASSUMED: Final[dict[str, dict[str, float | int]]] = {
     "timing": {
@@ -54,7 +54,7 @@ def stereo_pair_to_head_toml(
     *,
     noise_px: float | None = None,
     calibration: CalibrationRecord | None = None,
-    response: Response | None = None,
+    response: CameraResponse | None = None,
 ) -> str:
     """Convert a stereo pair to the TOML text of a head.
 

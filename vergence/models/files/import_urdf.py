@@ -20,8 +20,8 @@ from vergence.models.files.robot_description.actuators import (
     find_eye_motors,
 )
 from vergence.models.files.robot_description.camera_axes import (
-    MUJOCO,
-    OPTICAL,
+    MUJOCO_AXES,
+    OPTICAL_AXES,
     EyeAtZeroAngles,
     check_camera_axes,
     rotation_of_axes,
@@ -131,7 +131,7 @@ def import_urdf(source: UrdfSource) -> ImportedHead:
         EyeAtZeroAngles(
             name=name,
             pose=chain.pose(zero) @ _turned(rotation),
-            axes=chain.axes(
+            joint_axes=chain.axes(
                 [n for n, part in chains.moved_part_of_joint.items() if part != "neck"]
             ),
         )
@@ -213,7 +213,9 @@ def _axes(
     if triples:
         return rotation_of_axes(triples[0]), rotation_of_axes(triples[-1])
     kinds = [mechanism.frames[camera].kind for camera in cameras]
-    return tuple(rotation_of_axes(MUJOCO if kind == "camera" else OPTICAL) for kind in kinds)
+    return tuple(
+        rotation_of_axes(MUJOCO_AXES if kind == "camera" else OPTICAL_AXES) for kind in kinds
+    )
 
 
 def _turned(rotation: FloatArray) -> FloatArray:

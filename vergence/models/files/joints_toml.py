@@ -34,7 +34,7 @@ _LIMIT_KEYS: Final = tuple(JOINT_LIMITS)
 
 
 class ParsedJoints(NamedTuple):
-    """Joints of a head file, from the base outwards."""
+    """Joints of a head file, from the base outwards, and where the last link of each chain is."""
 
     names: list[str]
     parts: list[str]
@@ -42,7 +42,7 @@ class ParsedJoints(NamedTuple):
     """(J, 4, 4) pose of each joint in the previous one, z along its axis."""
     limits: list[FloatArray | None]
     """(4,) limits of each joint; None if they follow from the actuators."""
-    carried: dict[str, FloatArray]
+    last_link_poses: dict[str, FloatArray]
     """(4, 4) pose of the last link in the frame of its joint, for the neck and each eye."""
 
 
@@ -155,12 +155,12 @@ def parse_pose(table: Table, position_key: str) -> FloatArray:
     return pose
 
 
-def parse_rotation(table: Table, name: str) -> FloatArray:
+def parse_rotation(table: Table, key: str) -> FloatArray:
     """(3, 3) a rotation matrix."""
-    rotation = table.numbers(name, (3, 3), FACTOR)
+    rotation = table.numbers(key, (3, 3), FACTOR)
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-9 or np.linalg.det(rotation) < 0:
         raise HeadFileError(
-            table.key(name),
+            table.key(key),
             rotation.tolist(),
             "a rotation matrix, orthonormal to 1e-9 with determinant 1",
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from vergence.errors import ConfigurationError
 from vergence.models.files.calibration_keys import (
-    CHAIN,
+    KALIBR_TRANSFORM,
     MATRIX,
     PROJECTION,
     RECTIFICATION,
@@ -181,7 +181,7 @@ _Placed = tuple[FloatArray, FloatArray, str]
 
 def _placed(keys: CalibrationValues) -> _Placed | None:
     """R and T from the first camera to the second, by their keys or kalibr's chain, if present."""
-    chain = keys.find(CHAIN)
+    chain = keys.find(KALIBR_TRANSFORM)
     if chain is not None:
         if keys.find(MATRIX, "2"):
             raise ConfigurationError(f"{keys.name}: expected two cameras, got cam2 as well")

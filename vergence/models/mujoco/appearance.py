@@ -70,12 +70,12 @@ def add_appearance(spec: mujoco.MjSpec, bodies: Bodies, head: HeadModel) -> None
                 add_segment(body, DARK, bottom, top, 0.03 * size)
             elif not first and place != skull:
                 add_segment(body, DARK, [0.0, 0.0, -0.025 * size], [0.0, 0.0, 0.0], 0.022 * size)
-        if place == skull and posture.is_article:
+        if place == skull and posture.is_article_head:
             add_shape(body, _GEOM.mjGEOM_ELLIPSOID, SHELL, size=SKULL_AXES_M, pos=SKULL_CENTRE_M)
         for other in links:
             if other.parent == place and not (place == skull and _on_bar(posture)):
                 _add_rod(body, other.pose[:3, 3], rod * size)
-    if not posture.is_article:
+    if not posture.is_article_head:
         _add_face(bodies[skull], skull, posture)
     for eye, place in enumerate(ends):
         _add_eye(bodies[place], head.camera_in_last_link(eye), posture, place != skull)
@@ -83,13 +83,13 @@ def add_appearance(spec: mujoco.MjSpec, bodies: Bodies, head: HeadModel) -> None
 
 def _on_bar(posture: RestPoses) -> bool:
     """True if the eyes are on a bar instead of in a skull."""
-    return not posture.is_article and posture.baseline_m > _MAX_SKULL_BASELINE_M
+    return not posture.is_article_head and posture.baseline_m > _MAX_SKULL_BASELINE_M
 
 
 def _add_stand(world: Any, posture: RestPoses) -> None:
     """Add a stand from the floor to the first joint of the neck, or to the bar of the eyes."""
-    top, up = posture.stand_top, posture.upright[:3, 2]
-    height = up @ (top - posture.upright[:3, 3]) - (posture.lowest_m - _STAND_BELOW_HEAD_M)
+    top, up = posture.stand_top, posture.upright_frame[:3, 2]
+    height = up @ (top - posture.upright_frame[:3, 3]) - (posture.lowest_m - _STAND_BELOW_HEAD_M)
     add_segment(world, METAL, top - height * up, top, 0.022 * posture.scale)
 
 
@@ -98,9 +98,9 @@ def _add_face(body: Any, skull: int, posture: RestPoses) -> None:
     frame = posture.links[skull] if skull >= 0 else np.eye(4)
     into = inverse_pose(frame)
     middle = posture.cameras[:, :3, 3].mean(axis=0)
-    rotation, size = into[:3, :3] @ posture.base[:3, :3], posture.scale
+    rotation, size = into[:3, :3] @ posture.frame_n[:3, :3], posture.scale
     if skull >= 0 and not _on_bar(posture):
-        centre = middle + size * posture.base[:3, :3] @ _SKULL_BEHIND_M
+        centre = middle + size * posture.frame_n[:3, :3] @ _SKULL_BEHIND_M
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, np.ascontiguousarray(rotation).ravel())
         add_shape(

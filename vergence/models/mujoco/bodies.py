@@ -56,7 +56,7 @@ def add_bodies(
         if link.name not in welded_angles:
             _add_joint(body, link.name, link.joints[0], head, armature, spec.option.timestep)
     bodies[chain_end(links, None)].add_site(
-        name="N", group=4, size=[0.002] * 3, **pos_and_quat(head.links.base_frame())
+        name="N", group=4, size=[0.002] * 3, **pos_and_quat(head.links.frame_n_pose())
     )
     return bodies
 

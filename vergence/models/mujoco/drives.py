@@ -48,8 +48,11 @@ class JointCoupling(NamedTuple):
     """Offset, rad."""
 
 
-def first_joint_indices(head: HeadModel) -> dict[str, int]:
-    """Joints of a head in MuJoCo's order, each with its first index in an array of all seven."""
+def joint_index_by_name(head: HeadModel) -> dict[str, int]:
+    """Index of each joint by name in an array of all seven, in MuJoCo's order.
+
+    A joint that both eyes share has two indices; the first one is taken.
+    """
     places: dict[str, int] = {}
     for place, name in enumerate(head.joints):
         if name:
@@ -69,7 +72,7 @@ def transmissions_of(head: HeadModel) -> tuple[Transmission, ...]:
             sides = float(limits.lower[place]), float(limits.upper[place])
             out.append(Transmission(name, place, ((name, 1.0),), *sides, name))
     names, matrix, offset = _map(head)
-    places = first_joint_indices(head)
+    places = joint_index_by_name(head)
     for k, actuator in enumerate(own.names):
         factors = dict.fromkeys(names, 0.0)
         for joint, factor in zip(head.joints[EYES], own.to_actuators[k], strict=True):
@@ -183,7 +186,7 @@ def decoupling_rotor_inertias(head: HeadModel, least_inertias: FloatArray) -> Fl
 def _map(head: HeadModel) -> tuple[list[str], FloatArray, FloatArray]:
     """Distinct joints of the eyes: names, angles per actuator angle (J, m), offsets (J,), rad."""
     places = {
-        name: at - EYES.start for name, at in first_joint_indices(head).items() if at >= EYES.start
+        name: at - EYES.start for name, at in joint_index_by_name(head).items() if at >= EYES.start
     }
     rows = list(places.values())
     own = head.actuation

@@ -27,7 +27,7 @@ class LinkInertia(NamedTuple):
     moments: FloatArray
     """(3,) moments of inertia about the centre of mass along the frame's axes, kg m^2; the
     products of inertia are zero."""
-    edges: FloatArray
+    box_edges: FloatArray
     """(3,) edges of the solid box with these moments, m."""
 
 

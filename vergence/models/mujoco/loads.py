@@ -15,7 +15,7 @@ from vergence.models.joints import EYES, JOINTS, NECK
 from vergence.models.mujoco.bodies import add_bodies
 from vergence.models.mujoco.drives import (
     decoupling_rotor_inertias,
-    first_joint_indices,
+    joint_index_by_name,
     needs_rotor_bodies,
 )
 from vergence.models.parts import FloatArray
@@ -35,21 +35,21 @@ constant gains against realistic rotors)."""
 
 
 class LoadInertias(NamedTuple):
-    """Load inertias with the head at rest, kg m^2; zero for missing joints and actuators."""
+    """Inertias that the servos accelerate with the head at rest, kg m^2; zero if missing."""
 
-    armature: FloatArray
+    joint_armature: FloatArray
     """(7,) rotor inertia at each joint."""
-    joints: FloatArray
+    joint_loads: FloatArray
     """(7,) total load of each joint: rotors and links."""
-    actuators: FloatArray
+    actuator_loads: FloatArray
     """(7,) total load of each joint of the neck and each actuator of the eyes."""
-    rotors: FloatArray
+    separate_rotors: FloatArray
     """(7,) inertia of the rotors that are bodies of their own, see `needs_rotor_bodies`."""
 
 
 def load_inertias(head: HeadModel) -> LoadInertias:
     """Compute the load inertias of the joints and actuators of one head."""
-    places = list(first_joint_indices(head).values())
+    places = list(joint_index_by_name(head).values())
     links = _links_inertia(head)
     own = np.diag(links)
     least = np.array([NECK_ARMATURE if place < NECK.stop else EYE_ARMATURE for place in places])
@@ -67,11 +67,16 @@ def load_inertias(head: HeadModel) -> LoadInertias:
     back = np.linalg.pinv(turned)
     total = links + np.diag(armature)
     felt = total + back.T @ np.diag(seven[2]) @ back if seven[2].any() else total
-    for i, name in enumerate(first_joint_indices(head)):
+    for i, name in enumerate(joint_index_by_name(head)):
         at = [place for place, joint in enumerate(head.joints) if joint == name]
         seven[0, at], seven[1, at] = armature[i], felt[i, i]
     actuators = np.diag(turned.T @ total @ turned) + seven[2]
-    return LoadInertias(armature=seven[0], joints=seven[1], actuators=actuators, rotors=seven[2])
+    return LoadInertias(
+        joint_armature=seven[0],
+        joint_loads=seven[1],
+        actuator_loads=actuators,
+        separate_rotors=seven[2],
+    )
 
 
 def _turned(head: HeadModel, places: list[int]) -> FloatArray:
@@ -86,7 +91,7 @@ def _turned(head: HeadModel, places: list[int]) -> FloatArray:
 
 
 def _links_inertia(head: HeadModel) -> FloatArray:
-    """(J, J) mass matrix of the links alone, in the order of `first_joint_indices`."""
+    """(J, J) mass matrix of the links alone, in the order of `joint_index_by_name`."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     add_bodies(spec, head, {}, np.zeros(len(JOINTS)))
@@ -94,7 +99,7 @@ def _links_inertia(head: HeadModel) -> FloatArray:
     inertia = np.zeros((model.nv, model.nv))
     if model.nv:
         data = mujoco.MjData(model)
-        data.qpos[:] = head.rest()[list(first_joint_indices(head).values())]
+        data.qpos[:] = head.rest()[list(joint_index_by_name(head).values())]
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, inertia)
     return inertia

@@ -20,7 +20,7 @@ from vergence.models.mujoco.appearance import add_appearance
 from vergence.models.mujoco.bodies import add_bodies, add_cameras
 from vergence.models.mujoco.drives import (
     couplings_of,
-    first_joint_indices,
+    joint_index_by_name,
     needs_rotor_bodies,
     rotor_couplings,
     transmissions_of,
@@ -117,12 +117,12 @@ def head_spec(
     named = zip(head.joints[NECK], angles, strict=True)
     held = {name: angle for name, angle in named if name and neck == "welded"}
     loads = load_inertias(head)
-    bodies = add_bodies(spec, head, held, loads.armature)
+    bodies = add_bodies(spec, head, held, loads.joint_armature)
     add_cameras(spec, head, bodies)
     if rotors:
-        add_rotors(spec, drives, loads.rotors)
+        add_rotors(spec, drives, loads.separate_rotors)
     moving = [drive for drive in drives if drive.joint_or_rotor not in held]
-    add_servos(spec, head, moving, loads.actuators)
+    add_servos(spec, head, moving, loads.actuator_loads)
     add_couplings(spec, couplings)
     spec.option.gravity = mujoco_scene.surroundings_of(head).gravity
     if visuals:
@@ -168,7 +168,7 @@ def find_model_indices(model: mujoco.MjModel, head: HeadModel) -> ModelIndices:
     """
     joints = tuple(model.joint(i).name for i in range(model.njnt))
     actuators = tuple(model.actuator(i).name for i in range(model.nu))
-    places, drives = first_joint_indices(head), transmissions_of(head)
+    places, drives = joint_index_by_name(head), transmissions_of(head)
     for first in (0, NECK.stop):
         moving = {name: place for name, place in places.items() if place >= first}
         driven = {drive.name: drive.slot for drive in drives if drive.slot >= first}

@@ -25,22 +25,22 @@ _N_ORIGIN_M: Final = (-0.011, -0.064, 0.0)
 
 
 class RestPoses(NamedTuple):
-    """A head at rest."""
+    """Poses of a head at rest: links, cameras, frame N and the upright frame, all in frame 0."""
 
     links: FloatArray
     """(B, 4, 4) poses of the links in frame 0, in the order of `Links.bodies`."""
-    base: FloatArray
+    frame_n: FloatArray
     """(4, 4) T_0_N."""
     cameras: FloatArray
     """(2, 4, 4) poses of both cameras in frame 0."""
-    upright: FloatArray
+    upright_frame: FloatArray
     """(4, 4) pose in frame 0 of the upright frame: z up, -y forward, and N at the same pose in it
     as in the article's frame 0; the identity for the article's head."""
     eye_roots: FloatArray
     """(2, 3) positions in frame 0 of each eye's first joint, or of its camera if it does not move,
     m."""
     has_neck: bool
-    is_article: bool
+    is_article_head: bool
     """True if the head has the article's form."""
 
     @property
@@ -51,37 +51,37 @@ class RestPoses(NamedTuple):
     @property
     def scale(self) -> float:
         """Ratio of the size of the head's parts to the article's, from the baseline, 0.5 to 1.7."""
-        if self.is_article:
+        if self.is_article_head:
             return 1.0
         return float(np.clip(self.baseline_m / ARTICLE_BASELINE_M, 0.5, 1.7))
 
     @property
     def eye_radius_m(self) -> float:
         """Radius of an eyeball, m; smaller for a narrow head, so that its eyes do not touch."""
-        narrow = 1.0 if self.is_article else float(np.clip(self.baseline_m / 0.06, 0.1, 1.0))
+        narrow = 1.0 if self.is_article_head else float(np.clip(self.baseline_m / 0.06, 0.1, 1.0))
         return EYE_RADIUS_M * narrow
 
     @property
     def bar_ends(self) -> FloatArray:
         """(2, 3) ends of a bar behind both eyes' first joints, in frame 0, metres."""
-        return np.asarray(self.eye_roots - 1.6 * self.eye_radius_m * self.base[:3, 2])
+        return np.asarray(self.eye_roots - 1.6 * self.eye_radius_m * self.frame_n[:3, 2])
 
     @property
     def stand_top(self) -> FloatArray:
         """(3,) top of the stand in frame 0, metres: below the neck, or at the middle of the bar."""
-        if self.is_article:
+        if self.is_article_head:
             return np.array([0.0, 0.0, -0.03])
         if self.has_neck:
-            return np.asarray(self.links[0, :3, 3] - 0.03 * self.scale * self.upright[:3, 2])
+            return np.asarray(self.links[0, :3, 3] - 0.03 * self.scale * self.upright_frame[:3, 2])
         return np.asarray(self.bar_ends.mean(axis=0))
 
     @property
     def lowest_m(self) -> float:
         """Height of the lowest joint or camera in the upright frame, m."""
-        if self.is_article:
+        if self.is_article_head:
             return 0.0
         points = np.concatenate([self.links[:, :3, 3], self.cameras[:, :3, 3]])
-        return float((self.upright[:3, 2] @ (points - self.upright[:3, 3]).T).min())
+        return float((self.upright_frame[:3, 2] @ (points - self.upright_frame[:3, 3]).T).min())
 
 
 def rest_poses(head: HeadModel) -> RestPoses:
@@ -109,12 +109,12 @@ def rest_poses(head: HeadModel) -> RestPoses:
             roots[eye] = frames[end][:3, 3]
     return RestPoses(
         links=np.array(frames).reshape(-1, 4, 4),
-        base=base,
+        frame_n=base,
         cameras=cameras,
-        upright=upright,
+        upright_frame=upright,
         eye_roots=roots,
         has_neck=carrier >= 0,
-        is_article=is_article,
+        is_article_head=is_article,
     )
 
 

@@ -21,7 +21,7 @@ from vergence.models.mujoco.shapes import (
     DARK,
     LENS,
     METAL,
-    UNTOUCHABLE,
+    VISUAL_ONLY,
     add_segment,
     add_shape,
 )
@@ -56,9 +56,9 @@ OBSERVER_CAMERAS: Final = ObserverCameras()
 
 
 class Surroundings(NamedTuple):
-    """Position and size of a head's surroundings."""
+    """Upright frame, floor, stand and size of a head's surroundings."""
 
-    frame: FloatArray
+    upright_frame: FloatArray
     """(4, 4) pose of the upright frame in frame 0."""
     floor_m: float = -0.26
     """Height of the floor in the upright frame, m."""
@@ -70,21 +70,23 @@ class Surroundings(NamedTuple):
     @property
     def gravity(self) -> FloatArray:
         """(3,) acceleration of gravity in frame 0, m/s^2."""
-        return 0.0 - 9.81 * self.frame[:3, 2]
+        return 0.0 - 9.81 * self.upright_frame[:3, 2]
 
     def to_frame_0(self, point: ArrayLike) -> FloatArray:
         """Transform a point (3,) from the upright frame to frame 0."""
-        return np.asarray(self.frame[:3, :3] @ np.asarray(point) + self.frame[:3, 3])
+        return np.asarray(
+            self.upright_frame[:3, :3] @ np.asarray(point) + self.upright_frame[:3, 3]
+        )
 
     def pos_and_quat(
         self, point: ArrayLike, quat: ArrayLike = (1.0, 0.0, 0.0, 0.0)
     ) -> dict[str, Any]:
         """Convert a position and a quaternion in the upright frame to MuJoCo's attributes."""
-        if np.array_equal(self.frame, np.eye(4)):
+        if np.array_equal(self.upright_frame, np.eye(4)):
             return {"pos": point, "quat": quat}
         pose = np.eye(4)
         rotation = Rotation.from_quat(np.asarray(quat), scalar_first=True).as_matrix()
-        pose[:3, :3], pose[:3, 3] = self.frame[:3, :3] @ rotation, self.to_frame_0(point)
+        pose[:3, :3], pose[:3, 3] = self.upright_frame[:3, :3] @ rotation, self.to_frame_0(point)
         return pos_and_quat(pose)
 
 
@@ -94,11 +96,11 @@ def surroundings_of(head: HeadModel) -> Surroundings:
     The article's head keeps the article's values.
     """
     posture = rest_poses(head)
-    if posture.is_article:
-        return Surroundings(posture.upright)
-    x, y, _z = (posture.stand_top - posture.upright[:3, 3]) @ posture.upright[:3, :3]
+    if posture.is_article_head:
+        return Surroundings(posture.upright_frame)
+    x, y, _z = (posture.stand_top - posture.upright_frame[:3, 3]) @ posture.upright_frame[:3, :3]
     return Surroundings(
-        posture.upright,
+        posture.upright_frame,
         stand_foot_m=(float(x), float(y)),
         floor_m=posture.lowest_m - 0.26,
         extent_m=0.6 * max(1.0, posture.baseline_m / 0.3),
@@ -137,7 +139,7 @@ def add_target(
         pos=[*centre, 0.001],
         size=[*size / 2.0, 0.001],
         material=name,
-        **UNTOUCHABLE,
+        **VISUAL_ONLY,
     )
 
 
@@ -196,7 +198,7 @@ def add_scenery(spec: mujoco.MjSpec, surroundings: Surroundings) -> None:
         size=[0.0, 0.0, 0.5],
         material="floor",
         **surroundings.pos_and_quat([0.0, 0.0, surroundings.floor_m]),
-        **UNTOUCHABLE,
+        **VISUAL_ONLY,
     )
     bottom = surroundings.to_frame_0([*surroundings.stand_foot_m, surroundings.floor_m])
     top = surroundings.to_frame_0([*surroundings.stand_foot_m, surroundings.floor_m + 0.012])
@@ -211,7 +213,7 @@ def add_scenery(spec: mujoco.MjSpec, surroundings: Surroundings) -> None:
     spec.worldbody.add_light(
         name="key",
         pos=surroundings.to_frame_0([0.6, -0.8, 1.2]),
-        dir=surroundings.frame[:3, :3] @ [-0.4, 0.5, -0.8],
+        dir=surroundings.upright_frame[:3, :3] @ [-0.4, 0.5, -0.8],
         diffuse=[0.6, 0.6, 0.6],
     )
     spec.visual.map.znear = 0.005

@@ -18,7 +18,7 @@ COLOURS: Final = {
 }
 _SHININESS: Final = {SHELL: 0.4, METAL: 0.7, DARK: 0.3, LENS: 0.9}
 
-UNTOUCHABLE: Final = {"contype": 0, "conaffinity": 0, "mass": 0.0}
+VISUAL_ONLY: Final = {"contype": 0, "conaffinity": 0, "mass": 0.0}
 
 
 def add_materials(spec: mujoco.MjSpec) -> None:
@@ -52,4 +52,4 @@ def add_shape(
         if isinstance(material_or_colour, str)
         else {"rgba": material_or_colour}
     )
-    body.add_geom(type=kind, **colour, **where, **UNTOUCHABLE)
+    body.add_geom(type=kind, **colour, **where, **VISUAL_ONLY)

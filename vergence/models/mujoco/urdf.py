@@ -56,10 +56,10 @@ def to_urdf(head: HeadModel) -> str:
         _add_link(robot, head, body.name)
         joint = _add_joint(robot, body.name, links[body.parent], links[place], "revolute")
         _add_origin(joint, body.pose)
-        _add_limits(joint, head, body.joints[0], loads.joints)
+        _add_limits(joint, head, body.joints[0], loads.joint_loads)
         if body.name in couplings:
             _add_coupling(joint, couplings[body.name])
-    fixed = {"N": (links[chain_end(bodies, None)], head.links.base_frame())}
+    fixed = {"N": (links[chain_end(bodies, None)], head.links.frame_n_pose())}
     for eye, name in enumerate(EYE_NAMES):
         parent = links[chain_end(bodies, eye)]
         fixed[f"{name}_camera"] = (parent, head.camera_in_last_link(eye))

@@ -13,10 +13,10 @@ from vergence.vision.boards.april_tags import (
     SEARCH_SCALES,
     estimate_gap_ratio_and_edge_px,
     find_grid_tags,
-    largest_consistent_group,
+    largest_group_row_column,
 )
 from vergence.vision.boards.homographies import origin_sigma_px
-from vergence.vision.boards.smoothness import fit_board
+from vergence.vision.boards.smoothness import fit_smooth_homography
 from vergence.vision.detection import Detection, Detector
 
 _QUICK_METHODS: Final = (0, 1, 2)
@@ -105,7 +105,7 @@ class AprilGridDetector(Detector[AprilGrid]):
         board = self.target
         count = board.columns * board.rows
         found = find_grid_tags(image, method_index)
-        placed = largest_consistent_group(found, board.columns, board.spacing)
+        placed = largest_group_row_column(found, board.columns, board.spacing)
         own = sum(each.id < count for each in found)
         if len(placed) < max(_LEAST_ARRANGED_FRACTION * own, 1) or any(
             each.id >= count for each, *_ in placed
@@ -134,7 +134,9 @@ class AprilGridDetector(Detector[AprilGrid]):
         if len(known) < 4:
             return None
         corners, board_m = search.found.reshape(-1, 2)[known], board.corners_m[known]
-        fit = fit_board(board_m, flat.to_plane(corners), search.half_gaps_px()[known // 4])
+        fit = fit_smooth_homography(
+            board_m, flat.to_plane(corners), search.half_gaps_px()[known // 4]
+        )
         if fit is None:
             return None
         known, corners, board_m = known[fit.inliers], corners[fit.inliers], board_m[fit.inliers]

@@ -13,7 +13,7 @@ from vergence.models.april_grid import AprilGrid
 from vergence.vision.boards.april_tags import (
     estimate_gap_ratio_and_edge_px,
     find_grid_tags,
-    largest_consistent_group,
+    largest_group_row_column,
 )
 from vergence.vision.tags.library import FoundSquare
 
@@ -29,39 +29,41 @@ _SPACING_STEP: Final = 0.01
 """Resolution of estimated spacings (chosen: spacings are round numbers)."""
 
 
-def plausible_grids(image: NDArray[np.uint8], requested: AprilGrid | None) -> Iterator[AprilGrid]:
+def alternative_grids(
+    image: NDArray[np.uint8], missed_grid: AprilGrid | None
+) -> Iterator[AprilGrid]:
     """Find boards that explain the tags in an image.
 
     Args:
         image: grey levels, shape (height, width).
-        requested: the board that was not found; its tag edge is kept. None for any.
+        missed_grid: the board that was not found; its tag edge is kept. None for any.
 
     Yields:
         Boards with the number of columns that most tags agree with, as many rows as the tags need,
         and the estimated spacing.
     """
-    given = requested is not None
-    requested = requested or AprilGrid()
+    given = missed_grid is not None
+    missed_grid = missed_grid or AprilGrid()
     for method_index in _SEARCH_METHODS:
         found = find_grid_tags(image, method_index)
         if len(found) < _LEAST_TAGS:
             continue
-        spacing = _spacing(found, requested)
+        spacing = _spacing(found, missed_grid)
         best: list[tuple[FoundSquare, int, int]] = []
         columns = 0
         for count in dict.fromkeys(
-            [requested.columns, requested.rows, *range(1, _MOST_COLUMNS + 1)]
+            [missed_grid.columns, missed_grid.rows, *range(1, _MOST_COLUMNS + 1)]
         ):
-            placed = largest_consistent_group(found, count, spacing)
+            placed = largest_group_row_column(found, count, spacing)
             if len(placed) > len(best):
                 best, columns = placed, count
         if len(best) < max(_LEAST_TAGS, _LEAST_ARRANGED_FRACTION * len(found)):
             continue
         rows = 1 + max(row for _, row, _ in best)
-        if given and rows < requested.rows and columns == requested.columns:
-            rows = requested.rows
+        if given and rows < missed_grid.rows and columns == missed_grid.columns:
+            rows = missed_grid.rows
         try:
-            other = replace(requested, columns=columns, rows=rows, spacing=spacing)
+            other = replace(missed_grid, columns=columns, rows=rows, spacing=spacing)
         except ConfigurationError:
             continue
         tags = np.full((rows * columns, 4, 2), np.nan)
@@ -69,11 +71,11 @@ def plausible_grids(image: NDArray[np.uint8], requested: AprilGrid | None) -> It
             tags[each.id] = each.corners
         seen, _edge = estimate_gap_ratio_and_edge_px(tags, other)
         seen = round(round(seen / _SPACING_STEP) * _SPACING_STEP, 6) if np.isfinite(seen) else 0.0
-        if abs(seen - requested.spacing) < 2.0 * _SPACING_STEP:
-            seen = requested.spacing
+        if abs(seen - missed_grid.spacing) < 2.0 * _SPACING_STEP:
+            seen = missed_grid.spacing
         if seen > 0.0:
             other = replace(other, spacing=seen)
-        if other != requested or not given:
+        if other != missed_grid or not given:
             yield other
 
 

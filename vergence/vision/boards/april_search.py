@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence.models.april_grid import GRID_BORDER, AprilGrid
+from vergence.models.april_grid import GRID_BORDER_BITS, AprilGrid
 from vergence.vision.boards.corners import (
     corner_sigmas,
     estimate_noise_grey,
@@ -184,7 +184,7 @@ class CornerSearch:
             float
         )
         size = printed.shape[-1]
-        code = slice(GRID_BORDER, size - GRID_BORDER)  # borders are equal in all tags
+        code = slice(GRID_BORDER_BITS, size - GRID_BORDER_BITS)  # borders are equal in all tags
         printed = printed[:, code, code]
         middles = (np.arange(size)[code] + 0.5) / size
         cells = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)

@@ -8,7 +8,7 @@ import numpy as np
 import pyapriltags
 from numpy.typing import NDArray
 
-from vergence.models.april_grid import GRID_BORDER, GRID_FAMILY, AprilGrid
+from vergence.models.april_grid import GRID_BORDER_BITS, GRID_FAMILY, AprilGrid
 from vergence.models.tag_families import CORRECTED_BITS, library_family
 from vergence.vision.tags.library import FoundSquare
 
@@ -92,7 +92,7 @@ def _make() -> Any:
     detector: Any = pyapriltags.Detector(families="", nthreads=1, quad_decimate=1.0)
     family = library_family(detector.libc, GRID_FAMILY)
     code = family.contents
-    wider = GRID_BORDER - 1
+    wider = GRID_BORDER_BITS - 1
     code.width_at_border += 2 * wider
     code.total_width += 2 * wider
     for bit in range(int(code.nbits)):
@@ -104,8 +104,8 @@ def _make() -> Any:
     return detector
 
 
-def largest_consistent_group(
-    tags: list[FoundSquare], columns: int, spacing: float
+def largest_group_row_column(
+    tags: list[FoundSquare], columns: int, gap_to_edge_ratio: float
 ) -> list[tuple[FoundSquare, int, int]]:
     """Select the largest connected group of tags that are arranged as on a board.
 
@@ -115,7 +115,7 @@ def largest_consistent_group(
     Args:
         tags: tags, perhaps of several boards.
         columns: tags per row of the board; the number of rows is free.
-        spacing: ratio of gap to tag edge, see `AprilGrid`.
+        gap_to_edge_ratio: ratio of gap to tag edge, see `AprilGrid`.
 
     Returns:
         Tags with their rows, counted from below, and columns; no number occurs twice.
@@ -133,7 +133,9 @@ def largest_consistent_group(
     for i in range(len(tags)):
         others = np.flatnonzero(near[i])
         transform = cv2.getPerspectiveTransform(square, corners[i].astype(np.float32))
-        away = (1.0 + spacing) * np.stack([column[others] - column[i], row[i] - row[others]], -1)
+        away = (1.0 + gap_to_edge_ratio) * np.stack(
+            [column[others] - column[i], row[i] - row[others]], -1
+        )
         predicted = cv2.perspectiveTransform(away[None] + 0.5, transform)[0]
         beside = np.linalg.norm(predicted - corners[others].mean(axis=1), axis=1)
         steps = np.maximum(np.abs(row[others] - row[i]), np.abs(column[others] - column[i]))

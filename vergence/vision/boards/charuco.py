@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.boards import CharucoBoard
-from vergence.models.response import Response
+from vergence.models.response import CameraResponse
 from vergence.vision.boards.corners import (
     corner_sigmas,
     estimate_noise_grey,
@@ -71,7 +71,7 @@ class CharucoDetector(Detector[CharucoBoard]):
         self,
         target: CharucoBoard,
         camera: EyeCamera | None = None,
-        response: Response | None = None,
+        response: CameraResponse | None = None,
     ) -> None:
         super().__init__(target, camera, response)
         self._layouts = [target]

@@ -18,11 +18,11 @@ from vergence.vision.boards.corners import (
     refine_corners_robustly,
     remaining_move_px,
 )
-from vergence.vision.boards.evenness import estimate_corner_scatter_px, leave_one_out_residuals
+from vergence.vision.boards.evenness import estimate_corner_scatter_px, loo_residuals_and_scales
 from vergence.vision.boards.squares import (
     Grid,
     board_continues_beyond,
-    is_regular,
+    is_even_unmirrored_grid,
     shortest_square_edge_px,
     square_centres,
     squares_alternate,
@@ -183,7 +183,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         orders = [grid, grid[::-1, ::-1], grid[::-1], grid[:, ::-1]]
         if self.target.columns == self.target.rows:
             orders += [np.swapaxes(order, 0, 1) for order in orders]
-        orders = [order for order in orders if is_regular(order)]
+        orders = [order for order in orders if is_even_unmirrored_grid(order)]
         orders.sort(key=_to_the_right)
         # a symmetric board keeps its colours after 180 degrees, and its first square may be light
         for dark in (True, False) if self.target.symmetric else (True,):
@@ -239,7 +239,7 @@ class CheckerboardDetector(Detector[Checkerboard]):
         if stray.mean() > _MAX_STRAY_FRACTION:
             return None
         grid = refined.reshape(grid.shape)
-        if not is_regular(grid):
+        if not is_even_unmirrored_grid(grid):
             return None
         if not squares_alternate(image, grid, upper_left_dark=first_dark):
             return None
@@ -316,7 +316,7 @@ def _refine_strays(
     )
     for last in range(_MAX_STRAY_ROUNDS + 1):
         ideal = flat.to_plane(corners)
-        left, spread = leave_one_out_residuals(ideal.reshape(grid.shape))
+        left, spread = loo_residuals_and_scales(ideal.reshape(grid.shape))
         beside = np.linalg.norm(left, axis=1) / spread
         usual = float(np.median(beside))
         now = beside > max(_STRAY_PX, _STRAY_RATIO * usual)

@@ -89,29 +89,33 @@ class CornerCluster(NamedTuple):
     """(n, 2) the corners, to one pixel, px."""
 
 
-def find_corner_clusters(image: NDArray[np.uint8], corner_count: int) -> list[CornerCluster]:
+def find_corner_clusters(image: NDArray[np.uint8], board_corner_count: int) -> list[CornerCluster]:
     """Find a few clusters with about as many corners as a board.
 
     Args:
         image: grey levels, shape (height, width), without much noise.
-        corner_count: number of corners of the board; clusters nearest to it in size come first.
+        board_corner_count: number of corners of the board; clusters nearest to it in size come
+            first.
     """
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
     saddles = _crossed(smooth, _saddles(smooth))
     count = len(saddles.places)
-    if count < _LEAST_SIZE_RATIO * corner_count:
+    if count < _LEAST_SIZE_RATIO * board_corner_count:
         return []
     first, second = _of_squares(count, *_edges(smooth, saddles))
     links = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
     _number, cluster = connected_components(links, directed=False)
     sizes = np.bincount(cluster)
     alike = np.flatnonzero(
-        (sizes >= _LEAST_SIZE_RATIO * corner_count) & (sizes <= _MAX_SIZE_RATIO * corner_count)
+        (sizes >= _LEAST_SIZE_RATIO * board_corner_count)
+        & (sizes <= _MAX_SIZE_RATIO * board_corner_count)
     )
     lengths = np.linalg.norm(saddles.places[first] - saddles.places[second], axis=1)
     height, width = image.shape
     out = []
-    for k in alike[np.argsort(np.abs(sizes[alike] - corner_count), kind="stable")][:_MOST_CLUSTERS]:
+    for k in alike[np.argsort(np.abs(sizes[alike] - board_corner_count), kind="stable")][
+        :_MOST_CLUSTERS
+    ]:
         places = saddles.places[cluster == k]
         margin = _MARGIN_EDGES * float(np.median(lengths[cluster[first] == k])) + _MARGIN_PX
         x0, y0 = np.floor(np.maximum(places.min(axis=0) - margin, 0)).astype(int).tolist()

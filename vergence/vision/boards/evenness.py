@@ -65,10 +65,12 @@ def estimate_corner_scatter_px(grid: NDArray[np.float64]) -> float:
     return sqrt(squares / max(count, 1))
 
 
-def leave_one_out_residuals(
+def loo_residuals_and_scales(
     grid: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Residual of each corner from its prediction by all others.
+    """Residual of each corner from its prediction by all others, and the scale of its sigma.
+
+    Leaving a corner out raises the standard deviation of its residual by that scale.
 
     The prediction is a homography of the board plus a polynomial for remaining lens distortion,
     of the degree with the least generalised cross validation (Golub, Heath and Wahba 1979).

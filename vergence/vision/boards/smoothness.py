@@ -26,7 +26,7 @@ _MOST_ROUNDS: Final = 8
 
 
 class SmoothHomographyFit(NamedTuple):
-    """A fit to corners."""
+    """Homography of a board plus a smooth lens distortion, fitted to its corners."""
 
     homography: NDArray[np.float64]
     """Homography from the board's plane to the image."""
@@ -37,10 +37,10 @@ class SmoothHomographyFit(NamedTuple):
     origin_distortion_px: NDArray[np.float64]
     """(2,) lens distortion at the board's origin, added to the homography."""
     origin_distortion_sigma_px: float
-    """Standard deviation of each coordinate of `distortion_px`."""
+    """Standard deviation of each coordinate of `origin_distortion_px`."""
 
 
-def fit_board(
+def fit_smooth_homography(
     board_m: NDArray[np.float64], pixels: NDArray[np.float64], max_residual_px: NDArray[np.float64]
 ) -> SmoothHomographyFit | None:
     """Fit a homography and a smooth distortion to corners, without outliers.

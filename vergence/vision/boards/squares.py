@@ -46,7 +46,7 @@ def shortest_square_edge_px(grid: Grid) -> float:
 
 
 @compiled
-def is_regular(grid: Grid) -> bool:
+def is_even_unmirrored_grid(grid: Grid) -> bool:
     """Check that corners form an even grid that is not mirrored."""
     rows, columns, _ = grid.shape
     for j in range(rows - 1):

@@ -61,26 +61,28 @@ def reads_as_tag(fit: TagFit, code: TagFamilyCode) -> bool:
         or unclear > _MAX_UNCLEAR_FRACTION
     ):
         return False
-    return fit.border_step >= _LEAST_BORDER_STEP
+    return fit.relative_border_step >= _LEAST_BORDER_STEP
 
 
-def may_be_bent(fit: TagFit) -> bool:
+def refused_tag_may_be_bent(refused_fit: TagFit) -> bool:
     """Check if a refused fit may be of a tag on bent paper.
 
     Args:
-        fit: a fit that `reads_as_tag` refuses.
+        refused_fit: a fit that `reads_as_tag` refuses.
 
     Returns:
         True if there is no fit, or one that is nearly good: on bent paper a fit may fail to
         converge, and a converged fit reads cells near the corners wrong.
     """
-    wrong, frame, unclear = fit.reading
+    wrong, frame, unclear = refused_fit.reading
     near = (
         wrong <= _MAX_BENT_WRONG_CELLS
         and frame <= _MAX_WRONG_RIM_CELLS
         and unclear <= _MAX_BENT_UNCLEAR
     )
-    return fit.contrast == 0.0 or (near and fit.explained_fraction >= _LEAST_BENT_EXPLAINED)
+    return refused_fit.contrast == 0.0 or (
+        near and refused_fit.explained_fraction >= _LEAST_BENT_EXPLAINED
+    )
 
 
 def library_corner_sigma_px(
@@ -102,7 +104,7 @@ def library_corner_sigma_px(
     corners, edge = square.corners, shortest_edge(square.corners)
     height, width = image.shape
     # if the image's side cuts a tag, the library moves its corner into the image
-    cell = edge / code.border_cells
+    cell = edge / code.width_at_border
     inside = (corners > cell).all() and (corners < (width - cell, height - cell)).all()
     if not inside or edge < LEAST_EDGE_PX or not CORRECTED_BITS[code.name]:
         return None

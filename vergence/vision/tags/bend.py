@@ -9,7 +9,7 @@ from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.tags.cholesky import cholesky_factorise, cholesky_solve
 from vergence.vision.tags.normal import add_priors, build_normal_equations
-from vergence.vision.tags.workspace import BEND_START, SPREAD, UNKNOWNS, FitBuffers
+from vergence.vision.tags.workspace import BEND_START, MAX_UNKNOWNS, WHITE_SPREAD_INDEX, FitBuffers
 
 _WEAK_SIGMA: Final = 0.1
 """Standard deviation of a weak prior on the spread, px, and on the bend's coefficients, half edges;
@@ -20,23 +20,23 @@ must exceed (chosen: noise alone exceeds it in one flat tag of 25)."""
 
 
 @subroutine
-def bend_displacement(spread_and_bend: FloatArray, x: float, y: float) -> tuple[float, float]:
+def bend_displacement(white_spread_and_bend: FloatArray, x: float, y: float) -> tuple[float, float]:
     """Displacement (dx, dy) of a point of the tag's plane by the bend; 0 at the corners.
 
     With c the coefficients, dx = (c1 + c3 x) (1 - x^2) + (c2 + c4 x) (1 - y^2) and
     dy = (c5 + c7 y) (1 - x^2) + (c6 + c8 y) (1 - y^2).
 
     Args:
-        spread_and_bend: (9,) the spread, then the bend's eight coefficients c1 to c8.
+        white_spread_and_bend: (9,) the spread, then the bend's eight coefficients c1 to c8.
         x: x of the point, half edges.
         y: y of the point, half edges.
     """
     over_x, over_y = 1.0 - x * x, 1.0 - y * y
-    dx = (spread_and_bend[1] + spread_and_bend[3] * x) * over_x + (
-        spread_and_bend[2] + spread_and_bend[4] * x
+    dx = (white_spread_and_bend[1] + white_spread_and_bend[3] * x) * over_x + (
+        white_spread_and_bend[2] + white_spread_and_bend[4] * x
     ) * over_y
-    dy = (spread_and_bend[5] + spread_and_bend[7] * y) * over_x + (
-        spread_and_bend[6] + spread_and_bend[8] * y
+    dy = (white_spread_and_bend[5] + white_spread_and_bend[7] * y) * over_x + (
+        white_spread_and_bend[6] + white_spread_and_bend[8] * y
     ) * over_y
     return dx, dy
 
@@ -78,21 +78,21 @@ def bend_derivatives(
 
 
 @subroutine
-def rms_of_bend(spread_and_bend: FloatArray) -> float:
+def rms_bend_coefficient(white_spread_and_bend: FloatArray) -> float:
     """Root mean square of a bend's coefficients."""
     squares = 0.0
-    for k in range(BEND_START - SPREAD, UNKNOWNS - SPREAD):
-        squares += spread_and_bend[k] ** 2 / (UNKNOWNS - BEND_START)
+    for k in range(BEND_START - WHITE_SPREAD_INDEX, MAX_UNKNOWNS - WHITE_SPREAD_INDEX):
+        squares += white_spread_and_bend[k] ** 2 / (MAX_UNKNOWNS - BEND_START)
     return sqrt(squares)
 
 
 @subroutine
-def estimate_bend_sigma(
+def estimate_bend_prior_sigma(
     buffers: FitBuffers,
     pixel_count: int,
     block_count: int,
-    spread_and_bend: FloatArray,
-    variance: float,
+    white_spread_and_bend: FloatArray,
+    pixel_variance: float,
 ) -> float:
     """Estimate the prior standard deviation of a bend's coefficients by empirical Bayes.
 
@@ -100,42 +100,42 @@ def estimate_bend_sigma(
         buffers: working arrays after a step that kept the sheet flat.
         pixel_count: number of pixels.
         block_count: number of blocks.
-        spread_and_bend: (9,) the spread, and a bend of 0.
-        variance: variance of a pixel.
+        white_spread_and_bend: (9,) the spread, and a bend of 0.
+        pixel_variance: variance of a pixel.
 
     Returns:
         Root mean square of the coefficients in excess of noise, weighted by how well the pixels
         determine each; 0 if they are no larger than noise makes them.
     """
-    matrix, solution = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    matrix, solution = np.empty((MAX_UNKNOWNS, MAX_UNKNOWNS)), np.empty(MAX_UNKNOWNS)
     build_normal_equations(
-        buffers.pixel_rows, pixel_count, buffers.blocks, block_count, UNKNOWNS, matrix, solution
+        buffers.pixel_rows, pixel_count, buffers.blocks, block_count, MAX_UNKNOWNS, matrix, solution
     )
-    for j in range(UNKNOWNS):
+    for j in range(MAX_UNKNOWNS):
         for i in range(BEND_START):
             solution[j] -= matrix[j, i] * buffers.step[i]
-    weak_weight = variance / _WEAK_SIGMA**2
+    weak_weight = pixel_variance / _WEAK_SIGMA**2
     add_priors(
         matrix,
         solution,
-        spread_and_bend,
+        white_spread_and_bend,
         1e-5 * (matrix[8, 8] + matrix[9, 9]),
         weak_weight,
         weak_weight,
-        UNKNOWNS,
+        MAX_UNKNOWNS,
     )
-    if not cholesky_factorise(matrix, UNKNOWNS):
+    if not cholesky_factorise(matrix, MAX_UNKNOWNS):
         return 0.0
-    cholesky_solve(matrix, solution, UNKNOWNS)
+    cholesky_solve(matrix, solution, MAX_UNKNOWNS)
     # the factor's last rows are the factor of the bend's normal matrix, other unknowns eliminated
     squares = information = 0.0
-    for j in range(BEND_START, UNKNOWNS):
+    for j in range(BEND_START, MAX_UNKNOWNS):
         total = 0.0
-        for i in range(j, UNKNOWNS):
+        for i in range(j, MAX_UNKNOWNS):
             total += matrix[i, j] * solution[i]
             information += matrix[i, j] * matrix[i, j]
         squares += total * total
-    chance = (UNKNOWNS - BEND_START) * variance
+    chance = (MAX_UNKNOWNS - BEND_START) * pixel_variance
     return (
         sqrt((squares - chance) / information)
         if squares > _LEAST_BEND_SIGNIFICANCE * chance

@@ -36,11 +36,11 @@ def decode_tag(
         The tag with the fewest wrong bits, its corners from its upper left one; None if it has more
         wrong bits than the family corrects, or if the contrast or the border is not a tag's.
     """
-    start = (code.total_cells - code.border_cells) // 2
-    size = code.border_cells + 2
-    square = code.border_cells * np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    start = (code.total_width - code.width_at_border) // 2
+    size = code.width_at_border + 2
+    square = code.width_at_border * np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
     transform = cv2.getPerspectiveTransform(square, corners.astype(np.float32))
-    reach = code.total_cells if not code.dark_inside else size
+    reach = code.total_width if not code.dark_inside else size
     origin = -start if not code.dark_inside else -1
     middles = np.arange(reach) + origin + 0.5
     probes = np.array([[0.0, 0.0], [0.2, 0.2], [-0.2, 0.2], [-0.2, -0.2], [0.2, -0.2]])
@@ -58,7 +58,7 @@ def decode_tag(
     # shadow scales levels: the geometric mean lies below white in shadow and above black in sun
     white = grey > np.sqrt((light + 1.0) * (dark + 1.0))
     # the border's ring has one colour in every orientation of the square
-    inner = slice(-origin, -origin + code.border_cells)
+    inner = slice(-origin, -origin + code.width_at_border)
     ring = white[inner, inner].copy()
     ring[1:-1, 1:-1] = not code.dark_inside
     border_fraction = float((ring != code.dark_inside).mean())

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence.models.boards import AprilTag, TagFamily
-from vergence.models.response import Response
+from vergence.models.response import CameraResponse
 from vergence.models.tag_families import UNPRINTED, TagFamilyCode, tag_family
 from vergence.vision.detection import Detection, Detector
 from vergence.vision.image import smooth_for_square_search
@@ -16,8 +16,8 @@ from vergence.vision.optics import EyeCamera
 from vergence.vision.tags.acceptance import (
     LEAST_EDGE_PX,
     library_corner_sigma_px,
-    may_be_bent,
     reads_as_tag,
+    refused_tag_may_be_bent,
     shortest_edge,
 )
 from vergence.vision.tags.decoding import decode_tag
@@ -75,7 +75,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         self,
         target: AprilTag | TagFamily,
         camera: EyeCamera | None = None,
-        response: Response | None = None,
+        response: CameraResponse | None = None,
     ) -> None:
         super().__init__(target, camera, response)
         self._code = tag_family(target.family)
@@ -224,7 +224,10 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         )
         found, fit = self._fit_once(image, corners, number, (0, 0, _TRACKED_STEPS[2]), most)
         if found is not None:
-            if fit.moved_px < _MAX_PREDICTION_ERROR_PX and fit.sigma_px < _MAX_TRACKED_SIGMA_PX:
+            if (
+                fit.max_corner_move_px < _MAX_PREDICTION_ERROR_PX
+                and fit.max_sigma_px < _MAX_TRACKED_SIGMA_PX
+            ):
                 return found
         else:  # the target is not exactly at its prediction
             found = self._fit_near(image, corners, number, _TRACKED_STEPS, most)
@@ -270,7 +273,7 @@ class TagDetector(Detector[AprilTag | TagFamily]):
             found, fit = self._fit_once(image, corners, identity, taken, most, quiet)
             if found is not None:
                 return found, False
-            bent = bent and may_be_bent(fit)
+            bent = bent and refused_tag_may_be_bent(fit)
         return None, bent
 
     def _fit_once(
@@ -286,7 +289,8 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         code = self._code
         points, sigmas = np.empty((5, 2)), np.empty((5, 2))
         fit = fit_tag(
-            image, self._light, self._rays, self._row, _cells_of(code, identity), code.border_cells,
+            image, self._light, self._rays, self._row, _cells_of(code, identity),
+            code.width_at_border,
             quiet, steps, most, corners, points, sigmas,
         )  # fmt: skip
         if not reads_as_tag(fit, code):

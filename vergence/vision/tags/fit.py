@@ -18,7 +18,7 @@ at the corners, with a common prior variance of their coefficients (empirical Ba
 clipped white are left out.
 
 The covariance of the corners is the inverse of the normal matrix, scaled by a variance that
-includes correlation of the residuals within each block (`block_squares_and_freedom`).
+includes correlation of the residuals within each block (`block_squares_and_dof`).
 
 Corners come from the edges because blur moves the corner of a print inwards, but not the lines that
 meet there.
@@ -40,8 +40,8 @@ from vergence.vision.plane import (
     set_view_along,
     undistorted_point,
 )
-from vergence.vision.tags.bend import estimate_bend_sigma, rms_of_bend
-from vergence.vision.tags.normal import block_squares_and_freedom
+from vergence.vision.tags.bend import estimate_bend_prior_sigma, rms_bend_coefficient
+from vergence.vision.tags.normal import block_squares_and_dof
 from vergence.vision.tags.report import NO_FIT, TagFit, report_fit
 from vergence.vision.tags.stages import ALL, BEND, NARROW, WIDE, FitStage, begin_stage, tag_scale
 from vergence.vision.tags.steps import (
@@ -52,8 +52,8 @@ from vergence.vision.tags.steps import (
 )
 from vergence.vision.tags.workspace import (
     BEND_START,
-    SPREAD,
-    UNKNOWNS,
+    MAX_UNKNOWNS,
+    WHITE_SPREAD_INDEX,
     FitState,
     SearchRegion,
     TagPrint,
@@ -108,7 +108,7 @@ _LEAST_EDGE_PX: Final = 8.0
 @compiled
 def fit_tag(
     image: NDArray[np.uint8],
-    light: FloatArray,
+    light_by_grey: FloatArray,
     rays: NDArray[np.float32],
     packed_camera: FloatArray,
     cells: FloatArray,
@@ -124,7 +124,7 @@ def fit_tag(
 
     Args:
         image: grey levels, shape (height, width).
-        light: (256,) light of each grey level, see `light_table`.
+        light_by_grey: (256,) light of each grey level, see `light_table`.
         rays: (height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole.
         packed_camera: the camera, see `pack_camera`.
         cells: (n, n) the print, 0 black to 1 white, nan unknown.
@@ -145,17 +145,19 @@ def fit_tag(
     if not (shortest >= _LEAST_EDGE_PX and longest < inf):
         return NO_FIT
     camera, tag = camera_at(packed_camera, 0), TagPrint(cells, side_cells, quiet_zone_cells)
-    region = _look(image, light, rays, camera, side_cells, start_corners)
+    region = _look(image, light_by_grey, rays, camera, side_cells, start_corners)
     state = FitState(
         np.empty((4, 2)), np.empty((3, 3)), np.empty((3, 3)), np.empty(2),
-        np.zeros(UNKNOWNS - SPREAD),
+        np.zeros(MAX_UNKNOWNS - WHITE_SPREAD_INDEX),
     )  # fmt: skip
     for k in range(4):
-        u, v = undistorted_point(rays, region.plane, start_corners[k, 0], start_corners[k, 1])
+        u, v = undistorted_point(
+            rays, region.undistorted_view, start_corners[k, 0], start_corners[k, 1]
+        )
         state.corners[k, 0], state.corners[k, 1] = u, v
     scale = tag_scale(state.corners, side_cells, max_pixels[1])
     buffers = allocate_buffers(
-        max(max_pixels[0], max_pixels[1]), scale.blocks_per_edge * scale.blocks_per_edge
+        max(max_pixels[0], max_pixels[1]), scale.max_blocks_per_edge * scale.max_blocks_per_edge
     )
     stage, residuals = FitStage(0, 0, False), PrintResiduals(0.0, 0.0, 0.0)
     corner_step_px = variance = bend_sigma = 0.0
@@ -164,36 +166,36 @@ def fit_tag(
         if which == BEND:
             if bend_sigma == 0.0:
                 break
-            used = UNKNOWNS
+            used = MAX_UNKNOWNS
         elif max_steps[which] == 0:
             continue
         else:
             blurred = which == ALL and max_steps[NARROW] > 0
             few = max_pixels[0] if which == WIDE else max_pixels[1]
             stage = begin_stage(which, blurred, region, tag, scale, state, buffers, few)
-            if stage.pixel_count < 4 * UNKNOWNS:
+            if stage.pixel_count < 4 * MAX_UNKNOWNS:
                 return NO_FIT
         fine, block_count = which != WIDE, stage.blocks_per_edge * stage.blocks_per_edge
         reset_line_search(buffers)
         for _ in range(max_steps[min(which, ALL)]):
-            before = residuals.variance
+            before = residuals.pixel_variance
             residuals = compare_print(state, tag, buffers, stage.pixel_count, stage.blocks_per_edge)
             if residuals.contrast <= 0.0:
                 return NO_FIT
             worse = (
                 which == ALL
                 and not stage.dropped_clipped
-                and residuals.variance > _BENT_VARIANCE_RATIO * before > 0.0
+                and residuals.pixel_variance > _BENT_VARIANCE_RATIO * before > 0.0
             )
             if worse and used == BEND_START:
                 # inner edges do not lie where the outer ones predict: the sheet is bent
-                bend_sigma, used = _LARGE_BEND_SIGMA, UNKNOWNS
+                bend_sigma, used = _LARGE_BEND_SIGMA, MAX_UNKNOWNS
             # a weak prior holds blurs near their last values
             hold = _LATER_BLUR_WEIGHT if fine else 1.0
             blur_weight = hold * residuals.contrast * residuals.contrast * stage.pixel_count
             spread_sigma_px = _SPREAD_SIGMA_PX if which >= ALL else _NO_SPREAD_SIGMA_PX
-            spread_weight = residuals.variance / spread_sigma_px**2
-            bend_weight = residuals.variance / max(bend_sigma, 1e-9) ** 2
+            spread_weight = residuals.pixel_variance / spread_sigma_px**2
+            bend_weight = residuals.pixel_variance / max(bend_sigma, 1e-9) ** 2
             corner_step_px, blur_step = gauss_newton_step(
                 state, buffers, stage.pixel_count, block_count, used, blur_weight, spread_weight,
                 bend_weight, scale.max_blur_px,
@@ -204,22 +206,22 @@ def fit_tag(
             if settled and corner_step_px < (_LATER_END_STEP_PX if fine else _FIRST_END_STEP_PX):
                 break
         if which >= ALL:
-            squares, independent = block_squares_and_freedom(
-                buffers.matrix, buffers.step, buffers.blocks, block_count, used
+            squares, independent = block_squares_and_dof(
+                buffers.normal_matrix, buffers.step, buffers.blocks, block_count, used
             )
-            variance = (squares + _PRIOR_SQUARES * residuals.variance) / (
+            variance = (squares + _PRIOR_SQUARES * residuals.pixel_variance) / (
                 independent + _PRIOR_SQUARES
             )
-        if which == ALL and used == UNKNOWNS:
-            bend_sigma = rms_of_bend(state.spread_and_bend)
+        if which == ALL and used == MAX_UNKNOWNS:
+            bend_sigma = rms_bend_coefficient(state.white_spread_and_bend)
         elif which == ALL and corner_step_px < _CONVERGED_STEP_PX:
-            bend_sigma = estimate_bend_sigma(
-                buffers, stage.pixel_count, block_count, state.spread_and_bend, variance
+            bend_sigma = estimate_bend_prior_sigma(
+                buffers, stage.pixel_count, block_count, state.white_spread_and_bend, variance
             )
-    shrunk = min(abs(state.spread_and_bend[3]), abs(state.spread_and_bend[8]))
+    shrunk = min(abs(state.white_spread_and_bend[3]), abs(state.white_spread_and_bend[8]))
     if not corner_step_px < _CONVERGED_STEP_PX or shrunk > _MAX_INNER_SCALING:
         return NO_FIT
-    unmodelled_variance = (_UNMODELLED_BEND_RATIO * bend_sigma * 0.5 * scale.shortest_px) ** 2
+    unmodelled_variance = (_UNMODELLED_BEND_RATIO * bend_sigma * 0.5 * scale.shortest_edge_px) ** 2
     return report_fit(
         region, camera, tag, scale, state, buffers, residuals,
         stage.blocks_per_edge * stage.blocks_per_edge, used, variance, unmodelled_variance,

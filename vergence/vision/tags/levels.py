@@ -22,7 +22,7 @@ def estimate_block_levels(blocks: Blocks, block_count: int) -> float:
 
     A block of one colour, or with a contrast of the wrong sign, gets contrast 0: it is not used.
     """
-    sums, levels, total, pixels = blocks.sums, blocks.levels, 0.0, 0.0
+    sums, levels, total, pixels = blocks.moments, blocks.levels, 0.0, 0.0
     for k in range(block_count):
         n, t, tt, i, ti = sums[k]
         levels[k, 0] = levels[k, 1] = 0.0
@@ -41,11 +41,14 @@ def estimate_block_levels(blocks: Blocks, block_count: int) -> float:
 
 
 @subroutine
-def update_block_weights(
+def reweight_and_sum_squares(
     pixel_rows: FloatArray, pixel_count: int, blocks: Blocks, block_count: int
 ) -> float:
-    """Set the weights of blocks, lower for large residuals; return the weighted sum of squares."""
-    sums, levels, weights = blocks.sums, blocks.levels, blocks.weights
+    """Set the weight of each block, lower if its residuals are unusually large.
+
+    Return the sum of all squared residuals by these weights.
+    """
+    sums, levels, weights = blocks.moments, blocks.levels, blocks.weights
     for k in range(block_count):
         weights[k] = 0.0
     for n in range(pixel_count):

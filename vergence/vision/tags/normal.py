@@ -5,7 +5,7 @@ import numpy as np
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.tags.cholesky import forward_substitute
-from vergence.vision.tags.workspace import SPREAD, UNKNOWNS, Blocks
+from vergence.vision.tags.workspace import MAX_UNKNOWNS, WHITE_SPREAD_INDEX, Blocks
 
 
 @subroutine
@@ -29,8 +29,13 @@ def build_normal_equations(
         matrix: (unknowns, unknowns) result, the normal matrix of all blocks.
         right_side: (unknowns,) result, the right side.
     """
-    levels, weights, sums, slopes = blocks.levels, blocks.weights, blocks.sums, blocks.slopes
-    every_score, every_normal = blocks.scores, blocks.normal
+    levels, weights, sums, slopes = (
+        blocks.levels,
+        blocks.weights,
+        blocks.moments,
+        blocks.derivative_sums,
+    )
+    every_score, every_normal = blocks.scores, blocks.normal_matrices
     for k in range(block_count):
         for j in range(unknown_count):
             every_score[k, j] = 0.0
@@ -73,23 +78,29 @@ def build_normal_equations(
 
 @subroutine
 def add_priors(
-    matrix: FloatArray, right_side: FloatArray, spread_and_bend: FloatArray, blur_weight: float,
-    spread_weight: float, bend_weight: float, unknown_count: int,
+    matrix: FloatArray, right_side: FloatArray, white_spread_and_bend: FloatArray,
+    blur_weight: float,
+    white_spread_weight: float, bend_weight: float, unknown_count: int,
 ) -> None:  # fmt: skip
-    """Add the priors of blurs, spread and bend, as weights, to normal equations."""
+    """Add Gaussian priors to normal equations: blurs stay, white spread and bend are near 0.
+
+    Each prior adds its weight, pixel variance / prior variance, to the diagonal.
+    """
     matrix[8, 8] += blur_weight
     matrix[9, 9] += blur_weight
-    for k in range(SPREAD, unknown_count):
-        weight = spread_weight if k == SPREAD else bend_weight
+    for k in range(WHITE_SPREAD_INDEX, unknown_count):
+        weight = white_spread_weight if k == WHITE_SPREAD_INDEX else bend_weight
         matrix[k, k] += weight
-        right_side[k] -= weight * spread_and_bend[k - SPREAD]
+        right_side[k] -= weight * white_spread_and_bend[k - WHITE_SPREAD_INDEX]
 
 
 @subroutine
-def block_squares_and_freedom(
+def block_squares_and_dof(
     factor: FloatArray, step: FloatArray, blocks: Blocks, block_count: int, unknown_count: int
 ) -> tuple[float, float]:
-    r"""Estimate the variance of a pixel from the residuals of whole blocks.
+    r"""Sum of squares of whole blocks' residuals, and its degrees of freedom.
+
+    Their ratio estimates the variance of a pixel.
 
     Residuals that are correlated from pixel to pixel add up: their sum over a block of N pixels
     scatters by more than the square root of N. With the blocks' scores s_k and normal matrices N_k,
@@ -105,8 +116,8 @@ def block_squares_and_freedom(
     Returns:
         Sum of the squares, and the number of independent squares in it: its degrees of freedom.
     """
-    scores, normal, levels = blocks.scores, blocks.normal, blocks.levels
-    score, part = np.empty(UNKNOWNS), np.empty((UNKNOWNS, UNKNOWNS))
+    scores, normal, levels = blocks.scores, blocks.normal_matrices, blocks.levels
+    score, part = np.empty(MAX_UNKNOWNS), np.empty((MAX_UNKNOWNS, MAX_UNKNOWNS))
     squares = free = 0.0
     for k in range(block_count):
         if levels[k, 1] <= 0.0:

@@ -29,8 +29,8 @@ def gather_edge_pixels(
     region: SearchRegion,
     tag: TagPrint,
     state: FitState,
-    reach_px: float,
-    excluded_px: float,
+    band_half_width_px: float,
+    excluded_quiet_px: float,
     whole_square: bool,
     cell_edges: bool,
     max_pixels: int,
@@ -42,8 +42,8 @@ def gather_edge_pixels(
         region: the image.
         tag: the print.
         state: the tag's approximate pose.
-        reach_px: half width of the band along the edges, px.
-        excluded_px: width of the outer part of the quiet zone that is left out, px.
+        band_half_width_px: half width of the band along the edges, px.
+        excluded_quiet_px: width of the outer part of the quiet zone that is left out, px.
         whole_square: True to take all pixels within the square.
         cell_edges: True to take pixels near the edges of the cells within the square.
         max_pixels: most pixels.
@@ -52,14 +52,19 @@ def gather_edge_pixels(
     Returns:
         Number of pixels.
     """
-    image, light, rays, view = region.image, region.light, region.rays, region.plane
+    image, light, rays, view = (
+        region.image,
+        region.light_by_grey,
+        region.rays,
+        region.undistorted_view,
+    )
     G, cells, border, quiet = state.G, tag.cells, tag.side_cells, tag.quiet_zone_cells
     height, width = image.shape
     left, right = max(region.left, 0), min(region.right, width - 1)
     top, bottom = max(region.top, 0), min(region.bottom, height - 1)
     half = 0.5 * border
     shortest, _, perimeter = side_lengths(state.corners)
-    expected = 2.0 * reach_px * perimeter
+    expected = 2.0 * band_half_width_px * perimeter
     area = 1.5 * (0.25 * perimeter + 2.0) ** 2
     if cell_edges:
         expected *= _edges_of(cells) / (4.0 * border)
@@ -69,7 +74,7 @@ def gather_edge_pixels(
     stride = int(expected / max_pixels) + 1
     phase = int(0.618 * stride + 0.5)
     # a cheap bound, loose enough for any perspective, rejects most pixels: they are far from edges
-    away = reach_px / (_LEAST_SCALE * 0.5 * shortest)
+    away = band_half_width_px / (_LEAST_SCALE * 0.5 * shortest)
     nearest, farthest = 0.0 if whole_square or cell_edges else 1.0 - away, 1.0 + away
     start = 0.5 * (len(cells) - border)
     count = 0
@@ -92,18 +97,22 @@ def gather_edge_pixels(
             out_x, out_y = (abs(x) - 1.0) * px_x, (abs(y) - 1.0) * px_y
             out = max(out_x, out_y)
             quiet_x, quiet_y = quiet * px_x / half, quiet * px_y / half
-            if out_x > max(quiet_x - excluded_px, _LEAST_QUIET_FRACTION * quiet_x):
+            if out_x > max(quiet_x - excluded_quiet_px, _LEAST_QUIET_FRACTION * quiet_x):
                 continue
-            if out_y > max(quiet_y - excluded_px, _LEAST_QUIET_FRACTION * quiet_y):
+            if out_y > max(quiet_y - excluded_quiet_px, _LEAST_QUIET_FRACTION * quiet_y):
                 continue
-            if out > reach_px or count == max_pixels:
+            if out > band_half_width_px or count == max_pixels:
                 continue
-            if not whole_square and out < -reach_px:
+            if not whole_square and out < -band_half_width_px:
                 if not cell_edges:
                     continue
                 at_x, at_y = (x + 1.0) * half + start, (y + 1.0) * half + start
                 if not _near_edge(
-                    cells, at_x, at_y, reach_px * half / px_x, reach_px * half / px_y
+                    cells,
+                    at_x,
+                    at_y,
+                    band_half_width_px * half / px_x,
+                    band_half_width_px * half / px_y,
                 ):
                     continue
             samples[count, 0], samples[count, 1], samples[count, 2] = (
@@ -116,20 +125,20 @@ def gather_edge_pixels(
 
 
 @subroutine
-def drop_clipped_pixels(samples: FloatArray, count: int, light: FloatArray) -> int:
+def drop_clipped_pixels(samples: FloatArray, pixel_count: int, light_by_grey: FloatArray) -> int:
     """Remove pixels that may be clipped, in place; return the number left.
 
     If white is clipped, demosaicking and compression have changed the neighbouring pixels as well.
     """
     clipped = 0
-    for n in range(count):
-        if samples[n, 2] >= light[_CLIPPED_GREY]:
+    for n in range(pixel_count):
+        if samples[n, 2] >= light_by_grey[_CLIPPED_GREY]:
             clipped += 1
-    limit = light[
-        _CLIPPED_GREY if clipped <= _MAX_CLIPPED_FRACTION * count else _BESIDE_CLIPPED_GREY
+    limit = light_by_grey[
+        _CLIPPED_GREY if clipped <= _MAX_CLIPPED_FRACTION * pixel_count else _BESIDE_CLIPPED_GREY
     ]
     left = 0
-    for n in range(count):
+    for n in range(pixel_count):
         if samples[n, 2] < limit:
             for k in range(3):
                 samples[left, k] = samples[n, k]

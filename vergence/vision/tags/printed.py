@@ -16,7 +16,7 @@ import numpy as np
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 
-MOST_REACHED: Final = 12
+MAX_BLURRED_CELLS: Final = 12
 """Most cells along an axis that a blur covers; cells beyond count as the last one (numerical)."""
 _CUTOFF_SIGMAS: Final = 3.0
 """Standard deviations at which the Gaussian is cut off (numerical)."""
@@ -39,14 +39,14 @@ class PrintSample(NamedTuple):
     value: float
     by_x: float
     by_y: float
-    by_blur_x: float
+    by_log_blur_x: float
     """Derivative with respect to the logarithm of the blur along x."""
-    by_blur_y: float
-    by_spread_x: float
+    by_log_blur_y: float
+    by_white_spread_x: float
     """Derivative with respect to the spread of white, by which all edges across x move towards
     black, in standard deviations of the blur."""
-    by_spread_y: float
-    known: bool
+    by_white_spread_y: float
+    cells_known: bool
     """False if a cell that contributes has an unknown print."""
 
 
@@ -64,7 +64,7 @@ def _weigh(x: float, s: float, weights: FloatArray) -> tuple[int, int]:
         The first cell, and the number of cells.
     """
     first = floor(x - _CUTOFF_SIGMAS * s)
-    count = min(floor(x + _CUTOFF_SIGMAS * s) - first + 1, MOST_REACHED)
+    count = min(floor(x + _CUTOFF_SIGMAS * s) - first + 1, MAX_BLURRED_CELLS)
     below, by_x, by_log = 0.0, 0.0, 0.0
     for i in range(count):
         height = 0.0
@@ -96,8 +96,8 @@ def sample_print(
     y: float,
     blur_x_cells: float,
     blur_y_cells: float,
-    along_x: FloatArray,
-    along_y: FloatArray,
+    cell_weights_x: FloatArray,
+    cell_weights_y: FloatArray,
 ) -> PrintSample:
     """Blurred print at a point.
 
@@ -107,12 +107,12 @@ def sample_print(
         y: the point, cells below that corner.
         blur_x_cells: standard deviation of the blur along x, cells.
         blur_y_cells: along y.
-        along_x: (4, MOST_REACHED) scratch array.
-        along_y: (4, MOST_REACHED) scratch array.
+        cell_weights_x: (4, MOST_REACHED) scratch array.
+        cell_weights_y: (4, MOST_REACHED) scratch array.
     """
     rows, columns = cells.shape
-    left, across = _weigh(x, blur_x_cells, along_x)
-    top, down = _weigh(y, blur_y_cells, along_y)
+    left, across = _weigh(x, blur_x_cells, cell_weights_x)
+    top, down = _weigh(y, blur_y_cells, cell_weights_y)
     value = by_x = by_y = blur_x = blur_y = ridge_x = ridge_y = 0.0
     known = True
     for j in range(down):
@@ -125,16 +125,16 @@ def sample_print(
             cell, right = cells[row, column], cells[row, beside]
             if cell != cell:
                 known = False
-            sum_ += along_x[0, i] * cell
-            sum_x += along_x[1, i] * cell
-            sum_blur += along_x[2, i] * cell
-            sum_ridge += along_x[3, i] * abs(right - cell)
-            sum_below += along_x[0, i] * abs(cells[below, column] - cell)
-        value += along_y[0, j] * sum_
-        by_x += along_y[0, j] * sum_x
-        blur_x += along_y[0, j] * sum_blur
-        ridge_x += along_y[0, j] * sum_ridge
-        by_y += along_y[1, j] * sum_
-        blur_y += along_y[2, j] * sum_
-        ridge_y += along_y[3, j] * sum_below
+            sum_ += cell_weights_x[0, i] * cell
+            sum_x += cell_weights_x[1, i] * cell
+            sum_blur += cell_weights_x[2, i] * cell
+            sum_ridge += cell_weights_x[3, i] * abs(right - cell)
+            sum_below += cell_weights_x[0, i] * abs(cells[below, column] - cell)
+        value += cell_weights_y[0, j] * sum_
+        by_x += cell_weights_y[0, j] * sum_x
+        blur_x += cell_weights_y[0, j] * sum_blur
+        ridge_x += cell_weights_y[0, j] * sum_ridge
+        by_y += cell_weights_y[1, j] * sum_
+        blur_y += cell_weights_y[2, j] * sum_
+        ridge_y += cell_weights_y[3, j] * sum_below
     return PrintSample(value, by_x, by_y, blur_x, blur_y, ridge_x, ridge_y, known)

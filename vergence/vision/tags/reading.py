@@ -39,7 +39,7 @@ class CellReading(NamedTuple):
     """Cells that do not have the colour that is printed there."""
     wrong_rim_cells: int
     """Wrong cells on the rectangle's rim, which is common to all tags of a family."""
-    unclear_fraction: float
+    worst_quarter_unclear: float
     """Fraction of the cells in the worst quarter that are wrong or near the middle between light
     and dark. It is large if a square was found beside its true edges, because something covers one
     of its sides."""
@@ -49,7 +49,7 @@ class CellReading(NamedTuple):
 def compare_cells(
     image: NDArray[np.uint8],
     H: FloatArray,
-    spread_and_bend: FloatArray,
+    white_spread_and_bend: FloatArray,
     camera: CameraRow,
     view: UndistortedView,
     cells: FloatArray,
@@ -68,7 +68,7 @@ def compare_cells(
         image: grey levels.
         H: (3, 3) homography to the image, see `square_to_image_homography`, from the
             rectangle that `left_cells`, `top_cells`, `width_cells` and `height_cells` define.
-        spread_and_bend: (9,) the sheet's spread and bend, see `bend_displacement`.
+        white_spread_and_bend: (9,) the sheet's spread and bend, see `bend_displacement`.
         camera: the eye's camera.
         view: the undistorted plane.
         cells: (rows, columns) 0 black to 1 white, nan not compared.
@@ -103,7 +103,7 @@ def compare_cells(
                 dy = 0.0 if probe == 0 else (far if probe % 2 else -far)
                 x = 2.0 * (i + 0.5 + dx - left_cells) / width_cells - 1.0
                 y = 2.0 * (j + 0.5 + dy - top_cells) / height_cells - 1.0
-                dx, dy = bend_displacement(spread_and_bend, x, y)
+                dx, dy = bend_displacement(white_spread_and_bend, x, y)
                 u, v = transform_point(H, x - dx, y - dy)
                 u, v = distorted_pixel(camera, view, u, v)
                 greys[j, i] += 0.2 * grey_at(image, u, v)

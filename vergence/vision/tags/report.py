@@ -15,13 +15,13 @@ from vergence.vision.tags.reading import CellReading, compare_cells
 from vergence.vision.tags.stages import TagScale
 from vergence.vision.tags.steps import PrintResiduals
 from vergence.vision.tags.workspace import (
-    UNKNOWNS,
+    MAX_UNKNOWNS,
     Blocks,
     FitBuffers,
     FitState,
     SearchRegion,
     TagPrint,
-    corner_in_plane,
+    point_in_half_edges,
 )
 
 
@@ -33,11 +33,11 @@ class TagFit(NamedTuple):
     explained_fraction: float
     """Fraction of the variance near the edges that the print explains."""
     reading: CellReading
-    moved_px: float
+    max_corner_move_px: float
     """Largest distance, along u or v, of a corner from its expected position."""
-    sigma_px: float
+    max_sigma_px: float
     """Largest standard deviation of a point."""
-    border_step: float
+    relative_border_step: float
     """Mean step of the light across the square's sides, as a fraction of the contrast: 1 for a
     sharp print, 0 if the border is wider than the square."""
 
@@ -62,8 +62,8 @@ def report_fit(
     residuals: PrintResiduals,
     block_count: int,
     unknown_count: int,
-    variance: float,
-    unmodelled_variance: float,
+    pixel_variance: float,
+    extra_corner_variance: float,
     start_corners: FloatArray,
     points: FloatArray,
     sigmas: FloatArray,
@@ -80,8 +80,8 @@ def report_fit(
         residuals: residuals before that step.
         block_count: number of blocks.
         unknown_count: number of unknowns that were sought.
-        variance: variance of a pixel.
-        unmodelled_variance: variance of a corner that no unknown models, px^2.
+        pixel_variance: variance of a pixel.
+        extra_corner_variance: variance of a corner that no unknown models, px^2.
         start_corners: (4, 2) expected corners, px.
         points: (5, 2) result: the corners and the centre, px.
         sigmas: (5, 2) result: their standard deviations, px.
@@ -92,14 +92,14 @@ def report_fit(
     height, width = region.image.shape
     moved = largest = 0.0
     for k in range(5):
-        x, y = corner_in_plane(k)
+        x, y = point_in_half_edges(k)
         u, v = transform_point(state.H, x, y)
-        a, b, c = _covariance_of(buffers.matrix, unknown_count, state.G, u, v, x, y)
+        a, b, c = _covariance_of(buffers.normal_matrix, unknown_count, state.G, u, v, x, y)
         more = (
-            unmodelled_variance if k < 4 else 0.25 * unmodelled_variance
+            extra_corner_variance if k < 4 else 0.25 * extra_corner_variance
         )  # the centre lies between four corners
-        a, b, c = variance * a + more, variance * b, variance * c + more
-        u, v, sigma_u, sigma_v = _to_image(camera, region.plane, u, v, a, b, c)
+        a, b, c = pixel_variance * a + more, pixel_variance * b, pixel_variance * c + more
+        u, v, sigma_u, sigma_v = _to_image(camera, region.undistorted_view, u, v, a, b, c)
         points[k, 0], points[k, 1], sigmas[k, 0], sigmas[k, 1] = u, v, sigma_u, sigma_v
         if not (-0.5 < u < width - 0.5 and -0.5 < v < height - 0.5):
             return NO_FIT
@@ -110,7 +110,7 @@ def report_fit(
             moved = max(moved, max(abs(u - start_corners[k, 0]), abs(v - start_corners[k, 1])))
     explained = _explained(buffers.blocks, block_count)
     reading = _read(region, camera, tag, scale, state)
-    share = explained / (explained + residuals.unexplained)
+    share = explained / (explained + residuals.unexplained_squares)
     border_step = _step_across_sides(region, camera, tag, state) / residuals.contrast
     return TagFit(residuals.contrast, share, reading, moved, largest, border_step)
 
@@ -139,17 +139,17 @@ def _light_at(
     region: SearchRegion, camera: CameraRow, state: FitState, x: float, y: float
 ) -> float:
     """Light at a point of the tag's plane, half edges; 0 outside of the image."""
-    dx, dy = bend_displacement(state.spread_and_bend, x, y)
+    dx, dy = bend_displacement(state.white_spread_and_bend, x, y)
     u, v = transform_point(state.H, x - dx, y - dy)
-    u, v = distorted_pixel(camera, region.plane, u, v)
+    u, v = distorted_pixel(camera, region.undistorted_view, u, v)
     grey = grey_at(region.image, u, v)
-    return float(region.light[int(grey + 0.5)]) if grey >= 0.0 else 0.0
+    return float(region.light_by_grey[int(grey + 0.5)]) if grey >= 0.0 else 0.0
 
 
 @subroutine
 def _explained(blocks: Blocks, block_count: int) -> float:
     """Weighted sum of squares over all pixels that the print explains."""
-    sums, levels, weights, total = blocks.sums, blocks.levels, blocks.weights, 0.0
+    sums, levels, weights, total = blocks.moments, blocks.levels, blocks.weights, 0.0
     for k in range(block_count):
         contrast = levels[k, 1]
         if contrast > 0.0:
@@ -166,11 +166,13 @@ def _read(
     cells, border = tag.cells, float(tag.side_cells)
     offset = 0.5 * (len(cells) - tag.side_cells)
     ring, greys = 1 if len(cells) == tag.side_cells + 2 else 0, np.empty(cells.shape)
-    blur = max(state.blurs[0], state.blurs[1]) / scale.cell_px
+    blur = max(state.blurs_px[0], state.blurs_px[1]) / scale.cell_px
     reading = CellReading(0, 0, 0.0)
     for way in range(2):
         other = compare_cells(
-            region.image, state.H, state.spread_and_bend, camera, region.plane, cells, blur, offset,
+            region.image, state.H, state.white_spread_and_bend, camera, region.undistorted_view,
+            cells, blur,
+            offset,
             offset, border, border, ring, way == 0, greys,
         )  # fmt: skip
         if way == 0 or other.wrong_cells < reading.wrong_cells:
@@ -230,14 +232,14 @@ def _covariance_of(
     Returns:
         The variance of u, the covariance, the variance of v.
     """
-    J, column = np.empty((2, UNKNOWNS)), np.empty(UNKNOWNS)
+    J, column = np.empty((2, MAX_UNKNOWNS)), np.empty(MAX_UNKNOWNS)
     g, h = G[2, 0], G[2, 1]
     w = g * u + h * v + G[2, 2]
     # derivatives of the plane's coordinates with respect to pixels
     a, b = (G[0, 0] - x * g) / w, (G[0, 1] - x * h) / w
     c, d = (G[1, 0] - y * g) / w, (G[1, 1] - y * h) / w
     det = a * d - b * c
-    for j in range(UNKNOWNS):
+    for j in range(MAX_UNKNOWNS):
         by_x = x if j == 0 else y if j == 1 else 1.0 if j == 2 else 0.0
         by_y = x if j == 3 else y if j == 4 else 1.0 if j == 5 else 0.0
         if j == 6:
@@ -248,10 +250,10 @@ def _covariance_of(
         J[1, j] = -(a * by_y - c * by_x) / det
     first = across = second = 0.0
     for r in range(2):
-        for j in range(UNKNOWNS):
+        for j in range(MAX_UNKNOWNS):
             column[j] = J[r, j]
         cholesky_solve(factor, column, used)
-        for j in range(UNKNOWNS):
+        for j in range(MAX_UNKNOWNS):
             if r == 0:
                 first += J[0, j] * column[j]
                 across += J[1, j] * column[j]

@@ -5,7 +5,7 @@ from math import sqrt
 from vergence._jit import subroutine
 from vergence.vision.tags.bend import bend_derivatives, bend_displacement
 from vergence.vision.tags.printed import sample_print
-from vergence.vision.tags.workspace import UNKNOWNS, FitBuffers, FitState, TagPrint
+from vergence.vision.tags.workspace import MAX_UNKNOWNS, FitBuffers, FitState, TagPrint
 
 
 @subroutine
@@ -22,19 +22,24 @@ def evaluate_print(
         pixel_count: number of pixels.
         blocks_per_edge: blocks along an edge.
     """
-    G, blurs, spread_and_bend, cells = state.G, state.blurs, state.spread_and_bend, tag.cells
+    G, blurs, spread_and_bend, cells = (
+        state.G,
+        state.blurs_px,
+        state.white_spread_and_bend,
+        tag.cells,
+    )
     places, pixels, along_x, along_y = (
         buffers.samples,
         buffers.pixel_rows,
-        buffers.along_x,
-        buffers.along_y,
+        buffers.cell_weights_x,
+        buffers.cell_weights_y,
     )
-    sums, slopes = buffers.blocks.sums, buffers.blocks.slopes
+    sums, slopes = buffers.blocks.moments, buffers.blocks.derivative_sums
     half, start = 0.5 * tag.side_cells, 0.5 * (len(cells) - tag.side_cells)
     for k in range(blocks_per_edge * blocks_per_edge):
         for j in range(5):
             sums[k, j] = 0.0
-        for j in range(UNKNOWNS):
+        for j in range(MAX_UNKNOWNS):
             slopes[k, 0, j] = slopes[k, 1, j] = 0.0
     for n in range(pixel_count):
         u, v, grey = places[n, 0], places[n, 1], places[n, 2]
@@ -51,19 +56,19 @@ def evaluate_print(
         at = sample_print(
             cells, (x + 1.0) * half + start, (y + 1.0) * half + start, s_x, s_y, along_x, along_y
         )
-        if not at.known:
+        if not at.cells_known:
             pixels[n, 1] = -1.0
             continue
         by_x, by_y = half * at.by_x, half * at.by_y
         turn = -(by_x * x + by_y * y)
         pixels[n, 0] = grey
-        ridge = at.by_spread_x / blurs[0] + at.by_spread_y / blurs[1]
+        ridge = at.by_white_spread_x / blurs[0] + at.by_white_spread_y / blurs[1]
         value = at.value + spread_and_bend[0] * ridge
         pixels[n, 2] = value
         pixels[n, 3], pixels[n, 4], pixels[n, 5] = by_x * x, by_x * y, by_x
         pixels[n, 6], pixels[n, 7], pixels[n, 8] = by_y * x, by_y * y, by_y
         pixels[n, 9], pixels[n, 10] = turn * x, turn * y
-        pixels[n, 11], pixels[n, 12], pixels[n, 13] = at.by_blur_x, at.by_blur_y, ridge
+        pixels[n, 11], pixels[n, 12], pixels[n, 13] = at.by_log_blur_x, at.by_log_blur_y, ridge
         bend_derivatives(flat_x, flat_y, x, y, by_x, by_y, pixels, n)
         share = 0.5 * blocks_per_edge / (half + 1.0)
         column = min(max(int((x * half + half + 1.0) * share), 0), blocks_per_edge - 1)
@@ -76,6 +81,6 @@ def evaluate_print(
         own[2] += value * value
         own[3] += grey
         own[4] += value * grey
-        for j in range(UNKNOWNS):
+        for j in range(MAX_UNKNOWNS):
             slopes[k, 0, j] += pixels[n, 3 + j]
             slopes[k, 1, j] += value * pixels[n, 3 + j]

@@ -54,12 +54,12 @@ _MOST_BLUR_CELLS: Final = 0.7
 
 
 class TagScale(NamedTuple):
-    """Size of a tag in the image, and bounds that follow from it."""
+    """Size of a tag in the image, px, and upper bounds of blocks and blur that follow from it."""
 
-    shortest_px: float
+    shortest_edge_px: float
     """Length of its shortest edge."""
     cell_px: float
-    blocks_per_edge: int
+    max_blocks_per_edge: int
     """Most blocks along an edge."""
     max_blur_px: float
 
@@ -119,18 +119,18 @@ def begin_stage(
         max_pixels: most pixels that take part.
     """
     image_to_square_homography(state.corners, state.G)
-    blocks_per_edge, blur_px = scale.blocks_per_edge, _INITIAL_BLUR_PX
+    blocks_per_edge, blur_px = scale.max_blocks_per_edge, _INITIAL_BLUR_PX
     reach_px = _BAND_HALF_WIDTH_PX + _BAND_HALF_WIDTH_BLURS * _INITIAL_BLUR_PX
     if stage == WIDE:
         blocks_per_edge = min(blocks_per_edge, _MAX_FIRST_BLOCKS)
         reach_px = min(_MAX_BAND_HALF_WIDTH_PX, max(scale.cell_px, 2.0))
         blur_px = min(_WIDE_BLUR_PX, max(_WIDE_BLUR_CELLS * scale.cell_px, _INITIAL_BLUR_PX))
     if not blurs_known:
-        state.blurs[0] = state.blurs[1] = blur_px
+        state.blurs_px[0] = state.blurs_px[1] = blur_px
     count = gathered = gather_edge_pixels(
         region, tag, state, reach_px, _EXCLUDED_QUIET_BLURS * _INITIAL_BLUR_PX,
         scale.cell_px < reach_px + 2.0 * blur_px, stage == ALL, max_pixels, buffers.samples,
     )  # fmt: skip
     if stage == ALL:
-        count = drop_clipped_pixels(buffers.samples, count, region.light)
+        count = drop_clipped_pixels(buffers.samples, count, region.light_by_grey)
     return FitStage(count, blocks_per_edge, count < gathered)

@@ -7,16 +7,16 @@ from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import square_to_image_homography, transform_point
 from vergence.vision.tags.cholesky import cholesky_factorise, cholesky_solve
-from vergence.vision.tags.levels import estimate_block_levels, update_block_weights
+from vergence.vision.tags.levels import estimate_block_levels, reweight_and_sum_squares
 from vergence.vision.tags.normal import add_priors, build_normal_equations
 from vergence.vision.tags.slopes import evaluate_print
 from vergence.vision.tags.workspace import (
-    SPREAD,
-    UNKNOWNS,
+    MAX_UNKNOWNS,
+    WHITE_SPREAD_INDEX,
     FitBuffers,
     FitState,
     TagPrint,
-    corner_in_plane,
+    point_in_half_edges,
 )
 
 _LEAST_BLUR_PX: Final = 0.3
@@ -34,9 +34,9 @@ class PrintResiduals(NamedTuple):
 
     contrast: float
     """Mean contrast of all blocks; 0 if none has any."""
-    unexplained: float
+    unexplained_squares: float
     """Weighted sum of squared residuals."""
-    variance: float
+    pixel_variance: float
     """Variance of a pixel."""
 
 
@@ -59,19 +59,23 @@ def compare_print(
     contrast = estimate_block_levels(blocks, block_count)
     if contrast <= 0.0:
         return PrintResiduals(0.0, 0.0, 0.0)
-    unexplained = update_block_weights(buffers.pixel_rows, pixel_count, blocks, block_count)
-    free = -float(UNKNOWNS)
+    unexplained = reweight_and_sum_squares(buffers.pixel_rows, pixel_count, blocks, block_count)
+    free = -float(MAX_UNKNOWNS)
     for k in range(block_count):
         if blocks.levels[k, 1] > 0.0:
-            free += blocks.weights[k] * blocks.sums[k, 0] - 2.0
+            free += blocks.weights[k] * blocks.moments[k, 0] - 2.0
     return PrintResiduals(contrast, unexplained, unexplained / max(free, 1.0))
 
 
 @subroutine
 def reset_line_search(buffers: FitBuffers) -> None:
     """Make `gauss_newton_step` take the next step in full, regardless of earlier steps."""
-    buffers.line_search[0], buffers.line_search[1], last = 1.0, 0.0, buffers.previous_step
-    for k in range(UNKNOWNS):
+    buffers.step_fraction_and_slope[0], buffers.step_fraction_and_slope[1], last = (
+        1.0,
+        0.0,
+        buffers.previous_step,
+    )
+    for k in range(MAX_UNKNOWNS):
         last[k] = 0.0
 
 
@@ -83,7 +87,7 @@ def gauss_newton_step(
     block_count: int,
     unknown_count: int,
     blur_weight: float,
-    spread_weight: float,
+    white_spread_weight: float,
     bend_weight: float,
     max_blur_px: float,
 ) -> tuple[float, float]:
@@ -100,7 +104,7 @@ def gauss_newton_step(
         block_count: number of blocks.
         unknown_count: number of unknowns that are sought, the first ones.
         blur_weight: weight that holds the blurs at their last values, see `add_priors`.
-        spread_weight: weight that holds the spread at 0.
+        white_spread_weight: weight that holds the spread at 0.
         bend_weight: weight that holds the bend at 0.
         max_blur_px: largest blur, px.
 
@@ -108,17 +112,23 @@ def gauss_newton_step(
         Largest move of a corner, px, infinite if the normal matrix is not positive definite; and
         the largest change of a blur's logarithm.
     """
-    matrix, step = buffers.matrix, buffers.step
+    matrix, step = buffers.normal_matrix, buffers.step
     build_normal_equations(
         buffers.pixel_rows, pixel_count, buffers.blocks, block_count, unknown_count, matrix, step
     )
     add_priors(
-        matrix, step, state.spread_and_bend, blur_weight, spread_weight, bend_weight, unknown_count
+        matrix,
+        step,
+        state.white_spread_and_bend,
+        blur_weight,
+        white_spread_weight,
+        bend_weight,
+        unknown_count,
     )
     slope, fraction, start_slope, last = (
         0.0,
-        buffers.line_search[0],
-        buffers.line_search[1],
+        buffers.step_fraction_and_slope[0],
+        buffers.step_fraction_and_slope[1],
         buffers.previous_step,
     )
     for k in range(unknown_count):
@@ -136,16 +146,16 @@ def gauss_newton_step(
         step[k] *= fraction
         slope += step[k] * last[k]
         last[k] = step[k]
-    buffers.line_search[0], buffers.line_search[1] = fraction, slope
+    buffers.step_fraction_and_slope[0], buffers.step_fraction_and_slope[1] = fraction, slope
     _move_plane(state.G, step)
     sharper = 0.0
     for axis in range(2):
         change = min(max(step[8 + axis], -_LONGEST_BLUR_STEP), _LONGEST_BLUR_STEP)
         sharper = max(sharper, abs(change))
-        blur_px = state.blurs[axis] * exp(change)
-        state.blurs[axis] = min(max(blur_px, _LEAST_BLUR_PX), max_blur_px)
-    for k in range(unknown_count - SPREAD):
-        state.spread_and_bend[k] += step[SPREAD + k]
+        blur_px = state.blurs_px[axis] * exp(change)
+        state.blurs_px[axis] = min(max(blur_px, _LEAST_BLUR_PX), max_blur_px)
+    for k in range(unknown_count - WHITE_SPREAD_INDEX):
+        state.white_spread_and_bend[k] += step[WHITE_SPREAD_INDEX + k]
     return _move_corners(state), sharper
 
 
@@ -166,7 +176,7 @@ def _move_corners(state: FitState) -> float:
     square_to_image_homography(state.G, H)
     far = 0.0
     for k in range(4):
-        u, v = transform_point(H, *corner_in_plane(k))
+        u, v = transform_point(H, *point_in_half_edges(k))
         far = max(far, hypot(u - corners[k, 0], v - corners[k, 1]))
         corners[k, 0], corners[k, 1] = u, v
     return far

@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 from vergence._jit import subroutine
 from vergence.models.parts import FloatArray
 from vergence.vision.plane import UndistortedView
-from vergence.vision.tags.printed import MOST_REACHED
+from vergence.vision.tags.printed import MAX_BLURRED_CELLS
 
-UNKNOWNS: Final = 19
+MAX_UNKNOWNS: Final = 19
 """Unknowns of a fit: eight of the homography, two logarithms of blurs, the spread of white into
 black, eight of a bend (numerical)."""
-SPREAD: Final = 10
+WHITE_SPREAD_INDEX: Final = 10
 """Index of the spread, px, among the unknowns (numerical)."""
 BEND_START: Final = 11
 """Index of the bend's first coefficient, half edges, see `bend_displacement` (numerical)."""
-COLUMNS: Final = 3 + UNKNOWNS
+PIXEL_COLUMNS: Final = 3 + MAX_UNKNOWNS
 """Columns of a pixel: its light, its block, the print, and the derivatives (numerical)."""
 
 
@@ -27,11 +27,11 @@ class SearchRegion(NamedTuple):
 
     image: NDArray[np.uint8]
     """Grey levels, shape (height, width)."""
-    light: FloatArray
+    light_by_grey: FloatArray
     """(256,) light of each grey level."""
     rays: NDArray[np.float32]
     """(height, width, 2) undistorted ray of each pixel; (0, 0, 2) for a pinhole."""
-    plane: UndistortedView
+    undistorted_view: UndistortedView
     """The undistorted plane."""
     left: int
     """First pixel of the region along u; it may lie outside of the image, as the next three may."""
@@ -61,20 +61,20 @@ class FitState(NamedTuple):
     `image_to_square_homography`."""
     H: FloatArray
     """(3, 3) its inverse, see `square_to_image_homography`."""
-    blurs: FloatArray
+    blurs_px: FloatArray
     """(2,) across the edges along x and along y, px."""
-    spread_and_bend: FloatArray
+    white_spread_and_bend: FloatArray
     """(9,) the spread, px, and the bend's coefficients, see `bend_displacement`."""
 
 
 class Blocks(NamedTuple):
     """Sums over the pixels of each block, and the levels and weights that follow from them."""
 
-    sums: FloatArray
+    moments: FloatArray
     """(K, 5) sums of 1, T, T^2, I, T I."""
-    slopes: FloatArray
+    derivative_sums: FloatArray
     """(K, 2, unknowns) sums of the derivatives of T, and of T times them."""
-    normal: FloatArray
+    normal_matrices: FloatArray
     """(K, unknowns, unknowns) normal matrices, levels eliminated."""
     scores: FloatArray
     """(K, unknowns) sums of the derivatives times the residuals."""
@@ -90,19 +90,19 @@ class FitBuffers(NamedTuple):
     samples: FloatArray
     """(pixels, 3) undistorted position and light of the pixels that take part."""
     pixel_rows: FloatArray
-    """(pixels, `COLUMNS`) see `evaluate_print`."""
-    along_x: FloatArray
-    """(4, `MOST_REACHED`) see `sample_print`."""
-    along_y: FloatArray
-    """(4, `MOST_REACHED`) see `sample_print`."""
+    """(pixels, `PIXEL_COLUMNS`) see `evaluate_print`."""
+    cell_weights_x: FloatArray
+    """(4, `MAX_BLURRED_CELLS`) see `sample_print`."""
+    cell_weights_y: FloatArray
+    """(4, `MAX_BLURRED_CELLS`) see `sample_print`."""
     blocks: Blocks
-    matrix: FloatArray
+    normal_matrix: FloatArray
     """(unknowns, unknowns) normal matrix; its lower Cholesky factor after a step."""
     step: FloatArray
     """(unknowns,) right side of the normal equations; the step after it is solved."""
     previous_step: FloatArray
     """(unknowns,) previous step; 0 before the first one of a stage."""
-    line_search: FloatArray
+    step_fraction_and_slope: FloatArray
     """(2,) fraction of the previous step that was taken, and the slope along it at its start."""
 
 
@@ -111,32 +111,32 @@ def allocate_buffers(max_pixels: int, max_blocks: int) -> FitBuffers:
     """Allocate working arrays."""
     return FitBuffers(
         np.empty((max_pixels, 3)),
-        np.empty((max_pixels, COLUMNS)),
-        np.empty((4, MOST_REACHED)),
-        np.empty((4, MOST_REACHED)),
+        np.empty((max_pixels, PIXEL_COLUMNS)),
+        np.empty((4, MAX_BLURRED_CELLS)),
+        np.empty((4, MAX_BLURRED_CELLS)),
         Blocks(
             np.empty((max_blocks, 5)),
-            np.empty((max_blocks, 2, UNKNOWNS)),
-            np.empty((max_blocks, UNKNOWNS, UNKNOWNS)),
-            np.empty((max_blocks, UNKNOWNS)),
+            np.empty((max_blocks, 2, MAX_UNKNOWNS)),
+            np.empty((max_blocks, MAX_UNKNOWNS, MAX_UNKNOWNS)),
+            np.empty((max_blocks, MAX_UNKNOWNS)),
             np.empty((max_blocks, 2)),
             np.empty(max_blocks),
         ),
-        np.empty((UNKNOWNS, UNKNOWNS)),
-        np.empty(UNKNOWNS),
-        np.empty(UNKNOWNS),
+        np.empty((MAX_UNKNOWNS, MAX_UNKNOWNS)),
+        np.empty(MAX_UNKNOWNS),
+        np.empty(MAX_UNKNOWNS),
         np.empty(2),
     )
 
 
 @subroutine
-def corner_in_plane(corner_index: int) -> tuple[float, float]:
+def point_in_half_edges(point_index: int) -> tuple[float, float]:
     """Position of corner k in the tag's plane, half edges; of the centre for k = 4."""
-    if corner_index == 4:
+    if point_index == 4:
         return 0.0, 0.0
     return (
-        -1.0 if corner_index == 0 or corner_index == 3 else 1.0,
-        -1.0 if corner_index < 2 else 1.0,
+        -1.0 if point_index == 0 or point_index == 3 else 1.0,
+        -1.0 if point_index < 2 else 1.0,
     )
 
 

@@ -9,7 +9,7 @@ from vergence.models.boards import board_pose, make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 from vergence.vision.detectors import make_detector
-from vergence.vision.drawing import TargetDrawing
+from vergence.vision.drawing import TargetRenderer
 from vergence.vision.optics import EyeCamera
 from vergence.vision.tracking import Tracker
 
@@ -48,7 +48,7 @@ class FixedView:
         self.head = head
         self.eye = eye
         camera, target = EyeCamera.of(head, eye), make_planar_target(board)
-        self._drawing = TargetDrawing(camera, target, head.rendering)
+        self._drawing = TargetRenderer(camera, target, head.rendering)
         self._detector = make_detector(target, camera)
 
     def true_pixel(self, T_C_T: FloatArray) -> FloatArray:

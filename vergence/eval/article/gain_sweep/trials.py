@@ -11,7 +11,7 @@ import pandas as pd
 from vergence.envs.targets.prescribed import StepTarget
 from vergence.eval.article.common.servoing import servo_pixel_errors
 from vergence.eval.jobs import Job, Mapper
-from vergence.eval.trials.metrics import overshoot, settle_time
+from vergence.eval.trials.metrics import overshoot_fraction, settle_time
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -170,6 +170,6 @@ def _rows(
             "step_px": np.linalg.norm(error[0], axis=-1).max(axis=-1),
             "settle_1px_s": settle_time(time, error, 1.0),
             "settle_05px_s": settle_time(time, error, 0.5),
-            "overshoot": overshoot(error),
+            "overshoot": overshoot_fraction(error),
         }
     )

@@ -11,7 +11,7 @@ from vergence.eval.article.twin.fixation_errors import joint_angles_imaging_at
 from vergence.models.boards import board_pose
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray, Rendering
-from vergence.vision import AprilTag, EyeCamera, TargetDrawing, Tracker, make_detector
+from vergence.vision import AprilTag, EyeCamera, TargetRenderer, Tracker, make_detector
 
 
 class DetectorNoise(NamedTuple):
@@ -59,7 +59,7 @@ def _detections(
 ) -> FloatArray:
     """(frames, 2) detected centres of a tag at a fixed pose, px; nan where not found."""
     tag = AprilTag()
-    drawing, tracker = TargetDrawing(camera, tag, rendering), Tracker(make_detector(tag, camera))
+    drawing, tracker = TargetRenderer(camera, tag, rendering), Tracker(make_detector(tag, camera))
     out = np.full((frames, 2), np.nan)
     for frame in range(frames):
         drawing.draw(T_C_T, rng)

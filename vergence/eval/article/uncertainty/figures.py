@@ -26,7 +26,7 @@ from vergence.eval.reporting.style import (
     ORANGE,
     PURPLE,
     legend_below,
-    log_scale,
+    log_y_axis,
     new_figure,
 )
 from vergence.models.files.head_file import load_head
@@ -63,7 +63,7 @@ def _propagated(table: pd.DataFrame) -> Figure:
                 )  # fmt: skip
         axis.set_title(letter)
         axis.set_xlabel("depth (m)")
-        log_scale(axis)
+        log_y_axis(axis)
     axes[0].set_ylabel("uncertainty, standard deviation (mm)")
     legend_below(figure, 3)
     return figure

@@ -21,7 +21,7 @@ from vergence.eval.article.common.fixed_view import shifted_pose
 from vergence.models.boards import make_planar_target
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.vision.drawing import TargetDrawing
+from vergence.vision.drawing import TargetRenderer
 from vergence.vision.optics import EyeCamera
 
 STEP_PX: Final = 0.25
@@ -58,7 +58,7 @@ def cramer_rao_bound(head: HeadModel, eye: int, T_C_T: FloatArray) -> CramerRaoB
         white_grey=255.0,
         background_grey=(rendering.background_grey - rendering.black_grey) / contrast,
     )
-    drawing = TargetDrawing(camera, board, plain)
+    drawing = TargetRenderer(camera, board, plain)
 
     def image(pose: FloatArray) -> FloatArray:
         drawing.draw(pose)

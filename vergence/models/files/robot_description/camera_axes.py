@@ -10,9 +10,9 @@ import numpy as np
 from vergence.errors import ConfigurationError
 from vergence.models.parts import FloatArray
 
-OPTICAL: Final = "x,y,z"
+OPTICAL_AXES: Final = "x,y,z"
 """Axes of an optical frame: x right, y down, z forward."""
-MUJOCO: Final = "x,-y,-z"
+MUJOCO_AXES: Final = "x,-y,-z"
 """Axes of MuJoCo's cameras, which look along -z with y up, as in OpenGL."""
 
 _AXES: Final = {sign + name: s * np.eye(3)[i] for s, sign in ((1.0, ""), (-1.0, "-"))
@@ -24,27 +24,28 @@ _ROLL_AXIS_COSINE: Final = np.cos(np.deg2rad(25.0))
 image (chosen: tilted mounts are accepted, wrong frames refused)."""
 
 
-def rotation_of_axes(axes: str) -> FloatArray:
+def rotation_of_axes(right_down_forward: str) -> FloatArray:
     """R_frame_camera, (3, 3), from the axes `right,down,forward`, such as `x,-y,-z`.
 
     Args:
-        axes: three axes of the frame with their signs.
+        right_down_forward: three axes of the frame with their signs.
 
     Raises:
         ConfigurationError: the text does not name three axes, or the frame is left-handed.
     """
-    names = [name.strip().lower().removeprefix("+") for name in axes.split(",")]
+    names = [name.strip().lower().removeprefix("+") for name in right_down_forward.split(",")]
     expected = (
         "camera-axes: expected the axes of the camera's frame that point right in the image, down "
         "in it and forward, such as x,-y,-z"
     )
     if len(names) != 3 or not set(names) <= set(_AXES) or len({n[-1] for n in names}) != 3:
-        raise ConfigurationError(f"{expected}, got {axes!r}")
+        raise ConfigurationError(f"{expected}, got {right_down_forward!r}")
     rotation = np.column_stack([_AXES[name] for name in names])
     if np.linalg.det(rotation) < 0.0:
         mirrored = names[2].removeprefix("-") if names[2].startswith("-") else f"-{names[2]}"
         raise ConfigurationError(
-            f"{expected}, forward being right x down, got {axes!r}, which is left-handed "
+            f"{expected}, forward being right x down, got {right_down_forward!r}, which is "
+            "left-handed "
             f"({names[0]},{names[1]},{mirrored} is not)"
         )
     return np.asarray(rotation)
@@ -62,7 +63,7 @@ class EyeAtZeroAngles:
 
     name: str
     pose: FloatArray
-    axes: FloatArray
+    joint_axes: FloatArray
 
 
 def check_camera_axes(eyes: Sequence[EyeAtZeroAngles], up: FloatArray) -> None:
@@ -96,15 +97,16 @@ def check_camera_axes(eyes: Sequence[EyeAtZeroAngles], up: FloatArray) -> None:
         if all(e.pose[:3, 0] @ across < -_ALIGNED_COSINE for e in eyes)
         else ""
     )
-    if fitting == [OPTICAL, OPTICAL]:
+    if fitting == [OPTICAL_AXES, OPTICAL_AXES]:
         raise ConfigurationError(
             f"{eye.name}: expected cameras side by side that look ahead at zero, got one whose "
-            f"{why}: check which frames are the cameras (--camera-axes={OPTICAL} takes them as "
+            f"{why}: check which frames are the cameras (--camera-axes={OPTICAL_AXES} takes them "
+            "as "
             f"they are{exchanged})"
         )
     raise ConfigurationError(
         f"{eye.name}: expected a camera frame with x right, y down and z forward, got one whose "
-        f"{why}: {text} would fit ({OPTICAL} if it is right as it is{exchanged})"
+        f"{why}: {text} would fit ({OPTICAL_AXES} if it is right as it is{exchanged})"
     )
 
 
@@ -116,7 +118,7 @@ def _fault(eye: EyeAtZeroAngles, across: FloatArray, up: FloatArray) -> str:
         return f"z is {_angle(forward @ across)} from the line between the cameras"
     if down @ up > _ALIGNED_COSINE:
         return "y points up"
-    for axis in eye.axes:
+    for axis in eye.joint_axes:
         if abs(forward @ axis) > _ROLL_AXIS_COSINE:
             return "z lies along an axis that the eye turns about"
     return ""
@@ -131,7 +133,7 @@ def _fitting(eye: EyeAtZeroAngles, across: FloatArray, up: FloatArray) -> str:
 
     def misfit(triple: str) -> float:
         right, down, forward = (eye.pose[:3, :3] @ rotation_of_axes(triple)).T
-        rolled = max((abs(float(forward @ axis)) for axis in eye.axes), default=0.0)
+        rolled = max((abs(float(forward @ axis)) for axis in eye.joint_axes), default=0.0)
         return float(-2.0 * (right @ across) + down @ up + 1.5 * rolled)
 
     return min(_RIGHT_HANDED_AXES, key=misfit)

@@ -23,8 +23,8 @@ from vergence.models.files.robot_description.mechanism import (
 from vergence.models.parts import FloatArray
 
 # Most joints that a head file has for the neck and for the chain of an eye (numerical).
-NECK_JOINTS: Final = 3
-EYE_JOINTS: Final = 2
+MAX_NECK_JOINTS: Final = 3
+MAX_EYE_JOINTS: Final = 2
 _SIDES: Final = ("left", "right")
 
 
@@ -153,7 +153,7 @@ def _check_neck(
                 f"neck: expected joints that both cameras stand on "
                 f"({', '.join(shared) or 'there is none'}), got {name!r}, which moves one of them"
             )
-    if len(neck) > NECK_JOINTS:
+    if len(neck) > MAX_NECK_JOINTS:
         named = [name for name in shared if name in neck]
         raise ConfigurationError(
             f"neck: expected up to three joints, got {len(neck)} ({' '.join(neck)}): hold the "
@@ -263,9 +263,9 @@ def _parts(
     unnamed = [name for name in moving[: last + 1] if name not in neck]
     both = moving[last + 1 :]
     longest = max(len(names) for names in own.values())
-    if unnamed or (both and len(both) + longest > EYE_JOINTS):
+    if unnamed or (both and len(both) + longest > MAX_EYE_JOINTS):
         # the uppermost may turn both eyes, as long as no eye has more than two joints
-        below = moving[: len(moving) - max(EYE_JOINTS - longest, 0)]
+        below = moving[: len(moving) - max(MAX_EYE_JOINTS - longest, 0)]
         others = [name for name in below if name not in neck]
         way_on = _held(paths, others) if neck else _three_and_held(paths, below)
         raise ConfigurationError(
@@ -274,8 +274,8 @@ def _parts(
             f"{', '.join(unnamed or both)}: give {way_on}, say"
         )
     for side, names in own.items():
-        if len(names) > EYE_JOINTS:
-            more = [name for each in own.values() for name in each[EYE_JOINTS:]]
+        if len(names) > MAX_EYE_JOINTS:
+            more = [name for each in own.values() for name in each[MAX_EYE_JOINTS:]]
             raise ConfigurationError(
                 f"{side} camera: expected up to two joints that move this eye alone, which is all "
                 f"that a head file can say, got {len(names)} ({', '.join(names)}): give "
@@ -287,7 +287,7 @@ def _parts(
 
 def _three_and_held(paths: Sequence[JointPath], names: Sequence[str]) -> str:
     """Options that make the uppermost joints the neck and lock the others."""
-    neck, others = names[-NECK_JOINTS:], names[:-NECK_JOINTS]
+    neck, others = names[-MAX_NECK_JOINTS:], names[:-MAX_NECK_JOINTS]
     return f"--neck {' '.join(neck)}" + (f" {_held(paths, others)}" if others else "")
 
 

@@ -38,13 +38,13 @@ def pose_fields(position_key: str, pose: FloatArray, name: str) -> dict[str, Any
     return fields
 
 
-def joint_fields(chains: HeadChains, name: str) -> dict[str, Any]:
+def joint_fields(chains: HeadChains, joint: str) -> dict[str, Any]:
     """Fields of a joint's table in `[[joints]]`, without its limits."""
-    found = chains.joint(name)
+    found = chains.joint(joint)
     return {
-        "name": name,
-        "part": chains.moved_part_of_joint[name],
-        **pose_fields("origin_m", found.origin, f"joint {name}"),
+        "name": joint,
+        "part": chains.moved_part_of_joint[joint],
+        **pose_fields("origin_m", found.origin, f"joint {joint}"),
         "axis": (found.joint.axis + 0.0).tolist(),
     }
 

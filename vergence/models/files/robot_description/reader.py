@@ -21,7 +21,7 @@ from vergence.models.files.robot_description.robot_xml import (
     EXPECTED,
     Limits,
     UrdfExtras,
-    check_names,
+    check_urdf_names,
     parse_xml,
     urdf_extras,
     urdf_mimic_joints,
@@ -54,7 +54,7 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
     name = os.fspath(path)
     root = parse_xml(name)
     if root.tag == "robot":
-        check_names(name, root)
+        check_urdf_names(name, root)
     # without a handler MuJoCo writes its warnings to a file in the working directory; those that
     # matter here are detected again by the users of the joint
     mujoco.set_mju_user_warning(lambda _: None)
@@ -114,14 +114,14 @@ def _frames(spec: Any, world: str, extras: UrdfExtras) -> tuple[Frame, ...]:
         index = len(frames)
         name = body.name if index else world
         joints = tuple(
-            _joint(spec, joint, f"{name}#{i}", extras.limits, speeds)
+            _joint(spec, joint, f"{name}#{i}", extras.joint_limits, speeds)
             for i, joint in enumerate(body.joints)
         )
-        if name in extras.kinds:  # MuJoCo splits a planar joint into three
-            whole, kind = extras.kinds[name]
+        if name in extras.planar_floating_joints:  # MuJoCo splits a planar joint into three
+            whole, kind = extras.planar_floating_joints[name]
             joints = tuple(replace(joint, name=whole, kind=kind) for joint in joints[:1])
         pose = _placed(spec, body)
-        fault = extras.faults.get(name, "")
+        fault = extras.link_faults.get(name, "")
         frames.append(
             Frame(name=name, kind="body", parent=parent, pose=pose, joints=joints, fault=fault)
         )

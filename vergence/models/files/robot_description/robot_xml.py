@@ -49,7 +49,7 @@ def _is_xacro(root: ET.Element) -> bool:
     )
 
 
-def check_names(path: str, root: ET.Element) -> None:
+def check_urdf_names(path: str, root: ET.Element) -> None:
     """Refuse a URDF with ambiguous names of joints or links, or with unknown links.
 
     Args:
@@ -85,12 +85,12 @@ Limits = dict[str, tuple[float, float, float]]
 
 
 class UrdfExtras(NamedTuple):
-    """Values of a URDF's joints that MuJoCo's parser drops or changes."""
+    """Values of a URDF that MuJoCo's parser drops or changes."""
 
-    limits: Limits
-    kinds: dict[str, tuple[str, JointKind]]
+    joint_limits: Limits
+    planar_floating_joints: dict[str, tuple[str, JointKind]]
     """Name and kind of planar and floating joints, by their child link."""
-    faults: dict[str, str]
+    link_faults: dict[str, str]
     """Reason why no path to a camera may pass a link, by link."""
 
 
@@ -101,12 +101,12 @@ def urdf_extras(root: ET.Element) -> UrdfExtras:
         name, child, origin = joint.get("name", ""), joint.find("child"), joint.find("origin")
         link = "" if child is None else child.get("link", "")
         if joint.get("type") == "planar":
-            extras.kinds[link] = name, "planar"
+            extras.planar_floating_joints[link] = name, "planar"
         elif joint.get("type") == "floating":
-            extras.kinds[link] = name, "floating"
+            extras.planar_floating_joints[link] = name, "floating"
         angles = "" if origin is None else origin.get("rpy", "")
         if any(abs(_number(angle)) > _MAX_ORIGIN_ANGLE_RAD for angle in angles.split()):
-            extras.faults[link] = (
+            extras.link_faults[link] = (
                 f"joint {name}: expected an origin with rpy in radians within one turn, got "
                 f"{angles!r:.80} (is it in degrees?)"
             )
