@@ -1,6 +1,7 @@
 """Wording of the package: openings of docstrings, kinds of constants, one class for each name."""
 
 import ast
+import builtins
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -151,6 +152,46 @@ def test_names_in_backticks_exist():
         for name in NAME.findall(source)
         if not known.issuperset(name.split("."))
     ]
+    assert stale == []
+
+
+def named_in(node: ast.ClassDef | ast.FunctionDef, section: str) -> set[str]:
+    """Names with an entry in a section of a docstring."""
+    doc = ast.get_docstring(node) or ""
+    part = re.search(rf"^{section}:\n((?: .*\n|\n)*)", f"{doc}\n", re.MULTILINE)
+    entries = re.findall(r"^    (\w[\w, *]*): ", part[1], re.MULTILINE) if part else []
+    return {name for entry in entries for name in re.findall(r"\w+", entry)}
+
+
+def defined_in(node: ast.AST) -> set[str]:
+    """Names of the parameters and attributes that a class or function defines."""
+    kinds = {ast.arg: "arg", ast.Name: "id", ast.Attribute: "attr", ast.FunctionDef: "name"}
+    return {getattr(part, kinds[type(part)]) for part in ast.walk(node) if type(part) in kinds}
+
+
+def test_documented_arguments_attributes_and_errors_exist():
+    trees = {
+        path: ast.parse(path.read_text(encoding="utf-8"))
+        for path in sources_of(ROOT / "vergence").values()
+    }
+    classes = {
+        node.name: node
+        for tree in trees.values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+    }
+    errors = {"LinAlgError", "ResetNeeded", *classes, *dir(builtins)}  # NumPy's and Gymnasium's
+    stale = []
+    for path, tree in trees.items():
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.ClassDef | ast.FunctionDef):
+                continue
+            wrong = named_in(node, "Raises") - errors
+            if named := named_in(node, "Args") | named_in(node, "Attributes"):
+                bases = re.findall(r"\w+", " ".join(map(ast.unparse, getattr(node, "bases", []))))
+                own = [node, *(classes[name] for name in bases if name in classes)]
+                wrong |= named.difference(*map(defined_in, own))
+            stale += [f"{path.relative_to(ROOT)}: {name}" for name in sorted(wrong)]
     assert stale == []
 
 

@@ -77,7 +77,7 @@ class HardwarePlant(Plant):
         begun_s: time on the clock at which the running trial began, s.
         overruns: number of missed control periods.
         trials: number of trials so far.
-        trips: number of times the servos' watchdog has stopped them.
+        watchdog_trips: number of times the servos' watchdog has stopped them.
 
     Raises:
         ConfigurationError: num is not 1, or the head differs from the configuration's.

@@ -12,11 +12,12 @@ distorts by the angle t = atan(r) from the optical axis:
     (x_d, y_d) = (x, y) t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8) / r
 
 The Jacobian of each model is symmetric. A model is valid as long as a ray that turns outwards also
-moves outwards in the image: up to its fold (see `fold`), and while the Jacobian is positive
-definite. Beyond that, and for pixels without a ray, results are nan.
+moves outwards in the image, up to its fold (see `vergence.models.fold`), and while its Jacobian is
+positive definite. Beyond that `is_invertible_at` is False and projections are nan, as is
+`undistort_ray` for a pixel without a ray; `distort` does not check.
 
 A new model needs its coefficients in `CameraRow`, its names in `cameras.LENSES`, its fold in
-`fold`, a case here and, with derivatives by the coefficients, one in
+`vergence.models.fold`, a case in this module, and a case with derivatives by the coefficients in
 `vergence.calibration.projection`. No other module computes with coefficients.
 """
 
@@ -38,17 +39,15 @@ _NEWTON_STEPS: Final = 25
 _NEWTON_TOLERANCE: Final = 1e-15
 """Relative convergence tolerance of a Newton step (numerical)."""
 _MAX_RESIDUAL: Final = 1e-13
-"""Largest residual of an inverse: distance of its image from the distorted coordinates, relative
+"""Largest distance of an inverse's distorted coordinates from the given ones, relative
 (numerical)."""
-
-
 _SEARCH_STEPS: Final = 200
 """Iteration limit of the damped search (numerical)."""
 _LEAST_STEP_FRACTION: Final = 1e-6
 """Smallest fraction of a Newton step that the damped search tries (numerical)."""
 _MAX_COORDINATE: Final = 1e20
-"""Largest distorted coordinate that is inverted: far beyond any image; powers of more overflow
-(numerical)."""
+"""Largest distorted coordinate that is inverted: far beyond any image; powers of larger
+coordinates overflow (numerical)."""
 
 
 class CameraRow(NamedTuple):
@@ -167,10 +166,9 @@ def _radial_and_tangential(
 
 @subroutine
 def _distort_generic(camera: CameraRow, x: float, y: float) -> DistortedPoint:
-    """`distort` of all models except the fisheye, and of the fisheye for angles instead of x and y.
+    """Distort by any model; for the fisheye, x and y are the angles (x, y) t / r.
 
-    The angles are (x, y) t / r; in them the fisheye is a polynomial too. A polynomial is computed
-    as a quotient with the denominator 1.
+    In these the fisheye is a polynomial too. Without coefficients of a denominator, it is 1.
     """
     k1, k2, k3 = camera.k1, camera.k2, camera.k3
     k4, below_k1 = (camera.k4, 0.0) if camera.lens == FISHEYE else (0.0, camera.k4)

@@ -46,8 +46,8 @@ class TagFamilyCode:
             place.
         bit_cells: (x, y) of each bit, in cells from the upper left corner of the square that the
             library detects, shape (bits, 2).
-        border_cells: cells along a side of that square.
-        total_cells: cells along a side of the printed pattern, including a quiet zone of one
+        width_at_border: cells along a side of that square.
+        total_width: cells along a side of the printed pattern, including a quiet zone of one
             cell if the family has one.
         dark_inside: True if the square is dark on a white surround, as in the families with a
             plain black border; the families named Standard, Custom and Circle have a white square

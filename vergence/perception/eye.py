@@ -1,4 +1,4 @@
-"""The camera that took an image: an eye of a head, or one of a calibration."""
+"""The camera of an image, from command-line options: a head's eye, or one of a calibration."""
 
 from pathlib import Path
 
@@ -20,14 +20,15 @@ def load_camera(
     Args:
         head: a preset's name or the path of a TOML file.
         calibration: a calibration file of OpenCV, ROS or kalibr.
-        eye: `left` or `right`; None for a calibration of one camera.
-        size: (width, height) in pixels, for a calibration that does not state it.
+        eye: `left` or `right`; not needed for a calibration of one camera.
+        size: image size (width, height), px, for a calibration file without one.
 
     Returns:
         The camera; None if neither a head nor a calibration is given.
 
     Raises:
-        VergenceError: both are given, the eye is missing or not needed, or a file cannot be read.
+        VergenceError: head and calibration are both given, the eye or the image size is missing or
+            is given without them, or a file cannot be read.
     """
     if head is not None and calibration is not None:
         raise ConfigurationError("camera: expected either --head or --camera, got both")

@@ -116,7 +116,7 @@ class Learner:
         """Raise an error if networks or optimisers hold nan or infinity.
 
         Raises:
-            DivergedError: one does; the message names it.
+            TrainingDivergedError: one does; the message names it.
         """
         name = _not_finite(self.model.get_parameters())
         if name is not None:

@@ -71,7 +71,7 @@ class VectorEnvAdapter(VecEnv):
         """Store the actions for `step_wait`.
 
         Raises:
-            DivergedError: an action is nan.
+            TrainingDivergedError: an action is nan.
         """
         if np.isnan(actions).any():
             raise TrainingDivergedError("the network's actions became nan")

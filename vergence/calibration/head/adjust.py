@@ -88,7 +88,7 @@ class ReducedNormalEquations(NamedTuple):
     """(s,) gradient, half of the cost's."""
     frame_error_sensitivity: FloatArray
     """(f, 7, s_f) negative derivative of the frames' own errors by the shared unknowns in
-    `columns`."""
+    `HeadAdjustment.frame_columns`."""
     negative_frame_step: FloatArray
     """(f, 7) negative step of the frames' own errors while the shared unknowns stay."""
     frame_normal_matrices: FloatArray
@@ -96,7 +96,8 @@ class ReducedNormalEquations(NamedTuple):
     residuals: FloatArray
     """(2, f, n, 2) residuals divided by sigma; 0 for corners that were not found."""
     frame_contributions: tuple[FloatArray, FloatArray] | None = None
-    """(f, s_f, s_f) and (f, s_f) each frame's parts of matrix and gradient, with `columns`."""
+    """(f, s_f, s_f) and (f, s_f) each frame's parts of matrix and gradient, see
+    `HeadAdjustment.frame_columns`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,12 +4,13 @@ A corner x of a board in frame 0, the neck, an eye's joints and its camera form 
 
     p_C = (T_0_N(neck) M_0 RotZ(q1) M_1 RotZ(q2) M_2)^-1 T_0_B x.
 
-Each estimated parameter moves the chain beyond some frame F by a twist xi = (w, v) in F. This
-moves the corner in F by `-(w x p_F + v)`, so that a pixel with the gradient g_F by p_F changes by
+Each estimated parameter moves the part of the chain from some frame F to the camera, by a twist
+xi = (w, v), rotation first, expressed in F. This moves the corner in F by `-(w x p_F + v)`, so that
+a pixel coordinate whose derivative by p_F is g_F changes by
 
     -(p_F x g_F, g_F) . xi .
 
-The Jacobians need only the rows `(p_F x g_F, g_F)`, wrenches, in the frames of the chain.
+So the Jacobians need only the rows `(p_F x g_F, g_F)`, called wrenches, in each frame F.
 """
 
 from dataclasses import dataclass
@@ -35,7 +36,8 @@ class ProjectedBoard(NamedTuple):
     pixels: FloatArray
     """(f, n, 2) px; nan behind the camera."""
     head_jacobian: FloatArray
-    """(f, n, 2, p_eye) Jacobian by the head parameters that the eye depends on, see `columns`."""
+    """(f, n, 2, p_eye) Jacobian by the head parameters that the eye depends on, see
+    `ParametricHead.eye_parameter_indices`."""
     joint_jacobian: FloatArray
     """(f, n, 2, 7) Jacobian by the joint angles, px/rad."""
     board_jacobian: FloatArray
@@ -70,7 +72,7 @@ class ParametricHead:
 
     @cached_property
     def twists(self) -> FloatArray:
-        """(p, 6, 6) per parameter, body twists of M_0 to M_2 of the left, then the right eye."""
+        """(p, 6, 6) body twists by parameter and constant: M_0 to M_2 of the left, then right."""
         links, nominal_head, head = self.head.links, self.nominal_head, self.head
         names = head.parameters().names
         out = np.zeros((len(names), 6, 6))

@@ -17,7 +17,7 @@ with a square far below 1 (numerical)."""
 
 @dataclass(frozen=True, eq=False)
 class DepthErrors:
-    """Errors of points that both eyes fixate; nan for points out of reach or not visible.
+    """Errors of points that both eyes fixate; nan if a point is out of reach or not visible.
 
     Depth is measured along the line from midway between the eyes to the point.
     """
@@ -25,9 +25,10 @@ class DepthErrors:
     distance_m: FloatArray
     """(n,) distance from midway between the eyes."""
     nominal_error_m: FloatArray
-    """(n,) depth error of the nominal head if the calibrated head is true; positive if too far."""
+    """(n,) depth error of the nominal head, taking the calibrated head as the truth; positive if
+    the triangulated point is too far."""
     nominal_error_norm_m: FloatArray
-    """(n,) length of the same error in space."""
+    """(n,) length of the nominal head's error in all three directions."""
     sigma_m: FloatArray
     """(n,) standard deviation of depth from the uncertainty of the calibration."""
     noise_floor_m: FloatArray
@@ -51,7 +52,7 @@ def points_ahead(distance_m: FloatArray) -> FloatArray:
 
 
 def points_at_angles(distance_m: float, right_rad: FloatArray, down_rad: FloatArray) -> FloatArray:
-    """(n, 3) points at angles (n,) to the right and then down, m."""
+    """(n, 3) points at one distance, turned to the right and then down by angles (n,), m."""
     return np.asarray(
         distance_m
         * np.column_stack(
@@ -67,7 +68,7 @@ def points_at_angles(distance_m: float, right_rad: FloatArray, down_rad: FloatAr
 def predict_depth_errors(
     calibration: HeadCalibration, points_from_eyes_m: FloatArray
 ) -> DepthErrors:
-    """Predict the errors of depth before and after a calibration.
+    """Predict the errors of depth of the nominal head, and those that the calibration leaves.
 
     The calibrated head fixates each point; the nominal and the calibrated head triangulate it from
     the same joint angles and pixels. The uncertainty is to first order in the head's parameters,

@@ -38,7 +38,7 @@ class HeadJob:
     Attributes:
         head: the nominal head, from its file.
         recording: its recording.
-        cameras: True to estimate the cameras too.
+        estimate_cameras: True to estimate the cameras too.
         terms: see `calibrate_head`.
         name: name of the calibrated head.
         head_file_name: name of the head file to write.

@@ -160,8 +160,8 @@ class SmithPredictor:
             estimates it on line, see `vergence.controllers.prediction.dating`.
         lag: `nominal` or `estimated` response of the actuators to their commands, see
             `vergence.controllers.prediction.response`.
-        moving: True if targets may move; False, for targets that only jump, gives better estimates
-            of those.
+        targets_move: True if targets may move; False, for targets that only jump, gives better
+            estimates of those.
 
     Raises:
         ConfigurationError: an option has an invalid value, or the head's latency is longer than

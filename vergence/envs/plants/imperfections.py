@@ -93,8 +93,9 @@ class Imperfections(Generic[Value]):
     """
 
     latency_s: Value = _imperfection_field(
-        "camera", "image latency", "from the middle of an exposure to the image being readable; a "
-        "reading dates its image by the model's latency, unless the cameras stamp it",
+        "camera", "image latency", "latency from mid-exposure to the time at which the image is "
+        "readable; a reading dates its image by the model's latency, unless the cameras stamp "
+        "exposures",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.3), head_path="timing.latency_s", display_unit=_MS,
     )
     lag_s: Value = _imperfection_field(
@@ -104,32 +105,34 @@ class Imperfections(Generic[Value]):
         "s", (0.0, _MAX_DELAY_S), (0.001, 0.2), head_path="timing.lag_s", display_unit=_MS,
     )
     detection_noise_px: Value = _imperfection_field(
-        "camera", "detection noise", "standard deviation of a detection, each coordinate; not on "
-        "`rendered`, whose detector has its own",
+        "camera", "detection noise", "standard deviation of each coordinate of a detection; not "
+        "on `rendered`, whose detector has its own noise",
         "px", (0.0, inf), (0.0, 3.0), head_path="sensor.detection_noise_px",
         display_unit=("px", 1.0),
     )
     dropped_frame_probability: Value = _imperfection_field(
-        "camera", "dropped frames", "that a frame of both eyes never comes",
+        "camera", "dropped frames", "probability that a frame of both eyes never arrives",
         "1", (0.0, 1.0), (0.0, 0.9), head_path="sensor.dropped_frame_probability",
         display_unit=_PERCENT,
     )
     jitter_s: Value = _imperfection_field(
-        "camera", "frame jitter", "the most by which a frame comes later than the latency, "
-        "uniform; frames keep their order",
+        "camera", "frame jitter", "largest delay of a frame beyond the latency, uniform from 0; "
+        "frames keep their order",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
     )
     missed_detection_probability: Value = _imperfection_field(
-        "camera", "missed detections", "that an eye's image shows the detector nothing, each eye "
-        "by itself",
+        "camera", "missed detections", "probability that an eye's detector finds nothing in a "
+        "frame, independent for each eye",
         "1", (0.0, 1.0), (0.0, 0.9), display_unit=_PERCENT,
     )
     outlier_probability: Value = _imperfection_field(
-        "camera", "outliers", "that an eye's detection is beside the target, each eye by itself",
+        "camera", "outliers", "probability that an eye's detection is an outlier, independent for "
+        "each eye",
         "1", (0.0, 1.0), (0.0, 0.3), display_unit=_PERCENT,
     )
     outlier_px: Value = _imperfection_field(
-        "camera", "outlier size", "how far beside it at most: uniform from 0, in any direction",
+        "camera", "outlier size", "largest distance of an outlier from the target: uniform from "
+        "0, in any direction",
         "px", (0.0, inf), (0.0, 300.0), default=100.0, probability="outlier_probability",
         display_unit=("px", 1.0),
     )
@@ -139,117 +142,120 @@ class Imperfections(Generic[Value]):
         display_unit=("Hz", 1.0),
     )
     frame_phase: Value = _imperfection_field(
-        "camera", "camera phase", "when the first frame after time zero is exposed, by the time "
-        "between two",
+        "camera", "camera phase", "time of the first exposure after time zero, as a fraction of "
+        "the frame period",
         "1", (0.0, 1.0), (0.0, 1.0), display_unit=("of a frame", 1.0),
     )
     clock_drift: Value = _imperfection_field(
-        "camera", "camera clock slow by", "by how much the cameras' clock goes slow",
+        "camera", "camera clock slow by", "fraction by which the cameras' clock is slow",
         "1", (-0.1, 0.1), (-0.05, 0.05), display_unit=_PERCENT,
     )
     command_latency_s: Value = _imperfection_field(
-        "motors", "command latency", "from a command to the motors' response",
+        "motors", "command latency", "latency from a command to the motors' response",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), head_path="timing.command_latency_s",
         display_unit=_MS,
     )
     feedback_latency_s: Value = _imperfection_field(
-        "encoders", "feedback latency", "from a measurement of the joints to its reading",
+        "encoders", "feedback latency", "latency from a measurement of the joints to its reading",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), head_path="timing.feedback_latency_s",
         display_unit=_MS,
     )
     angle_noise_rad: Value = _imperfection_field(
-        "encoders", "encoder noise, angle", "standard deviation of an encoder's angle, before it "
-        "is rounded",
+        "encoders", "encoder noise, angle", "standard deviation of an encoder's angle before "
+        "quantisation",
         "rad", (0.0, inf), (0.0, 0.01), display_unit=_MRAD,
     )
     speed_noise_rad_s: Value = _imperfection_field(
-        "encoders", "encoder noise, speed", "standard deviation of an encoder's speed, before it "
-        "is rounded",
+        "encoders", "encoder noise, speed", "standard deviation of an encoder's speed before "
+        "quantisation",
         "rad/s", (0.0, inf), (0.0, 0.5), display_unit=("rad/s", 1.0),
     )
     acceleration_ratio: Value = _imperfection_field(
-        "motors", "acceleration by model", "greatest accelerations by those of the limits",
+        "motors", "acceleration by model", "ratio of the motors' largest accelerations to the "
+        "head's limits",
         "1", (0.01, 100.0), (0.1, 3.0), default=1.0,
     )
     torque_falloff: Value = _imperfection_field(
-        "motors", "torque falloff", "share of its acceleration that a motor has lost at its "
-        "greatest speed, gain included; braking keeps all of it",
+        "motors", "torque falloff", "fraction of its acceleration that a motor loses up to its "
+        "top speed, gain included; braking is not reduced",
         "1", (0.0, 0.8), (0.0, 0.8),
     )
     onset_s: Value = _imperfection_field(
-        "target", "onset", "when the target appears, jumps or begins to move",
+        "target", "onset", "time at which the target appears, jumps or begins to move",
         "s", (0.0, 10.0), (0.0, 0.5), display_unit=("s", 1.0),
     )
     speed_gain: Value = _imperfection_field(
-        "motors", "speed gain", "speed at rest by command, each actuator its own",
+        "motors", "speed gain", "ratio of the steady speed to the command, drawn for each "
+        "actuator",
         "1", (0.01, 2.0), (0.4, 1.6), default=1.0, by_actuator=True,
     )
     backlash_rad: Value = _imperfection_field(
-        "motors", "backlash", "play between motor and joint, whole width, each actuator its own "
-        "(in a file `sensor.backlash_rad` or the actuator's); none in the neck",
+        "motors", "backlash", "backlash between motor and joint, full width, drawn for each "
+        "actuator (in a file `sensor.backlash_rad` or the actuator's); none in the neck",
         "rad", (0.0, 0.2), (0.0, 0.02), head_path="actuation.backlash", by_actuator=True,
         display_unit=_MRAD,
     )
     speed_filter_s: Value = _imperfection_field(
-        "encoders", "speed filter", "time constant of a servo's low-pass filter of first order on "
-        "the speed that it reports; 0 for none",
+        "encoders", "speed filter", "time constant of the first-order low-pass filter of a "
+        "servo's reported speed; 0 for none",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
     )
     speed_latency_s: Value = _imperfection_field(
-        "encoders", "speed latency", "by how much a reported speed is older than the angle beside "
-        "it; the filter comes after it",
+        "encoders", "speed latency", "age of a reported speed relative to the angle reported with "
+        "it; the filter is applied after it",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
     )
     speed_span_s: Value = _imperfection_field(
-        "encoders", "speed as difference over", "of heads whose servos report no speed: it is the "
-        "difference of the angles as read over this time, in whole periods; less than half a "
-        "period for the servos' own speed, whose noise, steps, latency and filter differences do "
-        "not have",
+        "encoders", "speed as difference over", "for servos that report no speed: time, in whole "
+        "periods, over which the speed is the difference of the reported angles, which then has "
+        "no noise, quantisation, latency or filter of its own; below half a period for the "
+        "servos' own speed",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
     )
     lost_command_probability: Value = _imperfection_field(
-        "motors", "lost commands", "that a period's command never reaches the motors, which go on "
-        "with the one before; `command` of a reading says what was sent",
+        "motors", "lost commands", "probability that a period's command never reaches the motors, "
+        "which keep the previous one; `command` of a reading is what was sent",
         "1", (0.0, 1.0), (0.0, 0.9), display_unit=_PERCENT,
     )
     stall_probability: Value = _imperfection_field(
-        "motors", "stalls of the control loop", "that the control loop stalls in a period, after "
-        "one in which it ran: joints and images are not read, and the command reaches nobody",
+        "motors", "stalls of the control loop", "probability that the control loop stalls in a "
+        "period after one in which it ran: joints and images are not read, and the command is not "
+        "sent",
         "1", (0.0, 1.0), (0.0, 0.5), display_unit=_PERCENT,
     )
     stall_s: Value = _imperfection_field(
-        "motors", "length of a stall", "for how long it stalls at most: uniform from 0, in whole "
-        "periods and at least one",
+        "motors", "length of a stall", "longest stall: uniform from 0, in whole periods, at least "
+        "one",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.5), default=0.1, probability="stall_probability",
         display_unit=_MS,
     )
     false_detection_probability: Value = _imperfection_field(
-        "camera", "false detections", "that in a frame a lamp, a reflection or another mark begins "
-        "to be taken for the target: in the left eye, the right or both, a third each; in half of "
-        "the last both eyes are off by the same",
+        "camera", "false detections", "probability that in a frame a lamp, a reflection or "
+        "another mark begins to be taken for the target: in the left eye, the right or both, a "
+        "third each; in half of the cases with both, their errors are equal",
         "1", (0.0, 1.0), (0.0, 0.2), display_unit=_PERCENT,
     )
     false_detection_s: Value = _imperfection_field(
-        "camera", "length of a false detection", "for how long it is taken for it at most: uniform "
-        "from 0, in whole frames and at least one",
+        "camera", "length of a false detection", "longest false detection: uniform from 0, in "
+        "whole frames, at least one",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.5), default=0.2,
         probability="false_detection_probability", display_unit=_MS,
     )
     false_detection_px: Value = _imperfection_field(
-        "camera", "distance of a false detection", "how far beside the target it is at most, in "
-        "all of its frames alike: uniform from 0, in any direction",
+        "camera", "distance of a false detection", "largest distance of a false detection from "
+        "the target, constant over its frames: uniform from 0, in any direction",
         "px", (0.0, inf), (0.0, 300.0), default=100.0, probability="false_detection_probability",
         display_unit=("px", 1.0),
     )
     overshoot: Value = _imperfection_field(
-        "motors", "overshoot", "share by which the speed of a servo of second order overshoots a "
-        "step of its command, the joint lag being its time constant; 0 for the lag of first order",
+        "motors", "overshoot", "fraction by which the speed of a second-order servo overshoots a "
+        "step of its command, with the joint lag as its time constant; 0 for a first-order lag",
         "1", (0.0, 0.9), (0.0, 0.6), display_unit=_PERCENT,
     )
     skew_s: Value = _imperfection_field(
-        "camera", "right eye exposed later by", "by how much the right eye's frames are exposed "
-        "after the left's, at most the time between two; a pair comes when the later one does, and "
-        "a stamp is the left one's; not on `rendered`",
+        "camera", "right eye exposed later by", "delay of the right eye's exposures after the "
+        "left eye's, at most the frame period; a pair arrives with the later image, and its stamp "
+        "is that of the left one; not on `rendered`",
         "s", (0.0, _MAX_DELAY_S), (0.0, 0.1), display_unit=_MS,
     )
 # fmt: on

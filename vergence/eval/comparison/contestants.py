@@ -183,7 +183,7 @@ def make_contestants(
         UnknownNameError: a specification names no controller.
         ConfigurationError: a file or an attribute does not exist, or two rows of the tables would
             have one label.
-        ControllerError: a module cannot be imported.
+        UserControllerError: a module cannot be imported.
     """
     given = given or GivenOptions()
     names = list(dict.fromkeys(specs or controllers_in_table_order()))

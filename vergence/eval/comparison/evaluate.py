@@ -45,18 +45,18 @@ def evaluate(
         config: the configuration.
         extra_controllers: more controllers by their names in tables: any objects with
             Stable-Baselines3's `predict`.
-        mapper: runs the jobs; this process by default. The numbers are the same for any mapper,
-            except for the duration of `predict`.
-        options: options by controller, and within these by scenario, in place of a file's.
-        keep_going: True to leave out a user-defined controller that raises, and to report it in
-            `failures`, unless only the baseline would remain.
+        mapper: runs the jobs; None to run them one by one in this process. The numbers are the same
+            for any mapper, except for the duration of `predict`.
+        options: options of controllers, `options[controller][scenario]`, in place of a file's.
+        keep_going: True to leave out a user-defined controller that raises, and to list it in
+            `failures`; if only the baseline would remain, the error is raised all the same.
 
     Returns:
         The evaluation.
 
     Raises:
-        ControllerError: a user-defined controller raises, and is not to be left out.
-        VergenceError: a name is unknown or an option has an invalid value.
+        UserControllerError: a user-defined controller raises, and is not to be left out.
+        VergenceError: a name is unknown, an option has an invalid value, or a plant is a robot.
     """
     mapper = mapper or SerialMapper()
     if config.on_robot:
@@ -77,13 +77,13 @@ def run_and_join(
     *,
     keep_going: bool,
 ) -> Evaluation:
-    """Run the simulated trials and join them with a robot's outcomes.
+    """Run the simulated trials and join them with a robot's results.
 
     Args:
         config: the configuration.
         lineup: the controllers, scenarios and plants.
         mapper: runs the jobs.
-        robot_results: outcomes of a robot's trials.
+        robot_results: results of a robot's trials.
         robot_failures: failures of controllers in a robot's trials.
         keep_going: see `evaluate`, which also describes the result and the errors.
     """

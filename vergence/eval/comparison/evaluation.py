@@ -77,7 +77,7 @@ class EvaluationResult:
     curves: pd.DataFrame
     """See `error_quantile_table`."""
     effective_gains: pd.DataFrame
-    """See `effective_gains`."""
+    """See `effective_gain_table`."""
     head: HeadModel
 
 

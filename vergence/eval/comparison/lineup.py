@@ -72,7 +72,7 @@ def resolve_lineup(
         The line-up.
 
     Raises:
-        ControllerError: a user-defined controller raises.
+        UserControllerError: a user-defined controller raises.
         VergenceError: a name is unknown or an option has an invalid value.
     """
     as_seed(config.seed)

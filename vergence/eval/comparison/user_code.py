@@ -31,7 +31,7 @@ def make_user_controller(
 
     Raises:
         ConfigurationError: there is no such class, or it has no suitable `predict`.
-        ControllerError: its constructor raises.
+        UserControllerError: its constructor raises.
     """
     make = entry.load()
     with suppress(ValueError):  # classes written in C may have no signature
@@ -112,7 +112,7 @@ class GuardedController:
         """See `Controller.predict`.
 
         Raises:
-            ControllerError: it raises, or does not return actions and a state.
+            UserControllerError: it raises, or does not return actions and a state.
         """
         self._calls += 1
         try:

@@ -95,7 +95,7 @@ class MarginMeasurement:
     Args:
         run: callback that runs the controller's trials in a scenario.
         scenario: the unmodified scenario.
-        name: the imperfection that is varied.
+        imperfection: the imperfection that is varied.
     """
 
     def __init__(

@@ -51,7 +51,7 @@ def measure_margins(
         The margins.
 
     Raises:
-        ControllerError: a user-defined controller raises, and is not to be left out.
+        UserControllerError: a user-defined controller raises, and is not to be left out.
         VergenceError: a name is unknown, a scenario's target never rests, or an option has an
             invalid value.
     """

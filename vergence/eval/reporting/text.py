@@ -1,4 +1,4 @@
-"""Text templates for reports, and the format of their numbers."""
+"""Text templates of reports, and formats of numbers for reports, tables and the terminal."""
 
 import math
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import jinja2
 
 Numbers = Mapping[str, float]
-"""Numbers for a template, by name with the unit last; nan for a number that does not exist."""
+"""Numbers for a template, by name with the unit last; nan for an undefined number."""
 
 NONE: Final = "–"
 """Placeholder for a missing number."""
@@ -45,12 +45,12 @@ def render_text(template: str, **values: Any) -> SectionText:
 
     Args:
         template: a Jinja template with the blocks `what` and `found`; optional are `headline`, and
-            `caption_` followed by the name of a figure with `_` in place of `-`. Its words do not
-            depend on the numbers: its sentences hold for all values.
+            `caption_` followed by the name of a figure with `_` in place of `-`. Its sentences must
+            hold for all values of the numbers.
         values: values of the template, by name.
 
     Returns:
-        The blocks, with one line per paragraph.
+        The text of the blocks, each paragraph on one line.
 
     Raises:
         jinja2.UndefinedError: the template names a value that is missing.
@@ -67,7 +67,7 @@ def render_text(template: str, **values: Any) -> SectionText:
 
 
 def jinja_environment(**options: Any) -> jinja2.Environment:
-    """Make a Jinja environment that requires every name and has the filters for numbers.
+    """Make a Jinja environment with filters for numbers, in which an undefined name is an error.
 
     Args:
         options: further options of `jinja2.Environment`.
@@ -112,11 +112,11 @@ def format_fixed(value: float | None, decimals: int = 0, signed: bool = False) -
 
 
 def format_input_value(value: float) -> str:
-    """Format a configured number, such as an option or a band, with all its digits."""
+    """Format a configured number, such as an option or a band, with up to six digits."""
     return f"{value:zg}"
 
 
 def format_range(low: float | None, high: float | None) -> str:
-    """Format a range, or a single number if both ends look alike; a dash for none."""
+    """Format a range; one number if both ends look alike or one is missing, a dash for none."""
     ends = dict.fromkeys(map(format_number, (low, high)))
     return " to ".join(end for end in ends if end != NONE) or NONE

@@ -24,12 +24,12 @@ class RobotController:
     """A controller made for a robot.
 
     Args:
-        found: the entry of the comparison that names the controller.
+        contestant: the entry of the comparison that names the controller.
         head: the model that the controller uses.
         options: its options.
 
     Attributes:
-        word: its name.
+        name: its name.
         policy: the controller.
         options: its options.
         sha256: SHA-256 of its file, if it is user code or a policy file; else empty.

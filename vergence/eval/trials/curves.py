@@ -1,12 +1,11 @@
 """Trials over time: errors, triangulation errors, and the effective gain of a controller.
 
-The effective gain of an eye is the projection of its commanded joint velocities on those that the
-fixed-gain law with a gain of 1/s commands for the same observation. For the fixed-gain law with
-gain k it is k; for any other controller it is the gain at which the law would command the same
-velocity along its own direction. Heads with coupled joints have one gain for both eyes, from the
-actuators' velocities.
+The effective gain of an eye is the k that fits its commanded joint velocities best, by least
+squares, to k times those of the fixed-gain law with gain 1 (1/s) for the same observation. For the
+fixed-gain law it is that law's gain. Heads with coupled joints have one gain for both eyes, from
+the actuators' velocities.
 
-Time counts from each trial's onset, as settling does.
+Times count from each trial's onset, as settle times do.
 """
 
 import time
@@ -36,7 +35,7 @@ _LEAST_BIN_SAMPLES: Final = 30
 
 
 def error_quantile_table(trials: Trials) -> pd.DataFrame:
-    """Quantiles over trials, since the onset, of the worse eye's error and the gaze fix's error.
+    """Percentiles over the trials of the worse eye's error and of the gaze fix's error.
 
     For targets at rest, the residual (the least error that the head can reach) is subtracted.
 
@@ -47,7 +46,7 @@ def error_quantile_table(trials: Trials) -> pd.DataFrame:
         One row per control period, from each trial's first period at or after its onset to the
         last period that all trials have: `time_s`; `error_p05_px`, `error_p50_px`,
         `error_p95_px`; likewise for `fix_error`, in m. A missing error counts as the image's
-        diagonal, a missing fix as infinite.
+        diagonal, a missing fix as infinite, or as nan if the true position is unknown.
     """
     norm = np.linalg.norm(trials.reducible_error, axis=-1).max(axis=-1)
     norm = np.where(np.isnan(norm), trials.missing_px, norm)
@@ -75,7 +74,7 @@ def _quantiles(name: str, unit: str, values: FloatArray) -> dict[str, FloatArray
 
 
 def effective_gain_table(trials: Trials, layout: ObservationLayout) -> pd.DataFrame:
-    """Effective gains by image error and by time, of the trials whose observations were kept.
+    """Effective gains, binned by image error and by time, of trials with kept observations.
 
     Args:
         trials: the trials.
@@ -133,7 +132,7 @@ def single_predict_us(
 
     Args:
         controller: the controller.
-        observation: (steps, m, size) observations of m trials; the first trial's are used.
+        observation: (steps, m, size) observations of m trials, of which the first is used.
         calls: number of calls to time.
         clock_ns: a clock in nanoseconds.
 

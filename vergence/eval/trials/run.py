@@ -129,7 +129,7 @@ class InstrumentedController:
 
     Args:
         controller: the controller.
-        observed: number of trials, from the first, whose observations are kept.
+        observed_trials: number of trials, from the first, whose observations are kept.
         clock_ns: a clock in nanoseconds.
     """
 

@@ -51,7 +51,7 @@ class Bus:
 
     Attributes:
         line: the serial line.
-        misses: number of answers that did not arrive.
+        missed_answers: number of answers that did not arrive.
         stale: number of answers that did not match the open request.
         alerts: ids of the servos whose last answer announced a hardware error.
 

@@ -68,7 +68,7 @@ class EmulatedServo:
         q: the shaft's angle, rad.
         v: the shaft's velocity, rad/s.
         trace: the past motion of the shaft.
-        trips: number of times that the watchdog has stopped it.
+        watchdog_trips: number of times that the watchdog has stopped it.
         silent: True if it answers and obeys nothing, as with its plug pulled out.
         stuck: True if the joint does not move.
         frozen: True if the encoder reports a fixed position and no velocity while the joint moves.

@@ -1,4 +1,7 @@
-"""The true motion of a joint over time; tests use it to find the time at which it came to rest."""
+"""Recent true motion of an emulated joint.
+
+Servos read it late, recordings hold it, and it tells since when a head has been at rest.
+"""
 
 from array import array
 from bisect import bisect_right
@@ -22,9 +25,9 @@ class MotionSample(NamedTuple):
 
 
 class MotionTrace:
-    """The last samples of a joint, for 20 s or more.
+    """Samples of a joint's motion in the last 20 s or more.
 
-    Between two samples the velocity changes monotonically.
+    Callers add samples so often that the velocity changes monotonically between two.
     """
 
     def __init__(self) -> None:
@@ -66,8 +69,8 @@ def rest_start_and_top_speed(
     """Start of the present rest of all joints, and their greatest speed.
 
     Returns:
-        The first time, at or after `time_s`, since which none turned faster than `REST_RAD_S`,
-        None if one still does; and the greatest speed of any since `time_s`, rad/s.
+        The earliest time, from `time_s` on, after which no joint was faster than `REST_RAD_S`, or
+        None if one still is; and the greatest speed of any joint since `time_s`, rad/s.
     """
     rested_s: float | None = time_s
     fastest = 0.0

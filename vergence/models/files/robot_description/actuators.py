@@ -49,8 +49,8 @@ class EyeMotor:
 
     Attributes:
         name: name of the motor.
-        joints: factor by joint name.
-        offsets: offset by joint name, where it is not 0, rad.
+        joint_factors: factor by joint name.
+        joint_offsets: offset by joint name, where it is not 0, rad.
         limits: limits of the motor.
         assumption_reason: reason why some limits are assumed; empty if all are from the file.
         assumed_keys: keys of the head file that the reason applies to.
@@ -70,7 +70,7 @@ class EyeJoint:
 
     Attributes:
         name: name of the joint.
-        part: both, left or right.
+        moved_eyes: both, left or right.
         axis: (3,) its axis at zero, in the axes of the mean camera: x right, y down, z forward.
         limits: limits of the joint.
     """

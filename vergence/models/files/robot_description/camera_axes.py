@@ -58,7 +58,7 @@ class EyeAtZeroAngles:
     Attributes:
         name: name of the camera's frame, as given.
         pose: (4, 4) pose of the camera, its axes taken as right, down, forward.
-        axes: (J, 3) axes of the joints that move this eye.
+        joint_axes: (J, 3) axes of the joints that move this eye.
     """
 
     name: str

@@ -28,7 +28,8 @@ class KinematicChain:
 
     Attributes:
         joints: the joints from the base up.
-        end: (4, 4) pose of the camera frame in the link that the last joint moves, or the base.
+        camera_in_last_link: (4, 4) pose of the camera frame in the link that the last joint moves,
+            or the base.
     """
 
     joints: tuple[ChainJoint, ...]

@@ -34,9 +34,10 @@ class HeadChains:
 
     Attributes:
         chains: chains of the left and the right eye.
-        parts: part by name of each moving joint, from the base up: neck, both, left or right.
+        moved_part_of_joint: part by name of each moving joint, from the base up: neck, both, left
+            or right.
         mimic_joints: eye joints coupled to another eye joint.
-        fixed: values of the fixed joints on the path by name, radians or metres.
+        fixed_values: values of the fixed joints on the path by name, radians or metres.
     """
 
     chains: tuple[KinematicChain, KinematicChain]
