@@ -324,7 +324,7 @@ def _look(script: forged_streams.Script) -> str:
                 until_s = time.monotonic() + _STREAM_S
                 while time.monotonic() < until_s:
                     eye.check()
-                    eye.take()
+                    eye.take_searched_images()
                     time.sleep(0.01)
                 return "images" if eye.ready else "no image yet"
             except VergenceError as error:

@@ -49,11 +49,13 @@ def test_the_first_burst_is_not_believed(eye_of):
     burst = [100.0 + 0.001 * i for i in range(1, 30)]
     eye = seen(eye_of, burst)
     assert not eye.ready
-    assert eye.take() == []
+    assert eye.take_searched_images() == []
     pace = [burst[-1] + FRAME_S * i for i in range(1, 9)]
     eye = seen(eye_of, burst + pace)
     assert eye.ready
-    assert [sight.exposed_s for sight in eye.take()] == pytest.approx(np.array(pace[4:]) - 0.1)
+    assert [sight.exposed_s for sight in eye.take_searched_images()] == pytest.approx(
+        np.array(pace[4:]) - 0.1
+    )
 
 
 def test_an_image_in_a_burst_begins_the_count_anew(eye_of):
@@ -64,7 +66,7 @@ def test_an_image_in_a_burst_begins_the_count_anew(eye_of):
 
 def test_an_exposure_is_the_receipt_less_the_latency(eye_of):
     eye = seen(eye_of, PACE, latency_s=0.04)
-    sights = eye.take()
+    sights = eye.take_searched_images()
     assert sights
     for sight in sights:
         assert sight.exposed_s == pytest.approx(sight.ready_s - 0.04)
@@ -72,10 +74,10 @@ def test_an_exposure_is_the_receipt_less_the_latency(eye_of):
 
 def test_sights_are_taken_once_and_in_order(eye_of):
     eye = seen(eye_of, PACE)
-    times = [sight.exposed_s for sight in eye.take()]
+    times = [sight.exposed_s for sight in eye.take_searched_images()]
     assert len(times) == 6
     assert times == sorted(times)
-    assert eye.take() == []
+    assert eye.take_searched_images() == []
 
 
 @pytest.mark.slow
@@ -83,7 +85,7 @@ def test_a_target_is_found_in_grey_and_in_colour(eye_of):
     image, middle = with_tag(HEAD)
     for shown in (image, np.repeat(image[..., None], 3, axis=2)):
         eye = seen(eye_of, PACE, shown)
-        sights = eye.take()
+        sights = eye.take_searched_images()
         assert eye.found == eye.images == len(sights)
         assert sights[-1].pixel == pytest.approx(middle, abs=1.0)
         assert eye.frame.shape == image.shape
@@ -93,7 +95,7 @@ def test_a_target_is_found_in_grey_and_in_colour(eye_of):
 def test_an_image_without_the_target_is_a_sight_of_nothing(eye_of):
     eye = seen(eye_of, PACE)
     assert (eye.images, eye.found) == (6, 0)
-    assert np.isnan(eye.take()[0].pixel).all()
+    assert np.isnan(eye.take_searched_images()[0].pixel).all()
 
 
 @pytest.mark.parametrize(
@@ -105,15 +107,15 @@ def test_an_image_that_has_not_changed_while_the_eye_turned_is_none(eye_of, hang
     for time_s in PACE:
         eye._history.add(time_s, HEAD.rest() + turns * (time_s - 90.0), np.zeros(7))
     eye.run()
-    assert len(eye.take()) == images
-    assert eye.newest_s == pytest.approx(PACE[3 + images])
+    assert len(eye.take_searched_images()) == images
+    assert eye.newest_received_s == pytest.approx(PACE[3 + images])
 
 
 def test_an_image_that_cannot_be_decoded_is_none(eye_of):
     clock = FakeClock()
     eye = eye_of(ScriptedCapture(clock, PACE, None), clock)
     eye.run()
-    assert eye.take() == []
+    assert eye.take_searched_images() == []
 
 
 def test_images_of_another_size_are_refused_with_both(eye_of):
@@ -180,4 +182,4 @@ def test_a_camera_of_this_machine_is_dated_by_its_driver(
     eye = eye_of(ScriptedCapture(clock, PACE, blank(HEAD), stamped_before_s), clock, source=source)
     eye.run()
     expected = PACE[-1] - earlier_s - HEAD.timing.latency_s
-    assert eye.take()[-1].exposed_s == pytest.approx(expected, abs=1e-9)
+    assert eye.take_searched_images()[-1].exposed_s == pytest.approx(expected, abs=1e-9)

@@ -91,7 +91,7 @@ def packed_observation_scaling(head: HeadModel) -> FloatArray:
     return row
 
 
-def as_observation(observation: ArrayLike, size: int) -> NDArray[np.floating[Any]]:
+def check_observation(observation: ArrayLike, size: int) -> NDArray[np.floating[Any]]:
     """Check observations and return them as an array.
 
     Args:
@@ -211,7 +211,7 @@ def decode_observation(
     Raises:
         ConfigurationError: the array does not hold observations.
     """
-    numbers = as_observation(observation, size).astype(np.float64, copy=False)
+    numbers = check_observation(observation, size).astype(np.float64, copy=False)
     fields: tuple[NDArray[Any], ...] = _decode(numbers, scaling, *_DIMENSION_DUMMIES)
     return fields
 

@@ -22,7 +22,7 @@ from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.gaze_trajectory import (
     MM,
     gaze_and_view_fixes,
-    trajectory_table,
+    trajectory_table_of_first_head,
     truth_of_first_head,
 )
 from vergence.eval.head_summary import LEAST_RESIDUAL_PX
@@ -227,7 +227,7 @@ def gaze_result(
         The result.
     """
     head, truth = task.head, truth_of_first_head(record)
-    trajectory = trajectory_table(head, record)
+    trajectory = trajectory_table_of_first_head(head, record)
     residual = np.full((2, 2), np.nan)
     if record.truth is not None:
         residual = least_reachable_error(task, truth.target[:1])[0]

@@ -62,7 +62,7 @@ def _last_valid(time_s: FloatArray, valid: NDArray[np.bool_]) -> NDArray[np.int6
     return rows
 
 
-def trajectory_table(head: HeadModel, record: Recorder) -> pd.DataFrame:
+def trajectory_table_of_first_head(head: HeadModel, record: Recorder) -> pd.DataFrame:
     """Tabulate a recording's first head: its pixels, joints, commands and fixes.
 
     Args:

@@ -177,7 +177,7 @@ class EyeThread(threading.Thread):
         self._new.append(SearchedImage(exposed_s, self._clock(), pixel, found, grey))
 
     @property
-    def newest_s(self) -> float:
+    def newest_received_s(self) -> float:
         """Time of receipt of the newest image, s.
 
         A camera that hangs may repeat its last image for ever, so an image that has not changed
@@ -205,7 +205,7 @@ class EyeThread(threading.Thread):
                 f"{silent_s:.1f} s"
             )
 
-    def take(self) -> list[SearchedImage]:
+    def take_searched_images(self) -> list[SearchedImage]:
         """Searched images since the last call, in the order of exposure."""
         images = []
         while self._new:
@@ -219,7 +219,7 @@ class EyeThread(threading.Thread):
     def _tracker_of(self, target: Target) -> Tracker:
         return Tracker(make_detector(target, EyeCamera.of(self._head, self.config.eye)))
 
-    def forget(self) -> None:
+    def forget_track(self) -> None:
         """Drop the track of the target: the whole next image is searched."""
         self._forget = True
 

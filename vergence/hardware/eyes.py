@@ -85,7 +85,7 @@ class HeadEyes:
     @property
     def newest_s(self) -> FloatArray:
         """(2,) time of receipt of each eye's newest image, s of the clock."""
-        return np.array([eye.newest_s for eye in self.threads])
+        return np.array([eye.newest_received_s for eye in self.threads])
 
     def check(self) -> None:
         """Raise an error if a camera has ended or stalled.
@@ -99,7 +99,7 @@ class HeadEyes:
     def newest(self) -> SearchedPair | None:
         """The newest pair or lone image since the last call; None if there is none."""
         for eye, thread in enumerate(self.threads):
-            for image in thread.take():
+            for image in thread.take_searched_images():
                 self._pairing.add(eye, image)
                 if self._log is not None:
                     self._keep(self._log, eye, image)
@@ -134,7 +134,7 @@ class HeadEyes:
     def forget(self) -> None:
         """Drop the track of the target in both eyes."""
         for eye in self.threads:
-            eye.forget()
+            eye.forget_track()
 
     def frames(self) -> tuple[Image, Image] | None:
         """The newest images of both eyes, grey levels; None if an eye has none yet."""

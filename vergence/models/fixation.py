@@ -34,7 +34,7 @@ _ACCEPTED_STEP_RAD: Final = 1e-7
 
 @inlined
 def fixation_newton_step(
-    p: PackedHead, eye: int, q1: float, q2: float, x: float, y: float, z: float
+    p: PackedHead, eye: int, first_angle: float, second_angle: float, x: float, y: float, z: float
 ) -> tuple[float, float]:
     """Changes of an eye's joint angles in one Newton step towards a point of N, rad.
 
@@ -43,7 +43,7 @@ def fixation_newton_step(
     The step acts on the bearing (atan2(x, z), atan2(y, |x, z|)). Unlike the pixel, the bearing
     stays smooth for a point behind the camera, so limited steps converge from any direction.
     """
-    frames = eye_frames(p, eye, q1, q2)
+    frames = eye_frames(p, eye, first_angle, second_angle)
     cx, cy, cz = point_to_local(frames.camera, x, y, z)
     r2 = cx * cx + cz * cz
     if not r2 > 0.0:

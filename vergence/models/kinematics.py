@@ -82,10 +82,10 @@ class EyeFrames(NamedTuple):
 
 
 @inlined
-def eye_frames(p: PackedHead, eye: int, q1: float, q2: float) -> EyeFrames:
+def eye_frames(p: PackedHead, eye: int, first_angle: float, second_angle: float) -> EyeFrames:
     """The frames of one eye in N: after its first joint, after its second, and its camera."""
-    first = rotate_z(eye_constant_pose(p, eye, 0), q1)
-    second = rotate_z(compose(first, eye_constant_pose(p, eye, 1)), q2)
+    first = rotate_z(eye_constant_pose(p, eye, 0), first_angle)
+    second = rotate_z(compose(first, eye_constant_pose(p, eye, 1)), second_angle)
     return EyeFrames(first, second, compose(second, eye_constant_pose(p, eye, 2)))
 
 
@@ -97,13 +97,13 @@ def _unrotate_z(x: float, y: float, angle: float) -> tuple[float, float]:
 
 @inlined
 def point_in_eye(
-    p: PackedHead, eye: int, q1: float, q2: float, x: float, y: float, z: float
+    p: PackedHead, eye: int, first_angle: float, second_angle: float, x: float, y: float, z: float
 ) -> Vector:
     """Transform a point from N to one eye's camera frame, link by link."""
     x, y, z = point_to_local(eye_constant_pose(p, eye, 0), x, y, z)
-    x, y = _unrotate_z(x, y, q1)
+    x, y = _unrotate_z(x, y, first_angle)
     x, y, z = point_to_local(eye_constant_pose(p, eye, 1), x, y, z)
-    x, y = _unrotate_z(x, y, q2)
+    x, y = _unrotate_z(x, y, second_angle)
     return point_to_local(eye_constant_pose(p, eye, 2), x, y, z)
 
 

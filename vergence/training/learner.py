@@ -171,11 +171,11 @@ class LearnerPolicy:
         seen = self._acting.network_inputs(observation, memory)
         action = self._act(seen.reshape(-1, self.inputs.size)).reshape(*shape, -1)
         if self._names is None:
-            return self._acting.policy_action(seen, decode_velocity_action(action), memory), (
-                memory,
-            )
+            return self._acting.action_from_velocities(
+                seen, decode_velocity_action(action), memory
+            ), (memory,)
         gains = gains_from_action(action, self._names)
-        return self._acting.schedule_action(observation, gains, memory), (memory,)
+        return self._acting.ibvs_action_from_gains(observation, gains, memory), (memory,)
 
 
 def load_learner(folder: Path, checkpoint: str = "best") -> Learner:

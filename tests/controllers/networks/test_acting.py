@@ -44,7 +44,7 @@ def test_an_outlier_of_100_px_in_one_image_moves_no_schedule() -> None:
                     actions = []
                     for observation, state in ((task.encoded, plain), (image, other)):
                         acting.network_inputs(observation, state)
-                        actions.append(acting.schedule_action(observation, GAINS, state))
+                        actions.append(acting.ibvs_action_from_gains(observation, GAINS, state))
                     # the images before and after show the same, as the eyes rest; 100 px are 0.4
                     # of full speed
                     assert actions[1] == pytest.approx(actions[0], abs=0.02)
@@ -75,7 +75,7 @@ def test_commands_are_whole_steps_and_on_average_what_was_asked_for() -> None:
             acting = NetworkPrePostProcessor(Inputs.of("observation", STEPPED), schedule=False)
             state, asked = rows(acting, 3), np.full((3, 4), share, dtype=np.float32)
             seen = np.ones((3, acting.inputs.size), dtype=np.float32)
-            sent = np.array([acting.policy_action(seen, asked, state) for _ in range(400)])
+            sent = np.array([acting.action_from_velocities(seen, asked, state) for _ in range(400)])
             steps = (
                 sent * acting.inputs.layout.action_limits / STEPPED.sensor.command_resolution_rad_s
             )
@@ -96,7 +96,7 @@ def test_a_head_without_steps_takes_the_actions_as_they_are() -> None:
     state = rows(acting, 5)
     share = np.random.default_rng(0).uniform(-1, 1, (5, 4)).astype(np.float32)
     seen = np.ones((5, acting.inputs.size), dtype=np.float32)
-    assert np.array_equal(acting.policy_action(seen, share, state), share)
+    assert np.array_equal(acting.action_from_velocities(seen, share, state), share)
     assert np.array_equal(state, rows(acting, 5), equal_nan=True)
 
 
@@ -112,7 +112,7 @@ def test_eyes_that_wait_for_their_target_do_not_creep() -> None:
             state, asked = rows(acting, 4), np.full((4, 4), 0.1, dtype=np.float32)
             turned, visible = [], []
             for _ in range(60):
-                action = acting.policy_action(
+                action = acting.action_from_velocities(
                     acting.network_inputs(task.encoded, state), asked, state
                 )
                 turned.append((action != 0.0).any())
@@ -134,8 +134,8 @@ def test_one_head_is_a_row_of_a_batch(schedule) -> None:
     def act(observation: np.ndarray, state: np.ndarray) -> np.ndarray:
         seen = acting.network_inputs(observation, state)
         if schedule:
-            return acting.schedule_action(observation, GAINS, state)
-        return acting.policy_action(seen, 0.3 * seen[..., :4], state)
+            return acting.ibvs_action_from_gains(observation, GAINS, state)
+        return acting.action_from_velocities(seen, 0.3 * seen[..., :4], state)
 
     for _ in range(30):
         action = act(task.encoded, many)

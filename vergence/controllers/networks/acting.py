@@ -93,7 +93,7 @@ class NetworkPrePostProcessor:
             calm[..., None], command + now.goal_rates_at_effect / now.speed_gain, np.nan
         )
 
-    def policy_action(
+    def action_from_velocities(
         self, seen: NDArray[np.float32], fraction: NDArray[np.float32], state: FloatArray
     ) -> NDArray[np.float32]:
         """Compute the action of a policy.
@@ -113,7 +113,7 @@ class NetworkPrePostProcessor:
         command[..., : self._layout.count] = fraction
         return self._action(command * self._layout.action_limits, state)
 
-    def schedule_action(
+    def ibvs_action_from_gains(
         self, observation: ArrayLike, gains: ArrayLike, state: FloatArray
     ) -> NDArray[np.float32]:
         """Compute the action of the article's law with a schedule's gains.

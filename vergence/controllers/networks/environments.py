@@ -112,7 +112,7 @@ class PolicyTask(NetworkTask):
         super().__init__(num, inputs=inputs, **options)
 
     def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
-        return self._acting.policy_action(
+        return self._acting.action_from_velocities(
             self.observation, decode_velocity_action(action), self._memory
         )
 
@@ -141,7 +141,7 @@ class GainScheduleTask(NetworkTask):
 
     def _decoded(self, action: NDArray[Any]) -> NDArray[np.float32]:
         self._gains[:] = gains_from_action(action, self._names)
-        return self._acting.schedule_action(self.encoded, self._gains, self._memory)
+        return self._acting.ibvs_action_from_gains(self.encoded, self._gains, self._memory)
 
     def _arrays(self) -> Arrays:
         return {**super()._arrays(), **join_parts(law={"gains": self._gains})}

@@ -165,7 +165,7 @@ class InputHistory:
         Returns:
             (..., channels, 4) the channels, in the order of `HISTORY_CHANNELS`.
         """
-        state[...], out = history_channels(
+        state[...], out = update_history_and_channels(
             state,
             requested_turn,
             detections.pixel_error,
@@ -216,13 +216,13 @@ def _begin_moment(s: InputHistoryState) -> None:
     ["(f8[:],f8[:],f8[:,:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:],f8[:,:],f8[:],f8[:,:])"],
     f"({_SIZE}),(4),(2,2),(7),(2),(),(7),(7),(4),({row_size(_LAW)}),({PACKED}),({_COUNT},4)->({_SIZE}),({_COUNT},4)",
 )
-def history_channels(
+def update_history_and_channels(
     state_before: FloatArray, requested_turn: FloatArray, error: FloatArray,
     angles_at_exposure: FloatArray, fresh: FloatArray, age_s: FloatArray, q: FloatArray,
     velocities: FloatArray, command: FloatArray, law_row: FloatArray, p: PackedHead,
     shape_only: FloatArray, state_after: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Compute the updated state and the channels."""
+    """Update the state with one observation, and compute the channels from it."""
     for i in range(_SIZE):
         state_after[i] = state_before[i]
     s: InputHistoryState = record_view(state_after, _STATE)

@@ -32,7 +32,7 @@ from vergence.controllers.networks.history import STORED_IMAGES, InputHistory
 from vergence.controllers.outlier_gate import OutlierGate
 from vergence.controllers.prediction.joints import actuator_moves_eye
 from vergence.controllers.prediction.predictor import Prediction, SmithPredictor
-from vergence.envs.encoding import FIELDS, as_observation
+from vergence.envs.encoding import FIELDS, check_observation
 from vergence.envs.layout import ObservationLayout
 from vergence.errors import ConfigurationError, UnknownNameError
 from vergence.models.head import HeadModel
@@ -174,7 +174,7 @@ class Inputs:
             (..., size) inputs in [-1, 1], and the prediction; None for kinds without one.
         """
         if self.kind == "observation":
-            numbers = as_observation(observation, self.layout.size)
+            numbers = check_observation(observation, self.layout.size)
             return np.array(numbers, dtype=np.float32), None
         seen = self.layout.decode(observation)
         limits, shape = self.layout.action_limits, np.empty((len(CHANNELS[self.kind]), 4))

@@ -161,7 +161,7 @@ class LearnedPolicy(BundledNetwork):
     def _action(
         self, observation: NDArray[Any], seen: Action, outputs: Action, memory: FloatArray
     ) -> Action:
-        return self._acting.policy_action(seen, outputs, memory)
+        return self._acting.action_from_velocities(seen, outputs, memory)
 
 
 class LearnedGain(BundledNetwork):
@@ -180,7 +180,7 @@ class LearnedGain(BundledNetwork):
     ) -> Action:
         shares = outputs[..., gain_indices_by_axis(gain_names_of_head(self.head))]
         gains = 0.5 * GAIN_LIMIT * (1.0 + shares)
-        return self._acting.schedule_action(
+        return self._acting.ibvs_action_from_gains(
             observation, gains.reshape(*gains.shape[:-1], 2, 2), memory
         )
 

@@ -186,26 +186,35 @@ def simulate_period(
     model: ResponseModel,
     params: PredictorParameters,
     tick: int,
-    j: int,
-    q: float,
-    v: float,
-    w: float,
+    actuator: int,
+    angle: float,
+    velocity: float,
+    acceleration: float,
 ) -> tuple[float, float, float]:
     """Simulate one actuator with a response model over one period, from the end of period `tick`.
 
     Return its angle, velocity and acceleration at the end.
     """
-    latency, lag = model.parameters[0], params.lag_ratio[j] * exp(model.parameters[2])
-    a, gain = params.acceleration_limit[j] * exp(model.parameters[1]), exp(model.log_gain[j])
+    latency, lag = model.parameters[0], params.lag_ratio[actuator] * exp(model.parameters[2])
+    a, gain = (
+        params.acceleration_limit[actuator] * exp(model.parameters[1]),
+        exp(model.log_gain[actuator]),
+    )
     whole = int(latency / params.period_s + 1e-9)
     rest = latency - whole * params.period_s
     if rest > 1e-9:
-        u = gain * command_at(response, tick - whole - 1, j)
-        q, v, w = follow_held_command(
-            q, v, w, u, prepare_held_response(lag, model.parameters[3], a, rest)
+        u = gain * command_at(response, tick - whole - 1, actuator)
+        angle, velocity, acceleration = follow_held_command(
+            angle,
+            velocity,
+            acceleration,
+            u,
+            prepare_held_response(lag, model.parameters[3], a, rest),
         )
-    u, time = gain * command_at(response, tick - whole, j), params.period_s - rest
-    return follow_held_command(q, v, w, u, prepare_held_response(lag, model.parameters[3], a, time))
+    u, time = gain * command_at(response, tick - whole, actuator), params.period_s - rest
+    return follow_held_command(
+        angle, velocity, acceleration, u, prepare_held_response(lag, model.parameters[3], a, time)
+    )
 
 
 @inlined

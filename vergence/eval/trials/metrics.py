@@ -42,20 +42,20 @@ def settle_time(time_s: ArrayLike, pixel_error: ArrayLike, band_px: float) -> Fl
     return np.where(entered < steps, time[np.minimum(entered, steps - 1)], np.nan)
 
 
-def overshoot_fraction(pixel_error: ArrayLike, onset_step: ArrayLike = 0) -> FloatArray:
+def overshoot_fraction(reducible_error: ArrayLike, onset_step: ArrayLike = 0) -> FloatArray:
     """Overshoot of the error beyond its goal, as a fraction of the error at the onset.
 
     The goal is zero, or the residual of a head that cannot reach zero. Each eye's error is
     projected on its direction at the onset; the larger value of the two eyes counts.
 
     Args:
-        pixel_error: (steps, ..., 2, 2) by eye and image axis, less the residual, px.
+        reducible_error: (steps, ..., 2, 2) by eye and image axis, less the residual, px.
         onset_step: (...) or a scalar, the step at which the target appears or jumps.
 
     Returns:
         (...) 0 for no overshoot, or if neither eye had an error at the onset.
     """
-    error = np.asarray(pixel_error, dtype=np.float64)
+    error = np.asarray(reducible_error, dtype=np.float64)
     begun = np.broadcast_to(np.asarray(onset_step, dtype=np.int64), error.shape[1:-2])
     first = np.take_along_axis(error, begun[None, ..., None, None], axis=0)
     square = np.sum(first**2, axis=-1)
