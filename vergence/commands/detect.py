@@ -70,7 +70,7 @@ class Detect:
         """Run the command."""
         self._check()
         from vergence.models.response import parse_response
-        from vergence.perception.eye import load_camera
+        from vergence.perception.camera_options import load_camera
         from vergence.perception.target_finder import parse_targets
 
         targets = parse_targets(self.target)
