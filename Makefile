@@ -8,7 +8,7 @@ JOBS ?= 2
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
 PYTEST := $(BIN)/python -m pytest
-NONE_ASKED_FOR = [ $$? -eq 5 ] # of these tests, by ARGS
+NO_TESTS_SELECTED = [ $$? -eq 5 ] # pytest's status
 
 # One stamp for each level of installation: it is older than these files when they have changed.
 REQUIREMENTS := pyproject.toml constraints.txt
@@ -32,25 +32,25 @@ help: ## show this list
 run: $(BASE) ## bring the gaze to a point and triangulate it (options: make run ARGS="--help")
 	@$(BIN)/vergence gaze $(ARGS)
 
-robot: $(ROBOT) ## all of the robot on an emulated head: checks, gazes, a fault, a replayed log
+robot: $(ROBOT) ## a robot's functions on an emulated head: checks, gazes, a fault, a replayed log
 	@$(BIN)/python -m benchmarks.tour
 
 test: $(TEST) ## lint, type-check and run all tests (options: make test ARGS="-k triangulation")
 	@$(MAKE) -j2 lint kernels
-	@$(PYTEST) -n $(JOBS) --dist worksteal -m "not real_time" $(ARGS) || $(NONE_ASKED_FOR)
-	@$(PYTEST) -m real_time $(ARGS) || $(NONE_ASKED_FOR)
+	@$(PYTEST) -n $(JOBS) --dist worksteal -m "not real_time" $(ARGS) || $(NO_TESTS_SELECTED)
+	@$(PYTEST) -m real_time $(ARGS) || $(NO_TESTS_SELECTED)
 
 check: $(TEST) ## lint and the quick tests of what differs from main, or of rooms (ROOM="models eval")
 	@places=$$($(BIN)/python -m tests.rooms $(ROOM)) && $(MAKE) lint && \
 	  echo "pytest $$places" && \
-	  { $(PYTEST) -n $(JOBS) --dist worksteal -m "not slow" $(ARGS) $$places || $(NONE_ASKED_FOR); }
+	  { $(PYTEST) -n $(JOBS) --dist worksteal -m "not slow" $(ARGS) $$places || $(NO_TESTS_SELECTED); }
 
 lint: $(TEST) ## ruff and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-kernels: $(TEST) ## compile what the tests call, beside mypy in `make test`
+kernels: $(TEST) ## compile what the tests call, while mypy runs in `make test`
 	@$(BIN)/python -m tests.kernels
 
 format: $(TEST) ## let ruff rewrite what it can

@@ -88,7 +88,7 @@ def checked(hardware: HardwareConfig) -> tuple[bool, str]:
     """Run all checks of the robot."""
     parts = check_robot(hardware)
     wrong = [str(finding) for part in parts for finding in part.findings]
-    return not wrong, "; ".join(wrong) or f"line, servos and cameras: {len(parts)} parts"
+    return not wrong, "; ".join(wrong) or f"line, servos and cameras: {len(parts)} parts passed"
 
 
 def deployed(
@@ -122,7 +122,7 @@ def gazed(hardware: HardwareConfig, log: Path, console: Console) -> tuple[bool, 
     )
     return settled >= FEWEST and swinging == 0 and len(rows) == GAZES, (
         f"{settled} of {len(rows)} gazes settled to 2 px, in {median_s:.3f} s (median), "
-        f"{swinging} swing, point {off_mm:.1f} mm off, "
+        f"{swinging} oscillate, point {off_mm:.1f} mm off, "
         f"{summary['overrun_fraction']:.2%} of the periods late"
     )
 
@@ -145,7 +145,7 @@ def hurt(hardware: HardwareConfig, log: Path) -> tuple[bool, str]:
     if found.error is None or rested_s is None:
         return False, f"the reason {found.error}, at rest {rested_s is not None}"
     after_s = rested_s - pulled_s[0]
-    told = f"at rest {after_s:.2f} s after the cable was pulled: {found.error}"
+    told = f"at rest {after_s:.2f} s after the cable was pulled, reported as: {found.error}"
     named = hardware.bus.port in str(found.error)
     return named and 0.0 < after_s < LATEST_S, told  # 0 if the head was not moving
 
@@ -170,7 +170,7 @@ def replayed(log: Path) -> tuple[bool, str]:
     summary = found.rerun.summary()
     same, commands = summary["identical"], summary["commands"]
     whole = commands > 0 and len(found.gazes.trials) == GAZES
-    return same == commands and whole, f"{same} of {commands} commands are the same again"
+    return same == commands and whole, f"{same} of {commands} commands reproduced"
 
 
 def tour(console: Console) -> int:
@@ -182,7 +182,7 @@ def tour(console: Console) -> int:
             hardware = stack.enter_context(emulated())
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         log = folder / "gazes.mcap"
-        begun = f"{hardware.head.name} on the wire"
+        begun = f"head {hardware.head.name}, servos on a serial line"
         found.steps.append(Step("emulated head", True, begun, time.monotonic() - begun_s))
         if found.step("checks", lambda: checked(hardware)):
             if found.step(f"{GAZES} gazes", lambda: gazed(hardware, log, console)):

@@ -114,6 +114,7 @@ def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, mo
         (["gaze", "--target", "0", "a", "1"], "'a'"),
         (["gaze", "--nonsense", "1"], "--nonsense"),
         (["export", "nonsense"], "nonsense"),
+        (["collect"], "missing RECORDING, --board TARGET (see"),
         (["nonsense"], "command: expected one of gaze, reproduce, train"),
     ):
         with named(words, said):

@@ -104,8 +104,11 @@ def test_a_camera_becomes_a_file_that_detectors_take(photographs, tmp_path, caps
 
 def test_what_is_wrong_with_photographs_is_said(photographs, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    small = tmp_path / "small"
+    small, grey = tmp_path / "small", tmp_path / "grey"
     small.mkdir()
+    grey.mkdir()
+    for name, level in (("left1.png", 90), ("right1.png", 120)):
+        cv2.imwrite(str(grey / name), np.full((240, 320), level, np.uint8))
     for path in sorted(photographs.iterdir()):
         image = cv2.imread(str(path))
         shrunk = path.name == "left02.png"
@@ -113,6 +116,7 @@ def test_what_is_wrong_with_photographs_is_said(photographs, tmp_path, capsys, m
     for folder, words, message in (
         (tmp_path / "nowhere", (), "expected images, got none that match"),
         (small, (), "got 640 x 480 px in most and 320 x 240 in left02.png"),
+        (grey, (), "found in none of 1 image"),
         (photographs, ("--target", "checkerboard:8x6:24"), "checkerboard:9x6:24 (inner corners)"),
         (photographs, ("--target", "tag:36h11:5:120"), "expected a board with many corners"),
         (photographs, ("--response", "9"), "response: expected 'linear', 'srgb', a gamma"),

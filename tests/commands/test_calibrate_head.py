@@ -51,7 +51,7 @@ def test_a_recording_becomes_a_head_that_tells_depth(recordings, tmp_path, capsy
     true, folder = recordings
     assert calibrate(folder / "good", "--out", "mine.toml", "--report", "run") == 0
     said = capsys.readouterr().out
-    assert "48 of 48 views in 12 poses, 2 places of the board" in said
+    assert "48 of 48 views in 12 poses, 2 placements of the board" in said
     assert "none needed" in said
     head = vergence.load_head("mine.toml")
     before = abs(depth_error(vergence.load_head("physical"), true))

@@ -21,13 +21,13 @@ def test_it_records_says_what_is_there_and_how_to_go_on(tmp_path, capsys):
     folder = tmp_path / "recording"
     assert call("collect", str(folder), *SHORT) == 0
     out, err = capsys.readouterr()
-    assert out.splitlines()[0] == "6 frames of 3 poses, 1 place of the board"
+    assert out.splitlines()[0] == "6 frames of 3 poses, 1 placement of the board"
     assert out.splitlines()[-1] == (
         f"next: vergence calibrate head {folder} --head physical --out calibrated.toml"
     )
     assert "run this again with --moved" in err
     assert call("collect", str(folder), *SHORT, "--moved", "--distance", "1.5") == 0
-    assert capsys.readouterr().out.startswith("12 frames of 6 poses, 2 places of the board")
+    assert capsys.readouterr().out.startswith("12 frames of 6 poses, 2 placements of the board")
     assert len(read_recording(folder, vergence.load_head("physical")).files) == 2
 
 

@@ -144,7 +144,7 @@ def test_what_one_image_alone_has_is_counted(desk, capsys, tmp_path):
     assert call("locate", folder / "left", rights, *words) == 0
     err = capsys.readouterr().err
     assert f"{TARGET} found in the left image only of 1 pair: 10.png" in err
-    assert "2 of the images without a partner: 11.png, 12.png" in err
+    assert "2 of the images have no partner: 11.png, 12.png" in err
 
 
 @pytest.mark.slow

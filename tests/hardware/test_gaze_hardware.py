@@ -36,7 +36,7 @@ def test_it_needs_a_configuration():
 
 @pytest.mark.parametrize("option", ["plant", "plant_options"])
 def test_the_plant_is_given_by_the_configuration(config, option):
-    with pytest.raises(ConfigurationError, match=f"{option}: expected none beside config"):
+    with pytest.raises(ConfigurationError, match=f"{option}: expected none with config"):
         GazeHardwareEnv(config=config, **{option: {}})
 
 

@@ -91,7 +91,7 @@ class VirtualEye:
         self._clock, self._seen = clock, 0
 
     @property
-    def newest_s(self):
+    def newest_received_s(self):
         return HEAD.timing.frame_s * self._latest()
 
     def _latest(self):
@@ -101,7 +101,7 @@ class VirtualEye:
         if self._clock() > self.ended_s:
             raise HardwareError(f"{self.config.name}: {self.config.source}: the stream ended")
 
-    def take(self):
+    def take_searched_images(self):
         latest = self._latest()
         if latest == self._seen:
             return []
@@ -110,7 +110,7 @@ class VirtualEye:
         pixel = HEAD.cameras.principal[self.config.eye]
         return [SearchedImage(now - self.config.latency_s, now, pixel)]
 
-    def forget(self):
+    def forget_track(self):
         pass
 
     def close(self):

@@ -131,7 +131,7 @@ def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, mo
         (["policy", "--set", "gamma"], "gamma"),
         (["--resume", "."], "config.toml"),
         (["--resume", ".", "--seed", "1"], "seed"),
-        (["--resume", ".", "--no-randomise"], "randomise: expected nothing beside --resume"),
+        (["--resume", ".", "--no-randomise"], "randomise: expected nothing with --resume"),
         (["nosuch"], "train: expected one of gain-schedule, policy, got 'nosuch'"),
         (["policy", "--plant", "rendered"], "expected one of kinematic, mujoco"),
         (["policy", "--set", "plant=rendered"], "plant=rendered"),

@@ -250,7 +250,7 @@ def calibrate_views(
         )
     except np.linalg.LinAlgError:
         raise ConfigurationError(
-            "expected views that tell where the cameras are, got too few, or all alike"
+            "expected views that determine where the cameras are, got too few, or all alike"
         ) from None
     report(1.0)
     return found
@@ -350,6 +350,7 @@ def _refuse_moved_cameras(fit: CameraFit, single_fits: Sequence[CameraFit]) -> N
 def _unsure(camera: int, cameras: int, known: str) -> ConfigurationError:
     whose = f"the {EYE_NAMES[camera]} camera's" if cameras > 1 else "the camera's"
     return ConfigurationError(
-        f"expected views that tell {whose} focal length, got some that tell {known}: tilt the "
+        f"expected views that determine {whose} focal length, got some that determine {known}: "
+        "tilt the "
         "board by some 30 degrees, each time another way, and fill the image with it"
     )

@@ -71,7 +71,7 @@ class BoardObservations:
     sigma: FloatArray
     """(c, v, n, 2) their standard deviations, px."""
     excluded: Mapping[str, str] = field(default_factory=dict)
-    """Files of `names` that count as without the board, with the reason."""
+    """Files of `file_names` that count as without the board, with the reason."""
     remarks: tuple[str, ...] = ()
     """Remarks on the light of the images, a line each."""
 
@@ -203,7 +203,8 @@ def detect_board_corners(
         excluded=excluded,
         remarks=tuple(check.notes()),
     )
-    if len(rows) > 1 and np.array_equal(pixels[0], pixels[1], equal_nan=True):
+    seen = np.isfinite(pixels).any()
+    if len(rows) > 1 and seen and np.array_equal(pixels[0], pixels[1], equal_nan=True):
         raise ConfigurationError(
             "expected photographs of two cameras, got the same ones for the left and the right"
         )
@@ -289,7 +290,8 @@ def _one_size(files: Sequence[Path], row: Sequence[_Seen | str]) -> tuple[int, i
     if len(ordered) > 1:
         (size, _), (other, names) = ordered[0], ordered[1]
         raise ConfigurationError(
-            f"expected images of one size, as a calibration is of one, got {size[0]} x {size[1]} "
+            f"expected images of one size, since a calibration is for one size, got {size[0]} x "
+            f"{size[1]} "
             f"px in most and {other[0]} x {other[1]} in {join_first_names(names)}"
         )
     return ordered[0][0]

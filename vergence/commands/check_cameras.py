@@ -20,7 +20,7 @@ _COLUMNS: Final = ("camera", "setting", "asked", "got")
 
 @dataclass(frozen=True, kw_only=True)
 class CheckCameras:
-    """Check cameras that stream at once: sizes, rates, pixel formats, exposures, USB bandwidth."""
+    """Check streaming cameras: sizes, rates, pixel formats, exposures, USB bandwidth."""
 
     sources: Annotated[
         tuple[str, ...],

@@ -160,10 +160,10 @@ class Collect:
         from vergence.calibration.head.advice import advise_recording
 
         frames = recording.frames()
-        places = int(frames.placement.max()) + 1
+        placements = int(frames.placement.max()) + 1
         print(
-            f"{len(frames.time_s)} frames of {int(frames.pose.max()) + 1} poses, {places} "
-            f"{'place' if places == 1 else 'places'} of the board"
+            f"{len(frames.time_s)} frames of {int(frames.pose.max()) + 1} poses, {placements} "
+            f"placement{'' if placements == 1 else 's'} of the board"
         )
         if recording.preview is not None:
             print(f"depth will be known to {_depth(recording.preview)}")

@@ -92,7 +92,7 @@ class Detect:
     def _check(self) -> None:
         if self.live is None:
             if self.seconds is not None:
-                raise ConfigurationError("seconds: expected --live beside it, got none")
+                raise ConfigurationError("seconds: expected only with --live, got it alone")
             if not self.images:
                 raise ConfigurationError(
                     "expected images or folders of images, or --live, got none"
@@ -102,7 +102,7 @@ class Detect:
             return
         for option, given in (("images", bool(self.images)), ("figure", self.figure is not None)):
             if given:
-                raise ConfigurationError(f"{option}: expected none beside --live, got some")
+                raise ConfigurationError(f"{option}: expected none with --live, got some")
         if self.seconds is not None and not 0.0 < self.seconds < float("inf"):
             raise ConfigurationError(f"seconds: expected more than 0, got {self.seconds}")
 

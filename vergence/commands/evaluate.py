@@ -155,7 +155,7 @@ class Evaluate:
         for name, value in others.items():
             if value is not None:
                 beside = "--plant hardware" if self.resume is None else "--resume"
-                raise ConfigurationError(f"{name}: expected none beside {beside}, got {value}")
+                raise ConfigurationError(f"{name}: expected none with {beside}, got {value}")
 
     def _write(self, result: "_Result", folder: Path) -> None:
         result.write(folder)

@@ -18,5 +18,5 @@ def require_modules(extra: str, *modules: str) -> None:
     missing = [name for name in modules if find_spec(name) is None]
     if missing:
         raise ConfigurationError(
-            f"expected {' and '.join(missing)} to be installed: {how_to_install(extra)}"
+            f"expected {', '.join(missing)} to be installed: {how_to_install(extra)}"
         )

@@ -24,7 +24,8 @@ def print_gazes(rows: Sequence[Mapping[str, Any]], summary: Mapping[str, Any]) -
 
     Args:
         rows: results of each gaze, see `vergence.eval.robot.gazes.RobotGazes.rows`.
-        summary: see `Gazes.summary`; also holds the controller and the faults.
+        summary: see `vergence.eval.robot.gazes.RobotGazes.summary`; also holds the controller and
+            the faults.
     """
     if rows:
         cells = [

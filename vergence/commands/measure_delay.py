@@ -104,10 +104,10 @@ def _print(measurement: "LoopMeasurement") -> None:
     ]
     print_table(["eye", "actuator", "", "value", "", "unit"], rows)
     for line in measurement.undetermined():
-        print(f"not told: {line}")
+        print(f"not determined: {line}")
     for line in measurement.misfits():
         print(f"doubtful: {line}")
 
 
 def _number(value: float | None) -> str:
-    return "not told" if value is None else f"{value:.3g}"
+    return "not determined" if value is None else f"{value:.3g}"

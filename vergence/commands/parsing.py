@@ -67,8 +67,8 @@ def _call(words: list[str]) -> Runnable:
         Command,
         prog="vergence",
         description=(
-            "Active binocular vision for robot heads (`vergence --version` says which). With `-v` "
-            "or `--verbose` a command says on standard error what happens, with `-vv` in detail."
+            "Active binocular vision for robot heads. `--version` prints the version; `-v` or "
+            "`--verbose` reports on standard error what happens, `-vv` in detail."
         ),
         args=words,
         config=(tyro.conf.DisallowNone,),
@@ -138,7 +138,9 @@ def _reworded_error(statement: str, parser_output: str, words: list[str]) -> str
     """First error of the parser, reworded without Python types and internal names."""
     if statement.startswith("Missing from "):
         each = [one.split() for one in statement.partition(": ")[2].split("(required)")[:-1]]
-        missing = [" ".join(one[:2] if one[0].startswith("--") else one[:1]) for one in each]
+        missing = [
+            " ".join(one[:2] if one[0].startswith("--") else one[:1]).rstrip(",") for one in each
+        ]
         return f"missing {', '.join(missing)}"
     if few := re.match(r"Missing value for argument '(\S+)'\. Expected (\d+)", statement):
         name = few[1].rpartition(".")[2]

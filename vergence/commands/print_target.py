@@ -64,7 +64,7 @@ class PrintTarget:
                 f"out: expected a name that ends in .pdf, .svg or .png, got {self.out}"
             )
         if self.dpi is not None and ending != ".png":
-            raise ConfigurationError(f"dpi: expected none beside a {ending}, got {self.dpi:g}")
+            raise ConfigurationError(f"dpi: expected none for a {ending}, got {self.dpi:g}")
         if self.out.exists() and not self.force:
             raise ConfigurationError(
                 f"out: expected no file of that name (--force replaces it), got {self.out}"

@@ -57,7 +57,7 @@ class Train:
         for name, value in {**vars(self.options), "out": self.out}.items():
             if value != unset[name]:
                 raise ConfigurationError(
-                    f"{name}: expected nothing beside --resume but --steps, got {value}"
+                    f"{name}: expected nothing with --resume but --steps, got {value}"
                 )
 
 

@@ -29,9 +29,9 @@ def pole_placement_command(
         angle_error: angle to the goal, rad.
         v: velocity, rad/s.
         w: acceleration, rad/s^2.
-        pole_rate: k, 1/s.
-        lag_s: l, s.
-        build_up: m.
+        pole_rate: rate k of the pole that approaches the goal, 1/s.
+        lag_s: lag l of the actuator, s.
+        build_up: build-up m of the lag; 0 for a first-order lag.
     """
     damped = max(lag_s, 2.0 * _DAMPING * sqrt(build_up) * lag_s)
     return (

@@ -265,7 +265,7 @@ def _hardware(config: GazeConfig) -> tuple[GazeConfig, HeadModel, dict[str, Any]
         raise ConfigurationError(
             f"config: expected the file that describes the robot of --plant {_HARDWARE_PLANT}, "
             "got none "
-            "(vergence emulate prints one of an emulated head)"
+            "(vergence emulate --out FILE writes one for an emulated head)"
         )
     hardware = load_hardware(config.hardware)
     head = hardware.head if config.head is None else load_head(config.head)

@@ -22,7 +22,7 @@ class GazeConfig:
     """Controller that turns the eyes (see `vergence info`); on a robot begin with
     state-feedback."""
     gain: Annotated[float | None, tyro.conf.arg(help_behavior_hint="", metavar="FLOAT")] = None
-    """Gain of the controller, 1/s; the controller's default by default, 4 for ibvs."""
+    """Gain of the controller, 1/s; by default the controller's own, 4 for ibvs."""
     plant: Annotated[str, tyro.conf.arg(metavar="PLANT")] = "rendered"
     """Plant that moves the head and takes the images: rendered (drawn images and a detector),
     mujoco, kinematic, hardware (a robot, or vergence emulate), or module:class of a custom

@@ -250,7 +250,7 @@ def edge_rays(camera: EyeCamera, pixels: FloatArray) -> tuple[FloatArray, bool]:
     """Rays of pixels at an image's edge, or of the last pixels on the way there that have a ray.
 
     Args:
-        camera: the eye.
+        camera: camera of the eye.
         pixels: (n, 2) raw pixels.
 
     Returns:

@@ -50,7 +50,7 @@ class GazeHardwareEnv(GazeEnv):
             )
         for name in ("plant", "plant_options"):
             if name in options:
-                raise ConfigurationError(f"{name}: expected none beside config, got one")
+                raise ConfigurationError(f"{name}: expected none with config, got one")
         hardware = config if isinstance(config, HardwareConfig) else load_hardware(config)
         if head is not None:
             refuse_other_head(hardware, head if isinstance(head, HeadModel) else load_head(head))

@@ -1,4 +1,4 @@
-"""Conversion of a head to `JointAxes`, whatever describes its joints."""
+"""Conversion of a head to joint axes, see `JointAxes`."""
 
 from dataclasses import replace
 from typing import Final
@@ -11,7 +11,7 @@ from vergence.models.joints import NECK
 from vergence.models.links import multiply_poses
 
 _DROPPED_KEY_PREFIXES: Final = ("links", "eyes")
-"""Prefixes of assumption keys whose numbers a file of a head by `JointAxes` does not have."""
+"""Prefixes of assumption keys that refer to D-H numbers, which the converted head lacks."""
 
 
 def dh_to_joint_axes(head: HeadModel) -> HeadModel:

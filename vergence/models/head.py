@@ -39,7 +39,7 @@ _COUPLING_TOLERANCE_RAD: Final = 1e-9
 class HeadModel:
     """A binocular head: links, eyes, cameras, limits, timing, sensors and actuators.
 
-    Frames (spec): `N` is fixed to the body that the neck's last joint carries, x right, y down, z
+    Frames: `N` is fixed to the body that the neck's last joint carries, x right, y down, z
     forward; every point that the package computes is in `N`. `C_l` and `C_r` are the cameras, x
     along u, y along v, z along the optical axis. `T_N_Cl` maps coordinates in `C_l` to coordinates
     in `N`.

@@ -130,7 +130,7 @@ class LocateResult:
         said = list(self.remarks)
         if self.unpaired:
             said.append(
-                f"{len(self.unpaired)} of the images without a partner: "
+                f"{len(self.unpaired)} of the images have no partner: "
                 f"{join_first_names(path.name for path in self.unpaired)}"
             )
         for key, group in groupby(

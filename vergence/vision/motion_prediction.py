@@ -56,7 +56,7 @@ def predict_target_pixels(
         out: (n + 1, 2) result: the predicted pixels, px.
 
     Returns:
-        True if the point is predicted inside the lens model and no corner beside or behind the
+        True if the point is predicted inside the lens model and every corner is in front of the
         camera.
     """
     camera = camera_at(packed_camera, 0)

@@ -212,7 +212,7 @@ def ray_table(camera: EyeCamera, supersampling: int, margin_px: int) -> NDArray[
     """Rays of every sample of a frame with a margin around it.
 
     Args:
-        camera: the eye.
+        camera: camera of the eye.
         supersampling: samples per pixel along each axis.
         margin_px: pixels added on each side of the frame.
 

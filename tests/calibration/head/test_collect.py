@@ -137,7 +137,7 @@ def test_a_board_that_was_moved_has_another_place_and_is_noticed_if_nobody_says_
     collected, tmp_path
 ):
     (tmp_path / "0001.mcap").write_bytes((collected[0] / "0001.mcap").read_bytes())
-    with pytest.raises(ConfigurationError, match=r"px beside: has it been moved \(--moved\)"):
+    with pytest.raises(ConfigurationError, match=r"px away: has it been moved \(--moved\)"):
         collect(Counted(0.9), tmp_path, CollectOptions(poses=14, frames=2), {})
     found = collect(Counted(1.6), tmp_path, CollectOptions(poses=3, frames=2, moved=True), {})
     assert found.placement == 1

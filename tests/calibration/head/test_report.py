@@ -154,7 +154,7 @@ def test_the_page_says_before_and_after_and_what_was_not_seen(found, tmp_path, u
     )
     assert f"{before} mm off in depth at 0.5, 1 and 2.5 m" in text
     assert f"one standard deviation is {after} mm" in text
-    assert "tilt of both eyes: 17 mm at 1 m. To tell it: move the neck." in text
+    assert "tilt of both eyes: 17 mm at 1 m. To determine it: move the neck." in text
     assert all(fact in text for fact in FACTS.values())
 
 

@@ -155,7 +155,7 @@ def test_harmonics_that_frames_call_for_are_said_as_no_file_holds_them(with_and_
     assert found.terms == ()
     assert not isinstance(found.head.links, JointAxes)
     assert "off by harmonics" in found.remarks[0]
-    assert "--terms harmonics tells them" in found.remarks[0]
+    assert "--terms harmonics estimates them" in found.remarks[0]
 
 
 def test_nothing_is_chosen_for_a_head_that_its_numbers_describe():

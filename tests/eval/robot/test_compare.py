@@ -79,8 +79,8 @@ def test_the_bound_of_a_robots_trials_is_that_of_their_simulation(desk):
     ("changes", "said"),
     [
         ({"hardware": None, "plants": ("hardware",)}, "config: expected the file that describes"),
-        ({"head": "icub"}, "head: expected none beside --config"),
-        ({"tune": True}, "tune: expected none beside --config.*--head turrets"),
+        ({"head": "icub"}, "head: expected none with --config"),
+        ({"tune": True}, "tune: expected none with --config.*--head turrets"),
         ({"stage": "still"}, "stage: expected none without --plant hardware, got still"),
         ({"plants": ("hardware",)}, "plant: expected simulated ones, got hardware"),
     ],

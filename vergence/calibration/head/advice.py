@@ -63,7 +63,7 @@ def advise_recording(
         if away.max() < _FAR_M:
             lines.append(
                 f"the board was never farther than {away.max():.2g} m: one beyond {_FAR_M:g} m "
-                "tells more of depth far away"
+                "determines depth far away better"
             )
     for eye, percent in zip(EYE_NAMES, image_coverage_percent(head, frames), strict=True):
         if percent < _ENOUGH_COVERAGE_PERCENT:

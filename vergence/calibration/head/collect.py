@@ -1,4 +1,4 @@
-"""Recording for a head calibration: the head looks at a board in many postures, logged at once."""
+"""Recording for a head calibration: the head looks at a board in many postures."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -78,9 +78,9 @@ class CollectedRecording:
     target: PlanarTarget
     placement: int
     """Number of the board's present placement."""
-    sights: list[BoardView] = field(default_factory=list)
-    sight_placements: list[int] = field(default_factory=list)
-    """Number of the board's placement for each sight."""
+    board_views: list[BoardView] = field(default_factory=list)
+    view_placements: list[int] = field(default_factory=list)
+    """Number of the board's placement for each view."""
     poses: int = 0
     """Poses of the present placement, including those of earlier runs."""
     looks_without_board: int = 0
@@ -91,7 +91,7 @@ class CollectedRecording:
     def frames(self) -> HeadFrames:
         """All frames in the order of time."""
         return clean_and_renumber_frames(
-            RawRecording(self.target, self.sights, self.sight_placements, ()).frames()
+            RawRecording(self.target, self.board_views, self.view_placements, ()).frames()
         )
 
 
@@ -135,7 +135,7 @@ def collect(
 
 
 def _earlier(
-    looker: Looker, folder: Path, moved: bool, looks: str
+    looker: Looker, folder: Path, moved: bool, head_identity: str
 ) -> tuple[CollectedRecording, int]:
     """Read the recording that a folder already holds, and number its next log."""
     if folder.exists() and not folder.is_dir():
@@ -145,15 +145,15 @@ def _earlier(
     found = CollectedRecording(folder, looker.target, 0)
     if logs:
         before = read_logs(logs, looker.head, looker.target)
-        if before.head_identity != looks:
+        if before.head_identity != head_identity:
             raise ConfigurationError(
                 f"{folder}: expected the head that it holds frames of "
-                f"({before.head_identity.strip()}), got another ({looks.strip()}): "
+                f"({before.head_identity.strip()}), got another ({head_identity.strip()}): "
                 "other --plant, --errors or --seed"
             )
-        found.sights, found.sight_placements = list(before.sights), list(before.placement)
-        found.placement = max(found.sight_placements, default=0) + (
-            moved and bool(found.sight_placements)
+        found.board_views, found.view_placements = list(before.board_views), list(before.placement)
+        found.placement = max(found.view_placements, default=0) + (
+            moved and bool(found.view_placements)
         )
         frames = clean_and_renumber_frames(before.frames())
         here = np.unique(before.placement).tolist()
@@ -180,8 +180,8 @@ class _Run:
         self._looker, self._options, self._found, self._number = looker, options, found, number
         self._rng = np.random.default_rng([options.seed, number])
         used = [
-            sight.positions
-            for sight, place in zip(found.sights, found.sight_placements, strict=True)
+            board_view.positions
+            for board_view, place in zip(found.board_views, found.view_placements, strict=True)
             if place == found.placement
         ]
         self._plan = PosePlanner(self._rng, _DITHER_RAD, np.array(used).reshape(-1, 7))
@@ -189,7 +189,7 @@ class _Run:
         self._first = self._last = find_board(looker, [looker.head.rest(), *used[-1:]])
         self._refuse_moved(self._last)
         # a looker's clock restarts, but the frames of this run come after all others
-        ended_s = max((sight.time_s for sight in found.sights), default=0.0)
+        ended_s = max((board_view.time_s for board_view in found.board_views), default=0.0)
         self._later_s = ended_s + 1.0 - float(self._last.time_s[0])
 
     def go(
@@ -223,23 +223,23 @@ class _Run:
 
     def _pose(self, log: LogWriter) -> bool:
         """Record the next pose; return True if the board was seen."""
-        own = self._looker.head.actuation
-        base = own.actuators_of(self._plan.next_pose(self._scene()))
-        moves = own.upper > own.lower
+        actuation = self._looker.head.actuation
+        base = actuation.actuators_of(self._plan.next_pose(self._scene()))
+        moves = actuation.upper > actuation.lower
         kept: list[BoardView] = []
         for number in range(self._options.frames):
             dither = self._rng.uniform(-_DITHER_RAD, _DITHER_RAD, 7) * moves
-            q = own.joints_of(np.clip(base + dither, own.lower, own.upper))
-            sight = self._looker.look(q)
-            if count_eyes_seeing_board(self._looker, sight):
-                _keep(log, sight)
-                kept.append(sight)
+            q = actuation.joints_of(np.clip(base + dither, actuation.lower, actuation.upper))
+            board_view = self._looker.look(q)
+            if count_eyes_seeing_board(self._looker, board_view):
+                _keep(log, board_view)
+                kept.append(board_view)
             else:
                 self._found.looks_without_board += 1
             if number + 1 == _LOOKS_BEFORE_GIVING_UP and not kept:
                 break
-        self._found.sights += [one._replace(time_s=one.time_s + self._later_s) for one in kept]
-        self._found.sight_placements += [self._found.placement] * len(kept)
+        self._found.board_views += [one._replace(time_s=one.time_s + self._later_s) for one in kept]
+        self._found.view_placements += [self._found.placement] * len(kept)
         self._last = self._first  # the last detection may have been a wrong one
         if kept:
             self._last = RawRecording(self._looker.target, kept, [0] * len(kept), ()).frames()
@@ -257,7 +257,7 @@ class _Run:
     def _fitted_board(self) -> EstimatedBoard | None:
         """Get the board's position by the fit to all frames; None if this placement has none."""
         found = self._found
-        here = np.unique(found.sight_placements).tolist()
+        here = np.unique(found.view_placements).tolist()
         if found.preview is None or found.placement not in here:
             return None
         place = here.index(found.placement)
@@ -277,32 +277,32 @@ class _Run:
         fitted_board, looker = self._fitted_board(), self._looker
         if fitted_board is None:
             return
-        expected, looks = fitted_board.pixels(frame.joint_positions[0]), frame.pixels[:, 0]
+        expected, seen = fitted_board.pixels(frame.joint_positions[0]), frame.pixels[:, 0]
         # a rotationally symmetric board may be detected in any of its corner orders
         orders = equivalent_corner_orders(looker.target)
-        away = min(float(np.nanmax(np.abs(looks[:, order] - expected))) for order in orders)
+        away = min(float(np.nanmax(np.abs(seen[:, order] - expected))) for order in orders)
         if away > _MOVED_WIDTHS * looker.head.cameras.size.max():
             raise ConfigurationError(
                 f"expected {looker.target} where the frames in {self._found.folder} have it, "
-                f"found it {away:.0f} px beside: has it been moved (--moved)?"
+                f"found it {away:.0f} px away: has it been moved (--moved)?"
             )
 
 
-def _keep(log: LogWriter, sight: BoardView) -> None:
-    """Write a sight to the log and to disk.
+def _keep(log: LogWriter, board_view: BoardView) -> None:
+    """Write a view to the log and to disk.
 
     Raises:
         ConfigurationError: writing failed.
     """
     nothing, unknown = np.empty((0, 2)), np.full(2, np.nan)
     for eye, name in enumerate(EYE_NAMES):
-        corners, sigma = sight.corners_px[eye], sight.sigma_px[eye]
+        corners, sigma = board_view.corners_px[eye], board_view.sigma_px[eye]
         log.detection(
             LoggedDetection(
                 eye=name,
-                exposed_s=sight.time_s,
-                ready_s=sight.time_s,
-                positions=sight.positions,
+                exposed_s=board_view.time_s,
+                ready_s=board_view.time_s,
+                positions=board_view.positions,
                 point_px=unknown,
                 sigma_px=unknown,
                 corners_px=nothing if corners is None else corners,

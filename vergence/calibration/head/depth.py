@@ -94,9 +94,12 @@ def predict_depth_errors(
         calibration.nominal_head.with_parameters(values[:, :, None]), q, pixels
     ).point
     depth = np.einsum("snpi,pi->snp", moved, along)
-    by_number = (depth[0] - depth[1]) / (2.0 * steps.sum(axis=1))[:, None]
+    depth_derivatives = (depth[0] - depth[1]) / (2.0 * steps.sum(axis=1))[:, None]
     spread = np.einsum(
-        "np,nm,mp->p", by_number, calibration.covariance[np.ix_(free, free)], by_number
+        "np,nm,mp->p",
+        depth_derivatives,
+        calibration.covariance[np.ix_(free, free)],
+        depth_derivatives,
     )
     floor = np.einsum("pi,pij,pj->p", along, fix.covariance, along)
     return DepthErrors(

@@ -64,7 +64,7 @@ def term_remarks(solution: HeadSolution, terms: Sequence[FittedTerm]) -> list[st
     lines = []
     play = significant_backlash(solution, terms)
     if play.any():
-        line = f"the actuators have play, in degrees: {_listed(names, play)}"
+        line = f"the actuators have backlash, in degrees: {_listed(names, play)}"
         if nominal_head.actuators is None and play[NECK.stop :].any():
             line += "; the head's file has the greatest of the eyes' for all of them"
         if play[: NECK.stop].any():

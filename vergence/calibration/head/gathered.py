@@ -18,10 +18,10 @@ class RawRecording(NamedTuple):
 
     target: PlanarTarget
     """The board."""
-    sights: Sequence[BoardView]
-    """(f) sights in any order."""
+    board_views: Sequence[BoardView]
+    """(f) views in any order."""
     placement: Sequence[int]
-    """(f) number of the board's placement for each sight."""
+    """(f) number of the board's placement for each view."""
     files: tuple[str, ...]
     """Names of the files that were read."""
     remarks: tuple[str, ...] = ()
@@ -30,21 +30,25 @@ class RawRecording(NamedTuple):
     """Identity of the head that looked, if the logs distinguish heads with the same file."""
 
     def frames(self) -> HeadFrames:
-        """Pack the sights into arrays; corners without a pixel or a sigma count as not found."""
-        count, corners = len(self.sights), len(self.target.corners_m)
+        """Pack the views into arrays; corners without a pixel or a sigma count as not found."""
+        count, corners = len(self.board_views), len(self.target.corners_m)
         pixels = np.full((2, count, corners, 2), np.nan)
         sigma = np.full((2, count, corners, 2), np.nan)
-        for frame, sight in enumerate(self.sights):
+        for frame, board_view in enumerate(self.board_views):
             for eye in range(2):
-                found, deviation = sight.corners_px[eye], sight.sigma_px[eye]
+                found, deviation = board_view.corners_px[eye], board_view.sigma_px[eye]
                 if found is not None and deviation is not None:
                     pixels[eye, frame], sigma[eye, frame] = found, deviation
         known = (np.isfinite(pixels) & np.isfinite(sigma) & (sigma > 0.0)).all(axis=-1)
         pixels[~known] = sigma[~known] = np.nan
         return HeadFrames(
             target=self.target,
-            time_s=np.array([sight.time_s for sight in self.sights], dtype=np.float64),
-            joint_positions=np.array([sight.positions for sight in self.sights]).reshape(count, 7),
+            time_s=np.array(
+                [board_view.time_s for board_view in self.board_views], dtype=np.float64
+            ),
+            joint_positions=np.array(
+                [board_view.positions for board_view in self.board_views]
+            ).reshape(count, 7),
             pixels=pixels,
             sigma=sigma,
             placement=np.array(self.placement, dtype=np.intp),

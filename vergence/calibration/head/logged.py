@@ -65,7 +65,7 @@ def read_logs(
     target: PlanarTarget | None,
     progress: Callable[[float], None] | None = None,
 ) -> RawRecording:
-    """Read the sights of logs, one log after the other.
+    """Read the board views of logs, one log after the other.
 
     Args:
         paths: paths of the logs.
@@ -76,7 +76,7 @@ def read_logs(
     Raises:
         VergenceError: none can be read, or one has another board or another kind of head.
     """
-    sights: list[BoardView] = []
+    board_views: list[BoardView] = []
     placement: list[int] = []
     files, remarks, failures = [], [], []
     looked: dict[str, str] = {}
@@ -99,11 +99,11 @@ def read_logs(
                 "ones: other --plant, --errors or --seed"
             )
         files.append(path.name)
-        found, moved = _sights(log, head, target)
-        sights += [one._replace(time_s=one.time_s + begins_s) for one in found]
+        found, moved = _board_views(log, head, target)
+        board_views += [one._replace(time_s=one.time_s + begins_s) for one in found]
         placement += [_placement_of(log)] * len(found)
         if found:
-            begins_s = sights[-1].time_s + _LOG_GAP_S
+            begins_s = board_views[-1].time_s + _LOG_GAP_S
         moving += moved
         unlike += log.head.digest != head.digest
         cut += bool(log.truncation_reason)
@@ -120,7 +120,7 @@ def read_logs(
     if cut:
         remarks.append(f"{cut} of {len(files)} logs are cut off: read up to there")
     return RawRecording(
-        target, sights, placement, tuple(files), tuple(remarks), tuple(failures), *looked
+        target, board_views, placement, tuple(files), tuple(remarks), tuple(failures), *looked
     )
 
 
@@ -165,8 +165,8 @@ def _refuse_other_joints(log: Log, head: HeadModel) -> None:
         )
 
 
-def _sights(log: Log, head: HeadModel, target: PlanarTarget) -> tuple[list[BoardView], int]:
-    """Read a log's sights in the order of time, from zero on, and count images in motion."""
+def _board_views(log: Log, head: HeadModel, target: PlanarTarget) -> tuple[list[BoardView], int]:
+    """Read a log's board views in the order of time, from zero on, and count images in motion."""
     count = len(target.corners_m)
     eyes: list[list[LoggedDetection]] = [[], []]
     moving = 0
@@ -185,7 +185,7 @@ def _sights(log: Log, head: HeadModel, target: PlanarTarget) -> tuple[list[Board
             eyes[EYE_NAMES.index(one.eye)].append(one)
         else:
             moving += 1
-    found = [_sight(pair) for pair in _paired(eyes, 0.5 * head.timing.frame_s)]
+    found = [_board_view(pair) for pair in _paired(eyes, 0.5 * head.timing.frame_s)]
     found.sort(key=lambda one: one.time_s)
     zero_s = found[0].time_s if found else 0.0
     return [one._replace(time_s=one.time_s - zero_s) for one in found], moving
@@ -257,7 +257,7 @@ def _times(detections: Sequence[LoggedDetection]) -> FloatArray:
     return np.array([one.exposed_s for one in detections])
 
 
-def _sight(pair: tuple[LoggedDetection | None, LoggedDetection | None]) -> BoardView:
+def _board_view(pair: tuple[LoggedDetection | None, LoggedDetection | None]) -> BoardView:
     there = [one for one in pair if one is not None]
     left, right = pair
     return BoardView(

@@ -91,7 +91,7 @@ def find_new_placement(
         ),
         inlier_views,
         f"the board stands elsewhere in {len(agreeing)} frames, from {first:.1f} to {last:.1f} s: "
-        "counted as another place of it",
+        "counted as a new placement",
     )
 
 
@@ -140,7 +140,7 @@ def find_small_board_motion(solution: HeadSolution) -> FramesWithNewPlacement | 
         start.boards,
         start.inlier_views,
         f"the board seems to have been moved before {frames.time_s[when]:.1f} s: counted as "
-        "another place of it",
+        "a new placement",
     )
 
 

@@ -34,7 +34,7 @@ def read_photographs(
     target: PlanarTarget | None,
     progress: Callable[[float], None] | None = None,
 ) -> RawRecording:
-    """Read the sights of a folder's photographs.
+    """Read the board views of a folder's photographs.
 
     Args:
         path: folder with the folders `left` and `right`, whose images are named alike, and one of
@@ -74,7 +74,7 @@ def read_photographs(
         head.cameras.response,
     )
     _refuse_other_sizes(path, head, seen)
-    sights = [
+    board_views = [
         BoardView(
             float(view) if one.time_s is None else one.time_s,
             one.positions,
@@ -90,7 +90,7 @@ def read_photographs(
     files = [str(one.relative_to(path)) for pair in found.pairs for one in pair]
     return RawRecording(
         target,
-        sights,
+        board_views,
         [one.placement for one in taken],
         (*files, tables[0].name),
         remarks,

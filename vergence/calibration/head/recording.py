@@ -81,7 +81,7 @@ def read_recording(
     if len(frames.time_s) < len(every.time_s):
         remarks.append(
             f"{len(every.time_s) - len(frames.time_s)} of {len(every.time_s)} frames left out: "
-            "they show no board, or another one again"
+            "they do not show the board, or repeat an earlier frame"
         )
     return HeadRecording(
         frames=frames,

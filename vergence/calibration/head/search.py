@@ -26,14 +26,14 @@ _AHEAD_M: Final = 1.0
 """Forward distance of the fixated points, m (chosen)."""
 
 
-def single_frame(looker: Looker, sight: BoardView) -> HeadFrames:
-    """Convert a sight to a recording of one frame."""
-    return RawRecording(looker.target, [sight], [0], ()).frames()
+def single_frame(looker: Looker, board_view: BoardView) -> HeadFrames:
+    """Convert a view to a recording of one frame."""
+    return RawRecording(looker.target, [board_view], [0], ()).frames()
 
 
-def count_eyes_seeing_board(looker: Looker, sight: BoardView) -> int:
+def count_eyes_seeing_board(looker: Looker, board_view: BoardView) -> int:
     """Count the eyes that see at least four corners of the board."""
-    return int((single_frame(looker, sight).seen.sum(axis=-1) >= 4).sum())
+    return int((single_frame(looker, board_view).seen.sum(axis=-1) >= 4).sum())
 
 
 def find_board(looker: Looker, first_guesses: Sequence[FloatArray] = ()) -> HeadFrames:
@@ -52,12 +52,12 @@ def find_board(looker: Looker, first_guesses: Sequence[FloatArray] = ()) -> Head
     looks = 0
     for q in (*first_guesses, *_directions(looker.head)):
         looks += 1
-        sight = looker.look(q)
-        eyes = count_eyes_seeing_board(looker, sight)
+        board_view = looker.look(q)
+        eyes = count_eyes_seeing_board(looker, board_view)
         if eyes == 2:
-            return single_frame(looker, sight)
+            return single_frame(looker, board_view)
         if eyes == 1:
-            frame = single_frame(looker, sight)
+            frame = single_frame(looker, board_view)
             again = looker.look(_towards(looker.head, frame))
             return single_frame(looker, again) if count_eyes_seeing_board(looker, again) else frame
     raise ConfigurationError(

@@ -18,8 +18,7 @@ from vergence.vision import parse_target
 BORDER_PX: Final = 5.0
 """Least distance of a corner to the image's border, px (chosen)."""
 _MOST_TRIES: Final = 200
-"""Average random postures per pose with the whole board visible to both eyes, before an error
-(numerical)."""
+"""Random postures tried per accepted pose, on average, before an error is raised (numerical)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,11 +145,9 @@ def simulate_recording(
         motors = np.clip(q, own.lower, own.upper) + dither
         outputs, then = reading_errors.output_angles(motors, behind)
         turned = own.joints_of(outputs)
-        points, directions = board_points_and_offsets(
-            corners, boards, np.full(frames_per_pose, place)
-        )
+        points, offsets = board_points_and_offsets(corners, boards, np.full(frames_per_pose, place))
         seen = np.stack(
-            [chain.project_board(eye, turned, points, directions).pixels for eye in range(2)]
+            [chain.project_board(eye, turned, points, offsets).pixels for eye in range(2)]
         )
         inside = (seen > BORDER_PX) & (seen < size - 1.0 - BORDER_PX)
         if inside.all():

@@ -75,7 +75,9 @@ def estimate_consensus_board_poses(head: HeadModel, frames: HeadFrames) -> Initi
     for place in range(int(frames.placement.max()) + 1):
         here = np.argwhere(enough & (frames.placement == place))
         if not len(here):
-            raise np.linalg.LinAlgError("expected views that tell where the board is, got none")
+            raise np.linalg.LinAlgError(
+                "expected views that determine where the board is, got none"
+            )
         best, away, order = _medoid(places, here, orders)
         rotations.append(turns[best])
         translations.append(shifts[best])

@@ -53,8 +53,9 @@ class CalibrateHead:
     hold_cameras: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Hold focal lengths, principal points and lens coefficients at the values of the head file."""
     terms: Annotated[str, tyro.conf.arg(metavar="TERMS")] = "auto"
-    """Optional terms of the model: none, some of play,harmonics,axes (backlash, encoder harmonics,
-    axis directions), or auto: those that predict held-out poses significantly better."""
+    """Optional terms of the model: none, some of play,harmonics,axes (backlash, harmonics of the
+    encoders, directions of the axes), or auto: those that predict held-out poses significantly
+    better."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """Name of the calibrated head; by default the name of its file."""
     report: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None

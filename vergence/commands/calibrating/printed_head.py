@@ -30,13 +30,13 @@ def print_head_calibration(outcome: "HeadOutcome", out: Path) -> None:
     )  # fmt: skip
     print(
         f"{told['views']} of {told['views'] + told['left_out']} views in {told['poses']} poses, "
-        f"{told['placements']} place{'s' if told['placements'] > 1 else ''} of the board; "
+        f"{told['placements']} placement{'s' if told['placements'] > 1 else ''} of the board; "
         f"{told['rms_px']:.3f} px (length, rms) are left, {told['noise']:.2f} times what the "
         "detector says\n"
     )
     if outcome.unobservable:
         print_table(
-            ["not told by this recording", "cure", "cost"],
+            ["not determined by this recording", "cure", "cost"],
             [[one.what, one.remedy or "none needed", one.cost] for one in outcome.unobservable],
             wrapped=(0, 1, 2), shortenable=(0, 1, 2),
         )  # fmt: skip

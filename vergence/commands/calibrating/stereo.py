@@ -44,7 +44,7 @@ class CalibrateStereo(CalibrationOptions):
         pairs = pair_images(lefts, rights, one_folder=lefts == rights)
         if pairs.unpaired:
             print_to_stderr(
-                f"{len(pairs.unpaired)} of the images without a partner: "
+                f"{len(pairs.unpaired)} of the images have no partner: "
                 f"{join_first_names(path.name for path in pairs.unpaired)}"
             )
         from vergence.calibration.files import head_file_text

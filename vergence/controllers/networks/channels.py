@@ -95,13 +95,13 @@ CHANNELS: Final = {
 | `velocity` | velocity / largest command; `_log` with x0 = 0.005 |
 | `command` | present command / largest command |
 | `lag` | estimated lag / 0.1 s |
-| `acceleration` | log of the acceleration limit, ratio of estimate to model, / ln 4 |
+| `acceleration` | log of the ratio of estimated to modelled acceleration limit / ln 4 |
 | `acceleration_sd` | standard deviation of that logarithm |
 | `gain` | log of the estimated ratio of velocity to command / ln 1.5 |
 | `latency` | estimated latency of commands plus readings / 0.1 s |
 | `latency_sd` | its standard deviation / 0.02 s |
 | `rate` | growth rate of the remaining turn while it rests / largest command: a moving target |
-| `later_rate` | this rate when a command given now shows |
+| `later_rate` | this rate when a command given now takes effect |
 | `known` | 1 if the target of an eye that it moves is known, otherwise 0 |
 
 `error` has no memory except in the outlier gate: it depends only on the newest image that passes

@@ -24,9 +24,9 @@ _LATE_IMAGE_GRACE_S: Final = 0.03
 
 @inlined
 def extrapolate_targets(state: PredictorState, params: PredictorParameters, tick: float) -> None:
-    """Extrapolate the targets to a time in periods: their angles `aims` and angular rates `rates`.
+    """Extrapolate the targets to a time in periods: `goals_at_effect` and `goal_rates`.
 
-    `goal_rates_at_effect` are the rates when that command shows in the motion, a lag and half a
+    `goal_rates_at_effect` are the rates when the command given now takes effect, a lag and half a
     period later.
     """
     moves = params.targets_move > 0.5 and state.mode_probabilities[0] < _REST_PROBABILITY

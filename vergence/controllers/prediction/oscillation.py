@@ -57,7 +57,8 @@ class OscillationState:
     goal_at_reversal: Annotated[FloatArray, 2, 2]
     """Its goal when that reversal was detected, rad."""
     goal_moved: Annotated[FloatArray, 2, 2, 2]
-    """Largest distance of the goal from `aim` since then, and in the half swing before, rad."""
+    """Largest distance of the goal from `goal_at_reversal` since then, and in the half swing
+    before, rad."""
     last_half_swing: Annotated[FloatArray, 2, 2]
     """Length of the previous half swing, rad; 0 for none."""
     periods_since_reversal: Annotated[FloatArray, 2, 2]

@@ -144,9 +144,9 @@ class PredictorState:
     goals_at_effect: Annotated[FloatArray, 2, 2]
     """Joint angles that fixate the targets at the time the next command acts, rad."""
     goal_rates: Annotated[FloatArray, 2, 2]
-    """Rates of change of `aims` at that time, rad/s."""
+    """Rates of change of `goals_at_effect` at that time, rad/s."""
     goal_rates_at_effect: Annotated[FloatArray, 2, 2]
-    """Rates of change when that command shows in the motion, a lag and half a period later,
+    """Rates of change when that command takes effect, a lag and half a period later,
     rad/s."""
     unseen_periods: Annotated[FloatArray, 2]
     """Periods since an image last showed each eye its target."""

@@ -285,8 +285,8 @@ def joints_from_actuators(
     Args:
         scratch: (4,) scratch array.
         p: a packed head.
-        positions: rad.
-        velocities: rad/s.
+        positions: (7,) angles, rad, changed in place.
+        velocities: (7,) velocities, rad/s, changed in place.
     """
     for k in range(SLOTS):
         scratch[k] = positions[3 + k]

@@ -135,7 +135,7 @@ def tune_baselines(
     given, hardware = _given(config, options), _hardware(config)
     if hardware is not None:
         raise ConfigurationError(
-            f"tune: expected none beside --config: vergence evaluate --tune --head "
+            f"tune: expected none with --config: vergence evaluate --tune --head "
             f"{_source(config, hardware)} tunes for the head alone"
         )
     for scenario in {scenario.name: scenario for scenario, _ in _pairs(config, None)[0]}.values():
@@ -159,12 +159,12 @@ def _hardware(config: EvaluateConfig) -> HardwareConfig | None:
         if ROBOT in config.plants:
             raise ConfigurationError(
                 f"config: expected the file that describes the robot of --plant {ROBOT}, got none "
-                "(vergence emulate prints one of an emulated head)"
+                "(vergence emulate --out FILE writes one for an emulated head)"
             )
         return None
     if config.head is not None:
         raise ConfigurationError(
-            f"head: expected none beside --config, whose head is the robot's, got {config.head}"
+            f"head: expected none with --config, whose head is the robot's, got {config.head}"
         )
     return load_hardware(config.hardware)
 

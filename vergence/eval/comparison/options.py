@@ -103,7 +103,9 @@ class GivenOptions:
             raise ConfigurationError(
                 f"options: expected a file that can be read, got {path}: {error.strerror}"
             ) from error
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        except UnicodeDecodeError as error:
+            raise ConfigurationError(f"{path}: expected a TOML file, got a binary one") from error
+        except tomllib.TOMLDecodeError as error:
             raise ConfigurationError(f"{path}: expected a TOML file, got {error}") from error
 
     def check_names(self, known: Iterable[str]) -> list[str]:

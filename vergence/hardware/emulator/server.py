@@ -9,8 +9,8 @@ A client sends one JSON object per line and receives one. The object's only key 
     streams                     set the URL of the cameras' streams
     fault, clear                begin a fault (see `parse_fault`), and end all: {"time": s}
     unplug                      pull the cable of the line
-    rest                        {"since": s}, see `World.rest`
-    record                      see `World.record`
+    rest                        {"since": s}, see `World.rest_report`
+    record                      see `World.motion_since_last_call`
 
 Times are those of the monotonic clock.
 """

@@ -50,7 +50,7 @@ def bend_derivatives(
 
     Args:
         flat_x: x of the point before the bend moves it, half edges.
-        flat_y: its y.
+        flat_y: y of that point, half edges.
         x: x of the point after the bend has moved it, half edges.
         y: its y.
         print_by_x: derivative of the print with respect to x, there.

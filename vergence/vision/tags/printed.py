@@ -57,8 +57,8 @@ def _weigh(x: float, s: float, weights: FloatArray) -> tuple[int, int]:
     Args:
         x: the point, cells.
         s: standard deviation of the blur, cells.
-        weights: (4, MOST_REACHED) result: the weights, and their derivatives with respect to x, to
-            log s, and to the position of the edge to the next cell, in standard deviations.
+        weights: (4, `MAX_BLURRED_CELLS`) result: the weights, and their derivatives with respect to
+            x, to log s, and to the position of the edge to the next cell, in standard deviations.
 
     Returns:
         The first cell, and the number of cells.
@@ -107,8 +107,8 @@ def sample_print(
         y: the point, cells below that corner.
         blur_x_cells: standard deviation of the blur along x, cells.
         blur_y_cells: along y.
-        cell_weights_x: (4, MOST_REACHED) scratch array.
-        cell_weights_y: (4, MOST_REACHED) scratch array.
+        cell_weights_x: (4, `MAX_BLURRED_CELLS`) scratch array.
+        cell_weights_y: (4, `MAX_BLURRED_CELLS`) scratch array.
     """
     rows, columns = cells.shape
     left, across = _weigh(x, blur_x_cells, cell_weights_x)
