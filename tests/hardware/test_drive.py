@@ -132,8 +132,8 @@ def test_a_servo_that_does_not_confirm_to_be_at_rest_keeps_its_watchdog(robot):
 def test_a_command_that_is_held_back_is_not_repeated_either(monkeypatch):
     robot = VirtualRobot(monkeypatch, search=True, overruns=1.0)
     robot.begin()
-    monkeypatch.setattr(robot.eyes[0], "take", list)
-    monkeypatch.setattr(robot.eyes[1], "take", list)
+    monkeypatch.setattr(robot.eyes[0], "take_searched_images", list)
+    monkeypatch.setattr(robot.eyes[1], "take_searched_images", list)
     robot.plant._reading.visible[:] = False
     fastest = []
     for _ in range(60):
