@@ -208,6 +208,15 @@ def test_links_between_pages_lead_to_a_file_and_a_heading() -> None:
     assert broken == []
 
 
+def test_modules_that_pages_name_exist() -> None:
+    known = {"mine.py", "my_plant.py", "file.py"}  # a reader's own
+    for folder in ("vergence", "tests", "benchmarks", "docs"):
+        known |= {path.name for path in (ROOT / folder).rglob("*.py")}
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
+    text = "\n".join(path.read_text(encoding="utf-8") for path in pages)
+    assert set(re.findall(r"\w+\.py\b", text)) - known == set()
+
+
 def test_the_places_that_contributing_names_exist() -> None:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     places = set(re.findall(r"`((?:vergence|tests|docs|benchmarks)/[^`*]*)`", text))
