@@ -89,7 +89,7 @@ def test_an_end_from_outside_brakes_first_though_ctrl_c_is_ignored(head) -> None
     _, said = process.communicate(timeout=120)
     assert process.returncode == 130, said
     assert "Traceback" not in said
-    rested_s = world.rested_s(since_s)
+    rested_s = world.rest_start_s(since_s)
     assert rested_s is not None
     assert rested_s - since_s < 0.5
 

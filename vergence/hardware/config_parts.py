@@ -58,7 +58,7 @@ class CameraConfig:
     eye: int
     """0 for left, 1 for right."""
     source: str
-    """Camera number, device file or URL, as for `vergence live`."""
+    """Camera number, device file or URL, as for `vergence detect --live`."""
     pixel_format: str
     """Requested pixel format, four letters such as MJPG; empty for the camera's default."""
     latency_s: float

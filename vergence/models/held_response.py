@@ -29,8 +29,8 @@ zero at critical damping (numerical)."""
 class HeldResponse(NamedTuple):
     """Coefficients of the response to a command held for a fixed time, split into equal parts.
 
-    Over a part, the state (gap, w), with the gap v - u, changes linearly to
-    `(gap_gap gap + gap_w w, w_gap gap + w_w w)`.
+    Over a part, the state changes linearly: the acceleration, and the gap v - u between velocity
+    and command.
     """
 
     lag_s: float
@@ -55,7 +55,7 @@ class HeldResponse(NamedTuple):
 
 @inlined
 def _transition(lag: float, square: float, t: float) -> tuple[float, float, float, float]:
-    """`gap_gap`, `gap_w`, `w_w` and `w_gap` for the time t."""
+    """The four factors of a `HeldResponse`, in the order of its fields, for the time t."""
     decay = 0.5 * lag / square
     gap = decay * decay - 1.0 / square
     if gap < 0.0:

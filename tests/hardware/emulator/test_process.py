@@ -65,7 +65,7 @@ def test_a_script_pulls_the_cable_and_the_watchdogs_bring_the_joints_to_rest(hea
     with pytest.raises(HardwareError, match="the serial line is gone"):
         bus.ping(1)
     until_s = spoken_s + 20.0
-    while (rested_s := world.rested_s(spoken_s)) is None:
+    while (rested_s := world.rest_start_s(spoken_s)) is None:
         assert time.monotonic() < until_s
     # the watchdog, and three time constants of the joints from 0.5 to 0.024 rad/s
     assert WATCHDOG_S - 0.05 < rested_s - spoken_s < WATCHDOG_S + 0.3

@@ -176,7 +176,7 @@ def read_sensors(
 
     Args:
         ids: (m,) environment indices.
-        timing: `untyped_tuple`, as are all but the steps and `coupling`.
+        timing: `untyped_tuple`, as are the following but for `steps` and `coupling`.
         packed: conditions of the trials.
         keys: keys of the trials' random streams.
         steps: (n,) control periods since the trials' start.

@@ -9,7 +9,7 @@ import numpy as np
 from vergence.envs.streams import IntArray, RandomStreams
 from vergence.envs.targets.board import POINT, Board
 from vergence.envs.targets.motion import motion_rows
-from vergence.envs.targets.target import Target, fixation_angles, refuse_unseen_by_both_eyes
+from vergence.envs.targets.target import Target, fixation_angles, require_seen_by_an_eye
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
 
@@ -41,7 +41,7 @@ class PrescribedTarget(Target):
         """See `Target.check`: an eye must see the first point, both must reach a lasting one."""
         (q,) = self._begin(head, np.array([self._fixated_point()]))
         first = np.array(self._first_point())
-        refuse_unseen_by_both_eyes(head, self.first_point_name, first, q)
+        require_seen_by_an_eye(head, self.first_point_name, first, q)
         if self.stays_at_first_point:
             fixation_angles(head, self.first_point_name, first[None])
 

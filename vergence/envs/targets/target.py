@@ -134,7 +134,7 @@ def _in_images(head: HeadModel, q: FloatArray, points: FloatArray) -> NDArray[np
     return np.asarray(inside.all(axis=-1))
 
 
-def refuse_unseen_by_both_eyes(
+def require_seen_by_an_eye(
     head: HeadModel, point_name: str, point: FloatArray, q: FloatArray
 ) -> None:
     """Refuse a point that neither eye sees, as no controller could ever find it.
@@ -146,7 +146,7 @@ def refuse_unseen_by_both_eyes(
         q: (7,) joint angles at the start, rad.
 
     Raises:
-        ConfigurationError: neither eye sees it.
+        UnreachableTargetError: neither eye sees it.
     """
     if _in_images(head, q, point).any():
         return

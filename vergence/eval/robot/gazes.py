@@ -26,7 +26,7 @@ class RobotGazes:
     """Control periods of a whole gaze, without those at its end that wait for the last images; None
     if every gaze counts as whole."""
     dry_run: bool = False
-    """True if nothing has moved; then no metric is defined."""
+    """True if nothing has moved; then nothing settles."""
     stopped: bool = False
     """True if a fault has ended the last gaze; it then counts as not settled. A gaze that ended
     early for another reason, such as Ctrl-C or a kill, does not count."""

@@ -152,7 +152,7 @@ class Trials:
 
     @cached_property
     def left_again(self) -> NDArray[np.bool_]:
-        """(n,) see `fixation.left_again`, for the leading band; otherwise as `swings`."""
+        """(n,) see `fixation.detect_band_exits`, for the leading band; otherwise as `swings`."""
         if self.target_moves:
             return np.zeros(self.num, dtype=np.bool_)
         return fixation.detect_band_exits(

@@ -93,7 +93,7 @@ class ServoLine:
             if not servo.silent and baud_rate in (None, servo.baud_rate)
         ]
         for servo in present:
-            servo.feed(now_s)
+            servo.feed_watchdog(now_s)
         if packet.instruction == Instruction.SYNC_READ:
             return list(_sync_read(present, packet))
         if packet.instruction == Instruction.SYNC_WRITE:

@@ -160,7 +160,7 @@ class EmulatedServo:
             self._report()
         self.frozen = frozen
 
-    def feed(self, now_s: float) -> None:
+    def feed_watchdog(self, now_s: float) -> None:
         """Receive an instruction packet for any servo: it restarts the watchdog's time."""
         self._fed_s = now_s
 

@@ -164,7 +164,7 @@ class World:
         if packet.instruction == Instruction.SYNC_WRITE and self._command_latency_s:
             self._commands.append((now_s + self._command_latency_s, packet))
             for servo in self.line.servos:
-                servo.feed(now_s)
+                servo.feed_watchdog(now_s)
             return []
         answers = self.line.answer(packet, now_s, baud_rate)
         if any(servo.get(table.TORQUE_ENABLE) for servo in self.line.servos):
