@@ -66,10 +66,7 @@ class Cameras:
 
 
 def padded_coefficient_count(lens: tuple[str, str]) -> int:
-    """Number of coefficients to which the distortions of both eyes are padded.
-
-    5 for two Brown-Conrady lenses, else 8.
-    """
+    """Number of distortion coefficients of both eyes, padded: 5 for Brown-Conrady, else 8."""
     return 5 if lens == (BROWN_CONRADY, BROWN_CONRADY) else 8
 
 

@@ -22,10 +22,7 @@ class BoardView(NamedTuple):
 
 
 class Looker(Protocol):
-    """A head that can be turned, with a calibration board in front of it.
-
-    Simulated, rendered or real.
-    """
+    """A head that can be turned, simulated or real, with a calibration board in front of it."""
 
     head: HeadModel
     """The known model of the head."""

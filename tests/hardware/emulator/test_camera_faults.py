@@ -135,6 +135,23 @@ def rig():
     one.close()
 
 
+@pytest.mark.parametrize("images", ["--5", "-2", "many", "9" * 5000])
+def test_a_number_of_images_that_cannot_be_is_refused(rig, images):
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        rig.open("left", images)
+
+
+def test_an_image_that_a_later_one_has_overtaken_is_dropped(rig):
+    rig.over = True  # no further images of its own
+    for thread in rig._threads[:1]:
+        thread.join(timeout=5.0)
+    stream = rig.cameras.streams[0]
+    stream.publish(b"new", 1e9)
+    count = stream.count
+    stream.publish(b"old", 1e9 - 1.0)
+    assert (stream.count, stream.next(count - 1)[0]) == (count, b"new")
+
+
 def test_a_frozen_stream_goes_on_with_one_image(rig):
     assert len(set(rig.pictures("left", 4))) == 4
     rig.begin({"what": "frozen", "eye": "left"})

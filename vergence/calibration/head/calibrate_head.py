@@ -44,8 +44,7 @@ _MOST_PLACEMENTS: Final = 8
 """Most fits to a recording, each after the first with another placement of the board (chosen)."""
 _HARMONICS_HINT: Final = (
     ": a head file cannot store them; --terms harmonics estimates them, and calibrates the head "
-    "for "
-    "readings corrected by them"
+    "for readings corrected by them"
 )
 _JOINT_AXES_REMARK: Final = (
     "the joints are described by their axes one by one, which may be turned in ways that D-H "
