@@ -35,6 +35,7 @@ LAYERS = (
     {"recording"},
     {"hardware"},
     {"calibration", "training", "eval"},
+    {"viewer"},
     {"__init__"},
     {"commands"},
     {"cli", "__main__"},
@@ -50,6 +51,7 @@ RESERVED = {
     "sqlalchemy": "eval",
     "serial": "hardware",
     "mcap": "recording",
+    "viser": "viewer",
 }
 
 # What somebody who only wants geometry should not wait for.

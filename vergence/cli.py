@@ -11,8 +11,8 @@ from typing import Final, TextIO
 from vergence import _jit, interrupts
 from vergence.commands.console import logging_to_stderr, print_to_stderr, replace_unprintable
 from vergence.commands.parsing import parse_command, split_verbosity
-from vergence.envs.opengl import disable_broken_opengl
 from vergence.errors import ConfigurationError, HardwareError, VergenceError, VergenceWarning
+from vergence.viewer.opengl import disable_broken_opengl
 
 TRACE_VARIABLE: Final = "VERGENCE_TRACE"
 """Environment variable; if set, a bug of the package shows its stack trace."""

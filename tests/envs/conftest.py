@@ -2,7 +2,6 @@
 
 import pytest
 
-from vergence.envs import views
 from vergence.models import HeadModel, load_head
 
 
@@ -20,9 +19,3 @@ def physical() -> HeadModel:
 def exact(simulated: HeadModel) -> HeadModel:
     """The simulated head with a detector that makes no errors."""
     return simulated.replace(sensor={"detection_noise_px": 0.0})
-
-
-@pytest.fixture
-def without_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A machine on which MuJoCo's renderer cannot draw."""
-    monkeypatch.setattr(views, "opengl_works", lambda: False)

@@ -11,12 +11,12 @@ from tests.envs.any_head import begun, least_squares, uneven
 from tests.grids import some_of
 from tests.heads import MOVING, head_of, text_of
 from tests.naming import named
-from vergence.envs import views
 from vergence.envs.gaze_vector import GazeVectorEnv
 from vergence.envs.reducible import reducible_error
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.models import parse_head
+from vergence.viewer import pictures
 
 TIED = tuple(name for name in MOVING if not head_of(name).actuation.direct)
 
@@ -213,7 +213,7 @@ def test_a_tied_head_goes_on_from_a_saved_state_to_the_last_bit() -> None:
 
 @pytest.mark.parametrize("name", ["tied", "panfirst"])
 def test_eyes_with_images_of_different_sizes_settle_and_are_pictured(name, monkeypatch) -> None:
-    monkeypatch.setattr(views, "opengl_works", lambda: False)
+    monkeypatch.setattr(pictures, "opengl_works", lambda: False)
     head = uneven(name)
     task = begun(head, 6)
     wide = np.abs(task.observation[:, :4].reshape(6, 2, 2)).max()
@@ -224,8 +224,8 @@ def test_eyes_with_images_of_different_sizes_settle_and_are_pictured(name, monke
     env = gymnasium.make("vergence/Gaze-v0", head=head, plant="kinematic", render_mode="rgb_array")
     env.reset(seed=0)
     picture = env.render()
-    assert picture.shape[1] == 2 * views.EYE_WIDTH
-    assert picture.shape[0] == 360 + views.VIEW_HEIGHT
+    assert picture.shape[1] == 2 * pictures.EYE_WIDTH
+    assert picture.shape[0] == 360 + pictures.VIEW_HEIGHT
 
 
 def test_a_pixel_error_is_scaled_by_the_width_of_its_own_eye() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from tests.envs.robot import EARLIER_S, LATENCY, Robot
 from vergence import make_controller
-from vergence.envs import views
+from vergence.envs.eye_images import given_or_drawn_eye_images
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.plant import PLANTS, make_plant
 from vergence.envs.plants.simulation import is_simulated, simulation_of
@@ -13,9 +13,9 @@ from vergence.envs.rollout import rollout
 from vergence.envs.targets.board import POINT
 from vergence.envs.targets.motion import BEFORE
 from vergence.envs.task import GazeTask
-from vergence.envs.views import given_or_drawn_eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
+from vergence.viewer import pictures
 
 ZERO = np.zeros(1, dtype=np.uint64)
 
@@ -124,7 +124,7 @@ def test_nothing_is_drawn_in_place_of_the_images_that_it_has_not(task):
 
 def test_its_picture_has_no_circle_for_a_target_that_nobody_knows(monkeypatch):
     drawn = []
-    monkeypatch.setattr(views.cv2, "circle", lambda *args: drawn.append(args[2]))
+    monkeypatch.setattr(pictures.cv2, "circle", lambda *args: drawn.append(args[2]))
     env = GazeEnv(plant="robot", render_mode="rgb_array")
     env.reset(seed=0)
     # until the axes cross in front of the eyes

@@ -35,7 +35,6 @@ class Info:
                 raise ConfigurationError(f"{option}: expected a head beside it (--head), got none")
         import gymnasium
 
-        from vergence.envs.opengl import opengl_failure
         from vergence.envs.plant import PLANTS
         from vergence.envs.targets.registry import TARGETS
         from vergence.eval.article.experiment import EXPERIMENTS
@@ -43,6 +42,7 @@ class Info:
         from vergence.eval.reporting.runs import package_versions
         from vergence.eval.trials.scenarios import SCENARIOS
         from vergence.models.files.head_file import load_head, presets
+        from vergence.viewer.opengl import opengl_failure
 
         print_table(
             ["package", "version"],

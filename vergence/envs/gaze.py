@@ -15,10 +15,10 @@ from vergence.envs.task_env import (
     checked_options,
     checked_render_mode,
     control_rate,
+    missing_window_hint,
     reset_needed,
 )
 from vergence.envs.validation import as_action_array, check_above_zero
-from vergence.envs.views import missing_window_hint
 
 _FIRST = np.zeros(1, dtype=np.int64)
 
@@ -178,8 +178,8 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         if self._seed is None:
             raise reset_needed("render")
-        viewer = self._view()
-        return None if viewer is None else viewer.render()
+        pictures = self._task_pictures()
+        return None if pictures is None else pictures.render()
 
     def close(self) -> None:
         """Bring the head to rest, release the plant, and close the window if there is one."""

@@ -240,10 +240,10 @@ class GazeVectorEnv(TaskEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32],
         """The picture of every head, see `GazeEnv.render`."""
         if not self._begun:
             raise reset_needed("render")
-        viewer = self._view()
-        if viewer is None:
+        pictures = self._task_pictures()
+        if pictures is None:
             return None
-        return tuple(viewer.picture(env) for env in range(self.num_envs))
+        return tuple(pictures.picture(env) for env in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Bring the heads to rest and release the plant."""

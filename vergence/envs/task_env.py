@@ -4,23 +4,38 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from enum import Enum
+from importlib.util import find_spec
 from inspect import Parameter, signature
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 
-from vergence.entry_points import accepted_arguments
+from vergence.entry_points import EntryPoint, accepted_arguments
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.plant import plant_type
 from vergence.envs.plants.variation import Variation
-from vergence.envs.reading import Reading, Truth
+from vergence.envs.reading import Image, Reading, Truth
 from vergence.envs.task import GazeTask
-from vergence.envs.views import Viewer, missing_window_hint
-from vergence.errors import ConfigurationError, RenderingUnavailableError, refuse_unknown
+from vergence.errors import (
+    ConfigurationError,
+    RenderingUnavailableError,
+    how_to_install,
+    refuse_unknown,
+)
 from vergence.models.head import HeadModel
 from vergence.models.perturbation import ModelErrors
+
+_PICTURES_ENTRY_POINT: Final = "vergence.viewer.pictures:TaskPictures"
+"""Entry point of the class that draws the pictures of `render`, in a later layer."""
+
+
+def missing_window_hint() -> str | None:
+    """Hint to install pygame, an optional dependency that windows need; None if it is installed."""
+    if find_spec("pygame") is not None:
+        return None
+    return f'render_mode="human": expected pygame, got none: {how_to_install("render")}'
 
 
 def checked_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
@@ -118,6 +133,19 @@ def _json_argument(name: str, value: object) -> Any:
         ) from error
 
 
+class Pictures(Protocol):
+    """Pictures of a task's heads, see `vergence.viewer.pictures.TaskPictures`."""
+
+    def render(self) -> Image | None:
+        """The picture of the first head: returned, or shown in the window."""
+
+    def picture(self, n: int) -> Image:
+        """The picture of one head."""
+
+    def close(self) -> None:
+        """Close the window and the renderer."""
+
+
 class TaskEnv:
     """Base class of environments around a `GazeTask`; a single head is a batch of one."""
 
@@ -125,7 +153,7 @@ class TaskEnv:
     task: GazeTask
     render_mode: str | None
     metadata: dict[str, Any]
-    _viewer: Viewer | None = None
+    _pictures: Pictures | None = None
     _spec: EnvSpec | None = None
 
     @property
@@ -159,18 +187,19 @@ class TaskEnv:
         """Ground truth of the present, one row per head; None for real heads."""
         return self.task.truth()
 
-    def _view(self) -> Viewer | None:
-        """The viewer, made at the first call; None without a render mode."""
-        if self._viewer is None and self.render_mode is not None:
-            self._viewer = Viewer(self.task, self.render_mode, self.metadata["render_fps"])
-        return self._viewer
+    def _task_pictures(self) -> Pictures | None:
+        """The task's pictures, made at the first call; None without a render mode."""
+        if self._pictures is None and self.render_mode is not None:
+            make = EntryPoint.of(_PICTURES_ENTRY_POINT, "render_mode").load()
+            self._pictures = make(self.task, self.render_mode, self.metadata["render_fps"])
+        return self._pictures
 
     def _release(self) -> None:
         """Bring the heads to rest, release the plant, and close the window if there is one."""
         self.task.close()
-        if self._viewer is not None:
-            self._viewer.close()
-            self._viewer = None
+        if self._pictures is not None:
+            self._pictures.close()
+            self._pictures = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_viewer": None}
+        return {**vars(self), "_pictures": None}

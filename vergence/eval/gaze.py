@@ -10,13 +10,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vergence.controllers.controller import default_options, make_controller
+from vergence.envs.eye_images import EyeImages, given_or_drawn_eye_images
 from vergence.envs.plants.simulation import is_simulated
 from vergence.envs.policy import Policy
-from vergence.envs.reading import Image
 from vergence.envs.rollout import rollout
 from vergence.envs.task import GazeTask
 from vergence.envs.validation import refuse_immobile_eyes
-from vergence.envs.views import given_or_drawn_eye_images
 from vergence.errors import ConfigurationError
 from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.gaze_trajectory import (
@@ -67,12 +66,10 @@ class GazeResult:
     the joint angles of its exposure; one element."""
     positions: FloatArray
     """(7,) the last joint angles, rad."""
-    images: tuple[Image, Image] | None
+    images: EyeImages | None
     """The eyes' last images; None for a robot that has none."""
     diagnostics: dict[str, int]
     """Counts of faults in a robot's loop, by name; empty for a simulation."""
-    images_are_drawings: bool
-    """True if `images` were drawn for the last posture, as the simulation has no images."""
 
     @property
     def has_truth(self) -> bool:
@@ -200,16 +197,13 @@ def record_gaze(
 class FinalState(NamedTuple):
     """Last images and fault counts of a plant, taken before it closes; see `GazeResult`."""
 
-    images: tuple[Image, Image] | None
-    images_are_drawings: bool
+    images: EyeImages | None
     diagnostics: dict[str, int]
 
     @classmethod
     def of(cls, task: GazeTask) -> "FinalState":
         """Take the present images and counts of a task's first head."""
-        images = given_or_drawn_eye_images(task, 0)
-        drawn = images is not None and task.plant.frames(0) is None
-        return cls(images, drawn, task.plant.diagnostics())
+        return cls(given_or_drawn_eye_images(task, 0), task.plant.diagnostics())
 
 
 def gaze_result(
@@ -233,7 +227,7 @@ def gaze_result(
         residual = least_reachable_error(task, truth.target[:1])[0]
     errors = truth.pixel_error - residual
     gaze, itpc = (Fix._make(part[-1:] for part in fix) for fix in gaze_and_view_fixes(head, record))
-    images, drawn, diagnostics = final_state or (None, False, {})
+    images, diagnostics = final_state or (None, {})
     return GazeResult(
         config=config,
         head=head,
@@ -247,7 +241,6 @@ def gaze_result(
         positions=record.reading.positions[-1, 0],
         images=images,
         diagnostics=diagnostics,
-        images_are_drawings=drawn,
     )
 
 

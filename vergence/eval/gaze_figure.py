@@ -77,7 +77,7 @@ def _columns(result: GazeResult, what: str, eye: int) -> FloatArray:
 
 
 def _draw_eye(axes: Axes, result: GazeResult, eye: int) -> None:
-    image = None if result.images is None else result.images[eye]
+    image = None if result.images is None else result.images.of(eye)
     width, height = result.head.cameras.size[eye]
     extent = (-0.5, width - 0.5, height - 0.5, -0.5)
     seen = _columns(result, "pixel", eye)
@@ -133,7 +133,7 @@ def _draw_eye(axes: Axes, result: GazeResult, eye: int) -> None:
 def _what_is_shown(result: GazeResult) -> str:
     if result.images is None:
         return "detections (no images)"
-    return "drawn for the last posture (no camera)" if result.images_are_drawings else "last image"
+    return "drawn for the last posture (no camera)" if result.images.drawn else "last image"
 
 
 def _draw_errors(axes: Axes, result: GazeResult) -> None:

@@ -1,22 +1,23 @@
 """Pictures of the task: both eyes' images side by side, and the head from outside."""
 
-import functools
-from importlib.util import find_spec
 from typing import Any, Final
 
 import cv2
 import numpy as np
 
-from vergence.envs.opengl import opengl_failure
-from vergence.envs.outside_view import EYE_COLOURS, OutsideView
-from vergence.envs.plants.eye_views import BoardImageRenderer
-from vergence.envs.plants.simulation import Simulation
+from vergence.envs.eye_images import (
+    EyeImages,
+    best_known_angles_and_target,
+    given_or_drawn_eye_images,
+)
 from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
-from vergence.errors import RenderingUnavailableError, how_to_install
-from vergence.models.boards import make_planar_target
+from vergence.envs.task_env import missing_window_hint
+from vergence.errors import RenderingUnavailableError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.viewer.opengl import opengl_failure
+from vergence.viewer.outside_view import EYE_COLOURS, OutsideView
 
 EYE_WIDTH: Final = 480
 """Width of each eye's picture, px (chosen: detail against size)."""
@@ -29,56 +30,11 @@ _TARGET_COLOUR: Final = (0, 150, 60)
 
 
 def opengl_works() -> bool:
-    """True if MuJoCo's renderer works on this machine, see `vergence.envs.opengl`."""
+    """True if MuJoCo's renderer works on this machine, see `vergence.viewer.opengl`."""
     return opengl_failure() is None
 
 
-def best_known_angles_and_target(task: GazeTask, n: int) -> tuple[FloatArray, FloatArray]:
-    """Best known joint angles and target position of one head.
-
-    Args:
-        task: the task.
-        n: environment index.
-
-    Returns:
-        (7,) joint angles, rad, and (3,) the target in N, m: the ground truth if it is known, else
-        encoder angles and the fix by gaze.
-    """
-    truth = task.truth()
-    if truth is not None:
-        return truth.positions[n], truth.target[n]
-    gaze, _views = task.fixes()
-    return task.reading.positions[n], gaze.point[n]
-
-
-def given_or_drawn_eye_images(task: GazeTask, n: int) -> tuple[Image, Image] | None:
-    """Present images of one head's eyes.
-
-    Args:
-        task: the task.
-        n: environment index.
-
-    Returns:
-        Left and right image, (height, width) grey levels: the plant's own, or, for a simulation
-        without images, drawn noise-free at the present posture; None for a robot without images.
-    """
-    frames = task.plant.frames(n)
-    if frames is not None:
-        left, right = frames
-        return left.copy(), right.copy()
-    if not isinstance(task.plant, Simulation):
-        return None
-    positions, target = best_known_angles_and_target(task, n)
-    left, right = _views(task.head).draw(positions, np.zeros(7), target)
-    return left.copy(), right.copy()
-
-
-@functools.lru_cache(maxsize=4)
-def _views(head: HeadModel) -> BoardImageRenderer:
-    return BoardImageRenderer(head, make_planar_target("tag"))
-
-
-class Viewer:
+class TaskPictures:
     """Draws the heads of a task.
 
     Args:
@@ -111,8 +67,8 @@ class Viewer:
         Returns:
             (height, width, 3) RGB.
         """
-        images = given_or_drawn_eye_images(self._task, n) or (None, None)
-        eyes = [self._eye(n, eye, image) for eye, image in enumerate(images)]
+        images = given_or_drawn_eye_images(self._task, n)
+        eyes = [self._eye(n, eye, images) for eye in range(2)]
         highest = max(len(eye) for eye in eyes)
         top = np.concatenate([_padded(eye, highest) for eye in eyes], axis=1)
         positions, target = best_known_angles_and_target(self._task, n)
@@ -125,14 +81,12 @@ class Viewer:
             below = self._scene.draw(positions, target, width, VIEW_HEIGHT, board=known)
         return np.concatenate([top, below], axis=0)
 
-    def _eye(self, n: int, eye: int, image: Image | None) -> Image:
+    def _eye(self, n: int, eye: int, images: EyeImages | None) -> Image:
         head = self._task.head
-        origin = "" if self._task.plant.frames(n) is not None else ", drawn"
-        if image is None:
-            image, origin = (
-                np.full(head.cameras.size[eye, ::-1], _BACKGROUND_GREY, np.uint8),
-                ", no image",
-            )
+        origin = ", no image"
+        image: Image = np.full(head.cameras.size[eye, ::-1], _BACKGROUND_GREY, np.uint8)
+        if images is not None:
+            image, origin = images.of(eye), ", drawn" if images.drawn else ""
         scale = EYE_WIDTH / image.shape[1]
         size = (EYE_WIDTH, round(scale * image.shape[0]))
         grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
@@ -219,13 +173,6 @@ def draw_optical_axes(
         _label(out, title, (left + 12, 24))
     cv2.line(out, (half, 10), (half, height - 10), (200, 200, 200), 1)
     return out
-
-
-def missing_window_hint() -> str | None:
-    """Hint to install pygame, an optional dependency that windows need; None if it is installed."""
-    if find_spec("pygame") is not None:
-        return None
-    return f'render_mode="human": expected pygame, got none: {how_to_install("render")}'
 
 
 class Window:

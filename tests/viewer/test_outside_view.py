@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vergence.envs.outside_view import EYE_COLOURS, OutsideView, place_outside_camera
-from vergence.envs.views import opengl_works
 from vergence.models.files.head_file import load_head
+from vergence.viewer.outside_view import EYE_COLOURS, OutsideView, place_outside_camera
+from vergence.viewer.pictures import opengl_works
 
 HALF_HEIGHT = np.tan(np.deg2rad(22.5))
 """Half height of the image at 1 m, m: MuJoCo's free camera has a field of view of 45 degrees."""

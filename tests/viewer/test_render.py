@@ -11,10 +11,11 @@ from gymnasium.utils.env_checker import check_env
 
 from tests.envs.simulated import SIMULATED_IDS, SIMULATED_PLANTS
 from vergence import load_head
+from vergence.envs.eye_images import given_or_drawn_eye_images
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.gaze_vector import GazeVectorEnv
-from vergence.envs.views import EYE_WIDTH, VIEW_HEIGHT, given_or_drawn_eye_images
 from vergence.errors import ConfigurationError, RenderingUnavailableError
+from vergence.viewer.pictures import EYE_WIDTH, VIEW_HEIGHT
 
 pytestmark = pytest.mark.usefixtures("without_opengl")
 plants = pytest.mark.parametrize("plant", SIMULATED_PLANTS)
@@ -43,7 +44,8 @@ def test_eyes_with_images_of_their_own_size_stand_side_by_side(plant) -> None:
     head = load_head("physical").replace(cameras=cameras)
     env = gym.make("vergence/Gaze-v0", plant=plant, head=head, render_mode="rgb_array")
     env.reset(seed=0)
-    left, right = given_or_drawn_eye_images(env.unwrapped.task, 0)
+    left, right, drawn = given_or_drawn_eye_images(env.unwrapped.task, 0)
+    assert drawn == (plant != "rendered")
     assert (left.shape, right.shape) == ((480, 640), (360, 640))
     assert env.render().shape == (360 + VIEW_HEIGHT, 2 * EYE_WIDTH, 3)
     env.close()

@@ -5,8 +5,8 @@ import os
 import pytest
 
 from vergence.cli import main
-from vergence.envs import opengl
-from vergence.envs.views import opengl_works
+from vergence.viewer import opengl
+from vergence.viewer.pictures import opengl_works
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,1 @@
+"""Heads as pictures: the images of `render`, films, and the live viewer in a browser."""
