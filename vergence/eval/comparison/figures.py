@@ -1,6 +1,5 @@
 """The figures of an evaluation: a set for each scenario and plant."""
 
-import math
 from typing import Final
 
 import numpy as np
@@ -11,7 +10,7 @@ from matplotlib.figure import Figure
 from vergence.eval.comparison.contestants import BASELINE, BOUND
 from vergence.eval.comparison.evaluation import Evaluation, EvaluationResult
 from vergence.eval.comparison.statistics import median
-from vergence.eval.comparison.style import controller_styles, draw_line, shared_legend
+from vergence.eval.comparison.style import controller_styles, draw_line, name_lines
 from vergence.eval.comparison.summary import bound_trials, imputed_trial_values
 from vergence.eval.comparison.tables import has_residual
 from vergence.eval.reporting.style import GREY, figure_style, new_figure
@@ -83,16 +82,11 @@ def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
     return figures
 
 
-def _height(entries: int, panel: float) -> float:
-    """Height of a figure with panels and, below them, a legend of so many entries, inches."""
-    return panel + 0.27 * math.ceil(entries / 4)
-
-
 def _draw_settle_times(group: list[EvaluationResult], where: str) -> Figure:
     """Cumulative distribution of settle times, to the trial's end; a marker for the unsettled."""
     styles = controller_styles([*(one.controller for one in group), BOUND])
     duration, band = group[0].duration_s, SettlingBand(group[0].band_px)
-    figure = new_figure(9.0, _height(len(styles), 4.2))
+    figure = new_figure(9.0, 4.8)
     axes = figure.subplots()
     times = {one.controller: one.trials[band.settle_s_column].to_numpy() for one in group}
     least = bound_trials([one.trials for one in group], band.px)
@@ -121,14 +115,14 @@ def _draw_settle_times(group: list[EvaluationResult], where: str) -> Figure:
         title=f"Settle times: {where}",
     )  # fmt: skip
     _plain_log(axes, "x")
-    shared_legend(figure, axes)
+    name_lines(figure, axes)
     return figure
 
 
 def _draw_errors(group: list[EvaluationResult], where: str) -> Figure:
     """The worse eye's error over time: median and 95th percentile of the trials."""
     styles = controller_styles([one.controller for one in group])
-    figure = new_figure(9.0, _height(len(styles), 4.2))
+    figure = new_figure(9.0, 4.2)
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes, level, title in zip(panels, ("50", "95"), ("median", "95th percentile"), strict=True):
         for place, one in enumerate(group):
@@ -148,7 +142,7 @@ def _draw_errors(group: list[EvaluationResult], where: str) -> Figure:
     figure.suptitle(
         f"{'Tracking' if group[0].target_moves else 'Pixel'} error: {where}", fontsize=12
     )
-    shared_legend(figure, panels[0])
+    name_lines(figure, *panels)
     return figure
 
 
@@ -166,7 +160,7 @@ def _least_late_error(group: list[EvaluationResult]) -> float:
 def _draw_gains(group: list[EvaluationResult], where: str) -> Figure:
     """Effective gain of each controller, by image error and by time."""
     styles = controller_styles([one.controller for one in group])
-    figure = new_figure(9.0, _height(len(styles), 4.2))
+    figure = new_figure(9.0, 4.2)
     panels = figure.subplots(1, 2, sharey=True)
     for axes, by in zip(panels, ("error", "time"), strict=True):
         for place, one in enumerate(group):
@@ -181,14 +175,14 @@ def _draw_gains(group: list[EvaluationResult], where: str) -> Figure:
     panels[0].set_ylim(max(low, _GAIN_AXIS_LIMITS[0]), min(high, _GAIN_AXIS_LIMITS[1]))
     _plain_log(panels[0], "x")
     figure.suptitle(f"Gain that each controller amounts to, median: {where}", fontsize=12)
-    shared_legend(figure, panels[0])
+    name_lines(figure, *panels)
     return figure
 
 
 def _draw_delays(group: list[EvaluationResult], where: str) -> Figure:
     """Settled fraction and median settle time by the true delay of the trials."""
     styles = controller_styles([one.controller for one in group])
-    figure = new_figure(9.0, _height(len(styles), 4.2))
+    figure = new_figure(9.0, 4.2)
     left, right = figure.subplots(1, 2, sharex=True)
     for place, one in enumerate(group):
         table = _by_delay(one.trials, one.band_px)
@@ -211,7 +205,7 @@ def _draw_delays(group: list[EvaluationResult], where: str) -> Figure:
     for axes in (left, right):
         axes.set_xlabel("true delay of the images (ms)")
     figure.suptitle(f"Robustness against the delay: {where}", fontsize=12)
-    shared_legend(figure, left)
+    name_lines(figure, left, right)
     return figure
 
 
@@ -234,7 +228,7 @@ def _by_delay(trials: pd.DataFrame, band_px: float) -> pd.DataFrame:
 def _draw_triangulation(group: list[EvaluationResult], where: str) -> Figure:
     """Distance of the gaze fix from the target over time."""
     styles = controller_styles([one.controller for one in group])
-    figure = new_figure(9.0, _height(len(styles), 4.0))
+    figure = new_figure(9.0, 4.0)
     axes = figure.subplots()
     for place, one in enumerate(group):
         error = 1000.0 * one.curves["fix_error_p50_m"]
@@ -246,7 +240,7 @@ def _draw_triangulation(group: list[EvaluationResult], where: str) -> Figure:
         title=f"Triangulation by gaze: {where}",
     )  # fmt: skip
     _plain_log(axes, "y")
-    shared_legend(figure, axes)
+    name_lines(figure, axes)
     return figure
 
 

@@ -1,5 +1,6 @@
 """Line styles of controllers: a colour, dash and marker for each, the same in every figure."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -8,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vergence.eval.comparison.contestants import BASELINE, BOUND
+from vergence.eval.reporting.line_labels import label_lines
 from vergence.eval.reporting.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE
 from vergence.models.parts import FloatArray
 
@@ -76,8 +78,12 @@ def draw_line(
     axes.plot(x, y, markevery=(start, every), **{"linewidth": 1.6, **style, **more})
 
 
-def shared_legend(figure: Figure, axes: Axes) -> None:
-    """Draw one legend for all panels, below them."""
-    handles, labels = axes.get_legend_handles_labels()
+def name_lines(figure: Figure, *panels: Axes) -> None:
+    """Name the lines next to them, in the panel with the most room, or else in a legend."""
+    figure.draw_without_rendering()  # computes the layout
+    if label_lines(*panels, fontsize=10):
+        return
+    handles, labels = panels[0].get_legend_handles_labels()
     columns = min(len(labels), 4)
+    figure.set_figheight(figure.get_figheight() + 0.27 * math.ceil(len(labels) / columns))
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, handlelength=3.2)
