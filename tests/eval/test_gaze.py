@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from tests.envs.robot import WORLD, Robot
 from tests.eval.trials.toys import ToyScenario
@@ -71,15 +72,40 @@ class RobotWithCameras(Robot):
 
 
 def words_of(figure):
-    """All titles and entries of legends of a picture."""
-    legends = [text.get_text() for axes in figure.axes for text in axes.get_legend().get_texts()]
-    return [figure.get_suptitle(), *(axes.get_title() for axes in figure.axes), *legends]
+    """All words of a picture."""
+    return [text.get_text() for text in figure.findobj(Text)]
 
 
 def test_without_truth_no_picture_and_no_table_has_a_target(on_robot, capsys):
     assert not any("target" in words for words in words_of(compose_gaze(on_robot)))
     _print_gaze(on_robot)
     assert "truth" not in capsys.readouterr().out
+
+
+def test_the_errors_say_whether_they_are_true_or_measured(on_robot):
+    true = gaze_of("simulated", duration_s=0.1)
+    for result, kind in ((true, "true"), (on_robot, "measured")):
+        assert compose_gaze(result).axes[2].get_ylabel() == f"pixel error ({kind}), px"
+
+
+def test_both_eyes_are_magnified_alike():
+    left, right = compose_gaze(gaze_of("simulated", duration_s=0.5)).axes[:2]
+    (one,), (other,) = left.child_axes, right.child_axes
+    assert np.ptp(one.get_xlim()) == pytest.approx(np.ptp(other.get_xlim()))
+    places = [
+        panel.transAxes.inverted().transform(zoom.bbox)
+        for panel, zoom in ((left, one), (right, other))
+    ]
+    assert places[0] == pytest.approx(places[1])
+
+
+def test_each_curve_is_named_in_its_colour(on_robot):
+    errors, axes = compose_gaze(on_robot).axes[2:]
+    for panel in (errors, axes):
+        named = {text.get_text(): text.get_color() for text in panel.texts}
+        for line in panel.get_lines():
+            if not line.get_label().startswith("_"):
+                assert named[line.get_label()] == line.get_color()
 
 
 def test_without_images_none_is_shown(on_robot):

@@ -18,9 +18,9 @@ _ANCHOR_STEP: Final = 3
 """Points of a line from one candidate anchor to the next (chosen: speed)."""
 _DIRECTIONS: Final = np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
 """Candidate directions of a name from its line: right, left, above, below."""
-_DISTANCES_PT: Final = np.array([4.0, 8.0, 16.0, 28.0, 44.0, 64.0, 90.0])
+_DISTANCES_PT: Final = np.array([4.0, 8.0, 12.0, 18.0, 28.0, 44.0, 64.0, 90.0])
 """Candidate distances between a line and its name, pt (chosen)."""
-_LEADER_PT: Final = 8.0
+_LEADER_PT: Final = 12.0
 """Distance beyond which a leader joins a name to its line, pt (chosen)."""
 _CROSSED_PT: Final = 15.0
 """Distance that is as bad as another line across the leader, pt (chosen)."""
@@ -72,13 +72,14 @@ class _Names:
         maps = [_map(path, end - origin) for path in paths]
         extents = [text.get_window_extent().get_points() for text in panel.texts]
         boxes = [scale * np.array(extent) - origin for extent in extents]
+        marks = [box - origin for line in panel.get_lines() for box in _marks(line, scale)]
         self._texts = [_annotate(panel, line, style) for line in lines]
         sizes = [text.get_window_extent().size for text in self._texts]
         halves = [0.5 * scale * np.array(size) for size in sizes]
 
         def best(number: int) -> tuple[float, FloatArray, FloatArray]:
             ordered = [maps[number], *maps[:number], *maps[number + 1 :]]
-            return _best_place(paths[number], halves[number], ordered, boxes)
+            return _best_place(paths[number], halves[number], ordered, boxes, marks)
 
         self.worst = 0.0
         # the hardest first
@@ -122,6 +123,15 @@ def _points(line: Line2D, scale: float) -> FloatArray:
     return np.column_stack([np.interp(at, length, ends[:, axis]) for axis in range(2)])
 
 
+def _marks(line: Line2D, scale: float) -> FloatArray:
+    """(n, 2, 2) least and greatest corners of the markers at all points of a line, pt."""
+    if line.get_marker() in ("None", None) or line.get_markevery() is not None:
+        return np.zeros((0, 2, 2))
+    points = scale * line.get_transform().transform(np.column_stack(line.get_data()))
+    radius = 0.5 * line.get_markersize()
+    return np.stack([points - radius, points + radius], axis=1)
+
+
 def _map(points: FloatArray, size: FloatArray) -> NDArray[np.int64]:
     """Number of cells with points in the rectangle from the origin to each cell of 1 pt."""
     cells = np.zeros(np.ceil(size).astype(np.int64) + 2, np.int64)
@@ -145,6 +155,7 @@ def _best_place(
     half: FloatArray,
     maps: Sequence[NDArray[np.int64]],
     boxes: Sequence[FloatArray],
+    marks: Sequence[FloatArray],
 ) -> tuple[float, FloatArray, FloatArray]:
     """Cost of the best place of a name, its anchor on the line, and the name's centre, pt.
 
@@ -156,6 +167,7 @@ def _best_place(
         half: (2,) half width and height of the name.
         maps: maps of the line, see `_map`, and of each of the others.
         boxes: least and greatest corners (2, 2) of texts and leaders that are there.
+        marks: those of markers, which a leader may touch.
     """
     starts = path[::_ANCHOR_STEP]
     steps = (_DISTANCES_PT[:, None] * _DIRECTIONS[:, None]).reshape(-1, 2)
@@ -165,8 +177,9 @@ def _best_place(
     low, high = centres - half - _MARGIN_PT, centres + half + _MARGIN_PT
     leaders = np.sort(np.stack([anchors, anchors + steps]), axis=0)
     free = ((low >= 0.0) & (high <= np.array(maps[0].shape) - 2)).all(axis=1)
-    for least, most in boxes:
+    for least, most in (*boxes, *marks):
         free &= (low > most).any(axis=1) | (high < least).any(axis=1)
+    for least, most in boxes:
         free &= (leaders[0] > most).any(axis=1) | (leaders[1] < least).any(axis=1)
     for counts in maps:
         free &= ~_any_inside(counts, low, high)
