@@ -1,6 +1,5 @@
 """Figure of one gaze: the eyes' images, the errors over time, and the optical axes."""
 
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,21 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 
 from vergence.eval.gaze import GazeResult
+from vergence.eval.gaze_eyes_figure import EYE_COLOURS, GREEN, add_panel, columns_of, draw_eyes
 from vergence.eval.gaze_trajectory import MM
-from vergence.eval.reporting.labels import Labels, as_float_pair
 from vergence.eval.reporting.line_labels import label_lines
 from vergence.models.joints import EYE_NAMES
-from vergence.models.parts import FloatArray
 
-_COLOURS = ("#1f6fb4", "#d1571b")
-_MOST_MAGNIFIED_FRACTION: Final = 0.12
-"""Largest half width of the magnified part, as a fraction of the image's width; wider parts are not
-magnified (chosen: detail against clutter)."""
-_MAGNIFIED_SIDE: Final = 0.47
-"""Side of a magnified part, as a fraction of the height for an image (chosen)."""
 _WIDTH, _HEIGHT = 12.0, 9.8  # inches (chosen)
 _PANELS: Final = (
     (0.8, 5.05, 5.0, 4.05), (6.8, 5.05, 5.0, 4.05), (0.8, 0.55, 5.0, 3.3), (6.8, 0.55, 5.0, 3.3),
@@ -32,7 +23,7 @@ _PANELS: Final = (
 _LEAST_DRAWN_ERROR_PX: Final = 1e-3
 """Least drawn error, px; smaller errors are drawn as this (chosen: far below one that
 matters, on a logarithmic axis)."""
-_GREEN, _GREY = "#14803c", "#666666"
+_GREY = "#666666"
 _STYLE: Any = {
     "font.size": 11,
     "axes.titlesize": 12,
@@ -67,9 +58,9 @@ def compose_gaze(result: GazeResult) -> Figure:
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(_WIDTH, _HEIGHT), dpi=110)
         FigureCanvasAgg(figure)
-        _draw_eyes(figure, result)
-        _draw_errors(_panel(figure, *_PANELS[2]), result)
-        _draw_axes(_panel(figure, *_PANELS[3]), result)
+        draw_eyes(figure, result, _PANELS[:2])
+        _draw_errors(add_panel(figure, *_PANELS[2]), result)
+        _draw_axes(add_panel(figure, *_PANELS[3]), result)
         x, y, z = result.config.target_mm
         gain = result.config.gain
         law = result.config.controller + ("" if gain is None else f" with gain {gain:g}")
@@ -78,134 +69,18 @@ def compose_gaze(result: GazeResult) -> Figure:
     return figure
 
 
-def _panel(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    """Axes at a place in inches; no layout is computed, which would take longer than drawing."""
-    return figure.add_axes((left / _WIDTH, bottom / _HEIGHT, width / _WIDTH, height / _HEIGHT))
-
-
-def _columns(result: GazeResult, what: str, eye: int) -> FloatArray:
-    name = EYE_NAMES[eye]
-    columns = [f"{what}_{name}_{axis}_px" for axis in "uv"]
-    return np.asarray(result.trajectory[columns].to_numpy())
-
-
-def _draw_eyes(figure: Figure, result: GazeResult) -> None:
-    """Draw both eyes' images, magnified alike if their marks take up a small part of them."""
-    paths = [
-        _columns(result, "true_pixel" if result.has_truth else "pixel", eye) for eye in range(2)
-    ]
-    paths = [path[np.isfinite(path).all(axis=1)] for path in paths]
-    marks = [
-        np.vstack([path, centre])
-        for path, centre in zip(paths, result.head.cameras.principal, strict=True)
-    ]
-    middles = [0.5 * (points.min(axis=0) + points.max(axis=0)) for points in marks]
-    half = 60.0 + max(np.abs(p - m).max() for p, m in zip(marks, middles, strict=True))
-    sizes = np.array(result.head.cameras.size, np.float64)
-    corner = None
-    if half < _MOST_MAGNIFIED_FRACTION * sizes[:, 0].min():
-        corner = _free_corner([m / size for m, size in zip(middles, sizes, strict=True)])
-    for eye, path in enumerate(paths):
-        left, bottom, width, height = _PANELS[eye]
-        scale = min((width, height) / sizes[eye])  # inches per px
-        used = scale * sizes[eye]
-        place = (left + 0.5 * (width - used[0]), bottom + 0.5 * (height - used[1]), *used)
-        axes = _panel(figure, *place)
-        axes.set(
-            xlim=(-0.5, sizes[eye, 0] - 0.5), ylim=(sizes[eye, 1] - 0.5, -0.5),
-            xlabel="u (px)", ylabel="v (px)",
-            title=f"{EYE_NAMES[eye]} eye, {_what_is_shown(result)}",
-        )  # fmt: skip
-        axes.spines[:].set_visible(result.images is None)
-        _draw_marks(axes, result, eye, path)
-        named = axes
-        if corner is not None:
-            side = _MAGNIFIED_SIDE * height * np.array([1.0 / used[0], 1.0 / used[1]])
-            low = 0.01 + np.array(corner) * (0.98 - side)
-            named = axes.inset_axes((*low, *side))
-            (u, v) = middles[eye]
-            named.set(xlim=(u - half, u + half), ylim=(v + half, v - half), xticks=[], yticks=[])
-            named.spines[:].set(visible=True, color=_COLOURS[eye], linewidth=1.5)
-            _draw_marks(named, result, eye, path)
-            axes.indicate_inset_zoom(named, edgecolor=_COLOURS[eye], alpha=1.0)
-        _name_marks(named, result, eye, path)
-
-
-def _free_corner(middles: list[FloatArray]) -> tuple[int, int]:
-    """Corner (right, top) that is farthest from both eyes' marks, fractions of the image."""
-
-    def distance(corner: tuple[int, int]) -> float:
-        far = np.array([corner[0], 1 - corner[1]], np.float64)
-        return round(min(float(np.linalg.norm(far - middle)) for middle in middles), 1)
-
-    return max(((1, 1), (0, 1), (1, 0), (0, 0)), key=distance)
-
-
-def _draw_marks(axes: Axes, result: GazeResult, eye: int, path: FloatArray) -> None:
-    """Draw an eye's image with the path on it, without changing the limits."""
-    limits = axes.axis()
-    width, height = result.head.cameras.size[eye]
-    if result.images is not None:
-        axes.imshow(
-            result.images.of(eye), cmap="gray", vmin=0, vmax=255, aspect="auto",
-            extent=(-0.5, width - 0.5, height - 0.5, -0.5),
-        )  # fmt: skip
-    halo = [withStroke(linewidth=4.0, foreground="white")]
-    axes.plot(*path.T, color=_COLOURS[eye], lw=2.0, path_effects=halo)
-    axes.plot(*path[:1].T, "o", color=_COLOURS[eye], ms=8, mfc="white", mew=2)
-    axes.plot(
-        *result.head.cameras.principal[eye], "+", color="black", ms=24, mew=1.4, zorder=5,
-        path_effects=[withStroke(linewidth=2.6, foreground="white")],
-    )  # fmt: skip
-    axes.plot(*_last_detection(result, eye).T, "x", color=_GREEN, ms=10, mew=2.4, zorder=6)
-    axes.axis(limits)
-
-
-def _last_detection(result: GazeResult, eye: int) -> FloatArray:
-    """(1, 2) the last pixels detected by an eye, or (0, 2) if there are none."""
-    seen = _columns(result, "pixel", eye)
-    return seen[np.isfinite(seen).all(axis=1)][-1:]
-
-
-def _name_marks(axes: Axes, result: GazeResult, eye: int, path: FloatArray) -> None:
-    """Name the marks of an eye next to them, apart from each other."""
-    labels = Labels(axes)
-    for start, end in pairwise(path[:: max(1, len(path) // 20)]):
-        labels.avoid_line(start, end)
-    centre = result.head.cameras.principal[eye]
-    away = path[0] - centre if len(path) else np.array([0.0, -1.0])
-    names = [(centre, "principal point", "black", (-away[0], 1.0))]
-    names += [
-        (point, "last detection", _GREEN, (away[0], 1.0)) for point in _last_detection(result, eye)
-    ]
-    followed = "target's path,\nfrom time zero" if result.has_truth else "detections' path"
-    names += [(point, followed, _COLOURS[eye], as_float_pair(away)) for point in path[:1]]
-    for point, *_ in names:
-        labels.avoid(point, 9.0)
-    white = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5}
-    for point, text, colour, direction in reversed(names):
-        labels.add(point, text, colour, direction, fontsize=10, bbox=white)
-    labels.place()
-
-
-def _what_is_shown(result: GazeResult) -> str:
-    if result.images is None:
-        return "detections (no images)"
-    return "drawn for the last posture (no camera)" if result.images.drawn else "last image"
-
-
 def _draw_errors(axes: Axes, result: GazeResult) -> None:
     time = result.trajectory["time_s"].to_numpy()
     what, title, kind = "true_error", "pixel error, at present", "true"
     if not result.has_truth:
         what, title, kind = "measured_error", "pixel error, in the newest image", "measured"
     for eye, name in enumerate(EYE_NAMES):
-        norm = np.linalg.norm(_columns(result, what, eye), axis=1)
+        norm = np.linalg.norm(columns_of(result, what, eye), axis=1)
         style = ("-", (0, (5, 2)))[eye]
         axes.plot(
             time,
             np.maximum(norm, _LEAST_DRAWN_ERROR_PX),
-            color=_COLOURS[eye],
+            color=EYE_COLOURS[eye],
             ls=style,
             lw=2,
             label=f"{name} eye",
@@ -234,7 +109,7 @@ def _mark_bands(axes: Axes, result: GazeResult) -> None:
     for band, settled in _settle_times(result):
         axes.axhline(band, color=_GREY, lw=0.9, ls=":")
         if np.isfinite(settled):
-            axes.plot(settled, band, "o", color=_GREEN, ms=7, zorder=5)
+            axes.plot(settled, band, "o", color=GREEN, ms=7, zorder=5)
         said.append(f"{band:g} px {_after(settled)}")
     if result.has_truth:
         _say(axes, "\n".join(["settled to", *said]), 0.86)
@@ -243,7 +118,7 @@ def _mark_bands(axes: Axes, result: GazeResult) -> None:
 def _mark_least_error(axes: Axes, result: GazeResult) -> str:
     """Draw lines at both eyes' least errors, and the settle times to them; return the title."""
     for eye, least in enumerate(np.linalg.norm(result.residual, axis=-1)):
-        axes.axhline(least, color=_COLOURS[eye], lw=1.2, ls=":")
+        axes.axhline(least, color=EYE_COLOURS[eye], lw=1.2, ls=":")
         axes.get_lines()[eye].set_label(f"{EYE_NAMES[eye]} eye, least {least:.3g} px")
     said = [f"within {band:g} px of the least {_after(at)}" for band, at in _settle_times(result)]
     _say(axes, "\n".join(said), 0.2)
@@ -262,7 +137,7 @@ def _after(settled: float) -> str:
 
 def _say(axes: Axes, text: str, top: float) -> None:
     axes.text(
-        0.98, top, text, transform=axes.transAxes, color=_GREEN, ha="right", va="top",
+        0.98, top, text, transform=axes.transAxes, color=GREEN, ha="right", va="top",
         linespacing=1.4, bbox={"facecolor": "white", "edgecolor": "none", "pad": 2.0},
     )  # fmt: skip
 
@@ -279,17 +154,17 @@ def _draw_axes(axes: Axes, result: GazeResult) -> None:
         origin, direction = MM * poses[eye, :3, 3], poses[eye, :3, 2]
         end = origin + direction * 1.15 * (target[2] - origin[2]) / direction[2]
         axes.plot(
-            [origin[0], end[0]], [origin[2], end[2]], color=_COLOURS[eye], lw=2,
+            [origin[0], end[0]], [origin[2], end[2]], color=EYE_COLOURS[eye], lw=2,
             ls=("-", (0, (5, 2)))[eye], label=f"{name} optical axis",
         )  # fmt: skip
-        axes.plot(origin[0], origin[2], "s", color=_COLOURS[eye], ms=9)
+        axes.plot(origin[0], origin[2], "s", color=EYE_COLOURS[eye], ms=9)
     if result.has_truth:
         axes.plot(
             target[0], target[2], "o", ms=15, mfc="none", color="black", mew=1.5, label="target"
         )
     if fix.valid[0]:
         point = MM * fix.point[0]
-        axes.plot(point[0], point[2], "x", color=_GREEN, ms=9, mew=2.2, label="fix by gaze")
+        axes.plot(point[0], point[2], "x", color=GREEN, ms=9, mew=2.2, label="fix by gaze")
     span = max(0.3 * abs(target[2]), abs(target[0]) + 0.2 * abs(target[2]), 120.0)
     axes.set(
         xlim=(-span, span),
