@@ -141,6 +141,8 @@ def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> Labels:
     _draw_baseline(panel, shown, plane, labels)
     towards = 1.0 if across == 2 else -1.0  # direction to the reader along the view's axis
     far = 4.0 * float((shown.high - shown.low).max())
+    apart = float(np.linalg.norm((shown.eyes[1] - shown.eyes[0])[plane]))
+    seen_as_one = apart < _AXIS_MERGE_TOLERANCE * shown.size
     for eye, (origin, turn) in enumerate(zip(shown.eyes, shown.turns, strict=True)):
         colour, start = _COLOURS[eye], origin[plane]
         if {across, up} != {0, 1}:
@@ -153,6 +155,8 @@ def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> Labels:
             )
             for end in (ends[0], ends[-1]):
                 panel.plot(*np.column_stack([start, end]), color=colour, lw=0.8, alpha=0.6)
+                along = (end - start) * (shown.size / far)
+                labels.avoid_line(start + 0.4 * along, start + along)
         direction = turn[plane, 2]
         if np.linalg.norm(direction) > 0.1:
             end = start + far * direction
@@ -165,7 +169,10 @@ def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> Labels:
         back = (
             (outside, -1.0) if up == 2 else (-1.0, 0.3 * outside) if across == 2 else (outside, 0.0)
         )
-        labels.add(start, EYE_NAMES[eye], colour, back)
+        if not seen_as_one:
+            labels.add(start, EYE_NAMES[eye], colour, back)
+        elif eye == 1:
+            labels.add(start, "both eyes", BLACK, (-1.0, -0.5))
     _draw_frame(panel, np.zeros(3), length, plane, labels)
     for numbers, origin, axis in _seen_as_one(shown, across, up):
         ahead = towards * axis[3 - across - up]
