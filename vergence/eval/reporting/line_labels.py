@@ -20,8 +20,8 @@ _DIRECTIONS: Final = np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]
 """Candidate directions of a name from its line: right, left, above, below."""
 _DISTANCES_PT: Final = np.array([4.0, 8.0, 12.0, 18.0, 28.0, 44.0, 64.0, 90.0])
 """Candidate distances between a line and its name, pt (chosen)."""
-_LEADER_PT: Final = 12.0
-"""Distance beyond which a leader joins a name to its line, pt (chosen)."""
+_LEADER_PT: Final = 8.0
+"""Distance from a line, or its marker, beyond which a leader joins a name to it, pt (chosen)."""
 _CROSSED_PT: Final = 15.0
 """Distance that is as bad as another line across the leader, pt (chosen)."""
 _CONFUSED_PT: Final = 30.0
@@ -93,7 +93,9 @@ class _Names:
             boxes += [np.array([centre - half, centre + half]), np.sort([anchor, edge], axis=0)]
             text.set_position(as_float_pair(centre))
             text.xy = as_float_pair(anchor)
-            if np.linalg.norm(edge - anchor) <= _LEADER_PT and text.arrow_patch:
+            marker = np.ptp(_marks(lines[number], scale)[:1], axis=1).max(initial=0.0)
+            near = np.linalg.norm(edge - anchor) <= _LEADER_PT + 0.5 * marker
+            if near and text.arrow_patch:
                 text.arrow_patch.set_visible(False)
 
     def remove(self) -> None:
