@@ -24,11 +24,13 @@ from vergence.commands.reproduce import Reproduce
 from vergence.commands.scan_bus import ScanBus
 from vergence.commands.train import Train
 from vergence.commands.tune import Tune
+from vergence.commands.view import View
 
 __all__ = ["Command"]
 
 Command = (
     Annotated[Gaze, tyro.conf.subcommand("gaze")]
+    | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]

@@ -12,10 +12,7 @@ from vergence.models.links import inverse_pose
 from vergence.models.mujoco.model import compile_model, find_model_indices
 from vergence.models.mujoco.posture import rest_poses
 from vergence.models.parts import FloatArray
-
-EYE_COLOURS: Final = ((31, 119, 180), (214, 96, 30))
-"""RGB of the left and the right eye's axis (chosen: easy to tell apart)."""
-
+from vergence.viewer.eye_pictures import EYE_COLOURS
 
 _MAX_NARROW_BASELINE_M: Final = 0.15
 """Baseline above which the camera moves back to keep the head in view, m (chosen: room around wide

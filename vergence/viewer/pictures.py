@@ -5,28 +5,26 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from vergence.envs.eye_images import (
-    EyeImages,
-    best_known_angles_and_target,
-    given_or_drawn_eye_images,
-)
 from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
 from vergence.envs.task_env import missing_window_hint
 from vergence.errors import RenderingUnavailableError
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
+from vergence.viewer.eye_pictures import (
+    BACKGROUND_GREY,
+    EYE_COLOURS,
+    TARGET_COLOUR,
+    draw_cross,
+    draw_eye,
+    write_label,
+)
+from vergence.viewer.moment import moment_of
 from vergence.viewer.opengl import opengl_failure
-from vergence.viewer.outside_view import EYE_COLOURS, OutsideView
+from vergence.viewer.outside_view import OutsideView
 
-EYE_WIDTH: Final = 480
-"""Width of each eye's picture, px (chosen: detail against size)."""
 VIEW_HEIGHT: Final = 320
 """Height of the view of the head, px (chosen: detail against size)."""
-# Colour of text, grey of the background, colour of the target's mark; 0 to 255 (chosen: contrast).
-_TEXT_COLOUR: Final = (40, 40, 40)
-_BACKGROUND_GREY: Final = 245
-_TARGET_COLOUR: Final = (0, 150, 60)
 
 
 def opengl_works() -> bool:
@@ -67,42 +65,20 @@ class TaskPictures:
         Returns:
             (height, width, 3) RGB.
         """
-        images = given_or_drawn_eye_images(self._task, n)
-        eyes = [self._eye(n, eye, images) for eye in range(2)]
+        head, shown = self._task.head, moment_of(self._task, n)
+        eyes = [draw_eye(head, shown, eye) for eye in range(2)]
+        write_label(eyes[0], f"t = {shown.time_s:.3f} s", (10, len(eyes[0]) - 12))
         highest = max(len(eye) for eye in eyes)
         top = np.concatenate([_padded(eye, highest) for eye in eyes], axis=1)
-        positions, target = best_known_angles_and_target(self._task, n)
-        width, known = top.shape[1], self._task.truth() is not None
+        positions, target, known = shown.positions, shown.target, shown.target_is_truth
+        width = top.shape[1]
         if self._scene is None:
             below = draw_optical_axes(
-                self._task.head, positions, target, width, VIEW_HEIGHT, target_is_truth=known
+                head, positions, target, width, VIEW_HEIGHT, target_is_truth=known
             )
         else:
             below = self._scene.draw(positions, target, width, VIEW_HEIGHT, board=known)
         return np.concatenate([top, below], axis=0)
-
-    def _eye(self, n: int, eye: int, images: EyeImages | None) -> Image:
-        head = self._task.head
-        origin = ", no image"
-        image: Image = np.full(head.cameras.size[eye, ::-1], _BACKGROUND_GREY, np.uint8)
-        if images is not None:
-            image, origin = images.of(eye), ", drawn" if images.drawn else ""
-        scale = EYE_WIDTH / image.shape[1]
-        size = (EYE_WIDTH, round(scale * image.shape[0]))
-        grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        out = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
-        colour = EYE_COLOURS[eye]
-        _cross(out, scale * head.cameras.principal[eye], colour, 14)
-        pixel = self._task.reading.pixels[n, eye]
-        if np.isfinite(pixel).all():
-            _cross(out, scale * pixel, _TARGET_COLOUR, 9)
-        error = float(np.hypot(*self._task.pixel_error[n, eye]))
-        text = f"{('left', 'right')[eye]} eye{origin}   error "
-        text += f"{error:.1f} px" if np.isfinite(error) else "-"
-        _label(out, text, (10, 24))
-        if eye == 0:
-            _label(out, f"t = {self._task.reading.time_s[n]:.3f} s", (10, size[1] - 12))
-        return out
 
     def close(self) -> None:
         """Close the window and the renderer."""
@@ -136,7 +112,7 @@ def draw_optical_axes(
         (height, width, 3) RGB.
     """
     poses = head.camera_poses(positions)
-    out = np.full((height, width, 3), _BACKGROUND_GREY, dtype=np.uint8)
+    out = np.full((height, width, 3), BACKGROUND_GREY, dtype=np.uint8)
     anywhere = bool(np.isfinite(target).all())
     depth = max(1.2 * float(target[2]), 0.5) if anywhere else 1.0
     half = width // 2
@@ -167,10 +143,10 @@ def draw_optical_axes(
             cv2.line(view, (a[0] - left, a[1]), (b[0] - left, b[1]), colour, 2, cv2.LINE_AA)
             cv2.circle(view, (a[0] - left, a[1]), 8, colour, -1, cv2.LINE_AA)
         if anywhere and target_is_truth:
-            cv2.circle(out, pixel_of(target), 6, _TARGET_COLOUR, 2, cv2.LINE_AA)
+            cv2.circle(out, pixel_of(target), 6, TARGET_COLOUR, 2, cv2.LINE_AA)
         elif anywhere:
-            _cross(out, np.array(pixel_of(target)), _TARGET_COLOUR, 9)
-        _label(out, title, (left + 12, 24))
+            draw_cross(out, np.array(pixel_of(target)), TARGET_COLOUR, 9)
+        write_label(out, title, (left + 12, 24))
     cv2.line(out, (half, 10), (half, height - 10), (200, 200, 200), 1)
     return out
 
@@ -215,18 +191,4 @@ class Window:
 def _padded(image: Image, height: int) -> Image:
     """Pad a picture at the bottom with background, to the height of the other eye's."""
     below = ((0, height - len(image)), (0, 0), (0, 0))
-    return np.pad(image, below, constant_values=_BACKGROUND_GREY)
-
-
-def _cross(image: Image, at: FloatArray, colour: tuple[int, int, int], size: int) -> None:
-    u, v = round(float(at[0])), round(float(at[1]))
-    cv2.line(image, (u - size, v), (u + size, v), colour, 1, cv2.LINE_AA)
-    cv2.line(image, (u, v - size), (u, v + size), colour, 1, cv2.LINE_AA)
-
-
-def _label(image: Image, text: str, at: tuple[int, int]) -> None:
-    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.55
-    (width, height), below = cv2.getTextSize(text, font, scale, 1)
-    corner, opposite = (at[0] - 5, at[1] - height - 5), (at[0] + width + 5, at[1] + below + 3)
-    cv2.rectangle(image, corner, opposite, (_BACKGROUND_GREY,) * 3, -1)
-    cv2.putText(image, text, at, font, scale, _TEXT_COLOUR, 1, cv2.LINE_AA)
+    return np.pad(image, below, constant_values=BACKGROUND_GREY)

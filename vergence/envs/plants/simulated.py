@@ -205,7 +205,7 @@ class SimulatedPlant(Simulation):
         if len(self._missing_joints):
             positions = positions.copy()
             positions[:, self._missing_joints] = 0.0
-        self._widen_motions(start.motions.shape[1])
+        self._resize_motions(start.motions.shape[1], all_heads=len(ids) == self.num)
         own = self._arguments
         self._streams.start(ids, start.seeds, start.trials)
         self._true_heads.draw(self._streams, ids)
@@ -242,6 +242,11 @@ class SimulatedPlant(Simulation):
         self._expose(self._all)
         self._report(self._all)
         return self.reading
+
+    def move_targets(self, ids: IntArray, motions: FloatArray) -> None:
+        """See `Simulation.move_targets`."""
+        self._resize_motions(motions.shape[1], all_heads=len(ids) == self.num)
+        self._scene.motions[ids, : motions.shape[1]] = motions
 
     def truth(self) -> Truth:
         """Ground truth of the present, without delay or noise."""
@@ -282,18 +287,20 @@ class SimulatedPlant(Simulation):
         """See `Simulation.state`."""
         return copy_arrays(self._arrays())
 
-    def _widen_motions(self, width: int) -> None:
-        """Lengthen the rows of the targets' motions to `width` if they are shorter."""
+    def _resize_motions(self, width: int, *, all_heads: bool) -> None:
+        """Give the rows of the targets' motions a length of `width`, or more if some are kept."""
         rows = self._scene.motions
-        if width > rows.shape[1]:
-            wider = np.zeros((self.num, width))
-            wider[:, : rows.shape[1]] = rows
-            self._scene = self._scene._replace(motions=wider)
+        if width > rows.shape[1] or (all_heads and width < rows.shape[1]):
+            resized = np.zeros((self.num, width))
+            kept = min(width, rows.shape[1])
+            resized[:, :kept] = rows[:, :kept]
+            self._scene = self._scene._replace(motions=resized)
             self._arguments = self._arguments._replace(scene=untyped_tuple(self._scene))
 
     def restore(self, state: Arrays) -> Reading:
         """See `Simulation.restore`."""
-        self._widen_motions(state["scene.motions"].shape[1] if "scene.motions" in state else 0)
+        if "scene.motions" in state:
+            self._resize_motions(state["scene.motions"].shape[1], all_heads=True)
         restore_arrays(self._arrays(), state)
         return self.reading
 

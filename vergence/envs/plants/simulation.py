@@ -46,6 +46,16 @@ class Simulation(Plant):
         """Begin trials in some environments, see `Plant.reset`; the others continue."""
 
     @abstractmethod
+    def move_targets(self, ids: IntArray, motions: FloatArray) -> None:
+        """Replace the motions of running trials' targets: exposures from now on see the new ones.
+
+        Args:
+            ids: (m,) environment indices.
+            motions: (m, MOTION or more) motions, see `vergence.envs.targets.motion`; their time
+                counts from the trial's start, plus its onset.
+        """
+
+    @abstractmethod
     def truth(self) -> Truth:
         """Ground truth of the present, without delay or noise."""
 

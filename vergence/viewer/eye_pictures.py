@@ -1,0 +1,84 @@
+"""Picture of one eye: its image with the detection and the principal point."""
+
+from typing import Final
+
+import cv2
+import numpy as np
+
+from vergence.envs.reading import Image
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+from vergence.viewer.moment import Moment
+
+EYE_WIDTH: Final = 480
+"""Width of each eye's picture, px (chosen: detail against size)."""
+EYE_COLOURS: Final = ((31, 119, 180), (214, 96, 30))
+"""RGB of the left and the right eye (chosen: easy to tell apart)."""
+TARGET_COLOUR: Final = (0, 150, 60)
+"""RGB of the target and of its detections, 0 to 255 (chosen: contrast)."""
+BACKGROUND_GREY: Final = 245
+"""Grey level of backgrounds, 0 to 255 (chosen: contrast)."""
+_TEXT_COLOUR: Final = (40, 40, 40)
+"""RGB of text, 0 to 255 (chosen: contrast)."""
+
+
+def draw_eye(head: HeadModel, shown: Moment, eye: int, width: int = EYE_WIDTH) -> Image:
+    """Draw an eye's image, with a cross at the principal point and one at the detection.
+
+    An image that no camera has taken is labelled as drawn; without an image the crosses alone are
+    drawn.
+
+    Args:
+        head: the model of the head.
+        shown: the moment.
+        eye: 0 for left, 1 for right.
+        width: width of the picture, px; its height follows from the camera's.
+
+    Returns:
+        (height, width, 3) RGB.
+    """
+    origin = ", no image"
+    image: Image = np.full(head.cameras.size[eye, ::-1], BACKGROUND_GREY, np.uint8)
+    if shown.images is not None:
+        image, origin = shown.images.of(eye), ", drawn" if shown.images.drawn else ""
+    scale = width / image.shape[1]
+    size = (width, round(scale * image.shape[0]))
+    grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    out = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
+    draw_cross(out, scale * head.cameras.principal[eye], EYE_COLOURS[eye], 14)
+    if shown.visible[eye]:
+        draw_cross(out, scale * shown.pixels[eye], TARGET_COLOUR, 9)
+    error = float(shown.errors_px[eye])
+    text = f"{EYE_NAMES[eye]} eye{origin}   error "
+    write_label(out, text + (f"{error:.1f} px" if np.isfinite(error) else "-"), (10, 24))
+    return out
+
+
+def draw_cross(image: Image, at: FloatArray, colour: tuple[int, int, int], size: int) -> None:
+    """Draw an upright cross into a picture.
+
+    Args:
+        image: (height, width, 3) RGB, changed in place.
+        at: (2,) centre, px.
+        colour: RGB, 0 to 255.
+        size: length of its arms, px.
+    """
+    u, v = round(float(at[0])), round(float(at[1]))
+    cv2.line(image, (u - size, v), (u + size, v), colour, 1, cv2.LINE_AA)
+    cv2.line(image, (u, v - size), (u, v + size), colour, 1, cv2.LINE_AA)
+
+
+def write_label(image: Image, text: str, at: tuple[int, int]) -> None:
+    """Write a line of text on a plain rectangle into a picture.
+
+    Args:
+        image: (height, width, 3) RGB, changed in place.
+        text: the line, ASCII.
+        at: left end of the text's base line, px.
+    """
+    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.55
+    (width, height), below = cv2.getTextSize(text, font, scale, 1)
+    corner, opposite = (at[0] - 5, at[1] - height - 5), (at[0] + width + 5, at[1] + below + 3)
+    cv2.rectangle(image, corner, opposite, (BACKGROUND_GREY,) * 3, -1)
+    cv2.putText(image, text, at, font, scale, _TEXT_COLOUR, 1, cv2.LINE_AA)

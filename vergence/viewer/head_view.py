@@ -1,0 +1,96 @@
+"""One head in the browser: the scene, both eyes, the curves, and the state in words."""
+
+from typing import Final
+
+import numpy as np
+import viser
+
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
+from vergence.viewer.moment import Moment
+from vergence.viewer.panels import CurvePanel, EyePanel
+from vergence.viewer.scene import HeadScene
+
+SHOWN_HZ: Final = 30.0
+"""Greatest number of moments shown per second (chosen: smooth; each costs two JPEGs)."""
+_WORDS_PERIOD_S: Final = 0.2
+"""Least time between two updates of the words, s (chosen: legible)."""
+_PANEL_WIDTH_PX: Final = 330
+"""Width of the panel with images and curves, px of the page (chosen: room for the scene)."""
+_MM: Final = 1000.0
+"""Millimetres per metre (physical: conversion of units)."""
+
+
+class HeadView:
+    """One head in the browser.
+
+    Args:
+        server: server of the browsers.
+        head: the model of the head.
+
+    Attributes:
+        scene: the head in 3D.
+        sigmas: size of the covariance ellipsoid, in standard deviations.
+        shown: number of moments shown so far.
+    """
+
+    def __init__(self, server: viser.ViserServer, head: HeadModel) -> None:
+        self._server = server
+        self.sigmas, self.shown, self._written_s = 3.0, 0, -np.inf
+        self._words = server.gui.add_markdown("")
+        panel = server.gui.add_panel()
+        self._tab = panel.add_tab("Eyes")
+        panel.dock_left()
+        panel.set_width(_PANEL_WIDTH_PX)
+        self._show_head(head)
+
+    def _show_head(self, head: HeadModel) -> None:
+        self.scene = HeadScene(self._server, head)
+        with self._tab:
+            self._eyes = EyePanel(self._server, head)
+            self._curves = CurvePanel(self._server, head)
+
+    def change_head(self, head: HeadModel) -> None:
+        """Show another head from now on."""
+        self._server.scene.reset()
+        self._eyes.remove()
+        self._curves.remove()
+        self._show_head(head)
+
+    def show(self, shown: Moment, words: list[str], *, moves_target: bool = True) -> None:
+        """Show a moment.
+
+        Args:
+            shown: the moment.
+            words: further lines of text, in Markdown.
+            moves_target: False while somebody drags the target, so that it stays in their hand.
+        """
+        with self._server.atomic():
+            self.scene.show(shown, sigmas=self.sigmas, moves_target=moves_target)
+            self._eyes.show(shown)
+            self._curves.add(shown)
+            if not 0.0 <= shown.time_s - self._written_s < _WORDS_PERIOD_S:
+                self._written_s = shown.time_s
+                self._words.content = "  \n".join([*words, *_describe(shown)])
+        self.shown += 1
+
+
+def _describe(shown: Moment) -> list[str]:
+    """Lines of text about a moment."""
+    blind = [name for name, sees in zip(EYE_NAMES, shown.visible, strict=True) if not sees]
+    lines = [f"**the {' and the '.join(blind)} eye does not see the target**"] if blind else []
+    if not shown.fix.valid:
+        return [*lines, "the optical axes do not cross"]
+    lines += [
+        f"fix by gaze {_three(_MM * shown.fix.point, 1)} mm",
+        f"1 sigma {_three(_MM * shown.fix.sigma, 2)} mm",
+        f"gap between the axes {_MM * shown.fix.gap:.2f} mm",
+    ]
+    if shown.target_is_truth:
+        off = _MM * float(np.linalg.norm(shown.fix.point - shown.target))
+        lines.append(f"fix to target {off:.1f} mm")
+    return lines
+
+
+def _three(values: object, decimals: int) -> str:
+    return "(" + ", ".join(f"{value:.{decimals}f}" for value in np.asarray(values)) + ")"

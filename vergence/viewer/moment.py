@@ -1,0 +1,67 @@
+"""State of one head at one time, as pictures and the viewer show it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vergence.envs.eye_images import (
+    EyeImages,
+    best_known_angles_and_target,
+    given_or_drawn_eye_images,
+)
+from vergence.envs.reading import BoolArray
+from vergence.envs.task import GazeTask
+from vergence.models.parts import FloatArray
+from vergence.triangulation import Fix
+
+
+class Moment(NamedTuple):
+    """State of one head at one time."""
+
+    time_s: float
+    """Time since the trial's start, s."""
+    positions: FloatArray
+    """(7,) best known joint angles, rad."""
+    velocities: FloatArray
+    """(7,) measured joint velocities, rad/s."""
+    target: FloatArray
+    """(3,) best known position of the target in N, m; nan for none."""
+    target_is_truth: bool
+    """True if the target is ground truth, False if it is the fix by gaze."""
+    pixels: FloatArray
+    """(2, 2) raw pixels of the target in the newest image; nan if the eye does not see it."""
+    errors_px: FloatArray
+    """(2,) pixel error by eye, px: true if the target is ground truth, else measured."""
+    fix: Fix
+    """Fix by gaze from the measured joint angles, of one head."""
+    images: EyeImages | None
+    """The eyes' present images; None for a robot without images."""
+
+    @property
+    def visible(self) -> BoolArray:
+        """(2,) True if the eye sees the target in its newest image."""
+        return np.asarray(np.isfinite(self.pixels).all(axis=-1))
+
+
+def moment_of(task: GazeTask, n: int = 0) -> Moment:
+    """Present moment of one head of a task.
+
+    Args:
+        task: the task.
+        n: environment index.
+    """
+    positions, target = best_known_angles_and_target(task, n)
+    truth, reading = task.truth(), task.reading
+    errors = task.pixel_error if truth is None else truth.pixel_error
+    gaze, _views = task.fixes()
+    return Moment(
+        time_s=float(reading.time_s[n]),
+        positions=positions.copy(),
+        velocities=reading.velocities[n].copy(),
+        target=target.copy(),
+        target_is_truth=truth is not None,
+        pixels=reading.pixels[n].copy(),
+        errors_px=np.linalg.norm(errors[n], axis=-1),
+        fix=Fix._make(part[n] for part in gaze),
+        images=given_or_drawn_eye_images(task, n),
+    )

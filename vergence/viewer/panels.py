@@ -1,0 +1,140 @@
+"""Panels beside the scene: both eyes' images, errors and speeds over time, the state in words."""
+
+from typing import Final
+
+import numpy as np
+import viser
+from viser import uplot
+
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
+from vergence.viewer.eye_pictures import EYE_COLOURS, EYE_WIDTH, draw_eye
+from vergence.viewer.moment import Moment
+
+HISTORY_S: Final = 4.0
+"""Time that the curves show, s (chosen: several gazes)."""
+_PLOT_PERIOD_S: Final = 0.1
+"""Least time between two updates of the curves, s (chosen: smooth enough against load)."""
+_MIN_DRAWN_ERROR_PX: Final = 0.01
+"""Least drawn error, px; smaller ones are drawn as this (chosen: far below one that matters)."""
+_JPEG_QUALITY: Final = 80
+"""Quality of the images, of 100 (chosen: no visible blocks)."""
+_AXES: Final = (uplot.Axis(), uplot.Axis(size=60))
+"""Axes of the curves, with room for their numbers."""
+_JOINT_COLOURS: Final = (
+    "#1f77b4",
+    "#7fb2d9",
+    "#d6601e",
+    "#efb08b",
+    "#777777",
+    "#999999",
+    "#bbbbbb",
+)
+
+
+class EyePanel:
+    """The images of both eyes.
+
+    Args:
+        server: server of the browsers.
+        head: the model of the head.
+    """
+
+    def __init__(self, server: viser.ViserServer, head: HeadModel) -> None:
+        self._head = head
+        heights = np.round(EYE_WIDTH * head.cameras.size[:, 1] / head.cameras.size[:, 0])
+        self._images = [
+            server.gui.add_image(
+                np.full((int(height), EYE_WIDTH, 3), 245, np.uint8),
+                format="jpeg",
+                jpeg_quality=_JPEG_QUALITY,
+            )
+            for height in heights
+        ]
+
+    def show(self, shown: Moment) -> None:
+        """Show a moment's images."""
+        for eye, handle in enumerate(self._images):
+            handle.image = draw_eye(self._head, shown, eye)
+
+    def remove(self) -> None:
+        """Take the images away."""
+        for handle in self._images:
+            handle.remove()
+
+
+class CurvePanel:
+    """Curves of the pixel errors and of the joint speeds over the last seconds.
+
+    Args:
+        server: server of the browsers.
+        head: the model of the head.
+    """
+
+    def __init__(self, server: viser.ViserServer, head: HeadModel) -> None:
+        self._joints = [i for i, name in enumerate(head.joints) if name and i in _first(head)]
+        self._rows: list[tuple[float, ...]] = []
+        self._drawn_s = -np.inf
+        empty = np.zeros(0)
+        time = uplot.Series(label="time (s)")
+        self._errors = server.gui.add_uplot(
+            data=(empty, empty, empty),
+            series=(time, *(
+                uplot.Series(label=name, stroke=_css(colour), width=2)
+                for name, colour in zip(EYE_NAMES, EYE_COLOURS, strict=True)
+            )),
+            title="pixel error (px)",
+            scales={"x": uplot.Scale(time=False), "y": uplot.Scale(distr=3)},
+            axes=_AXES,
+            aspect=1.8,
+        )  # fmt: skip
+        self._speeds = server.gui.add_uplot(
+            data=(empty, *[empty for _ in self._joints]),
+            series=(time, *(
+                uplot.Series(label=head.joints[joint], stroke=colour, width=2)
+                for joint, colour in zip(self._joints, _JOINT_COLOURS, strict=False)
+            )),
+            title="joint speed (deg/s)",
+            scales={"x": uplot.Scale(time=False)},
+            axes=_AXES,
+            aspect=1.8,
+        )  # fmt: skip
+
+    def add(self, shown: Moment) -> None:
+        """Add a moment; an earlier one than the last begins the curves anew."""
+        if self._rows and shown.time_s < self._rows[-1][0]:
+            self._rows.clear()
+            self._drawn_s = -np.inf
+        errors = np.maximum(shown.errors_px, _MIN_DRAWN_ERROR_PX)
+        speeds = np.rad2deg(shown.velocities[self._joints])
+        self._rows.append((shown.time_s, *errors.tolist(), *speeds.tolist()))
+        while self._rows[0][0] < shown.time_s - HISTORY_S:
+            self._rows.pop(0)
+        if shown.time_s - self._drawn_s >= _PLOT_PERIOD_S:
+            self._drawn_s = shown.time_s
+            self.draw(np.array(self._rows))
+
+    def draw(self, rows: FloatArray) -> None:
+        """Draw curves.
+
+        Args:
+            rows: (n, 3 + joints) times, s, errors of both eyes, px, and speeds, degrees/s.
+        """
+        columns = [np.ascontiguousarray(column) for column in rows.T]
+        self._errors.data = tuple(columns[:3])
+        self._speeds.data = (columns[0], *columns[3:])
+
+    def remove(self) -> None:
+        """Take the curves away."""
+        self._errors.remove()
+        self._speeds.remove()
+
+
+def _first(head: HeadModel) -> set[int]:
+    """First index of each joint: a joint that both eyes share has two."""
+    return {head.joints.index(name) for name in head.joints if name}
+
+
+def _css(colour: tuple[int, int, int]) -> str:
+    return f"rgb{colour}"

@@ -1,0 +1,211 @@
+"""The viewer of a simulated head: controls, and the loop that keeps real time."""
+
+import queue
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, Final, get_args
+
+import numpy as np
+import viser
+
+from vergence.controllers.controller import CONTROLLERS, default_options
+from vergence.envs.plants.imperfections import IMPERFECTIONS, LOOP_PARTS, Imperfection
+from vergence.errors import VergenceError
+from vergence.models.files.head_file import load_head, presets
+from vergence.models.parts import FloatArray
+from vergence.viewer.head_view import SHOWN_HZ, HeadView
+from vergence.viewer.simulated import Setup, SimulatedHead, TargetMode
+
+_MOST_LATE_S: Final = 0.1
+"""Lateness after which simulated time stands still instead of catching up, s (chosen)."""
+_PLANTS: Final = {
+    "images and a detector (rendered)": "rendered",
+    "pixels with noise (mujoco)": "mujoco",
+    "pixels, no masses (kinematic)": "kinematic",
+}
+"""Plants by what they offer."""
+_SLIDER_STEPS: Final = 100
+"""Steps of a slider (chosen: fine enough for a hand)."""
+_GAIN_RANGE: Final = (0.5, 30.0)
+"""Ends of the slider for gains, 1/s (chosen: every tuned gain lies within)."""
+
+
+class Playground:
+    """A simulated head in the browser, with controls of its target, law and loop.
+
+    Browsers ask from threads of their own; the loop does what they ask between two periods.
+
+    Args:
+        server: server of the browsers.
+        setup: the head at first, with its law and loop.
+        mode: motion of the target at first.
+        seed: seed of all noise.
+
+    Attributes:
+        view: the page.
+
+    Raises:
+        VergenceError: the head or the law is not possible.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, setup: Setup, mode: TargetMode = "step", seed: int = 0
+    ) -> None:
+        self._server = server
+        self._heads = {setup.head.name: setup.head}
+        self._simulated = SimulatedHead(setup, mode, seed)
+        self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._speed, self._paused, self._dragging = 1.0, False, False
+        self.view = HeadView(server, setup.head)
+        self._add_target_controls(mode)
+        self._add_head_controls(setup)
+        self._sliders: dict[str, Any] = {}
+        with server.gui.add_folder("Faults of the loop", expand_by_default=False):
+            for part in LOOP_PARTS:
+                self._add_loop_controls(part)
+        self._take_target()
+
+    def run(self, until: Callable[[], bool] = lambda: False) -> None:
+        """Simulate in real time, and show, until told otherwise.
+
+        Args:
+            until: called at least once in each control period; True ends the session.
+        """
+        due_s = shown_s = time.monotonic()
+        while not until():
+            self._do_what_is_asked()
+            now_s = time.monotonic()
+            if self._paused:
+                due_s = now_s
+            elif now_s >= due_s:
+                self._simulated.step()
+                due_s = max(due_s, now_s - _MOST_LATE_S) + self._simulated.period_s / self._speed
+            if now_s >= shown_s:
+                shown_s = max(shown_s, now_s - 1.0 / SHOWN_HZ) + 1.0 / SHOWN_HZ
+                self.view.show(
+                    self._simulated.moment(), self._words(), moves_target=not self._dragging
+                )
+            wait_s = min(shown_s, shown_s if self._paused else due_s) - time.monotonic()
+            if wait_s > 0.0:
+                time.sleep(wait_s)
+
+    def _do_what_is_asked(self) -> None:
+        while not self._asked.empty():
+            try:
+                self._asked.get()()
+            except VergenceError as error:
+                for client in self._server.get_clients().values():
+                    client.add_notification("Not possible", str(error), color="red")
+
+    def _words(self) -> list[str]:
+        settled, bound = self._simulated.settled_s, self._simulated.bound_s
+        text = "settled to 1 px after **" + (f"{1e3 * settled:.0f} ms" if settled else "-") + "**"
+        if bound is not None:
+            text += f", time-optimal bound {1e3 * bound:.0f} ms"
+            text += f": ratio **{settled / bound:.2f}**" if settled else ""
+        return [text]
+
+    def _take_target(self) -> None:
+        """Let browsers drag the target."""
+        target = self.view.scene.target
+        target.visible = True
+        target.on_update(self._drag)
+
+    def _drag(self, event: "viser.TransformControlsEvent") -> None:
+        self._dragging = event.phase != "end"
+        point = np.array(event.target.position)
+        self._asked.put(partial(self._move_target, point))
+
+    def _move_target(self, point: FloatArray) -> None:
+        self._simulated.move_target(self.view.scene.point_in_n(point))
+        self._mode.value = "by hand"
+
+    def _on_browser(self, handle: Any, do: Callable[[Any], None]) -> None:
+        """Have the loop do something with a control's value when a browser changes it."""
+
+        def ask(event: Any) -> None:
+            if event.client is not None:  # not when the program sets it
+                self._asked.put(lambda: do(handle.value))
+
+        handle.on_update(ask)
+
+    def _add_target_controls(self, mode: TargetMode) -> None:
+        gui = self._server.gui
+        with gui.add_folder("Target"):
+            self._mode: Any = gui.add_dropdown(
+                "Motion", tuple(get_args(TargetMode)), initial_value=mode, hint="or drag it"
+            )
+            ahead = gui.add_button("In front of the eyes")
+            speed = gui.add_slider("Speed of time", 0.02, 1.0, 0.02, 1.0)
+            paused = gui.add_checkbox("Paused", False)
+            sigmas = gui.add_slider("Ellipsoid (sigmas)", 1, 100, 1, 3)
+        self._on_browser(self._mode, self._simulated.set_mode)
+        self._on_browser(speed, lambda value: setattr(self, "_speed", value))
+        self._on_browser(paused, lambda value: setattr(self, "_paused", value))
+        self._on_browser(sigmas, lambda value: setattr(self.view, "sigmas", value))
+        ahead.on_click(lambda _event: self._asked.put(self._look_ahead))
+
+    def _look_ahead(self) -> None:
+        self._simulated.look_ahead()
+        self._mode.value = "by hand"
+
+    def _add_head_controls(self, setup: Setup) -> None:
+        gui = self._server.gui
+        names = [*self._heads, *(name for name in presets() if name not in self._heads)]
+        plant = next(words for words, name in _PLANTS.items() if name == setup.plant)
+        with gui.add_folder("Head and law"):
+            head = gui.add_dropdown("Head", tuple(names), initial_value=setup.head.name)
+            law = gui.add_dropdown("Law", tuple(CONTROLLERS), initial_value=setup.controller)
+            gain: Any = gui.add_slider("Gain (1/s)", *_GAIN_RANGE, 0.5, setup.gain or 4.0)
+            images = gui.add_dropdown("Images", tuple(_PLANTS), initial_value=plant)
+        gain.disabled = "gain" not in default_options(setup.controller)
+
+        def change_law(name: str) -> None:
+            own = default_options(name)
+            self._change(controller=name, gain=own.get("gain"))
+            gain.disabled = "gain" not in own
+            gain.value = own.get("gain") or gain.value
+
+        self._on_browser(head, self._change_head)
+        self._on_browser(law, change_law)
+        self._on_browser(gain, lambda value: self._change(gain=value))
+        self._on_browser(images, lambda value: self._change(plant=_PLANTS[value]))
+
+    def _add_loop_controls(self, part: str) -> None:
+        """Add a slider for each imperfection of a part of the loop."""
+        gui = self._server.gui
+        with gui.add_folder(part.capitalize(), expand_by_default=False):
+            for name, one in IMPERFECTIONS.items():
+                if one.part != part:
+                    continue
+                unit, factor = one.display_unit
+                nominal = self._nominal(one)
+                low, high = (factor * end for end in one.search_range)
+                low, high = min(low, nominal), max(high, nominal)
+                label = f"{one.label} ({unit})" if unit else one.label
+                step = (high - low) / _SLIDER_STEPS
+                slider = gui.add_slider(label, low, high, step, nominal, hint=one.description)
+                self._sliders[name] = slider
+                self._on_browser(slider, partial(self._change_loop, name))
+
+    def _nominal(self, one: Imperfection) -> float:
+        """Value of an imperfection by the head's own file, in its unit for display."""
+        return one.display_unit[1] * float(np.max(one.nominal(self._simulated.setup.head)))
+
+    def _change_head(self, name: str) -> None:
+        head = self._heads[name] if name in self._heads else load_head(name)
+        self._heads[name] = head
+        self._change(head=head, loop={})
+        for name, slider in self._sliders.items():
+            slider.value = self._nominal(IMPERFECTIONS[name])
+        self.view.change_head(head)
+        self._take_target()
+
+    def _change_loop(self, name: str, value: float) -> None:
+        own = {name: value / IMPERFECTIONS[name].display_unit[1]}
+        self._change(loop={**self._simulated.setup.loop, **own})
+
+    def _change(self, **fields: Any) -> None:
+        self._simulated.change(replace(self._simulated.setup, **fields))

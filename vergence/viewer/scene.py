@@ -1,0 +1,176 @@
+"""A head in 3D in the browser: links, eyes, optical axes, target, and the fix by gaze."""
+
+from typing import Final
+
+import numpy as np
+import viser
+from scipy.spatial.transform import Rotation
+
+from vergence.models.boards import board_pose, make_planar_target, outline_m, texture
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYE_NAMES
+from vergence.models.links import inverse_pose
+from vergence.models.mujoco.scene import surroundings_of
+from vergence.models.parts import FloatArray
+from vergence.viewer.eye_pictures import EYE_COLOURS
+from vergence.viewer.moment import Moment
+from vergence.viewer.shapes import HeadShapes
+
+# RGB of the fix and of the common perpendicular, 0 to 255 (chosen: unlike the eyes' colours)
+_FIX_COLOUR: Final = (170, 40, 150)
+_GAP_COLOUR: Final = (200, 30, 30)
+_FRUSTUM_BASELINES: Final = 0.35
+"""Length of an eye's frustum in baselines (chosen: visible against the eyes, short of the
+target)."""
+_MAX_FRUSTUM_RAD: Final = 2.4
+"""Widest drawn field of view, rad (chosen: a wider frustum would be flat)."""
+_BOARD_PX_PER_CELL: Final = 16
+"""Pixels of the target's picture along a cell (chosen: sharp edges)."""
+# first place of the page's camera, and the point that it looks at, m (chosen: the head and a
+# target at arm's length)
+_CAMERA_AT_M: Final = (0.75, 0.25, 0.4)
+_CAMERA_LOOKS_AT_M: Final = (0.0, -0.4, -0.05)
+_DISTANCE_WITHOUT_FIX_M: Final = 1.0
+"""Length of the optical axes without a fix, m (chosen: an arm's length and more)."""
+
+
+class HeadScene:
+    """The scene of one head, in the head's upright frame: z up, the head looks along -y.
+
+    Args:
+        server: server of the browsers.
+        head: one head, not a population.
+
+    Attributes:
+        target: the handles by which the target can be dragged, hidden at first.
+    """
+
+    def __init__(self, server: viser.ViserServer, head: HeadModel) -> None:
+        self._server, self._head = server, head
+        self._shapes = HeadShapes(head)
+        self._N = np.eye(4)
+        api = server.scene
+        self._root = api.add_frame("/head", show_axes=False)
+        self._bodies: dict[int, viser.FrameHandle] = {}
+        for number, mesh in enumerate(self._shapes.meshes):
+            if mesh.body not in self._bodies:
+                name = f"/head/body{mesh.body}"
+                self._bodies[mesh.body] = api.add_frame(name, show_axes=False)
+            api.add_mesh_simple(
+                f"/head/body{mesh.body}/mesh{number}", mesh.vertices, mesh.faces, color=mesh.colour
+            )
+        reach = _FRUSTUM_BASELINES * self._shapes.baseline_m
+        self._eyes = [
+            api.add_camera_frustum(
+                f"/head/{name}",
+                fov=min(2.0 * np.arctan(0.5 * size[1] / focal[1]), _MAX_FRUSTUM_RAD),
+                aspect=float(size[0] / size[1]),
+                scale=reach,
+                color=colour,
+                thickness=1.5,
+                thickness_units="screen",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            for name, size, focal, colour in zip(
+                EYE_NAMES, head.cameras.size, head.cameras.focal, EYE_COLOURS, strict=True
+            )
+        ]
+        nothing = np.zeros((1, 2, 3))
+        self._axes = [
+            api.add_line_segments(
+                f"/head/axis_{name}", nothing, colour, thickness=3.0, thickness_units="screen"
+            )
+            for name, colour in zip(EYE_NAMES, EYE_COLOURS, strict=True)
+        ]
+        self._perpendicular = api.add_line_segments(
+            "/head/perpendicular", nothing, _GAP_COLOUR, thickness=5.0, thickness_units="screen"
+        )
+        self._fix = api.add_icosphere(
+            "/head/fix", radius=1.0, color=_FIX_COLOUR, opacity=0.45, cast_shadow=False
+        )
+        board = make_planar_target("tag")
+        size = np.ptp(outline_m(board), axis=0)
+        self._board = api.add_image(
+            "/head/board",
+            np.repeat(texture(board, _BOARD_PX_PER_CELL)[..., None], 3, axis=2),
+            *size.tolist(),
+            cast_shadow=False,
+        )
+        self.target = api.add_transform_controls(
+            "/head/target", scale=0.25, disable_rotations=True, visible=False, line_width=3.0
+        )
+        server.initial_camera.position = _CAMERA_AT_M
+        server.initial_camera.look_at = _CAMERA_LOOKS_AT_M
+        floor_m = surroundings_of(head).floor_m
+        api.add_grid(
+            "/floor", 4.0, 4.0, cell_size=0.1, section_size=0.5, position=(0.0, -1.0, floor_m),
+            cell_color=(225, 225, 225), section_color=(200, 200, 200),
+        )  # fmt: skip
+
+    def point_in_n(self, point: FloatArray) -> FloatArray:
+        """Convert a point of the scene to N as it was shown last.
+
+        Args:
+            point: (3,) in the upright frame, m.
+
+        Returns:
+            (3,) in N, m.
+        """
+        return np.asarray((inverse_pose(self._N) @ [*point, 1.0])[:3])
+
+    def show(self, shown: Moment, *, sigmas: float, moves_target: bool = True) -> None:
+        """Show a moment.
+
+        Args:
+            shown: the moment.
+            sigmas: size of the covariance ellipsoid, in standard deviations.
+            moves_target: False while somebody drags the target, so that it stays in their hand.
+        """
+        self._N = self._shapes.pose_of_n(shown.positions)
+        poses = self._shapes.body_poses(shown.positions)
+        cameras = self._N @ self._head.camera_poses(shown.positions)
+        points = (self._N @ np.append(shown.fix.point, 1.0))[:3]
+        with self._server.atomic():
+            for body, frame in self._bodies.items():
+                frame.position, frame.wxyz = poses[body, :3, 3], _wxyz(poses[body, :3, :3])
+            for frustum, pose in zip(self._eyes, cameras, strict=True):
+                frustum.position, frustum.wxyz = pose[:3, 3], _wxyz(pose[:3, :3])
+            self._show_axes(cameras, points)
+            valid = bool(shown.fix.valid)
+            self._fix.visible = valid
+            if valid:
+                size, turn = np.linalg.eigh(shown.fix.covariance)
+                if np.linalg.det(turn) < 0.0:
+                    turn[:, 0] *= -1.0
+                scale = sigmas * np.sqrt(np.maximum(size, 0.0))
+                self._fix.scale = tuple(np.maximum(scale, 1e-4).tolist())
+                self._fix.position = points
+                self._fix.wxyz = _wxyz(self._N[:3, :3] @ turn)
+            there = bool(np.isfinite(shown.target).all())
+            self._board.visible = there and shown.target_is_truth
+            if there:
+                pose = self._N @ board_pose(shown.target)
+                self._board.position, self._board.wxyz = pose[:3, 3], _wxyz(pose[:3, :3])
+                if moves_target:
+                    self.target.position = pose[:3, 3]
+
+    def _show_axes(self, cameras: FloatArray, fix: FloatArray) -> None:
+        """Draw the optical axes to beyond the fix, and their common perpendicular."""
+        origins, directions = cameras[:, :3, 3], cameras[:, :3, 2]
+        length = _DISTANCE_WITHOUT_FIX_M
+        feet = None
+        if np.isfinite(fix).all():
+            length = float(np.linalg.norm(fix - origins.mean(axis=0)))
+            along = np.einsum("ei,ei->e", fix - origins, directions)
+            feet = origins + along[:, None] * directions
+        for line, origin, direction in zip(self._axes, origins, directions, strict=True):
+            line.points = np.array([[origin, origin + 1.15 * length * direction]], np.float32)
+        self._perpendicular.visible = feet is not None
+        if feet is not None:
+            self._perpendicular.points = feet[None].astype(np.float32)
+
+
+def _wxyz(turn: FloatArray) -> FloatArray:
+    """Quaternion (w, x, y, z) of a rotation matrix (3, 3)."""
+    return np.asarray(Rotation.from_matrix(turn).as_quat(scalar_first=True))
