@@ -115,7 +115,7 @@ def test_wrong_input_ends_in_one_clear_line_and_exit_code_2(tmp_path, capsys, mo
         (["gaze", "--nonsense", "1"], "--nonsense"),
         (["export", "nonsense"], "nonsense"),
         (["collect"], "missing RECORDING, --board TARGET (see"),
-        (["nonsense"], "command: expected one of gaze, reproduce, train"),
+        (["nonsense"], "command: expected one of gaze, view, reproduce"),
     ):
         with named(words, said):
             if said == "left_pan":
