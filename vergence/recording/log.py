@@ -1,25 +1,22 @@
 """Reading of a robot's log, complete or truncated by a crash; its content is untrusted."""
 
 import os
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vergence.envs.reading import Image, Reading, Truth
-from vergence.errors import ConfigurationError, UnreadableFileError, VergenceError
-from vergence.models.files.head_toml import parse_head
+from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
-from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
 from vergence.recording import schema
+from vergence.recording.content import LogContent
 from vergence.recording.jpeg import read_jpeg
-from vergence.recording.messages import decode_message, escape_control_characters
-from vergence.recording.records import EXPECTED_FILE, read_records
+from vergence.recording.records import read_records
 from vergence.recording.schema import (
     CommandOrigin,
     LoggedCommand,
@@ -29,12 +26,10 @@ from vergence.recording.schema import (
 )
 
 if TYPE_CHECKING:
-    from mcap.records import McapRecord
+    from mcap.records import Message
 
 _MAX_TRIAL_S: Final = 1e5
 """Upper limit of times in a trial, s: a day; a log with later ones is refused (chosen)."""
-_INTEGER_PATTERN: Final = re.compile("-?[0-9]{1,19}")
-_TOPIC_BY_NAME: Final = {topic.name: topic for topic in schema.TOPICS}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,23 +105,13 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     """
     parts = _LogBuilder()
     for record in read_records(path, parts.broken):
-        try:
-            parts.add(record)
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{path}: {error}") from error
-    if schema.HEAD_FILE not in parts.files or not parts.facts:
-        reason = "it is cut off before its head" if parts.cut_off else "it has no head"
-        raise UnreadableFileError(os.fspath(path), reason, EXPECTED_FILE)
-    if parts.facts.get("schema") != schema.SCHEMA_VERSION:
-        raise UnreadableFileError(
-            os.fspath(path),
-            f"its schema is {parts.facts.get('schema', 'unknown')!r:.40}",
-            f"schema {schema.SCHEMA_VERSION}",
-        )
-    try:
-        head = parse_head(parts.files[schema.HEAD_FILE])
-    except VergenceError as error:
-        raise ConfigurationError(f"{path}: {schema.HEAD_FILE}: {error}") from error
+        topic = parts.add(record)
+        if topic is not None:
+            try:
+                parts.add_message(topic, cast("Message", record).data)
+            except ConfigurationError as error:
+                raise ConfigurationError(f"{path}: {error}") from error
+    head = parts.head(path, "it is cut off before its head" if parts.cut_off else "it has no head")
     try:
         trials = tuple(trial.finish() for trial in parts.trials if trial.readings)
     except ConfigurationError as error:
@@ -190,71 +175,41 @@ def _columns(rows: Sequence[Reading] | Sequence[Truth]) -> Iterator[NDArray[Any]
         yield np.stack(column)[:, None]
 
 
-class _LogBuilder:
+class _LogBuilder(LogContent):
     """Content of the log read so far."""
 
     def __init__(self) -> None:
-        self.facts: dict[str, str] = {}
-        self.files: dict[str, str] = {}
+        super().__init__()
         self.trials: list[_OpenTrial] = []
         self.joints: list[LoggedJoints] = []
         self.detections: list[LoggedDetection] = []
         self.faults: list[str] = []
         self.cut_off = ""
-        self._topics: dict[int, Topic] = {}
 
     def broken(self, reason: str) -> None:
         """Note that the file ends early."""
         self.cut_off = reason
 
-    def add(self, record: "McapRecord") -> None:
-        """Add a record of the file."""
-        from mcap.records import Attachment, Channel, Message, Metadata
-
-        if isinstance(record, Channel) and record.topic in _TOPIC_BY_NAME:
-            self._topics[record.id] = _TOPIC_BY_NAME[record.topic]
-        elif isinstance(record, Message) and record.channel_id in self._topics:
-            topic = self._topics[record.channel_id]
-            self._add_message(topic, decode_message(topic, record.data))
-        elif isinstance(record, Metadata) and record.name == schema.FACTS_RECORD_NAME:
-            self.facts = {
-                name: escape_control_characters(text) for name, text in record.metadata.items()
-            }
-        elif isinstance(record, Attachment):
-            self.files[record.name] = record.data.decode("utf-8", "replace")
-
-    def _add_message(self, topic: Topic, fields: dict[str, Any]) -> None:
+    def add_message(self, topic: Topic, data: bytes) -> None:
+        """Add a message of the file."""
+        value = self.message(topic, data)
         if topic is schema.TRIAL:
-            self.trials.append(_OpenTrial(**fields))
+            self.trials.append(_OpenTrial(value))
         elif topic is schema.DETECTION:
-            if fields["eye"] not in EYE_NAMES:
-                raise ConfigurationError(
-                    f"{topic.name}: eye: expected one of {', '.join(EYE_NAMES)}, got "
-                    f"{fields['eye']!r:.40}"
-                )
-            self.detections.append(LoggedDetection(**fields))
+            self.detections.append(value)
         elif topic is schema.JOINTS:
-            self.joints.append(LoggedJoints(**fields))
+            self.joints.append(value)
         elif topic is schema.FAULT:
-            self.faults.append(fields["text"])
+            self.faults.append(value)
         elif not self.trials:
             return
         elif topic is schema.READING:
-            self.trials[-1].begun_s = fields.pop("begun_s")
-            self.trials[-1].readings.append(Reading(**fields))
+            self.trials[-1].begun_s, reading = value
+            self.trials[-1].readings.append(reading)
         elif topic is schema.TRUTH:
-            step = len(self.trials[-1].readings) - 1
-            self.trials[-1].truths[step] = Truth(**fields)
+            self.trials[-1].truths[len(self.trials[-1].readings) - 1] = value
         elif topic is schema.COMMAND:
-            if fields["by"] == CommandOrigin.POLICY.value:
-                self.trials[-1].commands.append(LoggedCommand(**fields))
+            if value.by == CommandOrigin.POLICY.value:
+                self.trials[-1].commands.append(value)
         elif topic in schema.IMAGES:
-            images = self.trials[-1].images[schema.IMAGES.index(topic)]
-            exposed_ns = fields["timestamp"] - self._clock_zero_ns()
-            images.append((1e-9 * exposed_ns, fields["data"]))
-
-    def _clock_zero_ns(self) -> int:
-        text = self.facts.get("clock_zero_ns", "")
-        if not _INTEGER_PATTERN.fullmatch(text):
-            raise ConfigurationError(f"clock_zero_ns: expected ns, got {text!r:.40}")
-        return int(text)
+            self.trials[-1].images[schema.IMAGES.index(topic)].append(value)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from mcap.records import Chunk, McapRecord
 
 EXPECTED_FILE: Final = "a log of a robot in MCAP, as vergence deploy writes it"
-_MAX_CHUNK_BYTES: Final = 64 * 2**20
+MAX_CHUNK_BYTES: Final = 64 * 2**20
 """Largest size of an unpacked chunk, bytes (chosen: far above a log's, whose chunks span 50 ms)."""
 _MAX_UNPACKING_RATIO: Final = 200
 """Largest ratio of unpacked to packed bytes, beyond a first chunk (chosen: logs have 5 to 15)."""
@@ -30,27 +30,18 @@ def read_records(
         UnreadableFileError: the file cannot be read, or is no MCAP file.
         ConfigurationError: mcap is not installed.
     """
-    try:
-        from mcap.records import Chunk
-        from mcap.stream_reader import StreamReader, breakup_chunk
-    except ImportError as error:
-        raise ConfigurationError(
-            f"log: expected mcap to be installed: {how_to_install('robot')}"
-        ) from error
-    with _opened(path) as file:
+    require_mcap()
+    from mcap.stream_reader import StreamReader
+
+    with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
-        left = _MAX_CHUNK_BYTES + _MAX_UNPACKING_RATIO * size
+        unpacker = ChunkUnpacker()
+        unpacker.allow(size)
         reader = iter(StreamReader(file, emit_chunks=True, record_size_limit=size).records)
         begun = False
         while True:
             try:
-                record = next(reader)
-                if not isinstance(record, Chunk):
-                    inside = [record]
-                else:
-                    data = _unpacked(record, min(left, _MAX_CHUNK_BYTES))
-                    left -= len(data)
-                    inside = breakup_chunk(replace(record, compression="", data=data), True)
+                inside = unpacker.records_in(next(reader))
             except StopIteration:
                 return
             except (Exception, MemoryError) as error:  # damage can make the library raise anything
@@ -61,6 +52,42 @@ def read_records(
                 return
             begun = True
             yield from inside
+
+
+def require_mcap() -> None:
+    """Check that mcap is installed.
+
+    Raises:
+        ConfigurationError: it is not.
+    """
+    try:
+        import mcap.stream_reader  # noqa: F401
+    except ImportError as error:
+        raise ConfigurationError(
+            f"log: expected mcap to be installed: {how_to_install('robot')}"
+        ) from error
+
+
+class ChunkUnpacker:
+    """Unpacking of a file's chunks, with limits on the size of each and of all together."""
+
+    def __init__(self) -> None:
+        self._left = MAX_CHUNK_BYTES
+
+    def allow(self, size: int) -> None:
+        """Allow as much more as this number of bytes of the file may hold when unpacked."""
+        self._left += _MAX_UNPACKING_RATIO * size
+
+    def records_in(self, record: "McapRecord") -> "list[McapRecord]":
+        """Records in a chunk; the record alone if it is no chunk. Damage can raise anything."""
+        from mcap.records import Chunk
+        from mcap.stream_reader import breakup_chunk
+
+        if not isinstance(record, Chunk):
+            return [record]
+        data = _unpacked(record, min(self._left, MAX_CHUNK_BYTES))
+        self._left -= len(data)
+        return breakup_chunk(replace(record, compression="", data=data), True)
 
 
 def _unpacked(chunk: "Chunk", most: int) -> bytes:
@@ -98,7 +125,12 @@ def _whole(data: bytes, size: int) -> bytes:
     return data
 
 
-def _opened(path: str | os.PathLike[str]) -> BinaryIO:
+def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
+    """Open a regular file for reading.
+
+    Raises:
+        UnreadableFileError: it cannot be read, or is no regular file.
+    """
     if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
         raise UnreadableFileError(os.fspath(path), "no regular file", EXPECTED_FILE)
     try:
