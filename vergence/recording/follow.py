@@ -172,18 +172,16 @@ class LogFollower:
         for place in self._file.places():
             if place.opcode in _NEWEST_AT:
                 self._need_head()
-                newest_ns = self._file.field(place, _TIME_FORM, _NEWEST_AT[place.opcode])
+                newest_ns = self._file.number(place, _TIME_FORM, _NEWEST_AT[place.opcode])
                 self._newest_ns = max(self._newest_ns, newest_ns)
                 recent.append((newest_ns, place))
-                while recent[0][0] < self._newest_ns - self._history_ns:
+                while recent and recent[0][0] < self._newest_ns - self._history_ns:
                     recent.popleft()
-                    if not recent:
-                        break
                 self._chunk = place
                 if len(self._content.topics) < len(schema.TOPICS):  # a first chunk holds channels
                     self._keep(place)
             elif place.opcode == _MESSAGE_INDEX:
-                channel = self._file.field(place, _NUMBER_FORM)
+                channel = self._file.number(place, _NUMBER_FORM)
                 if self._content.topics.get(channel) is schema.TRIAL:
                     self._trial_chunk = self._chunk
             elif place.opcode in (_CHANNEL, _ATTACHMENT, _METADATA):

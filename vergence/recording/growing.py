@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 MAGIC: Final = b"\x89MCAP0\r\n"
 _FRAME: Final = struct.Struct("<BQ")
 """A record's opcode and the size of its content."""
+_OPENING: Final = 16
+"""Number of bytes of a content that are read at once (numerical: times of chunks and messages)."""
 
 
 class Place(NamedTuple):
@@ -36,6 +38,8 @@ class Place(NamedTuple):
     """Offset of the content, bytes."""
     size: int
     """Size of the content, bytes."""
+    opening: bytes
+    """The first bytes of the content, at most 16."""
 
 
 class GrowingFile:
@@ -79,14 +83,15 @@ class GrowingFile:
                 return
             self._at = len(MAGIC)
         while self._at + _FRAME.size <= size:
-            opcode, length = _FRAME.unpack(self.part(self._at, _FRAME.size))
+            found = self.part(self._at, min(size - self._at, _FRAME.size + _OPENING))
+            opcode, length = _FRAME.unpack_from(found)
             start = self._at + _FRAME.size
             if not opcode or length > MAX_CHUNK_BYTES:
                 raise self.unreadable(f"it is damaged at byte {self._at}")
             if start + length > size:
                 return
             self._at = start + length
-            yield Place(opcode, start, length)
+            yield Place(opcode, start, length, found[_FRAME.size :][:length])
 
     def part(self, start: int, size: int) -> bytes:
         """Bytes of the file.
@@ -103,8 +108,8 @@ class GrowingFile:
             raise self.unreadable("it became shorter while it was followed")
         return data
 
-    def field(self, place: Place, form: struct.Struct, offset: int = 0) -> int:
-        """One number in the content of a record.
+    def number(self, place: Place, form: struct.Struct, offset: int = 0) -> int:
+        """One number in the opening of a record's content.
 
         Args:
             place: place of the record.
@@ -112,11 +117,12 @@ class GrowingFile:
             offset: offset of the number in the content, bytes.
 
         Raises:
-            UnreadableFileError: the file cannot be read, or the record is too short.
+            UnreadableFileError: the record is too short.
         """
-        if offset + form.size > place.size:
-            raise self.damaged(f"a record of kind {place.opcode} and {place.size} bytes")
-        number: int = form.unpack(self.part(place.start + offset, form.size))[0]
+        try:
+            number: int = form.unpack_from(place.opening, offset)[0]
+        except struct.error as error:
+            raise self.damaged(f"a record of kind {place.opcode} and {place.size} bytes") from error
         return number
 
     def records(self, place: Place) -> "list[McapRecord]":
