@@ -60,15 +60,15 @@ class LogFollower:
 
     Args:
         path: path of the log; it may still be empty.
-        history_s: greatest age, s, of messages that a call decodes, against the newest in the file,
-            so that a first call, or one after a long pause, is quick; inf for all. Older ones are
+        history_s: greatest age, s, of messages that a call decodes, against the newest that it
+            finds, so that a first call, or one after a long pause, is quick; inf for all. Older ones are
             skipped by chunks; of them, only the number of the current trial is looked up.
 
     Attributes:
         path: see the arguments.
         head: the model that the controller uses; None until it has been read. It precedes all
             events.
-        facts: facts about the log, such as the controller, by name; empty until the head is read.
+        facts: facts about the log, such as the controller, by name; empty before they are read.
         config: text of the file that describes the robot.
         closed: true if the writer has closed the log and all of it has been read.
         ended: true if no more events will come: the log is closed, or an error was raised.
@@ -89,7 +89,6 @@ class LogFollower:
         self._history_ns = 1e9 * history_s
         self._content = LogContent()
         self._trial = 0
-        self._newest_ns = 0
         self._chunk: Place | None = None
         self._trial_chunk: Place | None = None
         self._error: VergenceError | None = None
@@ -169,13 +168,14 @@ class LogFollower:
         Args:
             recent: receives times, ns, and places of recent chunks and messages.
         """
+        newest_ns = 0
         for place in self._file.places():
             if place.opcode in _NEWEST_AT:
                 self._need_head()
-                newest_ns = self._file.number(place, _TIME_FORM, _NEWEST_AT[place.opcode])
-                self._newest_ns = max(self._newest_ns, newest_ns)
-                recent.append((newest_ns, place))
-                while recent and recent[0][0] < self._newest_ns - self._history_ns:
+                time_ns = self._file.number(place, _TIME_FORM, _NEWEST_AT[place.opcode])
+                newest_ns = max(newest_ns, time_ns)
+                recent.append((time_ns, place))
+                while recent and recent[0][0] < newest_ns - self._history_ns:
                     recent.popleft()
                 self._chunk = place
                 if len(self._content.topics) < len(schema.TOPICS):  # a first chunk holds channels
