@@ -61,8 +61,8 @@ class LogFollower:
     Args:
         path: path of the log; it may still be empty.
         history_s: greatest age, s, of messages that a call decodes, against the newest that it
-            finds, so that a first call, or one after a long pause, is quick; inf for all. Older ones are
-            skipped by chunks; of them, only the number of the current trial is looked up.
+            finds, so that a first call, or one after a long pause, is quick; inf for all. Older
+            ones are skipped by chunks; of them, only the number of the current trial is looked up.
 
     Attributes:
         path: see the arguments.
