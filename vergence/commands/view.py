@@ -1,44 +1,96 @@
 """`vergence view`: a head in the browser, simulated, recorded or live."""
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, Protocol
 
 import tyro
 
 from vergence.commands.console import print_to_stderr
 from vergence.commands.extras import require_modules
+from vergence.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+LOOPBACK: Final = "127.0.0.1"
+"""Address that browsers of this machine alone can reach."""
+RUNS: Final = Path("runs")
+"""Folder of the logs that are followed if none is named."""
+_MAX_PORT: Final = 65535
+"""Greatest number of a port (physical: TCP)."""
+
+
+class Shown(Protocol):
+    """Something shown in the browser until it is told to end."""
+
+    def run(self) -> None:
+        """Show."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """Show a head in the browser: drag its target, change its law and the faults of its loop."""
+    """Show a head in the browser: simulated, with a target to drag; recorded; or live."""
 
+    recording: Annotated[
+        Path | None, tyro.conf.Positional, tyro.conf.arg(help_behavior_hint="", metavar="PATH")
+    ] = None
+    """Run folder of a gaze or log of a robot to look at; none for a simulated head."""
+    follow: bool = False
+    """Show a running deployment from its log: PATH, or the newest log in runs/, also a later one.
+    The robot does not notice."""
     head: Annotated[str, tyro.conf.arg(metavar="HEAD")] = "simulated"
-    """Head: a preset's name (see `vergence info`) or the path of a TOML file."""
+    """Simulated head at first: a preset's name (see `vergence info`) or the path of a TOML file."""
     controller: Annotated[str, tyro.conf.arg(metavar="CONTROLLER")] = "saccade"
-    """Controller at first (see `vergence info`)."""
-    host: str = "127.0.0.1"
+    """Controller of the simulated head at first (see `vergence info`)."""
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = LOOPBACK
     """Address to listen on; by default browsers of this machine alone can see the page."""
-    port: int = 8080
+    port: Annotated[int, tyro.conf.arg(metavar="INT")] = 8080
     """Port to listen on; the next free one if it is taken."""
-    no_browser: bool = False
-    """Print the address, and open no browser."""
+    browser: bool = True
+    """Open the page in the browser."""
 
     def run(self) -> int:
         """Run the command."""
         require_modules("view", "viser")
+        if not 0 <= self.port <= _MAX_PORT:
+            raise ConfigurationError(f"port: expected 0 to {_MAX_PORT}, got {self.port}")
+        prepare = self._follow if self.follow else self._play if self.recording else self._simulate
         import webbrowser
 
-        from vergence.models.files.head_file import load_head
         from vergence.viewer.browser import address_of, serving
+
+        make = prepare()
+        with serving(self.host, self.port) as server:
+            shown = make(server)
+            print_to_stderr(f"showing on {address_of(server)} until Ctrl-C")
+            if self.browser:
+                webbrowser.open(address_of(server))
+            with suppress(KeyboardInterrupt):  # the usual way to end, not a failure
+                shown.run()
+        return 0
+
+    def _simulate(self) -> "Callable[[ViserServer], Shown]":
+        from vergence.models.files.head_file import load_head
         from vergence.viewer.playground import Playground
         from vergence.viewer.simulated import Setup
 
         setup = Setup(head=load_head(self.head), controller=self.controller)
-        with serving(self.host, self.port) as server:
-            playground = Playground(server, setup)
-            print_to_stderr(f"showing on {address_of(server)} until Ctrl-C")
-            if not self.no_browser:
-                webbrowser.open(address_of(server))
-            playground.run()
-        return 0
+        return lambda server: Playground(server, setup)
+
+    def _play(self) -> "Callable[[ViserServer], Shown]":
+        from vergence.viewer.playback import Playback
+        from vergence.viewer.recorded import load_recorded
+
+        assert self.recording is not None
+        recorded = load_recorded(self.recording)
+        return lambda server: Playback(server, recorded)
+
+    def _follow(self) -> "Callable[[ViserServer], Shown]":
+        require_modules("robot", "mcap")
+        from vergence.viewer.live import LiveView
+
+        path = self.recording or RUNS
+        return lambda server: LiveView(server, path)

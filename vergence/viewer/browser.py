@@ -4,12 +4,8 @@ import contextlib
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final
 
 import viser
-
-LOOPBACK: Final = "127.0.0.1"
-"""Address that browsers of this machine alone can reach."""
 
 
 @contextmanager

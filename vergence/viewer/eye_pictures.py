@@ -19,6 +19,8 @@ TARGET_COLOUR: Final = (0, 150, 60)
 """RGB of the target and of its detections, 0 to 255 (chosen: contrast)."""
 BACKGROUND_GREY: Final = 245
 """Grey level of backgrounds, 0 to 255 (chosen: contrast)."""
+_OLD_S: Final = 0.5
+"""Age above which an image's age is stated, s (chosen: beyond any latency)."""
 _TEXT_COLOUR: Final = (40, 40, 40)
 """RGB of text, 0 to 255 (chosen: contrast)."""
 
@@ -42,6 +44,8 @@ def draw_eye(head: HeadModel, shown: Moment, eye: int, width: int = EYE_WIDTH) -
     image: Image = np.full(head.cameras.size[eye, ::-1], BACKGROUND_GREY, np.uint8)
     if shown.images is not None:
         image, origin = shown.images.of(eye), ", drawn" if shown.images.drawn else ""
+        if shown.image_age_s > _OLD_S:
+            origin += f", {shown.image_age_s:.1f} s old"
     scale = width / image.shape[1]
     size = (width, round(scale * image.shape[0]))
     grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)

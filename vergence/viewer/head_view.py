@@ -7,6 +7,7 @@ import viser
 
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
+from vergence.models.parts import FloatArray
 from vergence.viewer.moment import Moment
 from vergence.viewer.panels import CurvePanel, EyePanel
 from vergence.viewer.scene import HeadScene
@@ -30,6 +31,7 @@ class HeadView:
 
     Attributes:
         scene: the head in 3D.
+        curves: the errors and speeds over time.
         sigmas: size of the covariance ellipsoid, in standard deviations.
         shown: number of moments shown so far.
     """
@@ -38,7 +40,7 @@ class HeadView:
         self._server = server
         self.sigmas, self.shown, self._written_s = 3.0, 0, -np.inf
         self._words = server.gui.add_markdown("")
-        panel = server.gui.add_panel()
+        self._panel = panel = server.gui.add_panel()
         self._tab = panel.add_tab("Eyes")
         panel.dock_left()
         panel.set_width(_PANEL_WIDTH_PX)
@@ -48,27 +50,45 @@ class HeadView:
         self.scene = HeadScene(self._server, head)
         with self._tab:
             self._eyes = EyePanel(self._server, head)
-            self._curves = CurvePanel(self._server, head)
+            self.curves = CurvePanel(self._server, head)
 
     def change_head(self, head: HeadModel) -> None:
         """Show another head from now on."""
         self._server.scene.reset()
         self._eyes.remove()
-        self._curves.remove()
+        self.curves.remove()
         self._show_head(head)
 
-    def show(self, shown: Moment, words: list[str], *, moves_target: bool = True) -> None:
+    def remove(self) -> None:
+        """Take the head and its panels away."""
+        self._server.scene.reset()
+        self._panel.remove()
+        self._words.remove()
+
+    def show(
+        self,
+        shown: Moment,
+        words: list[str],
+        curves: FloatArray | None = None,
+        *,
+        moves_target: bool = True,
+    ) -> None:
         """Show a moment.
 
         Args:
             shown: the moment.
             words: further lines of text, in Markdown.
+            curves: rows of the curves, see `CurvePanel.rows_of`; None to go on from the last
+                moment.
             moves_target: False while somebody drags the target, so that it stays in their hand.
         """
         with self._server.atomic():
             self.scene.show(shown, sigmas=self.sigmas, moves_target=moves_target)
             self._eyes.show(shown)
-            self._curves.add(shown)
+            if curves is None:
+                self.curves.add(shown)
+            else:
+                self.curves.draw(curves)
             if not 0.0 <= shown.time_s - self._written_s < _WORDS_PERIOD_S:
                 self._written_s = shown.time_s
                 self._words.content = "  \n".join([*words, *_describe(shown)])

@@ -9,10 +9,11 @@ from vergence.envs.eye_images import (
     best_known_angles_and_target,
     given_or_drawn_eye_images,
 )
-from vergence.envs.reading import BoolArray
+from vergence.envs.reading import BoolArray, Reading, Truth
 from vergence.envs.task import GazeTask
+from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
-from vergence.triangulation import Fix
+from vergence.triangulation import Fix, triangulate_gaze
 
 
 class Moment(NamedTuple):
@@ -35,7 +36,9 @@ class Moment(NamedTuple):
     fix: Fix
     """Fix by gaze from the measured joint angles, of one head."""
     images: EyeImages | None
-    """The eyes' present images; None for a robot without images."""
+    """The eyes' newest images; None for a robot without images."""
+    image_age_s: float = 0.0
+    """Time since the newest images were exposed or drawn, s."""
 
     @property
     def visible(self) -> BoolArray:
@@ -65,3 +68,53 @@ def moment_of(task: GazeTask, n: int = 0) -> Moment:
         fix=Fix._make(part[n] for part in gaze),
         images=given_or_drawn_eye_images(task, n),
     )
+
+
+def moment_of_reading(
+    head: HeadModel,
+    reading: Reading,
+    truth: Truth,
+    images: EyeImages | None,
+    image_age_s: float = 0.0,
+) -> Moment:
+    """Moment of a recorded reading of one head.
+
+    Args:
+        head: the model that the controller used.
+        reading: the reading; its arrays lack the axis over heads.
+        truth: the ground truth of the same time, likewise; nan if it is unknown.
+        images: the newest images.
+        image_age_s: time since their exposure, s.
+    """
+    fix = triangulate_gaze(head, reading.positions)
+    known = bool(np.isfinite(truth.target).all())
+    true_positions = np.isfinite(truth.positions).all()
+    return Moment(
+        time_s=float(reading.time_s),
+        positions=truth.positions if true_positions else reading.positions,
+        velocities=reading.velocities,
+        target=truth.target if known else fix.point,
+        target_is_truth=known,
+        pixels=reading.pixels,
+        errors_px=pixel_errors(head, reading, truth),
+        fix=fix,
+        images=images,
+        image_age_s=image_age_s,
+    )
+
+
+def pixel_errors(head: HeadModel, reading: Reading, truth: Truth) -> FloatArray:
+    """Pixel errors by eye: the true ones where the ground truth is known, else the measured ones.
+
+    Args:
+        head: the model that the controller used.
+        reading: readings of shape (..., of one head).
+        truth: the ground truth of the same times, likewise; nan where it is unknown.
+
+    Returns:
+        (..., 2) px.
+    """
+    measured = head.undistort(reading.pixels) - head.cameras.principal
+    known = np.asarray(np.isfinite(truth.target).all(axis=-1))
+    errors = np.where(known[..., None, None], truth.pixel_error, measured)
+    return np.asarray(np.linalg.norm(errors, axis=-1))

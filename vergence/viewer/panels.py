@@ -1,5 +1,6 @@
 """Panels beside the scene: both eyes' images, errors and speeds over time, the state in words."""
 
+from collections import deque
 from typing import Final
 
 import numpy as np
@@ -74,7 +75,7 @@ class CurvePanel:
 
     def __init__(self, server: viser.ViserServer, head: HeadModel) -> None:
         self._joints = [i for i, name in enumerate(head.joints) if name and i in _first(head)]
-        self._rows: list[tuple[float, ...]] = []
+        self._rows: deque[FloatArray] = deque()
         self._drawn_s = -np.inf
         empty = np.zeros(0)
         time = uplot.Series(label="time (s)")
@@ -101,26 +102,39 @@ class CurvePanel:
             aspect=1.8,
         )  # fmt: skip
 
+    def rows_of(
+        self, times_s: FloatArray, errors_px: FloatArray, velocities: FloatArray
+    ) -> FloatArray:
+        """Rows of the curves.
+
+        Args:
+            times_s: (n,) s.
+            errors_px: (n, 2) pixel errors by eye, px.
+            velocities: (n, 7) joint velocities, rad/s.
+
+        Returns:
+            (n, 3 + joints) times, s, errors, px, and speeds, degrees/s.
+        """
+        errors = np.maximum(errors_px, _MIN_DRAWN_ERROR_PX)
+        speeds = np.rad2deg(velocities[:, self._joints])
+        return np.column_stack([times_s, errors, speeds])
+
     def add(self, shown: Moment) -> None:
-        """Add a moment; an earlier one than the last begins the curves anew."""
+        """Add a moment; one before the last begins the curves anew."""
+        (row,) = self.rows_of(
+            np.array([shown.time_s]), shown.errors_px[None], shown.velocities[None]
+        )
         if self._rows and shown.time_s < self._rows[-1][0]:
             self._rows.clear()
-            self._drawn_s = -np.inf
-        errors = np.maximum(shown.errors_px, _MIN_DRAWN_ERROR_PX)
-        speeds = np.rad2deg(shown.velocities[self._joints])
-        self._rows.append((shown.time_s, *errors.tolist(), *speeds.tolist()))
+        self._rows.append(row)
         while self._rows[0][0] < shown.time_s - HISTORY_S:
-            self._rows.pop(0)
-        if shown.time_s - self._drawn_s >= _PLOT_PERIOD_S:
-            self._drawn_s = shown.time_s
+            self._rows.popleft()
+        if not 0.0 <= shown.time_s - self._drawn_s < _PLOT_PERIOD_S:
             self.draw(np.array(self._rows))
 
     def draw(self, rows: FloatArray) -> None:
-        """Draw curves.
-
-        Args:
-            rows: (n, 3 + joints) times, s, errors of both eyes, px, and speeds, degrees/s.
-        """
+        """Draw curves, see `rows_of`."""
+        self._drawn_s = float(rows[-1, 0])
         columns = [np.ascontiguousarray(column) for column in rows.T]
         self._errors.data = tuple(columns[:3])
         self._speeds.data = (columns[0], *columns[3:])

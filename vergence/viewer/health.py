@@ -1,0 +1,88 @@
+"""Health of a robot's loop as its readings tell: the gap of the eyes' rays, and late periods."""
+
+from collections import deque
+from typing import Final
+
+import numpy as np
+
+from vergence.envs.reading import Reading
+from vergence.models.head import HeadModel
+from vergence.models.joints import EYES
+from vergence.triangulation import triangulate_views
+from vergence.triangulation.gap import gap_sigma
+
+MAX_GAP_RATIO: Final = 3.0
+"""Root mean square of gaps over their predicted standard deviation above which they are reported
+(chosen: noise alone exceeds it in fewer than one of 1,000 windows of two images)."""
+_WINDOW: Final = 30
+"""Number of images over which gaps are judged (chosen: a second of a webcam)."""
+_MIN_IMAGES: Final = 5
+"""Least number of images for a judgement (chosen)."""
+_SLOW_RAD_S: Final = 0.05
+"""Speed of the eyes' joints below which a gap is judged, rad/s; a date that is wrong by 10 ms then
+turns them by less than 0.5 mrad (chosen)."""
+
+
+class LoopHealth:
+    """Judges a robot's readings, one after the other.
+
+    Args:
+        head: the model that the controller uses.
+
+    Attributes:
+        missed_periods: number of missed control periods.
+        periods: number of all control periods.
+    """
+
+    def __init__(self, head: HeadModel) -> None:
+        self._head = head
+        self._ratios: deque[float] = deque(maxlen=_WINDOW)
+        self._gaps_m: deque[float] = deque(maxlen=_WINDOW)
+        self._last_s, self._moved_s, self._exposure_s = float("inf"), 0.0, float("nan")
+        self.missed_periods = self.periods = 0
+
+    def add(self, reading: Reading) -> None:
+        """Judge a reading.
+
+        Args:
+            reading: of one head; its arrays lack the axis over heads.
+        """
+        time_s, period_s = float(reading.time_s), self._head.timing.period_s
+        if time_s < self._last_s:  # a gaze begins
+            self._moved_s = time_s
+        else:
+            passed = round((time_s - self._last_s) / period_s)
+            self.periods += passed
+            self.missed_periods += passed - 1
+        self._last_s = time_s
+        if (np.abs(reading.velocities[EYES]) > _SLOW_RAD_S).any():
+            self._moved_s = time_s
+        exposed_s = float(reading.exposure_s)
+        if exposed_s != self._exposure_s and exposed_s > self._moved_s and reading.visible.all():
+            self._exposure_s = exposed_s
+            fix = triangulate_views(self._head, reading.positions_at_exposure, reading.pixels)
+            sigma = gap_sigma(self._head, reading.positions_at_exposure, reading.pixels)
+            if fix.valid and sigma > 0.0:
+                self._ratios.append(float(fix.gap / sigma))
+                self._gaps_m.append(float(fix.gap))
+
+    @property
+    def gap_ratio(self) -> float:
+        """Root mean square of the last gaps over their predicted spread; nan if there are few."""
+        if len(self._ratios) < _MIN_IMAGES:
+            return float("nan")
+        return float(np.sqrt(np.mean(np.square(self._ratios))))
+
+    def words(self) -> list[str]:
+        """Lines of text, in Markdown; warnings are bold."""
+        ratio, lines = self.gap_ratio, []
+        if np.isfinite(ratio):
+            gap_mm = 1e3 * float(np.sqrt(np.mean(np.square(self._gaps_m))))
+            text = f"gap of the eyes' rays {gap_mm:.2f} mm, {ratio:.1f} times its predicted spread"
+            if ratio > MAX_GAP_RATIO:
+                text = f"**warning: {text}: has a camera moved?**"
+            lines.append(text)
+        if self.periods:
+            late = f"{self.missed_periods} of {self.periods} periods late"
+            lines.append(f"**{late}**" if self.missed_periods else late)
+        return lines

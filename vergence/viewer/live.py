@@ -1,0 +1,193 @@
+"""The live viewer of a robot: it reads the log that `vergence deploy` writes, and nothing else."""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import viser
+
+from vergence.envs.eye_images import EyeImages
+from vergence.envs.reading import Truth
+from vergence.errors import VergenceError
+from vergence.recording.events import FollowedImage, FollowedReading, NewEvents
+from vergence.recording.follow import LogFollower, newest_log
+from vergence.recording.jpeg import read_jpeg
+from vergence.viewer.head_view import SHOWN_HZ, HeadView
+from vergence.viewer.health import LoopHealth
+from vergence.viewer.moment import Moment, moment_of_reading
+
+_SILENT_S: Final = 1.0
+"""Time without news after which it is stated, s (chosen: far beyond the writer's 50 ms)."""
+_MOST_REMARKS: Final = 6
+"""Most faults and warnings shown, the newest (chosen: legible)."""
+_SEARCH_PERIOD_S: Final = 0.5
+"""Time between two searches for a log, s (chosen: prompt against load)."""
+
+
+class LiveView:
+    """A running robot in the browser, read from its log.
+
+    Args:
+        server: server of the browsers.
+        path: the log, or a folder whose newest log is followed, also a newer one later.
+        clock: a monotonic clock, s, the robot's own on the same machine.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        path: Path,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._server, self._path, self._clock = server, path, clock
+        self._words = server.gui.add_markdown(f"waiting for a log at {path}")
+        self._followed: _FollowedRobot | None = None
+        self._searched_s = -np.inf
+
+    @property
+    def shown(self) -> int:
+        """Number of moments shown of the present log."""
+        return (
+            0
+            if self._followed is None or self._followed.view is None
+            else self._followed.view.shown
+        )
+
+    def run(self, until: Callable[[], bool] = lambda: False) -> None:
+        """Follow until told otherwise.
+
+        Args:
+            until: called at least 30 times a second; True ends the following.
+        """
+        while not until():
+            begun_s = self._clock()
+            if begun_s - self._searched_s > _SEARCH_PERIOD_S:
+                self._searched_s = begun_s
+                self._search()
+            if self._followed is not None:
+                self._words.content = "  \n".join(self._followed.update())
+            time.sleep(max(0.0, 1.0 / SHOWN_HZ - (self._clock() - begun_s)))
+        if self._followed is not None:
+            self._followed.close()
+
+    def _search(self) -> None:
+        """Begin to follow a log that has appeared, if it is not followed already."""
+        found = newest_log(self._path) if self._path.is_dir() else self._path
+        if found is None or not found.is_file():
+            return
+        if self._followed is not None:
+            if self._followed.path == found and not self._followed.was_replaced:
+                return
+            self._followed.close()
+        try:
+            self._followed = _FollowedRobot(self._server, found, self._clock)
+        except VergenceError as error:
+            self._words.content = f"**{error}**"
+
+
+class _FollowedRobot:
+    """A log that is followed, and the page that shows it.
+
+    Args:
+        server: server of the browsers.
+        path: the log.
+        clock: the robot's clock, s.
+    """
+
+    def __init__(self, server: viser.ViserServer, path: Path, clock: Callable[[], float]) -> None:
+        self.path, self._server, self._clock = path, server, clock
+        self._log = LogFollower(path)
+        self._inode = path.stat().st_ino
+        self.view: HeadView | None = None
+        self._health: LoopHealth | None = None
+        self._newest: FollowedReading | None = None
+        self._truth = Truth._make(part[0] for part in Truth.unknown(1))
+        self._images: list[tuple[float, Any] | None] = [None, None]
+        self._remarks: deque[str] = deque(maxlen=_MOST_REMARKS)
+
+    @property
+    def was_replaced(self) -> bool:
+        """True if another file is now at the path."""
+        try:
+            return self.path.stat().st_ino != self._inode
+        except OSError:
+            return False
+
+    def close(self) -> None:
+        """Stop following, and clear the page."""
+        self._log.close()
+        if self.view is not None:
+            self.view.remove()
+
+    def update(self) -> list[str]:
+        """Show what is new, and return the state in lines of Markdown."""
+        try:
+            events = self._log.poll()
+        except VergenceError as error:
+            events = None
+            self._remarks.append(str(error))
+        head = self._log.head
+        if head is None:
+            return [f"waiting for the head in {self.path.name}", *self._remarks]
+        if self.view is None:
+            self.view, self._health = HeadView(self._server, head), LoopHealth(head)
+        if events is not None:
+            self._take(events)
+            shown = self._moment()
+            if shown is not None:
+                self.view.show(shown, [])
+        return self._describe()
+
+    def _take(self, events: NewEvents) -> None:
+        assert self._health is not None
+        for one in events.readings:
+            self._health.add(one.reading)
+            self._newest = one
+        if events.truths:
+            self._truth = events.truths[-1]
+        for eye, image in enumerate(events.images):
+            if image is not None:
+                self._images[eye] = _decoded(image) or self._images[eye]
+        self._remarks.extend(f"fault: {reason}" for reason in events.stop_reasons)
+        self._remarks.extend(note.message for note in events.notes)
+
+    def _moment(self) -> Moment | None:
+        """The newest moment; None before the first reading."""
+        if self._newest is None or self._log.head is None:
+            return None
+        reading, begun_s = self._newest.reading, self._newest.begun_s
+        now_s = begun_s + float(reading.time_s)
+        left, right = self._images
+        images, age_s = None, 0.0
+        if left is not None and right is not None:
+            images = EyeImages(left[1], right[1], False)
+            age_s = max(0.0, now_s - min(left[0], right[0]))
+        truth = self._truth
+        if abs(float(truth.time_s) - float(reading.time_s)) > self._log.head.timing.period_s:
+            truth = Truth._make(part[0] for part in Truth.unknown(1))
+        shown = moment_of_reading(self._log.head, reading, truth, images, age_s)
+        return shown._replace(time_s=now_s)
+
+    def _describe(self) -> list[str]:
+        assert self._health is not None
+        facts = self._log.facts
+        lines = [f"**{self.path.name}**: {facts.get('controller', '?')}, read-only"]
+        if self._newest is not None:
+            lines.append(f"gaze {self._newest.trial + 1}, {self._newest.reading.time_s:.1f} s")
+            silent_s = self._clock() - self._newest.begun_s - float(self._newest.reading.time_s)
+            if self._log.closed:
+                lines.append("the log is closed")
+            elif silent_s > _SILENT_S:
+                lines.append(f"**no reading for {silent_s:.0f} s**")
+        lines += self._health.words()
+        if self._images == [None, None]:
+            lines.append("no images in the log: deploy --images logs them")
+        return lines + [f"**{remark}**" for remark in self._remarks]
+
+
+def _decoded(image: FollowedImage) -> tuple[float, Any] | None:
+    pixels = read_jpeg(image.jpeg)
+    return None if pixels is None else (image.exposed_s, pixels)
