@@ -18,9 +18,8 @@ def serving(host: str, port: int) -> Iterator[viser.ViserServer]:
     """
     with contextlib.redirect_stdout(io.StringIO()):  # it greets with a box
         server = viser.ViserServer(host, port, verbose=False)
-    server.gui.configure_theme(
-        control_layout="fixed", control_width="medium", show_logo=False, show_share_button=False
-    )
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
     server.scene.set_up_direction("+z")
     server.scene.configure_environment_map(None)
     try:

@@ -98,7 +98,8 @@ class HeadView:
 def _describe(shown: Moment) -> list[str]:
     """Lines of text about a moment."""
     blind = [name for name, sees in zip(EYE_NAMES, shown.visible, strict=True) if not sees]
-    lines = [f"**the {' and the '.join(blind)} eye does not see the target**"] if blind else []
+    lines = [f"**the {blind[0]} eye does not see the target**"] if len(blind) == 1 else []
+    lines += ["**neither eye sees the target**"] if len(blind) == 2 else []
     if not shown.fix.valid:
         return [*lines, "the optical axes do not cross"]
     lines += [

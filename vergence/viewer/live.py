@@ -104,6 +104,7 @@ class _FollowedRobot:
         self.view: HeadView | None = None
         self._health: LoopHealth | None = None
         self._newest: FollowedReading | None = None
+        self._first_s = np.nan
         self._truth = Truth._make(part[0] for part in Truth.unknown(1))
         self._images: list[tuple[float, Any] | None] = [None, None]
         self._remarks: deque[str] = deque(maxlen=_MOST_REMARKS)
@@ -152,7 +153,10 @@ class _FollowedRobot:
             if image is not None:
                 self._images[eye] = _decoded(image) or self._images[eye]
         self._remarks.extend(f"fault: {reason}" for reason in events.stop_reasons)
-        self._remarks.extend(note.message for note in events.notes)
+        said = " ".join(self._remarks)  # a fault is noted by the robot's loggers, too
+        self._remarks.extend(
+            note.message for note in events.notes if note.message.partition(": ")[2] not in said
+        )
 
     def _moment(self) -> Moment | None:
         """The newest moment; None before the first reading."""
@@ -169,7 +173,9 @@ class _FollowedRobot:
         if abs(float(truth.time_s) - float(reading.time_s)) > self._log.head.timing.period_s:
             truth = Truth._make(part[0] for part in Truth.unknown(1))
         shown = moment_of_reading(self._log.head, reading, truth, images, age_s)
-        return shown._replace(time_s=now_s)
+        if np.isnan(self._first_s):
+            self._first_s = now_s
+        return shown._replace(time_s=now_s - self._first_s)
 
     def _describe(self) -> list[str]:
         assert self._health is not None

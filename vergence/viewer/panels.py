@@ -21,8 +21,6 @@ _MIN_DRAWN_ERROR_PX: Final = 0.01
 """Least drawn error, px; smaller ones are drawn as this (chosen: far below one that matters)."""
 _JPEG_QUALITY: Final = 80
 """Quality of the images, of 100 (chosen: no visible blocks)."""
-_AXES: Final = (uplot.Axis(), uplot.Axis(size=60))
-"""Axes of the curves, with room for their numbers."""
 _JOINT_COLOURS: Final = (
     "#1f77b4",
     "#7fb2d9",
@@ -87,7 +85,6 @@ class CurvePanel:
             )),
             title="pixel error (px)",
             scales={"x": uplot.Scale(time=False), "y": uplot.Scale(distr=3)},
-            axes=_AXES,
             aspect=1.8,
         )  # fmt: skip
         self._speeds = server.gui.add_uplot(
@@ -98,7 +95,6 @@ class CurvePanel:
             )),
             title="joint speed (deg/s)",
             scales={"x": uplot.Scale(time=False)},
-            axes=_AXES,
             aspect=1.8,
         )  # fmt: skip
 

@@ -15,6 +15,8 @@ from vergence.viewer.recorded import Recorded
 
 _HEALTH_MOMENTS: Final = 400
 """Moments before the present one by which its health is judged (chosen: some seconds)."""
+_SLIDER_STEP_S: Final = 1e-3
+"""Step of the slider of time, s (chosen: below every control period)."""
 _SPEEDS: Final = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0)
 """Speeds of playing, by real time (chosen)."""
 
@@ -42,8 +44,8 @@ class Playback:
         gui = server.gui
         with gui.add_folder("Playback"):
             self._playing: Any = gui.add_checkbox("Play", True)
-            step = recorded.head.timing.period_s
-            self._slider: Any = gui.add_slider("Time (s)", 0.0, max(self._end_s, step), step, 0.0)
+            end_s = max(np.ceil(self._end_s / _SLIDER_STEP_S), 1.0) * _SLIDER_STEP_S
+            self._slider: Any = gui.add_slider("Time (s)", 0.0, end_s, _SLIDER_STEP_S, 0.0)
             self._speed: Any = gui.add_dropdown(
                 "Speed", tuple(f"{speed:g}" for speed in _SPEEDS), initial_value="1"
             )

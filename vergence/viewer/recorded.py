@@ -100,13 +100,11 @@ def _recorded_log(log: Log) -> Recorded:
         else Truth._make(part[:, 0] for part in one.truths)
         for one, count in zip(log.trials, lengths, strict=True)
     ]
-    times_s = readings.time_s + np.repeat([one.begun_s for one in log.trials], lengths)
-    if not (np.diff(times_s) > 0.0).all():
-        raise ConfigurationError(f"{log.path}: expected gazes one after the other")
+    clock_s = readings.time_s + np.repeat([one.begun_s for one in log.trials], lengths)
     eyes = [_LoggedImages(trial) for trial in log.trials]
 
     def images_at(index: int) -> tuple[EyeImages | None, float]:
-        return eyes[bisect.bisect_right(begins.tolist(), index) - 1].at(float(times_s[index]))
+        return eyes[bisect.bisect_right(begins.tolist(), index) - 1].at(float(clock_s[index]))
 
     notes = [f"stopped: {reason}" for reason in log.stop_reasons]
     if log.truncation_reason:
@@ -114,13 +112,21 @@ def _recorded_log(log: Log) -> Recorded:
     return Recorded(
         path=log.path,
         head=log.head,
-        times_s=times_s - times_s[0],
+        times_s=_growing(clock_s, begins.tolist(), log.head.timing.period_s),
         readings=readings,
         truths=Truth._make(np.concatenate(parts) for parts in zip(*truths, strict=True)),
         images_at=images_at,
         begins=tuple(begins.tolist()),
         notes=tuple(notes),
     )
+
+
+def _growing(clock_s: FloatArray, begins: Sequence[int], period_s: float) -> FloatArray:
+    """Times since the first one; a gaze that does not begin after the last one is moved there."""
+    times_s: FloatArray = clock_s - clock_s[0]
+    for begin in begins[1:]:
+        times_s[begin:] += max(0.0, times_s[begin - 1] + period_s - times_s[begin])
+    return times_s
 
 
 class _LoggedImages:

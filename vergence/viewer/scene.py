@@ -26,10 +26,13 @@ _MAX_FRUSTUM_RAD: Final = 2.4
 """Widest drawn field of view, rad (chosen: a wider frustum would be flat)."""
 _BOARD_PX_PER_CELL: Final = 16
 """Pixels of the target's picture along a cell (chosen: sharp edges)."""
-# first place of the page's camera, and the point that it looks at, m (chosen: the head and a
-# target at arm's length)
-_CAMERA_AT_M: Final = (0.75, 0.25, 0.4)
-_CAMERA_LOOKS_AT_M: Final = (0.0, -0.4, -0.05)
+_CAMERA_OFFSET: Final = (0.85, 0.6, 0.45)
+"""First place of the page's camera from the middle between head and target, by their distance
+(chosen: both are in view, the eyes from beside)."""
+# least and greatest distance of a target that the page's first view takes in, m (chosen: around
+# arm's length)
+_MIN_VIEW_M: Final = 0.4
+_MAX_VIEW_M: Final = 2.5
 _DISTANCE_WITHOUT_FIX_M: Final = 1.0
 """Length of the optical axes without a fix, m (chosen: an arm's length and more)."""
 
@@ -100,8 +103,7 @@ class HeadScene:
         self.target = api.add_transform_controls(
             "/head/target", scale=0.25, disable_rotations=True, visible=False, line_width=3.0
         )
-        server.initial_camera.position = _CAMERA_AT_M
-        server.initial_camera.look_at = _CAMERA_LOOKS_AT_M
+        self._camera_placed = False
         floor_m = surroundings_of(head).floor_m
         api.add_grid(
             "/floor", 4.0, 4.0, cell_size=0.1, section_size=0.5, position=(0.0, -1.0, floor_m),
@@ -148,12 +150,25 @@ class HeadScene:
                 self._fix.position = points
                 self._fix.wxyz = _wxyz(self._N[:3, :3] @ turn)
             there = bool(np.isfinite(shown.target).all())
+            if there and not self._camera_placed:
+                self._place_camera((self._N @ [*shown.target, 1.0])[:3])
             self._board.visible = there and shown.target_is_truth
             if there:
                 pose = self._N @ board_pose(shown.target)
                 self._board.position, self._board.wxyz = pose[:3, 3], _wxyz(pose[:3, :3])
                 if moves_target:
                     self.target.position = pose[:3, 3]
+
+    def _place_camera(self, target: FloatArray) -> None:
+        """Place the page's first camera so that it sees the head, from beside, and the target."""
+        self._camera_placed = True
+        reach = target - self._N[:3, 3]
+        size = max(float(np.linalg.norm(reach)), _MIN_VIEW_M + 2.0 * self._shapes.baseline_m)
+        if size > _MAX_VIEW_M:
+            reach, size = reach * (_MAX_VIEW_M / size), _MAX_VIEW_M
+        middle = self._N[:3, 3] + 0.45 * reach
+        self._server.initial_camera.look_at = middle
+        self._server.initial_camera.position = middle + size * np.array(_CAMERA_OFFSET)
 
     def _show_axes(self, cameras: FloatArray, fix: FloatArray) -> None:
         """Draw the optical axes to beyond the fix, and their common perpendicular."""
