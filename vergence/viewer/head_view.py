@@ -14,8 +14,8 @@ from vergence.viewer.scene import HeadScene
 
 SHOWN_HZ: Final = 30.0
 """Greatest number of moments shown per second (chosen: smooth; each costs two JPEGs)."""
-_WORDS_PERIOD_S: Final = 0.2
-"""Least time between two updates of the words, s (chosen: legible)."""
+_LAST: Final = 1e6
+"""Order of what stands below everything else in a panel (numerical)."""
 _PANEL_WIDTH_PX: Final = 330
 """Width of the panel with images and curves, px of the page (chosen: room for the scene)."""
 _MM: Final = 1000.0
@@ -38,8 +38,9 @@ class HeadView:
 
     def __init__(self, server: viser.ViserServer, head: HeadModel) -> None:
         self._server = server
-        self.sigmas, self.shown, self._written_s = 3.0, 0, -np.inf
-        self._words = server.gui.add_markdown("")
+        self.sigmas, self.shown = 3.0, 0
+        # below the controls, which would otherwise move whenever a line comes or goes
+        self._words = server.gui.add_markdown("", order=_LAST)
         self._panel = panel = server.gui.add_panel()
         self._tab = panel.add_tab("Eyes")
         panel.dock_left()
@@ -68,7 +69,7 @@ class HeadView:
     def show(
         self,
         shown: Moment,
-        words: list[str],
+        words: list[str] | None,
         curves: FloatArray | None = None,
         *,
         moves_target: bool = True,
@@ -77,7 +78,8 @@ class HeadView:
 
         Args:
             shown: the moment.
-            words: further lines of text, in Markdown.
+            words: lines of text, in Markdown, before those about the moment; None to leave the
+                text as it is.
             curves: rows of the curves, see `CurvePanel.rows_of`; None to go on from the last
                 moment.
             moves_target: False while somebody drags the target, so that it stays in their hand.
@@ -89,8 +91,7 @@ class HeadView:
                 self.curves.add(shown)
             else:
                 self.curves.draw(curves)
-            if not 0.0 <= shown.time_s - self._written_s < _WORDS_PERIOD_S:
-                self._written_s = shown.time_s
+            if words is not None:
                 self._words.content = "  \n".join([*words, *_describe(shown)])
         self.shown += 1
 

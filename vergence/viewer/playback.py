@@ -1,7 +1,9 @@
 """The viewer of a recording: play, pause, scrub."""
 
+import queue
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -51,8 +53,15 @@ class Playback:
             )
             buttons = gui.add_button_group("Step", ("gaze back", "back", "on", "gaze on"))
             self._sigmas: Any = gui.add_slider("Ellipsoid (sigmas)", 1, 100, 1, 3)
+        # browsers ask from threads of their own; the loop does what they ask
+        self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._slider.on_update(self._scrub)
-        buttons.on_click(lambda event: self._step(event.target.value))
+        buttons.on_click(lambda event: self._asked.put(partial(self._step, event.target.value)))
+
+    @property
+    def playing(self) -> bool:
+        """True if time goes on."""
+        return bool(self._playing.value)
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Play until told otherwise.
@@ -62,8 +71,10 @@ class Playback:
         """
         last_s = time.monotonic()
         while not until():
+            while not self._asked.empty():
+                self._asked.get()()
             now_s = time.monotonic()
-            if self._playing.value:
+            if self.playing:
                 self._time_s += (now_s - last_s) * float(self._speed.value)
                 if self._time_s > self._end_s:
                     self._time_s = 0.0
@@ -73,12 +84,14 @@ class Playback:
 
     def _scrub(self, event: Any) -> None:
         if event.client is not None:  # not when the program moves the slider
-            self._playing.value = False
-            self._time_s = float(self._slider.value)
+            self._asked.put(partial(self._stop_at, float(self._slider.value)))
+
+    def _stop_at(self, time_s: float) -> None:
+        self._playing.value = False
+        self._time_s = time_s
 
     def _step(self, which: str) -> None:
         """Go on, or back, by a control period or to the beginning of a gaze."""
-        self._playing.value = False
         recorded, index = self._recorded, self._recorded.index_at(self._time_s)
         if which in ("back", "on"):
             index += 1 if which == "on" else -1
@@ -86,7 +99,7 @@ class Playback:
             gaze = recorded.gaze_at(index) - 1 + (1 if which == "gaze on" else -1)
             index = recorded.begins[min(max(gaze, 0), len(recorded.begins) - 1)]
         index = min(max(index, 0), len(recorded.times_s) - 1)
-        self._time_s = float(recorded.times_s[index])
+        self._stop_at(float(recorded.times_s[index]))
 
     def _show(self) -> None:
         index = self._recorded.index_at(self._time_s)

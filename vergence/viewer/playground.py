@@ -26,6 +26,8 @@ _PLANTS: Final = {
     "pixels, no masses (kinematic)": "kinematic",
 }
 """Plants by what they offer."""
+_WORDS_EVERY: Final = 6
+"""Number of moments shown per update of the text (chosen: legible)."""
 _SLIDER_STEPS: Final = 100
 """Steps of a slider (chosen: fine enough for a hand)."""
 _GAIN_RANGE: Final = (0.5, 30.0)
@@ -44,6 +46,7 @@ class Playground:
         seed: seed of all noise.
 
     Attributes:
+        simulated: the simulated head.
         view: the page.
 
     Raises:
@@ -55,7 +58,7 @@ class Playground:
     ) -> None:
         self._server = server
         self._heads = {setup.head.name: setup.head}
-        self._simulated = SimulatedHead(setup, mode, seed)
+        self.simulated = SimulatedHead(setup, mode, seed)
         self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._speed, self._paused, self._dragging = 1.0, False, False
         self.view = HeadView(server, setup.head)
@@ -80,13 +83,12 @@ class Playground:
             if self._paused:
                 due_s = now_s
             elif now_s >= due_s:
-                self._simulated.step()
-                due_s = max(due_s, now_s - _MOST_LATE_S) + self._simulated.period_s / self._speed
+                self.simulated.step()
+                due_s = max(due_s, now_s - _MOST_LATE_S) + self.simulated.period_s / self._speed
             if now_s >= shown_s:
                 shown_s = max(shown_s, now_s - 1.0 / SHOWN_HZ) + 1.0 / SHOWN_HZ
-                self.view.show(
-                    self._simulated.moment(), self._words(), moves_target=not self._dragging
-                )
+                words = None if self.view.shown % _WORDS_EVERY else self._words()
+                self.view.show(self.simulated.moment(), words, moves_target=not self._dragging)
             wait_s = min(shown_s, shown_s if self._paused else due_s) - time.monotonic()
             if wait_s > 0.0:
                 time.sleep(wait_s)
@@ -100,7 +102,7 @@ class Playground:
                     client.add_notification("Not possible", str(error), color="red")
 
     def _words(self) -> list[str]:
-        settled, bound = self._simulated.settled_s, self._simulated.bound_s
+        settled, bound = self.simulated.settled_s, self.simulated.bound_s
         text = "settled to 1 px after **" + (f"{1e3 * settled:.0f} ms" if settled else "-") + "**"
         if bound is not None:
             text += f", time-optimal bound {1e3 * bound:.0f} ms"
@@ -119,7 +121,7 @@ class Playground:
         self._asked.put(partial(self._move_target, point))
 
     def _move_target(self, point: FloatArray) -> None:
-        self._simulated.move_target(self.view.scene.point_in_n(point))
+        self.simulated.move_target(self.view.scene.point_in_n(point))
         self._mode.value = "by hand"
 
     def _on_browser(self, handle: Any, do: Callable[[Any], None]) -> None:
@@ -141,14 +143,14 @@ class Playground:
             speed = gui.add_slider("Speed of time", 0.02, 1.0, 0.02, 1.0)
             paused = gui.add_checkbox("Paused", False)
             sigmas = gui.add_slider("Ellipsoid (sigmas)", 1, 100, 1, 3)
-        self._on_browser(self._mode, self._simulated.set_mode)
+        self._on_browser(self._mode, self.simulated.set_mode)
         self._on_browser(speed, lambda value: setattr(self, "_speed", value))
         self._on_browser(paused, lambda value: setattr(self, "_paused", value))
         self._on_browser(sigmas, lambda value: setattr(self.view, "sigmas", value))
         ahead.on_click(lambda _event: self._asked.put(self._look_ahead))
 
     def _look_ahead(self) -> None:
-        self._simulated.look_ahead()
+        self.simulated.look_ahead()
         self._mode.value = "by hand"
 
     def _add_head_controls(self, setup: Setup) -> None:
@@ -192,7 +194,8 @@ class Playground:
 
     def _nominal(self, one: Imperfection) -> float:
         """Value of an imperfection by the head's own file, in its unit for display."""
-        return one.display_unit[1] * float(np.max(one.nominal(self._simulated.setup.head)))
+        nominal = float(np.max(one.nominal(self.simulated.setup.head)))
+        return float(f"{one.display_unit[1] * nominal:.4g}")
 
     def _change_head(self, name: str) -> None:
         head = self._heads[name] if name in self._heads else load_head(name)
@@ -205,7 +208,7 @@ class Playground:
 
     def _change_loop(self, name: str, value: float) -> None:
         own = {name: value / IMPERFECTIONS[name].display_unit[1]}
-        self._change(loop={**self._simulated.setup.loop, **own})
+        self._change(loop={**self.simulated.setup.loop, **own})
 
     def _change(self, **fields: Any) -> None:
-        self._simulated.change(replace(self._simulated.setup, **fields))
+        self.simulated.change(replace(self.simulated.setup, **fields))

@@ -60,3 +60,7 @@ def test_the_panel_with_the_most_room_has_the_names():
     assert label_lines(crowded, roomy)
     assert not crowded.texts
     assert len(names_of(roomy)) == 5
+
+
+def test_a_line_without_values_leaves_the_naming_to_a_legend():
+    assert not label_lines(panel_of([2.0, 2.0], [np.nan, np.nan]))

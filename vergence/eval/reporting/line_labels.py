@@ -120,6 +120,8 @@ def _points(line: Line2D, scale: float) -> FloatArray:
     """(n, 2) points along a line, pt."""
     data = np.column_stack([np.asarray(values, np.float64) for values in line.get_data()])
     ends = scale * line.get_transform().transform(data[np.isfinite(data).all(axis=1)])
+    if not len(ends):  # a line without a value
+        return np.zeros((0, 2))
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ends, axis=0), axis=1))])
     at = np.linspace(0.0, length[-1], int(length[-1] / _SAMPLE_PT) + 2)
     return np.column_stack([np.interp(at, length, ends[:, axis]) for axis in range(2)])
