@@ -93,6 +93,14 @@ class Playground:
             if wait_s > 0.0:
                 time.sleep(wait_s)
 
+    def ask(self, do: Callable[[], None]) -> None:
+        """Have the loop do something between two control periods.
+
+        Args:
+            do: called by the loop's thread.
+        """
+        self._asked.put(do)
+
     def _do_what_is_asked(self) -> None:
         while not self._asked.empty():
             try:
@@ -118,7 +126,7 @@ class Playground:
     def _drag(self, event: "viser.TransformControlsEvent") -> None:
         self._dragging = event.phase != "end"
         point = np.array(event.target.position)
-        self._asked.put(partial(self._move_target, point))
+        self.ask(partial(self._move_target, point))
 
     def _move_target(self, point: FloatArray) -> None:
         self.simulated.move_target(self.view.scene.point_in_n(point))
@@ -129,7 +137,7 @@ class Playground:
 
         def ask(event: Any) -> None:
             if event.client is not None:  # not when the program sets it
-                self._asked.put(lambda: do(handle.value))
+                self.ask(lambda: do(handle.value))
 
         handle.on_update(ask)
 
@@ -147,7 +155,7 @@ class Playground:
         self._on_browser(speed, lambda value: setattr(self, "_speed", value))
         self._on_browser(paused, lambda value: setattr(self, "_paused", value))
         self._on_browser(sigmas, lambda value: setattr(self.view, "sigmas", value))
-        ahead.on_click(lambda _event: self._asked.put(self._look_ahead))
+        ahead.on_click(lambda _event: self.ask(self._look_ahead))
 
     def _look_ahead(self) -> None:
         self.simulated.look_ahead()

@@ -134,10 +134,12 @@ class HeadScene:
         cameras = self._N @ self._head.camera_poses(shown.positions)
         points = (self._N @ np.append(shown.fix.point, 1.0))[:3]
         with self._server.atomic():
-            for body, frame in self._bodies.items():
-                frame.position, frame.wxyz = poses[body, :3, 3], _wxyz(poses[body, :3, :3])
-            for frustum, pose in zip(self._eyes, cameras, strict=True):
-                frustum.position, frustum.wxyz = pose[:3, 3], _wxyz(pose[:3, :3])
+            placed = np.concatenate([poses[list(self._bodies)], cameras])
+            turns = _wxyz(placed[:, :3, :3])
+            for node, pose, turn in zip(
+                [*self._bodies.values(), *self._eyes], placed, turns, strict=True
+            ):
+                node.position, node.wxyz = pose[:3, 3], turn
             self._show_axes(cameras, points)
             valid = bool(shown.fix.valid)
             self._fix.visible = valid
@@ -187,5 +189,5 @@ class HeadScene:
 
 
 def _wxyz(turn: FloatArray) -> FloatArray:
-    """Quaternion (w, x, y, z) of a rotation matrix (3, 3)."""
+    """Quaternions (..., 4) in the order w, x, y, z of rotation matrices (..., 3, 3)."""
     return np.asarray(Rotation.from_matrix(turn).as_quat(scalar_first=True))
