@@ -10,152 +10,208 @@ from vergence.models.boards import board_pose, make_planar_target, outline_m
 from vergence.models.head import HeadModel
 from vergence.models.mujoco.scene import surroundings_of
 from vergence.models.parts import FloatArray
+from vergence.viewer import marks
 from vergence.viewer.eye_pictures import BACKGROUND_GREY, EYE_COLOURS
 from vergence.viewer.rasteriser import Triangles, paint_triangles
 from vergence.viewer.shapes import HeadShapes
 
-FIX_COLOUR: Final = (170, 40, 150)
 _SUBPIXELS: Final = 2
+"""Samples of a pixel along each side (chosen: smooth edges against time)."""
+_AZIMUTH_RAD: Final = np.deg2rad(-12.0)
+_ELEVATION_RAD: Final = np.deg2rad(33.0)
+"""Direction of the camera from the head (chosen: from its left side and above, where one sees how
+far the eyes turn, the angle between their axes, and the target's pattern)."""
+_FOCAL: Final = 1.6
+"""Focal length by the picture's height (chosen: little perspective)."""
+_ROOM: Final = (0.92, 0.84)
+"""Part of the width and the height that head and target fill (chosen: a margin)."""
+_HEAD_BASELINES: Final = 1.2
+"""Half size of the part of the head that is kept in view, in baselines (chosen: eyes and skull,
+not the stand)."""
+_LEAST_HEAD_M: Final = 0.1
+"""Least half size of that part, m (chosen: the skull of a head with near eyes)."""
+_REACH_WITHOUT_TARGET_M: Final = 0.5
+"""Distance that is kept in view without a target, m (chosen: an arm's length)."""
+_BEYOND: Final = 1.2
+"""Length of the optical axes by the target's distance (chosen: they are seen to cross)."""
 _LIGHT: Final = np.array([0.35, -0.5, 0.79])
-_AXIS_SIDES: Final = 8
-_SHADOW: Final = 0.12
+"""Direction to the light in the upright frame (chosen: from above and ahead of the head)."""
+_AMBIENT: Final = 0.55
+_FROM_ABOVE: Final = 0.15
+_DIRECT: Final = 0.5
+"""Brightness by light from all sides, from above, and from the light (chosen: form without dark
+sides)."""
+_LINE_PX: Final = 1.6
+"""Half thickness of the optical axes, px of a picture of 330 px height (chosen: legible)."""
+_FIX_PX: Final = 5.0
+"""Radius of the fix by gaze, px likewise (chosen: legible, smaller than the board)."""
+_FIX_COLOUR: Final = (170, 40, 150)
+"""RGB of the fix, 0 to 255 (chosen: unlike the eyes' colours)."""
+_NOMINAL_HEIGHT: Final = 330
+_SHADOW: Final = 0.13
+"""Darkness of the shadow on the floor, 0 to 1 (chosen: it shows where the floor is)."""
+_SHADOW_BLUR_PX: Final = 15
+"""Softness of the shadow, px (chosen)."""
 
 
 class OutsideCamera(NamedTuple):
-    """A camera that looks at the head from outside."""
+    """A camera that looks at a head from outside."""
 
-    pose: FloatArray
-    """(4, 4) in the upright frame: x right, y down, z forward."""
-    focal: float
-    """Focal length by the picture's height."""
+    rotation: FloatArray
+    """(3, 3) its axes in the upright frame: x right, y down, z forward."""
+    position: FloatArray
+    """(3,) in the upright frame, m."""
 
 
 class HeadPainter:
+    """Paints a head from outside: links, eyes, optical axes, target.
+
+    Args:
+        head: one head, not a population.
+    """
+
     def __init__(self, head: HeadModel) -> None:
         self._head = head
         self._shapes = HeadShapes(head)
         self._floor_m = surroundings_of(head).floor_m
-        self._normals = [_vertex_normals(m.vertices, m.faces) for m in self._shapes.meshes]
         self._board = make_planar_target("tag")
+        meshes = self._shapes.meshes
+        counts = [len(mesh.vertices) for mesh in meshes]
+        self._first = np.cumsum(counts)[:-1]
+        self._body = np.repeat([mesh.body for mesh in meshes], counts)
+        self._vertices = np.concatenate([mesh.vertices for mesh in meshes])
+        self._normals = np.concatenate([_normals(mesh.vertices, mesh.faces) for mesh in meshes])
+        firsts = np.concatenate([[0], self._first])
+        self._faces = np.concatenate([m.faces + at for m, at in zip(meshes, firsts, strict=True)])
+        colours = np.array([mesh.colour for mesh in meshes], dtype=float)
+        self._colours = np.repeat(colours, [len(mesh.faces) for mesh in meshes], axis=0)
 
     def place_camera(
-        self, positions: FloatArray, target: FloatArray, aspect: float, azimuth=-145.0,
-        elevation=22.0, fov=35.0, ahead=0.5, radius=1.5,
+        self, positions: FloatArray, target: FloatArray, aspect: float
     ) -> OutsideCamera:
-        N = self._shapes.pose_of_n(positions)
-        size = radius * self._shapes.baseline_m
-        head = N[:3, 3] + size * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-        towards = target if np.isfinite(target).all() else np.array([0.0, 0.0, 0.5])
-        board = N @ board_pose(towards)
-        outline = np.column_stack([outline_m(self._board), np.zeros(4), np.ones(4)])
-        points = np.concatenate([head, (outline @ board.T)[:, :3]])
-        a, e = np.deg2rad([azimuth, elevation])
-        back = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-        z = -back
-        x = np.cross(z, [0.0, 0.0, 1.0]); x /= np.linalg.norm(x)
-        pose = np.eye(4)
-        pose[:3, :3] = np.column_stack([x, np.cross(z, x), z])
-        focal = 0.5 / np.tan(np.deg2rad(0.5 * fov))
-        centre = points.mean(axis=0)
-        distance = 3.0
-        for _ in range(30):
-            at = centre - distance * z
-            seen = (points - at) @ pose[:3, :3]
-            uv = focal * seen[:, :2] / seen[:, 2:]
-            low, high = uv.min(axis=0), uv.max(axis=0)
-            shift = 0.5 * (low + high) * distance / focal
-            centre = centre + pose[:3, :2] @ shift
-            fill = np.max((high - low) / [0.94 * aspect, 0.88])
-            distance *= fill ** 0.8
-        pose[:3, 3] = centre - distance * z
-        return OutsideCamera(pose, focal)
+        """Place a camera at the head's left side, with both the head and the target in view.
 
-    def draw(self, positions, target, width, height, *, board=True, camera=None, fix=None) -> Image:
-        N = self._shapes.pose_of_n(positions)
-        if camera is None:
-            camera = self.place_camera(positions, target, width / height)
-        turn, at = camera.pose[:3, :3], camera.pose[:3, 3]
-        parts, shadows = [], []
-        poses = self._shapes.body_poses(positions)
-        for mesh, normals in zip(self._shapes.meshes, self._normals, strict=True):
-            pose = poses[mesh.body]
-            vertices = mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
-            shadows.append(vertices)
-            shades = _shade(normals @ pose[:3, :3].T)
-            parts.append(_triangles(vertices, mesh.faces, shades, mesh.colour))
-        anywhere = bool(np.isfinite(target).all())
-        reach = float(np.linalg.norm(target)) if anywhere else 0.5
-        thickness = 0.0022 * np.linalg.norm((N @ np.append(0.5 * (target if anywhere else np.zeros(3)), 1))[:3] - at)
-        for pose, colour in zip(N @ self._head.camera_poses(positions), EYE_COLOURS, strict=True):
-            parts.append(_rod(pose, 1.3 * reach, thickness, colour))
-        if board and anywhere:
-            parts += self._board_parts(N @ board_pose(target))
-        s = _SUBPIXELS
-        out = np.full((s * height, s * width, 3), BACKGROUND_GREY, np.uint8)
-        focal, middle = s * camera.focal * height, (0.5 * s * width - 0.5, 0.5 * s * height - 0.5)
-        self._paint_shadows(out, shadows, camera, focal, middle)
+        Args:
+            positions: (7,) joint angles, rad.
+            target: (3,) in N, m; nan for none.
+            aspect: width of the picture by its height.
+        """
+        frame_n = self._shapes.pose_of_n(positions)
+        around = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3)
+        size = max(_HEAD_BASELINES * self._shapes.baseline_m, _LEAST_HEAD_M)
+        towards = target if _known(target) else np.array([0.0, 0.0, _REACH_WITHOUT_TARGET_M])
+        outline = np.column_stack([outline_m(self._board), np.zeros(4)])
+        board = _moved(frame_n @ board_pose(towards), outline)
+        points = np.concatenate([frame_n[:3, 3] + size * around, board])
+        back = np.array([
+            np.cos(_ELEVATION_RAD) * np.cos(_AZIMUTH_RAD),
+            np.cos(_ELEVATION_RAD) * np.sin(_AZIMUTH_RAD),
+            np.sin(_ELEVATION_RAD),
+        ])  # fmt: skip
+        right = np.cross(-back, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        rotation = np.column_stack([right, np.cross(-back, right), -back])
+        points = points @ rotation
+        room = np.array(_ROOM) * [0.5 * aspect / _FOCAL, 0.5 / _FOCAL]
+        # Each side of the view is a plane: the camera is where opposite planes touch the points,
+        # drawn back until both pairs do.
+        depth, across = points[:, 2:], points[:, :2]
+        low, high = (across + room * depth).min(axis=0), (across - room * depth).max(axis=0)
+        centre, z = 0.5 * (low + high), float(((low - high) / (2.0 * room)).min())
+        return OutsideCamera(rotation, rotation @ [*centre, z])
+
+    def draw(
+        self,
+        positions: FloatArray,
+        target: FloatArray,
+        width: int,
+        height: int,
+        *,
+        board: bool = True,
+        fix: FloatArray | None = None,
+        camera: OutsideCamera | None = None,
+    ) -> Image:
+        """Paint the head.
+
+        Args:
+            positions: (7,) joint angles, rad.
+            target: (3,) point to keep in view, in N, m; nan for none.
+            width: px.
+            height: px.
+            board: True to paint the target's board; in front of a robot it is not known.
+            fix: (3,) fix by gaze in N, m, to be marked; None or nan for none.
+            camera: the camera; None for the one of `place_camera`.
+
+        Returns:
+            (height, width, 3) RGB.
+        """
+        camera = camera or self.place_camera(positions, target, width / height)
+        frame_n, poses = self._shapes.pose_of_n(positions), self._shapes.body_poses(positions)
+        turns = poses[self._body, :3, :3]
+        vertices = np.einsum("vij,vj->vi", turns, self._vertices) + poses[self._body, :3, 3]
+        shades = _shade(np.einsum("vij,vj->vi", turns, self._normals))
+        parts = [Triangles(vertices[self._faces], shades[self._faces], self._colours)]
+        reach = float(np.linalg.norm(target)) if _known(target) else _REACH_WITHOUT_TARGET_M
+        middle = _moved(frame_n, np.array([0.0, 0.0, 0.5 * reach]))
+        px_m = float((middle - camera.position) @ camera.rotation[:, 2]) / _FOCAL / _NOMINAL_HEIGHT
+        for pose, colour in zip(
+            frame_n @ self._head.camera_poses(positions), EYE_COLOURS, strict=True
+        ):
+            parts.append(marks.rod(pose, _BEYOND * reach, _LINE_PX * px_m, colour))
+        if board and _known(target):
+            parts.append(marks.board(self._board, frame_n @ board_pose(target)))
+        if fix is not None and _known(fix):
+            parts.append(marks.ball(_moved(frame_n, fix), _FIX_PX * px_m, _FIX_COLOUR))
+        focal = _SUBPIXELS * _FOCAL * height
+        out = self._background(vertices, camera, width, height)
         seen = Triangles(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-        seen = seen._replace(corners=(seen.corners - at) @ turn)
-        paint_triangles(out, seen, focal, middle)
+        seen = seen._replace(corners=(seen.corners - camera.position) @ camera.rotation)
+        centre = (0.5 * (out.shape[1] - 1), 0.5 * (out.shape[0] - 1))
+        paint_triangles(out, seen, focal, centre)
         return np.asarray(cv2.resize(out, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
-    def _paint_shadows(self, out, bodies, camera, focal, middle) -> None:
-        mask = np.zeros(out.shape[:2], np.uint8)
-        for vertices in bodies:
-            above = np.maximum(vertices[:, 2:] - self._floor_m, 0.0)
-            ground = vertices - above * np.array([0.25, -0.25, 1.0])
-            seen = (ground - camera.pose[:3, 3]) @ camera.pose[:3, :3]
-            if seen[:, 2].min() < 0.05:
-                continue
-            uv = focal * seen[:, :2] / seen[:, 2:] + middle
-            if np.abs(uv).max() < 20000:
-                cv2.fillConvexPoly(mask, cv2.convexHull(uv.round().astype(np.int32)), 255)
-        if mask.any():
-            mask = cv2.GaussianBlur(mask, (0, 0), 12)
-            out[:] = (out * (1.0 - _SHADOW / 255.0 * mask[..., None])).astype(np.uint8)
-
-    def _board_parts(self, pose) -> list[Triangles]:
-        cells = self._board.cells
-        rows, columns = cells.shape
-        y, x = np.mgrid[:rows, :columns].reshape(2, -1)
-        square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
-        places = (np.stack([x, y], -1)[:, None] + square - self._board.origin_cells) * self._board.cell_m
-        places = np.concatenate([places, np.zeros((*places.shape[:2], 1))], -1) @ pose[:3, :3].T + pose[:3, 3]
-        front = places[:, [0, 2, 1, 0, 3, 2]].reshape(-1, 3, 3)
-        grey = np.where(cells.ravel() > 127, 252.0, 35.0)
-        colours = np.repeat(grey, 2)[:, None] * np.ones(3)
-        whole = outline_m(self._board)
-        back = np.column_stack([whole, np.full(4, 1e-3)]) @ pose[:3, :3].T + pose[:3, 3]
-        ones = np.ones((len(front), 3))
-        return [
-            Triangles(front, ones, colours),
-            Triangles(back[[[0, 1, 2], [0, 2, 3]]], np.ones((2, 3)), np.full((2, 3), 190.0)),
-        ]
+    def _background(
+        self, vertices: FloatArray, camera: OutsideCamera, width: int, height: int
+    ) -> Image:
+        """Plain background with the shadow of the head on the floor, at the samples of pixels."""
+        mask = np.zeros((height, width), np.uint8)
+        fall = np.maximum(vertices[:, 2:] - self._floor_m, 0.0) / _LIGHT[2]
+        seen = (vertices - fall * _LIGHT - camera.position) @ camera.rotation
+        # every mesh is convex, so its shadow is the hull of its corners' shadows
+        for points in np.split(seen, self._first):
+            if points[:, 2].min() > 0.0:
+                pixels = _FOCAL * height * points[:, :2] / points[:, 2:] + [width / 2, height / 2]
+                if np.abs(pixels).max() < 10.0 * (width + height):  # else it is out of view
+                    cv2.fillConvexPoly(mask, cv2.convexHull(pixels.astype(np.int32)), 255)
+        for _ in range(2):  # a box twice is nearly round, and fast
+            mask = np.asarray(cv2.blur(mask, (_SHADOW_BLUR_PX, _SHADOW_BLUR_PX)), np.uint8)
+        grey = (BACKGROUND_GREY - BACKGROUND_GREY * _SHADOW / 255.0 * mask).astype(np.uint8)
+        size = (_SUBPIXELS * width, _SUBPIXELS * height)
+        return np.asarray(cv2.cvtColor(cv2.resize(grey, size), cv2.COLOR_GRAY2RGB), np.uint8)
 
 
-def _triangles(vertices, faces, shades, colour) -> Triangles:
-    return Triangles(vertices[faces], shades[faces], np.tile(np.array(colour, float), (len(faces), 1)))
+def _known(point: FloatArray) -> bool:
+    return bool(np.isfinite(point).all())
 
 
-def _shade(normals):
-    direct = np.maximum(normals @ _LIGHT, 0.0)
-    return 0.55 + 0.15 * normals[..., 2] + 0.5 * direct
+def _moved(pose: FloatArray, points: FloatArray) -> FloatArray:
+    """Points (..., 3) moved by a pose (4, 4)."""
+    return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])
 
 
-def _vertex_normals(vertices, faces):
+def _normals(vertices: FloatArray, faces: np.ndarray) -> FloatArray:
+    """(v, 3) unit normals at vertices, means of those of the faces around, by their areas."""
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    out = np.zeros_like(vertices)
+    total = np.zeros_like(vertices)
     for k in range(3):
-        np.add.at(out, faces[:, k], normals)
-    length = np.linalg.norm(out, axis=1, keepdims=True)
-    return out / np.where(length > 0, length, 1.0)
+        np.add.at(total, faces[:, k], normals)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.asarray(total / np.where(length > 0.0, length, 1.0))
 
 
-def _rod(pose, length, radius, colour) -> Triangles:
-    around = np.linspace(0.0, 2.0 * np.pi, _AXIS_SIDES, endpoint=False)
-    ring = radius * np.column_stack([np.cos(around), np.sin(around), np.zeros(_AXIS_SIDES)])
-    vertices = np.concatenate([ring, ring + [0.0, 0.0, length]]) @ pose[:3, :3].T + pose[:3, 3]
-    a = np.arange(_AXIS_SIDES); b = (a + 1) % _AXIS_SIDES
-    faces = np.concatenate([np.stack([a, b, b + _AXIS_SIDES], 1), np.stack([a, b + _AXIS_SIDES, a + _AXIS_SIDES], 1)])
-    return _triangles(vertices, faces, np.ones(len(vertices)), colour)
+def _shade(normals: FloatArray) -> FloatArray:
+    """Brightness of surfaces with the given normals (..., 3)."""
+    return np.asarray(
+        _AMBIENT + _FROM_ABOVE * normals[..., 2] + _DIRECT * np.maximum(normals @ _LIGHT, 0.0)
+    )

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from vergence.models.parts import FloatArray
 
 _NEAR_M: Final = 0.01
-"""Depth before which a triangle is left out, m (numerical)."""
+"""Depth of the nearest triangles that are painted, m (numerical)."""
+
+Indices = NDArray[np.intp]
 
 
 class Triangles(NamedTuple):
@@ -23,89 +25,76 @@ class Triangles(NamedTuple):
 
 
 def paint_triangles(
-    image: NDArray[np.uint8], seen: Triangles, focal: float, centre: tuple[float, float]
+    image: NDArray[np.uint8], seen: Triangles, focal_px: float, centre: tuple[float, float]
 ) -> None:
     """Paint the triangles that face a camera, the nearest one at each pixel.
 
     Args:
         image: (height, width, 3) RGB, changed in place.
         seen: triangles in the camera's frame: x right, y down, z forward.
-        focal: focal length, px.
-        centre: principal point, (u, v) px, from the upper left pixel's centre.
+        focal_px: focal length, px.
+        centre: principal point, (u, v) px, where the upper left pixel's centre is (0, 0).
     """
-    corners, normals = seen.corners, _normals(seen.corners)
-    front = (np.einsum("ti,ti->t", normals, corners[:, 0]) < 0.0) & (
-        corners[..., 2].min(axis=1) > _NEAR_M
-    )
-    corners, shades = corners[front], seen.shades[front]
+    before = (seen.corners[..., 2] > _NEAR_M).all(axis=1)
+    corners, shades, colours = (part[before] for part in seen)
     nearness = 1.0 / corners[..., 2]
-    u = focal * corners[..., 0] * nearness + centre[0]
-    v = focal * corners[..., 1] * nearness + centre[1]
+    u = focal_px * corners[..., 0] * nearness + centre[0]
+    v = focal_px * corners[..., 1] * nearness + centre[1]
+    front = _doubled_area(u, v) < 0.0  # v points down
+    u, v, nearness, shades, colours = (part[front] for part in (u, v, nearness, shades, colours))
     height, width = image.shape[:2]
-    of_row, row, first, count = _spans(u, v, width, height)
-    span = _repeated(count)
-    x = (first[span] + _within(count)).astype(np.intp)
-    of, y = of_row[span], row[span]
+    of, x, y = _pixels_of_triangles(u, v, width, height)
     place = y * width + x
-    depth = _interpolated(u, v, nearness, of, x, y)
+    depth = _interpolate(u, v, nearness, of, x, y)
     nearest = np.zeros(height * width)
     np.maximum.at(nearest, place, depth)
     won = depth == nearest[place]
-    of, place = of[won], place[won]
-    shade = _interpolated(u, v, shades, of, x[won], y[won])
-    painted = np.minimum(seen.colours[front][of] * shade[:, None], 255.0)
-    image.reshape(-1, 3)[place] = np.maximum(painted, 0.0).astype(np.uint8)
+    of, x, y, place = of[won], x[won], y[won], place[won]
+    shade = _interpolate(u, v, shades, of, x, y).astype(np.float32)
+    painted = colours.astype(np.float32)[of] * shade[:, None]
+    image.reshape(-1, 3)[place] = np.clip(painted, 0.0, 255.0, out=painted).astype(np.uint8)
 
 
-def _normals(corners: FloatArray) -> FloatArray:
-    """(t, 3) outward normals of triangles, as long as twice their area."""
-    return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+def _doubled_area(u: FloatArray, v: FloatArray) -> FloatArray:
+    """(t,) twice the area of triangles, negative if they run the other way round."""
+    return np.asarray(
+        (u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0])
+    )
 
 
-def _spans(
+def _pixels_of_triangles(
     u: FloatArray, v: FloatArray, width: int, height: int
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Triangle, row, first pixel and count of pixels of each run of pixels in a triangle."""
+) -> tuple[Indices, Indices, Indices]:
+    """All pairs of a triangle and a pixel in it: triangle, x and y."""
     top = np.clip(np.ceil(v.min(axis=1)), 0, height).astype(np.intp)
     bottom = np.clip(np.floor(v.max(axis=1)), -1, height - 1).astype(np.intp)
-    rows = np.maximum(bottom - top + 1, 0)
-    of = _repeated(rows)
-    row = top[of] + _within(rows)
-    low, high = np.full(len(of), 0.0), np.full(len(of), width - 1.0)
-    for k in range(3):
-        u0, v0 = u[:, k], v[:, k]
-        along, across = np.roll(v, -1, axis=1)[:, k] - v0, np.roll(u, -1, axis=1)[:, k] - u0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            slope = across / along
-            edge = u0[of] + slope[of] * (row - v0[of])
-        rising, falling = along[of] > 0.0, along[of] < 0.0
-        low = np.where(rising, np.maximum(low, edge), low)
-        high = np.where(falling, np.minimum(high, edge), high)
-    first = np.ceil(low).astype(np.intp)
-    count = np.maximum(np.floor(high).astype(np.intp) - first + 1, 0)
-    return of, row, first, count
+    of, row = _expand(top, np.maximum(bottom - top + 1, 0))
+    low, high = np.zeros(len(of)), np.full(len(of), width - 1.0)
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        rise = v[:, b] - v[:, a]
+        slope = (u[:, b] - u[:, a]) / np.where(rise == 0.0, 1.0, rise)
+        edge = u[of, a] + slope[of] * (row - v[of, a])
+        low = np.where(rise[of] > 0.0, np.maximum(low, edge), low)
+        high = np.where(rise[of] < 0.0, np.minimum(high, edge), high)
+    first = np.ceil(np.minimum(low, width)).astype(np.intp)
+    last = np.floor(np.maximum(high, -1.0)).astype(np.intp)
+    run, x = _expand(first, np.maximum(last - first + 1, 0))
+    return of[run], x, row[run]
 
 
-def _interpolated(
-    u: FloatArray, v: FloatArray, values: FloatArray,
-    of: NDArray[np.intp], x: NDArray[np.intp], y: NDArray[np.intp],
-) -> FloatArray:  # fmt: skip
+def _expand(first: Indices, counts: Indices) -> tuple[Indices, Indices]:
+    """Index and value of all numbers in runs that begin at `first`."""
+    index = np.repeat(np.arange(len(counts)), counts)
+    begin = np.cumsum(counts) - counts
+    return index, np.arange(len(index)) + (first - begin)[index]
+
+
+def _interpolate(
+    u: FloatArray, v: FloatArray, values: FloatArray, of: Indices, x: Indices, y: Indices
+) -> FloatArray:
     """Values at pixels, linear between those at the corners of the pixels' triangles."""
-    du, dv, dw = (a[:, 1:] - a[:, :1] for a in (u, v, values))
-    area = du[:, 0] * dv[:, 1] - du[:, 1] * dv[:, 0]
-    area = np.where(area == 0.0, -1.0, area)
-    by_u = (dw[:, 0] * dv[:, 1] - dw[:, 1] * dv[:, 0]) / area
-    by_v = (du[:, 0] * dw[:, 1] - du[:, 1] * dw[:, 0]) / area
+    area = _doubled_area(u, v)
+    by_u = _doubled_area(values, v) / area
+    by_v = _doubled_area(u, values) / area
     base = values[:, 0] - by_u * u[:, 0] - by_v * v[:, 0]
     return np.asarray(base[of] + by_u[of] * x + by_v[of] * y)
-
-
-def _repeated(counts: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Each index as often as its count."""
-    return np.repeat(np.arange(len(counts)), counts)
-
-
-def _within(counts: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Numbers from zero to below each count, one run after the other."""
-    ends = np.cumsum(counts)
-    return np.arange(ends[-1] if len(ends) else 0) - np.repeat(ends - counts, counts)

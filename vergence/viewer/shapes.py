@@ -95,7 +95,7 @@ def _mesh(model: mujoco.MjModel, geom: int) -> Mesh:
         vertices, faces = _box()
         vertices = vertices * [a, b, c]
     else:
-        vertices, faces = _revolve(_profile(kind, a, b))
+        vertices, faces = revolve(_profile(kind, a, b))
         if kind == _GEOM.mjGEOM_ELLIPSOID:
             vertices = vertices * [a, b, c]
     turn = np.empty(9)
@@ -125,7 +125,7 @@ def _profile(kind: int, radius: float, half_length: float) -> FloatArray:
     return np.concatenate([upper[::-1] * [1.0, -1.0], upper])
 
 
-def _revolve(profile: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+def revolve(profile: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
     """Vertices and faces of the surface that a profile sweeps around the z axis."""
     around = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
     circle = np.column_stack([np.cos(around), np.sin(around)])
