@@ -38,6 +38,11 @@ class Gaze:
     config: Flat[GazeConfig] = field(default_factory=GazeConfig)
     out: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """Run folder, new or empty; runs/gaze-DATE-TIME by default."""
+    record: Annotated[
+        Path | None, tyro.conf.arg(help_behavior_hint="", metavar="FILE.gif|mp4|webp")
+    ] = None
+    """Also record a short film of the gaze: the head from outside, both eyes' images, and the pixel
+    error over time."""
     tables: Flat[TableOptions] = field(default_factory=TableOptions)
     json: bool = False
     """Print the result as JSON, and nothing else, on standard output."""
@@ -45,6 +50,10 @@ class Gaze:
     def run(self) -> int:
         """Run the command."""
         self.tables.check()
+        if self.record is not None:
+            from vergence.viewer.film_files import check_film
+
+            check_film(self.record)
         from vergence._ahead import compile_in_background
 
         compile_in_background(COMPILED_AHEAD)
@@ -61,12 +70,24 @@ class Gaze:
                 shutil.copyfile(result.config.hardware, folder / "hardware.toml")
             draw_gaze(result, folder / "gaze.png")
 
+        film = None
+        if self.record is not None:
+            from vergence.viewer.film import GazeFilm
+
+            film = GazeFilm(self.config.duration_s)
         if self.config.hardware is not None:
             interrupts.raise_on_termination()
         with claimed_run_folder(self.out or dated_run_folder("gaze")) as run:
             with progress_bar("gaze") as report:
-                result: GazeResult = run_gaze(self.config, report)
+                result: GazeResult = run_gaze(
+                    self.config, report, None if film is None else film.watch
+                )
             run.finish(write, result.summary, lambda: _print_gaze(result), as_json=self.json)
+            if film is not None and self.record is not None:
+                with progress_bar("film") as report:
+                    film.write(self.record, result, report)
+                if not self.json:
+                    print(f"film written to {self.record}")
         return _verdict(result) if run.saved else 2
 
 

@@ -123,12 +123,21 @@ class GazeResult:
         }
 
 
-def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None) -> GazeResult:
+Watch = Callable[[GazeTask, int], None]
+"""Observer of a gaze: called with the open task and the number of control periods done, from 0."""
+
+
+def run_gaze(
+    config: GazeConfig,
+    progress: Callable[[float], None] | None = None,
+    watch: Watch | None = None,
+) -> GazeResult:
     """Bring the gaze to a target and triangulate it.
 
     Args:
         config: the gaze.
         progress: callback with the fraction done, after every control period.
+        watch: observer of the gaze.
 
     Returns:
         The result.
@@ -156,7 +165,7 @@ def run_gaze(config: GazeConfig, progress: Callable[[float], None] | None = None
     controller = make_controller(config.controller, head=head, **options)
     target = {"kind": "static", "point": point.tolist()}
     task = GazeTask(1, head=head, plant=config.plant, target=target, plant_options=plant_options)
-    return record_gaze(task, controller, config, progress)
+    return record_gaze(task, controller, config, progress, watch)
 
 
 def record_gaze(
@@ -164,6 +173,7 @@ def record_gaze(
     controller: Policy,
     config: GazeConfig,
     progress: Callable[[float], None] | None = None,
+    watch: Watch | None = None,
 ) -> GazeResult:
     """Run the trial of a gaze, close its task, and evaluate the recording.
 
@@ -172,6 +182,7 @@ def record_gaze(
         controller: the controller.
         config: the gaze, with the trial's duration and seed.
         progress: callback with the fraction done, after every control period.
+        watch: observer of the gaze.
 
     Returns:
         The result.
@@ -185,6 +196,8 @@ def record_gaze(
 
     def keep(step: int) -> None:
         record(step)
+        if watch is not None:
+            watch(task, step)
         if step == steps:  # while the plant is open
             endings.append(FinalState.of(task))
         if step > 0 and progress is not None:

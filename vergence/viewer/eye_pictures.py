@@ -9,6 +9,7 @@ from vergence.envs.reading import Image
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
+from vergence.viewer.lettering import write_text
 from vergence.viewer.moment import Moment
 
 EYE_WIDTH: Final = 480
@@ -21,8 +22,6 @@ BACKGROUND_GREY: Final = 245
 """Grey level of backgrounds, 0 to 255 (chosen: contrast)."""
 _OLD_S: Final = 0.5
 """Age above which an image's age is stated, s (chosen: beyond any latency)."""
-_TEXT_COLOUR: Final = (40, 40, 40)
-"""RGB of text, 0 to 255 (chosen: contrast)."""
 
 
 def draw_eye(head: HeadModel, shown: Moment, eye: int, width: int = EYE_WIDTH) -> Image:
@@ -80,11 +79,7 @@ def write_label(image: Image, text: str, at: tuple[int, int]) -> None:
 
     Args:
         image: (height, width, 3) RGB, changed in place.
-        text: the line, ASCII.
+        text: the line.
         at: left end of the text's base line, px.
     """
-    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.55
-    (width, height), below = cv2.getTextSize(text, font, scale, 1)
-    corner, opposite = (at[0] - 5, at[1] - height - 5), (at[0] + width + 5, at[1] + below + 3)
-    cv2.rectangle(image, corner, opposite, (BACKGROUND_GREY,) * 3, -1)
-    cv2.putText(image, text, at, font, scale, _TEXT_COLOUR, 1, cv2.LINE_AA)
+    write_text(image, text, at, plain=BACKGROUND_GREY)

@@ -17,10 +17,13 @@ from vergence.viewer.shapes import HeadShapes
 
 _SUBPIXELS: Final = 2
 """Samples of a pixel along each side (chosen: smooth edges against time)."""
-_AZIMUTH_RAD: Final = np.deg2rad(-12.0)
+_AZIMUTH_RAD: Final = np.deg2rad(-10.0)
 _ELEVATION_RAD: Final = np.deg2rad(33.0)
 """Direction of the camera from the head (chosen: from its left side and above, where one sees how
 far the eyes turn, the angle between their axes, and the target's pattern)."""
+_MAX_TURN_RAD: Final = np.deg2rad(60.0)
+"""Largest turn of the camera with a target at its side of the head, so that it still sees the
+target's front (chosen)."""
 _FOCAL: Final = 1.6
 """Focal length by the picture's height (chosen: little perspective)."""
 _ROOM: Final = (0.92, 0.84)
@@ -103,11 +106,10 @@ class HeadPainter:
         outline = np.column_stack([outline_m(self._board), np.zeros(4)])
         board = _moved(frame_n @ board_pose(towards), outline)
         points = np.concatenate([frame_n[:3, 3] + size * around, board])
-        back = np.array([
-            np.cos(_ELEVATION_RAD) * np.cos(_AZIMUTH_RAD),
-            np.cos(_ELEVATION_RAD) * np.sin(_AZIMUTH_RAD),
-            np.sin(_ELEVATION_RAD),
-        ])  # fmt: skip
+        turn = np.clip(np.arctan2(-towards[0], abs(towards[2])), 0.0, _MAX_TURN_RAD)
+        azimuth, elevation = _AZIMUTH_RAD + turn, _ELEVATION_RAD
+        level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        back = np.cos(elevation) * level + [0.0, 0.0, np.sin(elevation)]
         right = np.cross(-back, [0.0, 0.0, 1.0])
         right /= np.linalg.norm(right)
         rotation = np.column_stack([right, np.cross(-back, right), -back])
