@@ -43,12 +43,12 @@ class ErrorCurve:
         self._axes: Image = np.full((size[1], size[0], 3), BACKGROUND_GREY, np.uint8)
         self._draw_axes()
 
-    def draw(self, k: int, note: str = "") -> Image:
+    def draw(self, k: int, note: tuple[str, ...] = ()) -> Image:
         """Draw the curves up to a time.
 
         Args:
             k: index of the present time.
-            note: a line below the title.
+            note: lines in the upper right corner.
 
         Returns:
             (height, width, 3) RGB.
@@ -69,8 +69,9 @@ class ErrorCurve:
             if known[-1]:
                 at = points[-1].astype(int).tolist()
                 cv2.circle(out, at, (5 - eye) * fraction, colour, -1, cv2.LINE_AA, _SUBPIXEL_BITS)
-        if note:
-            write_text(out, note, (len(out[0]) - _MARGINS[1], 38), colour=TARGET_COLOUR, align="right")
+        for row, line in enumerate(note):
+            at = (self._corner[0] + self._extent[0], _MARGINS[2] + 20 + 18 * row)
+            write_text(out, line, at, colour=TARGET_COLOUR, align="right")
         return out
 
     def _places(self, times_s: FloatArray, errors_px: FloatArray) -> FloatArray:

@@ -70,8 +70,8 @@ def draw_cross(image: Image, at: FloatArray, colour: tuple[int, int, int], size:
         size: length of its arms, px.
     """
     u, v = round(float(at[0])), round(float(at[1]))
-    cv2.line(image, (u - size, v), (u + size, v), colour, 1, cv2.LINE_AA)
-    cv2.line(image, (u, v - size), (u, v + size), colour, 1, cv2.LINE_AA)
+    cv2.line(image, (u - size, v), (u + size, v), colour, 2, cv2.LINE_AA)
+    cv2.line(image, (u, v - size), (u, v + size), colour, 2, cv2.LINE_AA)
 
 
 def write_label(image: Image, text: str, at: tuple[int, int]) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
 from vergence.eval.gaze import GazeResult
+from vergence.eval.gaze_trajectory import MM
 from vergence.viewer.error_curve import ErrorCurve
 from vergence.viewer.eye_pictures import BACKGROUND_GREY, EYE_COLOURS, draw_eye
 from vergence.viewer.film_files import write_film
@@ -103,7 +104,7 @@ class _Frames:
         )
         rate = f"{slower:.2g}x slower" if slower > 1.0 else f"{1.0 / slower:.2g}x faster"
         self._rate = "" if np.isclose(slower, 1.0) else rate
-        self._title = f"{result.head.name} head, {result.config.controller}"
+        self._title = f"{result.head.name} head, controller {result.config.controller}"
 
     def draw(self, k: int) -> Image:
         """Draw a frame.
@@ -116,7 +117,7 @@ class _Frames:
         """
         shown = self._moments[k]
         out = np.full(
-            (_VIEW_HEIGHT + self._panel_height + _MARGIN, _WIDTH, 3), BACKGROUND_GREY, np.uint8
+            (_VIEW_HEIGHT + self._panel_height + 2 * _MARGIN, _WIDTH, 3), BACKGROUND_GREY, np.uint8
         )
         crossing = shown.fix.point if shown.fix.valid else None
         out[:_VIEW_HEIGHT] = self._painter.draw(
@@ -127,24 +128,37 @@ class _Frames:
         clock = f"{shown.time_s:.2f} s"
         write_text(out, clock, (_WIDTH - _MARGIN, 24), size=_TITLE_PX, align="right")
         write_text(out, self._rate, (_WIDTH - _MARGIN, 44), align="right")
+        write_text(out, _describe_crossing(shown), (_MARGIN, _VIEW_HEIGHT - 12))
+        if shown.target_is_truth:  # a detection's image is older than the picture
+            shown = shown._replace(pixels=np.full((2, 2), np.nan))
+        top = _VIEW_HEIGHT + _MARGIN
         for eye, colour in enumerate(EYE_COLOURS):
             picture = draw_eye(self._head, shown, eye, _EYE_WIDTH)
             cv2.rectangle(picture, (0, 0), (_EYE_WIDTH - 1, len(picture) - 1), colour, 2)
             left = _MARGIN + eye * (_EYE_WIDTH + _MARGIN)
-            out[_VIEW_HEIGHT : _VIEW_HEIGHT + len(picture), left : left + _EYE_WIDTH] = picture
+            out[top : top + len(picture), left : left + _EYE_WIDTH] = picture
         left = 3 * _MARGIN + 2 * _EYE_WIDTH
         curve = self._curve.draw(k, self._note(shown.time_s))
-        out[_VIEW_HEIGHT : _VIEW_HEIGHT + len(curve), left : left + curve.shape[1]] = curve
+        out[top : top + len(curve), left : left + curve.shape[1]] = curve
         return out
 
-    def _note(self, time_s: float) -> str:
-        """Line on the settling, from when it has happened."""
+    def _note(self, time_s: float) -> tuple[str, ...]:
+        """Lines on the settling, from when it has happened."""
         settled_s = self._result.settle_1px_s
         if not time_s >= settled_s:
-            return ""
-        if self._result.has_residual:
-            return f"within 1 px of the least after {settled_s:.3f} s"
-        return f"settled to 1 px after {settled_s:.3f} s"
+            return ()
+        to = "within 1 px of the least" if self._result.has_residual else "settled to 1 px"
+        return to, f"after {settled_s:.3f} s"
+
+
+def _describe_crossing(shown: Moment) -> str:
+    """Line on the fix by gaze."""
+    if not shown.fix.valid:
+        return "the optical axes do not cross ahead"
+    if shown.target_is_truth:
+        off = MM * float(np.linalg.norm(shown.fix.point - shown.target))
+        return f"the optical axes cross {off:.1f} mm from the target"
+    return "the optical axes cross at ({:.0f}, {:.0f}, {:.0f}) mm".format(*MM * shown.fix.point)
 
 
 def _shrink(image: Image) -> Image:

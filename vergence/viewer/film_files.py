@@ -22,6 +22,10 @@ _CODECS: Final = ("vp09", "mp4v")
 """Codecs of MP4, the first that OpenCV has: VP9, which browsers play; else MPEG-4."""
 _PALETTE_FRAMES: Final = 8
 """Frames from which a GIF's palette is taken (chosen: all colours against time)."""
+_GREYS: Final = 64
+"""Greys of a GIF's palette (chosen: steps that are hardly seen, and hide the noise of cameras)."""
+_LEAST_SATURATION: Final = 24
+"""Difference of a pixel's channels from which it counts as coloured (chosen)."""
 _WEBP_QUALITY: Final = 80
 """Quality of WebP, 0 to 100 (chosen: no visible loss)."""
 
@@ -82,10 +86,7 @@ def write_film(
                 return
             pictures = (PillowImage.fromarray(frame) for frame in frames())
             if suffix == ".gif":
-                some = np.linspace(0, len(durations_ms) - 1, _PALETTE_FRAMES).astype(int)
-                palette = PillowImage.fromarray(
-                    np.concatenate([frame_at(k) for k in some])
-                ).quantize(256, PillowImage.Quantize.MEDIANCUT)
+                palette = _palette(frame_at, len(durations_ms))
                 pictures = (
                     one.quantize(palette=palette, dither=PillowImage.Dither.NONE)
                     for one in pictures
@@ -97,6 +98,21 @@ def write_film(
     except OSError as error:
         reason = error.strerror or error
         raise ConfigurationError(f"record: cannot write {path}: {reason}") from error
+
+
+def _palette(frame_at: Callable[[int], Image], count: int) -> PillowImage.Image:
+    """256 colours of a film: the saturated ones of some frames, and greys."""
+    some = np.linspace(0, count - 1, _PALETTE_FRAMES).astype(int)
+    pixels = np.concatenate([frame_at(k).reshape(-1, 3) for k in some])
+    coloured = pixels[np.ptp(pixels, axis=1) > _LEAST_SATURATION]
+    chosen = np.repeat(np.linspace(0, 255, _GREYS).round().astype(np.uint8)[:, None], 3, axis=1)
+    if len(coloured):
+        few = PillowImage.fromarray(coloured[None]).quantize(256 - _GREYS)
+        colours = np.array(few.getpalette(), dtype=np.uint8).reshape(-1, 3)[: 256 - _GREYS]
+        chosen = np.concatenate([chosen, colours])
+    palette = PillowImage.new("P", (1, 1))
+    palette.putpalette(chosen.tobytes())
+    return palette
 
 
 def _write_mp4(path: Path, frames: Iterator[Image], durations_ms: Sequence[int]) -> None:

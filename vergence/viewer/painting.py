@@ -11,7 +11,7 @@ from vergence.models.head import HeadModel
 from vergence.models.mujoco.scene import surroundings_of
 from vergence.models.parts import FloatArray
 from vergence.viewer import marks
-from vergence.viewer.eye_pictures import BACKGROUND_GREY, EYE_COLOURS
+from vergence.viewer.eye_pictures import EYE_COLOURS
 from vergence.viewer.rasteriser import Triangles, paint_triangles
 from vergence.viewer.shapes import HeadShapes
 
@@ -24,8 +24,9 @@ far the eyes turn, the angle between their axes, and the target's pattern)."""
 _MAX_TURN_RAD: Final = np.deg2rad(60.0)
 """Largest turn of the camera with a target at its side of the head, so that it still sees the
 target's front (chosen)."""
-_FOCAL: Final = 1.6
-"""Focal length by the picture's height (chosen: little perspective)."""
+_FOCAL: Final = 1.1
+"""Focal length by the picture's height (chosen: a camera near enough to see the eyes and the board
+from their fronts)."""
 _ROOM: Final = (0.92, 0.84)
 """Part of the width and the height that head and target fill (chosen: a margin)."""
 _HEAD_BASELINES: Final = 1.2
@@ -51,6 +52,8 @@ _FIX_PX: Final = 5.0
 _FIX_COLOUR: Final = (170, 40, 150)
 """RGB of the fix, 0 to 255 (chosen: unlike the eyes' colours)."""
 _NOMINAL_HEIGHT: Final = 330
+_BACKGROUND: Final = 232
+"""Grey level behind the head, 0 to 255 (chosen: a white board stands out)."""
 _SHADOW: Final = 0.13
 """Darkness of the shadow on the floor, 0 to 1 (chosen: it shows where the floor is)."""
 _SHADOW_BLUR_PX: Final = 15
@@ -187,7 +190,7 @@ class HeadPainter:
                     cv2.fillConvexPoly(mask, cv2.convexHull(pixels.astype(np.int32)), 255)
         for _ in range(2):  # a box twice is nearly round, and fast
             mask = np.asarray(cv2.blur(mask, (_SHADOW_BLUR_PX, _SHADOW_BLUR_PX)), np.uint8)
-        grey = (BACKGROUND_GREY - BACKGROUND_GREY * _SHADOW / 255.0 * mask).astype(np.uint8)
+        grey = (_BACKGROUND - _BACKGROUND * _SHADOW / 255.0 * mask).astype(np.uint8)
         size = (_SUBPIXELS * width, _SUBPIXELS * height)
         return np.asarray(cv2.cvtColor(cv2.resize(grey, size), cv2.COLOR_GRAY2RGB), np.uint8)
 
