@@ -43,9 +43,3 @@ def undrawn(monkeypatch):
 def silent_kernels(monkeypatch):
     """Commands do not say that kernels are compiled, which depends on what has run before."""
     monkeypatch.setattr("vergence.cli._tell_of_kernels", lambda: None)
-
-
-@pytest.fixture
-def without_opengl(monkeypatch):
-    """A machine on which MuJoCo's renderer cannot draw."""
-    monkeypatch.setattr("vergence.viewer.pictures.opengl_works", lambda: False)

@@ -16,7 +16,8 @@ from vergence.envs.reducible import reducible_error
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.models import parse_head
-from vergence.viewer import pictures
+from vergence.viewer.eye_pictures import EYE_WIDTH
+from vergence.viewer.pictures import VIEW_HEIGHT
 
 TIED = tuple(name for name in MOVING if not head_of(name).actuation.direct)
 
@@ -212,8 +213,7 @@ def test_a_tied_head_goes_on_from_a_saved_state_to_the_last_bit() -> None:
 
 
 @pytest.mark.parametrize("name", ["tied", "panfirst"])
-def test_eyes_with_images_of_different_sizes_settle_and_are_pictured(name, monkeypatch) -> None:
-    monkeypatch.setattr(pictures, "opengl_works", lambda: False)
+def test_eyes_with_images_of_different_sizes_settle_and_are_pictured(name) -> None:
     head = uneven(name)
     task = begun(head, 6)
     wide = np.abs(task.observation[:, :4].reshape(6, 2, 2)).max()
@@ -224,8 +224,8 @@ def test_eyes_with_images_of_different_sizes_settle_and_are_pictured(name, monke
     env = gymnasium.make("vergence/Gaze-v0", head=head, plant="kinematic", render_mode="rgb_array")
     env.reset(seed=0)
     picture = env.render()
-    assert picture.shape[1] == 2 * pictures.EYE_WIDTH
-    assert picture.shape[0] == 360 + pictures.VIEW_HEIGHT
+    assert picture.shape[1] == 2 * EYE_WIDTH
+    assert picture.shape[0] == 360 + VIEW_HEIGHT
 
 
 def test_a_pixel_error_is_scaled_by_the_width_of_its_own_eye() -> None:

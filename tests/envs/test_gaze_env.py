@@ -69,7 +69,7 @@ def test_ids_are_registered() -> None:
 
 @pytest.mark.parametrize("id", IDS)
 @plants
-def test_gymnasiums_checker_has_no_complaint(id, plant, without_opengl) -> None:
+def test_gymnasiums_checker_has_no_complaint(id, plant) -> None:
     env = gym.make(id, plant=plant).unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -15,13 +15,13 @@ from vergence.envs.targets.motion import BEFORE
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError
 from vergence.eval.trials.bound import settle_bound
-from vergence.viewer import pictures
+from vergence.viewer import marks
 
 ZERO = np.zeros(1, dtype=np.uint64)
 
 
 @pytest.fixture(autouse=True)
-def _registered(monkeypatch, without_opengl):
+def _registered(monkeypatch):
     monkeypatch.setitem(PLANTS, "robot", "tests.envs.robot:Robot")
 
 
@@ -122,9 +122,10 @@ def test_nothing_is_drawn_in_place_of_the_images_that_it_has_not(task):
     assert given_or_drawn_eye_images(task, 0) is None
 
 
-def test_its_picture_has_no_circle_for_a_target_that_nobody_knows(monkeypatch):
-    drawn = []
-    monkeypatch.setattr(pictures.cv2, "circle", lambda *args: drawn.append(args[2]))
+def test_its_picture_has_the_fix_but_no_board_for_a_target_that_nobody_knows(monkeypatch):
+    fixes, ball = [], marks.ball
+    monkeypatch.setattr(marks, "ball", lambda *args: fixes.append(args[0]) or ball(*args))
+    monkeypatch.setattr(marks, "board", None)
     env = GazeEnv(plant="robot", render_mode="rgb_array")
     env.reset(seed=0)
     # until the axes cross in front of the eyes
@@ -133,8 +134,7 @@ def test_its_picture_has_no_circle_for_a_target_that_nobody_knows(monkeypatch):
         env.step(controller.predict(env.task.observation)[0][0])
     assert np.isfinite(env.task.fixes()[0].point).all()
     env.render()
-    eyes_alone = 4
-    assert len(drawn) == eyes_alone
+    assert len(fixes) == 1
 
 
 def test_what_needs_a_simulation_says_so(task):

@@ -1,4 +1,4 @@
-"""Pictures: both eyes and the head, without OpenGL, with or without a window."""
+"""Pictures: both eyes and the head, with or without a window."""
 
 import functools
 import sys
@@ -15,9 +15,9 @@ from vergence.envs.eye_images import given_or_drawn_eye_images
 from vergence.envs.gaze import GazeEnv
 from vergence.envs.gaze_vector import GazeVectorEnv
 from vergence.errors import ConfigurationError, RenderingUnavailableError
-from vergence.viewer.pictures import EYE_WIDTH, VIEW_HEIGHT
+from vergence.viewer.eye_pictures import EYE_WIDTH
+from vergence.viewer.pictures import VIEW_HEIGHT
 
-pytestmark = pytest.mark.usefixtures("without_opengl")
 plants = pytest.mark.parametrize("plant", SIMULATED_PLANTS)
 
 

@@ -42,7 +42,6 @@ class Info:
         from vergence.eval.reporting.runs import package_versions
         from vergence.eval.trials.scenarios import SCENARIOS
         from vergence.models.files.head_file import load_head, presets
-        from vergence.viewer.opengl import opengl_failure
 
         print_table(
             ["package", "version"],
@@ -89,11 +88,6 @@ class Info:
                 ("torch", "train", "learning"),
             )
         ]
-        failure = opengl_failure()
-        state = "works"
-        if failure is not None:
-            state = f"not available ({failure}): a schematic is drawn instead"
-        rows.append(["OpenGL (view of the head in render())", state])
         print_table(["part", "state"], rows, title="optional parts", wrapped=(0, 1))
         return 0
 

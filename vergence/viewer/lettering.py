@@ -41,7 +41,9 @@ def write_text(
     left = at[0] - {"left": 0, "middle": width // 2, "right": width}[align]
     top = at[1] - rise
     if plain is not None:
-        image[max(top - 4, 0) : max(top + height + 3, 0), max(left - 5, 0) : left + width + 5] = plain
+        image[max(top - 4, 0) : max(top + height + 3, 0), max(left - 5, 0) : left + width + 5] = (
+            plain
+        )
     cut_top, cut_left = max(-top, 0), max(-left, 0)
     under = image[top + cut_top : top + height, left + cut_left : left + width]
     ink = ink[cut_top:, cut_left:][: under.shape[0], : under.shape[1], None]

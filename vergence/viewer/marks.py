@@ -3,7 +3,6 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vergence.models.boards import PlanarTarget, outline_m
 from vergence.models.parts import FloatArray
@@ -20,7 +19,9 @@ _BACK_M: Final = 1e-3
 """Thickness of a board, m (chosen: as thin as card)."""
 
 
-def rod(pose: FloatArray, length_m: float, radius_m: float, colour: tuple[int, int, int]) -> Triangles:
+def rod(
+    pose: FloatArray, length_m: float, radius_m: float, colour: tuple[int, int, int]
+) -> Triangles:
     """A rod of even brightness.
 
     Args:

@@ -67,6 +67,8 @@ class OutsideCamera(NamedTuple):
     """(3, 3) its axes in the upright frame: x right, y down, z forward."""
     position: FloatArray
     """(3,) in the upright frame, m."""
+    focal: float = _FOCAL
+    """Focal length by the picture's height."""
 
 
 class HeadPainter:
@@ -158,7 +160,11 @@ class HeadPainter:
         parts = [Triangles(vertices[self._faces], shades[self._faces], self._colours)]
         reach = float(np.linalg.norm(target)) if _known(target) else _REACH_WITHOUT_TARGET_M
         middle = _moved(frame_n, np.array([0.0, 0.0, 0.5 * reach]))
-        px_m = float((middle - camera.position) @ camera.rotation[:, 2]) / _FOCAL / _NOMINAL_HEIGHT
+        px_m = (
+            float((middle - camera.position) @ camera.rotation[:, 2])
+            / camera.focal
+            / _NOMINAL_HEIGHT
+        )
         for pose, colour in zip(
             frame_n @ self._head.camera_poses(positions), EYE_COLOURS, strict=True
         ):
@@ -167,7 +173,7 @@ class HeadPainter:
             parts.append(marks.board(self._board, frame_n @ board_pose(target)))
         if fix is not None and _known(fix):
             parts.append(marks.ball(_moved(frame_n, fix), _FIX_PX * px_m, _FIX_COLOUR))
-        focal = _SUBPIXELS * _FOCAL * height
+        focal = _SUBPIXELS * camera.focal * height
         out = self._background(vertices, camera, width, height)
         seen = Triangles(*(np.concatenate(part) for part in zip(*parts, strict=True)))
         seen = seen._replace(corners=(seen.corners - camera.position) @ camera.rotation)
@@ -185,7 +191,10 @@ class HeadPainter:
         # every mesh is convex, so its shadow is the hull of its corners' shadows
         for points in np.split(seen, self._first):
             if points[:, 2].min() > 0.0:
-                pixels = _FOCAL * height * points[:, :2] / points[:, 2:] + [width / 2, height / 2]
+                pixels = camera.focal * height * points[:, :2] / points[:, 2:] + [
+                    width / 2,
+                    height / 2,
+                ]
                 if np.abs(pixels).max() < 10.0 * (width + height):  # else it is out of view
                     cv2.fillConvexPoly(mask, cv2.convexHull(pixels.astype(np.int32)), 255)
         for _ in range(2):  # a box twice is nearly round, and fast

@@ -2,34 +2,18 @@
 
 from typing import Any, Final
 
-import cv2
 import numpy as np
 
 from vergence.envs.reading import Image
 from vergence.envs.task import GazeTask
 from vergence.envs.task_env import missing_window_hint
 from vergence.errors import RenderingUnavailableError
-from vergence.models.head import HeadModel
-from vergence.models.parts import FloatArray
-from vergence.viewer.eye_pictures import (
-    BACKGROUND_GREY,
-    EYE_COLOURS,
-    TARGET_COLOUR,
-    draw_cross,
-    draw_eye,
-    write_label,
-)
+from vergence.viewer.eye_pictures import BACKGROUND_GREY, draw_eye, write_label
 from vergence.viewer.moment import moment_of
-from vergence.viewer.opengl import opengl_failure
-from vergence.viewer.outside_view import OutsideView
+from vergence.viewer.painting import HeadPainter
 
 VIEW_HEIGHT: Final = 320
 """Height of the view of the head, px (chosen: detail against size)."""
-
-
-def opengl_works() -> bool:
-    """True if MuJoCo's renderer works on this machine, see `vergence.viewer.opengl`."""
-    return opengl_failure() is None
 
 
 class TaskPictures:
@@ -45,7 +29,7 @@ class TaskPictures:
         self._task = task
         self._mode = mode
         self._fps = fps
-        self._scene = OutsideView(task.head) if opengl_works() else None
+        self._painter = HeadPainter(task.head)
         self._window = Window() if mode == "human" else None
 
     def render(self) -> Image | None:
@@ -70,85 +54,20 @@ class TaskPictures:
         write_label(eyes[0], f"t = {shown.time_s:.3f} s", (10, len(eyes[0]) - 12))
         highest = max(len(eye) for eye in eyes)
         top = np.concatenate([_padded(eye, highest) for eye in eyes], axis=1)
-        positions, target, known = shown.positions, shown.target, shown.target_is_truth
-        width = top.shape[1]
-        if self._scene is None:
-            below = draw_optical_axes(
-                head, positions, target, width, VIEW_HEIGHT, target_is_truth=known
-            )
-        else:
-            below = self._scene.draw(positions, target, width, VIEW_HEIGHT, board=known)
+        below = self._painter.draw(
+            shown.positions,
+            shown.target,
+            top.shape[1],
+            VIEW_HEIGHT,
+            board=shown.target_is_truth,
+            fix=shown.fix.point if shown.fix.valid else None,
+        )
         return np.concatenate([top, below], axis=0)
 
     def close(self) -> None:
-        """Close the window and the renderer."""
+        """Close the window."""
         if self._window is not None:
             self._window.close()
-        if self._scene is not None:
-            self._scene.close()
-
-
-def draw_optical_axes(
-    head: HeadModel,
-    positions: FloatArray,
-    target: FloatArray,
-    width: int,
-    height: int,
-    *,
-    target_is_truth: bool = True,
-) -> Image:
-    """The optical axes from above and from the left, drawn without OpenGL.
-
-    Args:
-        head: the head.
-        positions: (7,) joint angles, rad.
-        target: (3,) in N, m.
-        width: px.
-        height: px.
-        target_is_truth: True to draw the target as ground truth, a circle; else as a fix by gaze, a
-            cross.
-
-    Returns:
-        (height, width, 3) RGB.
-    """
-    poses = head.camera_poses(positions)
-    out = np.full((height, width, 3), BACKGROUND_GREY, dtype=np.uint8)
-    anywhere = bool(np.isfinite(target).all())
-    depth = max(1.2 * float(target[2]), 0.5) if anywhere else 1.0
-    half = width // 2
-    tail = f"{depth:.1f} m deep" + (
-        ", cross: fix by gaze" if anywhere and not target_is_truth else ""
-    )
-    for panel, (axis, sign, title) in enumerate(
-        (
-            (0, 1.0, f"from above, {tail}"),
-            (1, 1.0, f"from the left, {tail}"),
-        )
-    ):
-        left, margin = panel * half, 36
-        scale = (half - 2 * margin) / depth
-        middle = height // 2
-
-        def pixel_of(
-            point: FloatArray, axis: int = axis, sign: float = sign, left: int = left,
-            scale: float = scale, middle: int = middle,
-        ) -> tuple[int, int]:  # fmt: skip
-            across = np.clip(middle + sign * scale * point[axis], -10_000, 10_000)
-            return round(left + 36 + scale * float(point[2])), round(float(across))
-
-        for eye, colour in enumerate(EYE_COLOURS):
-            origin, direction = poses[eye, :3, 3], poses[eye, :3, 2]
-            view = out[:, left : left + half]
-            a, b = pixel_of(origin), pixel_of(origin + 1.5 * depth * direction)
-            cv2.line(view, (a[0] - left, a[1]), (b[0] - left, b[1]), colour, 2, cv2.LINE_AA)
-            cv2.circle(view, (a[0] - left, a[1]), 8, colour, -1, cv2.LINE_AA)
-        if anywhere and target_is_truth:
-            cv2.circle(out, pixel_of(target), 6, TARGET_COLOUR, 2, cv2.LINE_AA)
-        elif anywhere:
-            draw_cross(out, np.array(pixel_of(target)), TARGET_COLOUR, 9)
-        write_label(out, title, (left + 12, 24))
-    cv2.line(out, (half, 10), (half, height - 10), (200, 200, 200), 1)
-    return out
 
 
 class Window:
