@@ -91,10 +91,16 @@ def write_film(
                     one.quantize(palette=palette, dither=PillowImage.Dither.NONE)
                     for one in pictures
                 )
-            next(pictures).save(
-                partial, save_all=True, append_images=pictures, duration=list(durations_ms),
-                loop=0, optimize=False, quality=_WEBP_QUALITY, method=4,
-            )  # fmt: skip
+            with partial.open("wb") as file:  # Pillow would leave it open after an exception
+                next(pictures).save(
+                    file,
+                    format=suffix.removeprefix("."),
+                    save_all=True,
+                    append_images=pictures,
+                    duration=list(durations_ms),
+                    loop=0,
+                    quality=_WEBP_QUALITY,
+                )
     except OSError as error:
         reason = error.strerror or error
         raise ConfigurationError(f"record: cannot write {path}: {reason}") from error
