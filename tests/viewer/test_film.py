@@ -81,7 +81,8 @@ def test_a_film_that_cannot_be_written_is_refused_before_the_gaze(
 
 def test_the_command_writes_the_film_and_says_where(tmp_path, capsys):
     path, run = tmp_path / "gaze.gif", tmp_path / "run"
-    options = ["--plant", "kinematic", "--duration", "0.7", "--record", str(path), "--out", str(run)]
+    options = ["--plant", "kinematic", "--duration", "0.7"]
+    options += ["--record", str(path), "--out", str(run)]
     with pytest.raises(SystemExit) as stopped:
         main(["gaze", *options])
     assert stopped.value.code == 0
