@@ -17,6 +17,7 @@ _SETTLED_PX: Final = 1.0
 _MARGINS: Final = (34, 12, 34, 30)
 """Space left, right, above and below the axes, px (chosen: room for their numbers)."""
 _GRID_GREY: Final = 220
+"""Grey level of the grid, 0 to 255 (chosen: fainter than the curves)."""
 _SUBPIXEL_BITS: Final = 4
 """Binary digits of OpenCV's fractions of pixels (chosen: smooth curves)."""
 _SMALL_PX: Final = 12

@@ -26,14 +26,14 @@ _LAST_FRAME_MS: Final = 2000
 """Time that the last frame is shown before the film repeats, ms (chosen: time to read it)."""
 _MOST_FRAMES: Final = 120
 """Most frames of a film, unless it would be faster than the gaze (chosen: length, file size)."""
+
+# sizes of the frame, the view of the head, an eye's picture, the space around, and the title, px
+# (chosen: legible on a page 800 px wide)
 _WIDTH: Final = 800
 _VIEW_HEIGHT: Final = 340
 _EYE_WIDTH: Final = 250
 _MARGIN: Final = 10
-"""Sizes of the frame, of the view of the head, of an eye's picture, and of the space around, px
-(chosen: legible on a page 800 px wide)."""
 _TITLE_PX: Final = 17
-"""Size of the title and the clock, px (chosen)."""
 
 
 class GazeFilm:

@@ -26,6 +26,8 @@ _GREYS: Final = 64
 """Greys of a GIF's palette (chosen: steps that are hardly seen, and hide the noise of cameras)."""
 _LEAST_SATURATION: Final = 24
 """Difference of a pixel's channels from which it counts as coloured (chosen)."""
+_WEBP_EFFORT: Final = 4
+"""Effort of WebP's encoder, 0 to 6 (chosen: size against time)."""
 _WEBP_QUALITY: Final = 80
 """Quality of WebP, 0 to 100 (chosen: no visible loss)."""
 
@@ -100,6 +102,7 @@ def write_film(
                     duration=list(durations_ms),
                     loop=0,
                     quality=_WEBP_QUALITY,
+                    method=_WEBP_EFFORT,
                 )
     except OSError as error:
         reason = error.strerror or error

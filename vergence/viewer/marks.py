@@ -9,10 +9,11 @@ from vergence.models.parts import FloatArray
 from vergence.viewer.rasteriser import Triangles
 from vergence.viewer.shapes import revolve
 
+# grey levels of a board's cells and back, 0 to 255 (chosen: printed paper)
 _BLACK: Final = 38.0
 _WHITE: Final = 252.0
 _BACK: Final = 190.0
-"""Grey levels of a board's cells and back, 0 to 255 (chosen: printed paper)."""
+
 _BALL_RINGS: Final = 12
 """Rings of a ball (chosen: round at its size)."""
 _BACK_M: Final = 1e-3

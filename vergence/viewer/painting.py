@@ -1,9 +1,10 @@
 """The head, its target and its optical axes from outside, painted without OpenGL."""
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from vergence.envs.reading import Image
 from vergence.models.boards import board_pose, make_planar_target, outline_m
@@ -12,63 +13,37 @@ from vergence.models.mujoco.scene import surroundings_of
 from vergence.models.parts import FloatArray
 from vergence.viewer import marks
 from vergence.viewer.eye_pictures import EYE_COLOURS
+from vergence.viewer.outside_camera import OutsideCamera, place_outside_camera
 from vergence.viewer.rasteriser import Triangles, paint_triangles
 from vergence.viewer.shapes import HeadShapes
 
 _SUBPIXELS: Final = 2
 """Samples of a pixel along each side (chosen: smooth edges against time)."""
-_AZIMUTH_RAD: Final = np.deg2rad(-10.0)
-_ELEVATION_RAD: Final = np.deg2rad(33.0)
-"""Direction of the camera from the head (chosen: from its left side and above, where one sees how
-far the eyes turn, the angle between their axes, and the target's pattern)."""
-_MAX_TURN_RAD: Final = np.deg2rad(60.0)
-"""Largest turn of the camera with a target at its side of the head, so that it still sees the
-target's front (chosen)."""
-_FOCAL: Final = 1.1
-"""Focal length by the picture's height (chosen: a camera near enough to see the eyes and the board
-from their fronts)."""
-_ROOM: Final = (0.92, 0.84)
-"""Part of the width and the height that head and target fill (chosen: a margin)."""
-_HEAD_BASELINES: Final = 1.2
-"""Half size of the part of the head that is kept in view, in baselines (chosen: eyes and skull,
-not the stand)."""
-_LEAST_HEAD_M: Final = 0.1
-"""Least half size of that part, m (chosen: the skull of a head with near eyes)."""
 _REACH_WITHOUT_TARGET_M: Final = 0.5
 """Distance that is kept in view without a target, m (chosen: an arm's length)."""
 _BEYOND: Final = 1.2
 """Length of the optical axes by the target's distance (chosen: they are seen to cross)."""
 _LIGHT: Final = np.array([0.35, -0.5, 0.79])
 """Direction to the light in the upright frame (chosen: from above and ahead of the head)."""
+
+# brightness by light from all sides, from above, and from the light (chosen: form without dark
+# sides)
 _AMBIENT: Final = 0.55
 _FROM_ABOVE: Final = 0.15
 _DIRECT: Final = 0.5
-"""Brightness by light from all sides, from above, and from the light (chosen: form without dark
-sides)."""
-_LINE_PX: Final = 1.6
-"""Half thickness of the optical axes, px of a picture of 330 px height (chosen: legible)."""
-_FIX_PX: Final = 5.0
-"""Radius of the fix by gaze, px likewise (chosen: legible, smaller than the board)."""
+
+_LINE_WIDTH: Final = 0.005
+"""Half thickness of the optical axes by the picture's height (chosen: legible)."""
+_FIX_RADIUS: Final = 0.015
+"""Radius of the fix by gaze by the picture's height (chosen: legible, smaller than the board)."""
 _FIX_COLOUR: Final = (170, 40, 150)
 """RGB of the fix, 0 to 255 (chosen: unlike the eyes' colours)."""
-_NOMINAL_HEIGHT: Final = 330
 _BACKGROUND: Final = 232
 """Grey level behind the head, 0 to 255 (chosen: a white board stands out)."""
 _SHADOW: Final = 0.13
 """Darkness of the shadow on the floor, 0 to 1 (chosen: it shows where the floor is)."""
 _SHADOW_BLUR_PX: Final = 15
 """Softness of the shadow, px (chosen)."""
-
-
-class OutsideCamera(NamedTuple):
-    """A camera that looks at a head from outside."""
-
-    rotation: FloatArray
-    """(3, 3) its axes in the upright frame: x right, y down, z forward."""
-    position: FloatArray
-    """(3,) in the upright frame, m."""
-    focal: float = _FOCAL
-    """Focal length by the picture's height."""
 
 
 class HeadPainter:
@@ -105,27 +80,10 @@ class HeadPainter:
             aspect: width of the picture by its height.
         """
         frame_n = self._shapes.pose_of_n(positions)
-        around = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3)
-        size = max(_HEAD_BASELINES * self._shapes.baseline_m, _LEAST_HEAD_M)
         towards = target if _known(target) else np.array([0.0, 0.0, _REACH_WITHOUT_TARGET_M])
         outline = np.column_stack([outline_m(self._board), np.zeros(4)])
-        board = _moved(frame_n @ board_pose(towards), outline)
-        points = np.concatenate([frame_n[:3, 3] + size * around, board])
-        turn = np.clip(np.arctan2(-towards[0], abs(towards[2])), 0.0, _MAX_TURN_RAD)
-        azimuth, elevation = _AZIMUTH_RAD + turn, _ELEVATION_RAD
-        level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-        back = np.cos(elevation) * level + [0.0, 0.0, np.sin(elevation)]
-        right = np.cross(-back, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        rotation = np.column_stack([right, np.cross(-back, right), -back])
-        points = points @ rotation
-        room = np.array(_ROOM) * [0.5 * aspect / _FOCAL, 0.5 / _FOCAL]
-        # Each side of the view is a plane: the camera is where opposite planes touch the points,
-        # drawn back until both pairs do.
-        depth, across = points[:, 2:], points[:, :2]
-        low, high = (across + room * depth).min(axis=0), (across - room * depth).max(axis=0)
-        centre, z = 0.5 * (low + high), float(((low - high) / (2.0 * room)).min())
-        return OutsideCamera(rotation, rotation @ [*centre, z])
+        corners = _moved(frame_n @ board_pose(towards), outline)
+        return place_outside_camera(frame_n, self._shapes.baseline_m, towards, corners, aspect)
 
     def draw(
         self,
@@ -160,19 +118,16 @@ class HeadPainter:
         parts = [Triangles(vertices[self._faces], shades[self._faces], self._colours)]
         reach = float(np.linalg.norm(target)) if _known(target) else _REACH_WITHOUT_TARGET_M
         middle = _moved(frame_n, np.array([0.0, 0.0, 0.5 * reach]))
-        px_m = (
-            float((middle - camera.position) @ camera.rotation[:, 2])
-            / camera.focal
-            / _NOMINAL_HEIGHT
-        )
+        depth = float((middle - camera.position) @ camera.rotation[:, 2])
+        height_m = depth / camera.focal  # of the picture, at that depth
         for pose, colour in zip(
             frame_n @ self._head.camera_poses(positions), EYE_COLOURS, strict=True
         ):
-            parts.append(marks.rod(pose, _BEYOND * reach, _LINE_PX * px_m, colour))
+            parts.append(marks.rod(pose, _BEYOND * reach, _LINE_WIDTH * height_m, colour))
         if board and _known(target):
             parts.append(marks.board(self._board, frame_n @ board_pose(target)))
         if fix is not None and _known(fix):
-            parts.append(marks.ball(_moved(frame_n, fix), _FIX_PX * px_m, _FIX_COLOUR))
+            parts.append(marks.ball(_moved(frame_n, fix), _FIX_RADIUS * height_m, _FIX_COLOUR))
         focal = _SUBPIXELS * camera.focal * height
         out = self._background(vertices, camera, width, height)
         seen = Triangles(*(np.concatenate(part) for part in zip(*parts, strict=True)))
@@ -213,7 +168,7 @@ def _moved(pose: FloatArray, points: FloatArray) -> FloatArray:
     return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])
 
 
-def _normals(vertices: FloatArray, faces: np.ndarray) -> FloatArray:
+def _normals(vertices: FloatArray, faces: NDArray[np.int64]) -> FloatArray:
     """(v, 3) unit normals at vertices, means of those of the faces around, by their areas."""
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
