@@ -24,7 +24,7 @@ _PALETTE_FRAMES: Final = 8
 """Frames from which a GIF's palette is taken (chosen: all colours against time)."""
 _GREYS: Final = 64
 """Greys of a GIF's palette (chosen: steps that are hardly seen, and hide the noise of cameras)."""
-_LEAST_SATURATION: Final = 24
+_LEAST_SATURATION: Final = 6
 """Difference of a pixel's channels from which it counts as coloured (chosen)."""
 _WEBP_EFFORT: Final = 4
 """Effort of WebP's encoder, 0 to 6 (chosen: size against time)."""
