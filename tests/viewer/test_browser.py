@@ -1,4 +1,4 @@
-"""What a person does in the browser arrives, and the page complains of nothing."""
+"""Dragging, choosing and scrubbing in the browser; the page complains of nothing."""
 
 import threading
 from contextlib import contextmanager
@@ -70,7 +70,7 @@ def place_on_page(server, browser, point):
 
 
 def resting_place_on_page(server, browser, point):
-    """The same once the page has come to rest: panels slide in, and the camera takes its place."""
+    """Such a pixel once the page has come to rest: panels slide in, the camera takes its place."""
     places = []
 
     def rests():

@@ -13,7 +13,7 @@ from vergence.commands.extras import require_modules
 from vergence.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from viser import ViserServer
+    from vergence.viewer.browser import Server
 
 LOOPBACK: Final = "127.0.0.1"
 """Address that browsers of this machine alone can reach."""
@@ -72,7 +72,7 @@ class View:
                 shown.run()
         return 0
 
-    def _simulate(self) -> "Callable[[ViserServer], Shown]":
+    def _simulate(self) -> "Callable[[Server], Shown]":
         from vergence.models.files.head_file import load_head
         from vergence.viewer.playground import Playground
         from vergence.viewer.simulated import Setup
@@ -80,7 +80,7 @@ class View:
         setup = Setup(head=load_head(self.head), controller=self.controller)
         return lambda server: Playground(server, setup)
 
-    def _play(self) -> "Callable[[ViserServer], Shown]":
+    def _play(self) -> "Callable[[Server], Shown]":
         from vergence.viewer.playback import Playback
         from vergence.viewer.recorded import load_recorded
 
@@ -88,7 +88,7 @@ class View:
         recorded = load_recorded(self.recording)
         return lambda server: Playback(server, recorded)
 
-    def _follow(self) -> "Callable[[ViserServer], Shown]":
+    def _follow(self) -> "Callable[[Server], Shown]":
         require_modules("robot", "mcap")
         from vergence.viewer.live import LiveView
 

@@ -33,7 +33,7 @@ def add_panel(figure: Figure, left: float, bottom: float, width: float, height: 
 
 
 def columns_of(result: GazeResult, what: str, eye: int) -> FloatArray:
-    """(n, 2) two columns of a trajectory, such as `pixel` for `pixel_left_u_px`, of an eye."""
+    """(n, 2) two columns of an eye in a trajectory, by their first word, such as pixel."""
     name = EYE_NAMES[eye]
     columns = [f"{what}_{name}_{axis}_px" for axis in "uv"]
     return np.asarray(result.trajectory[columns].to_numpy())

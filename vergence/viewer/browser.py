@@ -7,6 +7,9 @@ from contextlib import contextmanager
 
 import viser
 
+Server = viser.ViserServer
+"""Server of the viewer's page."""
+
 
 @contextmanager
 def serving(host: str, port: int) -> Iterator[viser.ViserServer]:

@@ -45,7 +45,7 @@ class LoopHealth:
         """Judge a reading.
 
         Args:
-            reading: of one head; its arrays lack the axis over heads.
+            reading: the reading; its arrays lack the axis over heads.
         """
         time_s, period_s = float(reading.time_s), self._head.timing.period_s
         if time_s < self._last_s:  # a gaze begins

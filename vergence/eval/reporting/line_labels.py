@@ -17,7 +17,7 @@ _SAMPLE_PT: Final = 3.0
 _ANCHOR_STEP: Final = 3
 """Points of a line from one candidate anchor to the next (chosen: speed)."""
 _DIRECTIONS: Final = np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
-"""Candidate directions of a name from its line: right, left, above, below."""
+"""Candidate directions of a name from its line: right, left, above, below (chosen)."""
 _DISTANCES_PT: Final = np.array([4.0, 8.0, 12.0, 18.0, 28.0, 44.0, 64.0, 90.0])
 """Candidate distances between a line and its name, pt (chosen)."""
 _LEADER_PT: Final = 8.0
@@ -171,7 +171,7 @@ def _best_place(
         half: (2,) half width and height of the name.
         maps: maps of the line, see `_map`, and of each of the others.
         boxes: least and greatest corners (2, 2) of texts and leaders that are there.
-        marks: those of markers, which a leader may touch.
+        marks: corners (2, 2) of markers, which a leader may touch.
     """
     starts = path[::_ANCHOR_STEP]
     steps = (_DISTANCES_PT[:, None] * _DIRECTIONS[:, None]).reshape(-1, 2)
