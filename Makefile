@@ -15,6 +15,7 @@ REQUIREMENTS := pyproject.toml constraints.txt
 CREATED := $(VENV)/.created
 BASE := $(VENV)/.base
 ROBOT := $(VENV)/.robot
+VIEW := $(VENV)/.view
 TEST := $(VENV)/.test
 DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
@@ -23,7 +24,7 @@ BENCH := $(VENV)/.bench
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help run robot test check lint kernels format dev bench clean
+.PHONY: help run view robot test check lint kernels format dev bench clean
 .DELETE_ON_ERROR:
 
 help: ## show this list
@@ -31,6 +32,9 @@ help: ## show this list
 
 run: $(BASE) ## bring the gaze to a point and triangulate it (options: make run ARGS="--help")
 	@$(BIN)/vergence gaze $(ARGS)
+
+view: $(VIEW) ## a simulated head in the browser: drag its target (options: make view ARGS="--help")
+	@$(BIN)/vergence view $(ARGS)
 
 robot: $(ROBOT) ## a robot's functions on an emulated head: checks, gazes, a fault, a replayed log
 	@$(BIN)/python -m benchmarks.tour
@@ -90,12 +94,16 @@ $(ROBOT): $(CREATED) $(REQUIREMENTS)
 	$(call install,[robot])
 	@touch $(BASE)
 
+$(VIEW): $(CREATED) $(REQUIREMENTS)
+	$(call install,[view])
+	@touch $(BASE)
+
 $(TEST): $(CREATED) $(REQUIREMENTS)
 	$(call install,[test])
 	@touch $(BASE)
 
 $(DEV): $(CREATED) $(REQUIREMENTS)
-	$(call install,[dev$(comma)train$(comma)render])
+	$(call install,[dev$(comma)train$(comma)render$(comma)view])
 	@touch $(BASE) $(TEST)
 
 $(BENCH): $(CREATED) $(REQUIREMENTS)

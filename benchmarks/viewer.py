@@ -21,6 +21,7 @@ import numpy as np
 import psutil
 import viser
 import zstandard
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from vergence.models.files.head_file import load_head
@@ -38,7 +39,10 @@ def read(url: str, images: "Synchronized[int]", pause_s: float) -> None:
     with connect(url, subprotocols=[protocol], max_size=None, compression=None) as socket:
         seen: dict[str, int] = {}
         while True:
-            data = socket.recv()
+            try:
+                data = socket.recv()
+            except ConnectionClosed:
+                return
             assert isinstance(data, bytes)
             size = int.from_bytes(data[8:16], "little")
             inner = zstandard.ZstdDecompressor().decompress(data[16 : 16 + size])
@@ -53,12 +57,12 @@ class Reader:
     """A process that reads as a browser does.
 
     Args:
-        server: server of the page.
+        address: address of the page.
         pause_s: pause after each message, s.
     """
 
-    def __init__(self, server: viser.ViserServer, pause_s: float = 0.0) -> None:
-        url = address_of(server).replace("http", "ws")
+    def __init__(self, address: str, pause_s: float = 0.0) -> None:
+        url = address.replace("http", "ws")
         context = multiprocessing.get_context("spawn")
         self.images = context.Value("q", 0)
         self.process = context.Process(target=read, args=(url, self.images, pause_s), daemon=True)
@@ -117,10 +121,10 @@ def main() -> None:
         ]
         for thread in threads:
             thread.start()
-        first = Reader(server)
+        first = Reader(address_of(server))
         time.sleep(5.0)
         measure(playground, first, 10.0, "dragged, one browser")
-        slow, rude = Reader(server, pause_s=1.0), Reader(server)
+        slow, rude = Reader(address_of(server), pause_s=1.0), Reader(address_of(server))
         time.sleep(5.0)
         measure(playground, first, 10.0, "and a second, and a slow one")
         rude.kill()

@@ -1,5 +1,6 @@
 """`vergence view`: a head in the browser, simulated, recorded or live."""
 
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ LOOPBACK: Final = "127.0.0.1"
 """Address that browsers of this machine alone can reach."""
 RUNS: Final = Path("runs")
 """Folder of the logs that are followed if none is named."""
+_LEAST_PRIORITY: Final = 19
+"""Niceness of a process that gives way to all others (physical: POSIX)."""
 _MAX_PORT: Final = 65535
 """Greatest number of a port (physical: TCP)."""
 
@@ -90,7 +93,16 @@ class View:
 
     def _follow(self) -> "Callable[[Server], Shown]":
         require_modules("robot", "mcap")
+        _yield_processors()
         from vergence.viewer.live import LiveView
 
         path = self.recording or RUNS
         return lambda server: LiveView(server, path)
+
+
+def _yield_processors() -> None:
+    """Let this process run only when no other needs a processor, such as a robot's loop."""
+    if hasattr(os, "SCHED_IDLE"):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    elif hasattr(os, "nice"):
+        os.nice(_LEAST_PRIORITY)
