@@ -19,6 +19,8 @@ _PLOT_PERIOD_S: Final = 0.1
 """Least time between two updates of the curves, s (chosen: smooth enough against load)."""
 _MIN_DRAWN_ERROR_PX: Final = 0.01
 """Least drawn error, px; smaller ones are drawn as this (chosen: far below one that matters)."""
+_PADDING_PX: Final = (16, 12, 0, 8)
+"""Padding of the curves at the top, right, bottom and left, px (chosen: room for numbers)."""
 _JPEG_QUALITY: Final = 80
 """Quality of the images, of 100 (chosen: no visible blocks)."""
 _JOINT_COLOURS: Final = (
@@ -86,6 +88,7 @@ class CurvePanel:
             title="pixel error (px)",
             scales={"x": uplot.Scale(time=False), "y": uplot.Scale(distr=3)},
             aspect=1.8,
+            padding=_PADDING_PX,
         )  # fmt: skip
         self._speeds = server.gui.add_uplot(
             data=(empty, *[empty for _ in self._joints]),
@@ -96,6 +99,7 @@ class CurvePanel:
             title="joint speed (deg/s)",
             scales={"x": uplot.Scale(time=False)},
             aspect=1.8,
+            padding=_PADDING_PX,
         )  # fmt: skip
 
     def rows_of(

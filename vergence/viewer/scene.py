@@ -31,7 +31,7 @@ _CAMERA_OFFSET: Final = (0.85, 0.6, 0.45)
 (chosen: both are in view, the eyes from beside)."""
 # least and greatest distance of a target that the page's first view takes in, m (chosen: around
 # arm's length)
-_MIN_VIEW_M: Final = 0.4
+_MIN_VIEW_M: Final = 0.7
 _MAX_VIEW_M: Final = 2.5
 _DISTANCE_WITHOUT_FIX_M: Final = 1.0
 """Length of the optical axes without a fix, m (chosen: an arm's length and more)."""
@@ -101,7 +101,7 @@ class HeadScene:
             cast_shadow=False,
         )
         self.target = api.add_transform_controls(
-            "/head/target", scale=0.25, disable_rotations=True, visible=False, line_width=3.0
+            "/head/target", scale=0.18, disable_rotations=True, visible=False, line_width=3.0
         )
         self._camera_placed = False
         floor_m = surroundings_of(head).floor_m
@@ -168,7 +168,7 @@ class HeadScene:
         size = max(float(np.linalg.norm(reach)), _MIN_VIEW_M + 2.0 * self._shapes.baseline_m)
         if size > _MAX_VIEW_M:
             reach, size = reach * (_MAX_VIEW_M / size), _MAX_VIEW_M
-        middle = self._N[:3, 3] + 0.45 * reach
+        middle = self._N[:3, 3] + 0.35 * reach
         self._server.initial_camera.look_at = middle
         self._server.initial_camera.position = middle + size * np.array(_CAMERA_OFFSET)
 
