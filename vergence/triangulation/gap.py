@@ -46,7 +46,7 @@ def gap_sigma(
         Half a pixel of noise at 1 m, in metres:
 
         >>> import numpy as np, vergence
-        >>> from vergence.triangulation.gap import gap_sigma
+        >>> from vergence.triangulation import gap_sigma
         >>> head = vergence.load_head("simulated")
         >>> q = head.fixate([0.0, -0.1, 1.0])
         >>> noise = vergence.Noise(pixel_px=0.5)
