@@ -96,3 +96,13 @@ def test_time_goes_on_over_changes_of_head_and_law():
     run(simulated, 0.2)
     assert simulated.moment().time_s == pytest.approx(0.4, abs=0.02)
     assert simulated.setup.head.name == "icub"
+
+
+@pytest.mark.parametrize(
+    "point", [[0.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -2.0], [9e9, 0, 1]]
+)
+def test_a_target_anywhere_leaves_the_head_running(point):
+    simulated = SimulatedHead(Setup(head=SETUP.head, plant="rendered"))
+    simulated.move_target(np.array(point))
+    run(simulated, 0.1)
+    assert np.isfinite(simulated.moment().positions).all()

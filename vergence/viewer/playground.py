@@ -65,9 +65,11 @@ class Playground:
         self._add_target_controls(mode)
         self._add_head_controls(setup)
         self._sliders: dict[str, Any] = {}
+        self._loop_asked: dict[str, float] = {}
         with server.gui.add_folder("Faults of the loop", expand_by_default=False):
             for part in LOOP_PARTS:
                 self._add_loop_controls(part)
+        self._show_setup()
         self._take_target()
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
@@ -103,11 +105,33 @@ class Playground:
 
     def _do_what_is_asked(self) -> None:
         while not self._asked.empty():
-            try:
-                self._asked.get()()
-            except VergenceError as error:
-                for client in self._server.get_clients().values():
-                    client.add_notification("Not possible", str(error), color="red")
+            self._try(self._asked.get())
+        if self._loop_asked:  # once for all that a slider passes on its way
+            loop = {**self.simulated.setup.loop, **self._loop_asked}
+            self._loop_asked = {}
+            self._try(partial(self._change, loop=loop))
+
+    def _try(self, do: Callable[[], None]) -> None:
+        """Do something; if it is not possible, say so, and set the controls back."""
+        try:
+            do()
+        except VergenceError as error:
+            self._show_setup()
+            for client in self._server.get_clients().values():
+                client.add_notification("Not possible", str(error), color="red")
+
+    def _show_setup(self) -> None:
+        """Set the controls to what is simulated."""
+        setup, own = self.simulated.setup, default_options(self.simulated.setup.controller)
+        self._mode.value = self.simulated.mode
+        self._head.value, self._law.value = setup.head.name, setup.controller
+        self._images.value = next(words for words, name in _PLANTS.items() if name == setup.plant)
+        self._gain.disabled = "gain" not in own
+        self._gain.value = setup.gain or own.get("gain") or self._gain.value
+        for name, slider in self._sliders.items():
+            factor = IMPERFECTIONS[name].display_unit[1]
+            given = setup.loop.get(name)
+            slider.value = self._nominal(IMPERFECTIONS[name]) if given is None else factor * given
 
     def _words(self) -> list[str]:
         settled, bound = self.simulated.settled_s, self.simulated.bound_s
@@ -123,14 +147,14 @@ class Playground:
         target.visible = True
         target.on_update(self._drag)
 
-    def _drag(self, event: "viser.TransformControlsEvent") -> None:
+    async def _drag(self, event: "viser.TransformControlsEvent") -> None:
+        # not in a thread, so that the end of a drag comes last
         self._dragging = event.phase != "end"
-        point = np.array(event.target.position)
-        self.ask(partial(self._move_target, point))
+        self.ask(partial(self._move_target, np.array(event.target.position)))
 
     def _move_target(self, point: FloatArray) -> None:
         self.simulated.move_target(self.view.scene.point_in_n(point))
-        self._mode.value = "by hand"
+        self._mode.value = self.simulated.mode
 
     def _on_browser(self, handle: Any, do: Callable[[Any], None]) -> None:
         """Have the loop do something with a control's value when a browser changes it."""
@@ -159,29 +183,20 @@ class Playground:
 
     def _look_ahead(self) -> None:
         self.simulated.look_ahead()
-        self._mode.value = "by hand"
+        self._mode.value = self.simulated.mode
 
     def _add_head_controls(self, setup: Setup) -> None:
         gui = self._server.gui
         names = [*self._heads, *(name for name in presets() if name not in self._heads)]
-        plant = next(words for words, name in _PLANTS.items() if name == setup.plant)
         with gui.add_folder("Head and law"):
-            head = gui.add_dropdown("Head", tuple(names), initial_value=setup.head.name)
-            law = gui.add_dropdown("Law", tuple(CONTROLLERS), initial_value=setup.controller)
-            gain: Any = gui.add_slider("Gain (1/s)", *_GAIN_RANGE, 0.5, setup.gain or 4.0)
-            images = gui.add_dropdown("Images", tuple(_PLANTS), initial_value=plant)
-        gain.disabled = "gain" not in default_options(setup.controller)
-
-        def change_law(name: str) -> None:
-            own = default_options(name)
-            self._change(controller=name, gain=own.get("gain"))
-            gain.disabled = "gain" not in own
-            gain.value = own.get("gain") or gain.value
-
-        self._on_browser(head, self._change_head)
-        self._on_browser(law, change_law)
-        self._on_browser(gain, lambda value: self._change(gain=value))
-        self._on_browser(images, lambda value: self._change(plant=_PLANTS[value]))
+            self._head: Any = gui.add_dropdown("Head", tuple(names))
+            self._law: Any = gui.add_dropdown("Law", tuple(CONTROLLERS))
+            self._gain: Any = gui.add_slider("Gain (1/s)", *_GAIN_RANGE, 0.5, setup.gain or 4.0)
+            self._images: Any = gui.add_dropdown("Images", tuple(_PLANTS))
+        self._on_browser(self._head, self._change_head)
+        self._on_browser(self._law, lambda name: self._change(controller=name, gain=None))
+        self._on_browser(self._gain, lambda value: self._change(gain=value))
+        self._on_browser(self._images, lambda value: self._change(plant=_PLANTS[value]))
 
     def _add_loop_controls(self, part: str) -> None:
         """Add a slider for each imperfection of a part of the loop."""
@@ -209,14 +224,12 @@ class Playground:
         head = self._heads[name] if name in self._heads else load_head(name)
         self._heads[name] = head
         self._change(head=head, loop={})
-        for name, slider in self._sliders.items():
-            slider.value = self._nominal(IMPERFECTIONS[name])
         self.view.change_head(head)
         self._take_target()
 
     def _change_loop(self, name: str, value: float) -> None:
-        own = {name: value / IMPERFECTIONS[name].display_unit[1]}
-        self._change(loop={**self.simulated.setup.loop, **own})
+        self._loop_asked[name] = value / IMPERFECTIONS[name].display_unit[1]
 
     def _change(self, **fields: Any) -> None:
         self.simulated.change(replace(self.simulated.setup, **fields))
+        self._show_setup()

@@ -16,7 +16,7 @@ from vergence.envs.targets.target import Target
 from vergence.envs.targets.wander import WanderTarget
 from vergence.envs.targets.workspace import RandomTarget
 from vergence.envs.task import GazeTask
-from vergence.errors import VergenceError
+from vergence.errors import UnreachableTargetError, VergenceError
 from vergence.eval.trials.bound import settle_bound
 from vergence.eval.trials.goal import least_reachable_error
 from vergence.models.head import HeadModel
@@ -41,6 +41,9 @@ _MOST_DRAWS: Final = 100
 _VIEW_BORDER: Final = 0.12
 """Border of the images that a jump leaves free, as a fraction of their size (chosen: room for the
 tag)."""
+# least and greatest distance at which a target is put, m (chosen: beyond what anybody wants)
+_MIN_DISTANCE_M: Final = 0.02
+_MAX_DISTANCE_M: Final = 50.0
 _FIRST = np.zeros(1, dtype=np.int64)
 _FAR_FUTURE_S: Final = 1e9
 """Time at which a target that jumps has come to rest, s (numerical)."""
@@ -188,7 +191,7 @@ class SimulatedHead:
             point: (3,) in the present N, m.
         """
         self.mode = "by hand"
-        self._jump_to(point)
+        self._jump_to(_placeable(point))
 
     def step(self) -> None:
         """Simulate one control period."""
@@ -223,7 +226,10 @@ class SimulatedHead:
         """Let the target jump somewhere in the workspace."""
         before, positions = self.target, self._plant.truth().positions[0]
         for _ in range(_MOST_DRAWS):
-            (point,) = target_position(self._drawn(RandomTarget()), [_FAR_FUTURE_S])
+            try:
+                (point,) = target_position(self._drawn(RandomTarget()), [_FAR_FUTURE_S])
+            except UnreachableTargetError:  # a head that can look at hardly anything
+                return
             if self._well_in_view(positions, point):
                 break
         self._jump_to(point)
@@ -287,6 +293,15 @@ class SimulatedHead:
 def _make_task(setup: Setup) -> GazeTask:
     options = {**plant_type(setup.plant).workspace_options, **setup.loop}
     return GazeTask(1, head=setup.head, plant=setup.plant, plant_options=options)
+
+
+def _placeable(point: FloatArray) -> FloatArray:
+    """The point, or one near it at which a board has a place: off the head's middle and axis."""
+    out = np.array(point, np.float64)
+    if np.hypot(out[0], out[2]) < _MIN_DISTANCE_M:
+        out[2] = _MIN_DISTANCE_M
+    distance_m = float(np.linalg.norm(out))
+    return out * min(1.0, _MAX_DISTANCE_M / distance_m)
 
 
 def _ahead_of(head: HeadModel, positions: FloatArray) -> FloatArray:

@@ -1,0 +1,54 @@
+"""Controls of the simulated head show what is simulated, whatever browsers ask for."""
+
+import pytest
+
+from vergence.models.files.head_file import load_head
+
+pytest.importorskip("viser")
+
+from tests.viewer.served import served  # noqa: F401
+from vergence.viewer.playground import Playground
+from vergence.viewer.simulated import Setup
+
+
+@pytest.fixture
+def playground(served):  # noqa: F811
+    setup = Setup(head=load_head("simulated"), plant="kinematic", controller="ibvs")
+    return Playground(served, setup, mode="by hand")
+
+
+def run(playground, rounds=8):
+    left = iter(range(rounds))
+    playground.run(until=lambda: next(left, None) is None)
+
+
+def test_what_is_asked_is_done_between_two_periods(playground):
+    playground.ask(lambda: playground._change(controller="pid"))
+    playground.ask(lambda: playground._change_head("icub"))
+    run(playground)
+    setup = playground.simulated.setup
+    assert (setup.head.name, setup.controller) == ("icub", "pid")
+    assert (playground._head.value, playground._law.value) == ("icub", "pid")
+    assert playground.view.shown >= 1
+
+
+def test_all_that_a_slider_passes_on_its_way_is_done_at_once(playground, monkeypatch):
+    made = []
+    change = playground.simulated.change
+    monkeypatch.setattr(playground.simulated, "change", lambda one: (made.append(one), change(one)))
+    for milliseconds in range(40, 140):
+        playground.ask(lambda ms=milliseconds: playground._change_loop("latency_s", ms))
+    run(playground)
+    assert [one.loop for one in made] == [{"latency_s": 0.139}]
+    assert playground._sliders["latency_s"].value == pytest.approx(139.0)
+
+
+def test_what_is_not_possible_sets_the_controls_back(playground):
+    before = playground.simulated.setup
+    playground._sliders["latency_s"].value = -5.0
+    playground.ask(lambda: playground._change_loop("latency_s", -5.0))
+    run(playground)
+    assert playground.simulated.setup == before
+    assert playground._sliders["latency_s"].value == pytest.approx(
+        1e3 * before.head.timing.latency_s, rel=1e-3
+    )
