@@ -28,6 +28,9 @@ _VIEWS: Final = (
 """Title, axes of N across and up the page, and their labels; y points down the page."""
 _MM: Final = 1000.0
 """Millimetres per metre (physical: conversion of units)."""
+_MAX_BASE_SPANS: Final = 2.0
+"""Distance of the base from N, in distances of the farthest joint or eye, from which it is told in
+words: drawn, it would shrink the head (chosen)."""
 _OUTLINE_RAYS: Final = 49
 """Rays across a field of view (chosen: smoothness of its outline)."""
 _AXIS_MERGE_TOLERANCE: Final = 0.02
@@ -55,7 +58,9 @@ class _Geometry:
         self.axes = [(_MM * pose[:3, 3], pose[:3, 2]) for pose in placed]
         self.has_neck = any(head.joints[:3])
         points = [*self.eyes, np.zeros(3), *(origin for origin, _ in self.axes)]
-        if self.has_neck:
+        span = float(np.linalg.norm(points, axis=1).max())
+        self.base_is_near = bool(np.linalg.norm(self.base) < _MAX_BASE_SPANS * span)
+        if self.has_neck and self.base_is_near:
             points.append(self.base)
         low, high = np.min(points, axis=0), np.max(points, axis=0)
         self.baseline = float(np.linalg.norm(self.eyes[1] - self.eyes[0]))
@@ -121,7 +126,7 @@ def compose_head(head: HeadModel, summary: HeadSummary) -> Figure:
             draw_field_of_view(
                 figure.add_subplot(right[0, eye]), shown.cameras[eye], eye, _COLOURS[eye]
             )
-        _write_joints(figure.add_subplot(right[1, :]), summary)
+        _write_joints(figure.add_subplot(right[1, :]), summary, shown)
         figure.suptitle(
             f"{head.name}: baseline {summary.baseline_mm:.1f} mm, at rest, in frame N", fontsize=14
         )
@@ -177,7 +182,7 @@ def _draw_view(panel: Axes, shown: _Geometry, across: int, up: int) -> Labels:
     for numbers, origin, axis in _seen_as_one(shown, across, up):
         ahead = towards * axis[3 - across - up]
         _draw_axis(panel, origin[plane], axis[plane], ahead, 0.5 * length, numbers, labels)
-    if shown.has_neck:
+    if shown.has_neck and shown.base_is_near:
         panel.plot(*shown.base[plane], "^", color=GREY, ms=9, zorder=5)
         labels.avoid(shown.base[plane], 6.0)
         labels.add(shown.base[plane], "base", GREY, (1.0, 0.0))
@@ -283,7 +288,7 @@ def _draw_baseline(panel: Axes, shown: _Geometry, plane: list[int], labels: Labe
     labels.add(ends.mean(axis=0), f"{shown.baseline:.1f} mm", GREY, behind, bbox=white)
 
 
-def _write_joints(panel: Axes, summary: HeadSummary) -> None:
+def _write_joints(panel: Axes, summary: HeadSummary, shown: _Geometry) -> None:
     """Write the legend of the joints' numbers, with names and ranges, and of the cameras."""
     panel.set_axis_off()
     lines = []
@@ -292,6 +297,9 @@ def _write_joints(panel: Axes, summary: HeadSummary) -> None:
             f"{number}  {joint.name} ({joint.moves}), {joint.lower_deg:.0f} to "
             f"{joint.upper_deg:.0f} deg"
         )
+    if shown.has_neck and not shown.base_is_near:
+        x, y, z = shown.base
+        lines.append(f"base at x = {x:z.0f}, y = {y:z.0f}, z = {z:z.0f} mm, not drawn")
     if not lines:
         lines = ["no joints: the eyes do not move"]
     for eye in summary.eyes:
