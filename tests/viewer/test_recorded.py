@@ -11,6 +11,7 @@ from vergence.eval.gaze import run_gaze
 from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.reporting.runs import write_config_and_head, write_json
 from vergence.recording.log import read_log
+from vergence.viewer.health import MAX_GAP_RATIO, LoopHealth
 from vergence.viewer.recorded import load_recorded
 
 
@@ -47,6 +48,19 @@ def test_a_run_folder_shows_the_gaze_that_was_run(run):
     ]
     assert shown.errors_px == pytest.approx(errors)
     assert recorded.errors_px()[-1] == pytest.approx(errors)
+
+
+def test_a_gaze_without_faults_raises_no_alarm(tmp_path):
+    result = run_gaze(GazeConfig(plant="mujoco", target_mm=(120, -80, 350)))
+    write_json(tmp_path / "result.json", result.summary())
+    result.trajectory.to_csv(tmp_path / "trajectory.csv", index=False)
+    write_config_and_head(tmp_path, result.config, result.head)
+    recorded, ratios = load_recorded(tmp_path), []
+    health = LoopHealth(recorded.head)
+    for index in range(len(recorded.times_s)):
+        health.add(recorded.reading(index))
+        ratios.append(health.gap_ratio)
+    assert 0.0 < np.nanmax(ratios) < MAX_GAP_RATIO
 
 
 def test_images_that_nobody_took_are_called_drawn(run):

@@ -106,3 +106,12 @@ def test_a_target_anywhere_leaves_the_head_running(point):
     simulated.move_target(np.array(point))
     run(simulated, 0.1)
     assert np.isfinite(simulated.moment().positions).all()
+
+
+def test_nothing_has_settled_that_did_not_move():
+    simulated = SimulatedHead(SETUP, mode="by hand")
+    run(simulated, 1.0)
+    simulated.change(Setup(head=SETUP.head, plant="kinematic", controller="ibvs"))
+    simulated.move_target(simulated.target)
+    run(simulated, 0.5)
+    assert simulated.settled_s is None

@@ -42,6 +42,7 @@ def serving(host: str, port: int) -> Iterator[viser.ViserServer]:
 def address_of(server: viser.ViserServer) -> str:
     """Address of the page."""
     host = server.get_host()
+    host = "localhost" if host in ("", "0.0.0.0", "::") else host
     return f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
 
 

@@ -9,7 +9,7 @@ from vergence.envs.reading import Image
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
-from vergence.viewer.lettering import write_text
+from vergence.viewer.lettering import TEXT_COLOUR, write_text
 from vergence.viewer.moment import Moment
 
 EYE_WIDTH: Final = 480
@@ -20,6 +20,9 @@ TARGET_COLOUR: Final = (0, 150, 60)
 """RGB of the target and of its detections, 0 to 255 (chosen: contrast)."""
 BACKGROUND_GREY: Final = 245
 """Grey level of backgrounds, 0 to 255 (chosen: contrast)."""
+_EARLIER_S: Final = 0.01
+"""Time by which a detection's image is older than the picture from which it is stated, s
+(chosen)."""
 _OLD_S: Final = 0.5
 """Age above which an image's age is stated, s (chosen: beyond any latency)."""
 
@@ -45,14 +48,18 @@ def draw_eye(head: HeadModel, shown: Moment, eye: int, width: int = EYE_WIDTH) -
         image, origin = shown.images.of(eye), ", drawn" if shown.images.drawn else ""
         if shown.image_age_s > _OLD_S:
             origin += f", {shown.image_age_s:.1f} s old"
-    scale = width / image.shape[1]
-    size = (width, round(scale * image.shape[0]))
+    scale = width / float(head.cameras.size[eye, 0])  # the image may have been made smaller
+    size = (width, round(scale * float(head.cameras.size[eye, 1])))
     whole = max(1, image.shape[1] // width)  # averaging by whole numbers is several times faster
     smaller = (image.shape[1] // whole, image.shape[0] // whole)
     grey = cv2.resize(cv2.resize(image, smaller, interpolation=cv2.INTER_AREA), size)
     out = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
     draw_cross(out, scale * head.cameras.principal[eye], EYE_COLOURS[eye], 14)
     if shown.visible[eye]:
+        earlier_s = shown.detection_age_s - shown.image_age_s
+        if shown.images is not None and earlier_s > _EARLIER_S:
+            text = f"detected {1e3 * earlier_s:.0f} ms before"
+            write_label(out, text, (10, 48), TARGET_COLOUR)
         draw_cross(out, scale * shown.pixels[eye], TARGET_COLOUR, 9)
     error = float(shown.errors_px[eye])
     text = f"{EYE_NAMES[eye]} eye{origin}   error "
@@ -74,12 +81,15 @@ def draw_cross(image: Image, at: FloatArray, colour: tuple[int, int, int], size:
     cv2.line(image, (u, v - size), (u, v + size), colour, 2, cv2.LINE_AA)
 
 
-def write_label(image: Image, text: str, at: tuple[int, int]) -> None:
+def write_label(
+    image: Image, text: str, at: tuple[int, int], colour: tuple[int, int, int] = TEXT_COLOUR
+) -> None:
     """Write a line of text on a plain rectangle into a picture.
 
     Args:
         image: (height, width, 3) RGB, changed in place.
         text: the line.
         at: left end of the text's base line, px.
+        colour: RGB of the text, 0 to 255.
     """
-    write_text(image, text, at, plain=BACKGROUND_GREY)
+    write_text(image, text, at, colour=colour, plain=BACKGROUND_GREY)

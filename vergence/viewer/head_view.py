@@ -14,8 +14,10 @@ from vergence.viewer.scene import HeadScene
 
 SHOWN_HZ: Final = 30.0
 """Greatest number of moments shown per second (chosen: smooth; each costs two JPEGs)."""
-_LAST: Final = 1e6
-"""Order of what stands below everything else in a panel (numerical)."""
+_FIRST: Final = -1.0
+"""Order of what stands above everything else in a panel (numerical)."""
+_LEAST_LINES: Final = 8
+"""Lines that the words take at least (chosen: so that controls below them do not move)."""
 _PANEL_WIDTH_PX: Final = 330
 """Width of the panel with images and curves, px of the page (chosen: room for the scene)."""
 _MM: Final = 1000.0
@@ -39,8 +41,8 @@ class HeadView:
     def __init__(self, server: viser.ViserServer, head: HeadModel) -> None:
         self._server = server
         self.sigmas, self.shown = 3.0, 0
-        # below the controls, which would otherwise move whenever a line comes or goes
-        self._words = server.gui.add_markdown("", order=_LAST)
+        self._words = server.gui.add_markdown("", order=_FIRST)
+        self._lines = _LEAST_LINES
         self._panel = panel = server.gui.add_panel()
         self._tab = panel.add_tab("Eyes")
         panel.dock_left()
@@ -59,6 +61,11 @@ class HeadView:
         self._eyes.remove()
         self.curves.remove()
         self._show_head(head)
+
+    def write(self, lines: list[str]) -> None:
+        """Write lines of Markdown in place of those of the last moment, at once."""
+        self._words.content = "  \n".join([*lines, *["&nbsp;"] * (self._lines - len(lines))])
+        self._server.flush()
 
     def remove(self) -> None:
         """Take the head and its panels away."""
@@ -92,7 +99,10 @@ class HeadView:
             else:
                 self.curves.draw(curves)
             if words is not None:
-                self._words.content = "  \n".join([*words, *_describe(shown)])
+                lines = [*words, *_describe(shown)]
+                self._lines = max(self._lines, len(lines))  # controls below must not move
+                lines += ["&nbsp;"] * (self._lines - len(lines))
+                self._words.content = "  \n".join(lines)
         self.shown += 1
 
 

@@ -13,7 +13,7 @@ from vergence.triangulation.gap import gap_sigma
 
 MAX_GAP_RATIO: Final = 3.0
 """Root mean square of gaps over their predicted standard deviation above which they are reported
-(chosen: noise alone exceeds it in fewer than one of 1,000 windows of two images)."""
+(chosen: 3 sigma; one posture's images share its encoder errors, so their mean is no surer)."""
 _WINDOW: Final = 30
 """Number of images over which gaps are judged (chosen: a second of a webcam)."""
 _MIN_IMAGES: Final = 5
@@ -83,6 +83,6 @@ class LoopHealth:
                 text = f"**warning: {text}: has a camera moved?**"
             lines.append(text)
         if self.periods:
-            late = f"{self.missed_periods} of {self.periods} periods late"
+            late = f"{self.missed_periods} of the last {self.periods} periods late"
             lines.append(f"**{late}**" if self.missed_periods else late)
         return lines

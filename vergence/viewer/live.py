@@ -1,8 +1,8 @@
 """The live viewer of a robot: it reads the log that `vergence deploy` writes, and nothing else."""
 
 import time
-from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,7 +22,7 @@ from vergence.viewer.moment import Moment, moment_of_reading
 _SILENT_S: Final = 1.0
 """Time without news after which it is stated, s (chosen: far beyond the writer's 50 ms)."""
 _MOST_REMARKS: Final = 6
-"""Most faults and warnings shown, the newest (chosen: legible)."""
+"""Most faults and warnings shown (chosen: legible)."""
 _SEARCH_PERIOD_S: Final = 0.5
 """Time between two searches for a log, s (chosen: prompt against load)."""
 
@@ -48,13 +48,15 @@ class LiveView:
         self._searched_s = -np.inf
 
     @property
+    def words(self) -> str:
+        """State in words, as shown, in Markdown."""
+        return str(self._words.content)
+
+    @property
     def shown(self) -> int:
         """Number of moments shown of the present log."""
-        return (
-            0
-            if self._followed is None or self._followed.view is None
-            else self._followed.view.shown
-        )
+        view = None if self._followed is None else self._followed.view
+        return 0 if view is None else view.shown
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Follow until told otherwise.
@@ -74,18 +76,21 @@ class LiveView:
             self._followed.close()
 
     def _search(self) -> None:
-        """Begin to follow a log that has appeared, if it is not followed already."""
+        """Go over to a log that has appeared, as soon as its head can be read."""
         found = newest_log(self._path) if self._path.is_dir() else self._path
-        if found is None or not found.is_file():
-            return
-        if self._followed is not None:
-            if self._followed.path == found and not self._followed.was_replaced:
-                return
-            self._followed.close()
+        followed = self._followed
         try:
-            self._followed = _FollowedRobot(self._server, found, self._clock)
-        except VergenceError as error:
-            self._words.content = f"**{error}**"
+            if found is None or (followed is not None and not followed.is_older_than(found)):
+                return
+            with LogFollower(found) as later:
+                later.poll()
+        except (OSError, VergenceError):  # such as one that is being written, or is something else
+            return
+        if later.head is None:
+            return
+        if followed is not None:
+            followed.close()
+        self._followed = _FollowedRobot(self._server, found, self._clock)
 
 
 class _FollowedRobot:
@@ -100,22 +105,28 @@ class _FollowedRobot:
     def __init__(self, server: viser.ViserServer, path: Path, clock: Callable[[], float]) -> None:
         self.path, self._server, self._clock = path, server, clock
         self._log = LogFollower(path)
-        self._inode = path.stat().st_ino
+        self._inode, self._written_ns = path.stat().st_ino, 0
         self.view: HeadView | None = None
         self._health: LoopHealth | None = None
         self._newest: FollowedReading | None = None
         self._first_s = np.nan
         self._truth = Truth._make(part[0] for part in Truth.unknown(1))
         self._images: list[tuple[float, Any] | None] = [None, None]
-        self._remarks: deque[str] = deque(maxlen=_MOST_REMARKS)
+        self._faults: list[str] = []
+        self._warnings: dict[str, str] = {}
 
-    @property
-    def was_replaced(self) -> bool:
-        """True if another file is now at the path."""
-        try:
-            return self.path.stat().st_ino != self._inode
-        except OSError:
-            return False
+    def is_older_than(self, path: Path) -> bool:
+        """True if a file is another log than this one, written to later.
+
+        Raises:
+            OSError: there is no such file.
+        """
+        with suppress(OSError):  # deleted
+            own = self.path.stat()
+            if own.st_ino == self._inode:
+                self._written_ns = own.st_mtime_ns
+        other = path.stat()
+        return other.st_ino != self._inode and other.st_mtime_ns > self._written_ns
 
     def close(self) -> None:
         """Stop following, and clear the page."""
@@ -129,16 +140,18 @@ class _FollowedRobot:
             events = self._log.poll()
         except VergenceError as error:
             events = None
-            self._remarks.append(str(error))
+            self._faults.append(str(error))
         head = self._log.head
         if head is None:
-            return [f"waiting for the head in {self.path.name}", *self._remarks]
-        if self.view is None:
-            self.view, self._health = HeadView(self._server, head), LoopHealth(head)
+            return [f"waiting for the head in {self.path.name}", *self._faults]
+        if self._health is None:
+            self._health = LoopHealth(head)
         if events is not None:
             self._take(events)
             shown = self._moment()
             if shown is not None:
+                if self.view is None:  # not before there is something to draw
+                    self.view = HeadView(self._server, head)
                 self.view.show(shown, [])
         return self._describe()
 
@@ -152,18 +165,19 @@ class _FollowedRobot:
         for eye, image in enumerate(events.images):
             if image is not None:
                 self._images[eye] = _decoded(image) or self._images[eye]
-        self._remarks.extend(f"fault: {reason}" for reason in events.stop_reasons)
-        said = " ".join(self._remarks)  # a fault is noted by the robot's loggers, too
-        self._remarks.extend(
-            note.message for note in events.notes if note.message.partition(": ")[2] not in said
-        )
+        self._faults += [f"fault: {reason}" for reason in events.stop_reasons]
+        said = " ".join(self._faults)  # a fault is noted by the robot's loggers, too
+        for note in events.notes:
+            kind, _, rest = note.message.partition(": ")
+            if not rest or rest not in said:
+                self._warnings.pop(kind, None)
+                self._warnings[kind] = note.message  # the newest of a kind, such as missed periods
 
     def _moment(self) -> Moment | None:
         """The newest moment; None before the first reading."""
         if self._newest is None or self._log.head is None:
             return None
-        reading, begun_s = self._newest.reading, self._newest.begun_s
-        now_s = begun_s + float(reading.time_s)
+        reading, now_s = self._newest.reading, self._now_s()
         left, right = self._images
         images, age_s = None, 0.0
         if left is not None and right is not None:
@@ -182,16 +196,24 @@ class _FollowedRobot:
         facts = self._log.facts
         lines = [f"**{self.path.name}**: {facts.get('controller', '?')}, read-only"]
         if self._newest is not None:
-            lines.append(f"gaze {self._newest.trial + 1}, {self._newest.reading.time_s:.1f} s")
-            silent_s = self._clock() - self._newest.begun_s - float(self._newest.reading.time_s)
+            number = f"gaze {self._newest.trial}, " if self._newest.trial else ""
+            lines.append(f"{number}{self._newest.reading.time_s:.1f} s")
+            silent_s = self._clock() - self._now_s()
             if self._log.closed:
                 lines.append("the log is closed")
             elif silent_s > _SILENT_S:
                 lines.append(f"**no reading for {silent_s:.0f} s**")
         lines += self._health.words()
-        if self._images == [None, None]:
+        shown_s = 0.0 if self._newest is None else self._now_s() - self._first_s
+        if self._images == [None, None] and shown_s > _SILENT_S:
             lines.append("no images in the log: deploy --images logs them")
-        return lines + [f"**{remark}**" for remark in self._remarks]
+        remarks = [*self._faults, *self._warnings.values()][:_MOST_REMARKS]
+        return lines + [f"**{remark}**" for remark in remarks]
+
+    def _now_s(self) -> float:
+        """Time of the newest reading, s of the robot's clock."""
+        assert self._newest is not None
+        return self._newest.begun_s + float(self._newest.reading.time_s)
 
 
 def _decoded(image: FollowedImage) -> tuple[float, Any] | None:

@@ -39,6 +39,8 @@ class Moment(NamedTuple):
     """The eyes' newest images; None for a robot without images."""
     image_age_s: float = 0.0
     """Time since the newest images were exposed or drawn, s."""
+    detection_age_s: float = 0.0
+    """Time since the exposure in which `pixels` were found, s: a simulation's images are newer."""
 
     @property
     def visible(self) -> BoolArray:
@@ -67,6 +69,7 @@ def moment_of(task: GazeTask, n: int = 0) -> Moment:
         errors_px=np.linalg.norm(errors[n], axis=-1),
         fix=Fix._make(part[n] for part in gaze),
         images=given_or_drawn_eye_images(task, n),
+        detection_age_s=float(reading.time_s[n] - reading.exposure_s[n]),
     )
 
 
@@ -100,6 +103,7 @@ def moment_of_reading(
         fix=fix,
         images=images,
         image_age_s=image_age_s,
+        detection_age_s=float(reading.time_s - reading.exposure_s),
     )
 
 

@@ -19,6 +19,8 @@ _PLOT_PERIOD_S: Final = 0.1
 """Least time between two updates of the curves, s (chosen: smooth enough against load)."""
 _MIN_DRAWN_ERROR_PX: Final = 0.01
 """Least drawn error, px; smaller ones are drawn as this (chosen: far below one that matters)."""
+_ASPECT: Final = 2.4
+"""Width of the curves by their height (chosen: images and curves fit a page 900 px high)."""
 _PADDING_PX: Final = (16, 12, 0, 8)
 """Padding of the curves at the top, right, bottom and left, px (chosen: room for numbers)."""
 _JPEG_QUALITY: Final = 80
@@ -77,28 +79,29 @@ class CurvePanel:
         self._joints = [i for i, name in enumerate(head.joints) if name and i in _first(head)]
         self._rows: deque[FloatArray] = deque()
         self._drawn_s = -np.inf
-        empty = np.zeros(0)
+        # the page never draws a plot that it first met without any data
+        time_s, none = np.array([0.0, 1.0]), np.full(2, _MIN_DRAWN_ERROR_PX)
         time = uplot.Series(label="time (s)")
         self._errors = server.gui.add_uplot(
-            data=(empty, empty, empty),
+            data=(time_s, none, none),
             series=(time, *(
                 uplot.Series(label=name, stroke=_css(colour), width=2)
                 for name, colour in zip(EYE_NAMES, EYE_COLOURS, strict=True)
             )),
             title="pixel error (px)",
             scales={"x": uplot.Scale(time=False), "y": uplot.Scale(distr=3)},
-            aspect=1.8,
+            aspect=_ASPECT,
             padding=_PADDING_PX,
         )  # fmt: skip
         self._speeds = server.gui.add_uplot(
-            data=(empty, *[empty for _ in self._joints]),
+            data=(time_s, *[0.0 * none for _ in self._joints]),
             series=(time, *(
                 uplot.Series(label=head.joints[joint], stroke=colour, width=2)
                 for joint, colour in zip(self._joints, _JOINT_COLOURS, strict=False)
             )),
             title="joint speed (deg/s)",
             scales={"x": uplot.Scale(time=False)},
-            aspect=1.8,
+            aspect=_ASPECT,
             padding=_PADDING_PX,
         )  # fmt: skip
 

@@ -42,7 +42,7 @@ class Playback:
             recorded.times_s, recorded.errors_px(), recorded.readings.velocities
         )
         self._health, self._judged = LoopHealth(recorded.head), -1
-        self._time_s, self._shown_index = 0.0, -1
+        self._time_s, self._shown = 0.0, (-1, 0.0)
         gui = server.gui
         with gui.add_folder("Playback"):
             self._playing: Any = gui.add_checkbox("Play", True)
@@ -104,9 +104,9 @@ class Playback:
     def _show(self) -> None:
         index = self._recorded.index_at(self._time_s)
         self.view.sigmas = float(self._sigmas.value)
-        if index == self._shown_index:
+        if (index, self.view.sigmas) == self._shown:
             return
-        self._shown_index = index
+        self._shown = index, self.view.sigmas
         self.view.show(self._recorded.moment(index), self._words(index), self._curves(index))
         self._slider.value = float(self._recorded.times_s[index])
 

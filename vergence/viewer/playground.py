@@ -20,12 +20,8 @@ from vergence.viewer.simulated import Setup, SimulatedHead, TargetMode
 
 _MOST_LATE_S: Final = 0.1
 """Lateness after which simulated time stands still instead of catching up, s (chosen)."""
-_PLANTS: Final = {
-    "images and a detector (rendered)": "rendered",
-    "pixels with noise (mujoco)": "mujoco",
-    "pixels, no masses (kinematic)": "kinematic",
-}
-"""Plants by what they offer."""
+_PLANTS: Final = ("rendered", "mujoco", "kinematic")
+"""Plants to choose from."""
 _WORDS_EVERY: Final = 6
 """Number of moments shown per update of the text (chosen: legible)."""
 _SLIDER_STEPS: Final = 100
@@ -125,7 +121,7 @@ class Playground:
         setup, own = self.simulated.setup, default_options(self.simulated.setup.controller)
         self._mode.value = self.simulated.mode
         self._head.value, self._law.value = setup.head.name, setup.controller
-        self._images.value = next(words for words, name in _PLANTS.items() if name == setup.plant)
+        self._plant.value = setup.plant
         self._gain.disabled = "gain" not in own
         self._gain.value = setup.gain or own.get("gain") or self._gain.value
         for name, slider in self._sliders.items():
@@ -135,11 +131,11 @@ class Playground:
 
     def _words(self) -> list[str]:
         settled, bound = self.simulated.settled_s, self.simulated.bound_s
-        text = "settled to 1 px after **" + (f"{1e3 * settled:.0f} ms" if settled else "-") + "**"
-        if bound is not None:
-            text += f", time-optimal bound {1e3 * bound:.0f} ms"
-            text += f": ratio **{settled / bound:.2f}**" if settled else ""
-        return [text]
+        ratio = f", ratio **{settled / bound:.2f}**" if settled and bound else ""
+        return [
+            "settled to 1 px after **" + (f"{1e3 * settled:.0f} ms**" if settled else "-**"),
+            f"time-optimal bound {1e3 * bound:.0f} ms{ratio}" if bound else "&nbsp;",
+        ]
 
     def _take_target(self) -> None:
         """Let browsers drag the target."""
@@ -192,11 +188,13 @@ class Playground:
             self._head: Any = gui.add_dropdown("Head", tuple(names))
             self._law: Any = gui.add_dropdown("Law", tuple(CONTROLLERS))
             self._gain: Any = gui.add_slider("Gain (1/s)", *_GAIN_RANGE, 0.5, setup.gain or 4.0)
-            self._images: Any = gui.add_dropdown("Images", tuple(_PLANTS))
+            self._plant: Any = gui.add_dropdown(
+                "Plant", _PLANTS, hint="rendered: images and a detector; else pixels with noise"
+            )
         self._on_browser(self._head, self._change_head)
         self._on_browser(self._law, lambda name: self._change(controller=name, gain=None))
         self._on_browser(self._gain, lambda value: self._change(gain=value))
-        self._on_browser(self._images, lambda value: self._change(plant=_PLANTS[value]))
+        self._on_browser(self._plant, lambda name: self._change(plant=name))
 
     def _add_loop_controls(self, part: str) -> None:
         """Add a slider for each imperfection of a part of the loop."""
@@ -223,6 +221,7 @@ class Playground:
     def _change_head(self, name: str) -> None:
         head = self._heads[name] if name in self._heads else load_head(name)
         self._heads[name] = head
+        self.view.write([f"loading {name} ..."])
         self._change(head=head, loop={})
         self.view.change_head(head)
         self._take_target()

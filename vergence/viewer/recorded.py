@@ -176,7 +176,7 @@ def _recorded_run(folder: Path) -> Recorded:
         readings, truths = _readings_and_truths(head, columns, result["truth_mm"])
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise UnreadableFileError(
-            str(folder), f"{type(error).__name__} {error}", "the run folder of a gaze"
+            str(folder), f"damaged: {error}", "the run folder of a gaze"
         ) from error
     renderer = BoardImageRenderer(head, make_planar_target("tag"))
 
@@ -222,16 +222,25 @@ def _readings_and_truths(
 
     count = len(columns["time_s"])
     pixels, positions = by_eye("pixel"), by_joint("position_{}_rad")
+    time_s, exposure_s = numbers("time_s"), numbers("exposure_s")
+    if not (count and np.isfinite(time_s).all() and (np.diff(time_s) > 0.0).all()):
+        raise ValueError("trajectory.csv: expected times that grow")
+    if not np.isfinite(positions).all():
+        raise ValueError("trajectory.csv: expected joint angles in each row")
     reading = Reading.empty(count)._replace(
-        time_s=numbers("time_s"),
+        time_s=time_s,
         pixels=pixels,
         visible=np.asarray(np.isfinite(pixels).all(axis=-1)),
-        exposure_s=numbers("exposure_s"),
+        exposure_s=exposure_s,
         positions=positions,
-        positions_at_exposure=positions,
+        positions_at_exposure=np.stack(
+            [np.interp(exposure_s, time_s, joint) for joint in positions.T], axis=-1
+        ),
         velocities=by_joint("velocity_{}_rad_s"),
     )
     target = np.array([np.nan if value is None else value for value in target_mm]) / _MM
+    if target.shape != (3,):
+        raise ValueError(f"result.json: truth_mm: expected three numbers, got {len(target)}")
     truth = Truth.unknown(count)._replace(
         target=np.tile(target, (count, 1)),
         pixels=by_eye("true_pixel"),

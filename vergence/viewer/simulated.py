@@ -151,6 +151,7 @@ class SimulatedHead:
         controller = setup.make_controller()
         if same_head and (setup.plant, setup.loop) == (self._setup.plant, self._setup.loop):
             self._controller, self._state, self._starts = controller, None, True
+            self._setup = setup
         else:
             task, truth = _make_task(setup), self._plant.truth()
             self._task.close()
@@ -161,8 +162,7 @@ class SimulatedHead:
                 self._begin(truth.positions[0], motion_rows(target, before=target[None]))
             else:
                 self._begin(setup.head.rest(), _at_rest_ahead(setup.head))
-        self._setup = setup
-        self.set_mode(self.mode)
+            self.set_mode(self.mode)
 
     def set_mode(self, mode: TargetMode) -> None:
         """Let the target move in another way, from now on."""
@@ -275,18 +275,19 @@ class SimulatedHead:
 
     def _forget_settling(self) -> None:
         self.settled_s = self.bound_s = None
-        self._onset_s, self._inside_since_s = self.time_s, np.nan
+        self._onset_s, self._inside_since_s, self._was_outside = self.time_s, np.nan, False
 
     def _watch_settling(self) -> None:
         truth = self._plant.truth()
         error = truth.pixel_error - least_reachable_error(self._task, truth.target)
         inside = bool((np.linalg.norm(error[0], axis=-1) < BAND_PX).all())
         if not inside:
-            self._inside_since_s = np.nan
+            self._inside_since_s, self._was_outside = np.nan, True
             self.settled_s = None
         elif np.isnan(self._inside_since_s):
             self._inside_since_s = self.time_s
-        if self.mode not in ("circle", "wander") and self.time_s - self._inside_since_s >= _HELD_S:
+        rests = self.mode not in ("circle", "wander")
+        if rests and self._was_outside and self.time_s - self._inside_since_s >= _HELD_S:
             self.settled_s = self._inside_since_s - self._onset_s
 
 
