@@ -106,6 +106,11 @@ def test_the_target_is_dragged_and_the_law_chosen(served, tmp_path):  # noqa: F8
         browser.click(*browser.place_of("[role=option]", "ibvs"))
         browser.wait(lambda: playground.simulated.setup.controller == "ibvs")
 
+        browser.click(*browser.place_of("input", "turrets"))
+        browser.wait(lambda: "physical" in browser.text())
+        browser.click(*browser.place_of("[role=option]", "icub"))
+        browser.wait(lambda: "eyes_tilt" in browser.text())
+
 
 def test_a_log_is_scrubbed(served, tmp_path):  # noqa: F811
     pytest.importorskip("mcap")

@@ -111,7 +111,11 @@ def test_a_target_anywhere_leaves_the_head_running(point):
 def test_nothing_has_settled_that_did_not_move():
     simulated = SimulatedHead(SETUP, mode="by hand")
     run(simulated, 1.0)
+    before = simulated.settled_s
     simulated.change(Setup(head=SETUP.head, plant="kinematic", controller="ibvs"))
     simulated.move_target(simulated.target)
+    run(simulated, 0.5)
+    assert simulated.settled_s == before
+    simulated.change(Setup(head=SETUP.head, plant="mujoco", controller="ibvs"))
     run(simulated, 0.5)
     assert simulated.settled_s is None

@@ -43,35 +43,27 @@ class HeadView:
         self.sigmas, self.shown = 3.0, 0
         self._words = server.gui.add_markdown("", order=_FIRST)
         self._lines = _LEAST_LINES
-        self._panel = panel = server.gui.add_panel()
+        panel = server.gui.add_panel()
         self._tab = panel.add_tab("Eyes")
         panel.dock_left()
         panel.set_width(_PANEL_WIDTH_PX)
-        self._show_head(head)
-
-    def _show_head(self, head: HeadModel) -> None:
-        self.scene = HeadScene(self._server, head)
+        self.scene = HeadScene(server, head)
         with self._tab:
-            self._eyes = EyePanel(self._server, head)
-            self.curves = CurvePanel(self._server, head)
+            self._eyes = EyePanel(server, head)
+            self.curves = CurvePanel(server, head)
+        server.on_client_connect(lambda client: self.scene.frame(client))
 
     def change_head(self, head: HeadModel) -> None:
         """Show another head from now on."""
         self._server.scene.reset()
-        self._eyes.remove()
-        self.curves.remove()
-        self._show_head(head)
+        self.scene = HeadScene(self._server, head)
+        self._eyes.head = head
+        self.curves.set_head(head)
 
     def write(self, lines: list[str]) -> None:
         """Write lines of Markdown in place of those of the last moment, at once."""
         self._words.content = "  \n".join([*lines, *["&nbsp;"] * (self._lines - len(lines))])
         self._server.flush()
-
-    def remove(self) -> None:
-        """Take the head and its panels away."""
-        self._server.scene.reset()
-        self._panel.remove()
-        self._words.remove()
 
     def show(
         self,

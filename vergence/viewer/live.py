@@ -88,9 +88,11 @@ class LiveView:
             return
         if later.head is None:
             return
+        view = None
         if followed is not None:
             followed.close()
-        self._followed = _FollowedRobot(self._server, found, self._clock)
+            view = followed.view
+        self._followed = _FollowedRobot(self._server, found, self._clock, view)
 
 
 class _FollowedRobot:
@@ -100,13 +102,20 @@ class _FollowedRobot:
         server: server of the browsers.
         path: the log.
         clock: the robot's clock, s.
+        view: the page of the log before; None for the first.
     """
 
-    def __init__(self, server: viser.ViserServer, path: Path, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        path: Path,
+        clock: Callable[[], float],
+        view: HeadView | None,
+    ) -> None:
         self.path, self._server, self._clock = path, server, clock
         self._log = LogFollower(path)
         self._inode, self._written_ns = path.stat().st_ino, 0
-        self.view: HeadView | None = None
+        self.view, self._begun = view, False
         self._health: LoopHealth | None = None
         self._newest: FollowedReading | None = None
         self._first_s = np.nan
@@ -129,10 +138,8 @@ class _FollowedRobot:
         return other.st_ino != self._inode and other.st_mtime_ns > self._written_ns
 
     def close(self) -> None:
-        """Stop following, and clear the page."""
+        """Stop following; the page stays."""
         self._log.close()
-        if self.view is not None:
-            self.view.remove()
 
     def update(self) -> list[str]:
         """Show what is new, and return the state in lines of Markdown."""
@@ -152,6 +159,9 @@ class _FollowedRobot:
             if shown is not None:
                 if self.view is None:  # not before there is something to draw
                     self.view = HeadView(self._server, head)
+                elif not self._begun:
+                    self.view.change_head(head)
+                self._begun = True
                 self.view.show(shown, [])
         return self._describe()
 

@@ -10,7 +10,7 @@ from viser import uplot
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
-from vergence.viewer.eye_pictures import EYE_COLOURS, EYE_WIDTH, draw_eye
+from vergence.viewer.eye_pictures import BACKGROUND_GREY, EYE_COLOURS, EYE_WIDTH, draw_eye
 from vergence.viewer.moment import Moment
 
 HISTORY_S: Final = 4.0
@@ -34,6 +34,7 @@ _JOINT_COLOURS: Final = (
     "#999999",
     "#bbbbbb",
 )
+_TIME: Final = uplot.Series(label="time (s)")
 
 
 class EyePanel:
@@ -41,30 +42,21 @@ class EyePanel:
 
     Args:
         server: server of the browsers.
-        head: the model of the head.
+        head: the model of the head; another one may be assigned later.
     """
 
     def __init__(self, server: viser.ViserServer, head: HeadModel) -> None:
-        self._head = head
-        heights = np.round(EYE_WIDTH * head.cameras.size[:, 1] / head.cameras.size[:, 0])
+        self.head = head
+        nothing = np.full((EYE_WIDTH, EYE_WIDTH, 3), BACKGROUND_GREY, np.uint8)
         self._images = [
-            server.gui.add_image(
-                np.full((int(height), EYE_WIDTH, 3), 245, np.uint8),
-                format="jpeg",
-                jpeg_quality=_JPEG_QUALITY,
-            )
-            for height in heights
+            server.gui.add_image(nothing, format="jpeg", jpeg_quality=_JPEG_QUALITY)
+            for _ in EYE_NAMES
         ]
 
     def show(self, shown: Moment) -> None:
         """Show a moment's images."""
         for eye, handle in enumerate(self._images):
-            handle.image = draw_eye(self._head, shown, eye)
-
-    def remove(self) -> None:
-        """Take the images away."""
-        for handle in self._images:
-            handle.remove()
+            handle.image = draw_eye(self.head, shown, eye)
 
 
 class CurvePanel:
@@ -76,15 +68,11 @@ class CurvePanel:
     """
 
     def __init__(self, server: viser.ViserServer, head: HeadModel) -> None:
-        self._joints = [i for i, name in enumerate(head.joints) if name and i in _first(head)]
-        self._rows: deque[FloatArray] = deque()
-        self._drawn_s = -np.inf
         # the page never draws a plot that it first met without any data
         time_s, none = np.array([0.0, 1.0]), np.full(2, _MIN_DRAWN_ERROR_PX)
-        time = uplot.Series(label="time (s)")
         self._errors = server.gui.add_uplot(
             data=(time_s, none, none),
-            series=(time, *(
+            series=(_TIME, *(
                 uplot.Series(label=name, stroke=_css(colour), width=2)
                 for name, colour in zip(EYE_NAMES, EYE_COLOURS, strict=True)
             )),
@@ -94,16 +82,31 @@ class CurvePanel:
             padding=_PADDING_PX,
         )  # fmt: skip
         self._speeds = server.gui.add_uplot(
-            data=(time_s, *[0.0 * none for _ in self._joints]),
-            series=(time, *(
-                uplot.Series(label=head.joints[joint], stroke=colour, width=2)
-                for joint, colour in zip(self._joints, _JOINT_COLOURS, strict=False)
-            )),
+            data=(time_s, 0.0 * none),
+            series=(_TIME, uplot.Series()),
             title="joint speed (deg/s)",
             scales={"x": uplot.Scale(time=False)},
             aspect=_ASPECT,
             padding=_PADDING_PX,
-        )  # fmt: skip
+        )
+        self._rows: deque[FloatArray] = deque()
+        self.set_head(head)
+
+    def set_head(self, head: HeadModel) -> None:
+        """Begin anew with the joints of a head."""
+        self._joints = [head.joints.index(name) for name in dict.fromkeys(head.joints) if name]
+        self._rows.clear()
+        self._drawn_s = -np.inf
+        names = [head.joints[joint] for joint in self._joints]
+        self._speeds.series = (
+            _TIME,
+            *(
+                uplot.Series(label=name, stroke=colour, width=2)
+                for name, colour in zip(names, _JOINT_COLOURS, strict=False)
+            ),
+        )
+        time_s = np.array([0.0, 1.0])
+        self._speeds.data = (time_s, *[np.zeros(2) for _ in names])
 
     def rows_of(
         self, times_s: FloatArray, errors_px: FloatArray, velocities: FloatArray
@@ -141,16 +144,6 @@ class CurvePanel:
         columns = [np.ascontiguousarray(column) for column in rows.T]
         self._errors.data = tuple(columns[:3])
         self._speeds.data = (columns[0], *columns[3:])
-
-    def remove(self) -> None:
-        """Take the curves away."""
-        self._errors.remove()
-        self._speeds.remove()
-
-
-def _first(head: HeadModel) -> set[int]:
-    """First index of each joint: a joint that both eyes share has two."""
-    return {head.joints.index(name) for name in head.joints if name}
 
 
 def _css(colour: tuple[int, int, int]) -> str:

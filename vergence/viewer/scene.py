@@ -169,8 +169,19 @@ class HeadScene:
         if size > _MAX_VIEW_M:
             reach, size = reach * (_MAX_VIEW_M / size), _MAX_VIEW_M
         middle = self._N[:3, 3] + 0.35 * reach
+        self._look_at, self._away = middle, size * np.array(_CAMERA_OFFSET)
         self._server.initial_camera.look_at = middle
-        self._server.initial_camera.position = middle + size * np.array(_CAMERA_OFFSET)
+        self._server.initial_camera.position = middle + self._away
+        for client in self._server.get_clients().values():
+            self.frame(client)
+
+    def frame(self, client: viser.ClientHandle) -> None:
+        """Have a browser look at the head and its target, from farther away if it is narrow."""
+        if self._camera_placed:
+            client.camera.look_at = self._look_at
+            client.camera.position = self._look_at + self._away * max(
+                1.0, 1.0 / client.camera.aspect
+            )
 
     def _show_axes(self, cameras: FloatArray, fix: FloatArray) -> None:
         """Draw the optical axes to beyond the fix, and their common perpendicular."""

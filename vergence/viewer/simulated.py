@@ -44,6 +44,8 @@ tag)."""
 # least and greatest distance at which a target is put, m (chosen: beyond what anybody wants)
 _MIN_DISTANCE_M: Final = 0.02
 _MAX_DISTANCE_M: Final = 50.0
+_MOVED_M: Final = 1e-4
+"""Distance from which a target has moved, m (chosen: below what a hand does)."""
 _FIRST = np.zeros(1, dtype=np.int64)
 _FAR_FUTURE_S: Final = 1e9
 """Time at which a target that jumps has come to rest, s (numerical)."""
@@ -243,8 +245,10 @@ class SimulatedHead:
         return bool(((pixels > border) & (pixels < size - border)).all())
 
     def _jump_to(self, point: FloatArray) -> None:
+        moved_m = float(np.linalg.norm(point - self.target))
         self._plant.move_targets(_FIRST, motion_rows(point, before=point[None]))
-        self._forget_settling()
+        if moved_m > _MOVED_M:  # a hand that lets go moves nothing
+            self._forget_settling()
 
     def _drawn(self, target: Target) -> FloatArray:
         """(1, MOTION or more) a motion from the next trial's random stream."""
