@@ -66,13 +66,13 @@ class View:
         from vergence.viewer.browser import address_of, serving
 
         make = prepare()
-        with serving(self.host, self.port) as server:
+        # Ctrl-C is the usual way to end, not a failure
+        with suppress(KeyboardInterrupt), serving(self.host, self.port) as server:
             shown = make(server)
             print_to_stderr(f"showing on {address_of(server)} until Ctrl-C")
             if self.browser:
                 webbrowser.open(address_of(server))
-            with suppress(KeyboardInterrupt):  # the usual way to end, not a failure
-                shown.run()
+            shown.run()
         return 0
 
     def _simulate(self) -> "Callable[[Server], Shown]":
