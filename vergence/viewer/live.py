@@ -84,15 +84,16 @@ class LiveView:
                 return
             with LogFollower(found) as later:
                 later.poll()
-        except (OSError, VergenceError):  # such as one that is being written, or is something else
+            if later.head is None:
+                return
+            view = None if followed is None else followed.view
+            self._followed = _FollowedRobot(self._server, found, self._clock, view)
+        except (OSError, VergenceError) as error:  # such as a file that is something else
+            if followed is None:
+                self._words.content = f"waiting for a log at {self._path}  \n**{error}**"
             return
-        if later.head is None:
-            return
-        view = None
         if followed is not None:
             followed.close()
-            view = followed.view
-        self._followed = _FollowedRobot(self._server, found, self._clock, view)
 
 
 class _FollowedRobot:
