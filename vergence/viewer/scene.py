@@ -29,6 +29,9 @@ _BOARD_PX_PER_CELL: Final = 16
 _CAMERA_OFFSET: Final = (0.85, 0.6, 0.45)
 """First place of the page's camera from the middle between head and target, by their distance
 (chosen: both are in view, the eyes from beside)."""
+_LOWER: Final = 0.5
+"""Height by which the camera looks too low on a page half as wide as high, by the camera's distance
+(chosen: head and target are in the upper half)."""
 # least and greatest distance of a target that the page's first view takes in, m (chosen: around
 # arm's length)
 _MIN_VIEW_M: Final = 0.7
@@ -178,10 +181,12 @@ class HeadScene:
     def frame(self, client: viser.ClientHandle) -> None:
         """Have a browser look at the head and its target, from farther away if it is narrow."""
         if self._camera_placed:
-            client.camera.look_at = self._look_at
-            client.camera.position = self._look_at + self._away * max(
-                1.0, 1.0 / client.camera.aspect
-            )
+            farther = max(1.0, 1.0 / client.camera.aspect)
+            # on a narrow page controls cover the lower half
+            below = (farther - 1.0) * _LOWER * np.linalg.norm(self._away)
+            middle = self._look_at - [0.0, 0.0, below]
+            client.camera.position = middle + farther * self._away
+            client.camera.look_at = middle  # last: a new position moves it along
 
     def _show_axes(self, cameras: FloatArray, fix: FloatArray) -> None:
         """Draw the optical axes to beyond the fix, and their common perpendicular."""
