@@ -37,8 +37,8 @@ def test_a_quick_run_writes_a_row_for_every_case(tmp_path: Path) -> None:
     rows = json.loads(table.read_text())
     expected = list(NAMES)
     for name, needs in (
-        ("reacher_single", "imageio"),
-        ("reacher_sync_16", "imageio"),
+        ("reacher_single", "glfw"),
+        ("reacher_sync_16", "glfw"),
         ("envpool_reacher_256", "envpool"),
     ):
         if importlib.util.find_spec(needs) is None:

@@ -16,7 +16,7 @@ SHOWN_HZ: Final = 30.0
 """Greatest number of moments shown per second (chosen: smooth; each costs two JPEGs)."""
 _FIRST: Final = -1.0
 """Order of what stands above everything else in a panel (numerical)."""
-_LEAST_LINES: Final = 8
+_LEAST_LINES: Final = 10
 """Lines that the words take at least (chosen: so that controls below them do not move)."""
 _PANEL_WIDTH_PX: Final = 330
 """Width of the panel with images and curves, px of the page (chosen: room for the scene)."""
