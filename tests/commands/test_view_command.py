@@ -53,11 +53,15 @@ def test_the_page_is_served_until_ctrl_c(words, tmp_path):
         cwd=tmp_path,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in background
     )
-    line = process.stderr.readline()
-    url = next(word for word in line.split() if word.startswith("http://127.0.0.1:"))
-    with urllib.request.urlopen(url) as page:
-        assert b"<html" in page.read()
-    process.send_signal(signal.SIGINT)
-    _out, err = process.communicate(timeout=60)
-    assert process.returncode == 0
-    assert err == ""
+    try:
+        line = process.stderr.readline()
+        url = next(word for word in line.split() if word.startswith("http://127.0.0.1:"))
+        with urllib.request.urlopen(url) as page:
+            assert b"<html" in page.read()
+        process.send_signal(signal.SIGINT)
+        _out, err = process.communicate(timeout=60)
+        assert process.returncode == 0
+        assert err == ""
+    finally:
+        process.kill()
+        process.communicate()
