@@ -18,6 +18,8 @@ EYE_COLOURS: Final = ((31, 119, 180), (214, 96, 30))
 """RGB of the left and the right eye (chosen: easy to tell apart)."""
 TARGET_COLOUR: Final = (0, 150, 60)
 """RGB of the target and of its detections, 0 to 255 (chosen: contrast)."""
+FIX_COLOUR: Final = (170, 40, 150)
+"""RGB of the fix by gaze, 0 to 255 (chosen: unlike the eyes' colours)."""
 BACKGROUND_GREY: Final = 245
 """Grey level of backgrounds, 0 to 255 (chosen: contrast)."""
 _EARLIER_S: Final = 0.01

@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 import viser
 
+from vergence.eval.gaze_trajectory import MM
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
 from vergence.models.parts import FloatArray
@@ -20,8 +21,6 @@ _LEAST_LINES: Final = 10
 """Lines that the words take at least (chosen: so that controls below them do not move)."""
 _PANEL_WIDTH_PX: Final = 330
 """Width of the panel with images and curves, px of the page (chosen: room for the scene)."""
-_MM: Final = 1000.0
-"""Millimetres per metre (physical: conversion of units)."""
 
 
 class HeadView:
@@ -106,12 +105,12 @@ def _describe(shown: Moment) -> list[str]:
     if not shown.fix.valid:
         return [*lines, "the optical axes do not cross"]
     lines += [
-        f"fix by gaze {_three(_MM * shown.fix.point, 1)} mm",
-        f"1 sigma {_three(_MM * shown.fix.sigma, 2)} mm",
-        f"gap between the axes {_MM * shown.fix.gap:.2f} mm",
+        f"fix by gaze {_three(MM * shown.fix.point, 1)} mm",
+        f"1 sigma {_three(MM * shown.fix.sigma, 2)} mm",
+        f"gap between the axes {MM * shown.fix.gap:.2f} mm",
     ]
     if shown.target_is_truth:
-        off = _MM * float(np.linalg.norm(shown.fix.point - shown.target))
+        off = MM * float(np.linalg.norm(shown.fix.point - shown.target))
         lines.append(f"fix to target {off:.1f} mm")
     return lines
 

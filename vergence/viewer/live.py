@@ -25,6 +25,7 @@ _MOST_REMARKS: Final = 6
 """Most faults and warnings shown (chosen: legible)."""
 _SEARCH_PERIOD_S: Final = 0.5
 """Time between two searches for a log, s (chosen: prompt against load)."""
+_UNKNOWN: Final = Truth._make(part[0] for part in Truth.unknown(1))
 
 
 class LiveView:
@@ -120,7 +121,7 @@ class _FollowedRobot:
         self._health: LoopHealth | None = None
         self._newest: FollowedReading | None = None
         self._first_s = np.nan
-        self._truth = Truth._make(part[0] for part in Truth.unknown(1))
+        self._truth = _UNKNOWN
         self._images: list[tuple[float, Any] | None] = [None, None]
         self._faults: list[str] = []
         self._warnings: dict[str, str] = {}
@@ -196,7 +197,7 @@ class _FollowedRobot:
             age_s = max(0.0, now_s - min(left[0], right[0]))
         truth = self._truth
         if abs(float(truth.time_s) - float(reading.time_s)) > self._log.head.timing.period_s:
-            truth = Truth._make(part[0] for part in Truth.unknown(1))
+            truth = _UNKNOWN
         shown = moment_of_reading(self._log.head, reading, truth, images, age_s)
         if np.isnan(self._first_s):
             self._first_s = now_s

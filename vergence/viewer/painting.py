@@ -12,7 +12,7 @@ from vergence.models.head import HeadModel
 from vergence.models.mujoco.scene import surroundings_of
 from vergence.models.parts import FloatArray
 from vergence.viewer import marks
-from vergence.viewer.eye_pictures import EYE_COLOURS
+from vergence.viewer.eye_pictures import EYE_COLOURS, FIX_COLOUR
 from vergence.viewer.outside_camera import OutsideCamera, place_outside_camera
 from vergence.viewer.rasteriser import Triangles, paint_triangles
 from vergence.viewer.shapes import HeadShapes
@@ -36,8 +36,6 @@ _LINE_WIDTH: Final = 0.005
 """Half thickness of the optical axes by the picture's height (chosen: legible)."""
 _FIX_RADIUS: Final = 0.015
 """Radius of the fix by gaze by the picture's height (chosen: legible, smaller than the board)."""
-_FIX_COLOUR: Final = (170, 40, 150)
-"""RGB of the fix, 0 to 255 (chosen: unlike the eyes' colours)."""
 _BACKGROUND: Final = 232
 """Grey level behind the head, 0 to 255 (chosen: a white board stands out)."""
 _SHADOW: Final = 0.13
@@ -127,7 +125,7 @@ class HeadPainter:
         if board and _known(target):
             parts.append(marks.board(self._board, frame_n @ board_pose(target)))
         if fix is not None and _known(fix):
-            parts.append(marks.ball(_moved(frame_n, fix), _FIX_RADIUS * height_m, _FIX_COLOUR))
+            parts.append(marks.ball(_moved(frame_n, fix), _FIX_RADIUS * height_m, FIX_COLOUR))
         focal = _SUBPIXELS * camera.focal * height
         out = self._background(vertices, camera, width, height)
         seen = Triangles(*(np.concatenate(part) for part in zip(*parts, strict=True)))

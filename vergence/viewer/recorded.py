@@ -15,6 +15,7 @@ from vergence.envs.eye_images import EyeImages
 from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.envs.reading import Reading, Truth
 from vergence.errors import ConfigurationError, UnreadableFileError
+from vergence.eval.gaze_trajectory import MM
 from vergence.models.boards import make_planar_target
 from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
@@ -24,8 +25,6 @@ from vergence.recording.jpeg import read_jpeg
 from vergence.recording.log import Log, LoggedTrial, read_log
 from vergence.viewer.moment import Moment, moment_of_reading, pixel_errors
 
-_MM: Final = 1000.0
-"""Millimetres per metre (physical: conversion of units)."""
 _RUN_FILES: Final = ("trajectory.csv", "head.toml", "result.json", "config.toml")
 """Files that a gaze's run folder holds."""
 
@@ -238,7 +237,7 @@ def _readings_and_truths(
         ),
         velocities=by_joint("velocity_{}_rad_s"),
     )
-    target = np.array([np.nan if value is None else value for value in target_mm]) / _MM
+    target = np.array([np.nan if value is None else value for value in target_mm]) / MM
     if target.shape != (3,):
         raise ValueError(f"result.json: truth_mm: expected three numbers, got {len(target)}")
     truth = Truth.unknown(count)._replace(

@@ -12,13 +12,12 @@ from vergence.models.joints import EYE_NAMES
 from vergence.models.links import inverse_pose
 from vergence.models.mujoco.scene import surroundings_of
 from vergence.models.parts import FloatArray
-from vergence.viewer.eye_pictures import EYE_COLOURS
+from vergence.viewer.eye_pictures import EYE_COLOURS, FIX_COLOUR
 from vergence.viewer.moment import Moment
 from vergence.viewer.shapes import HeadShapes
 
-# RGB of the fix and of the common perpendicular, 0 to 255 (chosen: unlike the eyes' colours)
-_FIX_COLOUR: Final = (170, 40, 150)
 _GAP_COLOUR: Final = (200, 30, 30)
+"""RGB of the common perpendicular, 0 to 255 (chosen: unlike the eyes\' colours)."""
 _FRUSTUM_BASELINES: Final = 0.35
 """Length of an eye's frustum in baselines (chosen: visible against the eyes, short of the
 target)."""
@@ -56,7 +55,7 @@ class HeadScene:
         self._shapes = HeadShapes(head)
         self._N = np.eye(4)
         api = server.scene
-        self._root = api.add_frame("/head", show_axes=False)
+        api.add_frame("/head", show_axes=False)
         self._bodies: dict[int, viser.FrameHandle] = {}
         for number, mesh in enumerate(self._shapes.meshes):
             if mesh.body not in self._bodies:
@@ -93,7 +92,7 @@ class HeadScene:
             "/head/perpendicular", nothing, _GAP_COLOUR, thickness=5.0, thickness_units="screen"
         )
         self._fix = api.add_icosphere(
-            "/head/fix", radius=1.0, color=_FIX_COLOUR, opacity=0.45, cast_shadow=False
+            "/head/fix", radius=1.0, color=FIX_COLOUR, opacity=0.45, cast_shadow=False
         )
         board = make_planar_target("tag")
         size = np.ptp(outline_m(board), axis=0)

@@ -18,6 +18,7 @@ from vergence.envs.targets.workspace import RandomTarget
 from vergence.envs.task import GazeTask
 from vergence.errors import UnreachableTargetError, VergenceError
 from vergence.eval.trials.bound import settle_bound
+from vergence.eval.trials.fixation import HELD_S
 from vergence.eval.trials.goal import least_reachable_error
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -28,8 +29,6 @@ STEP_S: Final = 2.5
 """Time between two jumps of the target, s (chosen: the eyes settle, and rest for a while)."""
 BAND_PX: Final = 1.0
 """Settling band on the true pixel error, px (chosen: that of `vergence gaze`)."""
-_HELD_S: Final = 0.1
-"""Time within the band after which the eyes count as settled, s (chosen: that of `is_success`)."""
 # radius of the circle as a fraction of its distance, and time of a turn, s (chosen: every law
 # follows, the late ones visibly)
 _CIRCLE_RADIUS: Final = 0.15
@@ -291,7 +290,7 @@ class SimulatedHead:
         elif np.isnan(self._inside_since_s):
             self._inside_since_s = self.time_s
         rests = self.mode not in ("circle", "wander")
-        if rests and self._was_outside and self.time_s - self._inside_since_s >= _HELD_S:
+        if rests and self._was_outside and self.time_s - self._inside_since_s >= HELD_S:
             self.settled_s = self._inside_since_s - self._onset_s
 
 
