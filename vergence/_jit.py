@@ -17,6 +17,7 @@ helper has the same type whether it is a constant or not.
 import atexit
 import contextlib
 import functools
+import gc
 import hashlib
 import inspect
 import os
@@ -31,7 +32,11 @@ from typing import Any, Final, TypeVar, cast
 import numba
 from numba.core import event, types
 from numba.core.caching import FunctionCache, NullCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.registry import CPUDispatcher
+from numba.core.typed_passes import NativeLowering
 
 from vergence.errors import ConfigurationError
 from vergence.operands import as_operand
@@ -129,7 +134,8 @@ class GufuncKernel:
         return self._ufunc(*operands, **options)
 
     def _compile(self) -> Callable[..., Any]:
-        with _alone(f"{self.__module__}.{self._function.__qualname__}"), _caching() as cache:
+        name = f"{self.__module__}.{self._function.__qualname__}"
+        with _alone(name), _caching() as cache, _paused_garbage_collection():
             if cache:
                 try:
                     return self._guvectorized(cache=True)
@@ -181,7 +187,7 @@ def compiled(function: _Function) -> _Function:
     floating-point operations is allowed, so results do not depend on the vector width.
     """
     options: dict[str, Any] = {"error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
-    made: Any = numba.njit(**options)(function)
+    made: Any = _Kernel(function, targetoptions={"nopython": True, **options})
     with _caching() as cache:
         made._cache = _cache_of(function) if cache else NullCache()
     return cast("_Function", made)
@@ -216,15 +222,92 @@ def _helper(function: _Function, **more: Any) -> _Function:
         "no_cpython_wrapper": True,
         "no_cfunc_wrapper": True,
     }
-    return cast("_Function", _Device(function, targetoptions=options | more))
+    return cast("_Function", _Helper(function, targetoptions=options | more))
 
 
-class _Device(CPUDispatcher):
+class _Kernel(CPUDispatcher):
+    """A function that Python calls."""
+
+    def compile(self, sig: Any) -> Any:
+        with _paused_garbage_collection():
+            return super().compile(sig)
+
+
+@contextlib.contextmanager
+def _paused_garbage_collection() -> Iterator[None]:
+    """Pause Python's search for cyclic garbage, a quarter of the time of compiling.
+
+    A compiler makes millions of objects that live until it ends, and Python goes through all of
+    them again and again.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+class _HelperLibrary(JITCodeLibrary):
+    """Code of a helper, which runs only as a part of the kernels that it is linked into.
+
+    Numba would optimise it in three rounds and generate machine code that is never called. One
+    round is left, which keeps the kernels small; they are optimised as a whole anyway.
+    """
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+
+    def _optimize_final_module(self) -> None:
+        passes, builder = self._codegen._module_pass_manager()
+        passes.run(self._final_module, builder)
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
+        self._finalized = True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _HelperLowering(NativeLowering):
+    """Generation of a helper's code, to be linked and never to be run by itself."""
+
+    _name = "helper_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = _HelperLibrary(state.targetctx.codegen(), state.func_id.func_qualname)  # type: ignore[no-untyped-call]
+        state.library.enable_object_caching()
+        state.flags.no_compile = True
+        super().run_pass(state)  # type: ignore[no-untyped-call]
+        key = object()  # by which calls find the code; numba's own is the function for Python
+        state.targetctx.insert_user_function(key, state.cr.fndesc, [state.library])
+        state.reload_init.extend(state.library._reload_init)
+        state.cr = state.cr._replace(cfunc=key)
+        return True
+
+
+class _HelperCompiler(CompilerBase):
+    """Numba's compiler, but for the last step."""
+
+    def define_pipelines(self) -> list[PassManager]:
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.passes = [
+            (_HelperLowering if each is NativeLowering else each, description)
+            for each, description in passes.passes
+        ]
+        passes.finalize()
+        return [passes]
+
+
+class _Helper(CPUDispatcher):
     """A function that only other compiled functions call.
 
     The wrappers that make a function callable from Python and C take a fifth of the time of
     compiling it, so this function has none.
     """
+
+    def __init__(self, function: Callable[..., Any], targetoptions: dict[str, Any]) -> None:
+        super().__init__(function, targetoptions=targetoptions, pipeline_class=_HelperCompiler)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Type constant arguments like variables, so that numba compiles one function for both."""
