@@ -24,7 +24,7 @@ BENCH := $(VENV)/.bench
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help run view robot test check lint kernels format dev bench clean
+.PHONY: help run view robot test check lint kernels wheel format dev bench clean
 .DELETE_ON_ERROR:
 
 help: ## show this list
@@ -56,6 +56,10 @@ lint: $(TEST) ## ruff and mypy
 
 kernels: $(TEST) ## compile what the tests call, while mypy runs in `make test`
 	@$(BIN)/python -m tests.kernels
+
+wheel: $(TEST) ## build a wheel in dist/ that carries compiled kernels for this kind of machine
+	@$(BIN)/python -m tests.kernels --ship
+	@$(BIN)/python -m build --no-isolation --wheel
 
 format: $(TEST) ## let ruff rewrite what it can
 	$(BIN)/ruff check --fix .

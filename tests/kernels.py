@@ -1,23 +1,31 @@
 """Compiles what the tests call before they start: `python -m tests.kernels`, in two processes.
 
 Each piece of work calls, in the smallest size, what some tests call. What is missing here is
-compiled by the first test that needs it.
+compiled by the first test that needs it. With `--ship` the result is put into the package's folder
+of shipped kernels, for all processors of this machine's kind, so that the next wheel carries it.
 """
 
+import os
+import platform
+import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from tests.heads import head_of
 from vergence import HeadModel, load_head, make_controller
-from vergence._jit import cache_folder
+from vergence._jit import PORTABLE_PROCESSORS, SHIPPED, cache_folder, shipped_name
 from vergence.controllers.controller import CONTROLLERS
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask
+from vergence.eval.gaze import run_gaze
+from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
 from vergence.vision.tags.detector import compile_tag_fit
@@ -55,10 +63,16 @@ def steps(name: str, plant: str) -> None:
     task.step(np.zeros((2, task.layout.count)))
 
 
+def gaze() -> None:
+    """The eyes turn to a target that they see in images."""
+    run_gaze(GazeConfig(duration_s=0.5))
+
+
 SHARES: Final[tuple[tuple[Callable[[], None], ...], ...]] = (
     (
         partial(laws, "simulated"),
         compile_tag_fit,
+        gaze,
         partial(steps, "simulated", "rendered"),
         partial(steps, "simulated", "mujoco"),
         partial(laws, "tied"),
@@ -69,8 +83,25 @@ SHARES: Final[tuple[tuple[Callable[[], None], ...], ...]] = (
 """Work of each process; nothing large is compiled in both."""
 
 
+def ship() -> int:
+    """Fill the package's folder of shipped kernels."""
+    processor, features = PORTABLE_PROCESSORS[platform.machine()]
+    shutil.rmtree(SHIPPED, ignore_errors=True)
+    with tempfile.TemporaryDirectory() as cache:
+        portable = {"NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": features}
+        command = [sys.executable, "-m", "tests.kernels"]
+        code = subprocess.call(command, env=os.environ | portable | {"NUMBA_CACHE_DIR": cache})
+        if code == 0:
+            (compiled,) = Path(cache).iterdir()
+            unwanted = shutil.ignore_patterns("*.lock", DONE)
+            shutil.copytree(compiled, SHIPPED / shipped_name(), ignore=unwanted)
+    return code
+
+
 def main(words: list[str]) -> int:
     """Let a process do each share, or do the share of that number."""
+    if words == ["--ship"]:
+        return ship()
     if words:
         for piece in SHARES[int(words[0])]:
             piece()

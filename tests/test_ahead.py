@@ -20,6 +20,7 @@ def started(monkeypatch, tmp_path):
     commands = []
     monkeypatch.setattr(_ahead.subprocess, "Popen", lambda words, **_rest: commands.append(words))
     monkeypatch.setattr(_ahead, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(_ahead, "any_compiled", lambda: any(tmp_path.iterdir()))
     monkeypatch.setattr(_ahead, "_processors", lambda: 2)
     return commands
 

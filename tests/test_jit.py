@@ -3,6 +3,7 @@
 import errno
 import os
 import pickle
+import platform
 import shutil
 import subprocess
 import sys
@@ -32,22 +33,19 @@ def inverse(x):
 """
 PRINT = "from heads.kernels import *; print(scaled([1.0, 2.0]), inverse(2.0), inverse(0.0))"
 WATCH = """
-import fcntl, numba
+import fcntl
 from heads import _jit
 
-original = numba.guvectorize
-
-def watched(*arguments, **options):
-    def decorate(function):
+class Watched(_jit._GufuncBuilder):
+    def build_ufunc(self):
         with open(_jit.cache_folder() / "heads.kernels.scaled.lock", "w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 print("alone", end=" ")
-        return original(*arguments, **options)(function)
-    return decorate
+        return super().build_ufunc()
 
-numba.guvectorize = watched
+_jit._GufuncBuilder = Watched
 from heads.kernels import scaled
 print(scaled([1.0]))
 """
@@ -229,6 +227,29 @@ def test_kernels_work_where_nothing_can_be_written(package, tmp_path):
     (tmp_path / "home").touch()
     assert run(package, HOME=str(tmp_path / "home")) == "[2. 4.] 0.25 inf"
     assert not compiled_files(tmp_path)
+
+
+@pytest.mark.slow
+def test_shipped_kernels_are_used_where_they_fit_and_nowhere_else(package, tmp_path):
+    processor, features = _jit.PORTABLE_PROCESSORS[platform.machine()]
+    made = run(
+        package,
+        NUMBA_CACHE_DIR=str(tmp_path / "made"),
+        NUMBA_CPU_NAME=processor,
+        NUMBA_CPU_FEATURES=features,
+    )
+    (compiled,) = (tmp_path / "made").iterdir()
+    shipped = (
+        package / "kernels" / run(package, "from heads import _jit; print(_jit.shipped_name())")
+    )
+    shutil.copytree(compiled, shipped)
+    assert run(package, NUMBA_CACHE_DIR=str(tmp_path / "first")) == made
+    assert not compiled_files(tmp_path / "first")
+    older = "from heads import _jit; _jit.get_host_cpu_features = dict; " + PRINT
+    assert run(package, older, NUMBA_CACHE_DIR=str(tmp_path / "second")) == made
+    assert compiled_files(tmp_path / "second") or platform.machine() not in ("x86_64", "AMD64")
+    (package / "helper.py").write_text(HELPER.format(factor=4.0))
+    assert run(package, NUMBA_CACHE_DIR=str(tmp_path / "third")) == "[4. 8.] 0.125 inf"
 
 
 @pytest.mark.slow

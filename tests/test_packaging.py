@@ -55,7 +55,7 @@ def test_the_wheel_carries_every_file_of_the_package_and_the_license(wheel_files
     package = {
         path.relative_to(ROOT).as_posix()
         for path in ROOT.glob("vergence/**/*")
-        if path.is_file() and "__pycache__" not in path.parts
+        if path.is_file() and not {"__pycache__", "kernels"} & set(path.parts)
     }
     assert {
         "vergence/models/files/presets/simulated.toml",

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Final
 
-from vergence._jit import GufuncKernel, cache_folder
+from vergence._jit import GufuncKernel, any_compiled, cache_folder
 
 _STARTED_PROCESSES: Final[list["subprocess.Popen[bytes]"]] = []
 """Started processes, kept because Python warns if a running one is garbage-collected."""
@@ -24,8 +24,7 @@ def compile_in_background(kernel_paths: Sequence[str]) -> None:
         kernel_paths: names `module:function` of kernels, or of functions that compile something, in
             the order in which they are needed.
     """
-    folder = cache_folder()
-    if folder is None or any(folder.rglob("*.nbi")) or _processors() < 2:
+    if cache_folder() is None or any_compiled() or _processors() < 2:
         return
     try:
         process = subprocess.Popen(

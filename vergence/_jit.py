@@ -6,6 +6,10 @@ keep running the old code of an edited helper. Here the cache's folder is named 
 modules that import this one, so that a change of any of them discards the cache. A constant that is
 compiled in must therefore be in such a module.
 
+A wheel may carry compiled kernels in a second folder, which is only read; `make wheel` fills it. It
+serves the sources, Python and numba that it was made with, on every processor of its kind;
+elsewhere kernels are compiled when they are called.
+
 If no folder can be written, kernels still work: each process then compiles them for itself.
 
 Functions are compiled when they are called, none at import. Most of the time goes into type
@@ -21,8 +25,10 @@ import gc
 import hashlib
 import inspect
 import os
+import platform
 import re
 import shutil
+import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -30,13 +36,17 @@ from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
 import numba
+from llvmlite.binding import get_host_cpu_features  # type: ignore[import-untyped]
 from numba.core import event, types
-from numba.core.caching import FunctionCache, NullCache
+from numba.core.caching import Cache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import NativeLowering
+from numba.np.numpy_support import as_dtype
+from numba.np.ufunc.ufuncbuilder import GUFuncBuilder
+from numba.np.ufunc.wrappers import _GufuncWrapper
 
 from vergence.errors import ConfigurationError
 from vergence.operands import as_operand
@@ -61,6 +71,8 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Group = TypeVar("_Group", bound=tuple[Any, ...])
 
 _PACKAGE = Path(__file__).resolve().parent
+SHIPPED: Final = _PACKAGE / "kernels"
+"""Folder of the compiled kernels that a wheel carries; a clone has none."""
 
 
 class GufuncKernel:
@@ -135,22 +147,13 @@ class GufuncKernel:
 
     def _compile(self) -> Callable[..., Any]:
         name = f"{self.__module__}.{self._function.__qualname__}"
-        with _alone(name), _caching() as cache, _paused_garbage_collection():
-            if cache:
-                try:
-                    return self._guvectorized(cache=True)
-                except OSError as error:
-                    _REPORTER.not_kept(error)
-            return self._guvectorized(cache=False)
-
-    def _guvectorized(self, *, cache: bool) -> Callable[..., Any]:
         # numba does not support fixed dimensions: it gets names instead, and NumPy the numbers
-        names = re.sub(r"\b(?=\d)", "size", self.layout)
-        made: Any = numba.guvectorize([], names, nopython=True, cache=cache)(self._function)
-        for signature in self._signatures:
-            made.add(signature)
-        made.gufunc_builder.signature = self.layout
-        ufunc: Callable[..., Any] = made.build_ufunc().ufunc  # NumPy's own, without numba's wrapper
+        builder = _GufuncBuilder(self._function, re.sub(r"\b(?=\d)", "size", self.layout))
+        with _alone(name), _paused_garbage_collection():
+            for signature in self._signatures:
+                builder.add(signature)  # type: ignore[no-untyped-call]
+            builder.signature = self.layout
+            ufunc: Callable[..., Any] = builder.build_ufunc()
         return ufunc
 
 
@@ -187,10 +190,7 @@ def compiled(function: _Function) -> _Function:
     floating-point operations is allowed, so results do not depend on the vector width.
     """
     options: dict[str, Any] = {"error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
-    made: Any = _Kernel(function, targetoptions={"nopython": True, **options})
-    with _caching() as cache:
-        made._cache = _cache_of(function) if cache else NullCache()
-    return cast("_Function", made)
+    return cast("_Function", _Kernel(function, targetoptions={"nopython": True, **options}))
 
 
 def inlined(function: _Function) -> _Function:
@@ -227,6 +227,10 @@ def _helper(function: _Function, **more: Any) -> _Function:
 
 class _Kernel(CPUDispatcher):
     """A function that Python calls."""
+
+    def __init__(self, function: Callable[..., Any], targetoptions: dict[str, Any]) -> None:
+        super().__init__(function, targetoptions=targetoptions)
+        self._cache = _KernelCache(function)
 
     def compile(self, sig: Any) -> Any:
         with _paused_garbage_collection():
@@ -354,9 +358,39 @@ def cache_folder() -> Path | None:
         for outdated in parent.glob(f"kernels-{place}-*"):
             if outdated != folder:
                 shutil.rmtree(outdated, ignore_errors=True)
-        atexit.register(_discard_mixed, folder, name)
         return folder
     return None
+
+
+PORTABLE_PROCESSORS: Final = {
+    "x86_64": ("x86-64-v3", ""),
+    "AMD64": ("x86-64-v3", ""),
+    "aarch64": ("generic", ""),
+    "arm64": ("generic", ""),
+}
+"""Processor that shipped kernels are compiled for, as LLVM names it, with further features; by the
+name of the kind of machine."""
+_X86_64_V3: Final = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
+"""Processor features that x86-64-v3 adds to its predecessor."""
+
+
+def shipped_name() -> str:
+    """Name of the folder of shipped kernels for these sources, this Python, numba and machine."""
+    made_with = f"{sys.implementation.cache_tag}-numba-{numba.__version__}"
+    return f"{_source_digest()}-{made_with}-{sys.platform}-{platform.machine()}"
+
+
+@functools.cache
+def shipped_folder() -> Path | None:
+    """Folder of compiled kernels that came with the package; None if none fit this machine."""
+    folder = SHIPPED / shipped_name()
+    if not folder.is_dir():
+        return None
+    if platform.machine() in ("x86_64", "AMD64"):
+        features = cast("dict[str, bool]", get_host_cpu_features())
+        if not all(features.get(name) for name in _X86_64_V3):
+            return None
+    return folder
 
 
 def _cache_parents() -> Iterator[Path]:
@@ -371,12 +405,18 @@ def _cache_parents() -> Iterator[Path]:
         yield Path.home() / ".cache" / "vergence"
 
 
-def _discard_mixed(folder: Path, name: str) -> None:
-    """Delete the cache if the sources changed while this process compiled them."""
-    if not name.endswith(_source_digest()):
-        shutil.rmtree(folder, ignore_errors=True)
+@functools.cache
+def _discard_mixed_at_exit(folder: Path) -> None:
+    """Delete the cache at exit if the sources have changed while this process compiled them."""
+
+    def discard() -> None:
+        if _source_digest() != _source_digest.__wrapped__():
+            shutil.rmtree(folder, ignore_errors=True)
+
+    atexit.register(discard)
 
 
+@functools.cache
 def _source_digest() -> str:
     """Digest of all modules that may be compiled: those whose text names this module."""
     digest = hashlib.sha256()
@@ -386,25 +426,6 @@ def _source_digest() -> str:
             digest.update(source.relative_to(_PACKAGE).as_posix().encode())
             digest.update(text)
     return digest.hexdigest()[:16]
-
-
-@contextlib.contextmanager
-def _caching() -> Iterator[bool]:
-    """Set numba's cache folder while a function is decorated; yield True if there is one.
-
-    Numba reads the setting when it decorates a function, so other packages' caches do not change.
-    """
-    folder = cache_folder()
-    if folder is None:
-        yield False
-        return
-    config: Any = numba.config
-    former = config.CACHE_DIR
-    config.CACHE_DIR = str(folder)
-    try:
-        yield True
-    finally:
-        config.CACHE_DIR = former
 
 
 @contextlib.contextmanager
@@ -427,27 +448,81 @@ def _alone(name: str) -> Iterator[None]:
         yield
 
 
-class _ForgivingCache(FunctionCache):
-    """Numba's cache of one function; errors of reading or saving only mean compiling again."""
+class _KernelCache(Cache):
+    """Numba's cache of one function, in the folders of this module.
+
+    An error of reading or saving only means compiling again.
+    """
+
+    _suffix = ""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._py_func = function
+        name = re.sub("[<>]", "", function.__qualname__)
+        self._file_name = f"{name}-{function.__code__.co_firstlineno}{self._suffix}"
+        self.enable()  # type: ignore[no-untyped-call]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        try:
-            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-        except OSError:
-            return None
+        target_context.refresh()
+        types, processor, code = self._index_key(sig, target_context.codegen())  # type: ignore[no-untyped-call]
+        shipped = processor[0], *PORTABLE_PROCESSORS.get(platform.machine(), ("", ""))
+        for folder, kind in ((shipped_folder(), shipped), (cache_folder(), processor)):
+            if folder is not None:
+                with contextlib.suppress(OSError):
+                    data = self._file(folder).load((types, kind, code))
+                    if data is not None:
+                        return self._rebuilt(target_context, data)
+        return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
+        folder = cache_folder()
+        reduced = None if folder is None else self._reduced(data)
+        if folder is None or reduced is None:
+            return
+        _discard_mixed_at_exit(folder)
         try:
-            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+            (folder / self._py_func.__module__).mkdir(parents=True, exist_ok=True)
+            self._file(folder).save(self._index_key(sig, data.codegen), reduced)  # type: ignore[no-untyped-call]
         except OSError as error:
             _REPORTER.not_kept(error)
 
+    def _file(self, folder: Path) -> IndexDataCacheFile:
+        place = str(folder / self._py_func.__module__)
+        return IndexDataCacheFile(place, self._file_name, source_stamp="")
 
-def _cache_of(function: Callable[..., Any]) -> FunctionCache | NullCache:
-    try:
-        return _ForgivingCache(function)  # type: ignore[no-untyped-call]
-    except (OSError, RuntimeError):  # the folder cannot be written any more
-        return NullCache()
+    def _reduced(self, data: Any) -> Any:
+        """Data for the file; None if the code holds an address of this process."""
+        return None if data.library.has_dynamic_globals else data._reduce()
+
+    def _rebuilt(self, target_context: Any, data: Any) -> Any:
+        return CompileResult._rebuild(target_context, *data)
+
+
+class _WrapperCache(_KernelCache):
+    """Cache of the code by which NumPy calls a kernel's loop."""
+
+    _suffix = "-wrapper"
+
+    def _reduced(self, data: Any) -> Any:
+        return None if data.has_dynamic_globals else data.serialize_using_object_code()
+
+    def _rebuilt(self, target_context: Any, data: Any) -> Any:
+        return target_context.codegen().unserialize_library(data)
+
+
+class _GufuncBuilder(GUFuncBuilder):
+    """Numba's builder of generalized ufuncs, with the caches of this module."""
+
+    def __init__(self, function: Callable[..., Any], layout: str) -> None:
+        super().__init__(function, layout)  # type: ignore[no-untyped-call]
+        self.nb_func.cache = _KernelCache(function)
+
+    def build(self, cres: Any) -> Any:
+        wrapper = _GufuncWrapper(self.py_func, cres, self.sin, self.sout, False, False)
+        wrapper.cache = _WrapperCache(self.py_func)
+        built = wrapper.build()
+        numbers = [as_dtype(getattr(kind, "dtype", kind)).num for kind in cres.signature.args]
+        return numbers, built.library.get_pointer_to_function(built.name), built.env
 
 
 class _Reporter(event.Listener):
@@ -510,6 +585,11 @@ def report_compiling_if_uncached() -> None:
 
     Called before worker processes start, as these do not report it themselves.
     """
-    folder = cache_folder()
-    if folder is None or not any(folder.rglob("*.nbi")):
+    if not any_compiled():
         _REPORTER.compiling()
+
+
+def any_compiled() -> bool:
+    """True if compiled kernels came with the package, or the cache holds some."""
+    folder = cache_folder()
+    return shipped_folder() is not None or (folder is not None and any(folder.rglob("*.nbi")))
