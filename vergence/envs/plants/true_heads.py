@@ -1,10 +1,10 @@
 """True heads of a batch: as given, or drawn anew for each trial."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from vergence.envs.plants.conditions import TRIAL_CONDITIONS, Conditions, PackedConditions
 from vergence.envs.plants.imperfections import (
@@ -14,7 +14,7 @@ from vergence.envs.plants.imperfections import (
     is_valid_range,
     valid_range_text,
 )
-from vergence.envs.plants.variation import Variation
+from vergence.envs.plants.variation import Variation, draw_conditions
 from vergence.envs.saved_state import Arrays
 from vergence.envs.streams import IntArray, KeyArray, RandomStreams
 from vergence.envs.validation import real_number_array
@@ -24,9 +24,17 @@ from vergence.models.packed import PACKED
 from vergence.models.parts import FloatArray
 from vergence.models.perturbation import DEVIATES
 
+_HEADS_AHEAD: Final = 4
+"""Heads kept per environment, of the running trial and the next (chosen: with 1,024 environments,
+some hundred trials end before one of them needs more)."""
+
+
+def _place(trials: KeyArray) -> IntArray:
+    return (trials % np.uint64(_HEADS_AHEAD)).astype(np.int64)
+
 
 class TrueHeadPrefetcher:
-    """True heads of coming trials, made in advance: a few cost as much as a thousand.
+    """True heads of coming trials, made in advance: a few cost as much as a hundred.
 
     The environments of a batch usually go on to their next trials one by one. When one of them
     needs a head that is not made yet, the heads of all environments' next trials are made with it.
@@ -40,10 +48,11 @@ class TrueHeadPrefetcher:
     def __init__(self, variation: Variation, head: HeadModel, num: int) -> None:
         self._variation = variation
         self._head = head
-        self._deviates = np.zeros((num, DEVIATES))
-        self._packed = np.zeros((num, PACKED))
-        self._seeds, self._trials = np.zeros((2, num), dtype=np.uint64)
-        self._ready = np.zeros(num, dtype=np.bool_)
+        shape = (num, _HEADS_AHEAD)  # a trial's place is its number's remainder
+        self._deviates = np.zeros((*shape, DEVIATES))
+        self._packed = np.zeros((*shape, PACKED))
+        self._seeds, self._trials = np.zeros((2, *shape), dtype=np.uint64)
+        self._ready = np.zeros(shape, dtype=np.bool_)
 
     def take(self, streams: RandomStreams, ids: IntArray) -> tuple[FloatArray, FloatArray]:
         """Take the heads of the trials of some environments.
@@ -56,24 +65,32 @@ class TrueHeadPrefetcher:
             (m, DEVIATES) the deviates, and (m, PACKED) the heads.
         """
         seeds, trials = streams.seeds[ids], streams.trials[ids]
-        hit = self._ready[ids] & (self._seeds[ids] == seeds) & (self._trials[ids] == trials)
-        self._ready[ids] = False
-        deviates, packed = self._deviates[ids], self._packed[ids]
-        if hit.all():
-            return deviates, packed
-        missed = ~hit
-        # none in advance if the whole batch begins: it may have no next trials
-        later = np.flatnonzero(~self._ready) if len(ids) < len(self._ready) else ids[:0]
-        next_seeds, next_trials = streams.seeds[later], streams.trials[later] + np.uint64(1)
-        made = self._make(
-            np.append(seeds[missed], next_seeds), np.append(trials[missed], next_trials)
-        )
-        count = int(missed.sum())
-        deviates[missed], packed[missed] = made[0][:count], made[1][:count]
-        self._deviates[later], self._packed[later] = made[0][count:], made[1][count:]
-        self._seeds[later], self._trials[later] = next_seeds, next_trials
-        self._ready[later] = True
-        return deviates, packed
+        own = ids, _place(trials)
+        if not self._holds(own, seeds, trials).all():
+            self._keep(own, seeds, trials)
+            if len(ids) < len(self._ready):  # if a whole batch begins, it may have no next trials
+                self._fill(streams)
+        return self._deviates[own], self._packed[own]
+
+    def _holds(self, places: Any, seeds: KeyArray, trials: KeyArray) -> NDArray[np.bool_]:
+        same = (self._seeds[places] == seeds) & (self._trials[places] == trials)
+        return np.asarray(self._ready[places] & same)
+
+    def _fill(self, streams: RandomStreams) -> None:
+        """Make the heads of the next trials of all environments."""
+        ahead = np.arange(_HEADS_AHEAD, dtype=np.uint64)
+        trials: KeyArray = np.add.outer(streams.trials, ahead)
+        rows = np.arange(len(trials))[:, None]
+        seeds = np.broadcast_to(streams.seeds[:, None], trials.shape)
+        missing = ~self._holds((rows, _place(trials)), seeds, trials)
+        missing[:, 0] = False  # the running trials
+        rows = np.broadcast_to(rows, trials.shape)[missing]
+        self._keep((rows, _place(trials[missing])), seeds[missing], trials[missing])
+
+    def _keep(self, places: Any, seeds: KeyArray, trials: KeyArray) -> None:
+        self._deviates[places], self._packed[places] = self._make(seeds, trials)
+        self._seeds[places], self._trials[places] = seeds, trials
+        self._ready[places] = True
 
     def _make(self, seeds: KeyArray, trials: KeyArray) -> tuple[FloatArray, FloatArray]:
         deviates = self._variation.draw_head_deviates(seeds, trials)
@@ -135,6 +152,8 @@ class TrueHeadsAndConditions:
         """Conditions of the running trials, in packed arrays that the next trials change."""
         self.conditions = _by_name(self.packed)
         """Conditions by name: views of the packed arrays."""
+        drawn = variation or Variation()
+        self._ranges = drawn.ranges(PER_TRIAL), drawn.ranges(PER_ACTUATOR)
         for name in IMPERFECTIONS:
             getattr(self.conditions, name)[:] = _values(num, name, given.get(name), true_head)
         self._derive()
@@ -181,16 +200,11 @@ class TrueHeadsAndConditions:
             streams: the trials' random streams.
             ids: (m,) environment indices.
         """
-        variation = self.variation
+        variation, packed = self.variation, self.packed
         if variation is None:
             return
-        drawn = variation.draw_uniforms(streams, ids)
-        for names, numbers in ((PER_TRIAL, drawn.per_trial), (PER_ACTUATOR, drawn.per_actuator)):
-            for column, name in enumerate(names):
-                span = getattr(variation, name)
-                if span is not None:
-                    values = getattr(self.conditions, name)
-                    values[ids] = span[0] + numbers[:, column] * (span[1] - span[0])
+        keys = streams.seeds, streams.trials
+        draw_conditions(*keys, ids, *self._ranges, packed.loop, packed.own)
         self._derive()
         if variation.backlash_rad is not None:
             _only_eyes(self.conditions.backlash_rad, self._head)

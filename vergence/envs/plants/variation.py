@@ -8,15 +8,14 @@ vector and after other trials.
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from math import isfinite
+from typing import Any, Final
 
 import numpy as np
 
 from vergence._jit import compiled
 from vergence.envs.plants.imperfections import (
     IMPERFECTIONS,
-    PER_ACTUATOR,
-    PER_TRIAL,
     Imperfections,
     is_valid_range,
     valid_range_text,
@@ -24,7 +23,6 @@ from vergence.envs.plants.imperfections import (
 from vergence.envs.streams import (
     IntArray,
     KeyArray,
-    RandomStreams,
     StreamPurpose,
     random_words,
     to_normals,
@@ -74,18 +72,10 @@ class Variation(Imperfections[Range | None]):
         span: Range | None = getattr(self, name)
         return given if span is None else span[1]
 
-    def draw_uniforms(self, streams: RandomStreams, ids: IntArray) -> "UniformDraws":
-        """Draw the conditions of the trials of some environments, except their heads.
-
-        Args:
-            streams: the trials' random streams.
-            ids: (m,) environment indices.
-        """
-        drawn = UniformDraws(
-            np.empty((len(ids), len(PER_TRIAL))), np.empty((len(ids), len(PER_ACTUATOR), 7))
-        )
-        _draw(streams.seeds, streams.trials, ids, *drawn)
-        return drawn
+    def ranges(self, names: tuple[str, ...]) -> FloatArray:
+        """(n, 2) the ranges of these of `RANGES`; nan where nothing is drawn."""
+        spans = (getattr(self, name) for name in names)
+        return np.array([(np.nan, np.nan) if span is None else span for span in spans])
 
     def draw_head_deviates(self, seeds: KeyArray, trials: KeyArray) -> FloatArray:
         """Draw the random numbers of the true heads of trials.
@@ -115,15 +105,6 @@ class Variation(Imperfections[Range | None]):
             raise ConfigurationError("variation.model_errors: expected some, got None")
         geometry = perturb_by_deviates(head.geometry, self.model_errors, deviates)
         return dataclasses.replace(head, **geometry._asdict())
-
-
-class UniformDraws(NamedTuple):
-    """Uniform random numbers of m trials, before they are scaled to the ranges."""
-
-    per_trial: FloatArray
-    """(m, len(PER_TRIAL)) uniform in [0, 1)."""
-    per_actuator: FloatArray
-    """(m, len(PER_ACTUATOR), 7) uniform in [0, 1), for the neck's joints and the eye actuators."""
 
 
 def make_variation(variation: Mapping[str, Any] | Variation | None) -> Variation | None:
@@ -162,28 +143,44 @@ def _range(name: str, value: Any) -> Range:
 
 
 @compiled
-def _draw(
+def draw_conditions(
     seeds: KeyArray,
     trials: KeyArray,
     ids: IntArray,
-    per_trial: FloatArray,
-    per_actuator: FloatArray,
+    trial_ranges: FloatArray,
+    actuator_ranges: FloatArray,
+    loop: FloatArray,
+    own: FloatArray,
 ) -> None:
-    """Fill one row per environment: numbers of the trial, and numbers per actuator."""
-    count, numbers = per_trial.shape[1], per_actuator.shape[1] * per_actuator.shape[2]
+    """Draw the conditions of the trials of some environments, except their heads.
+
+    Args:
+        seeds: (n,) the trials' seeds.
+        trials: (n,) their numbers.
+        ids: (m,) environment indices.
+        trial_ranges: (p, 2) the ranges of `PER_TRIAL`; nan where nothing is drawn.
+        actuator_ranges: (k, 2) the ranges of `PER_ACTUATOR`; nan likewise.
+        loop: (n, p + 1) conditions by trial; those that are drawn are replaced.
+        own: (n, k, 7) conditions by actuator, likewise.
+    """
+    count, numbers = trial_ranges.shape[0], actuator_ranges.shape[0] * own.shape[2]
     for m in range(ids.shape[0]):
-        seed, trial = seeds[ids[m]], trials[ids[m]]
+        n = ids[m]
         for lane in range((count + 3) // 4):
-            words = random_words(seed, trial, _VARIATION, 0, lane + 1)
-            for i in range(4):
-                if 4 * lane + i < count:
-                    per_trial[m, 4 * lane + i] = to_uniform(words[i])
-        for lane in range((numbers + 3) // 4):
-            words = random_words(seed, trial, _VARIATION, 2, lane + 1)
+            words = random_words(seeds[n], trials[n], _VARIATION, 0, lane + 1)
             for i in range(4):
                 at = 4 * lane + i
-                if at < numbers:
-                    per_actuator[m, at // 7, at % 7] = to_uniform(words[i])
+                if at < count and isfinite(trial_ranges[at, 0]):
+                    low, high = trial_ranges[at, 0], trial_ranges[at, 1]
+                    loop[n, at] = low + to_uniform(words[i]) * (high - low)
+        for lane in range((numbers + 3) // 4):
+            words = random_words(seeds[n], trials[n], _VARIATION, 2, lane + 1)
+            for i in range(4):
+                at = 4 * lane + i
+                one, slot = at // own.shape[2], at % own.shape[2]
+                if at < numbers and isfinite(actuator_ranges[one, 0]):
+                    low, high = actuator_ranges[one, 0], actuator_ranges[one, 1]
+                    own[n, one, slot] = low + to_uniform(words[i]) * (high - low)
 
 
 @compiled
