@@ -58,7 +58,7 @@ import os, signal, sys
 sys.argv = ["/usr/bin/vergence"]
 class Interrupted:
     def find_spec(self, name, *rest):
-        if name == "gymnasium":
+        if name == "tyro":
             os.kill(os.getpid(), signal.SIGINT)
 sys.meta_path.insert(0, Interrupted())
 import vergence.cli

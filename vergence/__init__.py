@@ -1,7 +1,7 @@
 """Active binocular vision: two camera eyes turn until both look straight at a target.
 
-Importing the package registers its Gymnasium environments; modules that need compiled kernels are
-loaded at their first use.
+Importing the package registers its Gymnasium environments, at once or when Gymnasium is imported;
+modules that need NumPy or compiled kernels are loaded at their first use.
 """
 
 # imported first, so that Ctrl-C during further imports ends the command line without a stack trace
@@ -9,13 +9,13 @@ import vergence.interrupts  # noqa: F401  # isort: skip
 
 import logging
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
-from vergence.envs import register_environments
+from vergence.envs import register_environments_with_gymnasium
 from vergence.errors import VergenceError, VergenceWarning
 
 if TYPE_CHECKING:
+    __version__: str
     from vergence.controllers import make_controller
     from vergence.models import HeadModel, ModelErrors, load_head
     from vergence.triangulation import (
@@ -25,11 +25,6 @@ if TYPE_CHECKING:
         triangulate_gaze,
         triangulate_views,
     )
-
-try:
-    __version__ = version("vergence")
-except PackageNotFoundError:  # sources on the path, not installed
-    __version__ = "0+unknown"
 
 __all__ = [
     "Fix",
@@ -58,7 +53,7 @@ _LAZY = {
     "triangulate_views": "vergence.triangulation",
 }
 
-register_environments()
+register_environments_with_gymnasium()
 # nothing is logged unless the application configures logging
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 
@@ -66,8 +61,19 @@ logging.getLogger(__name__).addHandler(logging.NullHandler())
 def __getattr__(name: str) -> Any:
     if name in _LAZY:
         return getattr(import_module(_LAZY[name]), name)
+    if name == "__version__":
+        return _version()
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
     return sorted([*globals(), *_LAZY])
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(__name__)
+    except PackageNotFoundError:  # sources on the path, not installed
+        return "0+unknown"

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, TextIO
 
-from vergence import _jit, interrupts
+from vergence import interrupts
 from vergence.commands.console import logging_to_stderr, print_to_stderr, replace_unprintable
 from vergence.commands.parsing import parse_command, split_verbosity
 from vergence.errors import ConfigurationError, HardwareError, VergenceError, VergenceWarning
@@ -95,6 +95,8 @@ def _show_warning(
 
 
 def _tell_of_kernels() -> None:
+    from vergence import _jit  # it loads numba, which a help text does not need
+
     _jit.set_compile_reporter(print_to_stderr)
 
 

@@ -335,6 +335,15 @@ print(env.spec.id)
     assert done.stdout.strip() == "vergence/Gaze-v0"
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("imports", ["gymnasium, vergence", "vergence, gymnasium"])
+def test_the_environments_are_registered_in_either_order_of_imports(imports) -> None:
+    code = f"import {imports}; print(*(name for name in gymnasium.registry if 'vergence' in name))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    names = ["vergence/Gaze-v0", "vergence/GainSchedule-v0", "vergence/GazeHardware-v0"]
+    assert done.stdout.split() == names, done.stderr
+
+
 def test_an_episode_ends_after_its_seconds_however_many_steps_they_have() -> None:
     for plant, fewest in (("kinematic", 120), ("tests.envs.robot:Late", 90)):
         env = gym.make("vergence/Gaze-v0", plant=plant, target="static", duration_s=1.0)

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import tyro
 
 from vergence.commands.console import print_read_errors, print_to_stderr, progress_bar
@@ -82,6 +81,8 @@ def _nothing(result: "LocateResult") -> str:
 
 def _say_rest(head: "HeadModel") -> None:
     """Note the joint angles that were assumed for movable eyes if --joints was not given."""
+    import numpy as np
+
     from vergence.models.joints import EYES
     from vergence.perception.joint_angles import eyes_move
 

@@ -9,7 +9,6 @@ from typing import Final, Protocol
 
 import tyro
 
-from vergence import __version__
 from vergence.commands import Command
 from vergence.commands.console import print_to_stderr
 from vergence.errors import UnknownNameError, did_you_mean
@@ -33,6 +32,8 @@ def parse_command(words: list[str]) -> Runnable:
             help) or wrong words (prints one line).
     """
     if words == ["--version"]:
+        from vergence import __version__
+
         print(f"vergence {__version__}")
         raise SystemExit(0)
     if not words:
