@@ -234,6 +234,11 @@ def test_an_unknown_controller_is_refused_before_a_plant_is_opened():
         run_gaze(GazeConfig(controller="magic", plant="no such plant"))
 
 
+def test_an_unknown_plant_is_refused_before_a_head_is_loaded_which_compiles_kernels():
+    with pytest.raises(UnknownNameError, match="plant"):
+        run_gaze(GazeConfig(plant="no such plant", head="no such head"))
+
+
 def test_a_truth_that_nobody_knows_is_nan():
     truth = Truth.unknown(2)
     assert all(np.isnan(part).all() for part in truth[:-1])

@@ -146,13 +146,10 @@ def run_gaze(
         VergenceError: the head, plant or controller does not exist, or the eyes cannot see or
             fixate the target.
     """
+    # names first: to load a head compiles kernels
+    defaults, simulated = default_options(config.controller), is_simulated(config.plant)
     config, head, plant_options = _hardware(config)
     refuse_immobile_eyes(head)
-    point = np.asarray(config.target_mm) / MM
-    refused = _why_unreachable(head, point, config.target_mm)
-    if refused and is_simulated(config.plant):  # a robot looks at the target that it detects
-        in_metres = not _why_unreachable(head, MM * point, config.target_mm)
-        raise ConfigurationError(refused + (" (is it in metres?)" if in_metres else ""))
     rate = head.timing.control_rate_hz
     if not 1.0 <= config.duration_s * rate <= 1e6:
         raise ConfigurationError(
@@ -160,9 +157,14 @@ def run_gaze(
             f"most a million, got {config.duration_s}"
         )
     if config.gain is None:
-        config = dataclasses.replace(config, gain=default_options(config.controller).get("gain"))
+        config = dataclasses.replace(config, gain=defaults.get("gain"))
     options: dict[str, Any] = {} if config.gain is None else {"gain": config.gain}
     controller = make_controller(config.controller, head=head, **options)
+    point = np.asarray(config.target_mm) / MM
+    refused = _why_unreachable(head, point, config.target_mm)
+    if refused and simulated:  # a robot looks at the target that it detects
+        in_metres = not _why_unreachable(head, MM * point, config.target_mm)
+        raise ConfigurationError(refused + (" (is it in metres?)" if in_metres else ""))
     target = {"kind": "static", "point": point.tolist()}
     task = GazeTask(1, head=head, plant=config.plant, target=target, plant_options=plant_options)
     return record_gaze(task, controller, config, progress, watch)
