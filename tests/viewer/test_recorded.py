@@ -9,6 +9,7 @@ from tests.recording.logged import STEPS, log_trials
 from vergence.errors import ConfigurationError, UnreadableFileError
 from vergence.eval.gaze import run_gaze
 from vergence.eval.gaze_config import GazeConfig
+from vergence.eval.gaze_trajectory import write_trajectory
 from vergence.eval.reporting.runs import write_config_and_head, write_json
 from vergence.recording.log import read_log
 from vergence.viewer.health import MAX_GAP_RATIO, LoopHealth
@@ -21,7 +22,7 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("gaze")
     result = run_gaze(GazeConfig(plant="kinematic", head="icub", target_mm=(0, 0, 800)))
     write_json(folder / "result.json", result.summary())
-    result.trajectory.to_csv(folder / "trajectory.csv", index=False)
+    write_trajectory(result.trajectory, folder / "trajectory.csv")
     write_config_and_head(folder, result.config, result.head)
     return folder, result
 
@@ -41,7 +42,7 @@ def test_a_run_folder_shows_the_gaze_that_was_run(run):
     assert shown.positions == pytest.approx(result.positions)
     assert shown.target == pytest.approx(result.true_target_m)
     assert shown.fix.point == pytest.approx(result.gaze_fix.point[0])
-    last = result.trajectory.iloc[-1]
+    last = {name: column[-1] for name, column in result.trajectory.items()}
     errors = [
         np.hypot(last[f"true_error_{eye}_u_px"], last[f"true_error_{eye}_v_px"])
         for eye in ("left", "right")
@@ -53,7 +54,7 @@ def test_a_run_folder_shows_the_gaze_that_was_run(run):
 def test_a_gaze_without_faults_raises_no_alarm(tmp_path):
     result = run_gaze(GazeConfig(plant="mujoco", target_mm=(120, -80, 350)))
     write_json(tmp_path / "result.json", result.summary())
-    result.trajectory.to_csv(tmp_path / "trajectory.csv", index=False)
+    write_trajectory(result.trajectory, tmp_path / "trajectory.csv")
     write_config_and_head(tmp_path, result.config, result.head)
     recorded, ratios = load_recorded(tmp_path), []
     health = LoopHealth(recorded.head)

@@ -59,11 +59,12 @@ class Gaze:
         compile_in_background(COMPILED_AHEAD)
         from vergence.eval.gaze import GazeResult, run_gaze
         from vergence.eval.gaze_figure import draw_gaze
+        from vergence.eval.gaze_trajectory import write_trajectory
         from vergence.eval.reporting.runs import write_config_and_head, write_json
 
         def write(folder: Path) -> None:
             write_json(folder / "result.json", result.summary())
-            result.trajectory.to_csv(folder / "trajectory.csv", index=False)
+            write_trajectory(result.trajectory, folder / "trajectory.csv")
             self.tables.convert(folder / "trajectory.csv")
             write_config_and_head(folder, result.config, result.head)
             if result.config.hardware is not None:

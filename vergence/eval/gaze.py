@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from vergence.controllers.controller import default_options, make_controller
@@ -20,8 +19,9 @@ from vergence.errors import ConfigurationError
 from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.gaze_trajectory import (
     MM,
+    Trajectory,
     gaze_and_view_fixes,
-    trajectory_table_of_first_head,
+    trajectory_of_first_head,
     truth_of_first_head,
 )
 from vergence.eval.head_summary import LEAST_RESIDUAL_PX
@@ -47,8 +47,8 @@ class GazeResult:
 
     config: GazeConfig
     head: HeadModel
-    trajectory: pd.DataFrame
-    """One row per control period, from time zero on; nan for unknown ground truth."""
+    trajectory: Trajectory
+    """Columns by name, one row per control period from time zero on; nan for unknown truth."""
     settle_1px_s: float
     """Time from which both eyes' true errors stay within 1 px of the residual, s; nan if they never
     do, or without ground truth."""
@@ -236,7 +236,7 @@ def gaze_result(
         The result.
     """
     head, truth = task.head, truth_of_first_head(record)
-    trajectory = trajectory_table_of_first_head(head, record)
+    trajectory = trajectory_of_first_head(head, record)
     residual = np.full((2, 2), np.nan)
     if record.truth is not None:
         residual = least_reachable_error(task, truth.target[:1])[0]

@@ -35,8 +35,7 @@ def add_panel(figure: Figure, left: float, bottom: float, width: float, height: 
 def columns_of(result: GazeResult, what: str, eye: int) -> FloatArray:
     """(n, 2) two columns of an eye in a trajectory, by their first word, such as pixel."""
     name = EYE_NAMES[eye]
-    columns = [f"{what}_{name}_{axis}_px" for axis in "uv"]
-    return np.asarray(result.trajectory[columns].to_numpy())
+    return np.stack([result.trajectory[f"{what}_{name}_{axis}_px"] for axis in "uv"], axis=1)
 
 
 def draw_eyes(figure: Figure, result: GazeResult, places: Sequence[Place]) -> None:

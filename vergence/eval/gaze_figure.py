@@ -70,7 +70,7 @@ def compose_gaze(result: GazeResult) -> Figure:
 
 
 def _draw_errors(axes: Axes, result: GazeResult) -> None:
-    time = result.trajectory["time_s"].to_numpy()
+    time = result.trajectory["time_s"]
     what, title, kind = "true_error", "pixel error, at present", "true"
     if not result.has_truth:
         what, title, kind = "measured_error", "pixel error, in the newest image", "measured"

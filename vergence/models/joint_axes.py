@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from vergence.models.joints import EYE_NAMES, JOINTS, NECK
 from vergence.models.links import Body, inverse_pose, multiply_poses, pose_parameter_twists
@@ -85,6 +84,8 @@ class JointAxes(FrozenArrays):
         rotation = np.zeros((*self.pose.shape[:-3], 3 * len(self.names)))
         if reference is not self and self.names:
             relative = np.swapaxes(reference.pose[..., :3, :3], -1, -2) @ self.pose[..., :3, :3]
+            from scipy.spatial.transform import Rotation
+
             vectors = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec()
             rotation = vectors.reshape(*relative.shape[:-3], 3 * len(self.names))
         position = self.pose[..., :3, 3]
@@ -99,6 +100,8 @@ class JointAxes(FrozenArrays):
         batch = np.broadcast_shapes(rotation.shape[:-1], position.shape[:-1])
         pose = np.broadcast_to(self.pose, (*batch, *self.pose.shape[-3:])).copy()
         if self.names:
+            from scipy.spatial.transform import Rotation
+
             turn = Rotation.from_rotvec(rotation.reshape(-1, 3)).as_matrix()
             pose[..., :3, :3] @= turn.reshape(*rotation.shape[:-1], len(self.names), 3, 3)
             pose[..., :3, 3] = position.reshape(*position.shape[:-1], len(self.names), 3)

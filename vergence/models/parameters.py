@@ -16,7 +16,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from vergence.models.cameras import Cameras
 from vergence.models.joints import EYE_NAMES
@@ -103,6 +102,8 @@ def geometry_with(reference: Geometry, values: ArrayLike) -> Geometry:
     }
     for name, (columns, places) in _places(parameters).items():
         fields[name][..., columns] = vector[..., places]
+    from scipy.spatial.transform import Rotation
+
     rotation = Rotation.from_rotvec(fields["rotation"].reshape(-1, 3)).as_matrix()
     head_eye = np.broadcast_to(reference.head_eye, (*batch, 2, 4, 4)).copy()
     head_eye[..., :3, :3] @= rotation.reshape(*batch, 2, 3, 3)
@@ -136,6 +137,8 @@ def _fields(geometry: Geometry, reference: Geometry) -> dict[str, FloatArray]:
     rotation = np.zeros((2, 3))
     if reference is not geometry:
         relative = np.swapaxes(reference.head_eye[..., :3, :3], -1, -2) @ head_eye[..., :3, :3]
+        from scipy.spatial.transform import Rotation
+
         vectors = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec()
         rotation = vectors.reshape(*relative.shape[:-2], 3)
     pairs = {name: getattr(cameras, name) for name in _CAMERA_FIELDS}

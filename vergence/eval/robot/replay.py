@@ -85,7 +85,7 @@ class Replay:
         """A row per control period of all gazes; the first column is the gaze, counted from 1."""
         parts = [pd.DataFrame({"gaze": []}, dtype=np.int64)]
         for place, result in enumerate(self.results):
-            parts.append(result.trajectory.copy())
+            parts.append(pd.DataFrame(result.trajectory))
             parts[-1].insert(0, "gaze", place + 1)
         return pd.concat(parts, ignore_index=True)
 

@@ -10,7 +10,6 @@ from math import atan2, cos, hypot, sin
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from vergence.errors import HeadFileError
 from vergence.models.files.head_rules import (
@@ -131,6 +130,8 @@ def _z_to(axis: FloatArray) -> FloatArray:
     x, y, z = axis
     if abs(x) + abs(y) == 0.0:  # exact, so that `joints_to_toml` is read back unchanged
         return np.eye(3) if z > 0.0 else np.diag([1.0, -1.0, -1.0])
+    from scipy.spatial.transform import Rotation
+
     turn = np.array([-y, x, 0.0])
     angle = atan2(hypot(x, y), z)
     return np.asarray(Rotation.from_rotvec(angle * turn / hypot(x, y)).as_matrix())
@@ -148,6 +149,8 @@ def parse_pose(table: Table, position_key: str) -> FloatArray:
     if table.has("rpy_rad"):
         if table.has("rotation"):
             raise HeadFileError(table.key("rotation"), "both", "one of rotation and rpy_rad")
+        from scipy.spatial.transform import Rotation
+
         roll, pitch, yaw = table.numbers("rpy_rad", (3,), RADIANS)
         pose[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     elif table.has("rotation"):

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.optimize import linprog
 
 from vergence.models.actuation import SLOTS
 from vergence.models.head import HeadModel
@@ -173,6 +172,8 @@ def decoupling_rotor_inertias(head: HeadModel, least_inertias: FloatArray) -> Fl
     pairs = [(i, k) for i in range(count) for k in range(i)]
     if not any((matrix[:, i] * matrix[:, k]).any() for i, k in pairs):
         return least_inertias
+    from scipy.optimize import linprog
+
     products = np.array([matrix[:, i] * matrix[:, k] for i, k in pairs])
     found = linprog(
         np.ones(len(least_inertias)),

@@ -10,7 +10,6 @@ import cv2
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from vergence.models.boards import PlanarTarget, make_planar_target, texture
 from vergence.models.head import HeadModel
@@ -84,6 +83,8 @@ class Surroundings(NamedTuple):
         """Convert a position and a quaternion in the upright frame to MuJoCo's attributes."""
         if np.array_equal(self.upright_frame, np.eye(4)):
             return {"pos": point, "quat": quat}
+        from scipy.spatial.transform import Rotation
+
         pose = np.eye(4)
         rotation = Rotation.from_quat(np.asarray(quat), scalar_first=True).as_matrix()
         pose[:3, :3], pose[:3, 3] = self.upright_frame[:3, :3] @ rotation, self.to_frame_0(point)

@@ -6,8 +6,6 @@ from typing import Any, Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial.distance import cdist
 
 from vergence.models.boards import Checkerboard
 from vergence.vision.boards.clusters import find_corner_clusters
@@ -288,6 +286,9 @@ def _by_sectors(image: NDArray[np.uint8], size: tuple[int, int]) -> Any:
 
 def _correct_displaced(grid: Grid, near: NDArray[np.float64]) -> Grid:
     """Replace displaced corners by those of `near` that match them."""
+    from scipy.optimize import linear_sum_assignment
+    from scipy.spatial.distance import cdist
+
     corners = grid.reshape(-1, 2)
     square = float(np.median(np.linalg.norm(np.diff(grid, axis=1), axis=-1)))
     least, most = (share * square for share in _CORRECTED_ERROR_SQUARES)
