@@ -4,14 +4,13 @@ import gc
 import sys
 import weakref
 
-import numba
-import numpy as np
 import pytest
 
 from tests.naming import named
 from vergence import _ahead
 from vergence.commands.gaze import COMPILED_AHEAD
-from vergence.envs import reward, task
+from vergence.envs import judging, task
+from vergence.envs.plants.stepping import StepArrays
 
 
 @pytest.fixture
@@ -32,18 +31,13 @@ def test_what_a_gaze_has_compiled_ahead_is_there():
 
 
 def test_what_judges_a_step_is_compiled_for_the_types_of_a_real_one(monkeypatch):
-    called = []
-
-    def keep_types(*arguments):
-        called.append([numba.typeof(argument) for argument in arguments])
-
-    monkeypatch.setattr(reward, "compute_step_result", keep_types)
-    monkeypatch.setattr(task, "compute_step_result", keep_types)
-    reward.compile_step_result()
+    tables = []
+    monkeypatch.setattr(judging, "advance_task", lambda table, *_rest: tables.append(table))
+    judging.compile_step_result()
     trials = task.GazeTask(3, head="physical", plant="kinematic")
-    trials.begin(np.arange(3), np.zeros(3, np.uint64), np.arange(3, dtype=np.uint64))
-    trials.step(np.zeros((3, 4)))
-    assert called[0] == called[1] == called[2]
+    compiled = [tables[0].dtype[i] for i in range(2)]
+    place = StepArrays._fields.index
+    assert compiled == [trials.plant._table.dtype[place(name)] for name in ("task", "reading")]
 
 
 def test_an_empty_cache_is_filled_by_two_processes(started):

@@ -26,6 +26,7 @@ LAYERS = (
         "json_values",
         "_jit",
         "_runs",
+        "_tables",
         "_ahead",
     },
     {"models"},

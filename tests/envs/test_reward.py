@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vergence import load_head, make_controller
-from vergence._jit import untyped_tuple
-from vergence.envs.layout import ObservationLayout
+from vergence._tables import make_table
+from vergence.envs.judging import JUDGE, TaskArrays, advance_task
 from vergence.envs.reading import Reading
-from vergence.envs.reward import TERMS, StepResult, TimeLimits, TrialProgress, compute_step_result
+from vergence.envs.reward import TERMS
 from vergence.envs.task import GazeTask
 
 STILL = np.zeros((1, 4))
@@ -170,12 +170,10 @@ def test_a_head_that_misses_periods_loses_its_target_after_the_same_seconds() ->
 def assessed(script, name="simulated", seed=0):
     """Rewards and losses by step, with eyes that see by a script and targets anywhere in view."""
     head = load_head(name)
-    layout, rng = ObservationLayout.of(head), np.random.default_rng(seed)
-    progress, outcome = TrialProgress.empty(1), StepResult.empty(1, layout.size)
-    progress.begin(np.arange(1), head.timing.period_s)
-    reading = Reading.empty(1)
+    rng, task, reading = np.random.default_rng(seed), TaskArrays.empty(head, 1), Reading.empty(1)
+    task.progress.begin(np.arange(1), head.timing.period_s)
     reading.positions_at_exposure[:] = reading.positions[:] = head.rest()
-    tied = None if head.actuation.direct else head.packed
+    table = make_table((task, reading))
     width_height = (640.0, 480.0)
     found = []
     for sees in script:
@@ -183,12 +181,9 @@ def assessed(script, name="simulated", seed=0):
         reading.pixels[0] = np.where(
             np.reshape(sees, (2, 1)), rng.uniform(0.0, width_height, (2, 2)), np.nan
         )
-        action = rng.uniform(-1.0, 1.0, (1, layout.count))
-        compute_step_result(
-            np.arange(1), head.packed, layout.scaling, untyped_tuple(TimeLimits.of(head)),
-            untyped_tuple(reading), action, untyped_tuple(progress), untyped_tuple(outcome), tied,
-        )  # fmt: skip
-        found.append((float(outcome.reward[0]), bool(outcome.lost[0])))
+        task.action[:] = rng.uniform(-1.0, 1.0, task.action.shape)
+        advance_task(table, np.arange(1), JUDGE)
+        found.append((float(task.result.reward[0]), bool(task.result.lost[0])))
         reading.time_s[0] += head.timing.period_s
     return found
 

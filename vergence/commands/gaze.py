@@ -23,7 +23,7 @@ COMPILED_AHEAD: Final = (
     "vergence.models.fixation:fixate",
     "vergence.models.kinematics:frame_n_in_base",
     "vergence.models.camera:rays_to_pixels",
-    "vergence.envs.reward:compile_step_result",
+    "vergence.envs.judging:compile_step_result",
     "vergence.triangulation.rays:triangulate",
     "vergence.controllers.ibvs:ibvs_command",
 )

@@ -26,14 +26,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import compiled, inlined, untyped_tuple
+from vergence._jit import compiled, inlined
 from vergence.envs.encoding import encode_observation
-from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import BoolArray, Reading
 from vergence.envs.reducible import reducible_error
 from vergence.envs.streams import IntArray
 from vergence.models.camera import pixel_error
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
@@ -223,16 +221,3 @@ def compute_step_result(
         terms[n, 2] = -_EFFORT_WEIGHT * (tracking + precision) * square / m
         terms[n, 3] = -_LOST_COST if result.lost[n] else 0.0
         result.reward[n] = terms[n, 0] + terms[n, 1] + terms[n, 2] + terms[n, 3]
-
-
-def compile_step_result() -> None:
-    """Compile `compute_step_result` for heads with one motor per eye joint."""
-    head = load_head("simulated")
-    layout, reading = ObservationLayout.of(head), untyped_tuple(Reading.empty(1))
-    progress, result = (
-        untyped_tuple(TrialProgress.empty(1)),
-        untyped_tuple(StepResult.empty(1, layout.size)),
-    )
-    action = np.zeros((1, layout.count))
-    judged = (head.packed, layout.scaling, untyped_tuple(TimeLimits.of(head)))
-    compute_step_result(np.arange(0), *judged, reading, action, progress, result, None)

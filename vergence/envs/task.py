@@ -7,14 +7,16 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._jit import compiled, untyped_tuple
+from vergence._tables import make_table
+from vergence.envs.judging import JUDGE, LIMIT, TaskArrays, advance_task
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.plant import make_plant, plant_type
+from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.plants.simulation import Simulation, TrialStart, simulation_of
 from vergence.envs.plants.variation import Variation, make_variation
 from vergence.envs.policy import Policy
 from vergence.envs.reading import Reading, Truth
-from vergence.envs.reward import TERMS, StepResult, TimeLimits, TrialProgress, compute_step_result
+from vergence.envs.reward import TERMS
 from vergence.envs.saved_state import Arrays, SavedState, copy_arrays, join_parts, restore_arrays
 from vergence.envs.streams import IntArray, KeyArray, RandomStreams, as_seed
 from vergence.envs.targets.registry import make_target
@@ -29,27 +31,6 @@ from vergence.triangulation import Fix, triangulate_gaze, triangulate_views
 
 INFO: Final = ("fixes", "truth")
 """Optional entries of `info`, besides the reward's terms and `is_success`."""
-
-
-@compiled
-def _command(
-    action: NDArray[Any], limits: FloatArray, taken: FloatArray, command: FloatArray
-) -> bool:
-    """Limit actions and convert them to commands of the eye actuators; the neck's are unchanged.
-
-    Returns:
-        True if no action is nan.
-    """
-    numbers = True
-    for n in range(action.shape[0]):
-        for j in range(action.shape[1]):
-            a = min(max(float(action[n, j]), -1.0), 1.0)
-            if action[n, j] != action[n, j]:
-                numbers = False
-                a = np.nan
-            taken[n, j] = a
-            command[n, 3 + j] = a * limits[j]
-    return numbers
 
 
 class GazeTask:
@@ -126,22 +107,18 @@ class GazeTask:
         self.num = num
         self._all = np.arange(num)
         self._streams = RandomStreams(num)
-        self._command = np.zeros((num, 7))
-        self._action = np.zeros((num, self.layout.count))
+        self._task_arrays = arrays = TaskArrays.empty(self.head, num)
+        self._command, self._action = arrays.command, arrays.action
+        self._progress, self._outcome = arrays.progress, arrays.result
         self.reading = Reading.empty(num)
-        self._progress = TrialProgress.empty(num)
-        self._outcome = StepResult.empty(num, self.layout.size)
         self.encoded = self.observation = self._outcome.observation
         self.reward, self.success = self._outcome.reward, self._outcome.success
         self.lost = self._outcome.lost
-        # made once: every step hands them to a kernel
-        self._coupled_head = None if self.head.actuation.direct else self.head.packed
-        self._judged = (
-            self.head.packed,
-            self.layout.scaling,
-            untyped_tuple(TimeLimits.of(self.head)),
-        )
-        self._result = (self._action, untyped_tuple(self._progress), untyped_tuple(self._outcome))
+        # such a plant judges its steps in the call that makes them
+        self._kept_table: NDArray[np.void] | None = None
+        self._joined = self.plant if isinstance(self.plant, SimulatedPlant) else None
+        if self._joined is not None:
+            self._joined.join(arrays)
 
     def prepare(self, policy: Policy) -> None:
         """Compile all code that trials call, before anything moves.
@@ -163,8 +140,7 @@ class GazeTask:
             episode_start=np.ones(self.num, dtype=np.bool_),
             deterministic=True,
         )
-        nowhere = self._action.copy(), self._command.copy()
-        _command(self.as_action(action), self.layout.action_limits, *nowhere)
+        self.as_action(action)
         self.fixes()
 
     def begin(self, ids: IntArray, seeds: KeyArray, trials: KeyArray) -> None:
@@ -198,21 +174,39 @@ class GazeTask:
         Raises:
             ConfigurationError: an action is nan.
         """
-        if not _command(action, self.layout.action_limits, self._action, self._command):
+        self._task_arrays.requested[:] = action
+        if self._joined is not None:
+            numbers = self._joined.act()
+        else:
+            numbers = advance_task(self._table, self._all, LIMIT)
+        if not numbers:
             self.plant.rest("policy: expected numbers for an action, got nan")
             raise ConfigurationError("action: expected numbers, got nan")
-        self._take(self.plant.step(self._command))
-        self._assess(self._all)
+        if self._joined is None:
+            self._take(self.plant.step(self._command))
+            self._assess(self._all)
 
     def _take(self, reading: Reading) -> None:
         """Keep a plant's reading; the package's own plants return the same object each time."""
         if reading is not self.reading:
             self.reading = Reading.of(reading, self.num)
+            self._kept_table = None
 
     def _assess(self, ids: IntArray) -> None:
-        compute_step_result(
-            ids, *self._judged, untyped_tuple(self.reading), *self._result, self._coupled_head
-        )
+        if self._joined is not None:
+            self._joined.judge(ids)
+        else:
+            advance_task(self._table, ids, JUDGE)
+
+    @property
+    def _table(self) -> NDArray[np.void]:
+        """Table of the arrays of a step for a plant that does not judge its own."""
+        if self._kept_table is None:
+            self._kept_table = make_table((self._task_arrays, self.reading))
+        return self._kept_table
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_kept_table": None}
 
     def state(self) -> SavedState:
         """Copy the complete state of the running trials.
@@ -220,7 +214,10 @@ class GazeTask:
         Raises:
             ConfigurationError: the plant is not a simulation, or its state cannot be saved.
         """
-        return {"task": copy_arrays(self._arrays()), "plant": simulation_of(self.plant).state()}
+        return {
+            "task": copy_arrays(self._arrays()),
+            "plant": simulation_of(self.plant).state(),
+        }
 
     def restore(self, state: SavedState) -> None:
         """Restore the running trials from a result of `state`, bit by bit.

@@ -103,6 +103,7 @@ def loop_resumes_at(
 
 @compiled
 def store_commands(
+    ids: IntArray,
     command: FloatArray,
     commands: CommandBuffers,
     control_loop_states: IntArray,
@@ -112,6 +113,7 @@ def store_commands(
     """Limit and quantise the commands of a period, and write them to the ring buffers.
 
     Args:
+        ids: (m,) environment indices.
         command: (n, 7) velocity commands, rad/s.
         commands: `untyped_tuple`, updated in place.
         control_loop_states: (n, LOOP_STATE) states of the control loops: stalls and lost commands.
@@ -125,7 +127,7 @@ def store_commands(
     commands = CommandBuffers(*commands)
     given, limits, size = commands.velocities, commands.velocity_limits, commands.quantisation_step
     numbers, mask = True, given.shape[1] - 1
-    for n in range(command.shape[0]):
+    for n in ids:
         slot, before = np.uintp(step[n] & mask), np.uintp((step[n] - 1) & mask)
         stalled = step[n] < control_loop_states[n, RESUME_PERIOD]
         lost = control_loop_states[n, COMMAND_LOST] != 0

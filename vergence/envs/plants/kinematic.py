@@ -1,8 +1,10 @@
 """The kinematic plant: motors follow their commands with an exactly solved lag, without masses."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vergence._jit import compiled
+from vergence._tables import unpack_table
 from vergence.envs.plants.commands import CommandBuffers, held_commands
 from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, unpack_conditions
 from vergence.envs.plants.frames import TIME_TOLERANCE_S, Exposures, Frames, exposure_time
@@ -19,7 +21,9 @@ from vergence.envs.plants.motors import (
     stop_motors_at_joint_stops,
 )
 from vergence.envs.plants.scene import TrueHeadsAndTargets
+from vergence.envs.plants.sensing import SensorTiming
 from vergence.envs.plants.simulated import SimulatedPlant
+from vergence.envs.plants.stepping import MOVE, StepArrays, begin_period, end_period
 from vergence.envs.streams import IntArray
 from vergence.models.joint_response import lag_decay
 
@@ -34,15 +38,15 @@ class KinematicPlant(SimulatedPlant):
         """Nothing to do: the motors' angles are the state."""
 
     def _move(self) -> None:
-        own = self._arguments
-        move_motors(
-            self.head.timing.period_s, own.packed, own.scene, own.motors, self._coupling,
-            own.commands, own.frames, own.exposures,
-        )  # fmt: skip
+        self._advance(self._all, MOVE)
+
+    def _advance(self, ids: IntArray, phases: int) -> bool:
+        return advance_kinematic(self._table, ids, phases)
 
 
 @compiled
 def move_motors(
+    ids: IntArray,
     period_s: float,
     packed: PackedConditions,
     scene: TrueHeadsAndTargets,
@@ -55,6 +59,7 @@ def move_motors(
     """Move all motors through a period, and record the joints at each exposure on the way.
 
     Args:
+        ids: (m,) environment indices.
         period_s: the control period, s.
         packed: `untyped_tuple`, as are the following; conditions of the trials.
         scene: heads at the period's beginning; the joints are updated in place.
@@ -76,7 +81,7 @@ def move_motors(
     given, own, many = commands.velocities, packed.own, np.uintp(heads.shape[0] > 1)
     following, (counts, times, then_q, then_v) = frames.next, exposures
     ring = given.shape[1]
-    for env in range(steps.shape[0]):
+    for env in ids:
         n = np.uintp(env)  # unsigned, so that no index is counted from the end
         step, frame, conditions = steps[n], following[n], unpack_conditions(packed, n)
         begin_s = step * period_s
@@ -150,3 +155,27 @@ def move_motors(
             velocities[n, k] = output_speed(motor, own[n, BACKLASH, k])
         if coupling is not None:
             joints_from_actuators(coupling.scratch, heads[n * many], positions[n], velocities[n])
+
+
+@compiled
+def advance_kinematic(table: NDArray[np.void], ids: IntArray, phases: int) -> bool:
+    """Run phases of a control period.
+
+    Args:
+        table: table of `StepArrays`.
+        ids: (m,) environment indices.
+        phases: the phases to run, see `vergence.envs.plants.stepping`.
+
+    Returns:
+        False if an action or a command is nan.
+    """
+    if not begin_period(table, ids, phases):
+        return False
+    if phases & MOVE:
+        own = StepArrays(*unpack_table(table))
+        move_motors(
+            ids, SensorTiming(*own.timing).control_period_s, own.packed, own.scene, own.motors,
+            own.coupling, own.commands, own.frames, own.exposures,
+        )  # fmt: skip
+    end_period(table, ids, phases)
+    return True

@@ -1,14 +1,20 @@
 """The mujoco plant: the heads' dynamics, in a batch of simulations stepped together in C."""
 
 import dataclasses
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
+import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from vergence._jit import compiled
+from vergence._tables import unpack_table
 from vergence.envs.plants.frames import TIME_TOLERANCE_S
+from vergence.envs.plants.scene import TrueHeadsAndTargets
+from vergence.envs.plants.sensing import SensorTiming
 from vergence.envs.plants.simulated import SimulatedPlant
+from vergence.envs.plants.stepping import MOVE, StepArrays, begin_period, end_period
 from vergence.envs.plants.track import (
     SubstepTrajectory,
     expose_on_trajectory,
@@ -22,8 +28,43 @@ from vergence.envs.streams import IntArray
 from vergence.envs.validation import check_count
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
+from vergence.models.mujoco.c_functions import simulate, simulation_functions
 from vergence.models.mujoco.model import SUBSTEPS, compile_model, find_model_indices
 from vergence.models.mujoco.servos import discrete_lag_rate
+from vergence.models.packed import PackedHead
+from vergence.models.parts import FloatArray
+
+
+class MujocoArrays(NamedTuple):
+    """The simulations of a batch, and all else that moves its joints in a control period."""
+
+    trajectory: SubstepTrajectory
+    qpos: FloatArray
+    """(n, nq) angles, rad."""
+    qvel: FloatArray
+    """(n, nv) velocities, rad/s."""
+    ctrl: FloatArray
+    """(n, nu) controls, rad/s."""
+    joints: IntArray
+    """(7,) indices of the joints in `qpos` and `qvel`, see `read_mujoco_joints`."""
+    slots: IntArray
+    """(nu,) indices of the servos, see `mean_substep_controls`."""
+    nominal_head: PackedHead
+    """(PACKED,) the head that the controller knows."""
+    half_step_s: float
+    """Half a time step of the simulation, s."""
+    steps_per_substep: int
+    """Time steps of the simulation per substep."""
+    functions: tuple[int, int, int]
+    """Result of `simulation_functions`, or zeros if the simulations are stepped by the batch."""
+    model: int
+    """Address of the simulation's model."""
+    data: int
+    """Address of a working space for it."""
+    states: int
+    """Address of the simulations' states."""
+    state_size: int
+    """Distance between two states, bytes."""
 
 
 class MujocoPlant(SimulatedPlant):
@@ -116,6 +157,11 @@ class MujocoPlant(SimulatedPlant):
         self._ctrl = self._batch.bind("ctrl")
         # the state row of a simulation that has not begun; a row is a whole simulation
         self._unstarted = self._batch.state[0].copy()
+        # a single simulation is stepped without the batch, whose calls cost as much as its physics
+        self._inside = self.num == 1 and not self._forces_vary and all(simulation_functions())
+        if self._inside:
+            self._own_model = self._batch.get_model(0)
+            self._own_data = mujoco.MjData(self._own_model)
         if self._lags_vary or (self.conditions.lag_s != self.head.timing.lag_s).any():
             self._gain = self._batch.expand("actuator_gainprm")
             self._bias = self._batch.expand("actuator_biasprm")
@@ -139,6 +185,8 @@ class MujocoPlant(SimulatedPlant):
         ratio /= [discrete_lag_rate(self.head.timing.lag_s * own, step) for own in self._lag_ratios]
         self._gain[ids, :, 0] = ratio[:, self._which_lag] * self._nominal_gain
         self._bias[ids, :, 2] = ratio[:, self._which_lag] * self._nominal_bias
+        if self._inside:
+            self._batch.get_model(0, self._own_model)
 
     def _put_at_rest(self, ids: IntArray) -> None:
         if self._lags_vary:
@@ -150,24 +198,38 @@ class MujocoPlant(SimulatedPlant):
             q = np.hstack([self.head.actuation.joints_of(motors), motors[:, self._rotors]])
         self._qpos[ids] = q[:, self._qpos_from]
 
+    def _motion_arrays(self) -> MujocoArrays:
+        return MujocoArrays(
+            trajectory=self._track,
+            qpos=self._qpos,
+            qvel=self._qvel,
+            ctrl=self._ctrl,
+            joints=self._joints,
+            slots=self._slots,
+            nominal_head=self.head.packed,
+            half_step_s=self._half_step,
+            steps_per_substep=SUBSTEPS // self._substeps,
+            functions=simulation_functions() if self._inside else (0, 0, 0),
+            model=self._own_model._address if self._inside else 0,
+            data=self._own_data._address if self._inside else 0,
+            states=self._batch.state.ctypes.data,
+            state_size=self._batch.state.strides[0],
+        )
+
     def _move(self) -> None:
-        own, period_s = self._arguments, self.head.timing.period_s
-        start_trajectory(own.scene, self._track)
+        self._advance(self._all, MOVE)
+
+    def _advance(self, ids: IntArray, phases: int) -> bool:
+        table = self._table
+        if not phases & MOVE or self._inside:
+            return advance_mujoco(table, ids, phases, 0)
         for substep in range(self._substeps):
-            mean_substep_controls(
-                substep, self._substeps, period_s, own.packed, self._scene.step, own.commands,
-                own.motors, self._slots, self._ctrl,
-            )  # fmt: skip
+            if not advance_mujoco(table, ids, phases, substep):
+                return False
             if self._forces_vary:
                 self._limit_forces()
             self._batch.step(None, SUBSTEPS // self._substeps)
-            read_mujoco_joints(
-                substep, self._qpos, self._qvel, self._half_step, self._joints, self.head.packed,
-                own.packed, own.scene, own.motors, self._coupling, self._track,
-            )  # fmt: skip
-        expose_on_trajectory(
-            period_s, own.packed, self._scene.step, own.frames, self._track, own.exposures
-        )
+        return advance_mujoco(table, ids, phases, self._substeps)
 
     def _limit_forces(self) -> None:
         """Set the servos' force limits from their trials' conditions and their present speeds."""
@@ -189,9 +251,10 @@ class MujocoPlant(SimulatedPlant):
         return {**super()._arrays(), "simulations": self._batch.state}
 
     def __getstate__(self) -> dict[str, Any]:
-        state = vars(self).copy()
+        state = super().__getstate__()
         for live in (
             "_batch", "_qpos", "_qvel", "_ctrl", "_unstarted", "_gain", "_bias", "_force",
+            "_own_model", "_own_data",
         ):  # fmt: skip
             state.pop(live, None)
         state["_rows"] = self._batch.state.copy()
@@ -202,3 +265,54 @@ class MujocoPlant(SimulatedPlant):
         vars(self).update(state)
         self._start_batch()
         self._batch.state[:] = rows
+
+
+@compiled
+def advance_mujoco(table: NDArray[np.void], ids: IntArray, phases: int, substep: int) -> bool:
+    """Run phases of a control period, or a part of them.
+
+    If the simulations are not stepped inside, this is to be called once before each substep and
+    once after the last one.
+
+    Args:
+        table: table of `StepArrays`, with `MujocoArrays`.
+        ids: (m,) environment indices.
+        phases: the phases to run, see `vergence.envs.plants.stepping`.
+        substep: index of the substep to begin with.
+
+    Returns:
+        False if an action or a command is nan.
+    """
+    if substep == 0 and not begin_period(table, ids, phases):
+        return False
+    if phases & MOVE:
+        own = StepArrays(*unpack_table(table))
+        of, steps = MujocoArrays(*own.motion), TrueHeadsAndTargets(*own.scene).step
+        period_s, substeps = (
+            SensorTiming(*own.timing).control_period_s,
+            of.trajectory[0].shape[1] - 1,
+        )
+        if substep == 0:
+            start_trajectory(ids, own.scene, of.trajectory)
+        for k in range(substep, substeps + 1):
+            if k > 0:
+                read_mujoco_joints(
+                    ids, k - 1, of.qpos, of.qvel, of.half_step_s, of.joints, of.nominal_head,
+                    own.packed, own.scene, own.motors, own.coupling, of.trajectory,
+                )  # fmt: skip
+            if k == substeps:
+                break
+            mean_substep_controls(
+                ids, k, substeps, period_s, own.packed, steps, own.commands, own.motors, of.slots,
+                of.ctrl,
+            )  # fmt: skip
+            if of.functions[0] == 0:
+                return True
+            for n in ids:
+                state = of.states + n * of.state_size
+                simulate(of.functions, of.model, of.data, state, of.steps_per_substep)
+        expose_on_trajectory(
+            ids, period_s, own.packed, steps, own.frames, of.trajectory, own.exposures
+        )
+    end_period(table, ids, phases)
+    return True

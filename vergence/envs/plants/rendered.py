@@ -5,7 +5,8 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from vergence._jit import compiled
+from vergence._jit import compiled, untyped_tuple
+from vergence.envs.judging import JUDGE, LIMIT
 from vergence.envs.plants.conditions import PackedConditions, unpack_conditions
 from vergence.envs.plants.eye_views import BoardImageRenderer
 from vergence.envs.plants.frames import (
@@ -25,6 +26,7 @@ from vergence.envs.plants.scene import (
     true_head_row,
 )
 from vergence.envs.plants.simulation import TrialStart
+from vergence.envs.plants.stepping import EXPOSE, MOVE, REPORT, STORE
 from vergence.envs.plants.variation import RANGES
 from vergence.envs.reading import BoolArray, Image, Reading
 from vergence.envs.saved_state import Arrays
@@ -125,16 +127,21 @@ class RenderedPlant(MujocoPlant):
                 tracker.forget()
         return super().begin(start)
 
-    def _expose(self, ids: IntArray) -> None:
+    def _advance(self, ids: IntArray, phases: int) -> bool:
+        if not phases & EXPOSE:
+            return super()._advance(ids, phases)
+        if not super()._advance(ids, phases & (LIMIT | STORE | MOVE)):
+            return False
         for env in ids.tolist():
             count = int(self._exposures.counts[env])
             first = int(self._frames.next[env])
             for i in range(count):
                 self._photograph(env, first + i, i)
-        own = self._arguments
         store_detections(
-            ids, own.packed, own.keys, own.exposures, own.frames, self._found, self._seen
-        )
+            ids, untyped_tuple(self._true_heads.packed), untyped_tuple(self._streams.keys),
+            untyped_tuple(self._exposures), untyped_tuple(self._frames), self._found, self._seen,
+        )  # fmt: skip
+        return super()._advance(ids, phases & (REPORT | JUDGE))
 
     def _photograph(self, env: int, frame: int, i: int) -> None:
         """Take both eyes' frames of the period's i-th exposure, and keep the detections."""
@@ -143,8 +150,8 @@ class RenderedPlant(MujocoPlant):
             i,
             0.5 * self.head.timing.exposure_s,
             self._facing_head,
-            self._arguments.scene,
-            self._arguments.exposures,
+            untyped_tuple(self._scene),
+            untyped_tuple(self._exposures),
             float(self.conditions.onset_s[env]),
             self._T_C_T,
             self._smear_px,

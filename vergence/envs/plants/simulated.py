@@ -3,27 +3,38 @@
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from inspect import Parameter, signature
-from typing import Any, ClassVar, Final, NamedTuple, TypeVar
+from typing import Any, ClassVar, Final, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import untyped_tuple
+from vergence._tables import make_table
+from vergence.envs.judging import JUDGE, LIMIT, TaskArrays
 from vergence.envs.plants import starting
-from vergence.envs.plants.commands import CommandBuffers, store_commands
-from vergence.envs.plants.conditions import Conditions, PackedConditions
+from vergence.envs.plants.commands import CommandBuffers
+from vergence.envs.plants.conditions import Conditions
 from vergence.envs.plants.feedback import SAVED_FEEDBACK_FIELDS, JointFeedbackBuffers
 from vergence.envs.plants.frames import TIME_TOLERANCE_S, Exposures, Frames
 from vergence.envs.plants.imperfections import IMPERFECTIONS
 from vergence.envs.plants.motors import SAVED_MOTOR_FIELDS, ActuatorCoupling, MotorStates
 from vergence.envs.plants.scene import TrueHeadsAndTargets, update_truth
-from vergence.envs.plants.sensing import SensorTiming, read_sensors, simulate_detections
+from vergence.envs.plants.sensing import SensorTiming
 from vergence.envs.plants.simulation import Simulation, TrialStart
+from vergence.envs.plants.stepping import (
+    ALL_PHASES,
+    EXPOSE,
+    MOVE,
+    REPORT,
+    STORE,
+    StepArrays,
+    advance_around_motion,
+)
 from vergence.envs.plants.true_heads import TrueHeadsAndConditions
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
 from vergence.envs.reading import Reading, Truth
 from vergence.envs.saved_state import Arrays, copy_arrays, join_parts, restore_arrays
-from vergence.envs.streams import IntArray, RandomStreams, StreamKeys
+from vergence.envs.streams import IntArray, RandomStreams
 from vergence.envs.targets.motion import JUMP, last_jump_time, motion_rows
 from vergence.envs.validation import check_count
 from vergence.errors import ConfigurationError, refuse_unknown
@@ -33,21 +44,6 @@ from vergence.models.parts import FloatArray
 _Init = TypeVar("_Init", bound=Callable[..., None])
 _INITIAL_TARGET_POINT: Final = (0.0, 0.0, 1.0)
 """Position of the targets until trials are drawn, in N, m (chosen: straight ahead)."""
-
-
-class _KernelArguments(NamedTuple):
-    """Arguments of the kernels of every step, `untyped_tuple`: made once."""
-
-    timing: SensorTiming
-    packed: PackedConditions
-    keys: StreamKeys
-    scene: TrueHeadsAndTargets
-    motors: MotorStates
-    commands: CommandBuffers
-    feedback: JointFeedbackBuffers
-    frames: Frames
-    exposures: Exposures
-    reading: Reading
 
 
 def _named(init: _Init) -> _Init:
@@ -82,6 +78,7 @@ class SimulatedPlant(Simulation):
 
     _varies: ClassVar[frozenset[str]] = frozenset((*RANGES, "model_errors"))
     """Fields of a variation that this plant supports."""
+    _kept_table: NDArray[np.void] | None = None
 
     @_named
     def __init__(
@@ -137,6 +134,7 @@ class SimulatedPlant(Simulation):
         self._feedback = JointFeedbackBuffers.of(
             head, num, feedback_s, max_age_s + stalled_s + period_s
         )
+        self._timing = SensorTiming.of(head)
         self._scene = TrueHeadsAndTargets(
             heads=heads.packed.heads,
             motions=motion_rows(np.tile(_INITIAL_TARGET_POINT, (num, 1))),
@@ -146,18 +144,7 @@ class SimulatedPlant(Simulation):
             velocities=np.zeros((num, 7)),
         )
         self._missing_joints = np.flatnonzero([not name for name in head.joints])
-        self._arguments = _KernelArguments(
-            timing=untyped_tuple(SensorTiming.of(head)),
-            packed=untyped_tuple(heads.packed),
-            keys=untyped_tuple(self._streams.keys),
-            scene=untyped_tuple(self._scene),
-            motors=untyped_tuple(self._motors),
-            commands=untyped_tuple(self._commands),
-            feedback=untyped_tuple(self._feedback),
-            frames=untyped_tuple(self._frames),
-            exposures=untyped_tuple(self._exposures),
-            reading=untyped_tuple(self.reading),
-        )
+        self._task = TaskArrays.empty(head, num)
 
     def _checked_variation(self, variation: Variation | None) -> Variation | None:
         for name in (*RANGES, "model_errors") if variation is not None else ():
@@ -186,6 +173,60 @@ class SimulatedPlant(Simulation):
     def _move(self) -> None:
         """Move motors and joints through a period, and record the joints at its exposures."""
 
+    def join(self, task: TaskArrays) -> None:
+        """Apply the actions of a task from now on, and judge its steps; see `act`."""
+        self._task, self._kept_table = task, None
+
+    def act(self) -> bool:
+        """Step by the requested actions of the task that has joined, and judge the step.
+
+        Returns:
+            False if an action is nan; nothing is changed then.
+        """
+        return self._advance(self._all, ALL_PHASES)
+
+    def judge(self, ids: IntArray) -> None:
+        """Judge the readings of some environments for the task that has joined."""
+        self._advance(ids, JUDGE)
+
+    def _motion_arrays(self) -> tuple[Any, ...]:
+        """The plant's own arrays for the phase in which it moves the joints."""
+        return ()
+
+    @property
+    def _table(self) -> NDArray[np.void]:
+        """Table of the arrays of a step, made again once one of them has been replaced."""
+        if self._kept_table is None:
+            arrays = StepArrays(
+                timing=self._timing,
+                packed=self._true_heads.packed,
+                keys=self._streams.keys,
+                scene=self._scene,
+                motors=self._motors,
+                coupling=self._coupling,
+                commands=self._commands,
+                feedback=self._feedback,
+                frames=self._frames,
+                exposures=self._exposures,
+                reading=self.reading,
+                task=self._task,
+                motion=self._motion_arrays(),
+            )
+            self._kept_table = make_table(arrays)
+        return self._kept_table
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_kept_table": None}
+
+    def _advance(self, ids: IntArray, phases: int) -> bool:
+        """Run phases of a control period; False if an action or a command is nan."""
+        if not phases & MOVE:
+            return advance_around_motion(self._table, ids, phases)
+        if not advance_around_motion(self._table, ids, phases & (LIMIT | STORE)):
+            return False
+        self._move()
+        return advance_around_motion(self._table, ids, phases & ~(LIMIT | STORE))
+
     def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
         """Put heads at rest and restart their last trials, see `Plant.reset`."""
         keys = self._streams.keys
@@ -206,19 +247,21 @@ class SimulatedPlant(Simulation):
             positions = positions.copy()
             positions[:, self._missing_joints] = 0.0
         self._resize_motions(start.motions.shape[1], all_heads=len(ids) == self.num)
-        own = self._arguments
+        packed, scene = untyped_tuple(self._true_heads.packed), untyped_tuple(self._scene)
+        frames = untyped_tuple(self._frames)
         self._streams.start(ids, start.seeds, start.trials)
         self._true_heads.draw(self._streams, ids)
         starting.begin_trials(
-            ids, positions, start.motions, own.packed, own.keys, own.scene, own.motors,
-            self._coupling, own.commands, own.feedback, own.frames, own.reading,
+            ids, positions, start.motions, packed, untyped_tuple(self._streams.keys), scene,
+            untyped_tuple(self._motors), self._coupling, untyped_tuple(self._commands),
+            untyped_tuple(self._feedback), frames, untyped_tuple(self.reading),
         )  # fmt: skip
         self._put_at_rest(ids)
         while starting.expose_frames_before_start(
-            ids, own.packed, own.scene, own.frames, own.exposures
+            ids, packed, scene, frames, untyped_tuple(self._exposures)
         ):
-            self._expose(ids)
-        self._report(ids)
+            self._advance(ids, EXPOSE)
+        self._advance(ids, REPORT)
         self.reading.frame[ids] = 0
         return self.reading
 
@@ -232,15 +275,9 @@ class SimulatedPlant(Simulation):
             raise ConfigurationError(
                 f"command: expected shape ({self.num}, 7), got {command.shape}"
             )
-        loop_states = self._feedback.control_loop_states
-        if not store_commands(
-            command, self._arguments.commands, loop_states, self._scene.step, self.reading.command
-        ):
+        self._task.command[:] = command
+        if not self._advance(self._all, STORE | MOVE | EXPOSE | REPORT):
             raise ConfigurationError("command: expected numbers, got nan")
-        self._move()
-        self._scene.step[:] += 1
-        self._expose(self._all)
-        self._report(self._all)
         return self.reading
 
     def move_targets(self, ids: IntArray, motions: FloatArray) -> None:
@@ -264,7 +301,11 @@ class SimulatedPlant(Simulation):
         truth = Truth.unknown(self.num)
         period_s = self.head.timing.period_s
         update_truth(
-            self.head.packed, period_s, target_time_s, self._arguments.scene, untyped_tuple(truth)
+            self.head.packed,
+            period_s,
+            target_time_s,
+            untyped_tuple(self._scene),
+            untyped_tuple(truth),
         )
         truth.motors[:] = self._motors.angles
         return truth
@@ -275,12 +316,13 @@ class SimulatedPlant(Simulation):
 
     def first_detection_times(self) -> tuple[FloatArray, FloatArray]:
         """See `Simulation.first_detection_times`."""
-        own = self._arguments
+        packed, keys = untyped_tuple(self._true_heads.packed), untyped_tuple(self._streams.keys)
+        scene = untyped_tuple(self._scene)
         first, last = np.empty((2, self.num))
         jumps = self._scene.motions[:, JUMP].copy()
-        starting.first_detection_times(own.packed, own.keys, own.scene, jumps, first)
+        starting.first_detection_times(packed, keys, scene, jumps, first)
         jumps = last_jump_time(self._scene.motions)
-        starting.first_detection_times(own.packed, own.keys, own.scene, jumps, last)
+        starting.first_detection_times(packed, keys, scene, jumps, last)
         return first, last
 
     def state(self) -> Arrays:
@@ -295,7 +337,7 @@ class SimulatedPlant(Simulation):
             kept = min(width, rows.shape[1])
             resized[:, :kept] = rows[:, :kept]
             self._scene = self._scene._replace(motions=resized)
-            self._arguments = self._arguments._replace(scene=untyped_tuple(self._scene))
+            self._kept_table = None
 
     def restore(self, state: Arrays) -> Reading:
         """See `Simulation.restore`."""
@@ -330,18 +372,3 @@ class SimulatedPlant(Simulation):
         self._commands.velocities[:] = 0.0
         self.reading.command[:] = 0.0
         self._put_at_rest(self._all)
-
-    def _expose(self, ids: IntArray) -> None:
-        """Take the last period's frames of some environments."""
-        own = self._arguments
-        simulate_detections(
-            ids, own.timing, own.packed, own.keys, own.scene, own.exposures, own.frames
-        )
-
-    def _report(self, ids: IntArray) -> None:
-        """Read the sensors of some environments."""
-        own = self._arguments
-        read_sensors(
-            ids, own.timing, own.packed, own.keys, self._scene.step, own.motors, self._coupling,
-            own.feedback, own.frames, own.reading,
-        )  # fmt: skip

@@ -43,10 +43,12 @@ class SubstepTrajectory(NamedTuple):
 
 
 @compiled
-def start_trajectory(scene: TrueHeadsAndTargets, trajectory: SubstepTrajectory) -> None:
-    """Begin a period's track with the present joint states; both arguments are `untyped_tuple`."""
+def start_trajectory(
+    ids: IntArray, scene: TrueHeadsAndTargets, trajectory: SubstepTrajectory
+) -> None:
+    """Begin a period's track with the present joint states; both groups are `untyped_tuple`."""
     scene, trajectory = TrueHeadsAndTargets(*scene), SubstepTrajectory(*trajectory)
-    for n in range(scene.step.shape[0]):
+    for n in ids:
         for j in range(7):
             trajectory.positions[n, 0, j] = scene.positions[n, j]
             trajectory.velocities[n, 0, j] = scene.velocities[n, j]
@@ -54,6 +56,7 @@ def start_trajectory(scene: TrueHeadsAndTargets, trajectory: SubstepTrajectory) 
 
 @compiled
 def mean_substep_controls(
+    ids: IntArray,
     substep: int,
     substeps: int,
     period_s: float,
@@ -70,6 +73,7 @@ def mean_substep_controls(
     leads to the speed of the second-order response at the substep's end.
 
     Args:
+        ids: (m,) environment indices.
         substep: index of the substep.
         substeps: number of substeps per period.
         period_s: the control period, s.
@@ -82,7 +86,7 @@ def mean_substep_controls(
     """
     packed, motors = PackedConditions(*packed), MotorStates(*motors)
     given, length = CommandBuffers(*commands).velocities, period_s / substeps
-    for n in range(len(steps)):
+    for n in ids:
         conditions = unpack_conditions(packed, n)
         hold = held_commands(conditions.command_latency_s, steps[n], given.shape[1], period_s)
         before = min(max(hold.change_s - substep * length, 0.0), length) / length
@@ -108,6 +112,7 @@ def mean_substep_controls(
 
 @compiled
 def read_mujoco_joints(
+    ids: IntArray,
     substep: int,
     qpos: FloatArray,
     qvel: FloatArray,
@@ -125,6 +130,7 @@ def read_mujoco_joints(
     Semi-implicit integration leaves the angle half a step ahead of the velocity; this is corrected.
 
     Args:
+        ids: (m,) environment indices.
         substep: index of the substep that has ended.
         qpos: (n, nq) MuJoCo's angles.
         qvel: (n, nv) MuJoCo's velocities.
@@ -141,7 +147,7 @@ def read_mujoco_joints(
     packed, scene = PackedConditions(*packed), TrueHeadsAndTargets(*scene)
     motors, trajectory = MotorStates(*motors), SubstepTrajectory(*trajectory)
     angles, rates = np.zeros(7), np.zeros(7)
-    for n in range(motors.angles.shape[0]):
+    for n in ids:
         for j in range(7):
             i = addresses[j]
             # a joint that does not move keeps its angle
@@ -170,6 +176,7 @@ def read_mujoco_joints(
 
 @compiled
 def expose_on_trajectory(
+    ids: IntArray,
     period_s: float,
     packed: PackedConditions,
     steps: IntArray,
@@ -180,6 +187,7 @@ def expose_on_trajectory(
     """Expose the frames of a period, with the joints interpolated within its substeps.
 
     Args:
+        ids: (m,) environment indices.
         period_s: the control period, s.
         packed: `untyped_tuple`, conditions of the trials.
         steps: (n,) numbers of the periods.
@@ -191,7 +199,7 @@ def expose_on_trajectory(
     trajectory, exposures = SubstepTrajectory(*trajectory), Exposures(*exposures)
     substeps = trajectory.positions.shape[1] - 1
     length = period_s / substeps
-    for n in range(len(steps)):
+    for n in ids:
         begin_s, count, conditions = steps[n] * period_s, 0, unpack_conditions(packed, n)
         while True:
             due = exposure_time(conditions, frames.next[n] + count) - begin_s

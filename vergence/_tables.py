@@ -1,0 +1,176 @@
+"""Tables of addresses and shapes: many arrays for a compiled function at the cost of one argument.
+
+At each call from Python, numba unpacks each array of a group for a tenth of a microsecond. A table
+is a single array: its structured type says how arrays, numbers and tuples are nested, so compiled
+code is typed by it as by the group itself, and its bytes say where the arrays are. Nothing is
+reference-counted: whoever makes a table keeps the group alive, and makes another table once an
+array of it has been replaced. This module names `_jit`, so that a change of it discards the cache
+of kernels.
+"""
+
+from types import SimpleNamespace
+from typing import Any, Final
+
+import numpy as np
+from numba.core import cgutils, types
+from numba.extending import intrinsic, overload
+from numba.np.arrayobj import populate_array
+from numba.np.numpy_support import from_dtype
+from numpy.typing import NDArray
+
+__all__ = ["make_table", "unpack_table"]
+
+_WORD: Final = 8
+"""Size of an address, a length and a stride, bytes (numerical)."""
+
+
+def make_table(group: tuple[Any, ...]) -> NDArray[np.void]:
+    """Describe a group of arrays for `unpack_table`.
+
+    Args:
+        group: arrays, floats, integers, booleans, None and tuples of these, nested as needed.
+
+    Returns:
+        (1,) structured array, valid as long as the group's arrays exist. Read-only arrays are
+        handed out as writable ones, so that compiled functions need no variants for them.
+    """
+    kind, value = _describe(group)
+    return np.array([value], dtype=kind)
+
+
+def _describe(group: tuple[Any, ...]) -> tuple[np.dtype[Any], tuple[Any, ...]]:
+    fields: list[Any] = []
+    values: list[Any] = []
+    value: Any
+    for place, part in enumerate(group):
+        if isinstance(part, tuple):
+            kind, value = _describe(part)
+            fields.append((f"{place} tuple", kind))
+        elif isinstance(part, np.ndarray):
+            value = (part.ctypes.data, *part.shape)
+            # numpy calls an array of one row contiguous whatever its stride, which would make
+            # another type of the same array for one head
+            dense = part.strides == np.empty_like(part, order="C", subok=False).strides
+            if not dense:
+                value += part.strides
+            layout = "C" if dense else "A"
+            fields.append((f"{place} {layout} {part.dtype.str}", np.int64, (len(value),)))
+        else:
+            value = 0 if part is None else part
+            what = "none" if part is None else "number"
+            fields.append((f"{place} {what}", np.asarray(value).dtype))
+        values.append(value)
+    return np.dtype(fields, align=True), tuple(values)
+
+
+def unpack_table(table: NDArray[np.void]) -> Any:
+    """Rebuild the group of a table, as plain tuples.
+
+    Args:
+        table: result of `make_table`.
+    """
+    return _unpack(table[0])
+
+
+def _unpack(record: Any) -> tuple[Any, ...]:
+    """The group of a record outside compiled code."""
+    parts: list[Any] = []
+    for name in record.dtype.names:
+        what, value = name.split()[1:], record[name]
+        if what == ["tuple"]:
+            parts.append(_unpack(value))
+        elif what == ["none"]:
+            parts.append(None)
+        elif what == ["number"]:
+            parts.append(value.item())
+        else:
+            layout, element = what
+            address, *words = value.tolist()
+            shape = words if layout == "C" else words[: len(words) // 2]
+            strides = None if layout == "C" else words[len(words) // 2 :]
+            interface = {
+                "version": 3,
+                "data": (address, False),
+                "typestr": element,
+                "shape": tuple(shape),
+                "strides": strides and tuple(strides),
+            }
+            parts.append(np.asarray(SimpleNamespace(__array_interface__=interface)))
+    return tuple(parts)
+
+
+@intrinsic
+def _load_group(typingctx: Any, table: Any) -> Any:
+    result = _type_of(table.dtype)
+
+    def load(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(table)(context, builder, arguments[0])
+        start = builder.bitcast(array.data, cgutils.voidptr_t)
+        return _load(context, builder, table.dtype, result, start)
+
+    return result(table), load
+
+
+_loader: Any = _load_group
+overload(unpack_table)(lambda table: lambda table: _loader(table))
+
+
+def _type_of(record: Any) -> Any:
+    """Numba's type of the tuple that a record describes."""
+    parts: list[Any] = []
+    for name, field in record.fields.items():
+        what = name.split()[1:]
+        if what == ["tuple"]:
+            parts.append(_type_of(field.type))
+        elif what == ["none"]:
+            parts.append(types.none)
+        elif what == ["number"]:
+            parts.append(field.type)
+        else:
+            layout, element = what
+            words = field.type.shape[0] - 1
+            dimensions = words if layout == "C" else words // 2
+            parts.append(types.Array(from_dtype(np.dtype(element)), dimensions, layout))
+    return types.BaseTuple.from_types(tuple(parts))
+
+
+def _load(context: Any, builder: Any, record: Any, result: Any, start: Any) -> Any:
+    """Load the tuple that a record at `start` describes."""
+    parts = []
+    for part, field in zip(result.types, record.fields.values(), strict=True):
+        at = cgutils.gep_inbounds(builder, start, field.offset)
+        if isinstance(part, types.BaseTuple):
+            parts.append(_load(context, builder, field.type, part, at))
+        elif part is types.none:
+            parts.append(context.get_dummy_value())
+        elif isinstance(part, types.Array):
+            parts.append(_load_array(context, builder, part, at))
+        else:
+            pointer = builder.bitcast(at, context.get_data_type(part).as_pointer())
+            parts.append(context.unpack_value(builder, part, pointer))
+    return context.make_tuple(builder, result, parts)
+
+
+def _load_array(context: Any, builder: Any, kind: Any, at: Any) -> Any:
+    def word(index: int) -> Any:
+        place = cgutils.gep_inbounds(builder, at, _WORD * index)
+        return builder.load(builder.bitcast(place, cgutils.intp_t.as_pointer()))
+
+    array = context.make_array(kind)(context, builder)
+    shape = [word(1 + axis) for axis in range(kind.ndim)]
+    size = context.get_constant(types.intp, context.get_abi_sizeof(array.data.type.pointee))
+    if kind.layout == "C":
+        strides = [size]
+        for length in reversed(shape[1:]):
+            strides.insert(0, builder.mul(strides[0], length))
+    else:
+        strides = [word(1 + kind.ndim + axis) for axis in range(kind.ndim)]
+    populate_array(
+        array,
+        data=builder.inttoptr(word(0), array.data.type),
+        shape=shape,
+        strides=strides,
+        itemsize=size,
+        meminfo=None,
+    )
+    return array._getvalue()
