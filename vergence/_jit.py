@@ -36,7 +36,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
 import numba
-from llvmlite.binding import get_host_cpu_features  # type: ignore[import-untyped]
+from llvmlite.binding import get_host_cpu_features
 from numba.core import event, types
 from numba.core.caching import Cache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary

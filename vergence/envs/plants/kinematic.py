@@ -16,6 +16,7 @@ from vergence.envs.plants.motors import (
     advance_first_order,
     advance_second_order,
     joints_from_actuators,
+    name_coupling,
     output_angle,
     output_speed,
     stop_motors_at_joint_stops,
@@ -175,7 +176,7 @@ def advance_kinematic(table: NDArray[np.void], ids: IntArray, phases: int) -> bo
         own = StepArrays(*unpack_table(table))
         move_motors(
             ids, SensorTiming(*own.timing).control_period_s, own.packed, own.scene, own.motors,
-            own.coupling, own.commands, own.frames, own.exposures,
+            name_coupling(own.coupling), own.commands, own.frames, own.exposures,
         )  # fmt: skip
     end_period(table, ids, phases)
     return True

@@ -124,6 +124,12 @@ class ActuatorCoupling(NamedTuple):
         return cls(limits.lower[EYES], limits.upper[EYES], head.packed, np.empty(SLOTS))
 
 
+@inlined
+def name_coupling(group: tuple[FloatArray, ...] | None) -> ActuatorCoupling | None:
+    """Restore the names of a coupling from a table; None stays None."""
+    return None if group is None else ActuatorCoupling(*group)
+
+
 class MotorState(NamedTuple):
     """State of one motor."""
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from vergence._jit import compiled
 from vergence._tables import unpack_table
 from vergence.envs.plants.frames import TIME_TOLERANCE_S
+from vergence.envs.plants.motors import name_coupling
 from vergence.envs.plants.scene import TrueHeadsAndTargets
 from vergence.envs.plants.sensing import SensorTiming
 from vergence.envs.plants.simulated import SimulatedPlant
@@ -298,7 +299,7 @@ def advance_mujoco(table: NDArray[np.void], ids: IntArray, phases: int, substep:
             if k > 0:
                 read_mujoco_joints(
                     ids, k - 1, of.qpos, of.qvel, of.half_step_s, of.joints, of.nominal_head,
-                    own.packed, own.scene, own.motors, own.coupling, of.trajectory,
+                    own.packed, own.scene, own.motors, name_coupling(own.coupling), of.trajectory,
                 )  # fmt: skip
             if k == substeps:
                 break

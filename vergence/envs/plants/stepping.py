@@ -16,7 +16,7 @@ from vergence.envs.plants.commands import CommandBuffers, store_commands
 from vergence.envs.plants.conditions import PackedConditions
 from vergence.envs.plants.feedback import JointFeedbackBuffers
 from vergence.envs.plants.frames import Exposures, Frames
-from vergence.envs.plants.motors import ActuatorCoupling, MotorStates
+from vergence.envs.plants.motors import ActuatorCoupling, MotorStates, name_coupling
 from vergence.envs.plants.scene import TrueHeadsAndTargets
 from vergence.envs.plants.sensing import SensorTiming, read_sensors, simulate_detections
 from vergence.envs.reading import Reading
@@ -95,8 +95,8 @@ def end_period(table: NDArray[np.void], ids: IntArray, phases: int) -> None:
         )
     if phases & REPORT:
         read_sensors(
-            ids, own.timing, own.packed, own.keys, steps, own.motors, own.coupling, own.feedback,
-            own.frames, own.reading,
+            ids, own.timing, own.packed, own.keys, steps, own.motors,
+            name_coupling(own.coupling), own.feedback, own.frames, own.reading,
         )  # fmt: skip
     if phases & JUDGE:
         judge_steps(ids, own.task, own.reading)
