@@ -14,7 +14,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -256,13 +256,15 @@ def cases(quick: bool) -> Iterator[Case]:
     yield Case("control_step_us", "undistort, IBVS, both triangulations", do, median_us)
 
 
-def measure(rounds: int, seconds: float, quick: bool) -> list[dict[str, Any]]:
-    """Measure all cases in turn, round by round.
+def measure(
+    rounds: int, seconds: float, quick: bool, names: Collection[str] = ()
+) -> list[dict[str, Any]]:
+    """Measure cases in turn, round by round: those named and ``bare``, or all.
 
     Returns:
         A row per case: name, what, steps_per_s, ratio_to_bare, and median_us where it counts.
     """
-    todo = list(cases(quick))
+    todo = [case for case in cases(quick) if not names or case.name in ("bare", *names)]
     for case in todo:
         case.do()  # triggers compilation
     for _ in range(rounds):
@@ -318,10 +320,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--rounds", type=int, default=7, help="rounds, of which the best counts")
     parser.add_argument("--seconds", type=float, default=1.0, help="least time of a case a round")
     parser.add_argument("--quick", action="store_true", help="one short round: not for comparing")
+    parser.add_argument("names", nargs="*", help="cases to measure beside bare; default: all")
     options = parser.parse_args(arguments)
     cv2.setNumThreads(1)  # the images are too small for several threads
     rounds, seconds = (1, 0.0) if options.quick else (options.rounds, options.seconds)
-    rows = measure(max(rounds, 1), seconds, options.quick)
+    rows = measure(max(rounds, 1), seconds, options.quick, options.names)
     show(rows)
     if options.json is not None:
         write(rows, options.json)

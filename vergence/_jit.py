@@ -60,6 +60,7 @@ __all__ = [
     "GufuncKernel",
     "cache_folder",
     "compiled",
+    "compiled_for_threads",
     "inlined",
     "kernel",
     "set_compile_reporter",
@@ -189,8 +190,22 @@ def compiled(function: _Function) -> _Function:
     Division follows NumPy (``inf`` and ``nan``, no ZeroDivisionError) and no reassociation of
     floating-point operations is allowed, so results do not depend on the vector width.
     """
-    options: dict[str, Any] = {"error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
-    return cast("_Function", _Kernel(function, targetoptions={"nopython": True, **options}))
+    return _kernel(function)
+
+
+def compiled_for_threads(function: _Function) -> _Function:
+    """Compile a function as `compiled` does; other threads run Python while it runs."""
+    return _kernel(function, nogil=True)
+
+
+def _kernel(function: _Function, **more: Any) -> _Function:
+    options = {
+        "nopython": True,
+        "error_model": "numpy",
+        "fastmath": False,
+        "no_cfunc_wrapper": True,
+    }
+    return cast("_Function", _Kernel(function, targetoptions=options | more))
 
 
 def inlined(function: _Function) -> _Function:

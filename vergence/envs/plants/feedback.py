@@ -264,7 +264,7 @@ def sense_joints(
             continue
         if coupling is not None:
             joints_from_actuators(
-                coupling.scratch, coupling.nominal_head, positions[n], velocities[n]
+                coupling.scratch[n], coupling.nominal_head, positions[n], velocities[n]
             )
         since = step - loop_states[n, LAST_READ_STEP]
         for missed in range(1, since):

@@ -1,9 +1,11 @@
 """The kinematic plant: motors follow their commands with an exactly solved lag, without masses."""
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import compiled
+from vergence._jit import compiled, compiled_for_threads
 from vergence._tables import unpack_table
 from vergence.envs.plants.commands import CommandBuffers, held_commands
 from vergence.envs.plants.conditions import BACKLASH, GAIN, PackedConditions, unpack_conditions
@@ -25,8 +27,12 @@ from vergence.envs.plants.scene import TrueHeadsAndTargets
 from vergence.envs.plants.sensing import SensorTiming
 from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.plants.stepping import MOVE, StepArrays, begin_period, end_period
+from vergence.envs.plants.threads import advance_in_threads, bounds
 from vergence.envs.streams import IntArray
 from vergence.models.joint_response import lag_decay
+
+_HEADS_PER_THREAD: Final = 128
+"""Number of heads from which a thread is worth its start (measured: some 40 us, of 1 us a head)."""
 
 
 class KinematicPlant(SimulatedPlant):
@@ -42,7 +48,8 @@ class KinematicPlant(SimulatedPlant):
         self._advance(self._all, MOVE)
 
     def _advance(self, ids: IntArray, phases: int) -> bool:
-        return advance_kinematic(self._table, ids, phases)
+        at = bounds(len(ids), _HEADS_PER_THREAD)
+        return advance_in_threads(advance_kinematic, self._table, ids, phases, at=at)
 
 
 @compiled
@@ -141,7 +148,7 @@ def move_motors(
                     then_v[n, count, k] = output_speed(motor, own[n, BACKLASH, k])
                 if coupling is not None:
                     joints_from_actuators(
-                        coupling.scratch, heads[n * many], then_q[n, count], then_v[n, count]
+                        coupling.scratch[n], heads[n * many], then_q[n, count], then_v[n, count]
                     )
                 count += np.uintp(1)
                 due = exposure_time(conditions, frame + np.int64(count)) - begin_s
@@ -155,10 +162,10 @@ def move_motors(
             positions[n, k] = motor.output
             velocities[n, k] = output_speed(motor, own[n, BACKLASH, k])
         if coupling is not None:
-            joints_from_actuators(coupling.scratch, heads[n * many], positions[n], velocities[n])
+            joints_from_actuators(coupling.scratch[n], heads[n * many], positions[n], velocities[n])
 
 
-@compiled
+@compiled_for_threads
 def advance_kinematic(table: NDArray[np.void], ids: IntArray, phases: int) -> bool:
     """Run phases of a control period.
 

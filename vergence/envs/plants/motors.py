@@ -113,15 +113,15 @@ class ActuatorCoupling(NamedTuple):
     nominal_head: PackedHead
     """(PACKED,) the head that the controller knows; it converts encoder angles to joint angles."""
     scratch: FloatArray
-    """(4,) scratch array of kernels, one number per actuator."""
+    """(n, 4) scratch arrays of kernels, one number per actuator."""
 
     @classmethod
-    def of(cls, head: HeadModel, true_head: HeadModel) -> "ActuatorCoupling | None":
-        """Coupling of a head; None if each eye joint has its own motor."""
+    def of(cls, head: HeadModel, true_head: HeadModel, num: int) -> "ActuatorCoupling | None":
+        """Coupling of a batch of heads; None if each eye joint has its own motor."""
         if head.actuation.direct:
             return None
         limits = true_head.limits
-        return cls(limits.lower[EYES], limits.upper[EYES], head.packed, np.empty(SLOTS))
+        return cls(limits.lower[EYES], limits.upper[EYES], head.packed, np.empty((num, SLOTS)))
 
 
 @inlined
@@ -261,7 +261,7 @@ def stop_motors_at_joint_stops(
         p: the true head.
         n: environment index.
     """
-    own = coupling.scratch
+    own = coupling.scratch[n]
     for _ in range(_JOINT_STOP_PASSES):
         for j in range(SLOTS):
             square = rate = 0.0

@@ -1,14 +1,15 @@
 """The mujoco plant: the heads' dynamics, in a batch of simulations stepped together in C."""
 
 import dataclasses
-from typing import Any, Literal, NamedTuple
+from functools import partial
+from typing import Any, Final, Literal, NamedTuple
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike, NDArray
 
-from vergence._jit import compiled
+from vergence._jit import compiled_for_threads
 from vergence._tables import unpack_table
 from vergence.envs.plants.frames import TIME_TOLERANCE_S
 from vergence.envs.plants.motors import name_coupling
@@ -16,6 +17,7 @@ from vergence.envs.plants.scene import TrueHeadsAndTargets
 from vergence.envs.plants.sensing import SensorTiming
 from vergence.envs.plants.simulated import SimulatedPlant
 from vergence.envs.plants.stepping import MOVE, StepArrays, begin_period, end_period
+from vergence.envs.plants.threads import advance_in_threads, bounds
 from vergence.envs.plants.track import (
     SubstepTrajectory,
     expose_on_trajectory,
@@ -34,6 +36,10 @@ from vergence.models.mujoco.model import SUBSTEPS, compile_model, find_model_ind
 from vergence.models.mujoco.servos import discrete_lag_rate
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
+
+_HEADS_PER_THREAD: Final = 16
+"""Number of heads from which a thread is worth its start (measured: some 40 us, of 10 us a
+head)."""
 
 
 class MujocoArrays(NamedTuple):
@@ -60,8 +66,8 @@ class MujocoArrays(NamedTuple):
     """Result of `simulation_functions`, or zeros if the simulations are stepped by the batch."""
     model: int
     """Address of the simulation's model."""
-    data: int
-    """Address of a working space for it."""
+    data: IntArray
+    """(n,) address of a working space for each simulation; those of a thread share one."""
     states: int
     """Address of the simulations' states."""
     state_size: int
@@ -158,12 +164,18 @@ class MujocoPlant(SimulatedPlant):
         self._ctrl = self._batch.bind("ctrl")
         # the state row of a simulation that has not begun; a row is a whole simulation
         self._unstarted = self._batch.state[0].copy()
-        # a single simulation is stepped without the batch, whose calls cost as much as its physics
-        self._inside = self.num == 1 and not self._forces_vary and all(simulation_functions())
+        own_lags = self._lags_vary or bool((self.conditions.lag_s != self.head.timing.lag_s).any())
+        # a single simulation is stepped without the batch, whose calls cost as much as its physics,
+        # and many of one model too, so that threads sense what they have moved
+        at = bounds(self.num, _HEADS_PER_THREAD, self._nthread)
+        alone = self.num == 1 or (len(at) > 2 and not own_lags)
+        self._inside = alone and not self._forces_vary and all(simulation_functions())
         if self._inside:
             self._own_model = self._batch.get_model(0)
-            self._own_data = mujoco.MjData(self._own_model)
-        if self._lags_vary or (self.conditions.lag_s != self.head.timing.lag_s).any():
+            counts = np.diff(at)
+            self._own_data = [mujoco.MjData(self._own_model) for _ in counts]
+            self._data_addresses = np.repeat([one._address for one in self._own_data], counts)
+        if own_lags:
             self._gain = self._batch.expand("actuator_gainprm")
             self._bias = self._batch.expand("actuator_biasprm")
             self._nominal_gain = self._gain[0, :, 0].copy()
@@ -212,7 +224,7 @@ class MujocoPlant(SimulatedPlant):
             steps_per_substep=SUBSTEPS // self._substeps,
             functions=simulation_functions() if self._inside else (0, 0, 0),
             model=self._own_model._address if self._inside else 0,
-            data=self._own_data._address if self._inside else 0,
+            data=self._data_addresses if self._inside else np.zeros(self.num, dtype=np.int64),
             states=self._batch.state.ctypes.data,
             state_size=self._batch.state.strides[0],
         )
@@ -221,16 +233,17 @@ class MujocoPlant(SimulatedPlant):
         self._advance(self._all, MOVE)
 
     def _advance(self, ids: IntArray, phases: int) -> bool:
-        table = self._table
+        at = bounds(len(ids), _HEADS_PER_THREAD, self._nthread)
+        advance = partial(advance_in_threads, advance_mujoco, self._table, ids, phases, at=at)
         if not phases & MOVE or self._inside:
-            return advance_mujoco(table, ids, phases, 0)
+            return advance(0)
         for substep in range(self._substeps):
-            if not advance_mujoco(table, ids, phases, substep):
+            if not advance(substep):
                 return False
             if self._forces_vary:
                 self._limit_forces()
             self._batch.step(None, SUBSTEPS // self._substeps)
-        return advance_mujoco(table, ids, phases, self._substeps)
+        return advance(self._substeps)
 
     def _limit_forces(self) -> None:
         """Set the servos' force limits from their trials' conditions and their present speeds."""
@@ -255,7 +268,7 @@ class MujocoPlant(SimulatedPlant):
         state = super().__getstate__()
         for live in (
             "_batch", "_qpos", "_qvel", "_ctrl", "_unstarted", "_gain", "_bias", "_force",
-            "_own_model", "_own_data",
+            "_own_model", "_own_data", "_data_addresses",
         ):  # fmt: skip
             state.pop(live, None)
         state["_rows"] = self._batch.state.copy()
@@ -268,7 +281,7 @@ class MujocoPlant(SimulatedPlant):
         self._batch.state[:] = rows
 
 
-@compiled
+@compiled_for_threads
 def advance_mujoco(table: NDArray[np.void], ids: IntArray, phases: int, substep: int) -> bool:
     """Run phases of a control period, or a part of them.
 
@@ -311,7 +324,7 @@ def advance_mujoco(table: NDArray[np.void], ids: IntArray, phases: int, substep:
                 return True
             for n in ids:
                 state = of.states + n * of.state_size
-                simulate(of.functions, of.model, of.data, state, of.steps_per_substep)
+                simulate(of.functions, of.model, of.data[n], state, of.steps_per_substep)
         expose_on_trajectory(
             ids, period_s, own.packed, steps, own.frames, of.trajectory, own.exposures
         )

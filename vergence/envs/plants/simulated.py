@@ -117,7 +117,7 @@ class SimulatedPlant(Simulation):
         self._frames = Frames.empty(num, late_s + stalled_s + 2.0 * period_s, max_hz)
         self._exposures = Exposures.empty(num, period_s, max_hz, 2 if skew_s > 0.0 else 1)
         self._motors = MotorStates.of(head, heads.given, num)
-        self._coupling = ActuatorCoupling.of(head, heads.given)
+        self._coupling = ActuatorCoupling.of(head, heads.given, num)
         self._commands = CommandBuffers.empty(
             num,
             heads.given.actuation.velocity,

@@ -139,10 +139,16 @@ def begin_trials(
             reading.velocities[n, k] = 0.0
         if coupling is not None:
             joints_from_actuators(
-                coupling.scratch, true_head_row(scene, n), scene.positions[n], scene.velocities[n]
+                coupling.scratch[n],
+                true_head_row(scene, n),
+                scene.positions[n],
+                scene.velocities[n],
             )
             joints_from_actuators(
-                coupling.scratch, coupling.nominal_head, reading.positions[n], reading.velocities[n]
+                coupling.scratch[n],
+                coupling.nominal_head,
+                reading.positions[n],
+                reading.velocities[n],
             )
         for k in range(7):
             reading.positions_at_exposure[n, k] = reading.positions[n, k]

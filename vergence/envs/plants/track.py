@@ -167,7 +167,10 @@ def read_mujoco_joints(
             scene.velocities[n, k] = output_speed(MotorState(q, v, output), backlash)
         if coupling is not None:
             joints_from_actuators(
-                coupling.scratch, true_head_row(scene, n), scene.positions[n], scene.velocities[n]
+                coupling.scratch[n],
+                true_head_row(scene, n),
+                scene.positions[n],
+                scene.velocities[n],
             )
         for j in range(7):
             trajectory.positions[n, substep + 1, j] = scene.positions[n, j]
