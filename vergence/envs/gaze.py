@@ -157,12 +157,12 @@ class GazeEnv(TaskEnv, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             self.render()
         return (
             task.observation[0].copy(),
-            float(task.reward[0]),
-            bool(task.lost[0]),
+            task.reward.item(),
+            task.lost.item(),
             # half a period of tolerance for rounding of the time
             bool(
                 task.plant.fault
-                or task.reading.time_s[0] + 0.5 * task.head.timing.period_s >= self._duration_s
+                or task.reading.time_s.item() + 0.5 * task.head.timing.period_s >= self._duration_s
             ),
             task.single_info(),
         )

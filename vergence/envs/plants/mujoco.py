@@ -233,6 +233,8 @@ class MujocoPlant(SimulatedPlant):
         self._advance(self._all, MOVE)
 
     def _advance(self, ids: IntArray, phases: int) -> bool:
+        if self.num == 1 and self._inside:  # as below, without its cost
+            return advance_mujoco(self._table, ids, phases, 0)
         at = bounds(len(ids), _HEADS_PER_THREAD, self._nthread)
         advance = partial(advance_in_threads, advance_mujoco, self._table, ids, phases, at=at)
         if not phases & MOVE or self._inside:
