@@ -6,8 +6,8 @@ the working tree, and ``--json FILE`` to keep the table. Cases may be selected b
 sources. The byte code is compiled beforehand.
 
 Counted are user and system time of a process and all that it started, as `os.wait4` returns them.
-The first gaze starts a process that compiles kernels and that it does not wait for
-(`vergence/_ahead.py`). On Linux this program therefore becomes the reaper of orphaned descendants
+A process may start others and not wait for them, as the first gaze did at first, to compile its
+kernels in two processes. On Linux this program therefore becomes the reaper of orphaned descendants
 and waits until there are none: each process is waited for once, by its parent, who passes on its
 time, or here.
 """

@@ -28,7 +28,6 @@ from vergence.eval.gaze import run_gaze
 from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
-from vergence.vision.tags.detector import compile_tag_fit
 
 DONE: Final = "compiled-for-tests"
 """The file in the kernels' folder that says that all is there."""
@@ -71,7 +70,6 @@ def gaze() -> None:
 SHARES: Final[tuple[tuple[Callable[[], None], ...], ...]] = (
     (
         partial(laws, "simulated"),
-        compile_tag_fit,
         gaze,
         partial(steps, "simulated", "rendered"),
         partial(steps, "simulated", "mujoco"),

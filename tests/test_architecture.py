@@ -27,7 +27,6 @@ LAYERS = (
         "_jit",
         "_runs",
         "_tables",
-        "_ahead",
     },
     {"models"},
     {"vision", "triangulation"},

@@ -600,11 +600,7 @@ def report_compiling_if_uncached() -> None:
 
     Called before worker processes start, as these do not report it themselves.
     """
-    if not any_compiled():
-        _REPORTER.compiling()
-
-
-def any_compiled() -> bool:
-    """True if compiled kernels came with the package, or the cache holds some."""
     folder = cache_folder()
-    return shipped_folder() is not None or (folder is not None and any(folder.rglob("*.nbi")))
+    cached = folder is not None and any(folder.rglob("*.nbi"))
+    if not cached and shipped_folder() is None:
+        _REPORTER.compiling()

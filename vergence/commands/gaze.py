@@ -3,7 +3,7 @@
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
@@ -17,18 +17,6 @@ from vergence.eval.gaze_config import GazeConfig
 if TYPE_CHECKING:
     from vergence.eval.gaze import GazeResult
     from vergence.models.head import HeadModel
-
-COMPILED_AHEAD: Final = (
-    "vergence.vision.tags.detector:compile_tag_fit",
-    "vergence.models.fixation:fixate",
-    "vergence.models.kinematics:frame_n_in_base",
-    "vergence.models.camera:rays_to_pixels",
-    "vergence.envs.judging:compile_step_result",
-    "vergence.triangulation.rays:triangulate",
-    "vergence.controllers.ibvs:ibvs_command",
-)
-"""Kernels that other processes compile ahead of their use in a gaze, in the order of use; the work
-is divided about evenly."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,9 +42,6 @@ class Gaze:
             from vergence.viewer.film_files import check_film
 
             check_film(self.record)
-        from vergence._ahead import compile_in_background
-
-        compile_in_background(COMPILED_AHEAD)
         from vergence.eval.gaze import GazeResult, run_gaze
         from vergence.eval.gaze_figure import draw_gaze
         from vergence.eval.gaze_trajectory import write_trajectory

@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vergence._jit import compiled, inlined
-from vergence._tables import make_table, unpack_table
+from vergence._tables import unpack_table
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.reading import Reading
 from vergence.envs.reward import StepResult, TimeLimits, TrialProgress, compute_step_result
 from vergence.envs.streams import IntArray
-from vergence.models.files.head_file import load_head
 from vergence.models.head import HeadModel
 from vergence.models.packed import PackedHead
 from vergence.models.parts import FloatArray
@@ -114,9 +113,3 @@ def advance_task(table: NDArray[np.void], ids: IntArray, phases: int) -> bool:
     if phases & JUDGE:
         judge_steps(ids, task, reading)
     return True
-
-
-def compile_step_result() -> None:
-    """Compile `compute_step_result` for heads with one motor per eye joint."""
-    group = (TaskArrays.empty(load_head("simulated"), 1), Reading.empty(1))
-    advance_task(make_table(group), np.arange(0), JUDGE)

@@ -299,14 +299,6 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         return found, fit
 
 
-def compile_tag_fit() -> None:
-    """Compile the kernels of a tag's detection, on an image without a tag."""
-    corners = np.array([[10.0, 10.0], [40.0, 10.0], [40.0, 40.0], [10.0, 40.0]])
-    TagDetector(AprilTag())._fit_once(
-        np.zeros((50, 50), np.uint8), corners, 0, (0, 1, 1), _SEARCH_PIXELS
-    )
-
-
 @lru_cache(maxsize=256)
 def _cells_of(code: TagFamilyCode, identity: int) -> NDArray[np.float64]:
     """Printed cells, 0 black to 1 white, nan where nothing is specified."""
