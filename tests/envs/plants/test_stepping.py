@@ -1,30 +1,168 @@
 """Heads that are stepped in one compiled call move as those that are stepped in parts."""
 
+import itertools
+from functools import partial
+
 import numpy as np
 import pytest
 
+from tests.grids import some_of
+from vergence._jit import untyped_tuple
+from vergence.envs.judging import JUDGE, LIMIT
 from vergence.envs.plants import threads
+from vergence.envs.plants.commands import store_commands
+from vergence.envs.plants.kinematic import KinematicPlant, move_motors
+from vergence.envs.plants.sensing import read_sensors, simulate_detections
+from vergence.envs.plants.stepping import EXPOSE, MOVE, REPORT, STORE
+from vergence.envs.plants.track import (
+    expose_on_trajectory,
+    mean_substep_controls,
+    read_mujoco_joints,
+    start_trajectory,
+)
+from vergence.envs.reward import compute_step_result
 from vergence.envs.task import GazeTask
-from vergence.eval.trials.scenarios import load_scenario
+from vergence.eval.trials.scenarios import SCENARIOS, load_scenario
+from vergence.models.files.head_file import presets
+from vergence.models.mujoco.model import SUBSTEPS
+
+PLANTS, NUMS = ("kinematic", "mujoco"), (1, 3)
+HEADS = ("simulated", "icub")
+"""One with a motor for each joint of an eye, and one with coupled eyes."""
+STEPS = 20
+RESET_AFTER = 9
+"""Step after which one head begins another trial (chosen: its frames are still on their way)."""
+
+
+def advance_in_parts(plant, ids, phases):
+    """Do what `SimulatedPlant._advance` does by calls of its kernels, one after the other."""
+    task, scene, steps = plant._task, untyped_tuple(plant._scene), plant._scene.step
+    packed, frames = untyped_tuple(plant._true_heads.packed), untyped_tuple(plant._frames)
+    timing, keys = untyped_tuple(plant._timing), untyped_tuple(plant._streams.keys)
+    motors, feedback = untyped_tuple(plant._motors), untyped_tuple(plant._feedback)
+    exposures, reading = untyped_tuple(plant._exposures), untyped_tuple(plant.reading)
+    if phases & LIMIT:
+        task.action[ids] = np.clip(task.requested[ids], -1.0, 1.0)
+        count = task.action.shape[1]
+        task.command[ids, 3 : 3 + count] = task.action[ids] * task.action_limits[:count]
+    if phases & STORE:
+        states = plant._feedback.control_loop_states
+        commands = untyped_tuple(plant._commands)
+        store_commands(ids, task.command, commands, states, steps, plant.reading.command)
+    if phases & MOVE:
+        move = move_kinematic if isinstance(plant, KinematicPlant) else move_mujoco
+        move(plant, ids, packed, scene, motors, frames, exposures)
+        steps[ids] += 1
+    if phases & EXPOSE:
+        simulate_detections(ids, timing, packed, keys, scene, exposures, frames)
+    if phases & REPORT:
+        read_sensors(
+            ids, timing, packed, keys, steps, motors, plant._coupling, feedback, frames, reading
+        )
+    if phases & JUDGE:
+        compute_step_result(
+            ids, task.head, task.scaling, untyped_tuple(task.time_limits), reading, task.action,
+            untyped_tuple(task.progress), untyped_tuple(task.result), task.coupled_head,
+        )  # fmt: skip
+    return True
+
+
+def move_kinematic(plant, ids, packed, scene, motors, frames, exposures):
+    period_s, commands = plant.head.timing.period_s, untyped_tuple(plant._commands)
+    move_motors(ids, period_s, packed, scene, motors, plant._coupling, commands, frames, exposures)
+
+
+def move_mujoco(plant, ids, packed, scene, motors, frames, exposures):
+    """Move the joints by the batch, whether or not the plant would step a simulation inside."""
+    period_s, commands = plant.head.timing.period_s, untyped_tuple(plant._commands)
+    track, count, steps = untyped_tuple(plant._track), plant._substeps, plant._scene.step
+    start_trajectory(ids, scene, track)
+    for k in range(count):
+        mean_substep_controls(
+            ids, k, count, period_s, packed, steps, commands, motors, plant._slots, plant._ctrl
+        )
+        if plant._forces_vary:
+            plant._limit_forces()
+        plant._batch.step(None, SUBSTEPS // count)
+        read_mujoco_joints(
+            ids, k, plant._qpos, plant._qvel, plant._half_step, plant._joints, plant.head.packed,
+            packed, scene, motors, plant._coupling, track,
+        )  # fmt: skip
+    expose_on_trajectory(ids, period_s, packed, steps, frames, track, exposures)
+
+
+def assert_equal_states(tasks):
+    one, other = ({**state["task"], **state["plant"]} for state in (t.state() for t in tasks))
+    assert one.keys() == other.keys()
+    for name, array in one.items():
+        np.testing.assert_array_equal(array, other[name], err_msg=name)
+
+
+def assert_steps_equal(tasks):
+    """Begin trials of both tasks, step them by actions drawn at random, begin one trial anew."""
+    rng, num = np.random.default_rng(0), tasks[0].num
+
+    def begin(ids, trial):
+        for task in tasks:
+            task.begin(ids, np.full(len(ids), 7, np.uint64), np.full(len(ids), trial, np.uint64))
+        assert_equal_states(tasks)
+
+    for n in range(num):
+        begin(np.array([n]), n)
+    start = tasks[0].truth().positions
+    for i in range(STEPS):
+        action = rng.uniform(-1.5, 1.5, (num, tasks[0].layout.count))
+        for task in tasks:
+            task.step(action)
+        assert_equal_states(tasks)
+        if i == RESET_AFTER:
+            assert (tasks[0].truth().positions != start).any(axis=1).all()
+            begin(np.array([num - 1]), num)
+
+
+def fused_and_in_parts(scenario, plant, head, num):
+    """Two equal tasks, the second of which is stepped in parts."""
+    tasks = tuple(load_scenario(scenario).task(num, plant, head) for _ in range(2))
+    tasks[1].plant._advance = partial(advance_in_parts, tasks[1].plant)
+    return tasks
+
+
+@pytest.mark.parametrize(
+    ("scenario", "plant", "head", "num"), some_of(("workspace", "hardware"), PLANTS, HEADS, NUMS)
+)
+def test_steps_equal_those_of_their_kernels_one_after_the_other(scenario, plant, head, num):
+    assert_steps_equal(fused_and_in_parts(scenario, plant, head, num))
+
+
+def test_steps_equal_those_in_parts_after_targets_have_got_longer_motions():
+    tasks = fused_and_in_parts("workspace", "kinematic", "simulated", 1)
+    assert_steps_equal(tasks)
+    longer = load_scenario("wander").task()
+    longer.begin(np.arange(1), *np.zeros((2, 1), np.uint64))
+    motions = longer.plant._scene.motions
+    assert motions.shape[1] > tasks[0].plant._scene.motions.shape[1]
+    for task in tasks:
+        task.plant.move_targets(np.arange(1), motions)
+    for _ in range(STEPS):
+        for task in tasks:
+            task.step(np.zeros((1, task.layout.count)))
+        assert_equal_states(tasks)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_steps_of_every_scenario_equal_those_of_their_kernels(scenario, plant):
+    for head, num in itertools.product(presets(), NUMS):
+        assert_steps_equal(fused_and_in_parts(scenario, plant, head, num))
 
 
 @pytest.mark.parametrize("head", ["simulated", "turrets"])
 def test_a_simulation_stepped_inside_is_that_of_the_batch_to_the_bit(head):
-    rng, tasks = np.random.default_rng(0), [GazeTask(1, head=head) for _ in range(2)]
+    tasks = [GazeTask(1, head=head) for _ in range(2)]
     assert tasks[1].plant._inside
-    tasks[1].plant._inside = False
-    for trial in range(2):
-        for task in tasks:
-            task.begin(np.arange(1), np.zeros(1, np.uint64), np.full(1, trial, np.uint64))
-        for _ in range(30):
-            action = rng.uniform(-1.0, 1.0, (1, tasks[0].layout.count))
-            states = []
-            for task in tasks:
-                task.step(action)
-                state = task.state()
-                states.append({**state["task"], **state["plant"]})
-            for name, array in states[0].items():
-                np.testing.assert_array_equal(array, states[1][name], err_msg=name)
+    tasks[1].plant._inside, tasks[1].plant._kept_table = False, None
+    assert_steps_equal(tasks)
 
 
 def states_of(heads: int, **options) -> dict[str, np.ndarray]:
