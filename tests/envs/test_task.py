@@ -5,6 +5,8 @@ import pytest
 
 from tests.naming import named
 from vergence import ModelErrors, load_head
+from vergence.envs.plants.kinematic import KinematicPlant
+from vergence.envs.reading import Reading
 from vergence.envs.task import GazeTask
 from vergence.errors import ConfigurationError, UnknownNameError, VergenceError
 
@@ -25,6 +27,41 @@ def test_model_errors_give_every_head_its_own_and_the_controller_none() -> None:
     assert np.array_equal(same.plant.true_head.packed, task.plant.true_head.packed)
     other = GazeTask(3, plant="kinematic", model_errors=errors, model_seed=5)
     assert not np.array_equal(other.plant.true_head.packed, task.plant.true_head.packed)
+
+
+class HalfSpeed(KinematicPlant):
+    """Heads that are commanded by half of what they are told."""
+
+    def step(self, command):
+        return super().step(0.5 * command)
+
+
+class Copying(KinematicPlant):
+    """Heads whose first reading is a copy."""
+
+    def begin(self, start):
+        return Reading(*(array.copy() for array in super().begin(start)))
+
+
+def test_a_plant_with_a_step_of_its_own_makes_it() -> None:
+    half = begin(GazeTask(2, plant=f"{__name__}:HalfSpeed"))
+    plain = begin(GazeTask(2, plant="kinematic"))
+    for _ in range(12):
+        half.step(np.full((2, 4), 1.0))
+        plain.step(np.full((2, 4), 0.5))
+    assert np.array_equal(half.truth().positions, plain.truth().positions)
+    assert np.array_equal(half.reading.positions, plain.reading.positions)
+    assert (half.command == 2.0 * plain.command).all()
+
+
+def test_a_plant_that_returns_another_reading_is_judged_by_it() -> None:
+    copying = begin(GazeTask(2, plant=f"{__name__}:Copying"))
+    plain = begin(GazeTask(2, plant="kinematic"))
+    for task in (copying, plain):
+        assert task.reading.time_s.tolist() == [0.0, 0.0]
+        task.step(np.full((2, 4), 1.0))
+    assert np.array_equal(copying.reading.time_s, plain.reading.time_s)
+    assert np.array_equal(copying.observation, plain.observation)
 
 
 def test_info_on_request_has_truth_and_both_fixes() -> None:

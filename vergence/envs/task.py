@@ -114,11 +114,12 @@ class GazeTask:
         self.encoded = self.observation = self._outcome.observation
         self.reward, self.success = self._outcome.reward, self._outcome.success
         self.lost = self._outcome.lost
-        # such a plant judges its steps in the call that makes them
         self._kept_table: NDArray[np.void] | None = None
-        self._joined = self.plant if isinstance(self.plant, SimulatedPlant) else None
-        if self._joined is not None:
-            self._joined.join(arrays)
+        self._joined: SimulatedPlant | None = None
+        # such a plant judges its steps in the call that makes them, unless its steps are its own
+        if isinstance(self.plant, SimulatedPlant) and type(self.plant).step is SimulatedPlant.step:
+            self._joined = self.plant
+            self.plant.join(arrays)
 
     def prepare(self, policy: Policy) -> None:
         """Compile all code that trials call, before anything moves.
@@ -191,6 +192,8 @@ class GazeTask:
         if reading is not self.reading:
             self.reading = Reading.of(reading, self.num)
             self._kept_table = None
+            if self._joined is not None and self.reading is not self._joined.reading:
+                self._joined = None  # it would judge what it has not returned
 
     def _assess(self, ids: IntArray) -> None:
         if self._joined is not None:
