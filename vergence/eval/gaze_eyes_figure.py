@@ -19,6 +19,9 @@ GREEN: Final = "#14803c"
 """Colour of what is measured."""
 Place = tuple[float, float, float, float]
 """Left, bottom, width and height of a panel, inches."""
+_LABEL_LEFT, _LABEL_BELOW = 0.56, 0.3  # inches (chosen)
+_MOST_INTERVALS: Final = 6
+"""Largest number of intervals between an axis' ticks (chosen: drawing ticks takes long)."""
 _MOST_MAGNIFIED_FRACTION: Final = 0.12
 """Largest half width of the magnified part, as a fraction of the image's width; wider parts are not
 magnified (chosen: detail against clutter)."""
@@ -29,7 +32,11 @@ _MAGNIFIED_SIDE: Final = 0.47
 def add_panel(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
     """Axes at a place in inches; no layout is computed, which would take longer than drawing."""
     size = figure.get_size_inches()
-    return figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
+    axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
+    axes.locator_params(nbins=_MOST_INTERVALS)
+    axes.xaxis.set_label_coords(0.5, -_LABEL_BELOW / height)
+    axes.yaxis.set_label_coords(-_LABEL_LEFT / width, 0.5)
+    return axes
 
 
 def columns_of(result: GazeResult, what: str, eye: int) -> FloatArray:
@@ -79,7 +86,9 @@ def draw_eyes(figure: Figure, result: GazeResult, places: Sequence[Place]) -> No
             low = 0.01 + np.array(corner) * (0.98 - side)
             named = axes.inset_axes((*low, *side))
             (u, v) = middles[eye]
-            named.set(xlim=(u - half, u + half), ylim=(v + half, v - half), xticks=[], yticks=[])
+            named.set(xlim=(u - half, u + half), ylim=(v + half, v - half))
+            named.xaxis.set_visible(False)
+            named.yaxis.set_visible(False)
             named.spines[:].set(visible=True, color=EYE_COLOURS[eye], linewidth=1.5)
             _draw_marks(named, result, eye, path)
             axes.indicate_inset_zoom(named, edgecolor=EYE_COLOURS[eye], alpha=1.0)
@@ -103,6 +112,7 @@ def _draw_marks(axes: Axes, result: GazeResult, eye: int, path: FloatArray) -> N
     if result.images is not None:
         axes.imshow(
             result.images.of(eye), cmap="gray", vmin=0, vmax=255, aspect="auto",
+            interpolation_stage="data",  # greys are linear in the data: the same
             extent=(-0.5, width - 0.5, height - 0.5, -0.5),
         )  # fmt: skip
     halo = [withStroke(linewidth=4.0, foreground="white")]
