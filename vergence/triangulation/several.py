@@ -15,7 +15,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import log_ndtr
 
 from vergence.errors import ConfigurationError
 from vergence.models.head import HeadModel
@@ -164,6 +163,8 @@ def _log_interval(
         half_width: (j,) half widths of the intervals h, rad.
         sd: (k, j) standard deviations s, rad.
     """
+    from scipy.special import log_ndtr
+
     # the function is even in e, and the difference is exact in the lower tail
     sign, e = np.sign(error), np.abs(error)
     upper, lower = (half_width - e) / sd, (-half_width - e) / sd

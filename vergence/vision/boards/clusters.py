@@ -12,9 +12,6 @@ from typing import Any, Final, NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 _BLUR_PX: Final = 1.2
 """Standard deviation of the smoothing before derivatives, px (chosen: noise against small
@@ -103,6 +100,10 @@ def find_corner_clusters(image: NDArray[np.uint8], board_corner_count: int) -> l
     if count < _LEAST_SIZE_RATIO * board_corner_count:
         return []
     first, second = _of_squares(count, *_edges(smooth, saddles))
+    # imported here so that commands that seek no board start sooner
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     links = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
     _number, cluster = connected_components(links, directed=False)
     sizes = np.bincount(cluster)
@@ -158,6 +159,8 @@ def _crossed(smooth: NDArray[np.uint8], saddles: _Saddles) -> _Saddles:
     ranges = high - low
     kept = (changes == 4) & (ranges > _LEAST_RANGE_GREY) & (crossed > _LEAST_CROSS_RATIO * opposite)
     numbers = np.flatnonzero(kept)
+    from scipy.spatial import cKDTree
+
     # a corner midway between pixels is equally strong in all of them
     same = cKDTree(saddles.places[numbers]).query_pairs(
         0.5 * _SADDLE_WINDOW_PX, output_type="ndarray"
@@ -170,6 +173,8 @@ def _edges(
     smooth: NDArray[np.uint8], saddles: _Saddles
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pairs of saddles with an edge between them, as (m,) indices of the first and the second."""
+    from scipy.spatial import cKDTree
+
     places, (uu, uv, vv) = saddles.places.astype(float), saddles.hessians.T
     near = min(_NEIGHBOUR_COUNT + 1, len(places))
     _distances, found = cKDTree(places).query(places, k=near)
@@ -207,6 +212,8 @@ def _of_squares(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Select edges, see `_edges`, that close to a square by three more edges."""
     either = np.concatenate([first, second]), np.concatenate([second, first])
+    from scipy.sparse import csr_array
+
     edges = csr_array((np.ones(2 * len(first), np.int32), either), shape=(count, count))
     edges.data[:] = 1
     # two corners with two common neighbours are opposite in a square
