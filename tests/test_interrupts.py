@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -76,6 +77,28 @@ def test_ctrl_c_while_the_package_is_imported_is_one_line_and_exit_code_130():
     assert done.returncode == 130
     assert done.stderr == "vergence: interrupted: nothing was written\n"
     assert done.stdout == ""
+
+
+@pytest.mark.usefixtures("restored")
+def test_ctrl_c_in_a_callback_that_cannot_raise_ends_the_command(monkeypatch, capsys):
+    class Dying:
+        def __del__(self) -> None:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    def interrupted_in_finaliser(_words: list[str]) -> None:
+        Dying()
+        time.sleep(60.0)
+        print("slept", file=sys.stderr)
+
+    monkeypatch.setattr(interrupts, "_interrupted", False)
+    monkeypatch.setattr(sys, "argv", ["/usr/bin/vergence"])
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    monkeypatch.setattr("vergence.cli._run", interrupted_in_finaliser)
+    interrupts.end_quietly_on_interrupt()
+    with pytest.raises(SystemExit) as stopped:
+        main(["info"])
+    assert stopped.value.code == 130
+    assert capsys.readouterr().err == "vergence: interrupted: nothing was written\n"
 
 
 @pytest.mark.usefixtures("restored")

@@ -43,6 +43,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime.nrt import rtsys
 from numba.core.typed_passes import NativeLowering
 from numba.np.numpy_support import as_dtype
 from numba.np.ufunc.ufuncbuilder import GUFuncBuilder
@@ -478,7 +479,7 @@ class _KernelCache(Cache):
         self.enable()  # type: ignore[no-untyped-call]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        target_context.refresh()
+        rtsys.initialize(target_context)  # all that code needs which is not compiled here
         types, processor, code = self._index_key(sig, target_context.codegen())  # type: ignore[no-untyped-call]
         shipped = processor[0], *PORTABLE_PROCESSORS.get(platform.machine(), ("", ""))
         for folder, kind in ((shipped_folder(), shipped), (cache_folder(), processor)):

@@ -8,9 +8,13 @@ line is changed: a program that imports the package keeps its own handling.
 import os
 import signal
 import sys
+import threading
+from _thread import interrupt_main
 from contextlib import suppress
 
 NOTHING_WRITTEN = "interrupted: nothing was written"
+_REPEAT_S = 0.05
+"""Time after which a lost interruption is repeated, s (chosen: the callback has ended by then)."""
 
 _interrupted = False
 _started_as_command = False  # True if this process was started as the command line
@@ -29,6 +33,7 @@ def raise_on_interrupt() -> None:
     """Make Ctrl-C raise `KeyboardInterrupt` from now on, and record it, see `was_interrupted`."""
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, _interrupt)
+        sys.unraisablehook = _repeat_if_lost
 
 
 def raise_on_termination() -> None:
@@ -78,6 +83,26 @@ def _interrupt(number: int, frame: object) -> None:
     global _interrupted
     _interrupted = True
     raise KeyboardInterrupt
+
+
+def _repeat_if_lost(lost: "sys.UnraisableHookArgs") -> None:
+    """Interrupt again if the first time was in a callback or finaliser, from where none gets out.
+
+    Python calls it with each exception that it cannot pass on.
+    """
+    if lost.exc_type is KeyboardInterrupt:
+        again = threading.Timer(_REPEAT_S, _interrupt_main_thread)
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(lost)
+
+
+def _interrupt_main_thread() -> None:
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+    else:  # Windows
+        interrupt_main()
 
 
 end_quietly_on_interrupt()

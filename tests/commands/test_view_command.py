@@ -61,7 +61,7 @@ def test_the_page_is_served_until_ctrl_c(words, tmp_path):
         process.send_signal(signal.SIGINT)
         _out, err = process.communicate(timeout=60)
         assert process.returncode == 0
-        assert err == ""
+        assert [said for said in err.splitlines() if "compiling kernels" not in said] == []
     finally:
         process.kill()
         process.communicate()

@@ -140,7 +140,7 @@ class DenavitHartenberg(FrozenArrays):
         """
         i = frame - 1
         before = _rot_x(self.alpha[..., i]) @ _translation(0, self.a[..., i])
-        return before @ _rot_z(self.offset[..., i]), _translation(2, self.d[..., i])
+        return before @ rot_z(self.offset[..., i]), _translation(2, self.d[..., i])
 
     def constant_poses(self) -> list[FloatArray]:
         """See `Links.constant_poses`."""
@@ -225,7 +225,7 @@ _GENERATORS: Final = {
 
 def _factor(field: str, value: float) -> FloatArray:
     number = np.float64(value)
-    make = {"alpha": _rot_x, "offset": _rot_z}.get(field)
+    make = {"alpha": _rot_x, "offset": rot_z}.get(field)
     if make is not None:
         return make(np.asarray(number))
     return _translation(0 if field == "a" else 2, np.asarray(number))
@@ -304,7 +304,8 @@ def _rot_x(angle: FloatArray) -> FloatArray:
     return out
 
 
-def _rot_z(angle: FloatArray) -> FloatArray:
+def rot_z(angle: FloatArray) -> FloatArray:
+    """(..., 4, 4) rotation about z by each angle, rad."""
     out = np.zeros((*angle.shape, 4, 4))
     out[..., 2, 2] = out[..., 3, 3] = 1.0
     out[..., 0, 0] = out[..., 1, 1] = np.cos(angle)

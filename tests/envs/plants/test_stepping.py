@@ -13,7 +13,8 @@ from vergence.envs.plants import threads
 from vergence.envs.plants.commands import store_commands
 from vergence.envs.plants.kinematic import KinematicPlant, move_motors
 from vergence.envs.plants.sensing import read_sensors, simulate_detections
-from vergence.envs.plants.stepping import EXPOSE, MOVE, REPORT, STORE
+from vergence.envs.plants.starting import expose_frames_before_start
+from vergence.envs.plants.stepping import EXPOSE, MOVE, REPORT, STORE, WARM_UP
 from vergence.envs.plants.track import (
     expose_on_trajectory,
     mean_substep_controls,
@@ -54,6 +55,8 @@ def advance_in_parts(plant, ids, phases):
         move(plant, ids, packed, scene, motors, frames, exposures)
         steps[ids] += 1
     if phases & EXPOSE:
+        simulate_detections(ids, timing, packed, keys, scene, exposures, frames)
+    while phases & WARM_UP and expose_frames_before_start(ids, packed, scene, frames, exposures):
         simulate_detections(ids, timing, packed, keys, scene, exposures, frames)
     if phases & REPORT:
         read_sensors(

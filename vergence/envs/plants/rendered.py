@@ -26,7 +26,8 @@ from vergence.envs.plants.scene import (
     true_head_row,
 )
 from vergence.envs.plants.simulation import TrialStart
-from vergence.envs.plants.stepping import EXPOSE, MOVE, REPORT, STORE
+from vergence.envs.plants.starting import expose_frames_before_start
+from vergence.envs.plants.stepping import EXPOSE, MOVE, REPORT, STORE, WARM_UP
 from vergence.envs.plants.variation import RANGES
 from vergence.envs.reading import BoolArray, Image, Reading
 from vergence.envs.saved_state import Arrays
@@ -128,8 +129,16 @@ class RenderedPlant(MujocoPlant):
         return super().begin(start)
 
     def _advance(self, ids: IntArray, phases: int) -> bool:
+        while phases & WARM_UP and expose_frames_before_start(
+            ids,
+            untyped_tuple(self._true_heads.packed),
+            untyped_tuple(self._scene),
+            untyped_tuple(self._frames),
+            untyped_tuple(self._exposures),
+        ):
+            self._advance(ids, EXPOSE)
         if not phases & EXPOSE:
-            return super()._advance(ids, phases)
+            return super()._advance(ids, phases & ~WARM_UP)
         if not super()._advance(ids, phases & (LIMIT | STORE | MOVE)):
             return False
         for env in ids.tolist():

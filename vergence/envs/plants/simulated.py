@@ -27,6 +27,7 @@ from vergence.envs.plants.stepping import (
     MOVE,
     REPORT,
     STORE,
+    WARM_UP,
     StepArrays,
     advance_around_motion,
 )
@@ -247,21 +248,17 @@ class SimulatedPlant(Simulation):
             positions = positions.copy()
             positions[:, self._missing_joints] = 0.0
         self._resize_motions(start.motions.shape[1], all_heads=len(ids) == self.num)
-        packed, scene = untyped_tuple(self._true_heads.packed), untyped_tuple(self._scene)
-        frames = untyped_tuple(self._frames)
         self._streams.start(ids, start.seeds, start.trials)
         self._true_heads.draw(self._streams, ids)
         starting.begin_trials(
-            ids, positions, start.motions, packed, untyped_tuple(self._streams.keys), scene,
+            ids, positions, start.motions, untyped_tuple(self._true_heads.packed),
+            untyped_tuple(self._streams.keys), untyped_tuple(self._scene),
             untyped_tuple(self._motors), self._coupling, untyped_tuple(self._commands),
-            untyped_tuple(self._feedback), frames, untyped_tuple(self.reading),
+            untyped_tuple(self._feedback), untyped_tuple(self._frames),
+            untyped_tuple(self.reading),
         )  # fmt: skip
         self._put_at_rest(ids)
-        while starting.expose_frames_before_start(
-            ids, packed, scene, frames, untyped_tuple(self._exposures)
-        ):
-            self._advance(ids, EXPOSE)
-        self._advance(ids, REPORT)
+        self._advance(ids, WARM_UP | REPORT)
         self.reading.frame[ids] = 0
         return self.reading
 

@@ -19,6 +19,7 @@ from vergence.envs.plants.frames import Exposures, Frames
 from vergence.envs.plants.motors import ActuatorCoupling, MotorStates, name_coupling
 from vergence.envs.plants.scene import TrueHeadsAndTargets
 from vergence.envs.plants.sensing import SensorTiming, read_sensors, simulate_detections
+from vergence.envs.plants.starting import expose_frames_before_start
 from vergence.envs.reading import Reading
 from vergence.envs.streams import IntArray, StreamKeys
 
@@ -31,6 +32,8 @@ EXPOSE: Final = 16
 """Take the period's frames (numerical)."""
 REPORT: Final = 32
 """Read the sensors (numerical)."""
+WARM_UP: Final = 64
+"""Take the frames of starting trials from before time zero, in place of a period (numerical)."""
 ALL_PHASES: Final = LIMIT | STORE | MOVE | EXPOSE | REPORT | JUDGE
 
 
@@ -93,6 +96,11 @@ def end_period(table: NDArray[np.void], ids: IntArray, phases: int) -> None:
         simulate_detections(
             ids, own.timing, own.packed, own.keys, own.scene, own.exposures, own.frames
         )
+    if phases & WARM_UP:
+        while expose_frames_before_start(ids, own.packed, own.scene, own.frames, own.exposures):
+            simulate_detections(
+                ids, own.timing, own.packed, own.keys, own.scene, own.exposures, own.frames
+            )
     if phases & REPORT:
         read_sensors(
             ids, own.timing, own.packed, own.keys, steps, own.motors,

@@ -5,11 +5,10 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from vergence.models.head import HeadModel
 from vergence.models.joints import EYE_NAMES
-from vergence.models.links import chain_end
+from vergence.models.links import chain_end, rot_z
 from vergence.models.mujoco.inertia import link_inertia
 from vergence.models.parts import FloatArray
 
@@ -46,7 +45,7 @@ def add_bodies(
         link = links[place]
         pose = link.pose
         if link.name in welded_angles:
-            pose = pose @ _turn_z(welded_angles[link.name])
+            pose = pose @ rot_z(np.array(welded_angles[link.name]))
         body = bodies[link.parent].add_body(
             name=body_name(link.name), gravcomp=1.0, **pos_and_quat(pose)
         )
@@ -112,11 +111,6 @@ def mujoco_principal(head: HeadModel) -> FloatArray:
 
 def pos_and_quat(pose: FloatArray) -> dict[str, FloatArray]:
     """Convert a pose (4, 4) in the parent to MuJoCo's attributes `pos` and `quat`."""
-    quat = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True, scalar_first=True)
-    return {"pos": pose[:3, 3], "quat": quat}
-
-
-def _turn_z(angle: float) -> FloatArray:
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
-    return pose
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, pose[:3, :3].ravel())
+    return {"pos": pose[:3, 3], "quat": np.copysign(1.0, quat[0]) * quat}

@@ -7,10 +7,9 @@ head at rest looks along -y.
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from vergence.models.head import HeadModel
-from vergence.models.links import DenavitHartenberg, chain_end
+from vergence.models.links import DenavitHartenberg, chain_end, rot_z
 from vergence.models.parts import FloatArray
 
 ARTICLE_BASELINE_M: Final = 0.092
@@ -89,10 +88,8 @@ def rest_poses(head: HeadModel) -> RestPoses:
     q, links = head.rest(), head.links.bodies()
     frames: list[FloatArray] = []
     for body in links:
-        turn = np.eye(4)
-        turn[:3, :3] = Rotation.from_rotvec([0.0, 0.0, q[body.joints[0]]]).as_matrix()
         parent = frames[body.parent] if body.parent >= 0 else np.eye(4)
-        frames.append(parent @ body.pose @ turn)
+        frames.append(parent @ body.pose @ rot_z(q[body.joints[0]]))
     base = head.base_pose(q)
     upright = np.eye(4)
     is_article = isinstance(head.links, DenavitHartenberg)

@@ -83,11 +83,11 @@ class Surroundings(NamedTuple):
         """Convert a position and a quaternion in the upright frame to MuJoCo's attributes."""
         if np.array_equal(self.upright_frame, np.eye(4)):
             return {"pos": point, "quat": quat}
-        from scipy.spatial.transform import Rotation
-
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, np.asarray(quat, np.float64))
         pose = np.eye(4)
-        rotation = Rotation.from_quat(np.asarray(quat), scalar_first=True).as_matrix()
-        pose[:3, :3], pose[:3, 3] = self.upright_frame[:3, :3] @ rotation, self.to_frame_0(point)
+        pose[:3, :3] = self.upright_frame[:3, :3] @ rotation.reshape(3, 3)
+        pose[:3, 3] = self.to_frame_0(point)
         return pos_and_quat(pose)
 
 
