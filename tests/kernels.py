@@ -20,7 +20,7 @@ import numpy as np
 
 from tests.heads import head_of
 from vergence import HeadModel, load_head, make_controller
-from vergence._jit import PORTABLE_PROCESSORS, SHIPPED, cache_folder, shipped_name
+from vergence._kernel_cache import PORTABLE_PROCESSORS, SHIPPED, cache_folder, shipped_name
 from vergence.controllers.controller import CONTROLLERS
 from vergence.envs.layout import ObservationLayout
 from vergence.envs.task import GazeTask

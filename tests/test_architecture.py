@@ -25,6 +25,7 @@ LAYERS = (
         "operands",
         "json_values",
         "_jit",
+        "_kernel_cache",
         "_runs",
         "_tables",
     },

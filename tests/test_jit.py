@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numba.core.caching import IndexDataCacheFile
 
-from vergence import _jit, _runs
+from vergence import _jit, _kernel_cache, _runs
 from vergence.models.pose import Pose, direction_to_outer
 from vergence.triangulation.rays import triangulate
 
@@ -34,11 +34,11 @@ def inverse(x):
 PRINT = "from heads.kernels import *; print(scaled([1.0, 2.0]), inverse(2.0), inverse(0.0))"
 WATCH = """
 import fcntl
-from heads import _jit
+from heads import _jit, _kernel_cache
 
 class Watched(_jit._GufuncBuilder):
     def build_ufunc(self):
-        with open(_jit.cache_folder() / "heads.kernels.scaled.lock", "w") as file:
+        with open(_kernel_cache.cache_folder() / "heads.kernels.scaled.lock", "w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -57,7 +57,9 @@ def package(tmp_path):
     folder = tmp_path / "heads"
     folder.mkdir()
     (folder / "__init__.py").touch()
-    shutil.copy(_jit.__file__, folder)
+    for module in (_jit, _kernel_cache):
+        text = Path(module.__file__).read_text().replace("vergence._kernel", "heads._kernel")
+        (folder / Path(module.__file__).name).write_text(text)
     (folder / "helper.py").write_text(HELPER.format(factor=2.0))
     (folder / "kernels.py").write_text(KERNELS)
     return folder
@@ -116,13 +118,13 @@ def make_kernels():
 
 def said_by_a_call() -> list[str]:
     said: list[str] = []
-    _jit.set_compile_reporter(said.append)
+    _kernel_cache.set_compile_reporter(said.append)
     doubled, halved = make_kernels()
     try:
         assert doubled([1.0, 2.0]).tolist() == [2.0, 4.0]
         assert halved(1.0) == 0.5
     finally:
-        _jit.set_compile_reporter(None)
+        _kernel_cache.set_compile_reporter(None)
     return said
 
 
@@ -142,7 +144,7 @@ def test_a_device_called_from_python_runs_as_python():
 
 
 def test_compiling_is_said_once_and_not_when_it_is_kept(monkeypatch, tmp_path):
-    monkeypatch.setattr(_jit, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: tmp_path)
     (first,) = said_by_a_call()
     assert first.startswith("compiling kernels")
     assert ", once" in first
@@ -150,7 +152,7 @@ def test_compiling_is_said_once_and_not_when_it_is_kept(monkeypatch, tmp_path):
 
 
 def test_compiling_at_every_call_is_said_with_its_reason(monkeypatch):
-    monkeypatch.setattr(_jit, "cache_folder", lambda: None)
+    monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: None)
     for _call in range(2):
         (text,) = said_by_a_call()
         assert "at every call, as no folder to keep them in can be written" in text
@@ -158,12 +160,12 @@ def test_compiling_at_every_call_is_said_with_its_reason(monkeypatch):
 
 
 def test_workers_without_a_voice_are_spoken_for_once(monkeypatch):
-    monkeypatch.setattr(_jit, "cache_folder", lambda: None)
+    monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: None)
     said: list[str] = []
-    _jit.set_compile_reporter(said.append)
-    _jit.report_compiling_if_uncached()
-    _jit.report_compiling_if_uncached()
-    _jit.set_compile_reporter(None)
+    _kernel_cache.set_compile_reporter(said.append)
+    _kernel_cache.report_compiling_if_uncached()
+    _kernel_cache.report_compiling_if_uncached()
+    _kernel_cache.set_compile_reporter(None)
     assert len(said) == 1
 
 
@@ -171,7 +173,7 @@ def test_a_full_disk_costs_the_cache_and_not_the_result(monkeypatch, tmp_path):
     def save(*arguments):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(_jit, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(IndexDataCacheFile, "save", save)
     compiling, kept = said_by_a_call()
     assert compiling.startswith("compiling kernels")
@@ -183,7 +185,7 @@ def test_a_cache_that_cannot_be_read_is_done_without(monkeypatch, tmp_path):
     def load(*arguments):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
-    monkeypatch.setattr(_jit, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(IndexDataCacheFile, "load", load)
     assert said_by_a_call()
 
@@ -231,7 +233,7 @@ def test_kernels_work_where_nothing_can_be_written(package, tmp_path):
 
 @pytest.mark.slow
 def test_shipped_kernels_are_used_where_they_fit_and_nowhere_else(package, tmp_path):
-    processor, features = _jit.PORTABLE_PROCESSORS[platform.machine()]
+    processor, features = _kernel_cache.PORTABLE_PROCESSORS[platform.machine()]
     made = run(
         package,
         NUMBA_CACHE_DIR=str(tmp_path / "made"),
@@ -240,12 +242,14 @@ def test_shipped_kernels_are_used_where_they_fit_and_nowhere_else(package, tmp_p
     )
     (compiled,) = (tmp_path / "made").iterdir()
     shipped = (
-        package / "kernels" / run(package, "from heads import _jit; print(_jit.shipped_name())")
+        package
+        / "kernels"
+        / run(package, "from heads import _kernel_cache as kept; print(kept.shipped_name())")
     )
     shutil.copytree(compiled, shipped)
     assert run(package, NUMBA_CACHE_DIR=str(tmp_path / "first")) == made
     assert not compiled_files(tmp_path / "first")
-    older = "from heads import _jit; _jit.get_host_cpu_features = dict; " + PRINT
+    older = "from heads import _kernel_cache as kept; kept.get_host_cpu_features = dict; " + PRINT
     assert run(package, older, NUMBA_CACHE_DIR=str(tmp_path / "second")) == made
     assert compiled_files(tmp_path / "second") or platform.machine() not in ("x86_64", "AMD64")
     (package / "helper.py").write_text(HELPER.format(factor=4.0))

@@ -1,80 +1,46 @@
-"""Compile kernels with numba, configured here once, with an on-disk cache that is never stale.
+"""Compile kernels with numba, configured here once; `vergence._kernel_cache` keeps them.
 
-Numba stores machine code beside a function's source and recompiles if that file changes. It does
-not notice a change in another module whose function or constant was compiled in, so a kernel would
-keep running the old code of an edited helper. Here the cache's folder is named by a digest of all
-modules that import this one, so that a change of any of them discards the cache. A constant that is
-compiled in must therefore be in such a module.
-
-A wheel may carry compiled kernels in a second folder, which is only read; `make wheel` fills it. It
-serves the sources, Python and numba that it was made with, on every processor of its kind;
-elsewhere kernels are compiled when they are called.
-
-If no folder can be written, kernels still work: each process then compiles them for itself.
-
-Functions are compiled when they are called, none at import. Most of the time goes into type
-inference, which treats a function anew for each combination of argument types. Kernels therefore
-use loops over scalars (assigning a slice costs seconds for NumPy's rules), and a number passed to a
-helper has the same type whether it is a constant or not.
+Functions are compiled when they are called, none at import, and anew for each combination of
+argument types. Kernels therefore use loops over scalars (assigning a slice costs seconds for
+NumPy's rules), and a number passed to a helper has the same type whether it is a constant or not.
 """
 
-import atexit
 import contextlib
 import functools
 import gc
-import hashlib
 import inspect
-import os
-import platform
 import re
-import shutil
-import sys
-import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
 import numba
-from llvmlite.binding import get_host_cpu_features
-from numba.core import event, types
-from numba.core.caching import Cache, IndexDataCacheFile
+from numba.core import types
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.registry import CPUDispatcher
-from numba.core.runtime.nrt import rtsys
 from numba.core.typed_passes import NativeLowering
 from numba.np.numpy_support import as_dtype
 from numba.np.ufunc.ufuncbuilder import GUFuncBuilder
 from numba.np.ufunc.wrappers import _GufuncWrapper
 
+from vergence._kernel_cache import KernelCache, WrapperCache, compiling_alone
 from vergence.errors import ConfigurationError
 from vergence.operands import as_operand
 
-try:
-    import fcntl
-except ImportError:  # Windows: no lock, so the first run there should be a single process
-    fcntl = None  # type: ignore[assignment]
-
 __all__ = [
     "GufuncKernel",
-    "cache_folder",
     "compiled",
     "compiled_for_threads",
     "inlined",
     "kernel",
-    "set_compile_reporter",
     "subroutine",
     "untyped_tuple",
 ]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Group = TypeVar("_Group", bound=tuple[Any, ...])
-
-_PACKAGE = Path(__file__).resolve().parent
-SHIPPED: Final = _PACKAGE / "kernels"
-"""Folder of the compiled kernels that a wheel carries; a clone has none."""
 
 
 class GufuncKernel:
@@ -151,7 +117,7 @@ class GufuncKernel:
         name = f"{self.__module__}.{self._function.__qualname__}"
         # numba does not support fixed dimensions: it gets names instead, and NumPy the numbers
         builder = _GufuncBuilder(self._function, re.sub(r"\b(?=\d)", "size", self.layout))
-        with _alone(name), _paused_garbage_collection():
+        with compiling_alone(name), _paused_garbage_collection():
             for signature in self._signatures:
                 builder.add(signature)  # type: ignore[no-untyped-call]
             builder.signature = self.layout
@@ -246,7 +212,7 @@ class _Kernel(CPUDispatcher):
 
     def __init__(self, function: Callable[..., Any], targetoptions: dict[str, Any]) -> None:
         super().__init__(function, targetoptions=targetoptions)
-        self._cache = _KernelCache(function)
+        self._cache = KernelCache(function)
 
     def compile(self, sig: Any) -> Any:
         with _paused_garbage_collection():
@@ -350,258 +316,16 @@ def untyped_tuple(group: _Group) -> _Group:
     return cast("_Group", tuple(group))
 
 
-@functools.cache
-def cache_folder() -> Path | None:
-    """Folder of the machine code of this version of the sources.
-
-    It is in the first of these that can be written: ``NUMBA_CACHE_DIR``, the package's own
-    ``__pycache__``, the user's cache folder.
-
-    Returns:
-        An existing folder, or None if none can be written: nothing is cached then.
-    """
-    if not Path(__file__).is_file():  # imported from an archive, whose files numba cannot check
-        return None
-    place = hashlib.sha256(os.fsencode(_PACKAGE)).hexdigest()[:8]
-    name = f"kernels-{place}-{_source_digest()}"
-    for parent in _cache_parents():
-        folder = parent / name
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            tempfile.TemporaryFile(dir=folder).close()
-        except OSError:
-            continue
-        for outdated in parent.glob(f"kernels-{place}-*"):
-            if outdated != folder:
-                shutil.rmtree(outdated, ignore_errors=True)
-        return folder
-    return None
-
-
-PORTABLE_PROCESSORS: Final = {
-    "x86_64": ("x86-64-v3", ""),
-    "AMD64": ("x86-64-v3", ""),
-    "aarch64": ("generic", ""),
-    "arm64": ("generic", ""),
-}
-"""Processor that shipped kernels are compiled for, as LLVM names it, with further features; by the
-name of the kind of machine."""
-_X86_64_V3: Final = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
-"""Processor features that x86-64-v3 adds to its predecessor."""
-
-
-def shipped_name() -> str:
-    """Name of the folder of shipped kernels for these sources, this Python, numba and machine."""
-    made_with = f"{sys.implementation.cache_tag}-numba-{numba.__version__}"
-    return f"{_source_digest()}-{made_with}-{sys.platform}-{platform.machine()}"
-
-
-@functools.cache
-def shipped_folder() -> Path | None:
-    """Folder of compiled kernels that came with the package; None if none fit this machine."""
-    folder = SHIPPED / shipped_name()
-    if not folder.is_dir():
-        return None
-    if platform.machine() in ("x86_64", "AMD64"):
-        features = cast("dict[str, bool]", get_host_cpu_features())
-        if not all(features.get(name) for name in _X86_64_V3):
-            return None
-    return folder
-
-
-def _cache_parents() -> Iterator[Path]:
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    if chosen:
-        yield Path(chosen)
-    yield _PACKAGE / "__pycache__"
-    cache_home = os.environ.get("XDG_CACHE_HOME")
-    if cache_home:
-        yield Path(cache_home) / "vergence"
-    with contextlib.suppress(RuntimeError):  # no home folder is known for this user
-        yield Path.home() / ".cache" / "vergence"
-
-
-@functools.cache
-def _discard_mixed_at_exit(folder: Path) -> None:
-    """Delete the cache at exit if the sources have changed while this process compiled them."""
-
-    def discard() -> None:
-        if _source_digest() != _source_digest.__wrapped__():
-            shutil.rmtree(folder, ignore_errors=True)
-
-    atexit.register(discard)
-
-
-@functools.cache
-def _source_digest() -> str:
-    """Digest of all modules that may be compiled: those whose text names this module."""
-    digest = hashlib.sha256()
-    for source in sorted(_PACKAGE.rglob("*.py")):
-        text = source.read_bytes()
-        if b"_jit" in text:
-            digest.update(source.relative_to(_PACKAGE).as_posix().encode())
-            digest.update(text)
-    return digest.hexdigest()[:16]
-
-
-@contextlib.contextmanager
-def _alone(name: str) -> Iterator[None]:
-    """Wait until no other process is compiling a kernel of this name into the cache folder.
-
-    Numba stores a kernel's loop and its ufunc wrapper in two files, and the wrapper calls the loop
-    by a name that differs between processes. If two processes wrote at once, the two files might
-    not match, and every later process would call an address that does not exist.
-    """
-    folder = cache_folder()
-    if folder is None or fcntl is None:
-        yield
-        return
-    with contextlib.ExitStack() as stack:
-        # numba recreates a folder that another version of the sources has just removed
-        with contextlib.suppress(OSError):
-            file = stack.enter_context((folder / f"{name}.lock").open("w"))
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
-
-
-class _KernelCache(Cache):
-    """Numba's cache of one function, in the folders of this module.
-
-    An error of reading or saving only means compiling again.
-    """
-
-    _suffix = ""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._py_func = function
-        name = re.sub("[<>]", "", function.__qualname__)
-        self._file_name = f"{name}-{function.__code__.co_firstlineno}{self._suffix}"
-        self.enable()  # type: ignore[no-untyped-call]
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        rtsys.initialize(target_context)  # all that code needs which is not compiled here
-        types, processor, code = self._index_key(sig, target_context.codegen())  # type: ignore[no-untyped-call]
-        shipped = processor[0], *PORTABLE_PROCESSORS.get(platform.machine(), ("", ""))
-        for folder, kind in ((shipped_folder(), shipped), (cache_folder(), processor)):
-            if folder is not None:
-                with contextlib.suppress(OSError):
-                    data = self._file(folder).load((types, kind, code))
-                    if data is not None:
-                        return self._rebuilt(target_context, data)
-        return None
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        folder = cache_folder()
-        reduced = None if folder is None else self._reduced(data)
-        if folder is None or reduced is None:
-            return
-        _discard_mixed_at_exit(folder)
-        try:
-            (folder / self._py_func.__module__).mkdir(parents=True, exist_ok=True)
-            self._file(folder).save(self._index_key(sig, data.codegen), reduced)  # type: ignore[no-untyped-call]
-        except OSError as error:
-            _REPORTER.not_kept(error)
-
-    def _file(self, folder: Path) -> IndexDataCacheFile:
-        place = str(folder / self._py_func.__module__)
-        return IndexDataCacheFile(place, self._file_name, source_stamp="")
-
-    def _reduced(self, data: Any) -> Any:
-        """Data for the file; None if the code holds an address of this process."""
-        return None if data.library.has_dynamic_globals else data._reduce()
-
-    def _rebuilt(self, target_context: Any, data: Any) -> Any:
-        return CompileResult._rebuild(target_context, *data)
-
-
-class _WrapperCache(_KernelCache):
-    """Cache of the code by which NumPy calls a kernel's loop."""
-
-    _suffix = "-wrapper"
-
-    def _reduced(self, data: Any) -> Any:
-        return None if data.has_dynamic_globals else data.serialize_using_object_code()
-
-    def _rebuilt(self, target_context: Any, data: Any) -> Any:
-        return target_context.codegen().unserialize_library(data)
-
-
 class _GufuncBuilder(GUFuncBuilder):
     """Numba's builder of generalized ufuncs, with the caches of this module."""
 
     def __init__(self, function: Callable[..., Any], layout: str) -> None:
         super().__init__(function, layout)  # type: ignore[no-untyped-call]
-        self.nb_func.cache = _KernelCache(function)
+        self.nb_func.cache = KernelCache(function)
 
     def build(self, cres: Any) -> Any:
         wrapper = _GufuncWrapper(self.py_func, cres, self.sin, self.sout, False, False)
-        wrapper.cache = _WrapperCache(self.py_func)
+        wrapper.cache = WrapperCache(self.py_func)
         built = wrapper.build()
         numbers = [as_dtype(getattr(kind, "dtype", kind)).num for kind in cres.signature.args]
         return numbers, built.library.get_pointer_to_function(built.name), built.env
-
-
-class _Reporter(event.Listener):
-    """Reports once that kernels are being compiled, and once that they cannot be cached."""
-
-    def __init__(self) -> None:
-        self.start(None)
-        event.register("numba:run_pass", self)
-
-    def start(self, tell: Callable[[str], None] | None) -> None:
-        self._tell = tell
-        self._said: set[str] = set()
-
-    def on_start(self, event: Any) -> None:
-        self.compiling()
-
-    def on_end(self, event: Any) -> None:
-        pass
-
-    def compiling(self) -> None:
-        if cache_folder() is None:
-            self._say("compiling", _UNCACHED_MESSAGE)
-        else:
-            self._say("compiling", _CACHED_MESSAGE)
-
-    def not_kept(self, error: OSError) -> None:
-        reason = error.strerror or str(error)
-        self._say("kept", f"compiled kernels cannot be kept for the next call: {reason}")
-
-    def _say(self, what: str, text: str) -> None:
-        if self._tell is not None and what not in self._said:
-            self._said.add(what)
-            self._tell(text)
-
-
-_COMPILE_TIME_TEXT: Final = "some ten seconds to a minute"
-"""Compile time on most machines; it depends on the machine and the command (least for a gaze)."""
-_CACHED_MESSAGE: Final = (
-    f"compiling kernels: {_COMPILE_TIME_TEXT}, once; another command may need others"
-)
-_UNCACHED_MESSAGE: Final = (
-    f"compiling kernels: {_COMPILE_TIME_TEXT} at every call, as no folder to keep them in can be "
-    "written; NUMBA_CACHE_DIR names another"
-)
-_REPORTER: Final = _Reporter()
-
-
-def set_compile_reporter(report: Callable[[str], None] | None) -> None:
-    """Set the callback for messages that kernels are being compiled or cannot be cached.
-
-    Args:
-        report: called with a message when the first kernel is about to be compiled, and with one
-            if compiled kernels cannot be cached; None for silence.
-    """
-    _REPORTER.start(report)
-
-
-def report_compiling_if_uncached() -> None:
-    """Report that kernels will be compiled if the cache holds none yet.
-
-    Called before worker processes start, as these do not report it themselves.
-    """
-    folder = cache_folder()
-    cached = folder is not None and any(folder.rglob("*.nbi"))
-    if not cached and shipped_folder() is None:
-        _REPORTER.compiling()

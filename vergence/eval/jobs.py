@@ -18,7 +18,7 @@ from multiprocessing import resource_tracker
 from types import ModuleType
 from typing import Any, Final, TypeVar
 
-from vergence._jit import report_compiling_if_uncached
+from vergence._kernel_cache import report_compiling_if_uncached
 from vergence.errors import ConfigurationError, VergenceError, how_to_install
 from vergence.eval.reporting.runs import package_versions
 
