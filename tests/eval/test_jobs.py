@@ -8,6 +8,7 @@ from functools import partial
 
 import pytest
 
+from vergence.envs.plants.threads import bounds
 from vergence.errors import ConfigurationError
 from vergence.eval.jobs import ProcessMapper, RayMapper, SerialMapper, open_mapper
 
@@ -32,6 +33,11 @@ def test_results_come_in_the_order_of_the_jobs_and_progress_counts_to_their_numb
 def test_a_jobs_error_is_raised_as_it_is(make):
     with pytest.raises(ValueError, match=r"^invalid literal for int"):
         make()([*JOBS, partial(int, "no number"), *JOBS])
+
+
+@pytest.mark.slow
+def test_a_worker_steps_its_batches_in_one_thread():
+    assert ProcessMapper(2)([partial(bounds, 4096, 1)] * 2) == [(0, 4096)] * 2
 
 
 def test_there_is_at_least_one_worker():

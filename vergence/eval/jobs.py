@@ -19,6 +19,7 @@ from types import ModuleType
 from typing import Any, Final, TypeVar
 
 from vergence._kernel_cache import report_compiling_if_uncached
+from vergence.envs.plants.threads import limit_threads, processors
 from vergence.errors import ConfigurationError, VergenceError, how_to_install
 from vergence.eval.reporting.runs import package_versions
 
@@ -169,6 +170,7 @@ def _run_single_threaded(job: Callable[[], T]) -> T:
     import cv2
 
     cv2.setNumThreads(1)
+    limit_threads(1)
     # output of user-defined code must not mix with results on standard output
     with redirect_stdout(sys.stderr):
         return job()
@@ -191,7 +193,7 @@ def open_mapper(
     Raises:
         ConfigurationError: there is not at least one worker, or no such cluster.
     """
-    workers = (os.cpu_count() or 1) if workers is None else workers
+    workers = processors() if workers is None else workers
     mapper: Mapper = ProcessMapper(workers, progress)
     if cluster is not None:
         mapper = RayMapper(cluster, progress)

@@ -44,9 +44,6 @@ class KinematicPlant(SimulatedPlant):
     def _put_at_rest(self, ids: IntArray) -> None:
         """Nothing to do: the motors' angles are the state."""
 
-    def _move(self) -> None:
-        self._advance(self._all, MOVE)
-
     def _advance(self, ids: IntArray, phases: int) -> bool:
         at = bounds(len(ids), _HEADS_PER_THREAD)
         return advance_in_threads(advance_kinematic, self._table, ids, phases, at=at)

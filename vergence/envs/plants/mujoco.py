@@ -229,9 +229,6 @@ class MujocoPlant(SimulatedPlant):
             state_size=self._batch.state.strides[0],
         )
 
-    def _move(self) -> None:
-        self._advance(self._all, MOVE)
-
     def _advance(self, ids: IntArray, phases: int) -> bool:
         if self.num == 1 and self._inside:  # as below, without its cost
             return advance_mujoco(self._table, ids, phases, 0)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vergence._jit import untyped_tuple
 from vergence._tables import make_table
-from vergence.envs.judging import JUDGE, LIMIT, TaskArrays
+from vergence.envs.judging import JUDGE, TaskArrays
 from vergence.envs.plants import starting
 from vergence.envs.plants.commands import CommandBuffers
 from vergence.envs.plants.conditions import Conditions
@@ -29,7 +29,6 @@ from vergence.envs.plants.stepping import (
     STORE,
     WARM_UP,
     StepArrays,
-    advance_around_motion,
 )
 from vergence.envs.plants.true_heads import TrueHeadsAndConditions
 from vergence.envs.plants.variation import RANGES, Variation, make_variation
@@ -171,8 +170,12 @@ class SimulatedPlant(Simulation):
         """Put the joints of some heads at rest, at the angles in scene and motors."""
 
     @abstractmethod
-    def _move(self) -> None:
-        """Move motors and joints through a period, and record the joints at its exposures."""
+    def _advance(self, ids: IntArray, phases: int) -> bool:
+        """Run phases of a control period, see `vergence.envs.plants.stepping`.
+
+        Returns:
+            False if an action or a command is nan.
+        """
 
     def join(self, task: TaskArrays) -> None:
         """Apply the actions of a task from now on, and judge its steps; see `act`."""
@@ -218,15 +221,6 @@ class SimulatedPlant(Simulation):
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_kept_table": None}
-
-    def _advance(self, ids: IntArray, phases: int) -> bool:
-        """Run phases of a control period; False if an action or a command is nan."""
-        if not phases & MOVE:
-            return advance_around_motion(self._table, ids, phases)
-        if not advance_around_motion(self._table, ids, phases & (LIMIT | STORE)):
-            return False
-        self._move()
-        return advance_around_motion(self._table, ids, phases & ~(LIMIT | STORE))
 
     def reset(self, ids: IntArray, positions: FloatArray) -> Reading:
         """Put heads at rest and restart their last trials, see `Plant.reset`."""

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vergence._jit import compiled, subroutine
+from vergence._jit import subroutine
 from vergence._tables import unpack_table
 from vergence.envs.judging import JUDGE, LIMIT, TaskArrays, judge_steps, limit_actions
 from vergence.envs.plants.commands import CommandBuffers, store_commands
@@ -108,21 +108,3 @@ def end_period(table: NDArray[np.void], ids: IntArray, phases: int) -> None:
         )  # fmt: skip
     if phases & JUDGE:
         judge_steps(ids, own.task, own.reading)
-
-
-@compiled
-def advance_around_motion(table: NDArray[np.void], ids: IntArray, phases: int) -> bool:
-    """Run any phases but `MOVE`, for plants that move their joints by other means.
-
-    Args:
-        table: table of `StepArrays`.
-        ids: (m,) environment indices.
-        phases: the phases to run; `MOVE` only counts the period, after its motion.
-
-    Returns:
-        False if an action or a command is nan.
-    """
-    if not begin_period(table, ids, phases):
-        return False
-    end_period(table, ids, phases)
-    return True

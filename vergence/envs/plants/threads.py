@@ -13,6 +13,14 @@ from typing import Any
 
 from vergence.envs.streams import IntArray
 
+_most_threads = 0
+
+
+def limit_threads(most: int) -> None:
+    """Step no batch of this process in more threads than these; 0 for one per processor."""
+    global _most_threads
+    _most_threads = most
+
 
 @cache
 def processors() -> int:
@@ -42,7 +50,7 @@ def bounds(count: int, least: int, most: int = 0) -> tuple[int, ...]:
     Returns:
         First heads of the parts, and at last `count`.
     """
-    parts = min(most or processors(), count // least)
+    parts = min(most or _most_threads or processors(), count // least)
     if parts < 2:
         return 0, count
     return tuple(count * part // parts for part in range(parts + 1))
