@@ -102,6 +102,21 @@ def test_ctrl_c_in_a_callback_that_cannot_raise_ends_the_command(monkeypatch, ca
 
 
 @pytest.mark.usefixtures("restored")
+def test_ctrl_c_comes_after_what_it_must_not_disturb():
+    done = []
+
+    def interrupted() -> None:
+        with interrupts.postponed():
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append("undisturbed")
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert done == ["undisturbed"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.usefixtures("restored")
 def test_an_error_that_a_library_makes_of_ctrl_c_is_an_interruption(monkeypatch, capsys):
     def interrupted_import(_words: list[str]) -> None:
         try:

@@ -190,6 +190,16 @@ def test_a_cache_that_cannot_be_read_is_done_without(monkeypatch, tmp_path):
     assert said_by_a_call()
 
 
+@pytest.mark.parametrize("damaged", [".nbi", ".nbc"])
+def test_a_damaged_cache_is_compiled_again_once(monkeypatch, tmp_path, damaged):
+    monkeypatch.setattr(_kernel_cache, "cache_folder", lambda: tmp_path)
+    assert said_by_a_call()
+    for path in tmp_path.rglob(f"*{damaged}"):
+        path.write_bytes(path.read_bytes()[:10])
+    assert said_by_a_call()
+    assert said_by_a_call() == []
+
+
 @pytest.mark.slow
 def test_a_second_process_compiles_nothing(package):
     first = run(package)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, TypeVar, cast
 
 import numba
-from numba.core import types
+from numba.core import config, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
@@ -25,6 +25,7 @@ from numba.np.numpy_support import as_dtype
 from numba.np.ufunc.ufuncbuilder import GUFuncBuilder
 from numba.np.ufunc.wrappers import _GufuncWrapper
 
+from vergence import interrupts
 from vergence._kernel_cache import KernelCache, WrapperCache, compiling_alone
 from vergence.errors import ConfigurationError
 from vergence.operands import as_operand
@@ -117,7 +118,7 @@ class GufuncKernel:
         name = f"{self.__module__}.{self._function.__qualname__}"
         # numba does not support fixed dimensions: it gets names instead, and NumPy the numbers
         builder = _GufuncBuilder(self._function, re.sub(r"\b(?=\d)", "size", self.layout))
-        with compiling_alone(name), _paused_garbage_collection():
+        with compiling_alone(name), _quicker_compiler():
             for signature in self._signatures:
                 builder.add(signature)  # type: ignore[no-untyped-call]
             builder.signature = self.layout
@@ -126,6 +127,8 @@ class GufuncKernel:
 
 
 _COMPILE_LOCK: Final = threading.RLock()
+_OPTIMISATION: Final = 1
+"""LLVM's level of optimisation, of 0 to 3 (measured: benchmarks.start, benchmarks.throughput)."""
 
 
 def kernel(
@@ -215,22 +218,25 @@ class _Kernel(CPUDispatcher):
         self._cache = KernelCache(function)
 
     def compile(self, sig: Any) -> Any:
-        with _paused_garbage_collection():
+        with _quicker_compiler():
             return super().compile(sig)
 
 
 @contextlib.contextmanager
-def _paused_garbage_collection() -> Iterator[None]:
-    """Pause Python's search for cyclic garbage, a quarter of the time of compiling.
+def _quicker_compiler() -> Iterator[None]:
+    """Have LLVM optimise little, and pause Python's search for cyclic garbage.
 
-    A compiler makes millions of objects that live until it ends, and Python goes through all of
-    them again and again.
+    Each takes a quarter of the time of compiling. Further optimisation makes no kernel faster (as
+    measured: loops over heads with many branches, and scalars). A compiler makes millions of
+    objects that live until it ends, and Python goes through all of them again and again.
     """
-    enabled = gc.isenabled()
+    level, enabled = config.OPT, gc.isenabled()  # type: ignore[attr-defined]
+    config.OPT = type(level)(min(level, _OPTIMISATION))  # type: ignore[attr-defined]
     gc.disable()
     try:
         yield
     finally:
+        config.OPT = level  # type: ignore[attr-defined]
         if enabled:
             gc.enable()
 
@@ -328,4 +334,5 @@ class _GufuncBuilder(GUFuncBuilder):
         wrapper.cache = WrapperCache(self.py_func)
         built = wrapper.build()
         numbers = [as_dtype(getattr(kind, "dtype", kind)).num for kind in cres.signature.args]
-        return numbers, built.library.get_pointer_to_function(built.name), built.env
+        with interrupts.postponed():  # as in `KernelCache.load_overload`
+            return numbers, built.library.get_pointer_to_function(built.name), built.env

@@ -34,6 +34,8 @@ from numba.core.caching import Cache, IndexDataCacheFile
 from numba.core.compiler import CompileResult
 from numba.core.runtime.nrt import rtsys
 
+from vergence import interrupts
+
 try:
     import fcntl
 except ImportError:  # Windows: no lock, so the first run there should be a single process
@@ -178,9 +180,16 @@ class KernelCache(Cache):
         shipped = processor[0], *PORTABLE_PROCESSORS.get(platform.machine(), ("", ""))
         for folder, kind in ((shipped_folder(), shipped), (cache_folder(), processor)):
             if folder is not None:
-                with contextlib.suppress(OSError):
+                try:
                     data = self._file(folder).load((types, kind, code))
-                    if data is not None:
+                except OSError:
+                    continue
+                except Exception:  # whatever unpickling of a damaged file raises
+                    self._discard(folder)
+                    continue
+                if data is not None:
+                    # LLVM asks for the code by a callback; without an answer, calls would crash
+                    with interrupts.postponed():
                         return self._rebuilt(target_context, data)
         return None
 
@@ -195,6 +204,12 @@ class KernelCache(Cache):
             self._file(folder).save(self._index_key(sig, data.codegen), reduced)  # type: ignore[no-untyped-call]
         except OSError as error:
             _REPORTER.not_kept(error)
+
+    def _discard(self, folder: Path) -> None:
+        """Delete a kernel's files."""
+        for path in (folder / self._py_func.__module__).glob(f"{self._file_name}.*nb?"):
+            with contextlib.suppress(OSError):
+                path.unlink()
 
     def _file(self, folder: Path) -> IndexDataCacheFile:
         place = str(folder / self._py_func.__module__)

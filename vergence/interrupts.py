@@ -10,7 +10,9 @@ import signal
 import sys
 import threading
 from _thread import interrupt_main
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
 
 NOTHING_WRITTEN = "interrupted: nothing was written"
 _REPEAT_S = 0.05
@@ -59,6 +61,23 @@ def ignore_interrupts() -> None:
 def _enders() -> list[signal.Signals]:
     """Signals other than Ctrl-C that end a process; Windows has only one of them."""
     return [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+@contextmanager
+def postponed() -> Iterator[None]:
+    """Keep Ctrl-C until the end of the context, for libraries that would lose it and be damaged."""
+    answer = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(answer):
+        yield
+        return
+    came: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda *event: came.append(event))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, answer)
+        if came:
+            answer(*came[0])
 
 
 def was_interrupted() -> bool:

@@ -62,7 +62,7 @@ class MujocoArrays(NamedTuple):
     """Half a time step of the simulation, s."""
     steps_per_substep: int
     """Time steps of the simulation per substep."""
-    functions: tuple[int, int, int]
+    functions: tuple[int, int, int, int]
     """Result of `simulation_functions`, or zeros if the simulations are stepped by the batch."""
     model: int
     """Address of the simulation's model."""
@@ -222,7 +222,7 @@ class MujocoPlant(SimulatedPlant):
             nominal_head=self.head.packed,
             half_step_s=self._half_step,
             steps_per_substep=SUBSTEPS // self._substeps,
-            functions=simulation_functions() if self._inside else (0, 0, 0),
+            functions=simulation_functions() if self._inside else (0, 0, 0, 0),
             model=self._own_model._address if self._inside else 0,
             data=self._data_addresses if self._inside else np.zeros(self.num, dtype=np.int64),
             states=self._batch.state.ctypes.data,

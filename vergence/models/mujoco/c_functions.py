@@ -19,13 +19,15 @@ from vergence._jit import subroutine
 
 _LIBRARIES: Final = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")
 """Names of MuJoCo's library in the folder of its Python package."""
-_STATE: Final = np.int32(mujoco.mjtState.mjSTATE_INTEGRATION)
-"""Components of a simulation's state, as in `mujoco.batch`."""
 
 
 @functools.cache
-def simulation_functions() -> tuple[int, int, int]:
-    """Addresses of `mj_setState`, `mj_step` and `mj_getState`; zeros if they cannot be found."""
+def simulation_functions() -> tuple[int, int, int, int]:
+    """Addresses of `mj_setState`, `mj_step` and `mj_getState`, and the components of a state.
+
+    All are zero if the functions cannot be found. The components are not a constant of compiled
+    code, as its caches do not know MuJoCo's version.
+    """
     folder = Path(mujoco.__file__).parent
     for library in (path for name in _LIBRARIES for path in sorted(folder.glob(name))):
         try:
@@ -36,8 +38,8 @@ def simulation_functions() -> tuple[int, int, int]:
             )
         except (OSError, AttributeError):
             continue
-        return load, step, save
-    return 0, 0, 0
+        return load, step, save, int(mujoco.mjtState.mjSTATE_INTEGRATION)  # as mujoco.batch
+    return 0, 0, 0, 0
 
 
 @intrinsic
@@ -58,7 +60,7 @@ _call: Any = _call_c
 
 @subroutine
 def simulate(
-    functions: tuple[int, int, int], model: int, data: int, state: int, nstep: int
+    functions: tuple[int, int, int, int], model: int, data: int, state: int, nstep: int
 ) -> None:
     """Advance a simulation by a number of steps, as `mujoco.batch.Batch.step` does.
 
@@ -69,7 +71,8 @@ def simulate(
         state: address of the row of its state, updated in place.
         nstep: number of steps.
     """
-    _call(functions[0], (model, data, state, _STATE))
+    components = np.int32(functions[3])
+    _call(functions[0], (model, data, state, components))
     for _ in range(nstep):
         _call(functions[1], (model, data))
-    _call(functions[2], (model, data, state, _STATE))
+    _call(functions[2], (model, data, state, components))
