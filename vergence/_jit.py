@@ -226,9 +226,10 @@ class _Kernel(CPUDispatcher):
 def _quicker_compiler() -> Iterator[None]:
     """Have LLVM optimise little, and pause Python's search for cyclic garbage.
 
-    Each takes a quarter of the time of compiling. Further optimisation makes no kernel faster (as
-    measured: loops over heads with many branches, and scalars). A compiler makes millions of
-    objects that live until it ends, and Python goes through all of them again and again.
+    Further optimisation made no measured kernel faster: they are loops over heads with many
+    branches, and scalars. The search for garbage takes a quarter of the time of compiling: a
+    compiler makes millions of objects that live until it ends, and Python goes through them again
+    and again.
     """
     level, enabled = config.OPT, gc.isenabled()  # type: ignore[attr-defined]
     config.OPT = type(level)(min(level, _OPTIMISATION))  # type: ignore[attr-defined]
