@@ -28,8 +28,12 @@ def scaled(x, out):
         out[i] = scale(x[i])
 
 @_jit.compiled
+def ratio(a, b):
+    return a / b
+
+@_jit.compiled
 def inverse(x):
-    return 1.0 / scale(x)
+    return ratio(1.0, scale(x))
 """
 PRINT = "from heads.kernels import *; print(scaled([1.0, 2.0]), inverse(2.0), inverse(0.0))"
 WATCH = """
@@ -215,6 +219,16 @@ def test_a_kernel_follows_a_change_in_another_module(package):
     outdated = compiled_files(package)
     (package / "helper.py").write_text(HELPER.format(factor=4.0))
     assert run(package) == "[4. 8.] 0.125 inf"
+    assert not outdated & compiled_files(package)
+
+
+@pytest.mark.slow
+def test_kernels_follow_a_change_of_the_compiler(package):
+    run(package)
+    outdated = compiled_files(package)
+    with (package / "_jit.py").open("a") as compiler:
+        compiler.write("_OPTIMISATION = 2\n")
+    run(package)
     assert not outdated & compiled_files(package)
 
 

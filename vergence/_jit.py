@@ -15,6 +15,8 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, TypeVar, cast
 
 import numba
+from llvmlite.binding import parse_assembly
+from llvmlite.ir import Constant, GlobalVariable, IntType
 from numba.core import config, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
@@ -214,8 +216,14 @@ class _Kernel(CPUDispatcher):
     """A function that Python calls."""
 
     def __init__(self, function: Callable[..., Any], targetoptions: dict[str, Any]) -> None:
-        super().__init__(function, targetoptions=targetoptions)
+        super().__init__(function, targetoptions=targetoptions, pipeline_class=_KernelCompiler)
         self._cache = KernelCache(function)
+        self._part: Any = subroutine(function)
+
+    @property
+    def _numba_type_(self) -> types.Dispatcher:
+        """Type by which other kernels call this function: as a helper, a part of their code."""
+        return types.Dispatcher(self._part)
 
     def compile(self, sig: Any) -> Any:
         with _quicker_compiler():
@@ -242,23 +250,54 @@ def _quicker_compiler() -> Iterator[None]:
             gc.enable()
 
 
-class _HelperLibrary(JITCodeLibrary):
-    """Code of a helper, which runs only as a part of the kernels that it is linked into.
+class _KernelLibrary(JITCodeLibrary):
+    """Code of a kernel with that of all its helpers, optimised once.
 
-    Numba would optimise it in three rounds and generate machine code that is never called. One
-    round is left, which keeps the kernels small; they are optimised as a whole anyway.
+    Numba would do so twice, to find more references that need not be counted. It would also store
+    the code from before the generation of machine code, for other kernels to link; these link
+    helpers instead.
     """
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        ll_module.data_layout = self._codegen._data_layout
 
     def _optimize_final_module(self) -> None:
         passes, builder = self._codegen._module_pass_manager()
         passes.run(self._final_module, builder)
 
+    def serialize_using_object_code(self) -> tuple[str, str, tuple[bytes, bytes]]:
+        code: bytes = self._get_compiled_object()  # type: ignore[no-untyped-call]
+        # numba reads there which symbols the machine code defines
+        names: Any = self._codegen._create_empty_module(self.name)
+        module, byte = self._final_module, IntType(8)
+        for symbol in (*module.functions, *module.global_variables):
+            if not symbol.is_declaration:
+                GlobalVariable(names, byte, symbol.name).initializer = Constant(byte, 0)
+        return self.name, "object", (code, parse_assembly(str(names)).as_bitcode())
+
+
+class _HelperLibrary(JITCodeLibrary):
+    """Code of a helper, which runs only as a part of the kernels that it is linked into.
+
+    Numba would optimise it, with all that it calls, in two rounds and generate machine code that is
+    never called. A helper that is called over five others would so be optimised six times.
+    """
+
+    def _optimize_final_module(self) -> None:
+        """Leave this to the kernels."""
+
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
         self._finalized = True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _KernelLowering(NativeLowering):
+    """Generation of a kernel's code."""
+
+    _name = "kernel_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = _KernelLibrary(state.targetctx.codegen(), state.func_id.func_qualname)  # type: ignore[no-untyped-call]
+        state.library.enable_object_caching()
+        return super().run_pass(state)  # type: ignore[no-untyped-call, no-any-return]
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -269,7 +308,6 @@ class _HelperLowering(NativeLowering):
 
     def run_pass(self, state: Any) -> bool:
         state.library = _HelperLibrary(state.targetctx.codegen(), state.func_id.func_qualname)  # type: ignore[no-untyped-call]
-        state.library.enable_object_caching()
         state.flags.no_compile = True
         super().run_pass(state)  # type: ignore[no-untyped-call]
         key = object()  # by which calls find the code; numba's own is the function for Python
@@ -279,17 +317,35 @@ class _HelperLowering(NativeLowering):
         return True
 
 
-class _HelperCompiler(CompilerBase):
-    """Numba's compiler, but for the last step."""
+class _Compiler(CompilerBase):
+    """Numba's compiler, but for the last step.
+
+    Attributes:
+        lowering: pass that generates the code.
+    """
+
+    lowering: type[NativeLowering]
 
     def define_pipelines(self) -> list[PassManager]:
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.passes = [
-            (_HelperLowering if each is NativeLowering else each, description)
+            (self.lowering if each is NativeLowering else each, description)
             for each, description in passes.passes
         ]
         passes.finalize()
         return [passes]
+
+
+class _KernelCompiler(_Compiler):
+    """Compiler of kernels."""
+
+    lowering = _KernelLowering
+
+
+class _HelperCompiler(_Compiler):
+    """Compiler of helpers."""
+
+    lowering = _HelperLowering
 
 
 class _Helper(CPUDispatcher):

@@ -130,11 +130,11 @@ def _discard_mixed_at_exit(folder: Path) -> None:
 
 @functools.cache
 def _source_digest() -> str:
-    """Digest of all modules that may be compiled: those whose text names this module."""
+    """Digest of the compiler's module and of all that may be compiled: those that name it."""
     digest = hashlib.sha256()
     for source in sorted(_PACKAGE.rglob("*.py")):
         text = source.read_bytes()
-        if b"_jit" in text:
+        if source.stem == "_jit" or b"_jit" in text:
             digest.update(source.relative_to(_PACKAGE).as_posix().encode())
             digest.update(text)
     return digest.hexdigest()[:16]

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from numba.core import cgutils, types
-from numba.extending import intrinsic, overload
+from numba.extending import lower_builtin, type_callable
 from numba.np.arrayobj import load_item
 from numpy.typing import NDArray
 
@@ -27,23 +27,20 @@ def make_tuple_reader(count: int) -> Callable[[NDArray[Any], int], tuple[Any, ..
     def run(row: NDArray[Any], first: int) -> tuple[Any, ...]:
         return tuple(row[first : first + count].tolist())
 
-    @intrinsic
-    def load_run(typingctx: Any, row: Any, first: Any) -> Any:
-        result = types.UniTuple(row.dtype, count)
+    @type_callable(run)
+    def type_run(context: Any) -> Any:
+        return lambda row, first: types.UniTuple(row.dtype, count)
 
-        def load(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            array_type, first_type = signature.args
-            array = context.make_array(array_type)(context, builder, arguments[0])
-            start = context.cast(builder, arguments[1], first_type, types.intp)
-            elements = []
-            for i in range(count):
-                place = builder.add(start, context.get_constant(types.intp, i))
-                pointer = cgutils.get_item_pointer(context, builder, array_type, array, [place])
-                elements.append(load_item(context, builder, array_type, pointer))
-            return context.make_tuple(builder, result, elements)
+    @lower_builtin(run, types.Array, types.Integer)  # type: ignore[untyped-decorator]
+    def load_run(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array_type, first_type = signature.args
+        array = context.make_array(array_type)(context, builder, arguments[0])
+        start = context.cast(builder, arguments[1], first_type, types.intp)
+        elements = []
+        for i in range(count):
+            place = builder.add(start, context.get_constant(types.intp, i))
+            pointer = cgutils.get_item_pointer(context, builder, array_type, array, [place])
+            elements.append(load_item(context, builder, array_type, pointer))
+        return context.make_tuple(builder, signature.return_type, elements)
 
-        return result(row, first), load
-
-    loader: Any = load_run
-    overload(run)(lambda row, first: lambda row, first: loader(row, first))
     return run

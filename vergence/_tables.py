@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 from numba.core import cgutils, types
-from numba.extending import intrinsic, overload
+from numba.extending import lower_builtin, type_callable
 from numba.np.arrayobj import populate_array
 from numba.np.numpy_support import from_dtype
 from numpy.typing import NDArray
@@ -99,20 +99,17 @@ def _unpack(record: Any) -> tuple[Any, ...]:
     return tuple(parts)
 
 
-@intrinsic
-def _load_group(typingctx: Any, table: Any) -> Any:
-    result = _type_of(table.dtype)
-
-    def load(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        array = context.make_array(table)(context, builder, arguments[0])
-        start = builder.bitcast(array.data, cgutils.voidptr_t)
-        return _load(context, builder, table.dtype, result, start)
-
-    return result(table), load
+@type_callable(unpack_table)
+def _type_group(context: Any) -> Any:
+    return lambda table: _type_of(table.dtype)
 
 
-_loader: Any = _load_group
-overload(unpack_table)(lambda table: lambda table: _loader(table))
+@lower_builtin(unpack_table, types.Array)  # type: ignore[untyped-decorator]
+def _load_group(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    (table,) = signature.args
+    array = context.make_array(table)(context, builder, arguments[0])
+    start = builder.bitcast(array.data, cgutils.voidptr_t)
+    return _load(context, builder, table.dtype, signature.return_type, start)
 
 
 def _type_of(record: Any) -> Any:
