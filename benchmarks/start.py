@@ -1,7 +1,8 @@
 """Measure how quickly the command line starts: CPU seconds of whole processes.
 
 Run ``python -m benchmarks.start``, with ``--base COMMIT`` to measure that commit too, in turns with
-the working tree, and ``--json FILE`` to keep the table. Cases may be selected by name; without
+the working tree, with ``--wheel FILE`` for a wheel of ``make wheel``, and with ``--json FILE`` to
+keep the table. Cases may be selected by name; without
 ``first`` and ``gaze`` no kernels are compiled, which takes a minute for each version of the
 sources. The byte code is compiled beforehand.
 
@@ -22,6 +23,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -124,14 +126,14 @@ def extract(commit: str, folder: Path) -> None:
 
 
 def rows_of(cases: Sequence[str], versions: Sequence[Version]) -> list[dict[str, object]]:
-    """Row of each case: medians in CPU seconds, and the median ratio to the base in a round."""
+    """Row of each case: median CPU seconds, and median ratios to the first version in a round."""
     rows: list[dict[str, object]] = []
     for case in cases:
         row: dict[str, object] = {"case": case}
         row |= {f"{one.name}_cpu_s": median(one.used_s[case]) for one in versions}
-        if len(versions) > 1:
-            base, new = (one.used_s[case] for one in versions)
-            row["ratio"] = median(b / a for a, b in zip(base, new, strict=True))
+        for one in versions[1:]:
+            pairs = zip(versions[0].used_s[case], one.used_s[case], strict=True)
+            row[f"{one.name}_ratio"] = median(new / first for first, new in pairs)
         rows.append(row)
     return rows
 
@@ -151,6 +153,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("cases", nargs="*", metavar="CASE", help=f"of {', '.join(CASES)}; or all")
     parser.add_argument("--base", metavar="COMMIT", help="commit to compare with")
+    parser.add_argument("--wheel", metavar="FILE", help="wheel to compare with")
     parser.add_argument("--rounds", type=int, default=5, help="rounds; the first gaze has only one")
     parser.add_argument("--json", type=Path, metavar="FILE", help="file to write the table to")
     options = parser.parse_args(arguments)
@@ -163,6 +166,10 @@ def main(arguments: list[str] | None = None) -> None:
         if options.base is not None:
             extract(options.base, folder / "base")
             versions.insert(0, Version("base", folder / "base", folder / "base-kernels"))
+        if options.wheel is not None:
+            with zipfile.ZipFile(options.wheel) as files:
+                files.extractall(folder / "wheel")
+            versions.append(Version("wheel", folder / "wheel", folder / "wheel-kernels"))
         adopt_orphans()
         for version in versions:
             version.prepare(cases)

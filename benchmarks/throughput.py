@@ -1,9 +1,9 @@
 """Measure the simulation throughput, relative to MuJoCo's own loop in the same run.
 
 Run ``python benchmarks/throughput.py``, with ``--json FILE`` to keep the table and ``--quick`` for
-a short run. Other load of the machine may slow one measurement and not the next, so the cases take
-turns for several rounds, and the best round of each counts. The cases and the table are explained
-in ``docs/performance.md``.
+a short run. The speed of a machine may change from second to second, so the cases take turns for
+many short rounds; a ratio is the median of the ratios of a round. The cases and the table are
+explained in ``docs/performance.md``.
 """
 
 import argparse
@@ -15,8 +15,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import cv2
@@ -52,13 +53,13 @@ class Case:
     do: Pass
     microseconds: Callable[[], float] | None = None
     """Function that returns the median time of a step, for cases measured by it."""
-    best: float = 0.0
-    """Steps per second in the best round."""
+    rates: list[float] = field(default_factory=list)
+    """Steps per second of each round."""
 
     def measure(self, seconds: float) -> None:
         """Measure one more round of at least so many seconds."""
         if self.microseconds is not None:
-            self.best = max(self.best, 1e6 / self.microseconds())
+            self.rates.append(1e6 / self.microseconds())
             return
         steps, start = 0, time.perf_counter()
         while True:
@@ -66,7 +67,7 @@ class Case:
             elapsed = time.perf_counter() - start
             if elapsed >= seconds:
                 break
-        self.best = max(self.best, steps / elapsed)
+        self.rates.append(steps / elapsed)
 
 
 def sensing_head() -> vergence.HeadModel:
@@ -276,11 +277,11 @@ def measure(
         row = {
             "name": case.name,
             "what": case.what,
-            "steps_per_s": case.best,
-            "ratio_to_bare": case.best / todo[0].best,
+            "steps_per_s": median(case.rates),
+            "ratio_to_bare": median(np.divide(case.rates, todo[0].rates)),
         }
         if case.microseconds is not None:
-            row["median_us"] = 1e6 / case.best
+            row["median_us"] = 1e6 / median(case.rates)
         rows.append(row)
     return rows
 
@@ -317,8 +318,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Parse, measure, print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, metavar="FILE", help="file to write the table to")
-    parser.add_argument("--rounds", type=int, default=7, help="rounds, of which the best counts")
-    parser.add_argument("--seconds", type=float, default=1.0, help="least time of a case a round")
+    parser.add_argument("--rounds", type=int, default=40, help="number of rounds")
+    parser.add_argument("--seconds", type=float, default=0.2, help="least time of a case a round")
     parser.add_argument("--quick", action="store_true", help="one short round: not for comparing")
     parser.add_argument("names", nargs="*", help="cases to measure beside bare; default: all")
     options = parser.parse_args(arguments)

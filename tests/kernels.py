@@ -5,6 +5,8 @@ compiled by the first test that needs it. With `--ship` the result is put into t
 of shipped kernels, for all processors of this machine's kind, so that the next wheel carries it.
 """
 
+import contextlib
+import io
 import os
 import platform
 import shutil
@@ -19,7 +21,9 @@ from typing import Final
 import numpy as np
 
 from tests.heads import head_of
-from vergence import HeadModel, load_head, make_controller
+from tests.vision.poses import pose
+from tests.vision.scenes import rig, scene
+from vergence import HeadModel, cli, load_head, make_controller
 from vergence._kernel_cache import PORTABLE_PROCESSORS, SHIPPED, cache_folder, shipped_name
 from vergence.controllers.controller import CONTROLLERS
 from vergence.envs.layout import ObservationLayout
@@ -28,6 +32,7 @@ from vergence.eval.gaze import run_gaze
 from vergence.eval.gaze_config import GazeConfig
 from vergence.eval.trials.run import run_trials
 from vergence.eval.trials.scenarios import load_scenario
+from vergence.vision import Checkerboard, make_detector
 
 DONE: Final = "compiled-for-tests"
 """The file in the kernels' folder that says that all is there."""
@@ -62,21 +67,40 @@ def steps(name: str, plant: str) -> None:
     task.step(np.zeros((2, task.layout.count)))
 
 
-def gaze() -> None:
-    """The eyes turn to a target that they see in images."""
-    run_gaze(GazeConfig(duration_s=0.5))
+def gaze(name: str) -> None:
+    """The eyes of a head turn to a target that they see in images."""
+    run_gaze(GazeConfig(head=name, duration_s=0.5))
+
+
+def info(name: str) -> None:
+    """A head is described with what its eyes see."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        cli.main(["info", "--head", name])
+
+
+def board() -> None:
+    """A board is found in an image."""
+    camera, rendering = rig("simulated")
+    target = Checkerboard(columns=5, rows=4, square_m=0.03)
+    make_detector(target, camera).detect(scene(camera, target, pose(0, 0, 1), rendering).image)
 
 
 SHARES: Final[tuple[tuple[Callable[[], None], ...], ...]] = (
     (
         partial(laws, "simulated"),
-        gaze,
+        partial(gaze, "simulated"),
+        partial(gaze, "physical"),
+        partial(info, "icub"),
+        board,
         partial(steps, "simulated", "rendered"),
         partial(steps, "simulated", "mujoco"),
         partial(laws, "tied"),
         partial(steps, "tied", "mujoco"),
     ),
-    tuple(partial(trials, head, name) for name in SCENARIOS for head in ("simulated", "tied")),
+    (
+        *(partial(trials, head, name) for name in SCENARIOS for head in ("simulated", "tied")),
+        partial(gaze, "icub"),
+    ),
 )
 """Work of each process; nothing large is compiled in both."""
 

@@ -42,5 +42,5 @@ def test_a_run_beside_a_base_writes_a_row_for_every_case(tmp_path: Path) -> None
     assert [row["case"] for row in rows] == ["numpy", "import"]
     for row in rows:
         assert row["base_cpu_s"] > 0.0
-        assert math.isclose(row["ratio"], row["now_cpu_s"] / row["base_cpu_s"])
+        assert math.isclose(row["now_ratio"], row["now_cpu_s"] / row["base_cpu_s"])
         assert row["case"] in shown

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import inf
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -146,8 +147,14 @@ def run_gaze(
         VergenceError: the head, plant or controller does not exist, or the eyes cannot see or
             fixate the target.
     """
-    # names first: to load a head compiles kernels
+    # what needs no head first: to load one compiles kernels
     defaults, simulated = default_options(config.controller), is_simulated(config.plant)
+    if not np.isfinite(config.target_mm).all():
+        raise ConfigurationError(f"target: expected three finite numbers, got {config.target_mm}")
+    if not 0.0 < config.duration_s < inf:
+        raise ConfigurationError(
+            f"duration: expected a number of seconds above 0, got {config.duration_s}"
+        )
     config, head, plant_options = _hardware(config)
     refuse_immobile_eyes(head)
     rate = head.timing.control_rate_hz
@@ -283,8 +290,6 @@ def _hardware(config: GazeConfig) -> tuple[GazeConfig, HeadModel, dict[str, Any]
 
 def _why_unreachable(head: HeadModel, point: FloatArray, target_mm: object) -> str:
     """Reason why the eyes cannot see or fixate a target; empty if they can."""
-    if not np.isfinite(point).all():
-        return f"target: expected three finite numbers, got {target_mm}"
     pixels = head.project(head.rest(), point)
     for eye, (name, size) in enumerate(zip(EYE_NAMES, head.cameras.size, strict=True)):
         if not ((pixels[eye] >= -0.5) & (pixels[eye] <= size - 0.5)).all():

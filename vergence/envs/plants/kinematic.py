@@ -31,8 +31,8 @@ from vergence.envs.plants.threads import advance_in_threads, bounds
 from vergence.envs.streams import IntArray
 from vergence.models.joint_response import lag_decay
 
-_HEADS_PER_THREAD: Final = 128
-"""Number of heads from which a thread is worth its start (measured: some 40 us, of 1 us a head)."""
+_HEADS_PER_THREAD: Final = 192
+"""Number of heads from which a thread is worth its start (measured: two threads against one)."""
 
 
 class KinematicPlant(SimulatedPlant):
