@@ -132,3 +132,41 @@ def test_an_error_that_a_library_makes_of_ctrl_c_is_an_interruption(monkeypatch,
         main(["info"])
     assert stopped.value.code == 130
     assert capsys.readouterr().err == "vergence: interrupted: nothing was written\n"
+
+
+PESTERED = """
+import _thread, threading, time
+from tests.vision.poses import pose
+from tests.vision.scenes import rig, scene
+from vergence.vision import AprilTag, make_detector
+
+camera, rendering = rig("simulated")
+image = scene(camera, AprilTag(), pose(0, 0, 1), rendering).image
+detector = make_detector(AprilTag(), camera)
+tag = detector.detect(image)
+
+def pester():
+    for _ in range(500):
+        time.sleep(0.003)
+        _thread.interrupt_main()
+    done.append(True)
+
+done, started, interruptions = [], [], 0
+while not done:
+    try:
+        if not started:
+            started.append(threading.Thread(target=pester, daemon=True))
+            started[0].start()
+        while not done:
+            assert detector.track(image, tag) is not None
+    except KeyboardInterrupt:
+        interruptions += 1
+print(interruptions > 100)
+"""
+
+
+@pytest.mark.slow
+def test_ctrl_c_while_a_tag_is_fitted_harms_nothing():
+    command = [sys.executable, "-c", PESTERED]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.returncode, done.stdout.strip()) == (0, "True"), done.stderr

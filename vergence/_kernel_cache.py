@@ -2,9 +2,9 @@
 
 Numba stores machine code beside a function's source and recompiles if that file changes. It does
 not notice a change in another module whose function or constant was compiled in, so a kernel would
-keep running the old code of an edited helper. Here the cache's folder is named by a digest of all
-modules that name `vergence._jit`, so that a change of any of them discards the cache. A constant
-that is compiled in must therefore be in such a module.
+keep running the old code of an edited helper. Here the cache's folder is named by a digest of
+`vergence._jit` and the modules that name it, so that a change of any of them discards the cache. A
+constant that is compiled in must therefore be in such a module.
 
 A wheel may carry compiled kernels in a second folder, which is only read; `make wheel` fills it. It
 serves the sources, Python and numba that it was made with, on every processor of its kind;

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vergence import interrupts
 from vergence.models.boards import AprilTag, TagFamily
 from vergence.models.response import CameraResponse
 from vergence.models.tag_families import UNPRINTED, TagFamilyCode, tag_family
@@ -288,11 +289,12 @@ class TagDetector(Detector[AprilTag | TagFamily]):
         """Fit a tag once; the tag if it reads as one, and the fit."""
         code = self._code
         points, sigmas = np.empty((5, 2)), np.empty((5, 2))
-        fit = fit_tag(
-            image, self._light, self._rays, self._row, _cells_of(code, identity),
-            code.width_at_border,
-            quiet, steps, most, corners, points, sigmas,
-        )  # fmt: skip
+        with interrupts.postponed():  # numba crashes if it cannot build the named tuple
+            fit = fit_tag(
+                image, self._light, self._rays, self._row, _cells_of(code, identity),
+                code.width_at_border,
+                quiet, steps, most, corners, points, sigmas,
+            )  # fmt: skip
         if not reads_as_tag(fit, code):
             return None, fit
         found = Detection(self._tag(identity), points[4], points[:4], sigmas[4], sigmas[:4])
