@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 
 import pytest
 
@@ -79,8 +80,27 @@ def test_ctrl_c_while_the_package_is_imported_is_one_line_and_exit_code_130():
     assert done.stdout == ""
 
 
-@pytest.mark.usefixtures("restored")
-def test_ctrl_c_in_a_callback_that_cannot_raise_ends_the_command(monkeypatch, capsys):
+INTERRUPTED = (130, "vergence: interrupted: nothing was written\n")
+
+
+@pytest.fixture
+def end_of(restored, monkeypatch, capsys):
+    """Exit code and last words of the command line, if a function takes the command's place."""
+
+    def end(command: Callable[[list[str]], None]) -> tuple[int, str]:
+        monkeypatch.setattr(interrupts, "_interrupted", False)
+        monkeypatch.setattr(sys, "argv", ["/usr/bin/vergence"])
+        monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+        monkeypatch.setattr("vergence.cli._run", command)
+        interrupts.end_quietly_on_interrupt()
+        with pytest.raises(SystemExit) as stopped:
+            main(["info"])
+        return stopped.value.code, capsys.readouterr().err
+
+    return end
+
+
+def test_ctrl_c_in_a_callback_that_cannot_raise_ends_the_command(end_of):
     class Dying:
         def __del__(self) -> None:
             os.kill(os.getpid(), signal.SIGINT)
@@ -90,15 +110,7 @@ def test_ctrl_c_in_a_callback_that_cannot_raise_ends_the_command(monkeypatch, ca
         time.sleep(60.0)
         print("slept", file=sys.stderr)
 
-    monkeypatch.setattr(interrupts, "_interrupted", False)
-    monkeypatch.setattr(sys, "argv", ["/usr/bin/vergence"])
-    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
-    monkeypatch.setattr("vergence.cli._run", interrupted_in_finaliser)
-    interrupts.end_quietly_on_interrupt()
-    with pytest.raises(SystemExit) as stopped:
-        main(["info"])
-    assert stopped.value.code == 130
-    assert capsys.readouterr().err == "vergence: interrupted: nothing was written\n"
+    assert end_of(interrupted_in_finaliser) == INTERRUPTED
 
 
 @pytest.mark.usefixtures("restored")
@@ -116,22 +128,14 @@ def test_ctrl_c_comes_after_what_it_must_not_disturb():
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-@pytest.mark.usefixtures("restored")
-def test_an_error_that_a_library_makes_of_ctrl_c_is_an_interruption(monkeypatch, capsys):
+def test_an_error_that_a_library_makes_of_ctrl_c_is_an_interruption(end_of):
     def interrupted_import(_words: list[str]) -> None:
         try:
             os.kill(os.getpid(), signal.SIGINT)
         except KeyboardInterrupt:
             raise ImportError("numpy failed to import") from None
 
-    monkeypatch.setattr(interrupts, "_interrupted", False)
-    monkeypatch.setattr(sys, "argv", ["/usr/bin/vergence"])
-    monkeypatch.setattr("vergence.cli._run", interrupted_import)
-    interrupts.end_quietly_on_interrupt()
-    with pytest.raises(SystemExit) as stopped:
-        main(["info"])
-    assert stopped.value.code == 130
-    assert capsys.readouterr().err == "vergence: interrupted: nothing was written\n"
+    assert end_of(interrupted_import) == INTERRUPTED
 
 
 PESTERED = """
