@@ -37,7 +37,7 @@ class Info:
 
         from vergence.envs.plant import PLANTS
         from vergence.envs.targets.registry import TARGETS
-        from vergence.eval.article.experiment import EXPERIMENTS
+        from vergence.eval.article.registry import EXPERIMENTS
         from vergence.eval.comparison.contestants import controllers_in_table_order
         from vergence.eval.reporting.runs import package_versions
         from vergence.eval.trials.scenarios import SCENARIOS

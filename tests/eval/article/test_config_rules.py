@@ -3,7 +3,8 @@
 import dataclasses
 
 from tests.eval.refusals import not_refused
-from vergence.eval.article.experiment import EXPERIMENTS, load_experiment, resolve_config
+from vergence.eval.article.experiment import load_experiment, resolve_config
+from vergence.eval.article.registry import EXPERIMENTS
 from vergence.models import load_head, save_head
 
 CASES = [

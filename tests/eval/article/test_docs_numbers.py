@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from tests.eval.article.checks import full_run
-from vergence.eval.article.experiment import EXPERIMENTS
+from vergence.eval.article.registry import EXPERIMENTS
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 NUMBERS = full_run()

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from math import isfinite
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,23 +15,10 @@ from matplotlib.figure import Figure
 from vergence.errors import ConfigurationError, UnknownNameError, did_you_mean
 from vergence.eval.article.config_rules import check_bounds, check_value
 from vergence.eval.article.criterion import verdict_of_ranges
+from vergence.eval.article.registry import EXPERIMENTS
 from vergence.eval.jobs import Mapper
 from vergence.eval.reporting.text import Numbers
 from vergence.models.perturbation import ModelErrors
-
-EXPERIMENTS: Final[dict[str, str]] = {
-    "simulated-static": "vergence.eval.article.simulated_static.experiment:EXPERIMENT",
-    "simulated-moving": "vergence.eval.article.simulated_moving.experiment:EXPERIMENT",
-    "physical-static": "vergence.eval.article.physical_static.experiment:EXPERIMENT",
-    "physical-moving": "vergence.eval.article.physical_moving.experiment:EXPERIMENT",
-    "fixed-pair": "vergence.eval.article.fixed_pair.experiment:EXPERIMENT",
-    "gain-sweep": "vergence.eval.article.gain_sweep.experiment:EXPERIMENT",
-    "time-response": "vergence.eval.article.time_response.experiment:EXPERIMENT",
-    "uncertainty": "vergence.eval.article.uncertainty.experiment:EXPERIMENT",
-    # lies in calibration, a higher layer, which imports eval
-    "head-eye": "vergence.calibration.head.article.experiment:EXPERIMENT",
-}
-"""Entry points, `module:attribute`, of the experiments by name, in the article's order."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,8 @@ from typing import Any, Final
 import tomli_w
 
 from vergence.errors import ConfigurationError
-from vergence.eval.article.experiment import EXPERIMENTS, Experiment, load_experiment
+from vergence.eval.article.experiment import Experiment, load_experiment
+from vergence.eval.article.registry import EXPERIMENTS
 from vergence.eval.jobs import Mapper
 from vergence.eval.reporting.report import ReportSection, write_report
 from vergence.eval.reporting.runs import (

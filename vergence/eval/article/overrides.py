@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from vergence.errors import ConfigurationError, did_you_mean
-from vergence.eval.article.experiment import EXPERIMENTS
+from vergence.eval.article.registry import EXPERIMENTS
 
 Overrides = dict[str, dict[str, Any]]
 """Values by experiment and field; nested by field for a field that is a dataclass."""

@@ -5,7 +5,7 @@ from typing import Protocol
 
 from vergence.envs.streams import as_seed
 from vergence.eval.article.config import ReproduceConfig
-from vergence.eval.article.experiment import EXPERIMENTS, load_experiment, resolve_config
+from vergence.eval.article.experiment import load_experiment, resolve_config
 from vergence.eval.article.folder import (
     INCLUDED,
     open_run_folder,
@@ -15,6 +15,7 @@ from vergence.eval.article.folder import (
     write_folder_report,
 )
 from vergence.eval.article.overrides import read_overrides
+from vergence.eval.article.registry import EXPERIMENTS
 from vergence.eval.jobs import Mapper, Progress, SerialMapper
 from vergence.eval.reporting.report import ReportSection
 from vergence.eval.reporting.section import (
