@@ -2,9 +2,9 @@
 
 Run ``python -m benchmarks.start``, with ``--base COMMIT`` to measure that commit too, in turns with
 the working tree, with ``--wheel FILE`` for a wheel of ``make wheel``, and with ``--json FILE`` to
-keep the table. Cases may be selected by name; without
-``first`` and ``gaze`` no kernels are compiled, which takes a minute for each version of the
-sources. The byte code is compiled beforehand.
+keep the table. Cases may be selected by name; without ``first`` and ``gaze`` no kernels are
+compiled, which takes a minute for each version of the sources. The byte code is compiled
+beforehand.
 
 Counted are user and system time of a process and all that it started, as `os.wait4` returns them.
 A process may start others and not wait for them, as the first gaze did at first, to compile its
