@@ -88,6 +88,7 @@ class Supervisor:
     Attributes:
         verdict: verdict on the last requested velocities.
         fault: reason of a stop in words; empty while there is none.
+        distrusted: (7,) True for joints that do not follow: a command of zero may not stop them.
     """
 
     def __init__(
@@ -112,6 +113,7 @@ class Supervisor:
         self._seen_s = self._begun_s = np.nan
         self.verdict = Verdict.GO
         self.fault = ""
+        self.distrusted = np.zeros(7, dtype=np.bool_)
 
     def begin(self, now_s: float) -> None:
         """Begin a trial at a time, s, and watch its images, target and missed periods."""
@@ -201,7 +203,14 @@ class Supervisor:
                 f"safety: {refusal}; cure: turn it out of there by hand with torque off "
                 "(`vergence jog`: off)"
             )
-        off = self._following.update(state.now_s, state.actuator_angles, self._last_sent)
+        off = self._following.update(
+            state.now_s,
+            state.actuator_angles,
+            self._last_sent,
+            self._motion.speed,
+            state.reading_age_s <= _MAX_AGE_PERIODS * self._head.timing.period_s,
+        )
+        self.distrusted |= off > 0.0
         for name, slot in self._names.items():
             if off[slot] > 0.0:
                 self.stop(
