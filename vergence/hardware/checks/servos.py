@@ -20,6 +20,7 @@ from vergence.hardware.checks.registers import (
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
+from vergence.hardware.dynamixel.repeated import REQUESTS
 from vergence.hardware.servo_memory import read_memory
 from vergence.models.parts import FloatArray
 
@@ -44,13 +45,18 @@ def check_servos(
         HardwareError: the line is gone.
     """
     findings = []
-    damaged = bus.damaged_packets
-    models = {servo.name: _model(bus, servo.id) for servo in config.servos}
-    if not any(model is not None for model in models.values()):
-        findings.append(_nobody(config, bus, bus.damaged_packets > damaged))
+    models, damaged = {}, set()
+    for servo in config.servos:
+        before = bus.damaged_packets
+        models[servo.name] = _model(bus, servo.id)
+        if models[servo.name] is None and bus.damaged_packets - before >= REQUESTS:
+            damaged.add(servo.id)
+    missing = [servo for servo in config.servos if models[servo.name] is None]
+    if len(missing) == len(config.servos):
+        findings.append(_nobody(config, bus, bool(damaged)))
     else:
-        missing = [servo for servo in config.servos if models[servo.name] is None]
-        findings += _missing(config, bus, missing)
+        findings += [_equal_ids(servo) for servo in missing if servo.id in damaged]
+        findings += _missing(config, bus, [one for one in missing if one.id not in damaged])
     delays: dict[str, int] = {}
     angles = np.full(7, np.nan)
     for servo in config.servos:
@@ -61,10 +67,12 @@ def check_servos(
             findings.append(_unknown(servo, model))
             continue
         _LOG.info("%s: %s with the id %d", servo.name, table.MODELS[model], servo.id)
+        before = bus.damaged_packets
         try:
             memory = read_memory(bus, servo.id)
         except HardwareError as error:
-            findings.append(_silent(servo, str(error)))
+            equal = bus.damaged_packets - before >= REQUESTS
+            findings.append(_equal_ids(servo) if equal else _silent(servo, str(error)))
             continue
         delays[servo.name] = memory.get(table.RETURN_DELAY_TIME)
         findings += check_registers(
@@ -91,9 +99,12 @@ def raise_errors(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def _model(bus: Bus, ident: int) -> int | None:
-    """Ping a servo for its model number, twice if needed, as a packet may be damaged."""
-    model = bus.ping(ident)
-    return bus.ping(ident) if model is None else model
+    """Ping a servo for its model number, again if needed, as a packet may be lost or damaged."""
+    for _ in range(REQUESTS):
+        model = bus.ping(ident)
+        if model is not None:
+            return model
+    return None
 
 
 def _nobody(config: HardwareConfig, bus: Bus, damaged: bool) -> Finding:
@@ -138,6 +149,16 @@ def _forbidden(config: HardwareConfig, angles: FloatArray) -> Iterator[Finding]:
                 problem=one.refusal(angles, config.slots),
                 cure="turn it out of there by hand with torque off",
             )
+
+
+def _equal_ids(servo: ServoConfig) -> Finding:
+    return servo_finding(
+        servo,
+        f"expected one servo with the id {servo.id}, got two or more, whose answers damage each "
+        "other",
+        f"give each servo an id of its own {WIZARD}, while it is alone on the line; if no other "
+        "has this id, mend the data cable",
+    )
 
 
 def _unknown(servo: ServoConfig, model: int) -> Finding:

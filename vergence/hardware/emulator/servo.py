@@ -32,6 +32,8 @@ VOLTAGE_ERROR: Final = 1 << 0
 Dynamixel X series)."""
 HEAT_ERROR: Final = 1 << 2
 """Bit of these registers: the temperature is above its limit (physical: as above)."""
+ENCODER_ERROR: Final = 1 << 3
+"""Bit of these registers: the encoder of the motor fails (physical: as above)."""
 LOAD_ERROR: Final = 1 << 5
 """Bit of these registers: the load was too great for too long (physical: as above)."""
 
@@ -73,6 +75,9 @@ class EmulatedServo:
         stuck: True if the joint does not move.
         frozen: True if the encoder reports a fixed position and no velocity while the joint moves.
         wrong_way: True if the joint turns against its command; the encoder reports this motion.
+        eeprom_write_s: time that it needs for writing to its EEPROM before it answers, s.
+        trip_needs_torque_cycle: True if a tripped watchdog locks the goals until torque has been
+            switched off and on, as some firmware has it.
 
     Raises:
         ConfigurationError: a sign other than 1 and -1, or a gear ratio or lag that is not positive.
@@ -109,6 +114,7 @@ class EmulatedServo:
         self.v = 0.0
         self.watchdog_trips, self.silent = 0, False
         self.stuck = self.frozen = self.wrong_way = False
+        self.eeprom_write_s, self.trip_needs_torque_cycle = 0.0, False
         self.trace = MotionTrace()
         self._turns = sign * gear_ratio
         self._turn_ticks = 0  # ticks of the whole turns lost in reboots
@@ -196,7 +202,10 @@ class EmulatedServo:
         before = self.get(table.TORQUE_ENABLE), self.get(table.OPERATING_MODE)
         self.memory.bytes[address : address + len(data)] = data
         if written_value(table.BUS_WATCHDOG, address, data) is not None:
-            self._tripped = False  # the value is 0, as others are refused while tripped
+            # the value is 0, as others are refused while tripped
+            self._tripped = self._tripped and self.trip_needs_torque_cycle
+        if not before[0] and self.get(table.TORQUE_ENABLE):
+            self._tripped = False
         if before != (self.get(table.TORQUE_ENABLE), self.get(table.OPERATING_MODE)):
             self._hold()
         return 0

@@ -25,7 +25,7 @@ from vergence.hardware.emulator.fault import Fault
 from vergence.hardware.emulator.faults import ActiveFaults
 from vergence.hardware.emulator.line import ServoLine
 from vergence.hardware.emulator.line_faults import apply_line_faults
-from vergence.hardware.emulator.servo import EmulatedServo
+from vergence.hardware.emulator.servo import ENCODER_ERROR, EmulatedServo
 from vergence.hardware.emulator.trace import rest_start_and_top_speed
 from vergence.models.head import HeadModel
 from vergence.models.parts import FloatArray
@@ -59,7 +59,8 @@ class MotorOptions:
 class World:
     """A head's joints and its target, in real time.
 
-    Its servos are set up for a controller: 1 Mb/s and no return delay.
+    Its servos are set up for a controller: 1 Mb/s, no return delay, and a shutdown that a broken
+    encoder brings about too.
 
     Args:
         head: the head that really moves.
@@ -104,6 +105,7 @@ class World:
         for servo in self.servos.values():
             servo.set(table.BAUD_RATE, table.BAUD_RATES.index(_BAUD_RATE))
             servo.set(table.RETURN_DELAY_TIME, 0)
+            servo.set(table.SHUTDOWN, servo.get(table.SHUTDOWN) | ENCODER_ERROR)
         self.ids = tuple(servo.id for servo in self.servos.values())
         self.line = ServoLine(self.servos.values())
         self.faults = ActiveFaults(self.servos.values())
