@@ -20,7 +20,7 @@ from vergence.hardware.checks.registers import (
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.dynamixel.repeated import REQUESTS
+from vergence.hardware.dynamixel.repeated import REQUESTS, ping_again
 from vergence.hardware.servo_memory import read_memory
 from vergence.models.parts import FloatArray
 
@@ -48,7 +48,7 @@ def check_servos(
     models, damaged = {}, set()
     for servo in config.servos:
         before = bus.damaged_packets
-        models[servo.name] = _model(bus, servo.id)
+        models[servo.name] = ping_again(bus, servo.id)
         if models[servo.name] is None and bus.damaged_packets - before >= REQUESTS:
             damaged.add(servo.id)
     missing = [servo for servo in config.servos if models[servo.name] is None]
@@ -96,15 +96,6 @@ def raise_errors(findings: Iterable[Finding]) -> list[Finding]:
     if not all(finding.warning for finding in findings):
         raise ChecksFailedError(findings)
     return findings
-
-
-def _model(bus: Bus, ident: int) -> int | None:
-    """Ping a servo for its model number, again if needed, as a packet may be lost or damaged."""
-    for _ in range(REQUESTS):
-        model = bus.ping(ident)
-        if model is not None:
-            return model
-    return None
 
 
 def _nobody(config: HardwareConfig, bus: Bus, damaged: bool) -> Finding:

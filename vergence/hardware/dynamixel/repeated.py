@@ -35,6 +35,21 @@ def write_register(bus: Bus, id: int, register: Register, value: int) -> None:
     ask_again(partial(bus.write, id, register, value))
 
 
+def ping_again(bus: Bus, id: int) -> int | None:
+    """Ping a servo; return its model number, None if none with this id answers.
+
+    Servos whose answers damage each other give `REQUESTS` damaged packets.
+
+    Raises:
+        HardwareError: the line is gone.
+    """
+    for _ in range(REQUESTS):
+        model = bus.ping(id)
+        if model is not None:
+            return model
+    return None
+
+
 def ask_again(ask: Callable[[], _T], requests: int = REQUESTS) -> _T:
     """Make a request until it is answered.
 
