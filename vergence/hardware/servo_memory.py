@@ -20,6 +20,11 @@ REGISTER_SPANS: Final = (
 )
 """Addresses and lengths of the spans that are read; their registers exist without gaps in all
 models (physical: Dynamixel X series)."""
+MOTION_SPAN: Final = (
+    table.PRESENT_VELOCITY.address,
+    table.PRESENT_VELOCITY.length + table.PRESENT_POSITION.length,
+)
+"""Address and length of the present velocity and, directly after it, the present position."""
 PRESENT_VALUES_SPAN: Final = REGISTER_SPANS[-1]
 """Span of present load, velocity, position, voltage and temperature."""
 _FAULT_BIT_TEXTS: Final = {

@@ -8,11 +8,12 @@ from functools import partial
 from typing import Final
 
 from vergence.errors import HardwareError, VergenceWarning
-from vergence.hardware.checks.line import open_bus
+from vergence.hardware.checks.line import LATE_ANSWERS_CURE, open_bus
 from vergence.hardware.checks.servos import check_servos, raise_errors
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.count_log import CountLog
 from vergence.hardware.dynamixel import control_table as table
+from vergence.hardware.dynamixel.bus import SYNC_READ_BYTES
 from vergence.hardware.dynamixel.repeated import ask_again, read_register, write_register
 from vergence.hardware.health import HealthLevel, HealthWatch, read_health, read_limits
 from vergence.hardware.resting import (
@@ -21,16 +22,11 @@ from vergence.hardware.resting import (
     stop_and_disable_watchdog,
 )
 from vergence.hardware.servo_angles import SILENT_S, ServoAngles
-from vergence.hardware.servo_memory import describe_fault_bits
+from vergence.hardware.servo_memory import MOTION_SPAN, describe_fault_bits
 from vergence.hardware.servo_settings import ServoSettings
 from vergence.models.parts import FloatArray
 
 _LOG: Final = logging.getLogger(__name__)
-_MOTION_SPAN: Final = (
-    table.PRESENT_VELOCITY.address,
-    table.PRESENT_VELOCITY.length + table.PRESENT_POSITION.length,
-)
-"""Address and length of the present velocity and, directly after it, the present position."""
 _HEALTH_INTERVAL_S: Final = 1.0
 """Time between two reads of temperature, voltage and load, s (chosen)."""
 _TORQUE_READ_PERIODS: Final = 10
@@ -67,6 +63,7 @@ class HeadServos:
         said = "answers missed: %d, the last one of %s"
         self._unanswered = CountLog(_LOG, logging.WARNING, said, clock)
         self._missed: dict[int, list[float]] = {}  # times of unanswered requests by id, s
+        self._stale: dict[int, int] = {}  # unmatched answers by id before these
         self._fed_s = self._pause_s = 0.0
         self._health_s = clock()
         self._warned: set[int] = set()
@@ -151,28 +148,37 @@ class HeadServos:
         asked_s = self._clock()
         self._senses += 1
         # every other request is a byte longer: its length exposes a late answer to the one before
-        address, length = _MOTION_SPAN
+        address, length = MOTION_SPAN
         found = self._bus.sync_read(self.angles.ids, address, length + self._senses % 2)
         answers = {ident: data[:length] for ident, data in found.items()}
         now = self._clock()
         self._fed()
-        # the packets left the servos about half the exchange ago
-        measured_s = 0.5 * (asked_s + now)
+        # servos measure as the request arrives; adapters only hold their answers back
+        measured_s = asked_s + self._bus.line.wire_s(SYNC_READ_BYTES + len(self.angles.ids))
         accepted = self.angles.update(answers, measured_s)
         for servo in self._config.servos:
             if servo.id in accepted:
                 self._missed.pop(servo.id, None)
                 continue
+            if servo.id not in self._missed:
+                self._stale[servo.id] = self._bus.stale[servo.id]
             missed = self._missed.setdefault(servo.id, [])
             missed.append(asked_s)
             self._unanswered.add(1, servo.name)
             # a pause without requests does not count as silence
             if now - missed[0] > SILENT_S and len(missed) >= _STOPPING_MISSES:
-                got = "angles that no joint can have" if servo.id in answers else "none"
+                # the answer to the last request may still be on its way
+                late = self._bus.stale[servo.id] - self._stale[servo.id] >= len(missed) - 1
+                expected = f"an answer of the id {servo.id} on {self._bus.port}"
+                got, cure = "none", "check its cable and its power"
+                if servo.id in answers:
+                    got = "angles that no joint can have"
+                elif late:
+                    expected += f" within {1e3 * self._bus.cycle_timeout_s:.3g} ms"
+                    got, cure = "later ones alone", LATE_ANSWERS_CURE
                 raise HardwareError(
-                    f"servos: {servo.name}: expected an answer of the id {servo.id} on "
-                    f"{self._bus.port}, got {got} for {SILENT_S:g} s; cure: check its cable and "
-                    "its power"
+                    f"servos: {servo.name}: expected {expected}, got {got} for {SILENT_S:g} s; "
+                    f"cure: {cure}"
                 )
         if self._torque:
             self._check_faults()

@@ -10,7 +10,12 @@ from typing import Final
 import numpy as np
 
 from vergence.errors import ChecksFailedError, Finding, HardwareError
-from vergence.hardware.checks.line import check_exchange_fits_period, check_latency_timer
+from vergence.hardware.checks.line import (
+    check_exchange_fits_period,
+    check_latency_timer,
+    cycle_timeout_s,
+    measure_exchange_s,
+)
 from vergence.hardware.checks.registers import (
     WIZARD,
     check_registers,
@@ -33,6 +38,8 @@ def check_servos(
     config: HardwareConfig, bus: Bus, *, check_joint_in_limits: bool = True, sysfs: str = "/sys"
 ) -> list[Finding]:
     """Find all problems of the servos and their line. Nothing is written to a servo.
+
+    The timeout of the line's answers in a control period is set by their measured time.
 
     Args:
         config: the robot.
@@ -81,7 +88,9 @@ def check_servos(
         angles[servo.slot] = joint_angle_from_registers(config, servo, memory)
     if check_joint_in_limits:
         findings += _forbidden(config, angles)
-    findings += check_exchange_fits_period(config, delays, sysfs)
+    exchange_s = measure_exchange_s(bus, [one.id for one in config.servos if one.name in delays])
+    bus.cycle_timeout_s = cycle_timeout_s(exchange_s, config.head.timing.period_s)
+    findings += check_exchange_fits_period(config, delays, sysfs, exchange_s)
     latency = check_latency_timer(config.bus.port, sysfs)
     return findings if latency is None else [*findings, latency]
 

@@ -2,6 +2,7 @@
 
 import logging
 import time
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Final
 
@@ -30,7 +31,8 @@ SINGLE_TIMEOUT_S: Final = 0.05
 EEPROM_TIMEOUT_S: Final = 0.15
 """Timeout of the answer to a write into the EEPROM, beyond its time on the wire, s: more than twice
 the 60 ms that servos have been seen to take (chosen)."""
-
+SYNC_READ_BYTES: Final = 14
+"""Length of a sync read without its ids, bytes (physical: Protocol 2.0)."""
 _STATUS_BYTES: Final = 11
 """Length of a status packet without data, bytes (physical: Protocol 2.0)."""
 
@@ -58,7 +60,7 @@ class Bus:
         names: names of servos by id, for messages.
         exchange_s: time from the last request to the last of its answers, s.
         missed_answers: number of answers that did not arrive.
-        stale: number of answers that did not match the open request.
+        stale: number of answers by id that did not match the open request, as late ones.
         alerts: ids of the servos whose last answer announced a hardware error.
 
     Raises:
@@ -75,7 +77,8 @@ class Bus:
     ) -> None:
         self.line = SerialLine(port, baud)
         self.cycle_timeout_s, self.single_timeout_s = cycle_timeout_s, single_timeout_s
-        self.missed_answers = self.stale = 0
+        self.missed_answers = 0
+        self.stale: Counter[int] = Counter()
         self.exchange_s = 0.0
         self.names: dict[int, str] = {}
         self.alerts: set[int] = set()
@@ -223,7 +226,7 @@ class Bus:
                     answers[status.id] = status
                     self.exchange_s = time.monotonic() - asked_s
                     continue
-                self.stale += 1
+                self.stale[status.id] += 1
                 if status.id in ids:
                     other[status.id] = len(status.data)
             if time.monotonic() > until_s:  # a line that babbles never runs out of data
@@ -231,7 +234,7 @@ class Bus:
         return answers, other
 
     def _discard_late(self) -> None:
-        self.stale += len(self._statuses(self.line.drain()))
+        self.stale.update(status.id for status in self._statuses(self.line.drain()))
         self._parser.clear()
 
     def _statuses(self, data: bytes) -> list[Status]:

@@ -38,7 +38,7 @@ _BAUD_RATE: Final = 1_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class MotorOptions:
-    """Dynamics and encoders of the servos of an emulated head."""
+    """Dynamics and encoders of the servos of an emulated head, and the adapter of their line."""
 
     speed_filter_s: float = 0.0
     """Time constant of the low-pass filter on reported speeds, s."""
@@ -54,6 +54,8 @@ class MotorOptions:
     """Backlash between encoders and joints, rad."""
     feedback_latency_s: float = 0.0
     """Age of the angles and speeds that servos report, s."""
+    answer_latency_s: float = 0.0
+    """Delay of every answer by the adapter, s."""
 
 
 class World:
@@ -65,7 +67,7 @@ class World:
     Args:
         head: the head that really moves.
         point: (3,) target position until another one is placed, in N, m.
-        motors: dynamics and encoders of the servos.
+        motors: dynamics and encoders of the servos, and the adapter of their line.
         seed: random seed of the faults of answers.
         T_0_T: (4, 4) pose of a fixed board in place of a target, m; None for a target.
     """
@@ -110,6 +112,7 @@ class World:
         self.line = ServoLine(self.servos.values())
         self.faults = ActiveFaults(self.servos.values())
         self._command_latency_s = motors.command_latency_s
+        self._answer_latency_s = motors.answer_latency_s
         self._commands: deque[tuple[float, Packet]] = deque()
         self._rng = np.random.default_rng(seed)
         self._told_s = -np.inf
@@ -171,7 +174,7 @@ class World:
         answers = self.line.answer(packet, now_s, baud_rate)
         if any(servo.get(table.TORQUE_ENABLE) for servo in self.line.servos):
             self.faults.start_script(now_s)
-        delay_s = sum(answer.return_delay_s for answer in answers)
+        delay_s = self._answer_latency_s + sum(answer.return_delay_s for answer in answers)
         sent = apply_line_faults(answers, self.faults.active_on("line"), self._rng)
         return [(delay_s + late_s, data) for late_s, data in sent]
 
