@@ -156,8 +156,11 @@ def measure_exchange_s(bus: Bus, ids: Collection[int]) -> float:
         HardwareError: the line is gone.
     """
     times = []
-    for _ in range(_EXCHANGES if ids else 0):
-        answers = bus.sync_read(ids, *MOTION_SPAN, timeout_s=bus.single_timeout_s)
+    address, length = MOTION_SPAN
+    for place in range(_EXCHANGES if ids else 0):
+        # answers may come one by one; a length of its own exposes one that comes later still
+        timeout_s = bus.single_timeout_s * len(ids)
+        answers = bus.sync_read(ids, address, length + place % 2, timeout_s=timeout_s)
         if len(answers) == len(ids):
             times += [bus.exchange_s]
     return sorted(times)[min(_COUNTED_EXCHANGE, len(times) - 1)] if times else 0.0
