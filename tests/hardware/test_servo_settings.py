@@ -9,6 +9,7 @@ from tests.hardware.virtual import VirtualRobot
 from vergence.errors import HardwareError, VergenceWarning
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.packets import ErrorNumber
+from vergence.hardware.still import ReadOnlyServos
 
 FACTORY_SHUTDOWN = 0b110100
 CHANGED = (
@@ -125,6 +126,30 @@ def test_a_joint_that_moves_does_not_lose_its_torque(robot, monkeypatch):
     with pytest.raises(HardwareError, match="left_tilt: expected a joint at rest"):
         robot.plant.prepare()
     assert (servo.get(table.SHUTDOWN), servo.get(table.TORQUE_ENABLE)) == (FACTORY_SHUTDOWN, 1)
+
+
+def test_a_servo_that_refuses_a_setting_runs_and_is_told_of(robot, monkeypatch):
+    servo, write = second(robot), second(robot).write
+    servo.set(table.SHUTDOWN, FACTORY_SHUTDOWN)
+    monkeypatch.setattr(
+        servo,
+        "write",
+        lambda address, data: ErrorNumber.DATA_RANGE if address == 63 else write(address, data),
+    )
+    with pytest.warns(VergenceWarning, match="got 52, which the servo refuses to change to 60"):
+        robot.begin()
+    robot.plant.close()
+    assert servo.get(table.SHUTDOWN) == FACTORY_SHUTDOWN
+
+
+def test_servos_that_are_only_read_keep_their_settings(robot):
+    for register, old, _new in CHANGED[:5]:
+        second(robot).set(register, old)
+    servos = ReadOnlyServos(robot.plant.config, robot.clock)
+    servos.close()
+    assert [second(robot).get(register) for register, _, _ in CHANGED[:5]] == [
+        old for _, old, _ in CHANGED[:5]
+    ]
 
 
 def test_a_slow_eeprom_is_waited_for(robot):

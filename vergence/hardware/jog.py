@@ -6,6 +6,7 @@ beyond a turn. For the same reason a step does not stop at the joint's limits.
 """
 
 import time
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -13,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from vergence.errors import HardwareError
+from vergence.errors import HardwareError, VergenceWarning
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
@@ -24,6 +25,7 @@ from vergence.hardware.resting import (
     stop_and_disable_watchdog,
 )
 from vergence.hardware.servo_angles import SILENT_S, ServoAngles
+from vergence.hardware.servo_settings import ServoSettings
 
 MOST_STEP_RAD: Final = 0.5
 """Largest step, rad: a person who watches the joint can still stop it in time (chosen)."""
@@ -132,8 +134,10 @@ class Jogger:
             write_register(bus, ident, table.OPERATING_MODE, table.VELOCITY_MODE)
         broadcast_zero_speed(bus, [servo.id])
         disable_watchdog(bus, ident)
-        for register in (table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY):
-            write_register(bus, ident, register, 0)
+        settings = ServoSettings(bus)
+        settings.set_motion(servo)
+        for finding in settings.findings:
+            warnings.warn(str(finding), VergenceWarning, stacklevel=3)
         if not torque:
             write_register(bus, ident, table.TORQUE_ENABLE, 1)
             # a lock of the goals that a tripped watchdog has left ends with the torque

@@ -16,7 +16,7 @@ REGISTER_SPANS: Final = (
     (63, 2),
     (68, 3),
     (76, 4),
-    (126, 21),
+    (120, 27),
 )
 """Addresses and lengths of the spans that are read; their registers exist without gaps in all
 models (physical: Dynamixel X series)."""
@@ -26,7 +26,8 @@ MOTION_SPAN: Final = (
 )
 """Address and length of the present velocity and, directly after it, the present position."""
 PRESENT_VALUES_SPAN: Final = REGISTER_SPANS[-1]
-"""Span of present load, velocity, position, voltage and temperature."""
+"""Span of present load, velocity, position, voltage and temperature. It begins with the servo's own
+clock, so that answers of two servos differ even where all else is alike."""
 _FAULT_BIT_TEXTS: Final = {
     0: "input voltage",
     2: "overheating",

@@ -22,12 +22,6 @@ from vergence.hardware.dynamixel.repeated import read_register, write_register
 _LOG: Final = logging.getLogger(__name__)
 _NEEDED_SHUTDOWN: Final = 1 << 3 | 1 << 5
 """Bits that SHUTDOWN needs: motor encoder and overload (physical: Dynamixel X series)."""
-_RAM_VALUES: Final = (
-    (table.PROFILE_ACCELERATION, 0),
-    (table.PROFILE_VELOCITY, 0),
-    (table.GOAL_PWM, table.FULL_PWM),
-)
-"""Values that leave a velocity as it is commanded; the last one needs its PWM_LIMIT (chosen)."""
 _REST_READS: Final = 500
 """Reads of the speed before a joint counts as one that does not come to rest; they take half a
 second at least (chosen)."""
@@ -67,7 +61,19 @@ class ServoSettings:
             with _unlocked(self._bus, servo):
                 for register, old, value in changes:
                     self._change(servo, register, old, value)
-        for register, value in _RAM_VALUES:
+        self.set_motion(servo)
+
+    def set_motion(self, servo: ServoConfig) -> None:
+        """Set those registers of the RAM that change how a servo follows its commands.
+
+        Raises:
+            HardwareError: it does not answer.
+        """
+        for register, value in (
+            (table.PROFILE_ACCELERATION, 0),
+            (table.PROFILE_VELOCITY, 0),
+            (table.GOAL_PWM, read_register(self._bus, servo.id, table.PWM_LIMIT)),
+        ):
             old = read_register(self._bus, servo.id, register)
             if old != value:
                 self._change(servo, register, old, value)

@@ -155,6 +155,24 @@ def test_a_line_on_which_nobody_answers_is_one_finding(check):
     assert "power" in finding.cure
 
 
+def test_equal_ids_are_found_by_their_clocks_where_all_else_is_alike(check):
+    own = ready_servos()
+    own[1].set(table.ID, 1)
+    own[1].memory.bytes[120] = 1  # REALTIME_TICK
+    found, _served = check(own)
+    assert any("expected one servo with the id 1, got two or more" in str(one) for one in found)
+
+
+def test_a_servo_without_a_watchdog_is_an_error(check, monkeypatch):
+    own = ready_servos()
+    read = own[1].read
+    monkeypatch.setattr(
+        own[1], "read", lambda address, size: (7, b"") if address == 98 else read(address, size)
+    )
+    (finding,), _served = check(own)
+    assert str(finding).startswith("servos: left_tilt: expected a BUS_WATCHDOG, which stops")
+
+
 @pytest.mark.parametrize("model", [1060, 1020])
 def test_equal_ids_are_told_from_a_servo_that_does_not_answer(check, model):
     own = ready_servos()
@@ -281,6 +299,7 @@ def test_an_adapters_latency_counts_into_the_period(tmp_path):
     port = fake_adapter(tmp_path, 16)
     (finding,) = check_exchange_fits_period(desk_config(port), {}, str(tmp_path))
     assert "16 ms the adapter's latency" in finding.problem
+    assert "ttyUSB7/latency_timer, or a control_rate_hz of 34 at most" in finding.cure
 
 
 def test_a_port_that_is_not_there_is_told_with_those_that_are(monkeypatch):

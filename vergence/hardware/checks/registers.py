@@ -10,7 +10,7 @@ from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.servo_angles import ServoAngles
 from vergence.hardware.servo_memory import ServoMemory, describe_fault_bits, model_name
 
-_WATCHDOG_FIRMWARE: Final = 38
+WATCHDOG_FIRMWARE: Final = 38
 """First firmware with BUS_WATCHDOG (physical: X series, and MX with Protocol 2.0)."""
 _UNRELIABLE_WATCHDOG_MODELS: Final = frozenset((1190, 1200, 1210, 1220, 1230, 1240))
 """MODEL_NUMBER of servos whose watchdog may fail (physical: XL330 and XC330)."""
@@ -94,9 +94,9 @@ class _ServoRegisters:
 
 def _firmware(one: _ServoRegisters) -> Iterator[Finding]:
     model, firmware = one.get(table.MODEL_NUMBER), one.get(table.FIRMWARE_VERSION)
-    if firmware < _WATCHDOG_FIRMWARE:
+    if firmware < WATCHDOG_FIRMWARE:
         yield one.finding(
-            f"expected firmware {_WATCHDOG_FIRMWARE} or later, the first that stops the servo when "
+            f"expected firmware {WATCHDOG_FIRMWARE} or later, the first that stops the servo when "
             f"nobody speaks, got {firmware}",
             f"renew it {WIZARD}",
         )

@@ -17,6 +17,7 @@ from vergence.hardware.checks.line import (
     measure_exchange_s,
 )
 from vergence.hardware.checks.registers import (
+    WATCHDOG_FIRMWARE,
     WIZARD,
     check_registers,
     joint_angle_from_registers,
@@ -25,7 +26,7 @@ from vergence.hardware.checks.registers import (
 from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
-from vergence.hardware.dynamixel.repeated import REQUESTS, ping_again
+from vergence.hardware.dynamixel.repeated import REQUESTS, ping_again, read_register
 from vergence.hardware.servo_memory import read_memory
 from vergence.models.parts import FloatArray
 
@@ -81,6 +82,8 @@ def check_servos(
             equal = bus.damaged_packets - before >= REQUESTS
             findings.append(_equal_ids(servo) if equal else _silent(servo, str(error)))
             continue
+        if memory.get(table.FIRMWARE_VERSION) >= WATCHDOG_FIRMWARE:
+            findings += _watchdog(servo, bus)
         delays[servo.name] = memory.get(table.RETURN_DELAY_TIME)
         findings += check_registers(
             config, servo, memory, check_joint_in_limits=check_joint_in_limits
@@ -159,6 +162,17 @@ def _equal_ids(servo: ServoConfig) -> Finding:
         f"give each servo an id of its own {WIZARD}, while it is alone on the line; if no other "
         "has this id, mend the data cable",
     )
+
+
+def _watchdog(servo: ServoConfig, bus: Bus) -> Iterator[Finding]:
+    try:
+        read_register(bus, servo.id, table.BUS_WATCHDOG)
+    except HardwareError as error:
+        yield servo_finding(
+            servo,
+            f"expected a BUS_WATCHDOG, which stops the servo when nobody speaks, got {error}",
+            f"renew its firmware {WIZARD}",
+        )
 
 
 def _unknown(servo: ServoConfig, model: int) -> Finding:
