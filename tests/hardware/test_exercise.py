@@ -20,7 +20,7 @@ def velocities(speed, count):
 
 @pytest.mark.parametrize("appears", [False, True])
 def test_a_target_that_appears_is_not_seen_in_images_of_before(monkeypatch, appears):
-    robot = VirtualRobot(monkeypatch, appears=appears)
+    robot = VirtualRobot(monkeypatch, plant_options={"appears": appears})
     robot.begin()
     assert robot.plant.reading.visible.any() == (not appears)
     while not robot.plant.reading.visible.any() or robot.plant.reading.exposure_s[0] < 0.0:

@@ -13,6 +13,7 @@ from vergence.hardware.dynamixel import bus
 from vergence.hardware.dynamixel.packets import PacketParser
 from vergence.hardware.emulator.fault import parse_fault
 from vergence.hardware.emulator.world import World
+from vergence.hardware.eyes import HeadEyes
 from vergence.hardware.pairing import SearchedImage
 from vergence.hardware.plant import HardwarePlant
 from vergence.hardware.safety.config import SafetyConfig
@@ -66,6 +67,98 @@ class VirtualLine:
         while self._due and self._due[0][0] <= self._clock():
             drained += self._due.pop(0)[1]
         return drained
+
+    def close(self):
+        pass
+
+
+class WatchedWorld(World):
+    """A world whose target two cameras see, with latency, jitter, noise and smear.
+
+    Args:
+        head: the head that moves.
+        point: (3,) the target in N, m.
+        motors: dynamics of its servos.
+        latency_s: least latency of an image.
+        jitter_s: greatest further latency.
+        noise_px: standard deviation of a detection.
+        seed: seed of all draws.
+
+    Attributes:
+        seen: images by eye: exposure and receipt, s, and the pixel.
+    """
+
+    def __init__(self, head, point, motors=None, *, latency_s, jitter_s=0.0, noise_px=0.1, seed=0):
+        super().__init__(head, point, motors, seed)
+        self.seen = [], []
+        self._draws = np.random.default_rng((3, seed))
+        self._due_s = [None, None]
+        self._phases = self._draws.uniform(0.0, head.timing.frame_s, 2)
+        self._camera = latency_s, jitter_s, noise_px
+
+    def advance_to(self, now_s):
+        if self._due_s[0] is None:
+            self._due_s = [now_s + phase for phase in self._phases]
+        while min(self._due_s) <= now_s:
+            eye = int(np.argmin(self._due_s))
+            super().advance_to(self._due_s[eye])
+            self._expose(eye, self._due_s[eye])
+            self._due_s[eye] += self.head.timing.frame_s
+        super().advance_to(now_s)
+
+    def _expose(self, eye, at_s):
+        latency_s, jitter_s, noise_px = self._camera
+        half_s = 0.5 * self.head.timing.exposure_s
+        q, _, v = self._joints()
+        if not self.head.actuation.direct:
+            v[3:] = self.head.actuation.to_joints @ v[3:]
+        point, *_ = self._target(q, at_s)
+        pixel = self.head.project(q, point)[eye]
+        ends = [self.head.project(q + side * half_s * v, point)[eye] for side in (-1.0, 1.0)]
+        size = self.head.cameras.size[eye]
+        shown = ((pixel > 20.0) & (pixel < size - 20.0)).all()
+        smeared = np.linalg.norm(ends[1] - ends[0]) > self.head.sensor.max_smear_px
+        pixel = pixel + self._draws.normal(0.0, noise_px, 2)
+        late_s = latency_s + jitter_s * self._draws.random()
+        received_s = max([at_s + late_s, *(one[1] for one in self.seen[eye][-1:])])
+        self.seen[eye].append(
+            (at_s, received_s, pixel if shown and not smeared else pixel + np.nan)
+        )
+
+
+class VirtualCamera:
+    """An eye of a `WatchedWorld`, in place of `EyeThread`.
+
+    Args:
+        clock: the present.
+        config: the camera.
+        images: images of the world, see `WatchedWorld.seen`.
+        transform: map of pixels; None leaves them.
+    """
+
+    ready, frame = True, None
+
+    def __init__(self, clock, config, images, transform=None):
+        self.config, self._clock, self._images = config, clock, images
+        self._transform = transform or (lambda pixel: pixel)
+        self._taken = 0
+        self.newest_received_s = clock()
+
+    def check(self):
+        pass
+
+    def take_searched_images(self):
+        new = []
+        while self._taken < len(self._images) and self._images[self._taken][1] <= self._clock():
+            _, received_s, pixel = self._images[self._taken]
+            exposed_s = received_s - self.config.latency_s
+            new.append(SearchedImage(exposed_s, received_s, self._transform(pixel)))
+            self.newest_received_s = received_s
+            self._taken += 1
+        return new
+
+    def forget_track(self):
+        pass
 
     def close(self):
         pass
@@ -137,22 +230,26 @@ class VirtualClock(FakeClock):
         self.now += seconds
 
 
-def virtual_config(**safety):
+def virtual_config(head=HEAD, latency_s=0.1, **safety):
     """The configuration of a robot in simulated time, with bounds of `SafetyConfig`."""
     return HardwareConfig(
         path="robot.toml",
-        head=HEAD,
+        head=head,
         target=TAG,
         bus=BusConfig(port=PORT, watchdog_s=WATCHDOG_S),
         servos=tuple(
             ServoConfig(
-                name=name, slot=slot, id=id, zero_ticks=2048, sign=1,
-                gear_ratio=1.0, lower_rad=-LIMIT_RAD, upper_rad=LIMIT_RAD,
+                name=name, slot=slot, id=id, zero_ticks=2048, sign=1, gear_ratio=1.0,
+                lower_rad=max(-LIMIT_RAD, float(head.actuation.lower[slot])),
+                upper_rad=min(LIMIT_RAD, float(head.actuation.upper[slot])),
             )
-            for id, (name, slot) in enumerate(actuator_slots(HEAD).items(), 1)
+            for id, (name, slot) in enumerate(actuator_slots(head).items(), 1)
         ),
-        cameras=(camera_config(0), camera_config(1, source="8")),
-        pairing_tolerance_s=0.75 * HEAD.timing.frame_s,
+        cameras=tuple(
+            camera_config(eye, source=source, latency_s=latency_s)
+            for eye, source in enumerate(("7", "8"))
+        ),
+        pairing_tolerance_s=0.75 * head.timing.frame_s,
         emulator_address="",
         safety=SafetyConfig(**safety),
     )  # fmt: skip
@@ -163,34 +260,49 @@ class VirtualRobot:
 
     Args:
         monkeypatch: puts the virtual line in place of a serial one.
-        appears: see `HardwarePlant`.
-        **safety: bounds of `SafetyConfig`.
+        world: the world; by default one whose target each eye sees in its middle.
+        config: the configuration; by default that of `virtual_config`.
+        transforms: map of each camera's pixels, see `VirtualCamera`.
+        eyes: eye of the world that each camera shows; (1, 0) exchanges them.
+        plant_options: see `HardwarePlant`.
+        **safety: bounds of `SafetyConfig`, without a configuration.
     """
 
-    def __init__(self, monkeypatch, appears=False, **safety):
+    def __init__(
+        self, monkeypatch, world=None, config=None, transforms=(None, None), eyes=(0, 1),
+        plant_options=None, **safety,
+    ):  # fmt: skip
         self.clock = VirtualClock(1000.0)
-        self.world = World(HEAD, np.array([0.0, -0.1, 1.0]))
-        self.world.line.advance_to(self.clock())
+        self._transforms, self._order = transforms, eyes
+        self.world = world or World(HEAD, np.array([0.0, -0.1, 1.0]))
+        self.world.advance_to(self.clock())
         monkeypatch.setattr(
             bus, "SerialLine", lambda _port, baud: VirtualLine(self.world, self.clock, baud)
         )
         monkeypatch.setattr(bus, "time", SimpleNamespace(monotonic=self.clock))
-        config = virtual_config(**safety)
-        self.plant = HardwarePlant(
-            HEAD, config=config, appears=appears, clock=self.clock, sleep=self.clock.sleep
-        )
+        self.config = config or virtual_config(**safety)
         monkeypatch.setattr(DriveThread, "start", lambda drive: setattr(self.clock, "drive", drive))
         monkeypatch.setattr(plant, "compile_loop_kernels", lambda _head, _target: None)
         monkeypatch.setattr(plant, "check_local_cameras", lambda _config: [])
-        monkeypatch.setattr(self.plant._open.eyes, "open", self._open_cameras)
+        monkeypatch.setattr(HeadEyes, "open", lambda eyes, _idle: self._open_cameras(eyes))
+        self.options = {"clock": self.clock, "sleep": self.clock.sleep, **(plant_options or {})}
+        self.plant = HardwarePlant(self.config.head, config=self.config, **self.options)
 
-    def _open_cameras(self, _idle):
-        self.eyes = [VirtualEye(self.clock, 0), VirtualEye(self.clock, 1)]
-        self.plant._open.eyes.threads.extend(self.eyes)
+    def _open_cameras(self, eyes):
+        if isinstance(self.world, WatchedWorld):
+            self.eyes = [
+                VirtualCamera(self.clock, camera, self.world.seen[shown], transform)
+                for camera, shown, transform in zip(
+                    self.config.cameras, self._order, self._transforms, strict=True
+                )
+            ]
+        else:
+            self.eyes = [VirtualEye(self.clock, 0), VirtualEye(self.clock, 1)]
+        eyes.threads.extend(self.eyes)
 
     def begin(self, left_pan_rad=0.0):
         """Begin a trial straight ahead but for one joint."""
-        start = HEAD.rest()[None].copy()
+        start = self.config.head.rest()[None].copy()
         start[0, 3] += left_pan_rad
         self.plant.reset(np.zeros(1, np.int64), start)
 

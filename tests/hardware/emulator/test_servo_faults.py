@@ -128,7 +128,7 @@ def test_a_stuck_joint_stands_still_against_its_command():
 
 def test_a_joint_the_wrong_way_turns_against_its_command():
     right, wrong = turning(), turning()
-    wrong.servos[0].wrong_way = True
+    wrong.servos[0].goal_scale = -1.0
     for line in (right, wrong):
         line.advance_to(0.1)
     assert wrong.positions() == pytest.approx(-right.positions())

@@ -44,6 +44,10 @@ class CameraFaults:
         if old is not None and self._of(eye, "frozen"):
             new = old
         self._old[eye] = new = new.copy()  # the caller reuses the array for the next image
+        if self._of(eye, "mirrored"):
+            new = new[:, ::-1]
+        if self._of(eye, "upside-down"):
+            new = new[::-1, ::-1]
         if self._of(eye, "stalled") or self._falls(eye, "dropped"):
             return None
         if old is not None and self._falls(eye, "torn"):

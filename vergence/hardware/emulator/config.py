@@ -67,6 +67,10 @@ class EmulatorConfig:
         0.0
     )
     """Delay of every answer of the servos, as by an adapter's latency timer."""
+    friction: Annotated[float, tyro.conf.arg(metavar="FRACTION")] = 0.0
+    """Coulomb friction of the joints, of the greatest torque; static friction is 1.6 times that."""
+    gravity: Annotated[float, tyro.conf.arg(metavar="FRACTION")] = 0.0
+    """Torque of gravity about horizontal axes, of the greatest torque."""
     faults: Annotated[Path | None, tyro.conf.arg(help_behavior_hint="", metavar="PATH")] = None
     """A TOML file of faults: tables [[fault]] with what, at_s (since torque was switched on) and
     the fault's own keys; none by default."""
@@ -89,6 +93,8 @@ class EmulatorConfig:
             ("acceleration_rad_s2", 0.1, 1e4),
             ("speed_gain", 0.01, 2.0),
             ("backlash_rad", 0.0, 0.2),
+            ("friction", 0.0, 0.5),
+            ("gravity", 0.0, 0.5),
             ("board_distance_m", 0.1, 20.0),
         ):
             value = getattr(self, name)

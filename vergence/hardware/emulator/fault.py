@@ -36,6 +36,9 @@ _LOAD_RULE: Final[Rule] = (
 )
 
 
+_SCALE_RULE: Final[Rule] = (lambda x: 0.1 <= abs(x) <= 10.0, "a ratio, 0.1 to 10 in size")
+
+
 class _Kind(NamedTuple):
     """Properties of the faults of one name."""
 
@@ -66,6 +69,11 @@ _KINDS: Final = {
     "frozen": _Kind("servo", _SERVO_FAULT_KEYS),
     "stuck": _Kind("servo", _SERVO_FAULT_KEYS),
     "wrong-way": _Kind("servo", _SERVO_FAULT_KEYS),
+    "blind": _Kind("servo", _SERVO_FAULT_KEYS),
+    "blind-told": _Kind("servo", _SERVO_FAULT_KEYS),
+    "inverted": _Kind("servo", _SERVO_FAULT_KEYS),
+    "goal-scale": _Kind("servo", (*_SERVO_FAULT_KEYS, "value"), _SCALE_RULE),
+    "speed-scale": _Kind("servo", (*_SERVO_FAULT_KEYS, "value"), _SCALE_RULE),
     "unplug": _Kind("cable", ()),
 }
 """Faults of servos, line and cable by name."""
@@ -77,6 +85,8 @@ _CAMERA_KINDS: Final = {
     "dropped": _Kind("camera", (*_CAMERA_FAULT_KEYS, "probability")),
     "ended": _Kind("camera", _CAMERA_FAULT_KEYS),
     "stalled": _Kind("camera", _CAMERA_FAULT_KEYS),
+    "mirrored": _Kind("camera", _CAMERA_FAULT_KEYS),
+    "upside-down": _Kind("camera", _CAMERA_FAULT_KEYS),
     "out-of-step": _Kind("camera", ("for_s", "value"), _DELAY_RULE, 0.0167),
 }
 """Faults of cameras by name."""
@@ -94,14 +104,17 @@ class Fault:
     Faults of a servo: `overload` and `reboot` happen once. `voltage` (V), `temperature` (degrees
     Celsius) and `load` (percent) set its measurements to `value`. `silent` acts as if its plug were
     pulled out, `frozen` reports one position while its joint moves, `stuck` does not move,
-    `wrong-way` turns against its commands.
+    `wrong-way` turns against its commands. `blind` is an encoder whose servo sees no motion either
+    and turns on at a goal of zero, `blind-told` one that reports the encoder's error, `inverted` a
+    motor with its wires exchanged, which runs away. `goal-scale` and `speed-scale` multiply its
+    speed and the speed that it reports by `value`, as other units would.
 
     Fault of the cable: `unplug`, permanent.
 
     Faults of a camera: `frozen` repeats one image, `torn` sends the old image's lower half below
     the new one's upper half; `late` sends images later by `value` in s; `dropped` does not send an
-    image; `ended` closes the stream, `stalled` keeps it open without images; `out-of-step` exposes
-    the right camera later by `value` in s.
+    image; `ended` closes the stream, `stalled` keeps it open without images; `mirrored` and
+    `upside-down` images; `out-of-step` exposes the right camera later by `value` in s.
     """
 
     what: str

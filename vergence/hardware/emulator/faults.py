@@ -7,7 +7,7 @@ from typing import Final
 
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.emulator.fault import Fault, Place
-from vergence.hardware.emulator.servo import LOAD_ERROR, EmulatedServo
+from vergence.hardware.emulator.servo import ENCODER_ERROR, LOAD_ERROR, EmulatedServo
 
 _LOG: Final = logging.getLogger(__name__)
 _FAULT_REGISTERS: Final = {
@@ -100,11 +100,20 @@ class ActiveFaults:
             own = {fault.what: fault for fault in self.active_on("servo") if servo.id in fault.ids}
             servo.silent = "silent" in own
             servo.stuck = "stuck" in own
-            servo.wrong_way = "wrong-way" in own
-            servo.freeze("frozen" in own)
+            servo.blind = "blind" in own or "blind-told" in own
+            servo.inverted = "inverted" in own
+            servo.goal_scale = -1.0 if "wrong-way" in own else _value(own, "goal-scale")
+            servo.speed_scale = _value(own, "speed-scale")
+            servo.freeze("frozen" in own or servo.blind)
+            if "blind-told" in own:
+                servo.set_hardware_errors(ENCODER_ERROR)
             for name, (register, units) in _FAULT_REGISTERS.items():
                 measured = round(own[name].value * units) if name in own else healthy[name]
                 servo.set(register, measured)
+
+
+def _value(faults: dict[str, Fault], name: str) -> float:
+    return faults[name].value if name in faults else 1.0
 
 
 def _tell(fault: Fault, what: str) -> None:

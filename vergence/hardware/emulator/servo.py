@@ -7,12 +7,13 @@ the errors of voltage, temperature and load with the shutdown that SHUTDOWN conf
 lasts until a reboot; until then torque cannot be switched on. A reboot takes no time; after it the
 position is reported within one turn again, as the encoder is absolute within one turn only.
 
-Not emulated, and refused with an error: other modes and the reverse bit of DRIVE_MODE. Profile and
-gain registers have no effect. There is no gravity: without torque the joint comes to rest with its
-lag, while a real head would sink.
+Not emulated, and refused with an error: other modes and the reverse bit of DRIVE_MODE. Gain
+registers have no effect. A servo without friction and gravity moves by the package's joint law, and
+comes to rest with its lag when it loses torque; friction, gravity, a blind encoder or an inverted
+motor need the motor's own loop, see `vergence.hardware.emulator.motor`.
 """
 
-from math import exp, inf
+from math import exp, inf, pi
 from typing import Final
 
 from vergence.errors import ConfigurationError
@@ -20,6 +21,7 @@ from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.control_table import TICK_RAD, TICK_RAD_S, Register
 from vergence.hardware.dynamixel.packets import ErrorNumber
 from vergence.hardware.emulator.memory import ControlTable, written_value
+from vergence.hardware.emulator.motor import STEP_S, Motor
 from vergence.hardware.emulator.trace import MotionTrace
 from vergence.models.joint_response import follow_joint
 
@@ -30,13 +32,19 @@ MAX_STEP_S: Final = 0.002
 VOLTAGE_ERROR: Final = 1 << 0
 """Bit of HARDWARE_ERROR_STATUS and SHUTDOWN: the input voltage is outside its limits (physical:
 Dynamixel X series)."""
+ENCODER_ERROR: Final = 1 << 3
+"""Bit of these registers: the encoder fails (physical: as above)."""
 HEAT_ERROR: Final = 1 << 2
 """Bit of these registers: the temperature is above its limit (physical: as above)."""
-ENCODER_ERROR: Final = 1 << 3
-"""Bit of these registers: the encoder of the motor fails (physical: as above)."""
 LOAD_ERROR: Final = 1 << 5
 """Bit of these registers: the load was too great for too long (physical: as above)."""
 
+_PROFILE_UNIT_RAD_S2: Final = 214.577 * 2 * pi / 3600
+"""Unit of PROFILE_ACCELERATION, 214.577 rev/min^2 in rad/s^2 (physical: Dynamixel X series)."""
+_STIFF_RAD_S2: Final = 1e3
+"""Greatest acceleration of a motor without a limit, rad/s^2 (numerical)."""
+_FULL_PWM: Final = 885
+"""GOAL_PWM at full duty (physical: Dynamixel X series)."""
 _STEADY_CHANGE: Final = 1e-12
 """Change per step below which a state counts as steady, rad and rad/s (numerical)."""
 _GOAL_REGISTERS: Final = (table.GOAL_PWM, table.GOAL_VELOCITY, table.GOAL_POSITION)
@@ -63,6 +71,9 @@ class EmulatedServo:
         speed_gain: steady-state speed of the joint per commanded speed.
         backlash_rad: backlash between the servo's shaft, where its encoder is, and the joint, rad.
         feedback_latency_s: age of the position and velocity that it reports, s.
+        max_speed: greatest speed of the joint, rad/s, for the motor's own loop.
+        friction: Coulomb friction, as a fraction of the greatest torque.
+        gravity: torque of gravity at angle 0, as a fraction of the greatest torque.
         position_rad: the joint's angle at the start.
 
     Attributes:
@@ -74,7 +85,10 @@ class EmulatedServo:
         silent: True if it answers and obeys nothing, as with its plug pulled out.
         stuck: True if the joint does not move.
         frozen: True if the encoder reports a fixed position and no velocity while the joint moves.
-        wrong_way: True if the joint turns against its command; the encoder reports this motion.
+        blind: True if the inner loop sees no motion either; needs `frozen` too.
+        inverted: True if the motor turns against its drive, so that the inner loop runs away.
+        goal_scale: the joint's speed by its goal; -1 turns against it. The encoder reports this.
+        speed_scale: reported by true speed, for a servo with other units.
         eeprom_write_s: time that it needs for writing to its EEPROM before it answers, s.
         trip_needs_torque_cycle: True if a tripped watchdog locks the goals until torque has been
             switched off and on, as some firmware has it.
@@ -98,6 +112,9 @@ class EmulatedServo:
         speed_gain: float = 1.0,
         backlash_rad: float = 0.0,
         feedback_latency_s: float = 0.0,
+        max_speed: float = 6.0,
+        friction: float = 0.0,
+        gravity: float = 0.0,
         position_rad: float = 0.0,
     ) -> None:
         if sign not in (1, -1):
@@ -113,7 +130,11 @@ class EmulatedServo:
         self.q = self._joint = position_rad
         self.v = 0.0
         self.watchdog_trips, self.silent = 0, False
-        self.stuck = self.frozen = self.wrong_way = False
+        self.stuck = self.frozen = self.blind = self.inverted = False
+        self.goal_scale = self.speed_scale = 1.0
+        self._motor = Motor(lag_s, min(acceleration, _STIFF_RAD_S2), max_speed, friction, gravity)
+        self._own_loop = False  # True while the motor's own loop moves the joint
+        self._ramped = 0.0  # goal velocity after the profile, rad/s
         self.eeprom_write_s, self.trip_needs_torque_cycle = 0.0, False
         self.trace = MotionTrace()
         self._turns = sign * gear_ratio
@@ -240,7 +261,8 @@ class EmulatedServo:
             velocity = 0.0
         else:
             self.set(table.PRESENT_POSITION, self._ticks(angle_rad))
-        self.set(table.PRESENT_VELOCITY, round(self._turns * velocity / TICK_RAD_S))
+        told = self.speed_scale * self._turns * velocity / TICK_RAD_S
+        self.set(table.PRESENT_VELOCITY, round(told))
         self.set(table.MOVING, int(abs(self._turns * velocity) > TICK_RAD_S))
 
     def _hold(self) -> None:
@@ -276,7 +298,7 @@ class EmulatedServo:
         """The joint's commanded velocity, rad/s."""
         if self._tripped or not self.get(table.TORQUE_ENABLE):
             return 0.0
-        side = self.speed_gain * (-1.0 if self.wrong_way else 1.0)
+        side = self.speed_gain * self.goal_scale
         if self.get(table.OPERATING_MODE) == table.VELOCITY_MODE:
             return side * self.get(table.GOAL_VELOCITY) * TICK_RAD_S / self._turns
         limit = self.get(table.VELOCITY_LIMIT) * TICK_RAD_S / abs(self._turns)
@@ -286,7 +308,8 @@ class EmulatedServo:
     def _move(self, time_s: float, at_s: float) -> None:
         """Move towards the goals for a time without packets."""
         end_s = at_s + time_s
-        step_s = min(MAX_STEP_S, time_s)
+        most_s = STEP_S if self._needs_own_loop() else MAX_STEP_S
+        step_s = min(most_s, time_s)
         while time_s > 0.0:
             before = self.q, self.v, self._reported
             self._step(min(step_s, time_s))
@@ -294,15 +317,33 @@ class EmulatedServo:
             self._keep(end_s - max(time_s, 0.0))
             now = self.q, self.v, self._reported
             change = [abs(new - old) for new, old in zip(now, before, strict=True)]
-            if max(change) < _STEADY_CHANGE:
+            if max(change) < _STEADY_CHANGE and not (self._own_loop and self._ramped):
                 break
             # at a steady velocity one step is enough, up to the end stop
-            step_s = MAX_STEP_S
+            step_s = most_s
+            if self._own_loop:
+                continue
             if max(change[1:]) < _STEADY_CHANGE and abs(self._command() - self.v) < _STEADY_CHANGE:
                 stop = self.upper if self.v > 0.0 else self.lower
                 step_s = max(MAX_STEP_S, (stop - self.q) / self.v)
         if time_s > 0.0:
             self._keep(end_s)
+
+    def _needs_own_loop(self) -> bool:
+        motor = self._motor
+        return bool(
+            motor.friction or motor.gravity or self.blind or self.inverted
+            or self.get(table.GOAL_PWM) != _FULL_PWM
+        )  # fmt: skip
+
+    def _profiled(self, command: float, step_s: float) -> float:
+        """Velocity goal after the ramp of PROFILE_ACCELERATION."""
+        profile = self.get(table.PROFILE_ACCELERATION)
+        if profile and not self._tripped:
+            change = profile * _PROFILE_UNIT_RAD_S2 * step_s / abs(self._turns)
+            command = min(max(command, self._ramped - change), self._ramped + change)
+        self._ramped = command
+        return command
 
     def _keep(self, time_s: float) -> None:
         self.trace.add(time_s, self.q, self.v)
@@ -310,11 +351,21 @@ class EmulatedServo:
             self._sensed.add(time_s, self.q, self._reported)
 
     def _step(self, step_s: float) -> None:
+        command = self._profiled(self._command(), step_s)
         if self.stuck:
             self.v = 0.0
+        elif self._needs_own_loop():
+            if not self._own_loop:
+                self._own_loop = True
+                self._motor.reset(self.v)
+            on = self.get(table.TORQUE_ENABLE)
+            self.q, self.v = self._motor.step(
+                self.q, self.v, command if on else None, step_s, blind=self.blind,
+                inverted=self.inverted, duty=abs(self.get(table.GOAL_PWM)) / _FULL_PWM,
+            )  # fmt: skip
         else:
+            self._own_loop = False
             decay = exp(-step_s / self.lag_s)
-            command = self._command()
             self.q, self.v = _follow(
                 self.q, self.v, command, self.lag_s, self.acceleration, step_s, decay
             )

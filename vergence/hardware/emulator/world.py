@@ -32,6 +32,8 @@ from vergence.models.parts import FloatArray
 
 _DIFFERENCE_S: Final = 1e-4
 """Step of the central difference for the target's velocity, s (numerical)."""
+_LEVER_STEP_RAD: Final = 1e-4
+"""Step of the difference that finds a joint's axis, rad (numerical)."""
 _BAUD_RATE: Final = 1_000_000
 """Baud rate that the servos are set to, bit/s (chosen)."""
 
@@ -56,6 +58,23 @@ class MotorOptions:
     """Age of the angles and speeds that servos report, s."""
     answer_latency_s: float = 0.0
     """Delay of every answer by the adapter, s."""
+    friction: float = 0.0
+    """Coulomb friction, as a fraction of the greatest torque."""
+    gravity: float = 0.0
+    """Greatest torque of gravity about a horizontal axis, as a fraction of the greatest torque."""
+
+
+def _lever(head: HeadModel, slot: int) -> float:
+    """Horizontal part of the axis about which an actuator turns a camera at rest."""
+    rest = head.rest()
+    motors = head.actuation.actuators_of(rest)
+    motors[slot] += _LEVER_STEP_RAD
+    turned = head.actuation.joints_of(motors)
+    before, after = (head.base_pose(q) @ head.camera_poses(q) for q in (rest, turned))
+    turns = after[:, :3, :3] @ np.swapaxes(before[:, :3, :3], -1, -2)
+    axis = np.stack([turns[:, 2, 1], turns[:, 0, 2], turns[:, 1, 0]], axis=-1) / _LEVER_STEP_RAD
+    # y of the frame 0 points down
+    return float(np.hypot(axis[:, 0], axis[:, 2]).max())
 
 
 class World:
@@ -101,6 +120,9 @@ class World:
                 speed_gain=motors.speed_gain,
                 backlash_rad=motors.backlash_rad,
                 feedback_latency_s=motors.feedback_latency_s,
+                max_speed=float(actuation.velocity[slot]),
+                friction=motors.friction,
+                gravity=motors.gravity * _lever(head, slot),
             )
             for ident, (name, slot) in enumerate(self._slots.items(), 1)
         }
