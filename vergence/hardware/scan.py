@@ -103,7 +103,8 @@ def scan_for_servos(
                 if servo is not None:
                     found.append(servo)
                 # where nothing answers at this rate nothing is damaged either
-                if bus.damaged_packets - before >= REQUESTS:
+                unread = servo is None or servo.memory is None
+                if unread and bus.damaged_packets - before >= REQUESTS:
                     equal.append((ident, rate))
             damaged += bus.damaged_packets
         finally:

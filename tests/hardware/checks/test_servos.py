@@ -163,6 +163,19 @@ def test_equal_ids_are_found_by_their_clocks_where_all_else_is_alike(check):
     assert any("expected one servo with the id 1, got two or more" in str(one) for one in found)
 
 
+def test_a_noisy_line_is_not_taken_for_equal_ids(serve):
+    rng = np.random.default_rng(3)
+
+    def damage(_packet, answers):
+        return answers[:-1] + b"\0" if rng.random() < 0.2 else answers
+
+    bus = Bus(serve(ready_servos(), alter=damage).port, single_timeout_s=0.01)
+    found = check_servos(desk_config(bus.port), bus)
+    bus.close()
+    assert found == []
+    assert bus.damaged_packets > 5
+
+
 def test_a_servo_without_a_watchdog_is_an_error(check, monkeypatch):
     own = ready_servos()
     read = own[1].read

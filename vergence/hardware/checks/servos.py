@@ -27,7 +27,7 @@ from vergence.hardware.config import HardwareConfig, ServoConfig
 from vergence.hardware.dynamixel import control_table as table
 from vergence.hardware.dynamixel.bus import Bus
 from vergence.hardware.dynamixel.repeated import REQUESTS, ping_again, read_register
-from vergence.hardware.servo_memory import read_memory
+from vergence.hardware.servo_memory import ServoMemory, read_memory
 from vergence.models.parts import FloatArray
 
 _LOG: Final = logging.getLogger(__name__)
@@ -75,12 +75,9 @@ def check_servos(
             findings.append(_unknown(servo, model))
             continue
         _LOG.info("%s: %s with the id %d", servo.name, table.MODELS[model], servo.id)
-        before = bus.damaged_packets
-        try:
-            memory = read_memory(bus, servo.id)
-        except HardwareError as error:
-            equal = bus.damaged_packets - before >= REQUESTS
-            findings.append(_equal_ids(servo) if equal else _silent(servo, str(error)))
+        memory, finding = _memory(servo, bus)
+        if memory is None:
+            findings.append(finding)
             continue
         if memory.get(table.FIRMWARE_VERSION) >= WATCHDOG_FIRMWARE:
             findings += _watchdog(servo, bus)
@@ -108,6 +105,18 @@ def raise_errors(findings: Iterable[Finding]) -> list[Finding]:
     if not all(finding.warning for finding in findings):
         raise ChecksFailedError(findings)
     return findings
+
+
+def _memory(servo: ServoConfig, bus: Bus) -> tuple[ServoMemory, None] | tuple[None, Finding]:
+    """Read a servo's registers, or find out why that fails."""
+    for _ in range(2):  # on a noisy line all answers of a read may be damaged once, but not twice
+        before = bus.damaged_packets
+        try:
+            return read_memory(bus, servo.id), None
+        except HardwareError as error:
+            if bus.damaged_packets - before < REQUESTS:
+                return None, _silent(servo, str(error))
+    return None, _equal_ids(servo)
 
 
 def _nobody(config: HardwareConfig, bus: Bus, damaged: bool) -> Finding:
